@@ -60,6 +60,8 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ),  # all but the report
         ("inverse 5R {plan} -o {}/new.csv", 100),
         ("picture 5R -o {}/new.png", 1000),
+        ("simulate 5R {plan} -o {0}/new.csv --truth {0}/new --disturb 0.001", 1800),
+        ("export 3RRR -o {}/new.urdf", 2000),  # the URDF is larger than what closes its loops
         ("view 5R --html {}/new.html", 100_000),
     ],
 )
@@ -87,9 +89,9 @@ def test_who_comes_second_does_not_replace(folder: bool, tmp_path: Path) -> None
     path = tmp_path / "new"
     for force in (False, True):
         try:
-            marker = "result.json" if folder else ""
-            with writing(path, force=force, folder=marker) as scratch:
-                with writing(path, force=force, folder=marker) as other:
+            files = ("result.json",) if folder else ()
+            with writing(path, force=force, folder=files) as scratch:
+                with writing(path, force=force, folder=files) as other:
                     (other / "result.json" if folder else other).write_text("first")
                 (scratch / "result.json" if folder else scratch).write_text("second")
         except FileError as error:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import random
+import shutil
 import signal
 import socket
 import stat
@@ -14,16 +15,17 @@ from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 from command_line import done, run
 from marks import some_slow
 
 import pincal
 from pincal.errors import FileError
-from pincal.files.output import writing
+from pincal.files.output import writing, writing_together
 
 MARKER = "result.json"
-OWN = [MARKER, "poses.csv", "part/a.urdf"]
+WRITTEN = (MARKER, "poses.csv", "residuals.csv", "part/a.urdf")
 
 
 def held(folder: Path) -> set[bytes]:
@@ -37,7 +39,7 @@ def held(folder: Path) -> set[bytes]:
 
 def write(target: Path, text: str, *, folder: bool, force: bool = True) -> None:
     """Write a file, or a folder of three files."""
-    with writing(target, force=force, folder=MARKER if folder else "", own=OWN) as made:
+    with writing(target, force=force, folder=WRITTEN if folder else ()) as made:
         if not folder:
             made.write_text(text)
             return
@@ -84,25 +86,22 @@ def test_a_folder_keeps_what_pincal_did_not_write(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("folder", [False, True])
-def test_what_is_replaced_is_kept_once(folder: bool, tmp_path: Path) -> None:
-    """Of what pincal wrote one backup is kept; what somebody changed is never lost."""
+def test_no_backup_is_ever_replaced(folder: bool, tmp_path: Path) -> None:
+    """All that was ever replaced is kept, and what somebody changed in it."""
     target, file = tmp_path / "out", MARKER if folder else ""
     for text in ("one", "two", "three"):
         write(target, text, folder=folder)
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["out", "out.bak"]
-    assert (tmp_path / "out.bak" / file).read_text().startswith("two")
-    (target / file).write_text("changed by hand")
-    for text in ("four", "five", "six"):
-        write(target, text, folder=folder)
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["out", "out.bak", "out.bak2"]
-    assert (tmp_path / "out.bak" / file).read_text() == "changed by hand"
-    assert (tmp_path / "out.bak2" / file).read_text().startswith("five")
+    (tmp_path / "out.bak2" / file).write_text("changed by hand")
+    write(target, "four", folder=folder)
+    texts = {place.name: (place / file).read_text().split()[0] for place in tmp_path.iterdir()}
+    assert texts == {"out": "four", "out.bak": "one", "out.bak2": "changed", "out.bak3": "three"}
 
 
-def test_the_same_file_again_is_not_replaced(tmp_path: Path) -> None:
+@pytest.mark.parametrize("folder", [False, True])
+def test_the_same_again_is_not_replaced(folder: bool, tmp_path: Path) -> None:
     """What would not change needs no backup."""
     for _ in range(2):
-        write(tmp_path / "out", "same", folder=False)
+        write(tmp_path / "out", "same", folder=folder)
     assert [p.name for p in tmp_path.iterdir()] == ["out"]
 
 
@@ -221,6 +220,9 @@ ODD: dict[str, tuple[str, Callable[[Path], object]]] = {
     "result, bak link": ("out", _beside("out.bak", _link("kept"), True)),
     "hidden of the user": ("out", _beside(".pincal-notes", _folder, True)),
     "hidden file": ("out", _beside(".pincal-notes", _text, True)),
+    "hidden as before": ("out", _beside(".pincal-backup", lambda one: one.mkdir()
+                                        or _folder(one / "kept"), True)),
+    "hidden empty": ("out", _beside(".pincal-mine", lambda one: one.mkdir(), True)),
     "hidden of 0.1": ("out", _beside(".pincal-abc", lambda one: one.mkdir() or _folder(one / "old"),
                                      True)),
     "file is a folder": ("out", _below_users("residuals.csv", _folder)),
@@ -311,39 +313,44 @@ def test_killed_at_every_step(folder: bool, tmp_path: Path) -> None:
             text = (target / MARKER).read_text().split()[0]
             assert set(_bytes(text)) <= held(target), step  # whole
             assert (target / "notes.txt").read_text() == f"notes {step}"
-        write(place / "other", "swept", folder=False)
-        assert {one.name for one in place.iterdir()} <= {"out", "out.bak", "other"}
+        names = {one.name for one in place.iterdir() if not one.name.startswith(".pincal-")}
+        assert names <= {"out", "out.bak", "out.bak2"}
         if not dead:
             break
     assert 10 < step < 999
 
 
-@pytest.mark.slow
-def test_a_hundred_kills(tmp_path: Path) -> None:
-    """Results are saved over one another and killed at any time, a hundred times: nothing is lost.
+@pytest.mark.parametrize("kills", some_slow([10, 100], 100))
+def test_kills_at_random_moments(kills: int, tmp_path: Path) -> None:
+    """Mechanisms are saved over one another and killed at any time: nothing is lost.
 
-    After each the user's own files are there, and a result that loads: at its place, or as .bak.
+    After each the user's own file is there, and a mechanism that loads: at its place, or as the
+    last .bak.
     """
-    mechanism = pincal.load_mechanism("5R")
+    first = pincal.load_mechanism("5R")
+    second = pincal.disturb(first, 1e-3, 1)
     target, rng, whole = tmp_path / "mech", random.Random(0), 0
-    mechanism.save(target)
-    for number in range(100):
-        if target.exists():
-            (target / "notes.txt").write_text(f"notes {number}")
+    first.save(target)
+    for number in range(kills):
+        (target / "notes.txt").write_text(f"notes {number}")
         child = os.fork()
         if not child:
             while True:
-                mechanism.save(target, force=True)
+                second.save(target, force=True)
+                first.save(target, force=True)
         time.sleep(rng.uniform(0.0, 0.03))
         os.kill(child, signal.SIGKILL)
         os.waitpid(child, 0)
-        found = [one for one in (target, tmp_path / "mech.bak") if one.exists()]
-        assert any(f"notes {number}" == (one / "notes.txt").read_text() for one in found)
-        assert pincal.load_mechanism(found[0]) == mechanism
-        if target not in found:
-            found[0].rename(target)
-        whole += found[0] == target
-    assert whole > 50
+        backups = sorted(tmp_path.glob("mech.bak*"), key=lambda one: (len(one.name), one.name))
+        last = target if target.exists() else backups[-1]
+        whole += last == target
+        assert (last / "notes.txt").read_text() == f"notes {number}"
+        assert pincal.load_mechanism(last) in (first, second)
+        if last != target:
+            last.rename(target)
+        for one in (*tmp_path.glob("mech.bak*"), *tmp_path.glob(".pincal-*")):
+            shutil.rmtree(one)
+    assert whole > kills // 2
 
 
 def test_calibrate_keeps_what_lies_in_the_result(tmp_path: Path) -> None:
@@ -356,7 +363,7 @@ def test_calibrate_keeps_what_lies_in_the_result(tmp_path: Path) -> None:
     (tmp_path / "measured.csv").rename(data)
     (res / "notes.txt").write_text("years of work")
     before = data.read_bytes()
-    outcome = done("calibrate", "5R", data, *known, "-o", res, "--force")
+    outcome = done("calibrate", "5R", data, *known, "--per-leg", "-o", res, "--force")
     assert data.read_bytes() == before
     assert (res / "notes.txt").read_text() == "years of work"
     assert "res is replaced; what it was is kept as res.bak" in outcome.err
@@ -392,3 +399,103 @@ def test_inputs_are_not_replaced(
     before = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
     assert run(*line.split(), "--force").code == 2
     assert {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()} == before
+
+
+@pytest.mark.parametrize("name", ["mech/mechanism.yaml", "mech/leg_2.urdf", "link.yaml"])
+def test_files_of_a_mechanism_that_is_read_are_not_replaced(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Files inside a folder that a command reads are its inputs too, by whatever name."""
+    monkeypatch.chdir(tmp_path)
+    pincal.load_mechanism("5R").save("mech")
+    Path("link.yaml").symlink_to("mech/mechanism.yaml")
+    Path("poses.csv").write_text("x [m],y [m]\n0,0.3\n")
+    before = held(tmp_path)
+    outcome = run("inverse", "mech", "poses.csv", "-o", name, "--force")
+    assert outcome.code == 2
+    assert "which this command reads" in outcome.trouble
+    assert held(tmp_path) == before
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["link.yaml", "mech", "poses.csv"]
+
+
+def test_what_a_command_does_not_read_may_be_written_beside_its_inputs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A table in the folder of the mechanism is the user's, and is made anew by --force."""
+    monkeypatch.chdir(tmp_path)
+    pincal.load_mechanism("5R").save("mech")
+    Path("poses.csv").write_text("x [m],y [m]\n0,0.3\n")
+    for _ in range(2):
+        done("inverse", "mech", "poses.csv", "-o", "mech/readings.csv", "--force")
+
+
+def write_pair(place: Path, text: str) -> None:
+    """Write a file and a folder that belong together."""
+    outputs: list[tuple[Path, tuple[str, ...]]] = [(place / "a", ()), (place / "b", (MARKER,))]
+    with writing_together(outputs, force=True) as (file, folder):
+        file.write_text(text)
+        (folder / MARKER).write_text(text)
+
+
+@pytest.mark.parametrize("exists", [True, False])
+def test_outputs_that_belong_together_never_differ(exists: bool, tmp_path: Path) -> None:
+    """A kill at any step of writing two: the first is never beside what it does not belong to."""
+    for step in range(1000):
+        place = tmp_path / str(step)
+        place.mkdir()
+        if exists:
+            write_pair(place, "old")
+        dead = killed(partial(write_pair, place, "new"), step, place)
+        first, second = place / "a", place / "b" / MARKER
+        if first.exists():
+            assert first.read_text() == second.read_text(), step
+        assert not exists or {b"old"} <= held(place), step
+        if not dead:
+            break
+    assert 5 < step < 999
+
+
+def test_outputs_that_belong_together_fail_together(tmp_path: Path) -> None:
+    """If the second cannot take its place, the first is as it was, and there is no backup."""
+    write_pair(tmp_path, "old")
+    with (
+        pytest.raises(FileError, match="cannot write"),
+        writing_together([(tmp_path / "a", ()), (tmp_path / "c", ())], force=True) as (a, _),
+    ):
+        a.write_text("new")
+    assert (tmp_path / "a").read_text() == "old"
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a", "b"]
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "simulate 5R poses.csv -o out/data.csv --truth out --disturb 0.001",
+        "workspace 5R --count 5 -o out.svg --picture ./out.svg --kind reachable",
+    ],
+)
+def test_outputs_of_one_command_have_places_of_their_own(
+    line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One output in another, or twice the same: refused, and nothing is written."""
+    monkeypatch.chdir(tmp_path)
+    pincal.load_mechanism("5R").save("out")
+    Path("poses.csv").write_text("x [m],y [m]\n0,0.3\n")
+    before = held(tmp_path)
+    assert run(*line.split(), "--force").code == 2
+    assert held(tmp_path) == before
+
+
+def test_temporary_names_are_in_no_message(tmp_path: Path) -> None:
+    """What fails below a temporary folder is named as people know it."""
+    plan, mechanism = pincal.Plan(np.zeros((1, 2))), pincal.load_mechanism("5R")
+
+    def fail() -> None:
+        with writing(tmp_path / "out", folder=WRITTEN) as made:
+            (made / "part.csv").mkdir()
+            plan.to_csv(made / "part.csv", mechanism)
+
+    with pytest.raises(FileError) as caught:
+        fail()
+    assert str(tmp_path / "out" / "part.csv") in str(caught.value)
+    assert ".pincal-" not in str(caught.value)

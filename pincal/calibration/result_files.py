@@ -22,7 +22,7 @@ from pincal.calibration.result_data import restored, stored
 from pincal.errors import MeasurementError
 from pincal.files.input import LARGEST_FILE, read_text
 from pincal.files.json_text import json_text, plain
-from pincal.files.mechanism_folders import load_mechanism, own_files
+from pincal.files.mechanism_folders import load_mechanism
 from pincal.files.mechanism_writing import write_mechanism
 from pincal.files.tables.measurement_writing import write_poses
 from pincal.files.tables.table import write_table
@@ -32,6 +32,8 @@ from pincal.words.sentences import sentence
 FORMAT = 2
 RESULT, REPORT = "result.json", "report.html"
 MECHANISM, NOMINAL = "mechanism", "nominal"
+RESULT_FILES = (RESULT, "residuals.csv", "poses.csv", REPORT, MECHANISM, NOMINAL)
+"""What pincal writes in a result folder, first the file by which it is known."""
 
 
 def save_result(
@@ -49,9 +51,7 @@ def save_result(
     Raises:
         FileError: the folder exists and ``force`` is not set, or cannot be written.
     """
-    own = [RESULT, "residuals.csv", "poses.csv", REPORT]
-    own += [*own_files(folder, MECHANISM), *own_files(folder, NOMINAL)]
-    with output.writing(folder, force=force, folder=RESULT, own=own) as scratch:
+    with output.writing(folder, force=force, folder=RESULT_FILES) as scratch:
         (scratch / RESULT).write_text(json_text(as_json(result)) + "\n", encoding="utf-8")
         mechanisms = {NOMINAL: result.nominal}
         mechanisms |= {MECHANISM: result.identified} if result.converged else {}

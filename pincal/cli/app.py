@@ -26,7 +26,7 @@ from rich.text import Text
 from typer.core import TyperArgument, TyperGroup
 
 from pincal import __version__
-from pincal.errors import FileError
+from pincal.files.input import sparing_inputs
 from pincal.files.json_text import json_text
 
 _WIDTH = None if sys.stdout and sys.stdout.isatty() else 100  # of tables in a file or pipe
@@ -56,7 +56,6 @@ class _Console(Console):
 stdout = _Console(highlight=False, width=_WIDTH)
 stderr = _Console(stderr=True, highlight=False, soft_wrap=True)  # warnings and errors
 _remarks = _Console(stderr=True, highlight=False, soft_wrap=True)  # all else that is no answer
-_WRITTEN = ("output", "html", "page", "picture", "truth")  # names of what commands write
 _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
 _LONGEST = 2000  # characters
 _asked = {"json": False}
@@ -146,8 +145,7 @@ def command(
 
         @wraps(function)
         def run(*, quiet: bool = False, as_json: bool = False, **given: Any) -> None:
-            _spare_inputs(given)
-            with _turned_down(quiet, as_json):
+            with sparing_inputs(), _turned_down(quiet, as_json):
                 single(**given)
 
         _show(run, [*inspect.signature(single).parameters.values(), *options])
@@ -155,35 +153,6 @@ def command(
         return function
 
     return made
-
-
-def _spare_inputs(given: Mapping[str, Any]) -> None:
-    """Raise if what a command writes would replace what it reads.
-
-    Raises:
-        FileError: it would.
-    """
-    read = [Path(given["mech"])] if given.get("mech") else []
-    for name, value in given.items():
-        values = value if isinstance(value, list | tuple) else [value]
-        read += [one for one in values if isinstance(one, Path) and name not in _WRITTEN]
-    for name in _WRITTEN:
-        out = given.get(name)
-        if isinstance(out, Path) and _there(out):
-            for one in filter(_there, read):
-                inside = one.is_dir() and one.resolve().is_relative_to(out.resolve())
-                if inside or one.samefile(out):
-                    raise FileError(
-                        f"{out} would replace {one}, which this command reads; choose another name"
-                    )
-
-
-def _there(path: Path) -> bool:
-    """Return whether something is there; no of names that no file can have."""
-    try:
-        return path.exists()
-    except OSError:
-        return False
 
 
 def _ungrouped(function: Callable[..., None]) -> Callable[..., None]:

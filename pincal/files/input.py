@@ -5,7 +5,9 @@ from __future__ import annotations
 import logging
 import re
 import stat
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from math import nan
 from pathlib import Path
 
@@ -15,10 +17,30 @@ from pincal.model.checks import LARGEST
 LARGEST_FILE = {"table": 2**28, "result": 2**28, "XML": 2**24, "printer": 2**22, "YAML": 2**20}
 """Sizes up to which files are read, [bytes], by what they hold."""
 _log = logging.getLogger(__name__)
+_inputs: ContextVar[set[tuple[int, int]] | None] = ContextVar("inputs", default=None)
 _CHUNK = 64 * 1024  # bytes
 _UTF16 = re.compile(b"\xff\xfe|\xfe\xff|(?:[^\\0]\\0){2}|(?:\\0[^\\0]){2}", re.DOTALL)
 _BEGUN = re.compile(r"\s*[-+.]?[0-9].*[^-+.0-9eE\s]")  # 0,02 and 0.02mm
 _LINE = re.compile("\r\n|\r|\n")
+
+
+@contextmanager
+def sparing_inputs() -> Iterator[None]:
+    """Remember which files are read inside, so that ``files.output`` never replaces them."""
+    token = _inputs.set(set())
+    try:
+        yield
+    finally:
+        _inputs.reset(token)
+
+
+def is_input(path: Path) -> bool:
+    """Return whether a file that exists was read by the command at work, by whatever name."""
+    inputs = _inputs.get()
+    if not inputs:
+        return False
+    status = path.stat()
+    return (status.st_dev, status.st_ino) in inputs
 
 
 def read_bytes(
@@ -42,6 +64,8 @@ def read_bytes(
         if not (pipe or stat.S_ISREG(status.st_mode) or stat.S_ISDIR(status.st_mode)):
             raise FileError(f"cannot read {path}: a device or a pipe; name a file")
         if status.st_size <= largest:
+            if (inputs := _inputs.get()) is not None:
+                inputs.add((status.st_dev, status.st_ino))
             with path.open("rb") as file:
                 while size <= largest and (part := file.read(_CHUNK)):
                     parts.append(part)

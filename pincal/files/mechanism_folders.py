@@ -9,8 +9,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from pincal.errors import FileError, MechanismError, PincalError
-from pincal.files.mechanism_writing import YAML, write_mechanism
+from pincal.errors import FileError, MechanismError
+from pincal.files.mechanism_writing import MECHANISM_FILES, YAML, write_mechanism
 from pincal.files.output import writing
 from pincal.files.schema import LegSpec, LoadSpec, MechanismSpec, SensorSpec, read_spec
 from pincal.files.terms import term_of
@@ -83,17 +83,6 @@ def mechanism_files(name_or_path: str | Path) -> list[Path]:
     spec = read_spec(_inside(folder, YAML))
     urdfs = dict.fromkeys((spec.platform.urdf, *(leg.urdf for leg in spec.legs)))
     return [folder / YAML, *(folder / name for name in urdfs)]
-
-
-def own_files(folder: str | Path, below: str = "") -> list[str]:
-    """Return the files that a mechanism below a folder consists of, relative to the folder."""
-    place = Path(must_be(folder, (str, Path), "where to write", FileError)) / below
-    try:
-        spec = read_spec(place / YAML)
-    except PincalError:  # nothing to be replaced
-        return []
-    names = {YAML, spec.platform.urdf, *(leg.urdf for leg in spec.legs)}
-    return [str(Path(below, name)) for name in sorted(names)]
 
 
 def _folder(name_or_path: str | Path) -> Path:
@@ -243,6 +232,6 @@ def save_mechanism(mechanism: Mechanism, folder: str | Path, *, force: bool = Fa
         FileError: the folder exists and ``force`` is not set, or cannot be written.
     """
     must_be(mechanism, Mechanism, "a mechanism to write", MechanismError)
-    with writing(folder, force=force, folder=YAML, own=own_files(folder)) as scratch:
+    with writing(folder, force=force, folder=MECHANISM_FILES) as scratch:
         write_mechanism(mechanism, scratch)
     return Path(folder)

@@ -20,6 +20,8 @@ from pincal.model.sensors.load import Load
 from pincal.model.sensors.terms import Term
 
 YAML = "mechanism.yaml"
+MECHANISM_FILES = (YAML, "platform.urdf")
+"""Files by which pincal knows a mechanism folder of its own, and replaces them."""
 
 
 def write_mechanism(mechanism: Mechanism, folder: Path) -> None:

@@ -1,9 +1,9 @@
 """Files and folders are written whole or not at all, and nothing that was there is lost.
 
-What is written goes to a hidden folder beside its place and is moved there at the end. What it
-replaces is kept as ``NAME.bak``, and only a backup that pincal wrote all of is replaced in turn. In
-a folder only files that pincal writes are replaced; all others stay. A kill at any moment leaves
-the old, the new, or the old as ``NAME.bak``.
+All that belongs together is made complete in new folders beside its places. Then what was there
+becomes ``NAME.bak``, or ``NAME.bak2``, …, as no backup is ever replaced, and what was made is
+moved to its place. A kill at any moment leaves the old, the new, or the old as ``NAME.bak``. In a
+folder only the files that pincal writes are replaced; all others stay.
 """
 
 from __future__ import annotations
@@ -12,36 +12,33 @@ import filecmp
 import logging
 import os
 import shutil
-import stat
 import tempfile
-import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from fcntl import LOCK_EX, LOCK_NB, flock
-from itertools import count
+from errno import EEXIST
+from itertools import combinations, count
 from pathlib import Path
 
-from pincal.errors import FileError
+from pincal.errors import FileError, PincalError
+from pincal.files.input import is_input
 from pincal.model.checks import must_be
 
-_PREFIX = ".pincal-"
-_MILLISECOND = 10**6  # [ns]
-_HELD = {"made", "kept", "gone"}  # in a hidden folder: never the only copy of anything
 _log = logging.getLogger(__name__)
 
 
-def refuse_existing(path: str | Path, *, force: bool, folder: str = "") -> Path:
+def refuse_existing(path: str | Path, *, force: bool, folder: Sequence[str] = ()) -> Path:
     """Return the path, links followed, if a file or a folder may be written there.
 
     Args:
         path: Where to write.
         force: Whether what is there may be replaced.
-        folder: Of a folder: the file by which one is known that pincal wrote.
+        folder: Of a folder: the files and folders in it that pincal writes, first the file by
+            which it is known that pincal wrote the folder.
 
     Raises:
-        FileError: it exists and ``force`` is not set; a folder is in a file's place, or
-            something not written by pincal in a folder's; links that lead nowhere; its parent
-            does not exist.
+        FileError: it exists and ``force`` is not set; the command reads it; a folder is in a
+            file's place, or something not written by pincal in a folder's; links that lead
+            nowhere; its parent does not exist.
     """
     path = Path(must_be(path, (str, Path), "where to write", FileError))
     if path == Path("-"):
@@ -51,8 +48,10 @@ def refuse_existing(path: str | Path, *, force: bool, folder: str = "") -> Path:
         exists, is_folder, is_link = real.exists(), real.is_dir(), real.is_symlink()
         special = exists and not (is_folder or real.is_file())  # a device or a pipe
         has_parent = real.parent.is_dir()
-        known = is_folder and bool(folder) and (real / folder).is_file()
+        known = is_folder and bool(folder) and (real / folder[0]).is_file()
         inside = is_folder and Path.cwd().is_relative_to(real)
+        places = [real / name for name in folder] if known else [real]
+        read = [file for place in places for file in _files(place) if is_input(file)]
     except (OSError, ValueError, RuntimeError) as error:
         raise FileError(f"cannot write {str(path)[:200]!r}: {error}") from error
     if is_link:
@@ -63,8 +62,12 @@ def refuse_existing(path: str | Path, *, force: bool, folder: str = "") -> Path:
         raise FileError(f"{path} is a folder; name a file to write")
     if exists and folder and not known:
         raise FileError(
-            f"{path} exists and is not a folder that pincal wrote with a {folder} in it, so it is "
-            "not replaced; choose another name"
+            f"{path} exists and is not a folder that pincal wrote with a {folder[0]} in it, so it "
+            "is not replaced; choose another name"
+        )
+    if read:
+        raise FileError(
+            f"{path} would replace {read[0]}, which this command reads; choose another name"
         )
     if exists and not force:
         raise FileError(f"{path} exists; choose another name, or say --force to replace it")
@@ -76,193 +79,177 @@ def refuse_existing(path: str | Path, *, force: bool, folder: str = "") -> Path:
 
 
 @contextmanager
-def writing(
-    path: str | Path, *, force: bool = False, folder: str = "", own: Sequence[str] = ()
-) -> Iterator[Path]:
+def writing(path: str | Path, *, force: bool = False, folder: Sequence[str] = ()) -> Iterator[Path]:
     """Yield a temporary path beside ``path``; what is there at the end takes its place.
 
-    On an error it is removed and ``path`` stays as it was.
-
-    Args:
-        path: Where to write; links are followed.
-        force: Whether to replace what is there, which is kept as ``NAME.bak``.
-        folder: Of a folder: the file by which one is known that pincal wrote. The temporary path
-            is then an empty folder, else it does not exist yet.
-        own: Files in a folder that is replaced, relative, that go with it; all others stay.
+    On an error it is removed and ``path`` stays as it was. Arguments are those of
+    ``refuse_existing``; the temporary path is an empty folder if ``folder`` is given, else it does
+    not exist yet.
 
     Raises:
         FileError: ``path`` must not be replaced (see ``refuse_existing``), or writing fails.
     """
-    named, path = path, refuse_existing(path, force=force, folder=folder)
+    with writing_together([(path, folder)], force=force) as (made,):
+        yield made
+
+
+@contextmanager
+def writing_together(
+    outputs: Sequence[tuple[str | Path, Sequence[str]]], *, force: bool = False
+) -> Iterator[list[Path]]:
+    """Yield temporary paths for outputs that belong together: all take their places, or none.
+
+    Args:
+        outputs: Path of each, with the ``folder`` of ``refuse_existing``, empty for a file. The
+            first appears last: where it is, the others are.
+        force: Whether to replace what is there.
+
+    Raises:
+        FileError: an output must not be replaced, lies in another, or writing fails.
+    """
+    names = ", ".join(str(path) for path, _ in outputs)
+    shown: dict[str, str] = {}  # what messages call temporary paths
     try:
-        with _hidden(path.parent) as scratch:
-            made = scratch / "made"
-            if folder:
-                made.mkdir()
+        with ExitStack() as scratch:
+            targets = _targets(outputs, force=force)
+            made = []
+            for target, (named, folder) in zip(targets, outputs, strict=True):
+                place = Path(tempfile.mkdtemp(prefix=".pincal-", dir=target.parent))
+                scratch.callback(shutil.rmtree, place, ignore_errors=True)
+                made.append(place / target.name)
+                shown[str(made[-1])] = str(named)
+                if folder:
+                    made[-1].mkdir()
             yield made
-            refuse_existing(path, force=force, folder=folder)  # another may have been quicker
-            for one in _below(made) if folder else [made]:
-                _mark(one)
-            if not os.path.lexists(path):
-                _place(made, path)
-            elif folder:
-                _replace_folder(scratch, path, own)
-            elif not filecmp.cmp(made, path, shallow=False):
-                _replace_file(scratch, path)
-    except FileError:
+            _targets(outputs, force=force)  # another process may have been quicker
+            changed = []
+            for new, target, (_, folder) in zip(made, targets, outputs, strict=True):
+                if target.exists():
+                    if _unchanged(new, target, folder):
+                        continue
+                    if folder:
+                        _carry(target, new, folder)
+                    shutil.copymode(target, new)
+                changed.append((new, target))
+            _move_all(changed)
+    except PincalError as error:
+        for temporary, named in shown.items():
+            error.args = tuple(str(part).replace(temporary, named) for part in error.args)
         raise
     except OSError as error:
-        raise FileError(f"cannot write {named}: {error.strerror or error}") from error
+        raise FileError(f"cannot write {names}: {error.strerror or error}") from error
 
 
-def _place(made: Path, path: Path) -> None:
-    """Move a file or a folder to where nothing is, not even since a moment."""
-    if made.is_file():
-        try:
-            os.link(made, path)
-        except FileExistsError:
-            raise
-        except OSError:  # a file system without links
-            made.replace(path)
-    else:
-        made.replace(path)
+def _targets(outputs: Sequence[tuple[str | Path, Sequence[str]]], *, force: bool) -> list[Path]:
+    """Return where outputs are written, links followed.
+
+    Raises:
+        FileError: one must not be replaced, or lies in another.
+    """
+    targets = [refuse_existing(path, force=force, folder=folder) for path, folder in outputs]
+    for first, second in combinations(targets, 2):
+        if first.is_relative_to(second) or second.is_relative_to(first):
+            raise FileError(
+                f"{first} and {second} are both written by this command and need places of their "
+                "own; choose another name for one of them"
+            )
+    return targets
 
 
-def _replace_file(scratch: Path, path: Path) -> None:
-    """Put a new file in an old one's place, which is kept; at any moment one of them is there."""
-    backup, kept = _backup_of(path), scratch / "kept"
-    _copy(path, kept)
-    kept.replace(backup)
-    shutil.copymode(path, scratch / "made")
-    (scratch / "made").replace(path)
-    _log.info("%s is replaced; what it was is kept as %s", path.name, backup.name)
+def _unchanged(made: Path, target: Path, folder: Sequence[str]) -> bool:
+    """Return whether a file, or all that pincal writes in a folder, is at its place already."""
+    if not folder:
+        return filecmp.cmp(made, target, shallow=False)
+    old = {file.relative_to(target) for name in folder for file in _files(target / name)}
+    new = {file.relative_to(made) for file in _files(made)}
+    return old <= new and all(
+        (target / name).is_file() and filecmp.cmp(made / name, target / name, shallow=False)
+        for name in new
+    )
 
 
-def _replace_folder(scratch: Path, path: Path, own: Sequence[str]) -> None:
-    """Put a new folder in an old one's place, which is kept; files of the user go along."""
-    made, backup = scratch / "made", _backup_of(path)
-    _carry(path, made, {path / name for name in own})
-    shutil.copymode(path, made)
-    if backup.exists():
-        backup.replace(scratch / "gone")
-    path.replace(backup)
-    try:
-        made.replace(path)
-    except OSError:
-        backup.replace(path)
-        raise
-    _log.info("%s is replaced; what it was is kept as %s", path.name, backup.name)
+def _files(place: Path) -> list[Path]:
+    """Return all files at and below a place."""
+    return [file for file in (place, *place.rglob("*")) if file.is_file()]
 
 
-def _carry(old: Path, new: Path, own: set[Path]) -> None:
-    """Give a new folder the files of an old one that are not pincal's.
+def _carry(old: Path, new: Path, folder: Sequence[str]) -> None:
+    """Give a new folder the files of an old one that are not pincal's, links as links.
 
     Raises:
         FileError: a folder is where a file is to be written.
     """
-    for one in _below(old):
-        there, is_folder = new / one.relative_to(old), stat.S_ISDIR(one.lstat().st_mode)
-        if one in own or (os.path.lexists(there) and not is_folder):
-            continue
-        if any(part.is_file() for part in (there, *there.parents)):
-            raise FileError(f"{one} is where a file is to be written; move it")
-        if is_folder:
-            there.mkdir(exist_ok=True)
-            shutil.copystat(one, there)
-        else:
-            there.parent.mkdir(parents=True, exist_ok=True)
-            _copy(one, there)
+
+    def not_carried(place: str, names: list[str]) -> list[str]:
+        skipped = []
+        for name in names:
+            source = Path(place, name)
+            target = new / source.relative_to(old)
+            is_folder = source.is_dir() and not source.is_symlink()
+            if is_folder and target.is_file():
+                raise FileError(f"{source} is where a file is to be written; move it")
+            is_made = os.path.lexists(target) and not is_folder
+            if is_made or str(source.relative_to(old)) in folder:
+                skipped.append(name)
+        return skipped
+
+    shutil.copytree(
+        old, new, symlinks=True, ignore=not_carried, copy_function=_copy, dirs_exist_ok=True
+    )
+    os.utime(new)
 
 
-def _below(folder: Path) -> Iterator[Path]:
-    """Yield what is in a folder and in folders below; links are not followed."""
-    with os.scandir(folder) as entries:
-        for entry in entries:
-            yield Path(entry.path)
-            if entry.is_dir(follow_symlinks=False):
-                yield from _below(Path(entry.path))
-
-
-def _copy(one: Path, there: Path) -> None:
+def _copy(source: str, target: str) -> None:
     """Give a file a second name; a copy where the file system has none."""
     try:
-        os.link(one, there, follow_symlinks=False)
-    except FileExistsError:
-        raise
+        os.link(source, target, follow_symlinks=False)
     except OSError:
-        shutil.copy2(one, there, follow_symlinks=False)
+        shutil.copy2(source, target, follow_symlinks=False)
 
 
-def _backup_of(path: Path) -> Path:
-    """Return the first of NAME.bak, NAME.bak2, … that is free, or holds nothing of the user's."""
+def _move_all(moves: Sequence[tuple[Path, Path]]) -> None:
+    """Move what was made to its places, the first last; what was there is set aside before.
+
+    On an error all is as it was.
+    """
+    with ExitStack() as undo:
+        for _, target in moves:
+            if os.path.lexists(target):
+                backup = _set_aside(target)
+                undo.callback(_move, backup, target)
+                _log.info("%s is replaced; what it was is kept as %s", target.name, backup.name)
+        for made, target in reversed(moves):
+            _move(made, target)
+            undo.callback(_move, target, made)
+        undo.pop_all()
+
+
+def _set_aside(path: Path) -> Path:
+    """Move a file or a folder to the first of NAME.bak, NAME.bak2, … that is free; return that."""
     for number in count(1):
         backup = path.with_name(f"{path.name}.bak{number if number > 1 else ''}")
-        if not os.path.lexists(backup) or (
-            backup.is_dir() == path.is_dir() and _replaceable(backup, path)
-        ):
+        with suppress(FileExistsError):
+            _move(path, backup)
             return backup
     raise AssertionError
 
 
-def _replaceable(backup: Path, path: Path) -> bool:
-    """Return whether all of a backup was written by pincal, or is still in its place."""
-    if not stat.S_ISDIR(backup.lstat().st_mode):
-        return _marked(backup)
-    return all(_marked(one) or _same(one, path / one.relative_to(backup)) for one in _below(backup))
+def _move(source: Path, target: Path) -> None:
+    """Move a file or a folder to where nothing is, not even since a moment.
 
-
-def _same(one: Path, other: Path) -> bool:
-    """Return whether two paths are folders, or the same file."""
-    if stat.S_ISDIR(one.lstat().st_mode):
-        return other.is_dir()
-    return os.path.lexists(other) and os.path.samestat(one.lstat(), other.lstat())
-
-
-def _mark(one: Path) -> None:
-    """Mark a file as pincal's: less than a millisecond of its time says so, until it is changed."""
-    status = one.lstat()
-    changed = status.st_mtime_ns - status.st_mtime_ns % _MILLISECOND + _fraction(status)
-    os.utime(one, ns=(status.st_atime_ns, changed), follow_symlinks=False)
-
-
-def _marked(one: Path) -> bool:
-    """Return whether a file is as pincal wrote it."""
-    status = one.lstat()
-    return status.st_mtime_ns % _MILLISECOND == _fraction(status)
-
-
-def _fraction(status: os.stat_result) -> int:
-    """Return a fraction of a millisecond, [ns], that a file has by chance once in a million."""
-    return zlib.crc32(f"pincal {status.st_ino} {status.st_size}".encode()) % _MILLISECOND
-
-
-@contextmanager
-def _hidden(parent: Path) -> Iterator[Path]:
-    """Yield a new hidden folder, locked and removed at the end; sweep those of killed processes."""
-    for left in parent.glob(f"{_PREFIX}*"):
-        with suppress(OSError), _locked(left) as free:
-            if free and {one.name for one in left.iterdir()} <= _HELD:
-                shutil.rmtree(left)
-    with ExitStack() as lock:
-        scratch, free = parent, False
-        while not (free and scratch.is_dir()):  # another process may sweep it before it is locked
-            scratch, free = Path(tempfile.mkdtemp(prefix=_PREFIX, dir=parent)), True
-            with suppress(OSError):  # a file system without locks: nothing is swept there
-                free = lock.enter_context(_locked(scratch))
-        try:
-            yield scratch
-        finally:
-            shutil.rmtree(scratch, ignore_errors=True)
-
-
-@contextmanager
-def _locked(folder: Path) -> Iterator[bool]:
-    """Lock a folder, at most until the process ends; yield whether it was free."""
-    handle, free = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW), False
+    Raises:
+        FileExistsError: something is there.
+    """
+    if os.path.lexists(target):
+        raise FileExistsError(EEXIST, os.strerror(EEXIST), str(target))
+    if source.is_dir():
+        source.rename(target)  # an error if a folder with something in it came there meanwhile
+        return
     try:
-        with suppress(BlockingIOError):
-            flock(handle, LOCK_EX | LOCK_NB)
-            free = True
-        yield free
-    finally:
-        os.close(handle)
+        os.link(source, target)
+    except FileExistsError:
+        raise
+    except OSError:  # a file system without links
+        source.rename(target)
+    else:
+        source.unlink()

@@ -18,7 +18,7 @@ from pincal.calibration.checks.folds import FOLDS, By
 from pincal.calibration.checks.wrong_rows import wrong_rows
 from pincal.calibration.options import AUTO, Intervals, Options, Poses
 from pincal.calibration.result import CalibrationResult
-from pincal.calibration.result_files import REPORT, RESULT, as_json
+from pincal.calibration.result_files import REPORT, RESULT_FILES, as_json
 from pincal.calibration.terms.kinds import columns_said
 from pincal.cli.app import (
     Force,
@@ -239,8 +239,8 @@ def calibrate(
         raise MeasurementError("--folds 1: expected 2 or more, or 0 for no held-out validation")
     mechanism = how.load(mech)
     units = how.written_in(mechanism)
-    refuse_existing(output, force=force, folder=RESULT)
     calibration = how.calibration(mechanism, measurements)
+    refuse_existing(output, force=force, folder=RESULT_FILES)
     with working("identifying parameters") as progress:
         options = replace(calibration.options, progress=progress)
         try:

@@ -66,10 +66,10 @@ def doctor(
     MENDED.csv. The exit code is 1 if none does, or several alike.
     """
     mechanism = how.load(mech)
-    if output is not None:
-        refuse_existing(output, force=force)
     setup = how.read()
     table = read_table(measurements)
+    if output is not None:
+        refuse_existing(output, force=force)
     data = read_measurements(table, mechanism, setup, partial=True)
     options = Options(noise=how.of(mechanism, data, setup), setup=setup)
     found: list[Remedy] = []

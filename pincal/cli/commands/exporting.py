@@ -21,7 +21,8 @@ from pincal.cli.corrections import (
     write_corrections,
 )
 from pincal.errors import MechanismError
-from pincal.files.output import refuse_existing, writing
+from pincal.files.input import LARGEST_FILE, read_bytes
+from pincal.files.output import writing, writing_together
 from pincal.formats.printers.delta import delta_printer
 from pincal.formats.printers.klipper import write_klipper
 from pincal.formats.printers.reprap import write_reprap
@@ -110,7 +111,6 @@ def export(
         raise MechanismError(f"--poses goes with a table of corrections (.csv), not with {whose}")
     if whose not in CORRECTIONS.values() and (how.units or how.counts):
         raise MechanismError(f"--units and --counts go with corrections, not with {whose}")
-    refuse_existing(output, force=force)
     mechanism = how.load(mech)
     if whose == "table":
         write_corrections(mechanism, output, how, force=force)
@@ -173,18 +173,18 @@ def _export_tree(
         FileError: a file cannot be read or written.
         MechanismError: a joint that the user's URDF has no place for.
     """
-    refuse_existing(output, force=force)
     if original is not None:
         if whose != "urdf":
             raise MechanismError("--original goes with URDF, not with MJCF")
         data = calibrated_urdf(original, mechanism, leg)
-        if not _NO_NUMBER.search(original.read_text(encoding="utf-8", errors="replace")):
+        before = read_bytes(original, LARGEST_FILE["XML"], MechanismError)
+        if not _NO_NUMBER.search(before.decode(errors="replace")):
             _finite(data.decode(errors="replace"), mechanism.name)
         with writing(output, force=force) as scratch:
             scratch.write_bytes(data)
         for line in unwritten(mechanism):
             warn(line)
-        remark(f"{_changed(original.read_bytes(), data)} lines are other than in {original}")
+        remark(f"{_changed(before, data)} lines are other than in {original}")
         wrote(output)
         return
     if leg is not None:
@@ -193,12 +193,11 @@ def _export_tree(
     files = {output: mjcf(tree) if whose == "mjcf" else loops_urdf(tree)}
     if whose == "urdf" and tree.loops:
         files[output.with_suffix(".yaml")] = loops_yaml(tree)
-    for path in files:
-        refuse_existing(path, force=force)
-        _finite(files[path], mechanism.name)
-    for path, text in files.items():
-        with writing(path, force=force) as scratch:
-            scratch.write_text(text, encoding="utf-8")
+    for text in files.values():
+        _finite(text, mechanism.name)
+    with writing_together([(path, ()) for path in files], force=force) as made:
+        for path, text in zip(made, files.values(), strict=True):
+            path.write_text(text, encoding="utf-8")
     for line in remarks:
         warn(line)
     for path in files:

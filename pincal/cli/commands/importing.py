@@ -12,9 +12,9 @@ import typer
 
 from pincal.cli.app import Force, command, output_option, remark, stdout, warn, wrote
 from pincal.errors import FileError, MeasurementError, MechanismError
-from pincal.files.mechanism_folders import load_mechanism, own_files, save_mechanism
-from pincal.files.mechanism_writing import YAML, write_mechanism
-from pincal.files.output import refuse_existing, writing
+from pincal.files.mechanism_folders import load_mechanism, save_mechanism
+from pincal.files.mechanism_writing import MECHANISM_FILES, write_mechanism
+from pincal.files.output import writing
 from pincal.files.tables.measurement_writing import write_measurements
 from pincal.files.tables.measurements import read_poses
 from pincal.formats.arm import serial_arm
@@ -168,7 +168,6 @@ def _import_printer(
 ) -> None:
     """Write the mechanism of a delta printer to a folder, with the points that it probed."""
     probed = how.probed
-    refuse_existing(output, force=force, folder=YAML)
     if whose == "klipper":
         config = read_klipper(file)
         printer, remarks = config.printer, config.remarks
@@ -181,8 +180,7 @@ def _import_printer(
     mechanism = printer.mechanism(name, f"Linear delta of {file.name}.")
     if probed is not None:
         heights, readings = _as_probed(mechanism, probed)
-    own = [*own_files(output), PROBING]
-    with writing(output, force=force, folder=YAML, own=own) as scratch:
+    with writing(output, force=force, folder=(*MECHANISM_FILES, PROBING)) as scratch:
         write_mechanism(mechanism, scratch)
         if len(heights):
             write_measurements(scratch / PROBING, mechanism, _on_bed(heights, readings))
@@ -204,7 +202,6 @@ def _import_table(file: Path, output: Path, how: ImportOptions, *, force: bool) 
         raise MeasurementError(f"{file} is a table; say whose measurements they are: --mech MECH")
     if how.probed is not None:
         raise MeasurementError("--probed goes with a printer's configuration, not with a table")
-    refuse_existing(output, force=force)
     mechanism = load_mechanism(how.mech)
     data, remarks = read_figaroh(file, mechanism)
     write_measurements(output, mechanism, data, force=force)
@@ -244,7 +241,6 @@ def _import_tree(file: Path, output: Path, whose: str, how: ImportOptions, *, fo
         MechanismError: the file does not say what it should.
     """
     loops, platform, tip, base = how.loops, how.platform, how.tip, how.base
-    refuse_existing(output, force=force, folder=YAML)
     if tip is None and base is not None:
         raise MechanismError("--base goes with --tip; loops are closed from the root link on")
     if tip is not None and (platform or loops):

@@ -49,8 +49,8 @@ def inverse(
     """
     mechanism = how.load(mech)
     units = how.written_in(mechanism)
-    refuse_existing(output, force=force)
     plan = read_poses(poses, mechanism)
+    refuse_existing(output, force=force)
     influences = own_influences(mechanism, plan.influences)
     solution = solve_inverse(mechanism, plan.poses, influences)
     lost = np.atleast_1d(~solution.reached.all(axis=1))
@@ -83,8 +83,8 @@ def forward(
     """
     mechanism = how.load(mech)
     units = how.written_in(mechanism)
-    refuse_existing(output, force=force)
     values = read_readings(readings, mechanism)
+    refuse_existing(output, force=force)
     influences = own_influences(mechanism, read_influences(readings, mechanism))
     solution = solve_forward(mechanism, values, influences=influences)
     say_reference(mechanism, influences)

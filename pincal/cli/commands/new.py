@@ -30,8 +30,7 @@ from pincal.cli.options import in_si, with_unit
 from pincal.design.order import in_turns, with_verification
 from pincal.design.select_configurations import ConfigurationChoice, select_configurations
 from pincal.errors import MechanismError
-from pincal.files.mechanism_folders import own_files
-from pincal.files.mechanism_writing import YAML, write_mechanism
+from pincal.files.mechanism_writing import MECHANISM_FILES, write_mechanism
 from pincal.files.output import refuse_existing, writing
 from pincal.files.tables.measurement_writing import write_poses
 from pincal.files.tables.measuring_sheet import write_sheet
@@ -50,6 +49,7 @@ BESIDE = {
     "sheet.csv": "the sheet to fill in",
     "columns.csv": "what its columns are",
 }
+FOLDER = (*MECHANISM_FILES, *BESIDE)
 _CANDIDATES, _STARTS = 1000, 5
 _READ = 1e-4  # standard deviation of readings, where there are more than freedoms [m or rad]
 _BARE = {"m": "mm", "rad": "deg"}
@@ -105,7 +105,7 @@ def new(
 
     Then measure, fill in the sheet, and type 'pincal calibrate MECH MECH/sheet.csv -o RESULT'.
     """
-    refuse_existing(output, force=force, folder=YAML)
+    refuse_existing(output, force=force, folder=FOLDER)
     given = {name: value for name, value in asdict(sizes).items() if value is not None}
     one = architecture_of(architecture or _ask("architecture", "hexapod", ", ".join(ARCHITECTURES)))
     if other := given.keys() - {d.name for d in one.dimensions}:
@@ -211,12 +211,11 @@ def _write(output: Path, mechanism: Mechanism, plan: Plan, *, force: bool) -> No
     """Write mechanism, picture, plan and sheet into a folder, whole or not at all."""
     from pincal.show.pictures.picture import picture
 
-    own = [*own_files(output), *BESIDE]
     drawn = any(one.nominal for one in mechanism.parameters)
     readings = plan.readings
     if readings is None:
         readings = inverse(mechanism, plan.poses).readings
-    with writing(output, force=force, folder=YAML, own=own) as scratch:
+    with writing(output, force=force, folder=FOLDER) as scratch:
         write_mechanism(mechanism, scratch)
         picture(mechanism, dimensions=drawn).save(scratch / "picture.svg")
         write_poses(scratch / "plan.csv", mechanism, plan, units=WRITTEN)

@@ -70,8 +70,8 @@ def plot(
     from pincal.show.pictures.files import drawing, picture_path, save_figure
     from pincal.show.pictures.sheet import sheet
 
-    refuse_existing(picture_path(output), force=force)
     found = load_result(result)
+    refuse_existing(picture_path(output), force=force)
     if leg and kind is not Kind.drawing:
         raise typer.BadParameter("--leg is for the kind 'drawing'")
     if width and kind is Kind.drawing:

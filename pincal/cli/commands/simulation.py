@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -25,9 +25,9 @@ from pincal.cli.options import NoiseOptions, TableOptions
 from pincal.design.simulate import disturb as disturbed
 from pincal.design.simulate import simulate as simulated
 from pincal.errors import FileError, MeasurementError
-from pincal.files.mechanism_folders import load_mechanism, own_files
-from pincal.files.mechanism_writing import YAML, write_mechanism
-from pincal.files.output import refuse_existing, writing
+from pincal.files.mechanism_folders import load_mechanism
+from pincal.files.mechanism_writing import MECHANISM_FILES, write_mechanism
+from pincal.files.output import refuse_existing, writing_together
 from pincal.files.tables.measurement_writing import write_measurements
 from pincal.files.tables.measurements import read_poses
 from pincal.model.mechanism import Mechanism
@@ -70,7 +70,6 @@ def simulate(
     """
     mechanism = how.load(mech)
     units = how.written_in(mechanism)
-    refuse_existing(output, force=force)
     truth, disturb = how.truth, how.disturb
     parts = np.random.SeedSequence(how.seed).spawn(2)
     given = truth is not None and disturb is None and truth.is_dir()
@@ -78,25 +77,23 @@ def simulate(
         true_mechanism = _same_kind(load_mechanism(truth), mechanism, truth)
     else:
         if truth is not None:
-            refuse_existing(truth, force=force, folder=YAML)
-            if truth.absolute() == output.absolute():
-                raise FileError(
-                    f"{truth} is named for both the true mechanism and the measurements"
-                )
+            refuse_existing(truth, force=force, folder=MECHANISM_FILES)
         true_mechanism = disturbed(mechanism, disturb, np.random.default_rng(parts[0]))
     planned = read_poses(plan, true_mechanism)
+    refuse_existing(output, force=force)
     with working("simulating measurements"):
         rng = np.random.default_rng(parts[1])
         simulation = simulated(mechanism, true_mechanism, planned, how.noise(), rng)
     if not len(simulation.measurements):
         reason = simulation.unreachable[0][1]
         raise MeasurementError(f"{plan}: no planned pose can be measured ({reason})")
-    with ExitStack() as both:  # written together, or neither
-        if truth is not None and not given:
-            whole = writing(truth, force=force, folder=YAML, own=own_files(truth))
-            folder = both.enter_context(whole)
+    outputs: list[tuple[Path, Sequence[str]]] = [(output, ())]
+    if truth is not None and not given:
+        outputs = [(truth, MECHANISM_FILES), (output, ())]
+    with writing_together(outputs, force=force) as made:
+        write_measurements(made[-1], mechanism, simulation.measurements, units=units)
+        for folder in made[:-1]:
             write_mechanism(true_mechanism, folder)
-        write_measurements(output, mechanism, simulation.measurements, units=units, force=force)
     if truth is not None and not given:
         wrote(truth)
     for row, reason in simulation.unreachable:

@@ -45,14 +45,14 @@ def study(
     if name == "all" and not output.is_dir():
         refuse_existing(output, force=False).mkdir()
     for folder in folders:
-        refuse_existing(folder, force=force, folder=STUDY)
+        refuse_existing(folder, force=force, folder=(STUDY,))
     if page is not None:
         refuse_existing(page, force=force)
     pages, found = [], []
     for one, folder in zip(names, folders, strict=True):
         with working(f"study of the {one}") as progress:
             done = studies.run_study(one, seed, quick, progress)
-        with writing(folder, force=force, folder=STUDY) as scratch:
+        with writing(folder, force=force, folder=(STUDY,)) as scratch:
             done.write(scratch)
         wrote(folder)
         kept = {key: getattr(done, key) for key in ("name", "title", "paper", "tables")}

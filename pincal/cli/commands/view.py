@@ -69,14 +69,14 @@ def view(
     is served to this machine alone, until Ctrl-C.
     """
     html = page.html
-    if html is not None:
-        if html.suffix.lower() not in (".html", ".htm"):
-            raise FileError(f"{html} would be a page; give it the ending .html")
-        refuse_existing(html, force=force)
+    if html is not None and html.suffix.lower() not in (".html", ".htm"):
+        raise FileError(f"{html} would be a page; give it the ending .html")
     if page.report:
         _linked(how, html, force=force)
         return
     what = how.of(mech)
+    if html is not None:
+        refuse_existing(html, force=force)
     with working("placing the legs"):
         shown = viewed(
             what.mechanism,
@@ -159,8 +159,8 @@ def picture(
     from pincal.show.pictures.files import picture_path
     from pincal.show.pictures.picture import picture as drawn
 
-    refuse_existing(picture_path(output), force=force)
     what = how.of(mech)
+    refuse_existing(picture_path(output), force=force)
     with working("drawing"):
         found = drawn(
             what.mechanism,

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -23,7 +24,7 @@ from pincal.cli.app import (
 )
 from pincal.errors import WorkspaceError
 from pincal.files.mechanism_folders import load_mechanism
-from pincal.files.output import refuse_existing
+from pincal.files.output import refuse_existing, writing_together
 from pincal.files.tables.measurement_writing import write_poses
 from pincal.files.tables.table import write_table
 from pincal.files.tables.units import WRITTEN
@@ -43,9 +44,6 @@ from pincal.workspace.inscribed import largest_inscribed
 from pincal.workspace.positions import POSITION_AXES, Positions
 from pincal.workspace.region import KINDS, Workspace, compute_workspace
 from pincal.workspace.sampling import sample_configurations, sample_workspace
-
-if TYPE_CHECKING:  # drawing is imported where it is needed
-    from matplotlib.figure import Figure
 
 _COUNT = 30_000
 _OF_REGIONS = ("samples", "no_symmetry", "connected", "inscribed", "jobs", "scheduler")
@@ -139,16 +137,25 @@ class WorkspaceOptions:
 
     def refuse_existing(self, output: Path, *, force: bool) -> None:
         """Raise if files cannot be written, or the picture has another ending than pictures."""
-        picture = self.picture
-        for path in (output, picture):
-            if path is not None:
-                refuse_existing(path, force=force)
-        if picture is None:
+        refuse_existing(output, force=force)
+        if (picture := self.picture) is None:
             return
+        refuse_existing(picture, force=force)
         if picture.suffix.lower() not in (".svg", ".png", ".pdf"):
             raise typer.BadParameter(f"--picture {picture}: expected a name in .svg, .png or .pdf")
         if picture.absolute() == output.absolute():
             raise typer.BadParameter(f"--picture {picture}: is the output too")
+
+    def writing(self, output: Path, *, force: bool) -> AbstractContextManager[list[Path]]:
+        """Write the table and, if one is wanted, the picture, together or not at all."""
+        return writing_together(
+            [(path, ()) for path in filter(None, (output, self.picture))], force=force
+        )
+
+    def wrote(self, output: Path) -> None:
+        """Say which files were written."""
+        for path in filter(None, (output, self.picture)):
+            wrote(path)
 
     def margins(self) -> Margins:
         """Return the margins that are kept."""
@@ -246,6 +253,7 @@ def _region(mechanism: Mechanism, output: Path, how: WorkspaceOptions, force: bo
 
 def _report(found: Workspace, output: Path, how: WorkspaceOptions, force: bool) -> None:
     """Write the positions and the picture of a workspace, and print what it is."""
+    from pincal.show.pictures.files import save_figure
     from pincal.show.tables import workspace_table
     from pincal.show.workspace_plots import workspace_figure
 
@@ -253,24 +261,18 @@ def _report(found: Workspace, output: Path, how: WorkspaceOptions, force: bool) 
     if how.inscribed and found.count:
         with working("looking for the largest circle or ball inside"):
             circle = largest_inscribed(found)
-    found.save(output, force=force)
+    with how.writing(output, force=force) as (table, *pictures):
+        found.save(table)
+        for picture in pictures:
+            save_figure(workspace_figure(found, circle), picture)
     stdout.print(workspace_table(found, circle, wanted=how.inscribed))
-    wrote(output)
-    if how.picture is not None:
-        _draw(how.picture, workspace_figure(found, circle), force)
+    how.wrote(output)
     answer(region_answer(found, circle))
-
-
-def _draw(picture: Path, figure: Figure, force: bool) -> None:
-    """Write a picture in the format of its name."""
-    from pincal.show.pictures.files import save_figure
-
-    save_figure(figure, picture, force=force)
-    wrote(picture)
 
 
 def _articular(mechanism: Mechanism, output: Path, how: WorkspaceOptions, force: bool) -> None:
     """Write poses and readings, over the whole workspace and at constant orientations."""
+    from pincal.show.pictures.files import save_figure
     from pincal.show.tables import articular_table
     from pincal.show.workspace_plots import articular_figure
 
@@ -289,9 +291,10 @@ def _articular(mechanism: Mechanism, output: Path, how: WorkspaceOptions, force:
     with working("solving the forward kinematics of permuted readings"):
         checks = articular_symmetry(mechanism, spaces["all"][:2000], least)
     table = articular_table(mechanism, readings, checks)
-    write_table(output, articular_columns(mechanism, spaces, readings), force=force)
+    with how.writing(output, force=force) as (written, *pictures):
+        write_table(written, articular_columns(mechanism, spaces, readings))
+        for picture in pictures:
+            save_figure(articular_figure(mechanism, readings), picture)
     stdout.print(table)
-    wrote(output)
-    if how.picture is not None:
-        _draw(how.picture, articular_figure(mechanism, readings), force)
+    how.wrote(output)
     answer(articular_answer(mechanism, readings, checks))
