@@ -7,9 +7,14 @@ from pathlib import Path
 
 
 def sheet(path: Path, cells: list[list[str | float]]) -> None:
-    """Write a spreadsheet as Excel stores it: text in the cells that are text, else numbers."""
+    """Write a spreadsheet as Excel stores it: text in the cells that are text, else numbers.
+
+    Text that begins with ``<c`` is the cell itself, as it stands in the file.
+    """
 
     def cell(value: str | float) -> str:
+        if isinstance(value, str) and value.startswith("<c"):
+            return value
         if isinstance(value, str):
             return f'<c t="inlineStr"><is><t>{value}</t></is></c>' if value else "<c/>"
         return f"<c><v>{float(value)!r}</v></c>"

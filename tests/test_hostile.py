@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import tracemalloc
 from collections.abc import Callable
@@ -241,11 +242,19 @@ def test_names_of_runs_can_be_printed(tmp_path: Path) -> None:
             pincal.Measurements.from_csv(tmp_path / "t.csv", THREE)
 
 
-def test_rows_that_tell_nothing_are_refused(tmp_path: Path) -> None:
-    """A row with a note alone is refused by its line: it would be lost when written again."""
+def test_rows_that_tell_nothing_are_skipped_and_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A row with a note alone is none that was measured; a table of such rows is refused."""
+    monkeypatch.setattr(logging.getLogger("pincal"), "propagate", True)
     text = "x [m],y [m],phi [rad],leg_1 [rad],leg_2 [rad],leg_3 [rad],note\n0,0,0,1,1,1,\n"
     (tmp_path / "t.csv").write_text(f"{text}, ,,,,,lost\n")
-    with pytest.raises(MeasurementError, match="line 3: nothing was measured"):
+    with caplog.at_level(logging.INFO, "pincal"):
+        found = pincal.Measurements.from_csv(tmp_path / "t.csv", THREE, partial=True)
+    assert found.lines == (2,)
+    assert "1 rows without anything measured or read are skipped" in caplog.text
+    (tmp_path / "t.csv").write_text(f"{text.partition('0,0')[0]}, ,,,,,lost\n")
+    with pytest.raises(MeasurementError, match="nothing was measured and nothing read"):
         pincal.Measurements.from_csv(tmp_path / "t.csv", THREE, partial=True)
 
 

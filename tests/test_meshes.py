@@ -10,6 +10,7 @@ from arms import ARMS, loaded, robot, urdf
 from command_line import run
 
 import pincal
+from pincal.kinematics.readers import free_of_collision
 from pincal.show.view.bodies import MOST, coarser
 
 ARM = """
@@ -104,3 +105,49 @@ def test_arms_of_others_are_small_pages(name: str) -> None:
     kinds = [{shape.kind for shape in body.parts[place].shapes} for place in body.chains[0]]
     assert sum(own == {"mesh"} for own in kinds) >= 6
     assert len(view.html().encode()) < 5e6
+
+
+def stl(count: int, value: float = 1.0) -> bytes:
+    """Return a binary STL of some triangles."""
+    corners = np.zeros((count, 4, 3), dtype="<f4")
+    corners[:, 1:] = np.eye(3) * value
+    triangles = b"".join(one.tobytes() + b"\0\0" for one in corners)
+    return b"\0" * 80 + count.to_bytes(4, "little") + triangles
+
+
+BROKEN = {
+    "empty.stl": (stl(0), "link.stl"),
+    "nothing.stl": (b"", "link.stl"),
+    "nan.stl": (stl(4, np.nan), "not finite"),
+    "truncated.stl": (stl(8)[:-120], "link.stl"),
+    "text.stl": (
+        b"solid a\n facet normal 0 0 1\n outer loop\n vertex 0 0 0\n vertex 1 0 0\n"
+        b" vertex 0 1 0\n endloop\n endfacet\n facet normal 0 0 1\n outer",
+        "link.stl",
+    ),
+    "empty.obj": (b"", "link.obj"),
+    "corners.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\n", "link.obj"),
+    "nan.obj": (BOX.replace("1", "nan", 1).encode(), "link.obj"),
+}
+
+
+@pytest.mark.parametrize("collision", [False, True])
+@pytest.mark.parametrize("name", BROKEN)
+def test_a_broken_mesh_is_refused_by_its_name(name: str, collision: bool, tmp_path: Path) -> None:
+    """Empty, cut off, or with NaN: nothing is drawn of it, and nothing said to be free of it."""
+    data, words = BROKEN[name]
+    file = f"link{Path(name).suffix}"
+    (tmp_path / file).write_bytes(data)
+    kind = "collision" if collision else "visual"
+    link = f'<link name="l1"><{kind}><geometry><mesh filename="{file}"/></geometry></{kind}></link>'
+    path = tmp_path / "arm.urdf"
+    path.write_text(robot(ARM).replace('<link name="l1"/>', link), encoding="utf-8")
+    view = pincal.view(pincal.Mechanism.from_urdf(path, "l2"))
+
+    def use() -> object:
+        if collision:
+            return free_of_collision(path, ["j1", "j2"], np.zeros((3, 2)))
+        return view.with_meshes(path)
+
+    with pytest.raises(pincal.FileError, match=words):
+        use()

@@ -453,6 +453,50 @@ def test_messages_on_spreadsheets_name_the_row_of_the_sheet(tmp_path: Path) -> N
         pincal.Measurements.from_csv(tmp_path / "m.xlsx", THREE)
 
 
+FLAWS = {
+    "error": ('<c t="e"><v>#DIV/0!</v></c>', "#DIV/0! in cell R2C1 of sheet Messung"),
+    "missing": ('<c r="A2" t="e"><f>NA()</f><v>#N/A</v></c>', "#N/A in cell A2 of sheet Messung"),
+    "formula": ("<c><f>B2*2</f></c>", "formula that was never computed in cell R2C1"),
+    "openpyxl": ("<c><f>B2*2</f><v></v></c>", "formula that was never computed in cell R2C1"),
+}
+
+
+@pytest.mark.parametrize("partial", [True, False])
+@pytest.mark.parametrize("rows", [1, 2])
+@pytest.mark.parametrize("flaw", FLAWS)
+def test_cells_without_a_value_are_no_empty_cells(
+    flaw: str, rows: int, partial: bool, tmp_path: Path
+) -> None:
+    """Errors and formulas that were never computed, a whole column too: refused by their cell."""
+    pytest.importorskip("python_calamine")
+    cell, words = FLAWS[flaw]
+    head, *numbers = CELLS
+    sheet(tmp_path / "m.xlsx", [head, *[[cell, *one[1:]] for one in numbers[:rows]]])
+    with pytest.raises(MeasurementError) as caught:
+        pincal.Measurements.from_csv(tmp_path / "m.xlsx", THREE, partial=partial)
+    assert words in str(caught.value)
+    assert "correct it or remove the row" in str(caught.value)
+
+
+def test_formulas_with_values_are_read(tmp_path: Path) -> None:
+    """Also those that give an empty text."""
+    pytest.importorskip("python_calamine")
+    head, row, _ = CELLS
+    value = "<c><f>B2*2</f><v>1.5</v></c>"
+    sheet(tmp_path / "m.xlsx", [[*head, "note"], [value, *row[1:], '<c t="str"><f>""</f><v/></c>']])
+    assert pincal.Measurements.from_csv(tmp_path / "m.xlsx", THREE).poses[0, 0] == 1.5
+
+
+def test_a_far_cell_of_a_spreadsheet_is_refused(tmp_path: Path) -> None:
+    """A cell in the last column and row takes no memory for all cells before it."""
+    pytest.importorskip("python_calamine")
+    sheet(tmp_path / "m.xlsx", [*CELLS, ['<c r="XFD1048576"><v>1</v></c>']])
+    text = (tmp_path / "m.xlsx").read_bytes()
+    assert len(text) < 3000
+    with pytest.raises(MeasurementError, match="too far from the other cells"):
+        pincal.Measurements.from_csv(tmp_path / "m.xlsx", THREE)
+
+
 def test_parquet_files_are_read(tmp_path: Path) -> None:
     """As the DataFrame that they hold."""
     pytest.importorskip("pyarrow")
@@ -467,7 +511,7 @@ def test_parquet_files_are_read(tmp_path: Path) -> None:
     [
         ("m.xlsx", "python_calamine", "excel"),
         ("m.ods", "python_calamine", "excel"),
-        ("m.xls", "pandas", "excel"),
+        ("m.xls", "python_calamine", "excel"),
         ("m.parquet", "pyarrow", "parquet"),
     ],
 )

@@ -128,6 +128,7 @@ def free_of_collision(
         ) from error
     if not shapes.ngeoms:
         raise MechanismError(f"{path}: no <collision> geometry to check")
+    _check_meshes(shapes)
     entries = [_entry(model, name, path) for name in joints]
     shapes.addAllCollisionPairs()
     for pair in list(shapes.collisionPairs):
@@ -155,6 +156,36 @@ def free_of_collision(
             q[index : index + width] = value if width == 1 else (np.cos(value), np.sin(value))
         free[row] = not pin.computeCollisions(model, data, shapes, found, q, True)
     return free
+
+
+def _check_meshes(shapes: pin.GeometryModel) -> None:
+    """Raise if a mesh among shapes is broken: see ``check_mesh``."""
+    for shape in shapes.geometryObjects:
+        if hasattr(shape.geometry, "num_tris"):  # a mesh
+            check_mesh(shape.meshPath, shape.geometry.vertices(), shape.geometry.num_tris)
+
+
+def check_mesh(path: str | Path, corners: Array, triangles: int) -> None:
+    """Raise if a mesh is not what its file was meant to hold: readers take what they can.
+
+    Args:
+        path: Its file.
+        corners: As read, shape (n, 3).
+        triangles: How many were read.
+
+    Raises:
+        FileError: it has no triangles, numbers that are not finite, or an end that is missing.
+    """
+    if not triangles or not len(corners):
+        raise FileError(f"{path}: a mesh without triangles; write it anew, or take it out")
+    if not np.isfinite(corners).all():
+        raise FileError(f"{path}: a mesh with corners that are not finite numbers; write it anew")
+    if Path(path).suffix.lower() == ".stl" and Path(path).is_file():
+        data = Path(path).read_bytes()
+        size = 84 + 50 * int.from_bytes(data[80:84], "little")
+        text = data.lstrip().startswith(b"solid") and len(data) != size
+        if b"endsolid" not in data[-200:] if text else len(data) < size:
+            raise FileError(f"{path}: the end of this mesh is missing; copy or write it anew")
 
 
 def _entry(model: pin.Model, name: str, path: Path) -> tuple[int, int]:

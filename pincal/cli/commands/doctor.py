@@ -28,12 +28,11 @@ from pincal.cli.app import (
 from pincal.cli.commands.calibration import GivenNoise
 from pincal.cli.options import CountOptions, SetupOptions
 from pincal.files.output import refuse_existing
-from pincal.files.tables.columns import unknown_columns
+from pincal.files.tables.columns import table_for, unknown_columns
 from pincal.files.tables.level import tilt_column
 from pincal.files.tables.measurement_writing import Columns, columns_of
-from pincal.files.tables.measurements import read_measurements
+from pincal.files.tables.measurements import measured_columns, read_measurements
 from pincal.files.tables.table import Table, write_table
-from pincal.files.tables.table_reading import read_table
 from pincal.files.tables.units import COUNTS, scale_of
 from pincal.model.measuring.setup import ORIGIN, Setup
 from pincal.model.mechanism import Mechanism
@@ -67,7 +66,9 @@ def doctor(
     """
     mechanism = how.load(mech)
     setup = how.read()
-    table = read_table(measurements)
+    more = setup.columns(mechanism)
+    table = table_for(measurements, mechanism, more, None)
+    table = table.where_measured(measured_columns(mechanism, more))
     if output is not None:
         refuse_existing(output, force=force)
     data = read_measurements(table, mechanism, setup, partial=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,6 +84,7 @@ def read_measurements(
     polar = {f"sigma_{name}": unit for name, unit in setup.polar.items()}
     level = tilt_column(mechanism, more)
     table = table_for(path, mechanism, more | polar | level, influences)
+    table = table.where_measured(measured_columns(mechanism, more))
     said = [name for name in ("range", "elevation") if name not in more]
     if not polar and (own := [name for name in said if f"sigma_{name}" in table]):
         raise MeasurementError(
@@ -142,15 +143,20 @@ def read_measurements(
         written=_way(table) if platform.turns == 3 else None,
     )
     measured = [data.poses, *(values[:, None] for values in extra.values())]
-    blank = np.isnan(np.column_stack([*measured, data.readings])).all(axis=1)
-    if blank.any():
-        raise MeasurementError(
-            f"{table.where(int(np.argmax(blank)))}: nothing was measured and "
-            "nothing read; remove the row"
-        )
     if not any(np.isfinite(values).any() for values in measured) and not partial:
         raise MeasurementError(f"{table.path}: nothing of the platform is measured")
     return data
+
+
+def measured_columns(mechanism: Mechanism, more: Iterable[str]) -> set[str]:
+    """Return the columns that say what was measured or read, if a table has them.
+
+    Args:
+        mechanism: The mechanism.
+        more: Columns of the setup.
+    """
+    turns = {name for names, _ in WAYS.values() for name in names}
+    return {*mechanism.platform.coordinates, *turns, *more, *mechanism.reading_names}
 
 
 def _way(table: Table) -> str | None:

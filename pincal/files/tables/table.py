@@ -6,10 +6,11 @@ Headers are ``x [mm]``, ``phi [deg]``, ``leg_1 [rad]``. What is written is read 
 from __future__ import annotations
 
 import csv
+import logging
 import math
 import sys
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ from pincal.model.checks import LARGEST
 from pincal.model.units import UNITS
 
 Array = NDArray[np.float64]
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -53,6 +55,26 @@ class Table:
 
     def __contains__(self, column: str) -> bool:
         return column in self.units
+
+    def where_measured(self, columns: Iterable[str]) -> Table:
+        """Return the rows with something in any of some columns; it is said if others are skipped.
+
+        Raises:
+            MeasurementError: no row has.
+        """
+        cells = [self.text[name] for name in columns if name in self]
+        rows = enumerate(zip(*cells, strict=True))
+        filled = [row for row, texts in rows if any(map(str.strip, texts))]
+        skipped = len(self.lines) - len(filled) if cells else 0
+        if not skipped:
+            return self
+        if not filled:
+            raise MeasurementError(
+                f"{self.path}: nothing was measured and nothing read; fill in the columns"
+            )
+        _log.info("%s: %d rows without anything measured or read are skipped", self.path, skipped)
+        text = {name: [column[row] for row in filled] for name, column in self.text.items()}
+        return replace(self, text=text, lines=[self.lines[row] for row in filled])
 
     def numbers(self, column: str, dimension: str, *, blank: bool = False) -> Array:
         """Return a column in SI units, shape (N,).

@@ -5,11 +5,15 @@ from __future__ import annotations
 import csv
 import io
 import logging
+import posixpath
 import re
+import zipfile
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+
+from lxml import etree
 
 from pincal.errors import MeasurementError
 from pincal.files.input import LARGEST_FILE, read_bytes, read_text
@@ -18,6 +22,8 @@ from pincal.model.checks import must_be
 
 _HEADER = re.compile(r"\w\s*\[[^]]+\]\s*$")
 _MOST_COLUMNS = 1000
+_CELL = re.compile(r"([A-Z]{1,3})(\d{1,7})")
+_MOST_CELLS = 10**7  # of a sheet, empty ones before the last included
 #: Files that are no text, and the extra of packages that reads them.
 _SHEETS = {".xlsx": "excel", ".xls": "excel", ".ods": "excel", ".parquet": "parquet"}
 _SEPARATORS = {";": "semicolons", "\t": "tabs"}
@@ -40,11 +46,10 @@ def read_table(source: str | Path | Any) -> Table:
     path = Path(must_be(source, (str, Path), "a CSV file or DataFrame", MeasurementError))
     extra = _SHEETS.get(path.suffix.lower())
     if extra is not None:
-        frame = _sheet(path, extra)
+        content = _sheet(path, extra)
         if extra == "parquet":
-            return replace(_of_dataframe(frame), path=path)
-        columns = [list(map(_text, frame[name].tolist())) for name in frame]
-        filled = [column for column in columns if any(cell.strip() for cell in column)]
+            return replace(_of_dataframe(content), path=path)
+        filled = [column for column in zip(*content, strict=True) if any(map(str.strip, column))]
         cells = map(list, zip(*filled, strict=True))
         return _of_rows(path, enumerate(cells, 1), "row", "")
     text = read_text(path, LARGEST_FILE["table"], MeasurementError, pipe=True, otherwise="cp1252")
@@ -90,27 +95,100 @@ def _of_rows(
 
 
 def _sheet(path: Path, extra: str) -> Any:
-    """Return the first sheet of a spreadsheet, headers among its rows, or a Parquet file.
+    """Return the text of the first sheet of a spreadsheet, row by row, or a Parquet file.
 
     Raises:
         FileError: the file is missing or cannot be read.
-        MeasurementError: it is none of its kind, or the package that reads it is not installed.
+        MeasurementError: it is none of its kind, too large, or the package that reads it is not
+            installed.
     """
-    read_bytes(path, LARGEST_FILE["table"], MeasurementError)
+    data = read_bytes(path, LARGEST_FILE["table"], MeasurementError)
     try:
-        import pandas
-
         if extra == "parquet":
+            import pandas
+
             return pandas.read_parquet(path)
-        return pandas.read_excel(path, engine="calamine", header=None, na_filter=False)
+        from python_calamine import load_workbook
+
+        flaws = _flaws(path, data) if zipfile.is_zipfile(io.BytesIO(data)) else {}
+        sheet = load_workbook(path).get_sheet_by_index(0)
+        rows = [list(map(_text_in, row)) for row in sheet.to_python(skip_empty_area=False)]
     except ImportError as error:
         raise MeasurementError(
             f"{path}: such files are read with the extra {extra!r}: python -m pip install "
             f"'pincal[{extra}]'; or save the table as CSV"
         ) from error
+    except MeasurementError:
+        raise
     except Exception as error:  # each package has its own
         kind = path.suffix.lower()
         raise MeasurementError(f"{path}: no {kind} file: {str(error)[:200]}") from error
+    height = max([len(rows), *(row + 1 for row, _ in flaws)])
+    width = max([0, *map(len, rows), *(column + 1 for _, column in flaws)])
+    rows = [[*row, *[""] * (width - len(row))] for row in (*rows, *[[]] * (height - len(rows)))]
+    for (row, column), flaw in flaws.items():
+        rows[row][column] = flaw
+    return rows
+
+
+def _text_in(value: object) -> str:
+    """Return a cell of a spreadsheet, where all numbers have decimals, as it would be in a file."""
+    return _text(int(value) if isinstance(value, float) and value.is_integer() else value)
+
+
+def _flaws(path: Path, data: bytes) -> dict[tuple[int, int], str]:
+    """Return what stands in cells of an .xlsx file's first sheet that have no value, by place.
+
+    Readers of such files take errors (``#DIV/0!``) and formulas that were never computed for empty
+    cells, and take memory for all cells up to the last one, however far it is.
+
+    Raises:
+        MeasurementError: the last cell is too far from the first.
+    """
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        if "xl/workbook.xml" not in archive.namelist():
+            return {}
+        title, name = _first_sheet(archive)
+        if archive.getinfo(name).file_size > LARGEST_FILE["table"]:
+            raise MeasurementError(f"{path}: its sheet is larger than 256 MiB; save it as CSV")
+        height, width, flaws = 0, 0, {}
+        with archive.open(name) as sheet:
+            for _, cell in etree.iterparse(sheet, tag="{*}c", resolve_entities=False):
+                row, column = _place(cell)
+                place = f"in cell {cell.get('r', f'R{row}C{column}')} of sheet {title}"
+                height, width = max(height, row), max(width, column)
+                if height * width > _MOST_CELLS:
+                    raise MeasurementError(
+                        f"{path}: something stands {place}, too far from the other cells to be "
+                        "read; delete the rows and columns beyond the table"
+                    )
+                value, kind = cell.findtext("{*}v"), cell.get("t")
+                if kind == "e":
+                    flaws[row - 1, column - 1] = f"{value} {place}"
+                elif cell.find("{*}f") is not None and not value and kind != "str":
+                    flaws[row - 1, column - 1] = f"formula that was never computed {place}"
+                cell.clear(keep_tail=False)
+    return flaws
+
+
+def _first_sheet(archive: zipfile.ZipFile) -> tuple[str, str]:
+    """Return the title of an .xlsx file's first sheet, and where it is in the archive."""
+    book = etree.fromstring(archive.read("xl/workbook.xml"))
+    sheet = next(book.iterfind(".//{*}sheet"))
+    relations = etree.fromstring(archive.read("xl/_rels/workbook.xml.rels"))
+    (target,) = (one.get("Target", "") for one in relations if one.get("Id") in sheet.values())
+    return sheet.get("name", ""), posixpath.normpath(posixpath.join("/xl", target)).lstrip("/")
+
+
+def _place(cell: etree._Element) -> tuple[int, int]:
+    """Return row and column of a cell, from 1: by its reference, or by where it stands."""
+    if match := _CELL.fullmatch(cell.get("r", "")):
+        letters = reversed(match[1])
+        return int(match[2]), sum((ord(c) - 64) * 26**k for k, c in enumerate(letters))
+    parent = cell.getparent()
+    if parent is None:
+        return 1, 1
+    return sum(1 for _ in parent.itersiblings(preceding=True)) + 1, parent.index(cell) + 1
 
 
 def _separator(text: str) -> str:

@@ -24,6 +24,7 @@ from pincal.errors import FileError
 from pincal.files.urdf_writing import leg_urdf, platform_urdf
 from pincal.files.xml import read_xml
 from pincal.kinematics.configurations import as_plan, joints_at
+from pincal.kinematics.readers import check_mesh
 from pincal.model.leg import Leg
 from pincal.model.links import link_placements
 from pincal.model.measuring.measurements import Plan
@@ -406,9 +407,11 @@ def _mesh(path: Path, visual: Any) -> Shape:
     own = visual.geometry.mesh
     file = _found(path, own.filename)
     try:
-        mesh: Any = trimesh.load(file, force="mesh")
+        mesh: Any = trimesh.load(file, force="mesh", process=False)
     except Exception as error:  # whatever readers of meshes raise
         raise FileError(f"{file}: a mesh that cannot be read: {error}") from error
+    check_mesh(file, np.asarray(getattr(mesh, "vertices", ())), len(getattr(mesh, "faces", ())))
+    mesh.process()  # corners that several triangles share become one
     scale = np.ones(3) if own.scale is None else np.broadcast_to(own.scale, 3)
     corners, faces = coarser(np.asarray(mesh.vertices) * scale, np.asarray(mesh.faces))
     T = np.eye(4) if visual.origin is None else np.asarray(visual.origin, dtype=np.float64)
