@@ -84,7 +84,7 @@ def aligned(
         off = (each.mean().inv() * each).magnitude()
         each = each[off <= np.maximum(_BY.gross * np.median(off), _BY.misfit)]
         turn = each.mean().as_matrix()
-    agrees = ~(known & ~agreeing).any(axis=0)
+    agrees = np.asarray(~(known & ~agreeing).any(axis=0))
     return replace(state.external, frame=frame, offsets=offsets, turn=turn), agrees
 
 
