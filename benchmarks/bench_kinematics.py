@@ -19,10 +19,10 @@ import pytest
 from numpy.typing import NDArray
 
 import pincal
-from pincal.kinematics.influences.loads import gravity_loads
-from pincal.kinematics.legs.chain import leg_chain
-from pincal.kinematics.legs.forest import Forest
-from pincal.model.sensors.load import Load
+from pincal.kinematics.chain import leg_chain
+from pincal.kinematics.forest import Forest
+from pincal.kinematics.influences import gravity_loads
+from pincal.model.terms import Load
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from closed_forms import angles, jacobian

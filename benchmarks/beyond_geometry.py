@@ -28,10 +28,10 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 import cramer_rao
 
 import pincal
-from pincal.calibration.confidence import unseen
-from pincal.calibration.terms.path import RULES
-from pincal.design.order import in_turns
+from pincal.calibration.covariance import unseen
+from pincal.calibration.terms.choice import RULES
 from pincal.design.platform_error import platform_error
+from pincal.design.select import in_turns
 
 Array = NDArray[np.float64]
 PAGE = Path(__file__).parents[1] / "docs" / "beyond_geometry.md"

@@ -42,11 +42,11 @@ from pincal.calibration.calibrate import prepared, started
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.fits import fitted
 from pincal.calibration.terms.candidates import tied_by, with_terms
+from pincal.calibration.terms.choice import RULES
 from pincal.calibration.terms.kinds import GROWTH, ORDER, Kind, every_pair, lengths
-from pincal.calibration.terms.path import RULES
 from pincal.calibration.terms.screen import Candidate, Trial, screened, trials
 from pincal.estimation.residuals.score import Residuals
-from pincal.model.sensors.load import Load
+from pincal.model.terms import Load
 from pincal.workspace.sampling import sample_workspace
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))

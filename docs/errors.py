@@ -18,20 +18,18 @@ from pathlib import Path
 
 import pincal
 from pincal import errors, formats
-from pincal.calibration.checks.runs import compare_runs
 from pincal.calibration.result_files import read_result
+from pincal.calibration.runs import compare_runs
 from pincal.cli.app import app
-from pincal.files.setups import read_setup
-from pincal.files.tables.measurement_writing import write_measurements, write_poses
-from pincal.files.tables.measurements import read_measurements, read_poses
+from pincal.files.measurement_writing import write_measurements, write_poses
+from pincal.files.measurements import read_measurements, read_poses
+from pincal.files.yaml import read_setup
 from pincal.formats.arm import load_arm
 from pincal.show.report.report import report
-from pincal.words.faults import FAULTS
-from pincal.words.freedoms import FREEDOMS
+from pincal.words.findings import FAULTS, FREEDOMS, ROWS
 from pincal.words.hypotheses import HYPOTHESES
 from pincal.words.parameters import PARAMETERS
 from pincal.words.results import RESULTS
-from pincal.words.rows import ROWS
 from pincal.words.wording import Wording
 from pincal.workspace.criteria import in_workspace
 

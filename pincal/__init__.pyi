@@ -2,11 +2,11 @@
 
 from .architectures.new import new_mechanism
 from .calibration.calibrate import calibrate
-from .calibration.checks.validation import validate
 from .calibration.options import Options
 from .calibration.result import CalibrationResult
 from .calibration.result_files import load_result
 from .calibration.terms.explain import Explanation, explain
+from .calibration.validation import validate
 from .design.forecast import forecast
 from .design.select import Selection, select_poses
 from .design.select_configurations import select_configurations
@@ -23,35 +23,28 @@ from .errors import (
 from .estimation.observability.indices import indices
 from .estimation.residuals.losses import Loss
 from .files.mechanism_folders import load_mechanism
-from .formats.corrections.poses import Corrections, corrections
+from .formats.correction_poses import Corrections, corrections
 from .kinematics.derivatives import identification_jacobian
 from .kinematics.forward import forward
 from .kinematics.inverse import inverse
 from .kinematics.readers import free_of_collision
 from .kinematics.singularity import margins
-from .model.joint import Joint
-from .model.leg import Leg
-from .model.measuring.image import Image
-from .model.measuring.instrument import Condition, Instrument
-from .model.measuring.measurements import Measurements, Noise, Plan
-from .model.measuring.setup import Distance, Setup, Target
-from .model.measuring.uncertainty import Systematic, Tracker
+from .model.leg import Joint, Leg
+from .model.measurements import Measurements, Noise, Plan
 from .model.mechanism import Mechanism
 from .model.parameter import Parameter
 from .model.placement import Placement
-from .model.platform import Platform
-from .model.platform_kind import PlatformKind
-from .model.sensors.load import Load
-from .model.sensors.sensor import Sensor
-from .model.sensors.terms import Harmonic, Knot, Power, Share, Term
+from .model.platform import Platform, PlatformKind
+from .model.sensor import Sensor
+from .model.setup import Condition, Distance, Image, Instrument, Setup, Systematic, Target, Tracker
+from .model.terms import Harmonic, Knot, Load, Power, Share, Term
 from .show.pictures.picture import picture
 from .show.view.view import view
 from .symmetry.detect import symmetry_group
 from .symmetry.elements import Element, cyclic, dihedral
 from .symmetry.generate import generate
-from .workspace.articular import articular_symmetry
 from .workspace.axes import Orientations
-from .workspace.criteria import Margins
+from .workspace.criteria import Margins, articular_symmetry
 from .workspace.inscribed import Inscribed, largest_inscribed
 from .workspace.positions import Grid
 from .workspace.region import Workspace, compute_workspace

@@ -10,12 +10,11 @@ from measured import workspace
 
 import pincal
 from pincal.calibration.calibration import Calibration
-from pincal.estimation.conditions.alike_legs import evaluated
+from pincal.estimation.blocks.alike_legs import evaluated
 from pincal.kinematics.batches import CHUNK
+from pincal.kinematics.closing import by_leg, close, close_legs, grouped
+from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.derivatives import Demand, leg_demand_at, leg_demands_at
-from pincal.kinematics.legs.closing import close
-from pincal.kinematics.legs.closure import LegClosure
-from pincal.kinematics.legs.every_leg import by_leg, close_legs, grouped
 
 FORMS = {"5R": 1, "3RRR": 1, "3RPR": 1, "3PRR": 2, "6UPS": 1, "6RUS": 1, "8cable": 1, "delta": 1}
 """How many forms the legs of a machine have: those of the 3-PRR slide to either side."""

@@ -15,7 +15,7 @@ from measured import put
 from random_mechanisms import reached
 
 import pincal
-from pincal.kinematics.legs.closure import LegClosure
+from pincal.kinematics.closure import LegClosure
 from pincal.words.sentences import sentence
 
 Array = np.ndarray

@@ -14,7 +14,7 @@ sys.path.insert(0, str(ROOT))
 from tools.counts import Counts, count, count_revision, main  # noqa: E402
 
 LINES = {
-    "": 260,
+    "": 280,
     "architectures": 800,
     "calibration": 7_400,
     "cli": 3_950,
@@ -31,7 +31,7 @@ LINES = {
 }
 """Most lines of each room; a room that is not listed may have none."""
 MOST = {
-    "files": 355,
+    "files": 228,
     "page lines": 970,
     "largest folder": 18,
     "vague names": 0.131,

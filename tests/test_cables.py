@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 import pincal
-from pincal.files.tables.measurement_writing import write_readings
+from pincal.files.measurement_writing import write_readings
 from pincal.workspace.criteria import in_workspace
 
 Array = NDArray[np.float64]

@@ -18,7 +18,7 @@ from scipy.optimize import least_squares
 
 import pincal
 from pincal.calibration.result_files import read_result
-from pincal.model.measuring.measurements import EVERY_LEG
+from pincal.model.measurements import EVERY_LEG
 from pincal.workspace.criteria import in_workspace
 from pincal.workspace.sampling import sample_workspace
 from studies import three_rrr_errors

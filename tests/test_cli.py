@@ -20,8 +20,8 @@ from marks import quick, some_slow
 
 import pincal
 from pincal.cli.app import app
+from pincal.files.measurements import read_readings
 from pincal.files.mechanism_folders import bundled
-from pincal.files.tables.measurements import read_readings
 
 KINDS = quick(1, ["3RRR", "5R", "4cable"])
 NOISE = ["--noise-position", "1e-5", "--noise-orientation", "1e-5"]
@@ -775,7 +775,7 @@ def test_too_little_memory_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     def greedy(**_: object) -> None:
         np.empty(2**55)
 
-    monkeypatch.setattr(import_module("pincal.cli.run"), "app", greedy)
+    monkeypatch.setattr(import_module("pincal.cli.app"), "app", greedy)
     outcome = run("mechanisms")
     assert outcome.code == 2
     assert "not enough memory" in outcome.trouble

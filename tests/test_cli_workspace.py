@@ -11,7 +11,7 @@ from command_line import contents, done, run
 from marks import some_slow
 
 import pincal
-from pincal.files.tables.table_reading import read_table
+from pincal.files.table import read_table
 
 HEXAPOD = ["--axis", "radius=0.1:1.5:0.2", "--axis", "bearing [deg]=0:360:30", "--axis"]
 TILTS = ["--axis", "tilt=0:0.2:0.1", "--no-margins"]

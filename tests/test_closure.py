@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 import pincal
 from pincal.kinematics.batches import left_null, product, solve
+from pincal.kinematics.closing import close, sensor_law
+from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.derivatives import demand
-from pincal.kinematics.legs.closing import close, sensor_law
-from pincal.kinematics.legs.closure import LegClosure
-from pincal.kinematics.legs.forest import Elementary, forest, placements_in
-from pincal.kinematics.legs.nearest_closure import nearest_closure
+from pincal.kinematics.forest import Elementary, forest, placements_in
+from pincal.kinematics.nearest_closure import nearest_closure
 
 Array = NDArray[np.float64]
 

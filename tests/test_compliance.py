@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 import pincal
 from pincal.calibration.terms.candidates import with_terms
 from pincal.calibration.terms.kinds import Kind
-from pincal.model.sensors.load import Load
+from pincal.model.terms import Load
 
 COMPLIANCE = 1e-6
 """Of joints 2 and 3, [rad/(N m)]."""

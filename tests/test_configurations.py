@@ -14,8 +14,8 @@ from measured import put
 
 import pincal
 from pincal.design.information import information_rows
+from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.configurations import joints_at, legs_at
-from pincal.kinematics.legs.closure import LegClosure
 from pincal.kinematics.readers import free_of_collision
 
 NOISE = pincal.Noise(1e-4, 1e-4, 0.0)

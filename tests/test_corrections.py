@@ -24,11 +24,11 @@ from test_terms import FORMS, extended, truth_of
 
 import pincal
 from pincal.errors import MeasurementError, MechanismError, WorkspaceError
-from pincal.files.tables.units import Units
-from pincal.formats.corrections.code import LANGUAGES, code_of
-from pincal.formats.corrections.poses import Corrections
-from pincal.kinematics.legs.closing import sensor_law
-from pincal.kinematics.legs.closure import nominal_legs
+from pincal.formats.correction_poses import Corrections
+from pincal.formats.corrections import LANGUAGES, code_of
+from pincal.kinematics.closing import sensor_law
+from pincal.kinematics.closure import nominal_legs
+from pincal.model.units import Units
 from pincal.workspace.criteria import in_workspace
 from pincal.workspace.sampling import grid_poses, sample_configurations
 

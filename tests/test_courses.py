@@ -16,10 +16,9 @@ from pincal.calibration.calibrate import prepared, started
 from pincal.calibration.fits import fitted
 from pincal.calibration.terms.kinds import every_pair
 from pincal.calibration.terms.screen import Candidate, screen
-from pincal.estimation.residuals.chances import Form, above, of_forms, together
-from pincal.estimation.residuals.courses import scores
+from pincal.estimation.residuals.courses import scores, slips
+from pincal.estimation.residuals.redundancy import Form, above, of_forms, together
 from pincal.estimation.residuals.score import Residuals
-from pincal.estimation.residuals.slips import slips
 
 Array = NDArray[np.float64]
 NOISE = pincal.Noise(2e-5, 5e-5, 2e-5)

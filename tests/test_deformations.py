@@ -21,13 +21,13 @@ from pincal.calibration.terms.candidates import with_terms
 from pincal.calibration.terms.kinds import every_pair, said
 from pincal.calibration.terms.screen import screen
 from pincal.errors import MeasurementError, MechanismError, SymmetryError
-from pincal.estimation.conditions.alike_legs import evaluated
+from pincal.estimation.blocks.alike_legs import evaluated
 from pincal.kinematics.configurations import planned_influences
 from pincal.kinematics.derivatives import Demand
-from pincal.kinematics.influences.loads import gravity_loads
-from pincal.model.joint import Joint
+from pincal.kinematics.influences import gravity_loads
+from pincal.model.leg import Joint
 from pincal.model.placement import Coordinate
-from pincal.model.sensors.load import Load
+from pincal.model.terms import Load
 from pincal.symmetry.carry import canonical, carry
 from pincal.symmetry.elements import cyclic, dihedral
 from pincal.workspace.sampling import sample_workspace

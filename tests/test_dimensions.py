@@ -9,11 +9,10 @@ import pytest
 from command_line import run
 
 import pincal
+from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.configurations import joints_at
-from pincal.kinematics.legs.closure import nominal_legs
 from pincal.kinematics.readers import skeleton
-from pincal.show.pictures.dimension_lines import symbol
-from pincal.show.pictures.dimensions import Dimension, dimensions_of
+from pincal.show.pictures.dimensions import Dimension, dimensions_of, symbol
 
 KINDS = ["5R", "3RRR", "3PRR", "3RPR", "6UPS", "delta", "linear_delta", "8cable", "4cable", "6RUS"]
 

@@ -151,7 +151,7 @@ def test_every_finding_is_explained() -> None:
 def test_no_internals_on_the_page_of_errors() -> None:
     """Readers come with the commands that call them; what only other code calls is not there."""
     page = (ROOT / "docs" / "errors.md").read_text(encoding="utf-8")
-    assert "| `pincal import` | `formats.printers.klipper.read_klipper` |" in page
+    assert "| `pincal import` | `formats.klipper.read_klipper` |" in page
     assert "ways_of" not in page
     assert "root_of" not in page
     for table in page.split("|---|---|---|\n")[1:]:
@@ -182,8 +182,8 @@ def raised() -> set[str]:
 def test_every_error_is_raised_and_explained() -> None:
     """Each class of error says its causes and remedies and is raised; wrong input raises no other.
 
-    ``TypeError`` and ``AttributeError`` are for wrong calls, ``ValueError`` for what a reader turns
-    into one of pincal's.
+    ``TypeError`` and ``AttributeError`` are for wrong calls, ``ValueError`` and
+    ``FileExistsError`` for what a reader or a writer turns into one of pincal's.
     """
     kinds = {
         name: kind
@@ -191,7 +191,9 @@ def test_every_error_is_raised_and_explained() -> None:
         if isinstance(kind, type) and issubclass(kind, Exception)
     }
     names = raised() - {"error_type"}  # a reader's argument
-    assert names - set(kinds) <= {"TypeError", "ValueError", "AttributeError", "SystemExit"}
+    assert names - set(kinds) <= {
+        *("TypeError", "ValueError", "AttributeError", "SystemExit", "FileExistsError")
+    }
     assert set(kinds) - names == {"PincalError"}
     for name in names & set(kinds):
         assert "Causes: " in str(kinds[name].__doc__)

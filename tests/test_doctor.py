@@ -20,7 +20,7 @@ from pincal.calibration.calibrate import identify
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.doctor import remedies
 from pincal.calibration.options import Options
-from pincal.files.tables.table_reading import read_table
+from pincal.files.table import read_table
 
 Array = NDArray[np.float64]
 NOISE = pincal.Noise(1e-4, 1e-4, 5e-5)

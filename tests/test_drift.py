@@ -13,9 +13,9 @@ from marks import quick
 from measured import workspace
 
 import pincal
-from pincal.design.drift import drift
-from pincal.design.order import REFERENCE, in_turns, with_reference
-from pincal.show.forecast_summary import drift_lines
+from pincal.design.forecast import drift
+from pincal.design.select import REFERENCE, in_turns, with_reference
+from pincal.show.summary import drift_lines
 
 NOISE = pincal.Noise(2e-5, 2e-5, 1e-5)
 

@@ -21,7 +21,7 @@ import pincal
 from pincal.errors import FileError, MechanismError, PincalError
 from pincal.files import mechanism_writing
 from pincal.files.mechanism_folders import bundled
-from pincal.kinematics.legs.closure import LegClosure
+from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.readers import tips_by_reader
 from pincal.model.home import home_gap
 from pincal.workspace.criteria import in_workspace

@@ -13,10 +13,10 @@ from test_linear_delta import bed, drawn
 
 import pincal
 from pincal.errors import FileError, MeasurementError, MechanismError
+from pincal.formats.delta_printer import DeltaPrinter, delta_printer
 from pincal.formats.figaroh import read_figaroh
-from pincal.formats.printers.delta import DeltaPrinter, delta_printer
-from pincal.formats.printers.klipper import read_klipper, write_klipper
-from pincal.formats.printers.reprap import read_reprap, write_reprap
+from pincal.formats.klipper import read_klipper, write_klipper
+from pincal.formats.reprap import read_reprap, write_reprap
 
 #: A ``printer.cfg`` with what Klipper allows: comments, macros, defaults, a SAVE_CONFIG block.
 CONFIG = """\

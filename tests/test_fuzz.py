@@ -24,15 +24,15 @@ from test_formats import CONFIG
 import pincal
 from pincal.calibration import result_files
 from pincal.errors import PincalError
+from pincal.files import measurements
+from pincal.files.measurement_writing import write_readings
 from pincal.files.mechanism_folders import bundled
-from pincal.files.tables import measurements
-from pincal.files.tables.measurement_writing import write_readings
 from pincal.formats.arm import serial_arm
+from pincal.formats.delta_printer import DeltaPrinter, Expressed
 from pincal.formats.figaroh import read_figaroh
-from pincal.formats.printers.delta import DeltaPrinter, Expressed
-from pincal.formats.printers.klipper import read_klipper, write_klipper
-from pincal.formats.printers.reprap import read_reprap, write_reprap
-from pincal.formats.trees.mjcf import read_mjcf
+from pincal.formats.klipper import read_klipper, write_klipper
+from pincal.formats.mjcf import read_mjcf
+from pincal.formats.reprap import read_reprap, write_reprap
 
 PLANE, SPACE = pincal.load_mechanism("3RRR"), pincal.load_mechanism("6UPS")
 HEIGHTS = """\

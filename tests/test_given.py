@@ -10,9 +10,8 @@ import pytest
 
 import pincal
 from pincal.files.mechanism_folders import bundled
-from pincal.workspace.articular import articular_space
 from pincal.workspace.box import default_grid
-from pincal.workspace.criteria import in_workspace
+from pincal.workspace.criteria import articular_space, in_workspace
 
 FIVE = pincal.load_mechanism("5R")
 POSES = pincal.sample_workspace(FIVE, 12)

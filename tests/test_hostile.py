@@ -16,11 +16,11 @@ from test_formats import CONFIG, config_file
 import pincal
 from pincal.calibration.result_files import read_result
 from pincal.errors import FileError, MeasurementError, MechanismError, PincalError
-from pincal.files.input import LARGEST_FILE
 from pincal.files.mechanism_folders import bundled, mechanism_files
-from pincal.files.tables.table_reading import read_table
-from pincal.formats.printers.klipper import read_klipper
-from pincal.formats.printers.reprap import read_reprap
+from pincal.files.table import read_table
+from pincal.files.text import LARGEST_FILE
+from pincal.formats.klipper import read_klipper
+from pincal.formats.reprap import read_reprap
 
 YAML, LEG, PLATFORM = "mechanism.yaml", "leg_1.urdf", "platform.urdf"
 THREE = pincal.load_mechanism("3RRR")

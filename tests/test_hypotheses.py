@@ -19,10 +19,10 @@ from scipy.spatial.transform import Rotation
 
 import pincal
 from pincal.calibration.hypotheses import plausibility
-from pincal.calibration.hypotheses.leg_fit import LegMeasurements, leg_fits
 from pincal.calibration.hypotheses.plausibility import check_copies, check_noise, check_plausible
-from pincal.kinematics.legs.closing import close
-from pincal.kinematics.legs.closure import LegClosure
+from pincal.calibration.hypotheses.sample import LegMeasurements, leg_fits
+from pincal.kinematics.closing import close
+from pincal.kinematics.closure import LegClosure
 from pincal.model.orientation import columns_of, rotation_of
 from pincal.workspace.criteria import in_workspace
 

@@ -14,7 +14,7 @@ from matplotlib.quiver import Quiver
 from measured import machine
 
 import pincal
-from pincal.show.pictures.image_charts import seen_in
+from pincal.show.pictures.charts import seen_in
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "23_camera_images.py"
 

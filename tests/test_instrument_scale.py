@@ -9,8 +9,8 @@ from command_line import done
 from measured import EXACT, NOISE, machine, workspace
 
 import pincal
-from pincal.design.instrument_scale import SCALE, scale_effect
-from pincal.model.measuring.uncertainty import Systematic
+from pincal.design.forecast import SCALE, scale_effect
+from pincal.model.setup import Systematic
 
 
 @pytest.mark.parametrize("kind", ["3RRR", "6UPS"])

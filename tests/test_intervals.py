@@ -17,8 +17,7 @@ import pincal
 from pincal.calibration.calibrate import prepared
 from pincal.calibration.fits import fitted
 from pincal.cli.commands.calibration import CalibrateOptions
-from pincal.estimation.curvature import curvature
-from pincal.estimation.fit import Fit
+from pincal.estimation.fit import Fit, curvature
 from pincal.estimation.profile import profile
 
 Array = NDArray[np.float64]

@@ -10,11 +10,11 @@ from closed_forms import angles, bends, jacobian, near, poses_near_home, random_
 
 import pincal
 from pincal.files.mechanism_folders import bundled
+from pincal.kinematics import starts
+from pincal.kinematics.closed_forms import rod_geometry
+from pincal.kinematics.closing import close
+from pincal.kinematics.closure import LegClosure, largest_size, nominal_legs
 from pincal.kinematics.inverse import reached
-from pincal.kinematics.legs import starts
-from pincal.kinematics.legs.closed_forms import rod_geometry
-from pincal.kinematics.legs.closing import close
-from pincal.kinematics.legs.closure import LegClosure, largest_size, nominal_legs
 
 GEOMETRIES = [20, pytest.param(200, marks=pytest.mark.slow)]
 MARGIN = 0.1  # elbow sine

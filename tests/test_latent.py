@@ -28,11 +28,11 @@ from scipy.spatial.transform import Rotation
 
 import pincal
 from pincal.calibration.calibrate import prepared
-from pincal.estimation.conditions.observation import Observation
+from pincal.estimation.blocks.observation import Observation
 from pincal.estimation.observability.gauge import find_gauge
 from pincal.estimation.problem import Problem
 from pincal.estimation.unknowns import Unknowns
-from pincal.kinematics.legs.closure import largest_size
+from pincal.kinematics.closure import largest_size
 from pincal.words.sentences import sentence
 
 KINDS = ["5R", "3RRR", "6UPS"]

@@ -11,8 +11,8 @@ from marks import slow_or_fuzz
 from measured import put
 
 import pincal
-from pincal.estimation.observability.weak import weak_pairs
-from pincal.formats.printers.delta import delta_printer
+from pincal.estimation.observability.identifiable import weak_pairs
+from pincal.formats.delta_printer import delta_printer
 from pincal.words.sentences import sentence
 
 PROBE = pincal.Noise(2e-5, 0.0, 0.0)  # of heights [m]

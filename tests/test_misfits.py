@@ -12,10 +12,14 @@ from marks import quick
 from measured import machine, put, seen_from_elsewhere
 
 import pincal
-from pincal.calibration.hypotheses.misaligned import misaligned
-from pincal.calibration.hypotheses.plausibility import check_plausible, explain_misfit, said
-from pincal.estimation.observability.drawings import DIFFER, plausible_changes
-from pincal.show.workspace_errors import errors_at
+from pincal.calibration.hypotheses.plausibility import (
+    check_plausible,
+    explain_misfit,
+    misaligned,
+    said,
+)
+from pincal.estimation.observability.indices import DIFFER, plausible_changes
+from pincal.show.workspace_answers import errors_at
 
 FRAME = pincal.Setup(unknown_frame=True)
 KINDS = ["5R", "3RRR", "6UPS"]

@@ -14,10 +14,10 @@ from measured import workspace
 import pincal
 from pincal.calibration.calibrate import identified, prepared
 from pincal.calibration.calibration import Calibration
-from pincal.calibration.checks.missed import _times, missed
-from pincal.calibration.checks.validation import with_held_out
+from pincal.calibration.missed import _times, missed
 from pincal.calibration.terms.candidates import with_terms
 from pincal.calibration.terms.kinds import said
+from pincal.calibration.validation import with_held_out
 from pincal.design.platform_error import closing_twists
 
 ORIGIN = ("platform", "m")

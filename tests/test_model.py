@@ -13,11 +13,10 @@ from scipy.spatial.transform import Rotation
 
 import pincal
 from pincal.errors import MeasurementError, MechanismError
-from pincal.files.given import as_measurements, as_plan, as_setup
-from pincal.files.given_mechanism import as_mechanism
-from pincal.files.mechanism_folders import bundled
-from pincal.files.tables.measurement_writing import write_measurements, write_poses, write_readings
-from pincal.files.tables.measurements import read_readings
+from pincal.files.measurement_writing import write_measurements, write_poses, write_readings
+from pincal.files.measurements import read_readings
+from pincal.files.mechanism_folders import as_mechanism, bundled
+from pincal.files.read import as_measurements, as_plan, as_setup
 
 THREE = pincal.load_mechanism("3RRR")
 POSES, READINGS = np.zeros((4, 3)), np.ones((4, 3))

@@ -20,8 +20,8 @@ import pincal
 from pincal.errors import MechanismError
 from pincal.files.mechanism_folders import load_mechanism, save_mechanism
 from pincal.formats.arm import serial_arm
-from pincal.formats.trees.mjcf import read_mjcf
-from pincal.formats.trees.urdf import read_urdf
+from pincal.formats.mjcf import read_mjcf
+from pincal.formats.urdf_tree import read_urdf
 
 NAMES = ("Revolute 1", "joint.{}", "arm-joint-{}", "gelenk_ä{}", "{}_joint", "x", "roll", "J{}/a")
 QUARTER_TURNS = (0.0, np.pi / 2, -np.pi / 2, np.pi)

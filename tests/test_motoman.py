@@ -12,7 +12,7 @@ from motoman import SIDES, table_of
 from scipy.spatial.transform import Rotation
 
 import pincal
-from pincal.estimation.observability.drawings import plausible_changes
+from pincal.estimation.observability.indices import plausible_changes
 
 pytestmark = pytest.mark.skipif(
     not all(motoman.data_file(side).is_file() for side in SIDES),

@@ -30,20 +30,18 @@ from scipy.spatial.transform import Rotation
 
 import pincal
 from pincal.formats.arm import serial_arm
-from pincal.formats.trees.calibrated_urdf import calibrated_urdf
-from pincal.formats.trees.closed import closed_mechanism
-from pincal.formats.trees.loops_yaml import read_loops
-from pincal.formats.trees.mjcf import read_mjcf
-from pincal.formats.trees.tree_mjcf import mjcf
-from pincal.formats.trees.tree_of import tree_of
-from pincal.formats.trees.tree_urdf import loops_urdf, loops_yaml
+from pincal.formats.calibrated_urdf import calibrated_urdf
+from pincal.formats.closed import closed_mechanism
+from pincal.formats.loops_yaml import read_loops
+from pincal.formats.mjcf import mjcf, read_mjcf
+from pincal.formats.tree_of import loops_urdf, loops_yaml, tree_of
 from pincal.kinematics.assembly import independent
 from pincal.kinematics.batches import cross
-from pincal.kinematics.legs.closed_forms import closed_form, pointing_slide
-from pincal.kinematics.legs.closure import LegClosure
+from pincal.kinematics.closed_forms import closed_form, pointing_slide
+from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.reach import reach_of
+from pincal.model.home import link_placements
 from pincal.model.leg import Leg
-from pincal.model.links import link_placements
 from pincal.model.placement import Coordinate
 
 FAMILIES = ("5R", "3RRR", "6UPS", "3RPS", "linear_delta", "4cable")
@@ -268,7 +266,7 @@ def test_mjcf_without_mujoco_says_what_to_install(
 ) -> None:
     """Where the extra is absent, the message is the command that installs it."""
     (tmp_path / "robot.xml").write_text(LOOPED.replace("EQUALITY", CONNECT))
-    monkeypatch.setattr("pincal.formats.trees.mjcf.mujoco", lazy_loader.load("no_such_package"))
+    monkeypatch.setattr("pincal.formats.mjcf.mujoco", lazy_loader.load("no_such_package"))
     outcome = run("import", tmp_path / "robot.xml", "-o", tmp_path / "out")
     assert "python -m pip install 'pincal[mujoco]'" in outcome.trouble
 

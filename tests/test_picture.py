@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 
 import pincal
 from pincal.files.mechanism_folders import bundled
-from pincal.show.pictures.painting import paint
+from pincal.show.pictures.parts import paint
 from pincal.show.pictures.picture import Picture
 from pincal.show.style import ACTIVE, PASSIVE
 from pincal.show.view.bodies import Shape, body

@@ -21,9 +21,8 @@ import pincal
 from pincal.calibration.fits import fitted
 from pincal.estimation.residuals.redundancy import Left, every_residual
 from pincal.kinematics.configurations import home_of
-from pincal.show.pictures.dimension_lines import MARK
-from pincal.show.pictures.exploded import GAP, draw_leg, shifts
-from pincal.show.pictures.figure import dimensions_at
+from pincal.show.pictures.dimensions import MARK
+from pincal.show.pictures.figure import GAP, dimensions_at, draw_leg, shifts
 from pincal.show.pictures.sheet import LEVELS, colour_of
 from pincal.show.plots import Plots
 from pincal.show.style import NOMINAL
@@ -104,7 +103,7 @@ def test_expected_errors_over_the_workspace(
     def fail(*_: object) -> None:
         raise pincal.WorkspaceError("none")
 
-    monkeypatch.setattr("pincal.show.workspace_errors.sample_configurations", fail)
+    monkeypatch.setattr("pincal.show.workspace_answers.sample_configurations", fail)
     with pytest.raises(pincal.WorkspaceError, match="no workspace"):
         result.plot.error_map()
 

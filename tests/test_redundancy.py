@@ -15,9 +15,8 @@ from scipy.linalg import block_diag
 import pincal
 from pincal.calibration.fits import fitted
 from pincal.estimation.fit import Fit
-from pincal.estimation.residuals.leg_residuals import leg_residuals
-from pincal.estimation.residuals.redundancy import Left
-from pincal.show.results import noisy_series
+from pincal.estimation.residuals.redundancy import Left, leg_residuals
+from pincal.show.result_tables import noisy_series
 
 EXACT, NOISY = pincal.Noise(1e-4, 1e-4), pincal.Noise(1e-4, 1e-4, 1e-4)
 #: Noise, and how it is calibrated.

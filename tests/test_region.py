@@ -13,10 +13,9 @@ from measured import workspace
 from scipy.spatial.transform import Rotation
 
 import pincal
-from pincal.workspace.articular import articular_space, equal_sums
 from pincal.workspace.axes import Axis
 from pincal.workspace.box import default_grid, default_samples
-from pincal.workspace.criteria import Criteria, in_workspace
+from pincal.workspace.criteria import Criteria, articular_space, equal_sums, in_workspace
 from pincal.workspace.positions import Samples
 
 NONE = pincal.Margins.none()

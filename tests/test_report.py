@@ -18,7 +18,7 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 import pytest
-from command_line import done, run
+from command_line import done
 from lxml import html as lxml_html
 from marks import some_slow
 from matplotlib.figure import Figure
@@ -29,14 +29,12 @@ import pincal
 from pincal.calibration.result_files import as_json
 from pincal.estimation.residuals.robust import Outlier
 from pincal.show.pictures.parts import draw_poses
-from pincal.show.report.answers import Answers
-from pincal.show.report.findings import Findings, findings
+from pincal.show.report.answers import Answers, Findings, findings
 from pincal.show.report.report import Origin, Report
 from pincal.show.report.residual_figures import _Lane
-from pincal.show.result_tables import legs_table, parameters_table
-from pincal.show.results import noisy_series
+from pincal.show.result_tables import legs_table, noisy_series, parameters_table
 from pincal.show.summary import calibration_summary, check_lines
-from pincal.show.workspace_errors import errors_at
+from pincal.show.workspace_answers import errors_at
 from pincal.words.sentences import finding
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
@@ -550,7 +548,7 @@ def test_without_a_workspace(planar: Any, monkeypatch: pytest.MonkeyPatch) -> No
     def fail(*_: object) -> None:
         raise pincal.WorkspaceError("none")
 
-    monkeypatch.setattr("pincal.show.workspace_errors.sample_configurations", fail)
+    monkeypatch.setattr("pincal.show.workspace_answers.sample_configurations", fail)
     report = result.report()
     page = page_of(report)
     assert "over the measured poses" in page.get_element_by_id("answers").text_content()
@@ -600,17 +598,6 @@ def test_calibrate_writes_the_report(work: Path) -> None:
     assert warned.out == ""
     assert warned.err.startswith("warning: the noise was not given")
     assert warned.err.count("\n") == 1
-
-
-def test_nothing_is_written_without_the_report(work: Path, monkeypatch: Any) -> None:
-    """If the report cannot be made, no half result is left behind."""
-
-    def fail(_: object) -> str:
-        raise pincal.FileError("no space")
-
-    monkeypatch.setattr(Report, "html", fail)
-    assert run(*CALIBRATE, "-o", "result").code == 2
-    assert sorted(path.name for path in work.iterdir()) == ["measured.csv", "robot"]
 
 
 @pytest.mark.parametrize(

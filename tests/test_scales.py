@@ -16,8 +16,8 @@ import pincal
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.fits import fitted
 from pincal.calibration.options import Options
+from pincal.estimation.components import Beforehand, Moments, widened
 from pincal.estimation.fit import Fit
-from pincal.estimation.variances.components import Beforehand, Moments, widened
 
 DRAWS = 12
 NOISES = {

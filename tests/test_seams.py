@@ -16,12 +16,12 @@ from scipy.stats import chi2
 
 import pincal
 from pincal.calibration.result_files import read_result
-from pincal.estimation.conditions.alike_legs import evaluated
-from pincal.estimation.conditions.leg_condition import LegCondition
-from pincal.estimation.conditions.observation import Observation
+from pincal.estimation.blocks.alike_legs import evaluated
+from pincal.estimation.blocks.leg_condition import LegCondition
+from pincal.estimation.blocks.observation import Observation
+from pincal.kinematics.closing import sensor_law
+from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.derivatives import Demand
-from pincal.kinematics.legs.closing import sensor_law
-from pincal.kinematics.legs.closure import LegClosure
 from pincal.symmetry.elements import mirror, rotations
 
 Array = NDArray[np.float64]

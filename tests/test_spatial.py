@@ -13,10 +13,10 @@ from measured import workspace
 from scipy.spatial.transform import Rotation
 
 import pincal
-from pincal.estimation.conditions.angles import angle
+from pincal.estimation.blocks.observation import angle
 from pincal.estimation.observability.indices import r_diagonal
-from pincal.kinematics.legs import starts
-from pincal.model.angles import sine_and_cosine
+from pincal.kinematics import starts
+from pincal.model.checks import sine_and_cosine
 from pincal.model.orientation import WAYS, columns_of, rotation_of, tilted
 
 EXACT = pincal.Noise(0.0, 0.0, 0.0)

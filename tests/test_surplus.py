@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 import pincal
 from pincal.design.forecast import forecast
-from pincal.files.tables.measurement_writing import write_poses
-from pincal.files.tables.measurements import read_poses
+from pincal.files.measurement_writing import write_poses
+from pincal.files.measurements import read_poses
 
 Array = NDArray[np.float64]
 NOISE = pincal.Noise(1e-4, 1e-4, 0.0)

@@ -17,8 +17,8 @@ from rich.console import Console
 
 import pincal
 from pincal.files.mechanism_folders import bundled
-from pincal.model.sensors.sensor import sensor_laws
-from pincal.show.symmetry_tables import symmetry_table
+from pincal.model.sensor import sensor_laws
+from pincal.show.tables import symmetry_table
 from pincal.symmetry.carry import canonical, carry
 from pincal.symmetry.detect import nearest_group
 

@@ -17,11 +17,10 @@ from sheets import sheet
 
 import pincal
 from pincal.errors import FileError, MeasurementError, PincalError
-from pincal.files.input import LARGEST
-from pincal.files.tables.measurement_writing import write_readings
-from pincal.files.tables.measurements import read_readings
-from pincal.files.tables.table import write_table
-from pincal.files.tables.table_reading import read_table
+from pincal.files.measurement_writing import write_readings
+from pincal.files.measurements import read_readings
+from pincal.files.table import read_table, write_table
+from pincal.files.text import LARGEST
 
 Array = NDArray[np.float64]
 KINDS = {name: pincal.load_mechanism(name) for name in ("3RRR", "5R")}

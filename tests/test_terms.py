@@ -18,14 +18,14 @@ from pincal.calibration.terms.candidates import with_terms
 from pincal.calibration.terms.kinds import said
 from pincal.cli.commands.calibration import CalibrateOptions
 from pincal.errors import MeasurementError, MechanismError
-from pincal.estimation.conditions.alike_legs import evaluated
+from pincal.estimation.blocks.alike_legs import evaluated
+from pincal.kinematics.closing import sensor_law
+from pincal.kinematics.closure import LegClosure, joint_range
 from pincal.kinematics.configurations import planned_influences
 from pincal.kinematics.derivatives import Demand
-from pincal.kinematics.influences.columns import influences_of, sides
-from pincal.kinematics.legs.closing import sensor_law
-from pincal.kinematics.legs.closure import LegClosure, joint_range
-from pincal.model.sensors.load import Load
-from pincal.model.sensors.monotonic import turning
+from pincal.kinematics.influences import influences_of, sides
+from pincal.model.sensor import turning
+from pincal.model.terms import Load
 
 EXACT = pincal.Noise(1e-7, 1e-7, 1e-7)
 FORMS = {

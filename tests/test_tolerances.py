@@ -15,7 +15,7 @@ from scipy.stats import multivariate_normal
 import pincal
 from pincal.calibration.calibrate import prepared, started
 from pincal.calibration.fits import fitted
-from pincal.estimation.variances.evidence import Evidence, likeliest
+from pincal.estimation.noise import Evidence, likeliest
 
 Array = NDArray[np.float64]
 NOISE = pincal.Noise(1e-4, 1e-4, 2e-5)

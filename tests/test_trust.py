@@ -15,12 +15,10 @@ from scipy.stats import chi2, f
 
 import pincal
 from pincal.calibration.calibration import Calibration
-from pincal.calibration.checks.folds import folds_of
-from pincal.calibration.checks.least import least_of_folds
-from pincal.calibration.checks.runs import compare_runs
-from pincal.calibration.fits import fitted
-from pincal.calibration.near import Near
-from pincal.calibration.options import Options
+from pincal.calibration.fits import Near, fitted
+from pincal.calibration.missed import least_of_folds
+from pincal.calibration.options import Options, folds_of
+from pincal.calibration.runs import compare_runs
 from pincal.show.summary import check_lines
 from pincal.words.numbers import amount
 from pincal.words.sentences import finding, sentence

@@ -11,10 +11,9 @@ from command_line import done, run
 from measured import machine
 
 import pincal
-from pincal.files.tables.measurements import read_measurements, read_readings
-from pincal.files.tables.table_reading import read_table
-from pincal.files.tables.units import Units
-from pincal.model.units import UNITS
+from pincal.files.measurements import read_measurements, read_readings
+from pincal.files.table import read_table
+from pincal.model.units import UNITS, Units
 from pincal.words.numbers import SMALL, reading_in, shown_in
 
 NOISE = pincal.Noise(1e-4, 1e-4, 1e-5)

@@ -20,7 +20,7 @@ from command_line import contents, done, run
 
 import pincal
 from pincal.kinematics.readers import skeleton
-from pincal.model.links import link_placements
+from pincal.model.home import link_placements
 from pincal.show.view.bodies import Body, body
 from pincal.show.view.scene import scene
 from pincal.symmetry.detect import in_domain

@@ -11,9 +11,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 import pincal
 from pincal.calibration.fits import fitted
-from pincal.show.report.linked import LinkedPage
-from pincal.show.report.report import report
-from pincal.show.report.verdicts import verdicts
+from pincal.show.report.report import LinkedPage, report, verdicts
 from pincal.show.style import ERRORS, shades
 from pincal.show.view.calibrated import calibrated, stations
 from pincal.show.view.calibrated import misses as misses_of

@@ -21,7 +21,7 @@ from pincal.kinematics.readers import skeleton
 from pincal.show.style import DARK, LEGS
 from pincal.show.view.scene import scene
 from pincal.show.view.view import View
-from pincal.words import views
+from pincal.words import wording as views
 from pincal.words.numbers import POSES, per_si
 
 pytestmark = pytest.mark.slow

@@ -14,7 +14,7 @@ import pytest
 from lxml import html as lxml_html
 
 from pincal import load_mechanism
-from pincal.estimation.observability.weak import WeakPair
+from pincal.estimation.observability.identifiable import WeakPair
 from pincal.show.summary import weak_lines
 from pincal.words.hypotheses import HYPOTHESES, cause
 from pincal.words.numbers import (

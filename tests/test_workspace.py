@@ -11,8 +11,8 @@ from marks import quick, some_slow
 
 import pincal
 from pincal.kinematics.singularity import rods_margin
-from pincal.workspace.component import HomeComponent
 from pincal.workspace.criteria import in_workspace
+from pincal.workspace.sampling import HomeComponent
 
 BENDS = {"3RRR": [-1, -1, -1], "5R": [-1, 1]}
 

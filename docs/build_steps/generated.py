@@ -14,7 +14,7 @@ import pincal
 from build_steps.names import GROUPS, RETURNED
 from pincal.cli.app import app
 from pincal.files.schema import MechanismSpec
-from pincal.files.setups import _SetupSpec
+from pincal.files.yaml import _SetupSpec
 
 FOLDER = Path("reference") / "made"
 SCHEMAS = {"mechanism": MechanismSpec, "setup": _SetupSpec}

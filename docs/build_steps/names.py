@@ -23,8 +23,8 @@ GROUPS = {
 #: What functions return, by the module that holds it.
 RETURNED = """
 pincal.calibration.result.IdentifiedParameter
-pincal.calibration.checks.runs.RunComparison
-pincal.calibration.checks.validation.Validation
+pincal.calibration.runs.RunComparison
+pincal.calibration.validation.Validation
 pincal.design.forecast.Forecast
 pincal.design.platform_error.PlatformError
 pincal.design.select_configurations.ConfigurationChoice
@@ -39,7 +39,7 @@ pincal.show.pictures.picture.Picture
 pincal.show.view.view.View
 pincal.symmetry.detect.SymmetryGroup
 pincal.words.table.Table
-pincal.workspace.articular.ArticularSymmetry
+pincal.workspace.criteria.ArticularSymmetry
 pincal.workspace.axes.Axis
 pincal.workspace.positions.Samples
 """

@@ -7,21 +7,18 @@ from math import atan2, pi
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pincal.architectures.dimension import Architecture, Dimension, Values
 from pincal.errors import MechanismError
-from pincal.files.tables.table import is_dataframe
-from pincal.files.tables.table_reading import read_table
+from pincal.files.table import is_dataframe, read_table
 from pincal.formats.arm import arm, load_arm
-from pincal.model.joint import Joint
-from pincal.model.leg import Leg
+from pincal.model.leg import Joint, Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.placement import Placement, Step, placement_of
 from pincal.model.platform import Platform
-from pincal.model.sensors.sensor import Sensor
+from pincal.model.sensor import Sensor
+from pincal.types import Array
 
-Array = NDArray[np.float64]
 _LABELS = {
     f"{letter}_{axis}": f"{what}, {axis}"
     for letter, what in (("A", "anchor"), ("b", "platform's corner"))

@@ -7,16 +7,14 @@ from dataclasses import dataclass
 from math import degrees
 from typing import Any, TypeAlias
 
-import numpy as np
-from numpy.typing import NDArray
-
 from pincal.errors import MechanismError
 from pincal.model.checks import must_be, number_of
 from pincal.model.mechanism import Mechanism
+from pincal.types import Array
 
 #: Dimensions by name: lengths [m], angles [rad], and texts.
 Values: TypeAlias = Mapping[str, Any]
-Corner: TypeAlias = "Sequence[float] | NDArray[np.float64]"
+Corner: TypeAlias = "Sequence[float] | Array"
 
 
 @dataclass(frozen=True)

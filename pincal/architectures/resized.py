@@ -14,7 +14,7 @@ from math import acos, asin, pi, radians, sqrt
 from pincal.architectures.dimension import Architecture, Dimension, Values
 from pincal.errors import MechanismError
 from pincal.files.mechanism_folders import load_mechanism
-from pincal.model.joint import Joint
+from pincal.model.leg import Joint
 from pincal.model.mechanism import Mechanism
 from pincal.model.placement import Placement
 from pincal.symmetry.elements import wrapped

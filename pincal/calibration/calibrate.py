@@ -7,22 +7,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pincal.blas import on_one_thread
-from pincal.calibration.assemble import assemble
+from pincal.calibration.assemble import assemble, wrong_rows
 from pincal.calibration.calibration import Calibration
-from pincal.calibration.checks.wrong_rows import wrong_rows
 from pincal.calibration.fits import Fits, fitted
-from pincal.calibration.hypotheses.misaligned import misaligned
+from pincal.calibration.hypotheses.faults import zeros_found, zeros_measured
 from pincal.calibration.hypotheses.plausibility import (
     check_copies,
     check_noise,
     explain_misfit,
     implausible,
+    misaligned,
     said,
 )
-from pincal.calibration.hypotheses.zeros import zeros_found, zeros_measured
 from pincal.calibration.options import AUTO, Options
 from pincal.calibration.result import CalibrationResult
 from pincal.calibration.terms.candidates import extended
@@ -31,15 +29,14 @@ from pincal.calibration.terms.kinds import columns_said, every_pair
 from pincal.calibration.terms.kinds import said as said_terms
 from pincal.calibration.tolerances import with_found_tolerance, with_unsure_tolerances
 from pincal.errors import MisfitError, ObservabilityError, PincalError
-from pincal.estimation.conditions.external import External
-from pincal.files.given import as_measurements
-from pincal.files.given_mechanism import as_mechanism
+from pincal.estimation.blocks.external import External
+from pincal.files.mechanism_folders import as_mechanism
+from pincal.files.read import as_measurements
 from pincal.finding import Finding
-from pincal.model.measuring.measurements import Measurements
+from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
+from pincal.types import Array
 from pincal.words.sentences import finding
-
-Array = NDArray[np.float64]
 
 
 def calibrate(

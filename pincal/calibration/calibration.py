@@ -8,27 +8,23 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pincal.calibration.options import Options
 from pincal.errors import MeasurementError, ObservabilityError
-from pincal.estimation.conditions.external import External
-from pincal.estimation.conditions.leg_condition import LegCondition
-from pincal.estimation.conditions.observation import Observation
+from pincal.estimation.blocks.external import External
+from pincal.estimation.blocks.leg_condition import LegCondition
+from pincal.estimation.blocks.observation import Observation
 from pincal.estimation.linear import State
+from pincal.estimation.noise import FoundTolerance, NoiseModel, noise_model
 from pincal.estimation.problem import Problem
 from pincal.estimation.start import align_start, check_start
 from pincal.estimation.unknowns import Unknowns, unknowns
-from pincal.estimation.variances.evidence import FoundTolerance
-from pincal.estimation.variances.noise import NoiseModel, noise_model
 from pincal.kinematics.configurations import planned_influences
-from pincal.kinematics.influences.columns import by_name, influence_columns
-from pincal.model.measuring.measurements import Measurements, Noise
-from pincal.model.measuring.setup import ORIGIN
+from pincal.kinematics.influences import by_name, influence_columns
+from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from pincal.model.setup import ORIGIN
+from pincal.types import Array, Index, Mask
 
 
 @dataclass(frozen=True)
@@ -114,7 +110,7 @@ class Calibration:
         options = replace(self.options, **changes)
         return replace(self, options=options, known_noise=self.noise)
 
-    def rows(self, chosen: NDArray[np.intp] | Mask) -> Calibration:
+    def rows(self, chosen: Index | Mask) -> Calibration:
         """Return the calibration on some of its rows, their noise as it is."""
         own = self.noise
         known = replace(own, poses=own.poses.rows(chosen), readings=own.readings[chosen])
@@ -191,7 +187,7 @@ class Calibration:
             seen.add(key)
         return found
 
-    def condition(self, leg: int, rows: NDArray[np.intp]) -> LegCondition:
+    def condition(self, leg: int, rows: Index) -> LegCondition:
         """Return what a leg demands at some rows of the measurements."""
         mechanism = self.mechanism
         readings = self.measurements.readings[rows][:, mechanism.reading_columns[leg]]
@@ -253,7 +249,7 @@ class Calibration:
 
     def measured_problem(
         self, legs: Sequence[int], poses: Array, roots: Array
-    ) -> tuple[Problem, NDArray[np.intp]]:
+    ) -> tuple[Problem, Index]:
         """Return the problem of some legs, poses as measured, and the rows that serve them.
 
         Args:

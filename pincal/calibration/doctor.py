@@ -17,15 +17,15 @@ import numpy as np
 from pincal.blas import on_one_thread
 from pincal.calibration.calibrate import identify
 from pincal.calibration.calibration import Calibration
-from pincal.calibration.checks.checked import checked
 from pincal.calibration.hypotheses.plausibility import check_noise, hypotheses_of
 from pincal.calibration.hypotheses.ranking import Judged
 from pincal.calibration.hypotheses.sample import whole_sample
 from pincal.calibration.result import CalibrationResult
+from pincal.calibration.validation import checked
 from pincal.errors import MeasurementError, PincalError
 from pincal.finding import Finding
-from pincal.model.measuring.measurements import Measurements
-from pincal.model.measuring.setup import ORIGIN, Setup
+from pincal.model.measurements import Measurements
+from pincal.model.setup import ORIGIN, Setup
 
 _FEW = 0.25  # of the rows: more that do not fit are no outliers
 

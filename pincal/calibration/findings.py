@@ -6,26 +6,26 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from pincal.calibration.fits import Fits
 from pincal.calibration.promise import UNEXPLAINED
 from pincal.calibration.result import CalibrationResult
-from pincal.estimation.curvature import curvature
-from pincal.estimation.observability.drawings import DIFFER, plausible_changes
-from pincal.estimation.observability.unobservable import Held
-from pincal.estimation.residuals.chances import together
+from pincal.estimation.components import Moments
+from pincal.estimation.fit import curvature
+from pincal.estimation.noise import assumed_noise
+from pincal.estimation.observability.identifiable import Held
+from pincal.estimation.observability.indices import DIFFER, plausible_changes
 from pincal.estimation.residuals.courses import Score, scores
 from pincal.estimation.residuals.losses import FALSE_ALARM
+from pincal.estimation.residuals.redundancy import together
 from pincal.estimation.residuals.robust import Robust
-from pincal.estimation.variances.components import Moments
-from pincal.estimation.variances.noise import assumed_noise
 from pincal.finding import Finding
-from pincal.kinematics.legs.closure import largest_size
+from pincal.kinematics.closure import largest_size
 from pincal.model.checks import ROUNDING
-from pincal.model.measuring.measurements import Measurements
-from pincal.model.measuring.setup import ORIGIN, Setup
+from pincal.model.measurements import Measurements
+from pincal.model.setup import ORIGIN, Setup
+from pincal.types import Index
 from pincal.words.sentences import finding
 
 
@@ -191,7 +191,7 @@ def lacking(fits: Fits) -> list[Finding]:
     return clear
 
 
-def _again(data: Measurements, rows: NDArray[np.intp]) -> dict[str, NDArray[np.intp]]:
+def _again(data: Measurements, rows: Index) -> dict[str, Index]:
     """Return which rows of a fit are of poses that were measured again through the run."""
     names = np.array(data.places or ("",) * len(data))[rows]
     found = {str(name): np.flatnonzero(names == name) for name in np.unique(names) if name}

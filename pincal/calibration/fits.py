@@ -10,26 +10,57 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pincal.calibration.calibration import Calibration
-from pincal.calibration.near import Near
 from pincal.errors import MeasurementError, ObservabilityError
-from pincal.estimation.conditions.external import External
+from pincal.estimation.blocks.external import External
+from pincal.estimation.components import Beforehand, Moments, estimated_noise, widened
+from pincal.estimation.linear import State
+from pincal.estimation.noise import assumed_noise
 from pincal.estimation.observability.gauge import Gauge, find_gauge
-from pincal.estimation.observability.unobservable import Held, hold_unobservable
+from pincal.estimation.observability.identifiable import Held, hold_unobservable
 from pincal.estimation.problem import Problem
 from pincal.estimation.residuals.losses import Loss, loss_of
 from pincal.estimation.residuals.robust import Robust, robust_fit
 from pincal.estimation.system import System
 from pincal.estimation.unknowns import Unknowns
-from pincal.estimation.variances.components import Beforehand, Moments, estimated_noise, widened
-from pincal.estimation.variances.noise import assumed_noise
-from pincal.kinematics.legs.closure import largest_size
-from pincal.model.measuring.measurements import Noise
+from pincal.kinematics.closure import largest_size
+from pincal.model.measurements import Noise
 from pincal.model.mechanism import Mechanism
+from pincal.types import Array, Mask
 
-Array = NDArray[np.float64]
+
+@dataclass(frozen=True)
+class Near:
+    """Where all legs at once were identified from other rows, or from the same ones before."""
+
+    state: State
+    fits: Fits | None = None
+    """The fits that ended there, whose gauge may be the same; None if they are not at hand."""
+
+    @classmethod
+    def of(cls, fits: Fits, rows: Mask) -> Near:
+        """Return where fits of all legs at once ended, at some of their rows, shape (N,)."""
+        return cls(fits.fits[0].fit.last.state.rows(np.flatnonzero(rows)), fits)
+
+    def gauge(self, problem: Problem, unknowns: Unknowns) -> Gauge | None:
+        """Return the fits' gauge if it is a problem's too: the same is free, measured and known."""
+        if self.fits is None or self.fits.unknowns is None:
+            return None
+        whole, free = self.fits.fits[0].fit.problem, self.fits.unknowns
+        same = (
+            free.labels == unknowns.labels
+            and np.array_equal(free.map, unknowns.map)
+            and np.array_equal(free.priors, unknowns.priors, equal_nan=True)
+            and _said(whole) == _said(problem)
+        )
+        return self.fits.gauge if same else None
+
+
+def _said(problem: Problem) -> tuple[list[bool], dict[str, bool]]:
+    """Return what is measured in some row, and which influences are known in some."""
+    known = {name: bool(np.isfinite(own).any()) for name, own in problem.influences.items()}
+    return [bool(own.any()) for own in problem.observation.measured.T], known
 
 
 @dataclass(frozen=True)

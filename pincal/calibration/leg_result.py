@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pincal.model.parameter import Parameter
+from pincal.types import Array, Index
 from pincal.words.numbers import SMALL, VALUES, ends, fixed, measured, shown_in, uneven
 
-Array = NDArray[np.float64]
 HELD = "held nearest to nominal"
 
 
@@ -83,7 +82,7 @@ class LegResult:
     n_residuals: int
     sigma: Array
     """Modelled standard deviation of each residual used, shape (n_residuals,)."""
-    rows: NDArray[np.intp]
+    rows: Index
     """Rows of the measurements used, shape (n_residuals,)."""
     residuals_before: Array
     """Residuals with nominal parameters, shape (n_residuals,)."""
@@ -142,7 +141,7 @@ class Observed:
     """Root mean square of predicted less measured."""
     sigma: float
     """Root mean square standard deviation of the measurements."""
-    rows: NDArray[np.intp]
+    rows: Index
     """Rows of the measurements, shape (count,)."""
     sigmas: Array
     """Standard deviations of the measurements, shape (count,)."""

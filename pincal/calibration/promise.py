@@ -7,10 +7,9 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pincal.calibration.calibration import Calibration
-from pincal.calibration.confidence import unseen
+from pincal.calibration.covariance import unseen
 from pincal.calibration.leg_result import LegResult, Observed
 from pincal.design.platform_error import (
     PlatformError,
@@ -20,16 +19,15 @@ from pincal.design.platform_error import (
     root_mean_squares,
     sizes,
 )
-from pincal.estimation.conditions.external import External
+from pincal.estimation.blocks.external import External
 from pincal.finding import Finding
-from pincal.model.measuring.measurements import Plan
+from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
+from pincal.types import Array, Mask
 
 if TYPE_CHECKING:
     from pincal.calibration.result import CalibrationResult
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 _SAME = 1e-6  # by which the uncertainty of one pose may differ by rounding
 UNEXPLAINED = 1e-4  # probability of a χ² at which the noise as given is questioned
 #: Findings that contradict the model or its noise.

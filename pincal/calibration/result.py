@@ -8,12 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pincal.calibration.calibration import Calibration
-from pincal.calibration.checks.folds import FOLDS, By
 from pincal.calibration.leg_result import IdentifiedParameter, LegResult, Observed, TieTest
-from pincal.calibration.options import Options
+from pincal.calibration.options import FOLDS, By, Options
 from pincal.calibration.promise import (
     contradictions,
     corrects,
@@ -24,23 +22,22 @@ from pincal.calibration.promise import (
     whitened,
 )
 from pincal.design.platform_error import PlatformError
-from pincal.estimation.conditions.external import External
-from pincal.estimation.observability.weak import WeakPair, weak_pairs
+from pincal.estimation.blocks.external import External
+from pincal.estimation.observability.identifiable import WeakPair, weak_pairs
 from pincal.estimation.residuals.robust import Outlier
 from pincal.finding import Finding
-from pincal.model.measuring.measurements import Measurements, Noise, Plan
+from pincal.model.measurements import Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.parameter import Parameters
+from pincal.types import Array
 from pincal.words.numbers import rounded
 from pincal.words.sentences import sentences
 
 if TYPE_CHECKING:
-    from pincal.calibration.checks.runs import RunComparison
-    from pincal.calibration.checks.validation import Validation
+    from pincal.calibration.runs import RunComparison
+    from pincal.calibration.validation import Validation
     from pincal.show.plots import Plots
     from pincal.show.report.report import Report
-
-Array = NDArray[np.float64]
 
 
 class Page(Protocol):
@@ -308,7 +305,7 @@ class CalibrationResult:
                 converge.
             ObservabilityError: what is left does not determine the parameters.
         """
-        from pincal.calibration.checks.validation import with_held_out
+        from pincal.calibration.validation import with_held_out
 
         return with_held_out(self, folds, by)
 
@@ -319,7 +316,7 @@ class CalibrationResult:
             MeasurementError: no runs, or only one; a run whose fit does not converge.
             ObservabilityError: a run that does not determine the parameters alone.
         """
-        from pincal.calibration.checks.runs import runs_compared
+        from pincal.calibration.runs import runs_compared
 
         found = runs_compared(self.calibration)
         return replace(self, runs=found, findings=(*self.findings, *found.findings))

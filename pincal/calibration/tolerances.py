@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from pincal.calibration.calibration import Calibration
@@ -17,12 +16,10 @@ from pincal.calibration.fits import BY, Fits, fitted
 from pincal.calibration.options import AUTO
 from pincal.design.platform_error import CONFIDENCE
 from pincal.errors import MeasurementError
-from pincal.estimation.observability.drawings import DIFFER
-from pincal.estimation.variances.evidence import Evidence, FoundTolerance, likeliest
-from pincal.kinematics.legs.closure import largest_size
+from pincal.estimation.noise import Evidence, FoundTolerance, likeliest
+from pincal.estimation.observability.indices import DIFFER
+from pincal.kinematics.closure import largest_size
 from pincal.model.checks import ALIKE
-
-Array = NDArray[np.float64]
 
 
 def with_found_tolerance(calibration: Calibration) -> Calibration:

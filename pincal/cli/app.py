@@ -7,6 +7,7 @@ no matter of the commands: ``command`` gives them the options and turns the cons
 from __future__ import annotations
 
 import inspect
+import io
 import logging
 import os
 import re
@@ -19,6 +20,7 @@ from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
+import numpy as np
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -26,8 +28,9 @@ from rich.text import Text
 from typer.core import TyperArgument, TyperGroup
 
 from pincal import __version__
-from pincal.files.input import sparing_inputs
+from pincal.errors import PincalError
 from pincal.files.json_text import json_text
+from pincal.files.text import sparing_inputs
 
 _WIDTH = None if sys.stdout and sys.stdout.isatty() else 100  # of tables in a file or pipe
 
@@ -285,3 +288,42 @@ def warn(text: str) -> None:
 def wrote(path: str | Path) -> None:
     """Say which file was written."""
     remark(f"wrote {path}")
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Run the command line; leaves by ``SystemExit``: 0 done, 1 not converged, 2 wrong input.
+
+    Args:
+        argv: What was typed behind ``pincal``; that of the process if not given.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # χ and ± where the encoding lacks them
+            stream.reconfigure(errors="replace")
+    os.environ["MPLBACKEND"] = "agg"  # nothing is drawn on a screen
+    remember(sys.argv[1:] if argv is None else argv)
+    listen()
+    try:
+        app(args=argv, prog_name="pincal")
+    except PincalError as error:
+        stderr.print(f"pincal: {error}", style="bold red", markup=False, highlight=False)
+        sys.exit(2)
+    except OSError as error:  # of files, errors are PincalErrors
+        stderr.print(f"pincal: cannot write the answer: {error.strerror}", style="bold red")
+        sys.exit(2)
+    except MemoryError as error:
+        stderr.print(
+            f"pincal: not enough memory ({error}); ask for less at once",
+            style="bold red",
+            markup=False,
+            highlight=False,
+        )
+        sys.exit(2)
+    except np.linalg.LinAlgError as error:
+        stderr.print(
+            f"pincal: numbers of sizes with which nothing can be computed ({error}): look for "
+            "values in the files and options that are far too large or too small",
+            style="bold red",
+            markup=False,
+            highlight=False,
+        )
+        sys.exit(2)

@@ -11,14 +11,13 @@ from typing import Annotated
 import typer
 
 from pincal.cli.app import Seed
-from pincal.files.input import plain_number
 from pincal.files.mechanism_folders import load_mechanism
-from pincal.files.setups import read_setup
-from pincal.files.tables.units import Units, counts_of
-from pincal.model.measuring.measurements import Noise
-from pincal.model.measuring.setup import ORIGIN, Setup
+from pincal.files.text import plain_number
+from pincal.files.yaml import read_setup
+from pincal.model.measurements import Noise
 from pincal.model.mechanism import Mechanism
-from pincal.model.units import UNITS
+from pincal.model.setup import ORIGIN, Setup
+from pincal.model.units import UNITS, Units, counts_of
 
 _NUMBER = re.compile(r"\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?|[-+]?(?:nan|inf))\s*\[?([^\d\s\]]*)\]?\s*")
 

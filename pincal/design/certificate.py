@@ -18,15 +18,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import lapack, qr
 
 from pincal.design.criteria import Held, Parts, Rows, most_of, squares
 from pincal.errors import ObservabilityError
 from pincal.model.checks import ROUNDING
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
+from pincal.types import Array, Index
 
 
 @dataclass(frozen=True)

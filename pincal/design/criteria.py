@@ -18,11 +18,10 @@ from functools import lru_cache
 from typing import Protocol, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pincal.kinematics.batches import chunks
+from pincal.types import Array, Index
 
-Array = NDArray[np.float64]
 Parts: TypeAlias = tuple[Array, ...]
 """Of each part of the parameters, the rows of candidates, (M, r, n), or its M⁻¹, (S, n, n)."""
 
@@ -185,7 +184,7 @@ def _forms(squared: Array, matrices: Array) -> Array:
 
 
 @lru_cache(maxsize=16)
-def _half(n: int) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
+def _half(n: int) -> tuple[Index, Index, Array]:
     """Return rows and columns of the upper half of a matrix, and how often each number is there."""
     upper, lower = np.triu_indices(n)
     return upper, lower, np.where(upper == lower, 1.0, 2.0)
@@ -222,7 +221,6 @@ def _log_det(K: Array, sign: float) -> Array:
     return found
 
 
-Index = NDArray[np.intp]
 Some: TypeAlias = Index | slice
 """Places of candidates."""
 _AT_ONCE = 8192  # candidates looked at: their products stay near the processor

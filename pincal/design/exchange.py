@@ -13,7 +13,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pincal.design.criteria import (
     Criterion,
@@ -28,9 +27,7 @@ from pincal.design.criteria import (
 from pincal.errors import ObservabilityError
 from pincal.kinematics.batches import chunks, solve
 from pincal.model.checks import ROUNDING
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
+from pincal.types import Array, Index
 
 
 @dataclass(frozen=True)
@@ -317,7 +314,7 @@ def accurate_design(blocks: Array, C: Array) -> AccurateDesign:
     rows = np.linalg.solve(factor.T, blocks.reshape(-1, n).T).T.reshape(count, r, n)
     C = np.linalg.solve(factor.T, C)
 
-    def share(pool: NDArray[np.intp], weights: Array) -> Array:
+    def share(pool: Index, weights: Array) -> Array:
         """Return ψⱼ / Φ of all candidates at weights of some, and Φ behind."""
         used = rows[pool].reshape(-1, n)
         M = (used * np.repeat(weights, r)[:, None]).T @ used

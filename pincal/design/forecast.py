@@ -8,41 +8,41 @@ have in common, the pose, measured once, and poses that were chosen for other le
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pincal.blas import on_one_thread
-from pincal.design.estimable import (
+from pincal.design.information import (
     Estimable,
     Method,
     all_legs,
     apart_from_frames,
     check_whole,
     each_leg,
+    information_rows,
+    parameter_ids,
+    pseudo_inverse,
 )
-from pincal.design.information import information_rows, parameter_ids
 from pincal.design.platform_error import PlatformError, platform_error
 from pincal.errors import MeasurementError
-from pincal.estimation.observability.drawings import nearest_to_nominal
-from pincal.estimation.observability.indices import NEGLIGIBLE
-from pincal.estimation.observability.weak import WeakPair, weak_pairs
-from pincal.files.given import as_noise, as_setup
-from pincal.files.given_mechanism import GivenMechanism, as_mechanism
+from pincal.estimation.observability.identifiable import WeakPair, weak_pairs
+from pincal.estimation.observability.indices import NEGLIGIBLE, nearest_to_nominal
+from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
+from pincal.files.read import as_noise, as_setup
 from pincal.kinematics.configurations import as_plan, check_reached, legs_at
-from pincal.model.measuring.measurements import Noise, Plan
-from pincal.model.measuring.setup import Setup
+from pincal.model.checks import ALIKE
+from pincal.model.measurements import Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.overview import ROWS
+from pincal.model.setup import Setup, Systematic
+from pincal.types import Array
 from pincal.words.numbers import amount
 
 if TYPE_CHECKING:
     from pandas import DataFrame
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -202,4 +202,102 @@ def forecast(
         gauge=gauge,
         frames=frames,
         when=when,
+    )
+
+
+@dataclass(frozen=True)
+class Drift:
+    """What drifts of all quantities, each by one standard deviation over the run, leave as bias."""
+
+    shifts: Array
+    """Of each parameter by each reading, then by each quantity measured, but for a sign, shape
+    (n, s), [m], [rad] or [1]."""
+    relative: Array
+    """Of each parameter by all quantities, root of the sum of squares, in standard errors, (n,);
+    NaN where these are not known."""
+    most: float
+    """The largest of these; NaN where no standard error is known."""
+    worst: str
+    """Id of the parameter that this moves most, of those whose standard errors are known."""
+    platform: PlatformError
+    """What it leaves of errors of the platform."""
+    share: float
+    """Of the platform's position, or of its orientation if that is more: over the standard
+    error; NaN where that is not known."""
+
+
+def drift(found: Forecast, poses: Plan | Array, expected: PlatformError | None = None) -> Drift:
+    """Return what a drift over the run would do to what was forecast.
+
+    Args:
+        found: The forecast of a plan in its order.
+        poses: Where the platform's errors are taken, shape (N, dof), or a plan.
+        expected: The error that the noise leaves there, if it is known already.
+    """
+    shifts = np.einsum("n,nis->is", found.when, found.influence)
+    bias = np.linalg.norm(shifts, axis=1)
+    known = np.isfinite(found.std) & (found.std > 0.0)
+    relative = np.where(known, bias / np.where(known, found.std, 1.0), np.nan)
+    there = platform_error(found.mechanism, shifts @ shifts.T, poses, found.lost, found.frames)
+    error = expected or found.platform_error(poses)
+    pairs = ((there.position, error.position), (there.orientation, error.orientation))
+    shares = [a / b for a, b in pairs if 0.0 < b < np.inf]
+    return Drift(
+        shifts=shifts,
+        relative=relative,
+        most=float(np.nan_to_num(relative).max()) if known.any() else np.nan,
+        worst=parameter_ids(found.mechanism)[_first_largest(np.nan_to_num(relative))],
+        platform=there,
+        share=max(shares, default=np.nan),
+    )
+
+
+def _first_largest(values: Array) -> int:
+    """Return where the largest value is; the first, where symmetry makes several alike."""
+    return int(np.argmax(values >= (1.0 - ALIKE) * values.max()))
+
+
+SCALE = 1e-4
+"""Relative: a tracker or camera that was set up badly."""
+
+
+@dataclass(frozen=True)
+class ScaleEffect:
+    """What lengths do that are all measured a ten-thousandth too long."""
+
+    seen: float
+    """Root of what that adds to χ²: standard deviations by which a test made for it sees it."""
+    platform: PlatformError
+    """By how much it is off then."""
+    said: bool
+    """Whether the setup says how well the scale is known."""
+
+
+def scale_effect(
+    found: Forecast, plan: Plan, over: Plan | Array, noise: Noise, setup: Setup
+) -> ScaleEffect | None:
+    """Return what a wrong scale would do to what was forecast; None if no lengths are measured.
+
+    Args:
+        found: The forecast, of all legs together.
+        plan: The plan of which it is.
+        over: Where the platform's errors are taken, shape (N, dof), or a plan.
+        noise: Standard deviations of what is measured.
+        setup: What measured numbers will mean.
+    """
+    mechanism = found.mechanism
+    legs = legs_at(mechanism, plan.rows(~plan.verifying))
+    scaled = replace(setup, systematic=Systematic(scale=SCALE))
+    known = information_rows(mechanism, legs, noise, found.measured, scaled)
+    rows, off = known.rows.reshape(-1, known.rows.shape[2]), known.off.reshape(-1)
+    if not off.size or not off.any():
+        return None
+    root, _ = pseudo_inverse(rows, found.rank.rank)
+    taken = root.T @ (root @ (rows.T @ off))
+    n = legs.parameter.shape[2]
+    shift = nearest_to_nominal(mechanism, found.gauge) @ taken[:n]
+    return ScaleEffect(
+        seen=float(np.linalg.norm(off - rows @ taken)),
+        platform=platform_error(mechanism, np.outer(shift, shift), over, found.lost, found.frames),
+        said=setup.systematic.scale > 0.0,
     )

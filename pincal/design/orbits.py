@@ -13,23 +13,22 @@ from functools import lru_cache
 from math import gcd
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from pincal.design.information import leg_rows
 from pincal.errors import SymmetryError
-from pincal.files.given import as_noise
+from pincal.files.read import as_noise
+from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.derivatives import Demand, leg_demands_at
-from pincal.kinematics.legs.closure import nominal_legs
 from pincal.kinematics.singularity import margins
 from pincal.model.checks import ALIKE
-from pincal.model.measuring.measurements import EVERY_LEG, Noise, Plan
+from pincal.model.measurements import EVERY_LEG, Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Platform, Poses
 from pincal.symmetry.detect import SymmetryGroup, symmetry_group
 from pincal.symmetry.elements import Element
+from pincal.types import Array, Index, Mask
 
-Array = NDArray[np.float64]
 _LINES = 3  # along which places are looked at before they are looked at in full
 
 
@@ -61,7 +60,7 @@ def places_at(matrices: Array, readings: Array | None = None) -> Array:
     return np.concatenate([p / e for p, e in zip(parts, extents, strict=True)], axis=1)
 
 
-def distinct(platform: Platform, poses: Poses, readings: Array | None = None) -> NDArray[np.intp]:
+def distinct(platform: Platform, poses: Poses, readings: Array | None = None) -> Index:
     """Return the configurations that are no copies of earlier ones, as indices in order.
 
     Args:
@@ -87,7 +86,7 @@ def distinct(platform: Platform, poses: Poses, readings: Array | None = None) ->
     return np.sort(np.concatenate((others, np.flatnonzero(alike)[kept])))
 
 
-def perhaps_alike(places: Array) -> NDArray[np.bool_]:
+def perhaps_alike(places: Array) -> Mask:
     """Return which places may be copies: they lie together along every line, shape (N,)."""
     alike = np.ones(len(places), dtype=bool)
     for line in np.random.default_rng(0).uniform(-1.0, 1.0, (_LINES, places.shape[1])):
@@ -100,7 +99,6 @@ def perhaps_alike(places: Array) -> NDArray[np.bool_]:
     return alike
 
 
-Mask = NDArray[np.bool_]
 _MAPPED = 1e-5  # part of rows that a change of parameters may leave: a group found within 1e-6
 
 

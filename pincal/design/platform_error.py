@@ -10,20 +10,18 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pincal.blas import on_one_thread
-from pincal.estimation.observability.frames import frame_motions, unexplained
+from pincal.estimation.observability.gauge import frame_motions, unexplained
 from pincal.estimation.observability.indices import NEGLIGIBLE
+from pincal.kinematics.closure import largest_size
 from pincal.kinematics.configurations import leg_demands, legs_at
-from pincal.kinematics.legs.closure import largest_size
-from pincal.model.measuring.measurements import Plan
+from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
+from pincal.types import Array, Mask
 from pincal.words.numbers import amount
 from pincal.words.results import UNCOVERED
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 CONFIDENCE = 0.95
 DRAWS = 10_000
 

@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pincal.design.certificate import ContinuousDesign, continuous_design
 from pincal.design.criteria import Held, MeanVariance, Parts, Rows, Some, most_of
@@ -15,18 +14,17 @@ from pincal.design.information import leg_rows
 from pincal.design.orbits import orbit_of, repeated
 from pincal.errors import MeasurementError, ObservabilityError
 from pincal.estimation.observability.indices import identifiability
-from pincal.files.given import as_noise
+from pincal.files.read import as_noise
 from pincal.kinematics.batches import CHUNK, chunks
 from pincal.kinematics.derivatives import leg_demand_at
 from pincal.kinematics.inverse import reached
 from pincal.model.checks import count_of, generator_of
-from pincal.model.measuring.measurements import Noise
+from pincal.model.measurements import Noise
 from pincal.model.mechanism import Mechanism
 from pincal.symmetry.elements import IDENTITY, Element
+from pincal.types import Array, Index
 from pincal.workspace.chunks import check_jobs, run
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 _TASK = 1 << 16  # candidates whose rows are evaluated in one go
 HELD = 1 << 26  # numbers that are held in memory
 

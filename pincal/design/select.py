@@ -11,36 +11,31 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pincal.blas import on_one_thread
-from pincal.design.orbits import (
-    leg_orbits,
-    merged,
-    multiplicities,
-    selection_group,
-    smallest,
-)
+from pincal.design.orbits import leg_orbits, merged, multiplicities, selection_group, smallest
 from pincal.design.search import Search, SelectionOptions
 from pincal.errors import MeasurementError, ObservabilityError
 from pincal.estimation.observability.indices import Indices, identifiability, indices, r_diagonal
-from pincal.files.given import as_noise
-from pincal.files.given_mechanism import GivenMechanism, as_mechanism
+from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
+from pincal.files.read import as_noise
+from pincal.kinematics.closure import largest_size, nominal_legs
+from pincal.kinematics.configurations import as_plan, joints_at
 from pincal.kinematics.derivatives import leg_demands_at
-from pincal.kinematics.legs.closure import nominal_legs
 from pincal.model.checks import ALIKE, count_of, described
-from pincal.model.measuring.measurements import EVERY_LEG, Plan
+from pincal.model.measurements import EVERY_LEG, VERIFY, Plan
 from pincal.model.mechanism import Mechanism
-from pincal.words.selection import mapped_diagonals
+from pincal.types import Array
+from pincal.words.wording import mapped_diagonals
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-Array = NDArray[np.float64]
+
 _SOME = 64  # candidates on which it is looked at whether rows map
 Protocol = Literal["independent", "symmetric", "orbits", "common"]
 
@@ -270,3 +265,95 @@ def _leg_designs(
             )
         )
     return tuple(found)
+
+
+REFERENCE = "reference"
+"""Name of the pose that is measured again and again."""
+
+
+def in_turns(plan: Plan, seed: int = 0) -> Plan:
+    """Return a plan whose sets take turns, each in a random order.
+
+    Sets of one size have the same order: poses that a symmetry maps follow one another.
+    """
+    sets = np.array(plan.serving)
+    when = np.empty(len(plan))
+    for name in np.unique(sets):
+        own = np.flatnonzero(sets == name)
+        order = np.random.default_rng(seed).permutation(len(own))
+        when[own[order]] = (np.arange(len(own)) + 0.5) / len(own)
+    return plan.rows(np.argsort(when, kind="stable"))
+
+
+def with_reference(mechanism: Mechanism, plan: Plan, every: int) -> Plan:
+    """Return a plan in which one pose is measured again every so many rows, and at its end.
+
+    The pose in the middle: with the least sum of squared twists to the others. Its rows have the
+    name ``reference``, and differ by noise and by what drifts.
+
+    Args:
+        mechanism: The mechanism.
+        plan: The poses, in their order.
+        every: How many rows lie between.
+
+    Raises:
+        MeasurementError: no rows between.
+    """
+    count_of(every, "every", MeasurementError, 1)
+    platform, count = mechanism.platform, len(plan)
+    size = largest_size(mechanism.legs)
+    per = np.array([1.0 / size if unit == "m" else 1.0 for unit in platform.units])
+    fitted = np.flatnonzero(~plan.verifying)
+    away = [
+        (platform.twists_between(np.tile(plan.poses[row], (len(fitted), 1)), plan.poses[fitted]))
+        for row in fitted
+    ]
+    middle = int(fitted[np.argmin([((per * one) ** 2).sum() for one in away])])
+    order: list[int] = []
+    for begin in range(0, count, every):
+        order += [middle, *range(begin, min(begin + every, count))]
+    order.append(middle)
+    found = plan.rows(np.array(order))
+    sets = list(found.serving)
+    for row in (*range(0, len(order) - 1, every + 1), -1):
+        sets[row] = EVERY_LEG
+    own = found.places or ("",) * len(order)
+    places = tuple(REFERENCE if row == middle else own[i] for i, row in enumerate(order))
+    return replace(found, sets=tuple(sets), places=places)
+
+
+def with_verification(
+    mechanism: Mechanism, plan: Plan, offered: Plan, count: int, seed: int = 0
+) -> Plan:
+    """Return a plan with poses beside it that no fit follows: those of the set ``verify``.
+
+    Args:
+        mechanism: The mechanism.
+        plan: Poses that were chosen.
+        offered: Poses from which to take the others at random: spread over the workspace.
+        count: How many.
+        seed: Seed.
+
+    Raises:
+        ObservabilityError: fewer are in reach.
+    """
+    offered = as_plan(mechanism, offered)
+    taken = {one.tobytes() for one in plan.poses}
+    free = np.array([one.tobytes() not in taken for one in offered.poses], dtype=bool)
+    some = np.random.default_rng(seed).permutation(np.flatnonzero(free))
+    reached = joints_at(mechanism, offered.rows(some)).reached.all(axis=1)
+    chosen = offered.rows(some[reached][:count])
+    if len(chosen) < count:
+        raise ObservabilityError(
+            f"{len(chosen)} poses are left to verify with, of {count} that were asked for; offer "
+            "more candidates, or ask for fewer"
+        )
+    readings = None
+    if plan.readings is not None and chosen.readings is not None:
+        readings = np.concatenate((plan.readings, chosen.readings))
+    return Plan(
+        np.concatenate((plan.poses, chosen.poses)),
+        (*plan.serving, *(VERIFY,) * count),
+        readings,
+        places=None if plan.places is None else (*plan.places, *("",) * count),
+    )

@@ -13,11 +13,9 @@ from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pincal.blas import on_one_thread
-from pincal.design.estimable import apart_from_frames, null_directions
-from pincal.design.information import information_rows
+from pincal.design.information import apart_from_frames, information_rows, null_directions
 from pincal.design.orbits import distinct
 from pincal.design.platform_error import without_frames
 from pincal.design.search import SelectionOptions, accurate, d_optimal
@@ -28,16 +26,16 @@ from pincal.estimation.observability.indices import (
     identifiability,
     scaled_axes,
 )
-from pincal.files.given import as_noise, as_setup
-from pincal.files.given_mechanism import GivenMechanism, as_mechanism
+from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
+from pincal.files.read import as_noise, as_setup
+from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.configurations import Legs, as_plan, check_reached, legs_at
-from pincal.kinematics.legs.closure import nominal_legs
 from pincal.model.checks import count_of
-from pincal.model.measuring.measurements import Plan
-from pincal.model.measuring.setup import Setup
+from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
+from pincal.model.setup import Setup
+from pincal.types import Array
 
-Array = NDArray[np.float64]
 Goal = Literal["parameters", "platform"]
 
 

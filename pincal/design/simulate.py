@@ -11,26 +11,25 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pincal.blas import on_one_thread
 from pincal.design.platform_error import root_mean_squares, sizes
 from pincal.errors import MeasurementError
-from pincal.files.given import as_noise, as_plan
-from pincal.files.given_mechanism import GivenMechanism, as_mechanism
+from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
+from pincal.files.read import as_noise, as_plan
+from pincal.kinematics.closure import largest_size
 from pincal.kinematics.configurations import command, planned_influences
 from pincal.kinematics.forward import forward
-from pincal.kinematics.influences.columns import by_name, influences_of
+from pincal.kinematics.influences import by_name, influences_of
 from pincal.kinematics.inverse import inverse
-from pincal.kinematics.legs.closure import largest_size
 from pincal.model.checks import generator_of, number_of
-from pincal.model.measuring.measurements import Measurements, Noise, Plan
+from pincal.model.measurements import Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.overview import ROWS
 from pincal.model.platform import Poses
+from pincal.types import Array, Index
 from pincal.words.numbers import amount
 
-Array = NDArray[np.float64]
 _ERROR = 1e-3  # of a machine: of its size, rad, or 1
 
 
@@ -67,7 +66,7 @@ class Simulation:
     """Simulated measurements, and the poses of the plan that could not be measured."""
 
     measurements: Measurements
-    rows: NDArray[np.intp]
+    rows: Index
     """Row of the plan that each measurement belongs to, shape (N,)."""
     unreachable: tuple[tuple[int, str], ...]
     """Rows of the plan without a measurement, and why."""

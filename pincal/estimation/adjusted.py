@@ -12,16 +12,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
 from pincal.estimation.linear import Linear
-from pincal.estimation.pose_search import solve_poses
 from pincal.estimation.problem import Problem
-from pincal.estimation.solve import BY, Found
+from pincal.estimation.solver import BY, Found, solve_poses
 from pincal.estimation.system import Normal, System
-
-Array = NDArray[np.float64]
+from pincal.types import Array
 
 
 def adjusted(problem: Problem, linear: Linear) -> Linear:

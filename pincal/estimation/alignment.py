@@ -10,20 +10,17 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pincal.errors import MeasurementError
-from pincal.estimation.conditions.external import External
+from pincal.estimation.blocks.external import External
 from pincal.estimation.linear import State
 from pincal.estimation.problem import Problem
-from pincal.model.measuring.measurements import Measurements
-from pincal.model.measuring.setup import ORIGIN
+from pincal.model.measurements import Measurements
 from pincal.model.platform import Platform
+from pincal.model.setup import ORIGIN
+from pincal.types import Array, Mask
 from pincal.words.numbers import amount
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

@@ -7,16 +7,14 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pincal.estimation.conditions.external import External
-from pincal.estimation.conditions.leg_condition import Met
+from pincal.estimation.blocks.external import External
+from pincal.estimation.blocks.leg_condition import Met
 from pincal.estimation.rows import WhiteRows
 from pincal.kinematics.batches import chunks, over_rows
 from pincal.kinematics.derivatives import Demand
+from pincal.types import Array, Index
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 Follow = Callable[[Array, Array], tuple[Array, ...]]
 """Returns joints of each leg, near those after a step of all unknowns and twists of the poses."""
 

@@ -15,25 +15,22 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
-from pincal.estimation.conditions.alike_legs import all_met
-from pincal.estimation.conditions.covariances import RowNoise
-from pincal.estimation.conditions.leg_condition import LegCondition
-from pincal.estimation.conditions.observation import Observation
+from pincal.estimation.blocks.alike_legs import all_met
+from pincal.estimation.blocks.covariances import RowNoise
+from pincal.estimation.blocks.leg_condition import LegCondition
+from pincal.estimation.blocks.observation import Observation
 from pincal.estimation.linear import Block, Linear, Stack, State
 from pincal.estimation.rows import NoNoiseError, white_rows
+from pincal.kinematics.closing import grouped
+from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.derivatives import Demand
-from pincal.kinematics.legs.closure import LegClosure
-from pincal.kinematics.legs.every_leg import grouped
-from pincal.kinematics.legs.nearest_closure import arm_poses
+from pincal.kinematics.nearest_closure import arm_poses
 from pincal.model.leg import Leg
 from pincal.model.platform import Platform
+from pincal.types import Array, Index, Mask
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-Index = NDArray[np.intp]
 NO_NOISE = (
     "some measurements carry no noise at all; give standard deviations above zero for what is "
     "measured, and for readings (--noise-reading) where there are more of them than freedoms"

@@ -12,17 +12,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
 from pincal.estimation.adjusted import adjusted, adjusts, last_steps
 from pincal.estimation.fit import Fit
 from pincal.estimation.linear import Linear
-from pincal.estimation.pose_search import solve_poses
-from pincal.estimation.solve import rounding, search
+from pincal.estimation.solver import rounding, search, solve_poses
 from pincal.estimation.system import ROWS_FOLLOW, System
-
-Array = NDArray[np.float64]
+from pincal.types import Array
 
 
 @dataclass(frozen=True)

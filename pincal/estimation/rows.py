@@ -20,13 +20,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pincal.kinematics.batches import product, solve
 from pincal.model.checks import ROUNDING
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from pincal.types import Array, Mask
 
 
 class NoNoiseError(ValueError):

@@ -10,26 +10,24 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError
 from pincal.estimation.alignment import aligned
-from pincal.estimation.conditions.external import External
+from pincal.estimation.blocks.external import External
 from pincal.estimation.linear import Stack, State
 from pincal.estimation.problem import Problem
+from pincal.kinematics.closure import LegClosure, Newton, largest_size
 from pincal.kinematics.forward import placed_by_arm
 from pincal.kinematics.inverse import inverse
-from pincal.kinematics.legs.closure import LegClosure, Newton, largest_size
-from pincal.kinematics.legs.nearest_closure import nearest_closure
-from pincal.kinematics.legs.starts import home_mode, mode_sign
+from pincal.kinematics.nearest_closure import nearest_closure
 from pincal.kinematics.singularity import platform_margin
-from pincal.model.measuring.measurements import Measurements
-from pincal.model.measuring.setup import ORIGIN, Setup
+from pincal.kinematics.starts import home_mode, mode_sign
+from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
+from pincal.model.setup import ORIGIN, Setup
+from pincal.types import Array, Index, Mask
 from pincal.words.numbers import amount
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 _NEWTON = Newton(steps=60, small=1e-7, largest=0.2)
 
 
@@ -187,7 +185,7 @@ def _driven(mechanism: Mechanism, problem: Problem, share: float) -> Problem:
     return replace(problem, conditions=tuple(conditions), observation=observation)
 
 
-def _leg_equations(problem: Problem) -> NDArray[np.intp]:
+def _leg_equations(problem: Problem) -> Index:
     """Return how many equations the legs give at each pose, shape (N,)."""
     return np.asarray(problem.used @ np.array([one.width for one in problem.conditions]))
 

@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pincal.estimation.linear import Linear, State, joined
 from pincal.estimation.problem import Problem
 from pincal.estimation.residuals.losses import Loss, robust_scale
 from pincal.estimation.unknowns import Unknowns
+from pincal.types import Array, Mask
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 ROWS_FOLLOW = 1e-3  # of the cost, by which it may grow as rows follow the state
 
 

@@ -10,14 +10,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import qr
 
 from pincal.errors import MeasurementError
 from pincal.model.checks import ROUNDING
 from pincal.model.leg import Leg
+from pincal.types import Array
 
-Array = NDArray[np.float64]
 _SMALLEST_PRIOR = 1e-15  # [m], [rad] or [1], below which rounding is larger
 _ALIKE = 0.1  # by which nominal values may differ that are said to be one, relative or [m], [rad]
 

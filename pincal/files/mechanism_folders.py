@@ -7,24 +7,21 @@ from dataclasses import replace
 from difflib import get_close_matches
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from pincal.errors import FileError, MechanismError
 from pincal.files.mechanism_writing import MECHANISM_FILES, YAML, write_mechanism
 from pincal.files.output import writing
-from pincal.files.schema import LegSpec, LoadSpec, MechanismSpec, SensorSpec, read_spec
-from pincal.files.terms import term_of
+from pincal.files.schema import LegSpec, LoadSpec, MechanismSpec, SensorSpec, read_spec, term_of
 from pincal.files.urdf import read_chain, read_points
 from pincal.model.checks import must_be
 from pincal.model.home import check_home
-from pincal.model.joint import Joint
-from pincal.model.leg import Leg
+from pincal.model.leg import Joint, Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.placement import Coordinate, Placement
-from pincal.model.platform import Platform
-from pincal.model.platform_kind import PlatformKind
-from pincal.model.sensors.load import Load
-from pincal.model.sensors.sensor import Sensor
+from pincal.model.platform import Platform, PlatformKind
+from pincal.model.sensor import Sensor
+from pincal.model.terms import Load
 
 _log = logging.getLogger(__name__)
 
@@ -235,3 +232,38 @@ def save_mechanism(mechanism: Mechanism, folder: str | Path, *, force: bool = Fa
     with writing(folder, force=force, folder=MECHANISM_FILES) as scratch:
         write_mechanism(mechanism, scratch)
     return Path(folder)
+
+
+class Calibrated(Protocol):
+    """What holds a calibrated mechanism, such as a ``CalibrationResult``."""
+
+    @property
+    def identified(self) -> Mechanism:
+        """The calibrated mechanism."""
+
+    @property
+    def converged(self) -> bool:
+        """Whether it is one."""
+
+
+GivenMechanism = Mechanism | str | Path | Calibrated
+"""A mechanism, its bundled name, its folder, or a calibration's result."""
+
+
+def as_mechanism(given: GivenMechanism) -> Mechanism:
+    """Return a mechanism that is given as such, by its bundled name, folder, or calibration.
+
+    Raises:
+        FileError: no such folder, or a file in it is missing.
+        MechanismError: something else, a file that does not say what it should, or a calibration
+            that did not converge.
+    """
+    if isinstance(given, Mechanism):
+        return given
+    if isinstance(found := getattr(given, "identified", None), Mechanism):
+        if not getattr(given, "converged", False):
+            raise MechanismError("the calibration did not converge: it has no calibrated mechanism")
+        return found
+
+    kinds, what = (Mechanism, str, Path), "a mechanism, its name or folder, or a result"
+    return load_mechanism(must_be(given, kinds, what, MechanismError))

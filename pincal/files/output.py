@@ -20,7 +20,7 @@ from itertools import combinations, count
 from pathlib import Path
 
 from pincal.errors import FileError, PincalError
-from pincal.files.input import is_input
+from pincal.files.text import is_input
 from pincal.model.checks import must_be
 
 _log = logging.getLogger(__name__)

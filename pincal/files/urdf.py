@@ -7,17 +7,14 @@ from pathlib import Path
 
 import numpy as np
 from lxml import etree
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pincal.errors import MechanismError
-from pincal.files.input import plain_number, why_no_number
-from pincal.files.xml import read_xml
+from pincal.files.text import plain_number, read_xml, why_no_number
 from pincal.model.checks import LARGEST
-from pincal.model.joint import Joint, JointKind
+from pincal.model.leg import Joint, JointKind
 from pincal.model.placement import Placement, placement_of
 
-Array = NDArray[np.float64]
 Triple = tuple[float, float, float]
 
 #: Elements of a joint, and their attributes that are read; others are refused.

@@ -15,17 +15,16 @@ from pathlib import Path
 import numpy as np
 
 from pincal.errors import MechanismError
-from pincal.formats.trees.tree import FREE, Edge, Tree
-from pincal.formats.trees.urdf import read_urdf
-from pincal.kinematics.legs.closure import LegClosure
+from pincal.formats.tree import FREE, Edge, Tree
+from pincal.formats.urdf_tree import read_urdf
+from pincal.kinematics.closure import LegClosure
 from pincal.model.checks import must_be
 from pincal.model.consistency import identifiers
-from pincal.model.joint import Joint
-from pincal.model.leg import Leg
+from pincal.model.leg import Joint, Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.placement import Coordinate, Placement
 from pincal.model.platform import Platform
-from pincal.model.sensors.sensor import Sensor
+from pincal.model.sensor import Sensor
 
 _AXES = ("x", "y", "z", "rx", "ry", "rz")
 TOOL = "tool"

@@ -9,16 +9,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from pincal.errors import MeasurementError
-from pincal.files.tables.table import Table
-from pincal.files.tables.table_reading import read_table
-from pincal.model.measuring.measurements import Measurements
+from pincal.files.table import Table, read_table
+from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
-
-Array = NDArray[np.float64]
+from pincal.types import Array
 
 
 def read_figaroh(path: str | Path, mechanism: Mechanism) -> tuple[Measurements, tuple[str, ...]]:

@@ -15,18 +15,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from pincal.errors import MechanismError
-from pincal.kinematics.legs.closure import LegClosure, Newton, joint_range, largest_size
+from pincal.kinematics.closure import LegClosure, Newton, joint_range, largest_size
 from pincal.model.checks import ROUNDING
 from pincal.model.leg import Leg
-from pincal.model.platform import Platform
-from pincal.model.platform_kind import PlatformKind
+from pincal.model.platform import Platform, PlatformKind
+from pincal.types import Array
 
-Array = NDArray[np.float64]
 _NEWTON = Newton(steps=100, largest=0.3, closed=1e-10)
 _SINGULAR = 1e-10  # of singular values, over the size: none
 _CONFIGURATIONS = 120

@@ -11,12 +11,11 @@ from contextlib import suppress
 from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from pincal.model.platform_kind import PoseMatrices
+from pincal.model.platform import PoseMatrices
+from pincal.types import Array
 
-Array = NDArray[np.float64]
 Matrices: TypeAlias = PoseMatrices | Array  # T_base_platform, shape (N, 4, 4)
 CHUNK = 6000  # poses at once: their matrices stay near the processor
 _SERIES = float(np.finfo(float).eps) ** 0.25  # fourth root of rounding errors, [rad]

@@ -10,23 +10,21 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError, MechanismError
 from pincal.kinematics.batches import block_diagonal, least_squares
+from pincal.kinematics.closing import sensor_law
+from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.derivatives import Demand, leg_demands_at
 from pincal.kinematics.forward import forward, with_loads
-from pincal.kinematics.influences.columns import influences_of
+from pincal.kinematics.influences import influences_of
 from pincal.kinematics.inverse import InverseSolution, inverse
-from pincal.kinematics.legs.closing import sensor_law
-from pincal.kinematics.legs.closure import nominal_legs
-from pincal.kinematics.legs.nearest_closure import nearest_closure
+from pincal.kinematics.nearest_closure import nearest_closure
 from pincal.model.checks import numbers_of
-from pincal.model.measuring.measurements import Plan
+from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
+from pincal.types import Array, Mask
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 _CLOSES = 0.01  # of a leg's size, where readings and poses were measured
 _ABOUT = 0.05  # of the mechanism's size, and [rad], by which configurations are moved about
 

@@ -11,9 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pincal.files.given_mechanism import GivenMechanism, as_mechanism
+from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.batches import (
     Matrices,
     chunks,
@@ -22,15 +21,12 @@ from pincal.kinematics.batches import (
     product,
     stacked,
 )
-from pincal.kinematics.legs.closing import close_alike, sensor_law
-from pincal.kinematics.legs.closure import Closure, LegClosure, rows_of_each
-from pincal.kinematics.legs.every_leg import grouped
-from pincal.kinematics.legs.nearest_closure import begun, nearest_closures
+from pincal.kinematics.closing import close_alike, grouped, sensor_law
+from pincal.kinematics.closure import Closure, LegClosure, rows_of_each
+from pincal.kinematics.nearest_closure import begun, nearest_closures
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from pincal.types import Array, Mask
 
 
 @dataclass(frozen=True)

@@ -9,27 +9,23 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pincal.blas import on_one_thread
 from pincal.errors import MechanismError
-from pincal.files.given_mechanism import GivenMechanism, as_mechanism
+from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.batches import Matrices, matrix_chunks
+from pincal.kinematics.closed_forms import closed_form
+from pincal.kinematics.closing import by_leg, close, close_chunks, sensor_law
+from pincal.kinematics.closure import largest_size, nominal_legs
 from pincal.kinematics.forward import LOADS, needs_loads, with_loads
-from pincal.kinematics.influences.columns import Influences, influence_columns
-from pincal.kinematics.legs.closed_forms import closed_form
-from pincal.kinematics.legs.closing import close, sensor_law
-from pincal.kinematics.legs.closure import largest_size, nominal_legs
-from pincal.kinematics.legs.every_leg import by_leg, close_chunks
-from pincal.kinematics.legs.starts import start_joints
+from pincal.kinematics.influences import Influences, influence_columns
+from pincal.kinematics.starts import start_joints
 from pincal.model.checks import ROUNDING, array_of
 from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.overview import ROWS
 from pincal.model.platform import Poses
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from pincal.types import Array, Mask
 
 
 @dataclass(frozen=True, repr=False)

@@ -11,19 +11,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pincal.kinematics.legs.closed_forms import (
+from pincal.kinematics.closed_forms import (
     closed_form,
     driven_rod,
     rod_geometry,
     slide_geometry,
 )
-from pincal.kinematics.legs.closure import LegClosure
+from pincal.kinematics.closure import LegClosure
 from pincal.model.checks import ROUNDING
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from pincal.types import Array, Mask
 
 
 @dataclass(frozen=True)

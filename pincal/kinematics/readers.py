@@ -8,17 +8,16 @@ from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from pincal.errors import FileError, MechanismError, ObservabilityError
-from pincal.files.urdf_writing import leg_urdf
-from pincal.kinematics.legs.closing import sensor_law
-from pincal.kinematics.legs.closure import LegClosure
+from pincal.files.mechanism_writing import leg_urdf
+from pincal.kinematics.closing import sensor_law
+from pincal.kinematics.closure import LegClosure
 from pincal.model.leg import Leg
-from pincal.model.measuring.measurements import Plan
+from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
+from pincal.types import Array, Mask
 
-Array = NDArray[np.float64]
 _CLOSE = 2  # joints: bodies nearer than that along the chain touch by design
 
 
@@ -96,7 +95,7 @@ def arm_free_of_collision(mechanism: Mechanism, offered: Plan, path: str | Path)
 
 def free_of_collision(
     path: str | Path, joints: Sequence[str], positions: Array, neutral: bool = True
-) -> NDArray[np.bool_]:
+) -> Mask:
     """Return where the bodies of a robot do not collide with each other, shape (N,).
 
     Bodies of neighbouring joints touch by design and are not compared, nor are those that already

@@ -14,19 +14,16 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pincal.files.given_mechanism import GivenMechanism, as_mechanism
+from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.batches import point_velocity
-from pincal.kinematics.legs.closed_forms import rod_directions
-from pincal.kinematics.legs.closing import close, sensor_law
-from pincal.kinematics.legs.closure import Closure, nominal_legs
-from pincal.kinematics.legs.every_leg import ClosedGroup, by_leg, close_chunks
-from pincal.kinematics.legs.nearest_closure import nearest_closure
+from pincal.kinematics.closed_forms import rod_directions
+from pincal.kinematics.closing import ClosedGroup, by_leg, close, close_chunks, sensor_law
+from pincal.kinematics.closure import Closure, nominal_legs
+from pincal.kinematics.nearest_closure import nearest_closure
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
-
-Array = NDArray[np.float64]
+from pincal.types import Array
 
 
 @dataclass(frozen=True)

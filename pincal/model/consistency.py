@@ -8,19 +8,18 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pincal.errors import MechanismError
 from pincal.model.checks import LARGEST
 from pincal.model.orientation import SINGLE_ANGLES, WAYS
 from pincal.model.placement import Placement
-from pincal.model.sensors.deformations import check_terms
+from pincal.model.sensor import check_terms
+from pincal.types import Array
 
 if TYPE_CHECKING:
     from pincal.model.leg import Leg
     from pincal.model.mechanism import Mechanism
 
-Array = NDArray[np.float64]
 #: Columns of tables that mean something else than a reading.
 RESERVED = {"x", "y", "z", "phi", "set", "run", "pose", *SINGLE_ANGLES} | {
     name for names, _ in WAYS.values() for name in names

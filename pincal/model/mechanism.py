@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pincal.errors import MechanismError
 from pincal.model.checks import must_be
@@ -19,10 +18,8 @@ from pincal.model.leg import Leg
 from pincal.model.overview import counted, one_line, page
 from pincal.model.parameter import Parameter, Parameters, labels_of
 from pincal.model.platform import Platform
-from pincal.model.sensors.load import Load
-from pincal.model.sensors.terms import LOAD, OF_JOINTS
-
-Array = NDArray[np.float64]
+from pincal.model.terms import LOAD, OF_JOINTS, Load
+from pincal.types import Array
 
 
 @dataclass(frozen=True)

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pincal.errors import MeasurementError
-from pincal.model.angles import sine_and_cosine, wrapped
-
-Array = NDArray[np.float64]
+from pincal.model.checks import sine_and_cosine, wrapped
+from pincal.types import Array
 
 #: Angles that may be measured one by one.
 SINGLE_ANGLES = ("yaw", "pitch", "roll")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from pincal.model.mechanism import Mechanism
 
+
 ROWS = 30
 """Of a table or list on a printed page; those that follow are counted."""
 _WIDTH = 118  # of a line

@@ -9,11 +9,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pincal.errors import MechanismError
+from pincal.types import Array
 
-Array = NDArray[np.float64]
 #: Letters of a parameter's label, at most.
 LONGEST_LABEL = 60
 

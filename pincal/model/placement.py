@@ -15,14 +15,13 @@ from functools import cached_property, lru_cache
 from math import cos, sin
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pincal.errors import MechanismError
 from pincal.model.checks import EXACT
 from pincal.model.orientation import yaw_pitch_roll
 from pincal.model.overview import one_line, triple
+from pincal.types import Array
 
-Array = NDArray[np.float64]
 Value = str | float  # a parameter's name, or a constant
 Values = tuple[Value, ...] | list[Value]
 

@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from math import pi
+from typing import TypeAlias
+
+import numpy as np
+
+from pincal.errors import MeasurementError
 
 #: Units by the name that is written: dimension, and factor to SI.
 UNITS: dict[str, tuple[str, float]] = {
@@ -22,3 +29,139 @@ UNITS: dict[str, tuple[str, float]] = {
 }
 #: Names that are printed otherwise than they are typed.
 PRINTED = {"deg": "°", "um": "µm", "μm": "µm"}
+
+
+Columns: TypeAlias = Mapping[str, Iterable[float] | Iterable[str]]
+
+COUNTS = "counts"
+"""Unit of readings as an encoder counts them; its sensor says how many are in one rad or m."""
+
+
+@dataclass(frozen=True)
+class Units:
+    """In which units columns and tables are written; SI where nothing else is said."""
+
+    names: Mapping[str, str] = field(default_factory=dict)
+    """A key of ``UNITS`` for each SI unit, ``{"m": "mm"}``."""
+    counts: Mapping[str, float] = field(default_factory=dict)
+    """Encoder counts of one rad or m, by the column of a reading that is written in counts."""
+    last: float = 0.0
+    """To what values are written, in SI, but for standard deviations; 0 is to the last bit."""
+
+    @classmethod
+    def of(cls, said: str, counts: Mapping[str, float], readings: Iterable[str] = ()) -> Units:
+        """Return the units that a list such as ``mm,deg,counts`` names.
+
+        Args:
+            said: Units with commas between them; numbers end where those of ``WRITTEN`` do.
+            counts: Encoder counts of one rad or m, by reading.
+            readings: Names of all readings, each of which needs its counts.
+
+        Raises:
+            MeasurementError: an unknown unit, two of one dimension, or counts that are not known.
+        """
+        names: dict[str, str] = {}
+        listed = [one.strip() for one in said.split(",") if one.strip()]
+        for unit in listed:
+            if unit == COUNTS:
+                lacking = [name for name in readings if name not in counts]
+                if lacking:
+                    raise MeasurementError(
+                        f"--units {said}: how many counts one rad or m of {', '.join(lacking)} has "
+                        f"is not said: give it by {scale_said(lacking[0], 'rad')}"
+                    )
+                continue
+            dimension = UNITS.get(unit, ("1", 1.0))[0]
+            if dimension == "1" or dimension in names:
+                known = [one for one, (kind, _) in UNITS.items() if kind != "1" and one.isascii()]
+                raise MeasurementError(
+                    f"--units {said}: {unit!r} is {'unknown' if dimension == '1' else 'a second'} "
+                    f"unit; expected one of lengths and one of angles, such as mm,deg "
+                    f"({', '.join(known)}, {COUNTS})"
+                )
+            names[dimension] = unit
+        return cls(names, counts if COUNTS in listed else {}, WRITTEN.last)
+
+    def written(self, columns: Columns) -> Columns:
+        """Return columns (header to values, SI) in these units, which their headers say."""
+        return dict(map(self._column, columns.items()))
+
+    def _column(
+        self, column: tuple[str, Iterable[float] | Iterable[str]]
+    ) -> tuple[str, Iterable[float] | Iterable[str]]:
+        name, bracket, rest = column[0].partition(" [")
+        unit = rest.removesuffix("]")
+        own, by = self.names.get(unit, unit), self.counts.get(name.removeprefix("sigma_"))
+        if not bracket or (own == unit and by is None and not self.last):
+            return column
+        scale, shown = (by, COUNTS) if by else (1.0 / UNITS.get(own, ("", 1.0))[1], own)
+        values = np.asarray(column[1], dtype=np.float64) * scale
+        if self.last and not name.startswith(("sigma_", "cov_")):  # these may be as small
+            values = values.round(max(0, round(-np.log10(self.last * scale)))) + 0.0  # no -0.0
+        return f"{name} [{shown}]", values
+
+    @property
+    def printed(self) -> dict[str, str]:
+        """In which unit numbers are printed, by SI unit, where that was said."""
+        return {dimension: PRINTED.get(unit, unit) for dimension, unit in self.names.items()}
+
+
+SI = Units()
+"""Nothing but SI, to the last bit."""
+WRITTEN = Units(last=1e-12)
+"""As commands write what was computed: to a picometre or picoradian, far below any noise."""
+
+
+def counts_of(said: Iterable[str], readings: Mapping[str, str]) -> dict[str, float]:
+    """Return encoder counts of one rad or m by reading, of texts such as ``leg_1=4096/turn``.
+
+    Args:
+        said: Each a reading's name, ``=``, a number, ``/`` and a unit; without a name, of all.
+        readings: Unit of each reading, by name.
+
+    Raises:
+        MeasurementError: something else, an unknown reading, or one that is said twice.
+    """
+    found: dict[str, float] = {}
+    for text in said:
+        name, equals, scale = (part.strip() for part in text.rpartition("="))
+        number, _, unit = (part.strip() for part in scale.partition("/"))
+        names = [name] if equals else list(readings)
+        dimension, factor = UNITS.get(unit, ("", 0.0))
+        try:
+            per = float(number) / factor
+        except (ValueError, ZeroDivisionError):
+            per = np.nan
+        if not (np.isfinite(per) and per > 0.0):
+            raise MeasurementError(
+                f"--counts {text}: expected a reading, how many counts, and of what, such as "
+                f"{next(iter(readings))}=4096/turn; the sign is the sensor's direction"
+            )
+        for one in names:
+            if one not in readings:
+                raise MeasurementError(
+                    f"--counts {text}: no reading {one!r}; there are {', '.join(readings)}"
+                )
+            if readings[one] != dimension:
+                raise MeasurementError(
+                    f"--counts {text}: {one} is read in {readings[one]}, not in {unit}"
+                )
+            if one in found:
+                raise MeasurementError(f"--counts: {one} is said twice; leave out one of them")
+            found[one] = per
+    return found
+
+
+def scale_of(per: float, dimension: str) -> str:
+    """Return counts of one rad or m as ``--counts`` takes them: ``4096/turn``, ``12.5/mm``."""
+    unit = "turn" if dimension == "rad" else "mm"
+    return f"{per * UNITS[unit][1]:.9g}/{unit}"
+
+
+def scale_said(column: str, dimension: str) -> str:
+    """Return how to say how many counts are in one unit of a reading."""
+    name = column.removeprefix("sigma_")
+    return (
+        f"--counts {name}=NUMBER/{'turn' if dimension == 'rad' else 'mm'}, or by counts_per_unit "
+        "of its sensor in mechanism.yaml"
+    )

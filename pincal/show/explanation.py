@@ -6,15 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pincal.calibration.terms.bounds import Bound
+from pincal.calibration.terms.choice import RULES
 from pincal.calibration.terms.explain import Explanation
 from pincal.calibration.terms.kinds import GROWTH, ORDER, parts_of, term_said
-from pincal.calibration.terms.path import RULES
-from pincal.calibration.terms.screen import Candidate
-from pincal.estimation.residuals.slips import Slip
+from pincal.calibration.terms.screen import Bound, Candidate
+from pincal.estimation.residuals.courses import Slip
 from pincal.words.numbers import SMALL, amount, chance, listed
-from pincal.words.table import Cell, Column, Quantity, Table, Value, columns
-from pincal.words.terms import (
+from pincal.words.parameters import (
     AMPLITUDES,
     BOUNDS,
     CAUSES,
@@ -38,6 +36,7 @@ from pincal.words.terms import (
     UNPROMISED,
     VERDICTS,
 )
+from pincal.words.table import Cell, Column, Quantity, Table, Value, columns
 from pincal.words.wording import NAMED
 
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from pincal.calibration.checks.runs import RunComparison
-from pincal.calibration.checks.validation import Validation
 from pincal.calibration.result import CalibrationResult
+from pincal.calibration.runs import RunComparison
+from pincal.calibration.validation import Validation
 from pincal.design.forecast import Forecast
 from pincal.design.select import Selection
-from pincal.model.measuring.measurements import Plan
+from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.words.table import Table, columns
 
@@ -21,7 +21,7 @@ def mechanism_html(mechanism: Mechanism) -> str:
     from pincal.show.pictures.files import on_page
     from pincal.show.pictures.picture import picture
     from pincal.show.tables import nominal_table
-    from pincal.words.pages import rendered
+    from pincal.words.wording import rendered
 
     drawn = on_page("figure-mechanism")(
         lambda: (picture(mechanism).figure(), f"{mechanism.name} at home")
@@ -34,7 +34,7 @@ def result_html(result: CalibrationResult) -> str:
     """Return a calibration: what to know first, parameters, residuals."""
     from pincal.show import result_tables, summary
     from pincal.show.report.answers import warning_lines
-    from pincal.words.pages import rendered
+    from pincal.words.wording import rendered
 
     warnings = warning_lines(result)
     return rendered(
@@ -53,7 +53,7 @@ def forecast_html(found: Forecast) -> str:
     """Return the standard errors to expect, and what the plan determines."""
     from pincal.show.summary import weak_lines
     from pincal.show.tables import standard_errors
-    from pincal.words.pages import rendered
+    from pincal.words.wording import rendered
 
     words = [] if found.rank.complete else [f"Not determined apart: {found.rank.describe()}."]
     lines = [*words, *weak_lines(found.weak, found.mechanism)]
@@ -79,8 +79,8 @@ def plan_html(plan: Plan) -> str:
 def validation_html(one: Validation) -> str:
     """Return how rows that a fit has not seen compare with its own."""
     from pincal.show.summary import held_out_line, missed_lines
-    from pincal.words.pages import rendered
     from pincal.words.sentences import sentences
+    from pincal.words.wording import rendered
 
     table = Table(
         f"{one.rows} rows held out in {one.folds} folds",
@@ -94,7 +94,7 @@ def validation_html(one: Validation) -> str:
 def runs_html(runs: RunComparison) -> str:
     """Return how well runs agree, parameter by parameter."""
     from pincal.show.result_tables import runs_table
-    from pincal.words.pages import rendered
+    from pincal.words.wording import rendered
 
     return rendered("held.html", tables=[runs_table(runs)], lines=str(runs).splitlines())
 

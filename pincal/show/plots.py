@@ -11,19 +11,17 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from pincal.calibration.result import CalibrationResult
 from pincal.errors import WorkspaceError
-from pincal.show.pictures import charts, image_charts, residual_charts
+from pincal.show.pictures import charts, residual_charts
+from pincal.show.pictures import charts as image_charts
 from pincal.show.pictures.parts import draw_bars, draw_map, room, wrapped
-from pincal.show.results import parameters
+from pincal.show.result_tables import parameters
 from pincal.show.style import PAGE
-from pincal.show.workspace_errors import error_maps
+from pincal.show.workspace_answers import error_maps
 from pincal.words import plots as words
 from pincal.words.numbers import per_si
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

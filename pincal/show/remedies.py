@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 from pincal.calibration.doctor import Remedy
 from pincal.finding import Finding
-from pincal.model.measuring.setup import ORIGIN
-from pincal.show.results import unpromised
+from pincal.model.setup import ORIGIN
+from pincal.show.result_tables import unpromised
 from pincal.words.hypotheses import HYPOTHESES
 from pincal.words.table import Table, columns
 from pincal.words.wording import Wording

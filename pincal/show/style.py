@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+
+from pincal.types import Array
 
 #: Of legs, and of sets of poses that serve them; all colours here are held apart for people who
 #: lack a kind of cone by tests/test_style.py.
@@ -160,7 +161,7 @@ def other_look(index: int) -> Look:
     return Look(DIMENSION, MARKERS[index % len(MARKERS)], HATCHES[index % len(HATCHES)])
 
 
-def shades(shares: NDArray[np.float64]) -> NDArray[np.float64]:
+def shades(shares: Array) -> Array:
     """Return colours of errors by their places on the scale from 0 to 1, (N,) to (N, 3)."""
     stops = np.array([[int(one[i : i + 2], 16) / 255 for i in (1, 3, 5)] for one in ERRORS])
     at = np.linspace(0.0, 1.0, len(stops))

@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pincal.design.drift import Drift
-from pincal.design.forecast import Forecast
-from pincal.design.instrument_scale import ScaleEffect
+from pincal.design.forecast import Drift, Forecast, ScaleEffect
 from pincal.design.platform_error import PlatformError
 from pincal.design.select import Selection
 from pincal.design.select_configurations import ConfigurationChoice
 from pincal.design.simulate import Accuracy
 from pincal.model.mechanism import Mechanism
-from pincal.show.forecast_summary import drift_lines, forecast_lines, scale_line
-from pincal.words.numbers import STORED
-from pincal.words.selection import mapped_diagonals
+from pincal.show.summary import drift_lines, forecast_lines, scale_line
+from pincal.symmetry.breaks import no_symmetries
+from pincal.symmetry.detect import NearestGroup, SymmetryGroup
+from pincal.types import Array
+from pincal.words.numbers import STORED, amount, counted
 from pincal.words.table import Cell, Column, Quantity, Table, Uncertainty, UnitOf, Value, columns
-from pincal.workspace.articular import ArticularSymmetry
+from pincal.words.wording import mapped_diagonals
+from pincal.workspace.criteria import ArticularSymmetry
 from pincal.workspace.inscribed import Inscribed
 from pincal.workspace.positions import Grid
 from pincal.workspace.region import Workspace
@@ -210,7 +211,7 @@ def _by_symmetry(workspace: Workspace) -> str:
 
 def articular_table(
     mechanism: Mechanism,
-    spaces: Mapping[str, NDArray[np.float64]],
+    spaces: Mapping[str, Array],
     checks: Sequence[ArticularSymmetry],
 ) -> Table:
     """Return the extent of spaces of readings, and whether permuted readings are reached."""
@@ -237,3 +238,73 @@ def articular_table(
         "\n".join(lines if checks else [*lines, "no symmetry but the identity"]),
         wrap=False,
     )
+
+
+def symmetry_table(group: SymmetryGroup, equivariance: float, near: NearestGroup) -> Table:
+    """Return a group's elements, where they carry the legs, what breaks others, how nearly."""
+    names = group.mechanism.leg_names
+    lines = [f"readings follow within {equivariance:.2g} (Eq. 5: F(λ q) = λ F(q))"]
+    lines += [f"no symmetry: {text}" for text in no_symmetries(group.breaks)]
+    if len(near.group.elements) > 1:
+        lines.append(_nearness(near))
+    size = f"{group.name}, {counted(len(group.elements), 'element')}"
+    return Table(
+        f"{group.mechanism.name}: {size}, nominal geometry and modes",
+        (Column("element"), *(Column(f"{name} to") for name in names)),
+        [
+            (str(element), *(names[i] for i in permutation))
+            for element, permutation in zip(group.elements, group.permutations, strict=True)
+        ],
+        "\n".join(lines),
+        wrap=False,
+    )
+
+
+def near_table(near: NearestGroup) -> Table:
+    """Return how far a mechanism is from the group that it nearly has, element by element."""
+    group = near.group
+    return Table(
+        f"{group.mechanism.name}: nearest group {group.name}, "
+        f"{counted(len(group.elements), 'element')}",
+        (Column("element"), Column("legs' points off", "m"), Column("axes off", "rad")),
+        [
+            (str(element), points, axes)
+            for element, (points, axes) in zip(group.elements, near.each, strict=True)
+        ],
+        "readings are not compared",
+    )
+
+
+def _nearness(near: NearestGroup) -> str:
+    """Return how far a mechanism is from the nearest group, as a sentence."""
+    size = f"{near.group.name}, {counted(len(near.group.elements), 'element')}"
+    return (
+        f"nearest group {size}: leg points are off by {amount(near.displacement, 'm')} at most, "
+        f"axes by {amount(near.turn, 'rad')}"
+    )
+
+
+def group_table(group: SymmetryGroup) -> tuple[Table, Table]:
+    """Return the products of a group's elements, and its generators, subgroups and orbits."""
+    count = len(group.elements)
+    letters = ["e", *(f"g{i}" for i in range(1, count))]
+    products = Table(
+        f"{group.name}: products, first the column's element, then the row's",
+        (Column(""), *(Column(letter) for letter in letters), Column("is")),
+        [
+            (letters[a], *(letters[int(b)] for b in row), str(group.elements[a]))
+            for a, row in enumerate(group.table)
+        ],
+        wrap=False,
+    )
+    parts = group.subgroups()
+    alike = Counter((part.name, count // len(part.elements)) for part in parts)
+    facts = [
+        ("generators", "; ".join(map(str, group.generators)) or "none"),
+        *((f"orbit of {len(orbit)}", ", ".join(orbit)) for orbit in group.leg_orbits),
+        *(
+            (f"subgroup {name}", f"{times} of index {index}")
+            for (name, index), times in alike.items()
+        ),
+    ]
+    return products, Table("generators, legs, subgroups", (Column("what"), Column("is")), facts)

@@ -3,18 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pincal.calibration.result import CalibrationResult
+from pincal.design.platform_error import PlatformError, root_mean_squares, sizes, without_frames
+from pincal.design.simulate import platform_errors
+from pincal.errors import WorkspaceError
+from pincal.finding import Finding
+from pincal.kinematics.configurations import as_plan
+from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
-from pincal.workspace.articular import ArticularSymmetry
+from pincal.types import Array
+from pincal.words.results import region_words
+from pincal.words.sentences import finding
 from pincal.workspace.axes import Orientations
+from pincal.workspace.criteria import ArticularSymmetry, in_workspace
 from pincal.workspace.inscribed import Inscribed
 from pincal.workspace.region import Workspace
-
-Array = NDArray[np.float64]
+from pincal.workspace.sampling import sample_configurations
 
 
 def poses_answer(mechanism: Mechanism, poses: Array) -> dict[str, Any]:
@@ -112,3 +122,166 @@ def _ranges(names: Sequence[str], units: Sequence[str], values: Array) -> dict[s
         }
         for name, unit, column in zip(names, units, values.T, strict=True)
     }
+
+
+_ACROSS = {2: 45, 3: 25}  # cells of a map by the dimension of space
+
+_MENTIONED = 0.01  # share of the workspace outside the measured region, below which it is not said
+
+
+@dataclass(frozen=True)
+class WorkspaceErrors:
+    """Errors of the platform at poses; NaN where a mechanism does not reach one."""
+
+    poses: Array
+    """Coordinates, shape (N, dof)."""
+    before: Array
+    """Of the nominal model, zeros of motors as they were found, position [m] and orientation [rad],
+    shape (N, 2)."""
+    expected: PlatformError
+    """Of the identified one, at the same poses."""
+    inside: PlatformError
+    """Of those poses that lie in the measured region (see ``expected_error``)."""
+    sampled: bool = True
+    """Whether poses are of the workspace, or those of the measurements."""
+
+    @property
+    def after(self) -> Array:
+        """Standard errors to expect of the identified mechanism, shape (N, 2), [m] and [rad]."""
+        return np.where(np.isfinite(self.expected.sizes), self.expected.sizes, np.nan)
+
+    @property
+    def limit(self) -> tuple[float, float]:
+        """Below which ``mean_after`` is in 95 of 100 such calibrations, [m] and [rad]."""
+        return self.inside.limit
+
+    @cached_property
+    def share(self) -> float:
+        """Share of the poses that are reached which lies in the measured region."""
+        return float(self.expected.within.sum()) / max(self.expected.poses, 1)
+
+    @property
+    def where(self) -> str:
+        """Over which poses means are taken, for sentences."""
+        return region_words(self.share, sampled=self.sampled)
+
+    def mean_before(self) -> tuple[float, float]:
+        """Return root mean squares of the nominal model's errors, [m] and [rad]."""
+        return root_mean_squares(self.before[self.expected.within])
+
+    def mean_after(self) -> tuple[float, float]:
+        """Return root mean squares of the errors to expect, [m] and [rad]."""
+        return self.inside.where_determined
+
+    @property
+    def beyond(self) -> Finding | None:
+        """What is to be expected outside the measured region; None if little lies there."""
+        outside = np.isinf(self.expected.outside) | (self.expected.outside > 1.0)
+        if not self.sampled or outside.mean() < _MENTIONED:
+            return None
+        sizes = self.expected.sizes[outside]
+        position, orientation = root_mean_squares(sizes)
+        return finding(
+            "beyond-measured",
+            share=1.0 - self.share,
+            position=position,
+            orientation=orientation if "rad" in self.expected.units else None,
+            undetermined=float(np.isinf(sizes).any(axis=1).mean()),
+        )
+
+
+@dataclass(frozen=True)
+class ErrorMaps:
+    """Errors over x and y, the other coordinates as at home; NaN outside of the workspace."""
+
+    x: Array
+    """Shape (n,), [m]."""
+    y: Array
+    """Shape (n,), [m]."""
+    heights: tuple[float | None, ...]
+    """z of each map, [m]; None in a plane."""
+    before: Array
+    """Position [m] and orientation [rad] of the nominal model, shape (n_heights, n, n, 2)."""
+    after: Array
+    """To expect of the identified one, of the same shape."""
+
+
+def error_maps(
+    result: CalibrationResult, errors: WorkspaceErrors | None = None
+) -> ErrorMaps | None:
+    """Return errors over the workspace, None where none was found or none can be promised.
+
+    Args:
+        result: The calibration.
+        errors: Those at samples of the workspace, computed if not given.
+    """
+    nominal, platform = result.nominal, result.nominal.platform
+    if not result.explained:
+        return None
+    if errors is None:
+        errors = workspace_errors(result)
+    if not errors.sampled or nominal.by_readings:
+        return None
+    samples, n = errors.poses, _ACROSS[platform.space]
+    low, high = samples.min(axis=0), samples.max(axis=0)
+    x, y = (np.linspace(low[i], high[i], n) for i in (0, 1))
+    heights: tuple[float | None, ...] = (None,)
+    if platform.space == 3:
+        heights = tuple(float(z) for z in np.quantile(samples[:, 2], (0.25, 0.5, 0.75)))
+    poses = np.tile(platform.home, (len(heights), n, n, 1))
+    poses[..., 0], poses[..., 1] = x, y[:, None]
+    for place, height in enumerate(heights):
+        if height is not None:
+            poses[place, ..., 2] = height
+    flat = poses.reshape(-1, platform.dof)
+    inside = in_workspace(nominal, flat)
+    if not inside.any():
+        return None
+    found = errors_at(result, flat[inside])
+    both = np.full((2, len(flat), 2), np.nan)
+    both[:, inside] = found.before, found.after
+    before, after = both.reshape(2, len(heights), n, n, 2)
+    return ErrorMaps(x, y, heights, before, after)
+
+
+def workspace_errors(result: CalibrationResult) -> WorkspaceErrors:
+    """Return the platform's errors at samples of the workspace.
+
+    At the measured configurations if no workspace is found with the default margins, or no sample
+    lies in the measured region.
+    """
+    try:
+        found = errors_at(result, sample_configurations(result.nominal, 1000))
+        if found.expected.within.any():
+            return found
+    except WorkspaceError:
+        pass
+    readings = result.measurements.readings if result.nominal.by_readings else None
+    return errors_at(result, Plan(result.poses, readings=readings), sampled=False)
+
+
+def errors_at(
+    result: CalibrationResult, planned: Plan | Array, *, sampled: bool = True
+) -> WorkspaceErrors:
+    """Return the platform's errors at planned poses, coordinates of shape (N, dof), or a plan."""
+    plan = as_plan(result.nominal, planned)
+    before = sizes(result.nominal.platform.units, moved_apart(result, result.begun, plan))
+    expected = result.expected_error(plan)
+    within = expected.within
+    inside = expected
+    if not within.all():  # frames are those of other poses, the region is the same
+        inside = replace(result.expected_error(plan.rows(within)), outside=expected.outside[within])
+    return WorkspaceErrors(plan.poses, before, expected, inside, sampled)
+
+
+def moved_apart(result: CalibrationResult, machine: Mechanism, plan: Plan) -> Array:
+    """Return where the identified machine goes less where another sends it, shape (N, dof).
+
+    Less what motions of frames explain that were fixed by choice; NaN out of reach.
+    """
+    moved = platform_errors(machine, result.identified, plan)
+    both = np.isfinite(moved).all(axis=1)
+    moved[both] = without_frames(
+        result.identified, plan.poses[both], moved[both, :, None], result.frames_moved
+    )[:, :, 0]
+    return moved

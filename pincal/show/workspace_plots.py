@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from pincal.model.mechanism import Mechanism
 from pincal.show.style import CARRIED, DOMAIN, EVERY, PAGE, look
-from pincal.workspace.articular import equal_sums
+from pincal.types import Array
+from pincal.workspace.criteria import equal_sums
 from pincal.workspace.inscribed import Inscribed
 from pincal.workspace.positions import Grid
 from pincal.workspace.region import Workspace
 
-Array = NDArray[np.float64]
 #: What is dark is seen on dark ground too.
 _HALO = [withStroke(linewidth=4, foreground="white")]
 _SEEN = 0.2  # of a picture: less of it than this shows nothing

@@ -14,19 +14,17 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pincal.errors import SymmetryError
 from pincal.model.checks import ALIKE, ROUNDING
-from pincal.model.joint import Joint
-from pincal.model.leg import Leg
+from pincal.model.leg import Joint, Leg
 from pincal.model.placement import Coordinate, Placement, Value
-from pincal.model.sensors.sensor import Sensor
-from pincal.model.sensors.terms import LOAD
+from pincal.model.sensor import Sensor
+from pincal.model.terms import LOAD
 from pincal.symmetry.elements import Element, Isometry, wrapped
+from pincal.types import Array
 
-Array = NDArray[np.float64]
 LOCAL_MIRROR = np.diag([1.0, -1.0, 1.0])
 #: Signs of elementary coordinates under the local mirror.
 _SIGNS = {"x": 1, "y": -1, "z": 1, "rx": -1, "ry": 1, "rz": -1}

@@ -13,10 +13,9 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pincal.errors import SymmetryError
-from pincal.files.given_mechanism import GivenMechanism, as_mechanism
+from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.inverse import inverse
 from pincal.model.checks import number_of
 from pincal.model.mechanism import Mechanism
@@ -34,8 +33,7 @@ from pincal.symmetry.groups import (
     product_table,
     subgroups,
 )
-
-Array = NDArray[np.float64]
+from pincal.types import Array, Index, Mask
 
 
 @dataclass(frozen=True, repr=False)
@@ -63,7 +61,7 @@ class SymmetryGroup:
         return group_name(self.elements)
 
     @cached_property
-    def table(self) -> NDArray[np.intp]:
+    def table(self) -> Index:
         """Index of each product, shape (n, n): first the column's element, then the row's."""
         return product_table(self.elements)
 
@@ -222,7 +220,7 @@ def nearest_group(mechanism: GivenMechanism) -> NearestGroup:
     return NearestGroup(group, max(m for m, _ in each), max(r for _, r in each), tuple(each))
 
 
-def in_domain(group: SymmetryGroup, positions: Array) -> NDArray[np.bool_]:
+def in_domain(group: SymmetryGroup, positions: Array) -> Mask:
     """Return which positions lie in one fundamental domain of a group, shape (N,).
 
     Of a position and its images, that nearest to a point which no element leaves where it is

@@ -7,20 +7,17 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pincal.kinematics.legs.closed_forms import is_line
-from pincal.kinematics.legs.closure import LegClosure
-from pincal.kinematics.legs.starts import home_mode
+from pincal.kinematics.closed_forms import is_line
+from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.reach import reach_of
+from pincal.kinematics.starts import home_mode
 from pincal.model.checks import ALIKE
-from pincal.model.joint import Joint
-from pincal.model.leg import Leg
+from pincal.model.leg import Joint, Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Platform
 from pincal.symmetry.elements import Element, Isometry, wrapped
-
-Array = NDArray[np.float64]
+from pincal.types import Array, Index
 
 
 @dataclass(frozen=True)
@@ -230,7 +227,7 @@ class Points:
         return self.mechanism.platform.space - 1
 
     @cached_property
-    def _joined(self) -> tuple[Array, NDArray[np.intp]]:
+    def _joined(self) -> tuple[Array, Index]:
         """Points that turn together, base frame, (n, 3), and to which leg each belongs; or −1.
 
         A platform that does not turn, turns as the base does; else both are one body at home.

@@ -11,14 +11,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pincal.errors import SymmetryError
 from pincal.model.checks import EXACT, ROUNDING, count_of
 from pincal.model.platform import Platform, Poses
+from pincal.types import Array
 
-Array = NDArray[np.float64]
 #: Angles, [rad], and positions relative to their extent that differ by rounding errors only.
 SAME = EXACT
 

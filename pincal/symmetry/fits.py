@@ -6,15 +6,14 @@ from collections.abc import Iterator
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
 from pincal.symmetry.carry import bare, canonical, carry
 from pincal.symmetry.differences import Difference, Points, Traits, candidates, differences
 from pincal.symmetry.elements import Element
+from pincal.types import Array
 
-Array = NDArray[np.float64]
 Permutation = tuple[int, ...]
 NEARLY = 0.1
 """Of how far leg points are apart: a symmetry meant, though not kept."""

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from pincal.errors import MechanismError
-from pincal.kinematics.legs.closing import close
-from pincal.kinematics.legs.closure import LegClosure
+from pincal.kinematics.closing import close
+from pincal.kinematics.closure import LegClosure
 from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Platform

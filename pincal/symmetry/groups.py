@@ -10,12 +10,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pincal.symmetry.elements import SAME, Element, Isometry
+from pincal.types import Array, Index
 
-Array = NDArray[np.float64]
-Table = NDArray[np.intp]
+Table = Index
 _NEAREST = 0.25  # how far a product may be from the element that it is meant to be, |Q − Q'|
 _ROUNDS = 8  # of averaging: each squares the error
 

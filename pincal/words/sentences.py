@@ -12,12 +12,10 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from pincal.finding import Finding
-from pincal.words.faults import FAULTS
-from pincal.words.freedoms import FREEDOMS
+from pincal.words.findings import FAULTS, FREEDOMS, ROWS
 from pincal.words.hypotheses import HYPOTHESES, explanation
 from pincal.words.parameters import PARAMETERS
 from pincal.words.results import RESULTS
-from pincal.words.rows import ROWS
 from pincal.words.wording import Wording
 
 #: What is said of each code.

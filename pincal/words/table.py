@@ -207,7 +207,7 @@ class Table:
 
     def html(self) -> str:
         """Return the table as HTML, in a frame that scrolls where the page is too narrow."""
-        from pincal.words.pages import rendered
+        from pincal.words.wording import rendered
 
         return rendered("table.html", table=self, sides=self.aligned)
 

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
+from functools import cache
+from typing import Any, TypeAlias
+
+from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
 from pincal.finding import Finding, Severity
+from pincal.model.checks import ALIKE
 from pincal.words.numbers import chance
 
 #: Words with the finding's values in braces, or a function of the finding.
@@ -78,3 +83,135 @@ def groups_in_words(groups: tuple[tuple[str, ...], ...], most: int = LISTED) -> 
     if len(parts) > most + 1:
         parts[most:] = [f"and {len(parts) - most} more (result.json)"]
     return "; ".join(parts)
+
+
+_UNPRINTABLE = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+
+
+def clean(text: str) -> str:
+    """Return text without characters that no page can hold."""
+    return _UNPRINTABLE.sub("\ufffd", text)
+
+
+def _cleaned(value: Any) -> Any:
+    if value is None:
+        return ""
+    return clean(value) if isinstance(value, str) and not hasattr(value, "__html__") else value
+
+
+def rendered(template: str, **values: Any) -> str:
+    """Return a template of ``pincal/words/pages`` or ``pincal/show/pages`` with values."""
+    return _environment().get_template(template).render(**values)
+
+
+@cache
+def _environment() -> Environment:
+    return Environment(
+        loader=ChoiceLoader(
+            [PackageLoader("pincal.words", ""), PackageLoader("pincal.show", "pages")]
+        ),
+        autoescape=True,
+        finalize=_cleaned,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+
+
+def mapped_diagonals(differ: float) -> str:
+    """Return whether mapped legs are as observable as their references, parameter by parameter.
+
+    Args:
+        differ: Largest part by which |R_ii| of a leg differ from those of its reference leg.
+    """
+    if differ < ALIKE:
+        return "|R_ii| of mapped legs are those of their reference legs (Eq. 10)"
+    return (
+        f"|R_ii| of mapped legs differ by up to {100 * differ:.2g} %: offsets, gains or Cartesian "
+        "coordinates turn into each other. Their product, and O1, is equal but for a constant"
+    )
+
+
+#: Heads of the table of columns.
+HEADS = ("column", "fill in", "what it is")
+#: Who fills a column in, by whether it is to be measured.
+FILL_IN = {True: "yes", False: "no"}
+ROW = "number of the pose, in the order of measuring"
+SET = "'all': for the calibration; 'verify': for its check, by poses that it has not seen"
+PLANNED = "where to drive the platform: {name}"
+DRIVEN = "what {name} reads there by the drawing: drive to it if the machine takes no poses"
+MEASURED = "{name} as measured, in the base frame; leave the column empty if it is not measured"
+READ = "what the machine reads at joint {joint} of {leg}, {counted}; needed in every row"
+COUNTED = {
+    True: "counted from the home pose",
+    False: "with the zero of the drawing",
+}
+"""From where a reading counts, by whether its sensor is zeroed at home."""
+
+
+MECHANISM = "mechanism"
+SETS, GHOSTS = "poses, as dots", "poses, as ghosts"
+BASE, GRID = "base frame", "grid"
+MEASURED, OUTLIERS = "measured → predicted", "outliers"
+FRAME = "frame of the measurements"
+TRACKER = "tracker"
+POSE, READ = "pose", "readings, as measured"
+GIVEN, NOMINAL = "readings, as given", "readings of the nominal model"
+ERROR = "identified goes off by"
+#: The workspace in colours of errors.
+BY_ERROR = {
+    "before": "workspace by error, nominal (before)",
+    "after": "workspace by error, identified, as expected",
+}
+
+
+def identified(magnify: float) -> str:
+    """Return what the identified machine is, its errors magnified by a factor."""
+    return f"identified, errors × {magnify:g}"
+
+
+def cloud(drawn: int, given: int, group: str) -> str:
+    """Return what a cloud of positions is.
+
+    Args:
+        drawn: How many positions are drawn.
+        given: Of how many.
+        group: Whose fundamental domain has the stronger colour; empty where there is none.
+    """
+    count = f"{drawn:,}" + (f" of {given:,}" if given > drawn else "")
+    share = f"; strong colour: fundamental domain of {group}" if group else ""
+    return f"workspace, {count} positions{share}"
+
+
+def misses(who: str, magnify: float, cut: int) -> str:
+    """Return what arrows are, magnified by a factor, of which some are cut."""
+    more = f", {cut} longer than drawn" if cut else ""
+    return f"{who}, errors × {magnify:,.12g}{more}"
+
+
+def weakest(magnify: float, named: str) -> str:
+    """Return how far the machine moves along its weakest direction, and what moves most."""
+    return f"weakest direction, ±{magnify:.3g} of its standard errors: {named}"
+
+
+def stands(what: str, far: float) -> str:
+    """Return where an instrument or frame stands, its distance in [m]."""
+    return f"{what}, {far:.3g} m from the base frame"
+
+
+def unreached(magnify: float | None, problems: Sequence[str]) -> str:
+    """Return at how many poses a machine is not drawn in full; empty where it is everywhere.
+
+    Args:
+        magnify: Factor on the identified machine's errors; None of the mechanism itself.
+        problems: Of each pose; empty strings where there is none.
+    """
+    some = [text for text in problems if text]
+    if not some:
+        return ""
+    name = "the mechanism"
+    if magnify is not None:
+        name = f"the identified machine (errors × {magnify:g})"
+    return (
+        f"{name} is not drawn in full at {len(some)} of {len(problems)} poses; the first: {some[0]}"
+    )

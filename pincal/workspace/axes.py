@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
@@ -18,8 +17,8 @@ from pincal.model.orientation import WAYS, rotation_of
 from pincal.model.platform import Platform
 from pincal.model.units import UNITS
 from pincal.symmetry.elements import SAME, Element
+from pincal.types import Array
 
-Array = NDArray[np.float64]
 _AXIS = re.compile(r"^\s*(\w+)\s*(?:\[\s*([^\[\]]*?)\s*\])?\s*=\s*(.+?)\s*$")
 #: Values of one axis, samples or poses.
 

@@ -5,18 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pincal.errors import WorkspaceError
-from pincal.files.given_mechanism import GivenMechanism, as_mechanism
+from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.model.mechanism import Mechanism
 from pincal.symmetry.detect import symmetry_group
 from pincal.symmetry.elements import SAME, Element
+from pincal.types import Array
 from pincal.workspace.axes import Axis
 from pincal.workspace.positions import Grid, Samples
 from pincal.workspace.region import Workspace
 
-Array = NDArray[np.float64]
 _ACROSS = {2: 200, 3: 60}  # steps of a grid in the plane, in space, across the box
 _CLOSER = 0.8  # of the extent, below which another look is worth while
 _AROUND = {2: 360, 3: 72}  # bearings of a polar grid, at least

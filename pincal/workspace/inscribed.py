@@ -14,14 +14,13 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import KDTree, QhullError, Voronoi
 
 from pincal.errors import WorkspaceError
+from pincal.types import Array
 from pincal.workspace.positions import Grid
 from pincal.workspace.region import Workspace, at_edge, edges
 
-Array = NDArray[np.float64]
 _ROUNDS = 60
 _NEAR = 1e-4  # of the radius, how near to the bound is enough; of a step, on the boundary
 _RIM_POSITIONS = {2: 500, 3: 2000}

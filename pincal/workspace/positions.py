@@ -21,10 +21,10 @@ from pincal.kinematics.reach import Turned
 from pincal.model.checks import ALIKE
 from pincal.model.mechanism import Mechanism
 from pincal.symmetry.elements import IDENTITY, SAME, Element, Isometry
+from pincal.types import Array, Mask
 from pincal.workspace.axes import MOST, Axis, Orientations
 from pincal.workspace.criteria import Criteria, Margins, criteria_of
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 #: Takes numbers of positions to those of their images.
 Carrier: TypeAlias = Callable[[Indices], Indices]
@@ -309,7 +309,6 @@ def representatives(
     return lowest
 
 
-Mask = NDArray[np.bool_]
 _FIRST = 16  # orientations after which closed loops ask who is decided, then 8 times as many
 
 

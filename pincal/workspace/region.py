@@ -15,17 +15,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pincal.blas import on_one_thread
 from pincal.errors import WorkspaceError
-from pincal.files.given_mechanism import GivenMechanism, as_mechanism
-from pincal.files.tables.table import write_table
+from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
+from pincal.files.table import write_table
 from pincal.kinematics.singularity import margins
 from pincal.model.checks import ROUNDING, described
 from pincal.model.mechanism import Mechanism
 from pincal.symmetry.detect import symmetry_group
 from pincal.symmetry.elements import IDENTITY, Element, Isometry
+from pincal.types import Array, Mask
 from pincal.words.numbers import measured
 from pincal.workspace.axes import Orientations
 from pincal.workspace.chunks import run
@@ -87,10 +87,6 @@ def moves_of(elements: tuple[Element, ...], asked: Orientations) -> tuple[Isomet
     """Return what elements do to positions in all of some orientations."""
     turns = asked.rotations.as_matrix()
     return tuple(move for element in elements if (move := element.positions(turns)) is not None)
-
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 
 def edges(grid: Grid, inside: Mask) -> Indices:

@@ -14,25 +14,69 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
 
 from pincal.blas import on_one_thread
 from pincal.errors import WorkspaceError
-from pincal.files.given_mechanism import GivenMechanism, as_mechanism
+from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
+from pincal.kinematics.closing import close
+from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.forward import forward, reading_range
-from pincal.kinematics.legs.closing import close
-from pincal.kinematics.legs.closure import nominal_legs
 from pincal.kinematics.singularity import margins
 from pincal.model.checks import count_of, generator_of
-from pincal.model.measuring.measurements import Plan
+from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
+from pincal.model.platform import Platform
+from pincal.types import Array, Mask
 from pincal.workspace.axes import MOST
 from pincal.workspace.box import reach_box
-from pincal.workspace.component import HomeComponent
 from pincal.workspace.criteria import Margins, as_margins, criteria_of, in_workspace
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+_ROUNDS = 6  # the nearest neighbours first: poses that hang together already are not joined again
+
+
+class HomeComponent:
+    """Decides which poses are connected to home, from poses that count and a test for more."""
+
+    def __init__(self, platform: Platform, poses: Array, counts: Callable[[Array], Mask]) -> None:
+        """Join sampled poses.
+
+        Args:
+            platform: The platform, whose home pose counts.
+            poses: Sampled poses that count, coordinates of shape (M, dof).
+            counts: Test for poses, shape (N, dof) to (N,).
+        """
+        self._platform = platform
+        self._home = np.array([platform.home])
+        poses = np.concatenate((self._home, poses))
+        points = self._points(poses)
+        self._scale = np.ptp(points, axis=0)
+        self._scale[self._scale == 0.0] = 1.0
+        self._tree = KDTree(points / self._scale)
+        neighbours = min(len(poses), 4 * poses.shape[1] + 1)
+        near = np.asarray(self._tree.query(points / self._scale, neighbours)[1])
+        near = near.reshape(len(poses), -1)
+        labels, joined = np.arange(len(poses)), np.empty((2, 0), dtype=near.dtype)
+        for some in np.array_split(near, _ROUNDS, axis=1):
+            pairs = np.stack((np.repeat(np.arange(len(poses)), some.shape[1]), some.ravel()))
+            pairs = pairs[:, (pairs[0] < pairs[1]) & (labels[pairs[0]] != labels[pairs[1]])]
+            first, second = pairs
+            halfway = platform.twists_between(poses[first], poses[second]) / 2
+            joined = np.hstack((joined, pairs[:, counts(platform.moved(poses[first], halfway))]))
+            graph = coo_array((np.ones(joined.shape[1]), tuple(joined)), [len(poses)] * 2)
+            _, labels = connected_components(graph, directed=False)
+        self._connected = labels == labels[0]
+
+    def __call__(self, poses: Array) -> Mask:
+        """Return which poses, shape (N, dof), belong to the part connected to home."""
+        nearest = self._tree.query(self._points(poses) / self._scale)[1]
+        return np.asarray(self._connected[nearest])
+
+    def _points(self, poses: Array) -> Array:
+        """Return poses as twists from home, in which near poses are near, shape (N, dof)."""
+        return self._platform.twists_between(np.repeat(self._home, len(poses), axis=0), poses)
 
 
 @dataclass(frozen=True)

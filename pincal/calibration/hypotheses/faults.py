@@ -7,24 +7,31 @@ measurements is decided by one rule, in ``ranking``.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import combinations, product
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from pincal.calibration.hypotheses.leg_fit import LegFit, LegMeasurements, leg_fits
-from pincal.calibration.hypotheses.rule import RULE
-from pincal.calibration.hypotheses.sample import Sample
+from pincal.calibration.calibration import Calibration
+from pincal.calibration.hypotheses.sample import (
+    RULE,
+    LegFit,
+    LegMeasurements,
+    Sample,
+    leg_fits,
+    placed,
+    sample_of,
+)
+from pincal.finding import Finding
 from pincal.kinematics.inverse import inverse
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import WAYS, columns_of, rotation_of
+from pincal.types import Array, Index
 
-Array = NDArray[np.float64]
 #: For each unit of a header: what the numbers may be in, and the factor that puts them right.
 UNITS = {
     "m": {"mm": 1e-3, "m": 1e3},
@@ -167,7 +174,7 @@ def _of_one_leg(mechanism: Mechanism) -> Iterator[Hypothesis]:
             yield Hypothesis("columns-exchanged", partial(_ordered, order), values)
 
 
-def _ordered(order: NDArray[np.intp], sample: Sample) -> tuple[Array, Array]:
+def _ordered(order: Index, sample: Sample) -> tuple[Array, Array]:
     return sample.poses, sample.readings[:, order]
 
 
@@ -213,7 +220,7 @@ def _angles(sample: Sample) -> Iterator[Hypothesis]:
             yield Hypothesis("angles-exchanged", right, values)
 
 
-def _turned(way: str, order: NDArray[np.intp], signs: Array, sample: Sample) -> tuple[Array, Array]:
+def _turned(way: str, order: Index, signs: Array, sample: Sample) -> tuple[Array, Array]:
     matrices = sample.matrices()
     angles = columns_of(way, Rotation.from_matrix(matrices[:, :3, :3]))
     turns = rotation_of(way, angles[:, order] * signs).as_matrix()
@@ -297,3 +304,73 @@ def _best_order(sample: Sample) -> list[int]:
     table = np.reshape(costs, (len(every), len(every)))
     stays = 1e-9 * np.eye(len(every))
     return [int(j) for j in linear_sum_assignment(np.nan_to_num(table, nan=1.0) - stays)[1]]
+
+
+def zeros_found(calibration: Calibration, found: Sequence[Finding]) -> Array | None:
+    """Return where the search starts if zeros explain what does not fit, shape (n_params,).
+
+    None if something else may explain it, or if a zero is not identified.
+
+    Args:
+        calibration: What is to be identified.
+        found: Hypotheses that explain the measurements.
+    """
+    offsets = np.zeros(len(calibration.mechanism.reading_names))
+    for one in found:
+        if one.code != "reading-offset" or one.values["unknown_frame"]:
+            return None
+        for name, off, _ in one.values["offsets"]:
+            offsets[calibration.mechanism.reading_names.index(name)] = off
+    return _started(calibration, offsets) if len(found) == 1 else None
+
+
+def zeros_measured(calibration: Calibration) -> Array | None:
+    """Return where the search starts with the zeros that full poses show, shape (n_params,).
+
+    None without full poses, or if no zero is identified.
+    """
+    mechanism = calibration.mechanism
+    sample = sample_of(mechanism, calibration.measurements, calibration.options.setup)
+    if sample is None or mechanism.by_readings or sample.free or not sample.oriented:
+        return None
+    (there,) = placed([sample])
+    if there is None:
+        return None
+    offsets = offsets_of(sample, there[0])
+    own = [index for index, _ in _zeros(calibration)]
+    return _started(calibration, np.where(np.isin(np.arange(len(offsets)), own), offsets, 0.0))
+
+
+def _started(calibration: Calibration, offsets: Array) -> Array | None:
+    """Return the nominal parameters with zeros of readings that are off, if all are identified."""
+    start = np.concatenate([leg.nominal for leg in calibration.mechanism.legs])
+    zeros = dict(_zeros(calibration))
+    for index in np.flatnonzero(offsets).tolist():
+        if index not in zeros:
+            return None
+        place, by_reading = zeros[index]
+        start[place] += by_reading * offsets[index]
+    return start if offsets.any() else None
+
+
+def _zeros(calibration: Calibration) -> list[tuple[int, tuple[int, float]]]:
+    """Return of each reading whose zero is identified: its parameter, and how that follows.
+
+    ψ = d k q + γ grows with γ; q = d k ψ + γ falls by d k of it. Zeros with priors, ties or terms,
+    or of several sensors, start at nominal.
+    """
+    unknowns = calibration.unknowns()
+    free = unknowns.map != 0.0
+    alone = free[:, free.sum(axis=0) == 1].sum(axis=1) == 1
+    found, first, index = [], 0, 0
+    for leg in calibration.mechanism.legs:
+        offsets = [sensor.offset for sensor in leg.sensors]
+        for sensor, name in zip(leg.sensors, offsets, strict=True):
+            if isinstance(name, str) and offsets.count(name) == 1 and not sensor.terms:
+                place = first + leg.parameter_names.index(name)
+                gain, _ = sensor.constants(leg.nominal_by_name)
+                if alone[place] and np.isinf(unknowns.priors[place]):
+                    found.append((index, (place, 1.0 if sensor.form == "reading" else -gain)))
+            index += 1
+        first += len(leg.parameters)
+    return found

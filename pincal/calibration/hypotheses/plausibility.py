@@ -11,7 +11,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy.special import fdtrc
 
 from pincal.calibration.hypotheses.ranking import (
     Judged,
@@ -20,22 +20,22 @@ from pincal.calibration.hypotheses.ranking import (
     judge,
     other_side,
 )
-from pincal.calibration.hypotheses.rule import RULE
-from pincal.calibration.hypotheses.sample import Sample, placed, sample_of
+from pincal.calibration.hypotheses.sample import RULE, Sample, placed, sample_of
 from pincal.errors import MeasurementError
-from pincal.estimation.conditions.external import External
-from pincal.estimation.observability.drawings import DIFFER
+from pincal.estimation.blocks.external import External
+from pincal.estimation.observability.gauge import frame_motions, unexplained
+from pincal.estimation.observability.indices import DIFFER, NEGLIGIBLE, plausible_changes
 from pincal.finding import Finding
+from pincal.kinematics.closing import sensor_law
+from pincal.kinematics.closure import largest_size, nominal_legs
+from pincal.kinematics.configurations import legs_at
 from pincal.kinematics.inverse import inverse
-from pincal.kinematics.legs.closing import sensor_law
-from pincal.kinematics.legs.closure import largest_size, nominal_legs
 from pincal.model.checks import ROUNDING
-from pincal.model.measuring.measurements import Measurements, Noise
-from pincal.model.measuring.setup import ORIGIN, Setup, Target
+from pincal.model.measurements import Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism
+from pincal.model.setup import ORIGIN, Setup, Target
+from pincal.types import Array
 from pincal.words.sentences import finding, sentence, sentences
-
-Array = NDArray[np.float64]
 
 
 def check_plausible(mechanism: Mechanism, data: Measurements, setup: Setup | None = None) -> None:
@@ -275,3 +275,76 @@ def check_noise(mechanism: Mechanism, noise: Noise) -> None:
                 "size": size,
             }
             raise MeasurementError(sentence(finding("noise-too-large", **values)))
+
+
+def misaligned(
+    mechanism: Mechanism, changes: Array, poses: Array, readings: Array
+) -> tuple[Finding, ...]:
+    """Return a finding if parameters moved as one body.
+
+    Of fits in frames that were said to be known, without ties.
+
+    Args:
+        mechanism: The nominal mechanism.
+        changes: Identified less nominal parameters of all legs, shape (n_params,).
+        poses: Measured or estimated, shape (N, dof), [m] and [rad].
+        readings: Measured, shape (N, n_readings), [rad] or [m].
+    """
+    rows = np.linspace(0, len(poses) - 1, min(RULE.rows_moved, len(poses))).astype(int)
+    read = readings[rows] if mechanism.by_readings else None
+    if not np.isfinite(poses[rows]).all() or (read is not None and np.isnan(read).any()):
+        return ()
+    legs = legs_at(mechanism, Plan(poses[rows], readings=read))
+    gain = legs.gain
+    if not len(gain) or not np.isfinite(gain).all() or not changes.any():
+        return ()
+    platform = mechanism.platform
+    size = largest_size(mechanism.legs)
+    motions = frame_motions(platform, platform.matrices(legs.poses))
+    moved, scale = gain @ changes, plausible_changes(mechanism)
+    n_base, space = motions.shape[2] - platform.dof, platform.space
+    lengths = np.array([1.0 if unit == "m" else size for unit in platform.units])
+    for frame, own in (("base", motions[:, :, :n_base]), ("platform", motions[:, :, n_base:])):
+        chance, amounts = _as_one(gain, own, changes, scale)
+        left = unexplained(platform, moved[:, :, None], own, size)[:, :, 0]
+        share = 1.0 - ((left * lengths) ** 2).sum() / ((moved * lengths) ** 2).sum()
+        if chance > RULE.chance or share < RULE.matters:
+            continue
+        turns = len(amounts) > space
+        values: dict[str, Any] = {
+            "frame": frame,
+            "remedy": frame if "rad" in platform.units else "base",
+            "share": float(share),
+            "p_value": chance,
+            "shift": float(np.linalg.norm(amounts[:space])),
+            "turn": float(np.linalg.norm(amounts[space:])) if turns else None,
+        }
+        return (finding("frame-misaligned", **values),)
+    return ()
+
+
+def _as_one(gain: Array, motions: Array, changes: Array, scale: Array) -> tuple[float, Array]:
+    """Return the probability of so much motion as one body by chance, and that motion.
+
+    The share of the changes' squares, in parameters over their scale, that lies in the directions
+    that move a frame has the F distribution if all directions are alike. 1 if parameters cannot
+    move so, or some are held.
+
+    Args:
+        gain: What parameters do to the platform, shape (N, dof, n).
+        motions: What unit motions of a frame do to it, shape (N, dof, k).
+        changes: Of the parameters, shape (n,).
+        scale: By how much they may differ, shape (n,).
+    """
+    A, b = gain.reshape(-1, gain.shape[2]) * scale, motions.reshape(-1, motions.shape[2])
+    D = np.linalg.lstsq(A, b, rcond=1e-9)[0]
+    misfit, sizes = np.linalg.norm(A @ D - b, axis=0), np.linalg.norm(b, axis=0)
+    rigid = (misfit <= NEGLIGIBLE * sizes).all() and len(changes) > D.shape[1]
+    if not rigid or not changes.all():
+        return 1.0, np.zeros(D.shape[1])
+    Q, R = np.linalg.qr(D)
+    along, own = Q.T @ (changes / scale), changes / scale
+    k, n = len(along), len(changes)
+    inside, outside = along @ along, own @ own - along @ along
+    amounts = np.linalg.lstsq(R, along, rcond=None)[0]
+    return float(fdtrc(k, n - k, inside / k / (outside / (n - k)))), amounts

@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pincal.calibration.hypotheses.faults import (
     Hypothesis,
@@ -22,16 +21,21 @@ from pincal.calibration.hypotheses.faults import (
     single_faults,
     zeros,
 )
-from pincal.calibration.hypotheses.leg_fit import LegFit, LegMeasurements, leg_fits
-from pincal.calibration.hypotheses.rule import RULE
-from pincal.calibration.hypotheses.sample import Sample, placed
-from pincal.estimation.observability.drawings import DIFFER
+from pincal.calibration.hypotheses.sample import (
+    RULE,
+    LegFit,
+    LegMeasurements,
+    Sample,
+    leg_fits,
+    placed,
+)
+from pincal.estimation.observability.indices import DIFFER
 from pincal.finding import Finding
 from pincal.kinematics.singularity import margins
 from pincal.model.mechanism import Mechanism
+from pincal.types import Array, Index
 from pincal.words.sentences import finding
 
-Array = NDArray[np.float64]
 AS_MEASURED = Hypothesis("nothing", lambda sample: (sample.poses, sample.readings))
 
 
@@ -46,7 +50,7 @@ class Judged:
     """Legs whose readings it concerns, if not all."""
     matrices: Array | None = None
     """Poses put right, in the nominal machine's frame, shape (N, 4, 4)."""
-    rows: NDArray[np.intp] | None = None
+    rows: Index | None = None
     """Their rows in the sample."""
     free: bool = False
     """Whether the base's place was aligned."""

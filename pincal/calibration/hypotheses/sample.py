@@ -11,19 +11,75 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from pincal.calibration.hypotheses.rule import RULE
+from pincal.estimation.observability.gauge import frame_motions
+from pincal.estimation.observability.indices import DIFFER, changes_of
+from pincal.kinematics.batches import CHUNK, chunks, stacked
+from pincal.kinematics.closure import LegClosure, largest_size, nominal_legs
+from pincal.kinematics.derivatives import demands
 from pincal.kinematics.forward import forward
-from pincal.kinematics.legs.closure import largest_size
-from pincal.model.measuring.measurements import Measurements
-from pincal.model.measuring.setup import ORIGIN, Setup
+from pincal.kinematics.nearest_closure import NEWTON, begun, nearest_closures
+from pincal.kinematics.starts import home_mode, mode_sign
+from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import WAYS
+from pincal.model.setup import ORIGIN, Setup
+from pincal.types import Array, Index, Mask
 
-Array = NDArray[np.float64]
-Rows = NDArray[np.intp]
+
+@dataclass(frozen=True)
+class Rule:
+    """What measurements are questioned by, and what explains them."""
+
+    questioned: float = 0.02
+    """Misfit over the stroke that was measured, from which measurements are questioned."""
+    each: float = 3.0
+    """By which each fault that is put right divides the misfit."""
+    equal: float = 2.0
+    """Times the misfit that the best leaves: cannot be separated from it."""
+    precise: float = 1e-4
+    """Gaps that are none, of the leg's size."""
+    still: float = 1e-3
+    """Readings that differ by less hardly move, of a leg's size and [rad]."""
+    follows: float = 0.5
+    """What is left of readings that follow the nominal ones, of the stroke."""
+    past: float = 0.1
+    """Past half a turn from home that a joint may be read, [rad]: readings have their cut there."""
+    round: float = 0.03
+    """Share by which readings may miss a whole multiple of what they should be."""
+    scales: tuple[float, ...] = (2.0, 4.0, 10.0, 100.0, 0.5, 0.25, 0.1, 0.01)
+    """Times that readings may be too large, where poses do not say it."""
+    slip: float = 10.0
+    """Times the median that a row misses by, if fewer than one row in so many does."""
+    shifts: tuple[int, ...] = (1, -1, 2, -2)
+    """Rows by which logs of poses and readings are out of step."""
+    chance: float = 1e-5
+    """Probability of so much motion as one body by chance, above which it is none."""
+    matters: float = 0.25
+    """Of the platform's error: a motion of less is not worth a warning."""
+    rows: int = 500
+    """Enough to judge by."""
+    rows_forward: int = 100
+    """Enough, where forward kinematics is needed."""
+    rows_framed: int = 40
+    """Enough, where another frame is tried."""
+    rows_moved: int = 200
+    """Enough, where the motion of a body is looked for."""
+    rows_zeros: int = 12
+    """Enough, where zeros of motors are tried in an unknown frame."""
+    zeros: int = 12
+    """Of a motor that are tried at a time, over a turn first, then over a cell of the last."""
+    alignments: int = 30
+    """Steps by which frame and target are aligned together."""
+    times: int = 3
+    """That zeros are tried."""
+
+
+RULE = Rule()
+
+
+Rows = Index
 
 
 @dataclass(frozen=True)
@@ -131,7 +187,7 @@ def placed(samples: Sequence[Sample]) -> list[tuple[Array, Rows] | None]:
 
 
 def _placed(
-    sample: Sample, known: Rows, poses: Array, converged: NDArray[np.bool_]
+    sample: Sample, known: Rows, poses: Array, converged: Mask
 ) -> tuple[Array, Rows] | None:
     """Return poses and rows of a sample, given those that its known rows' readings lead to."""
     good = known[converged]
@@ -229,3 +285,186 @@ def _motion(sample: Sample, here: Array, there: Array) -> Array:
     F[:3, :3] = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
     F[:3, 3] = b.mean(axis=0) - F[:3, :3] @ a.mean(axis=0)
     return F
+
+
+_SEARCH = replace(NEWTON, steps=20)  # legs that close need fewer
+_ROUNDS = 5  # of least squares on the way to the least sum of absolute values
+
+
+@dataclass(frozen=True)
+class LegFit:
+    """How measurements fit a leg; lengths over the leg's size."""
+
+    gap: float
+    """Median closure residual at the nominal parameters; NaN with fewer than two rows."""
+    left: Array
+    """Closure residual at the parameters near nominal that fit best, of each row, (N,); NaN
+    where there is no reading."""
+    stroke: float
+    """By how much readings move the leg's end over the rows: median."""
+    bent: int
+    """Rows that close the leg in another working mode than home's."""
+
+    @property
+    def rows(self) -> int:
+        """Rows with a reading."""
+        return int(np.isfinite(self.left).sum())
+
+    @property
+    def as_home(self) -> bool:
+        """Whether most rows close the leg in home's working mode."""
+        return 2 * self.bent <= self.rows
+
+    @property
+    def near(self) -> float:
+        """What machines near nominal leave of the gaps; all, if machines do not differ so far."""
+        return self.gap if not self.gap <= DIFFER else min(self.gap, float(np.nanmedian(self.left)))
+
+    @property
+    def misfit(self) -> float:
+        """The leg's share in a hypothesis' score: what is left, or 1 in another working mode."""
+        return max(self.near, RULE.precise) if self.as_home else max(1.0, self.gap)
+
+    @property
+    def questioned(self) -> bool:
+        """Whether machines near nominal leave much of what was measured."""
+        most = max(min(RULE.questioned * self.stroke, DIFFER), RULE.precise)
+        return self.rows > 1 and not self.near <= most
+
+
+@dataclass(frozen=True)
+class LegMeasurements:
+    """What was measured of one leg."""
+
+    leg: int
+    """Which, of the mechanism's."""
+    matrices: Array
+    """Poses ``T_base_platform``, shape (N, 4, 4)."""
+    readings: Array
+    """Shape (N, n_active), [rad] or [m]; NaN where not measured."""
+
+    @property
+    def whole(self) -> Mask:
+        """Which rows have readings, shape (N,); none of a single one."""
+        found = np.isfinite(self.readings).all(axis=1)
+        return np.asarray(found & (found.sum() > 1))
+
+    def known(self) -> LegMeasurements:
+        """Return the rows with readings."""
+        own = self.whole
+        return replace(self, matrices=self.matrices[own], readings=self.readings[own])
+
+
+def leg_fits(
+    mechanism: Mechanism, given: Sequence[LegMeasurements], *, free: bool = False
+) -> list[LegFit]:
+    """Return how each of several sets of measurements fits its leg.
+
+    Those of alike legs, as many rows each, are evaluated in one call.
+
+    Args:
+        mechanism: The mechanism.
+        given: The sets.
+        free: Whether the base was placed by alignment only, and may lie nearby.
+    """
+    known, legs = [one.known() for one in given], nominal_legs(mechanism)
+    fits = [LegFit(np.nan, np.full(len(one.readings), np.nan), np.nan, 0) for one in given]
+    groups: dict[tuple[object, int], list[int]] = {}
+    for place, one in enumerate(known):
+        if count := len(one.readings):
+            groups.setdefault((legs[one.leg].form, count), []).append(place)
+    for (_, count), group in groups.items():
+        for some in chunks(len(group), max(1, CHUNK // count)):
+            found = _fitted(legs, [known[place] for place in group[some]], free)
+            for place, fit in zip(group[some], found, strict=True):
+                left = fits[place].left
+                left[given[place].whole] = fit.left
+                fits[place] = replace(fit, left=left)
+    return fits
+
+
+def _fitted(
+    legs: Sequence[LegClosure], sets: Sequence[LegMeasurements], free: bool
+) -> list[LegFit]:
+    """Return how sets of alike legs fit, all rows of which are known, as many in each set."""
+    own, count = [legs[one.leg] for one in sets], len(sets[0].readings)
+    leg, matrices = own[0].leg, stacked([one.matrices for one in sets])
+    said = [one.readings for one in sets]
+    # rows of one leg are rows of one call, whatever its form; alike legs stand below each other
+    alone = len({one.leg for one in sets}) == 1
+    called, known = (own[:1], [stacked(said)]) if alone else (own, said)
+    there = np.split(matrices, len(called))
+
+    def by_set(parts: Sequence[Array]) -> Array:
+        whole: Array = stacked(parts)
+        return whole.reshape(len(sets), count, *whole.shape[1:])
+
+    with np.errstate(all="ignore"):  # units may be far off
+        start = [begun(*one, None) for one in zip(called, there, known, strict=True)]
+        closed, _ = nearest_closures(called, matrices, stacked(start), _SEARCH)
+        missed = np.nan_to_num(np.linalg.norm(closed.constraint, axis=1), nan=np.inf)
+        rows = demands(called, closed, known)
+        sizes = np.array([one.size for one in own])
+        changes = np.stack([changes_of(one.leg, one.size) for one in own])
+        J = by_set([one.parameter for one in rows]) * changes[:, None, None]
+        if free:
+            platform = own[0].platform
+            base = frame_motions(platform, matrices)[:, :, : -platform.dof]
+            base = base.reshape(len(sets), count, *base.shape[1:])
+            lengths = np.arange(base.shape[3]) < platform.space
+            scales = DIFFER * np.where(lengths, sizes[:, None, None, None], 1.0)
+            by_base = by_set([one.pose for one in rows]) @ (base * scales)
+            J = np.concatenate((J, by_base), axis=3)
+        lefts = _left(sizes, J, by_set([one.value for one in rows]))
+        strokes = _stroke(by_set([one.reading for one in rows]), np.stack(said)) / sizes
+        gaps = np.median(missed.reshape(len(sets), count), axis=1) / sizes
+    modes = np.repeat([home_mode(one.leg, one.platform) for one in own], count)
+    # joints that are all read bend as they do
+    bent = (mode_sign(closed) * modes < 0.0) & bool(leg.passive)
+    bends = bent.reshape(len(sets), count).sum(axis=1)
+    found = zip(gaps.tolist(), lefts, strokes.tolist(), bends.tolist(), strict=True)
+    return [LegFit(*one) for one in found]
+
+
+def _left(sizes: Array, J: Array, value: Array) -> Array:
+    """Return the gaps that parameters near nominal leave, over the legs' sizes, shape (P, N).
+
+    To first order, of least absolute values (rows with a slip count little), parameters known as
+    well as machines follow their drawings, and no farther from nominal than that.
+
+    Args:
+        sizes: Of the legs, shape (P,), [m].
+        J: Change of the gaps by as much as each parameter may differ, shape (P, N, k, n), [m].
+        value: The gaps in P sets of measurements, shape (P, N, k), [m].
+    """
+    parts, N, k, n = J.shape
+    result = np.full((parts, N), 1.0)
+    fine = np.isfinite(J).all(axis=(1, 2, 3)) & np.isfinite(value).all(axis=(1, 2))
+    precise = RULE.precise * sizes[fine, None, None]
+    J, value = J[fine] / precise[..., None], value[fine] / precise
+    weights, usual = np.ones(value.shape[:2]), np.ones((len(value), 1))
+    J, value = J.reshape(-1, N * k, n), value.reshape(-1, N * k)
+    for _ in range(_ROUNDS):
+        each = np.repeat(weights**2, k, axis=1)
+        weighted = (J * each[:, :, None]).transpose(0, 2, 1)
+        normal = weighted @ J + np.square(usual)[:, :, None] * np.eye(n)
+        step = np.linalg.solve(normal, -weighted @ value[:, :, None])
+        step /= np.maximum(np.abs(step).max(axis=1, initial=0.0, keepdims=True), 1.0)
+        rest = (value + (J @ step)[:, :, 0]).reshape(-1, N, k)
+        left = np.linalg.norm(rest, axis=2)
+        usual = np.maximum(np.median(left, axis=1, keepdims=True), 1.0)
+        weights = 1.0 / np.sqrt(np.maximum(left / usual, 1.0))
+    result[fine] = RULE.precise * left
+    return result
+
+
+def _stroke(by_reading: Array, readings: Array) -> Array:
+    """Return the median distance over which readings move the leg's end from the usual, [m].
+
+    Args:
+        by_reading: Of P sets of measurements, shape (P, N, k, n_active).
+        readings: Shape (P, N, n_active).
+    """
+    moved = readings - np.median(readings, axis=1, keepdims=True)
+    far = np.linalg.norm(by_reading * moved[:, :, None], axis=(2, 3))
+    return np.asarray(np.median(far, axis=1))

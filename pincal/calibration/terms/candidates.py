@@ -9,7 +9,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.terms.kinds import (
@@ -24,16 +23,16 @@ from pincal.calibration.terms.kinds import (
     parts_of,
 )
 from pincal.errors import MeasurementError
+from pincal.kinematics.closure import largest_size
 from pincal.kinematics.configurations import planned_influences
-from pincal.kinematics.influences.columns import by_name
-from pincal.kinematics.legs.closure import largest_size
+from pincal.kinematics.influences import by_name
 from pincal.model.leg import Leg
-from pincal.model.measuring.measurements import Measurements
+from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
 from pincal.model.parameter import listed
-from pincal.model.sensors.terms import APPROACH, LOAD, Harmonic, Power, Share, Term
+from pincal.model.terms import APPROACH, LOAD, Harmonic, Power, Share, Term
+from pincal.types import Array
 
-Array = NDArray[np.float64]
 _log = logging.getLogger(__name__)
 _TRUE = 1e-3  # [rad], to which a joint's axis is known to stand
 

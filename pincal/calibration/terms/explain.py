@@ -15,7 +15,7 @@ from pincal.calibration.options import AUTO, Options
 from pincal.calibration.result import CalibrationResult
 from pincal.calibration.terms.choice import Choice, choose
 from pincal.calibration.terms.kinds import every_pair, said, term_said
-from pincal.model.measuring.measurements import Measurements
+from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
 
 Verdict = Literal["as drawn", "rigid alignment", "geometry", "terms", "not compared"]

@@ -15,10 +15,10 @@ import numpy as np
 
 from pincal.calibration.options import AUTO
 from pincal.errors import MeasurementError
-from pincal.model.measuring.measurements import Measurements
+from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
 from pincal.model.parameter import listed
-from pincal.model.sensors.terms import APPROACH, LOAD
+from pincal.model.terms import APPROACH, LOAD
 
 HARMONICS, POLYNOMIAL, BACKLASH, GRAVITY = "harmonics", "polynomial", "backlash", "gravity"
 ORDER = "order"

@@ -18,6 +18,5 @@ for module in (
     "plot",
     "exporting",
     "demo",
-    "study",
 ):
     import_module(f"{__name__}.{module}")

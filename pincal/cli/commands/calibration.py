@@ -11,15 +11,14 @@ from typing import Annotated, Literal
 import numpy as np
 import typer
 
+from pincal.calibration.assemble import wrong_rows
 from pincal.calibration.calibrate import identified
 from pincal.calibration.calibration import Calibration
-from pincal.calibration.checks.checked import checked
-from pincal.calibration.checks.folds import FOLDS, By
-from pincal.calibration.checks.wrong_rows import wrong_rows
-from pincal.calibration.options import AUTO, Intervals, Options, Poses
+from pincal.calibration.options import AUTO, FOLDS, By, Intervals, Options, Poses
 from pincal.calibration.result import CalibrationResult
 from pincal.calibration.result_files import REPORT, RESULT_FILES, as_json
 from pincal.calibration.terms.kinds import columns_said
+from pincal.calibration.validation import checked
 from pincal.cli.app import (
     Force,
     Measured,
@@ -36,22 +35,21 @@ from pincal.cli.app import (
 )
 from pincal.cli.options import SetupOptions, TableOptions, in_si, with_unit
 from pincal.errors import MeasurementError, MisfitError
-from pincal.estimation.conditions.leg_condition import Residual
+from pincal.estimation.blocks.leg_condition import Residual
 from pincal.estimation.residuals.losses import LossName
-from pincal.files.input import plain_number
+from pincal.files.measurements import read_measurements
 from pincal.files.mechanism_folders import mechanism_files
 from pincal.files.output import refuse_existing
-from pincal.files.tables.measurements import read_measurements
-from pincal.model.measuring.measurements import Measurements, Noise
-from pincal.model.measuring.setup import Setup
+from pincal.files.text import plain_number
+from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import SINGLE_ANGLES
+from pincal.model.setup import Setup
 from pincal.model.units import UNITS
 from pincal.show.report.report import report
-from pincal.show.result_tables import calibration_tables
-from pincal.show.results import warnings
+from pincal.show.result_tables import calibration_tables, warnings
 from pincal.show.summary import calibration_summary, verdict_lines, weak_lines
-from pincal.show.workspace_errors import WorkspaceErrors
+from pincal.show.workspace_answers import WorkspaceErrors
 from pincal.words.numbers import counted, reading_in
 from pincal.words.table import Table
 

@@ -16,10 +16,10 @@ from pincal.cli.commands.simulation import SimulateOptions, simulate
 from pincal.cli.commands.workspace import WorkspaceOptions, workspace
 from pincal.design.simulate import accuracy
 from pincal.errors import FileError
+from pincal.files.measurements import read_poses
 from pincal.files.mechanism_folders import load_mechanism
 from pincal.files.output import refuse_existing
-from pincal.files.tables.measurements import read_poses
-from pincal.kinematics.legs.closure import largest_size
+from pincal.kinematics.closure import largest_size
 from pincal.show.tables import accuracy_table
 
 _NOISE = 5e-5  # of positions, of the machine's size

@@ -27,15 +27,19 @@ from pincal.cli.app import (
 )
 from pincal.cli.commands.calibration import GivenNoise
 from pincal.cli.options import CountOptions, SetupOptions
+from pincal.files.level import tilt_column
+from pincal.files.measurement_writing import Columns, columns_of
+from pincal.files.measurements import (
+    measured_columns,
+    read_measurements,
+    table_for,
+    unknown_columns,
+)
 from pincal.files.output import refuse_existing
-from pincal.files.tables.columns import table_for, unknown_columns
-from pincal.files.tables.level import tilt_column
-from pincal.files.tables.measurement_writing import Columns, columns_of
-from pincal.files.tables.measurements import measured_columns, read_measurements
-from pincal.files.tables.table import Table, write_table
-from pincal.files.tables.units import COUNTS, scale_of
-from pincal.model.measuring.setup import ORIGIN, Setup
+from pincal.files.table import Table, write_table
 from pincal.model.mechanism import Mechanism
+from pincal.model.setup import ORIGIN, Setup
+from pincal.model.units import COUNTS, scale_of
 from pincal.show.remedies import advice, remedy_table, tried
 
 

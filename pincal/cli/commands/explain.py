@@ -11,7 +11,7 @@ from pincal.cli.app import Measured, Mech, answer, command, stdout, typed, warn,
 from pincal.cli.commands.calibration import CalibrateOptions
 from pincal.errors import MeasurementError
 from pincal.show.explanation import explanation_lines, models_table, screen_table
-from pincal.show.results import warnings
+from pincal.show.result_tables import warnings
 
 
 @command(answers=True)

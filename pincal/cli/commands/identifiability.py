@@ -10,12 +10,10 @@ import typer
 
 from pincal.cli.app import Mech, answer, command, stdout, working
 from pincal.cli.options import PlanOptions, TableOptions
-from pincal.design.drift import drift
-from pincal.design.forecast import forecast
-from pincal.design.instrument_scale import scale_effect
-from pincal.files.tables.measurements import read_poses
+from pincal.design.forecast import drift, forecast, scale_effect
+from pincal.files.measurements import read_poses
 from pincal.kinematics.configurations import as_plan, check_reached
-from pincal.show.forecast_summary import drift_answer, poses_line, scale_answer
+from pincal.show.summary import drift_answer, poses_line, scale_answer
 from pincal.show.tables import forecast_table
 from pincal.words.numbers import reading_in
 from pincal.workspace.sampling import sample_configurations

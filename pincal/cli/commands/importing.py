@@ -12,23 +12,22 @@ import typer
 
 from pincal.cli.app import Force, command, output_option, remark, stdout, warn, wrote
 from pincal.errors import FileError, MeasurementError, MechanismError
+from pincal.files.measurement_writing import write_measurements
+from pincal.files.measurements import read_poses
 from pincal.files.mechanism_folders import load_mechanism, save_mechanism
 from pincal.files.mechanism_writing import MECHANISM_FILES, write_mechanism
 from pincal.files.output import writing
-from pincal.files.tables.measurement_writing import write_measurements
-from pincal.files.tables.measurements import read_poses
 from pincal.formats.arm import serial_arm
+from pincal.formats.closed import closed_mechanism, closing_in_words, slack_of
 from pincal.formats.figaroh import read_figaroh
-from pincal.formats.printers.klipper import read_klipper
-from pincal.formats.printers.reprap import read_reprap
-from pincal.formats.trees.closed import closed_mechanism
-from pincal.formats.trees.drawn import closing_in_words, slack_of
-from pincal.formats.trees.loops_yaml import loops_beside, read_loops
-from pincal.formats.trees.mjcf import read_mjcf
-from pincal.formats.trees.urdf import XACRO, read_urdf
+from pincal.formats.klipper import read_klipper
+from pincal.formats.loops_yaml import loops_beside, read_loops
+from pincal.formats.mjcf import read_mjcf
+from pincal.formats.reprap import read_reprap
+from pincal.formats.urdf_tree import XACRO, read_urdf
+from pincal.kinematics.closure import largest_size
 from pincal.kinematics.inverse import inverse
-from pincal.kinematics.legs.closure import largest_size
-from pincal.model.measuring.measurements import Measurements
+from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
 
 PROBING = "probing.csv"

@@ -8,29 +8,20 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
-from numpy.typing import NDArray
 
-from pincal.cli.app import (
-    Force,
-    Mech,
-    answer,
-    command,
-    output_option,
-    remark,
-    warn,
-    wrote,
-)
+from pincal.cli.app import Force, Mech, answer, command, output_option, remark, warn, wrote
 from pincal.cli.options import TableOptions
+from pincal.files.measurement_writing import columns_of, reason_column, write_readings
+from pincal.files.measurements import read_influences, read_poses, read_readings
 from pincal.files.output import refuse_existing
-from pincal.files.tables.measurement_writing import columns_of, reason_column, write_readings
-from pincal.files.tables.measurements import read_influences, read_poses, read_readings
-from pincal.files.tables.table import write_table
+from pincal.files.table import write_table
 from pincal.kinematics.forward import forward as solve_forward
-from pincal.kinematics.influences.columns import own_influences
+from pincal.kinematics.influences import own_influences
 from pincal.kinematics.inverse import InverseSolution, outside_limits
 from pincal.kinematics.inverse import inverse as solve_inverse
-from pincal.model.measuring.measurements import Plan
+from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
+from pincal.types import Array
 from pincal.words.wording import LISTED
 
 
@@ -119,9 +110,7 @@ def say_reference(mechanism: Mechanism, given: Mapping[str, object]) -> None:
         remark(f"{', '.join(missing)} not given: the machine is taken at their reference")
 
 
-def _columns(
-    names: Sequence[str], units: Sequence[str], values: NDArray[np.float64]
-) -> dict[str, Any]:
+def _columns(names: Sequence[str], units: Sequence[str], values: Array) -> dict[str, Any]:
     """Return columns by name, with their units, for JSON."""
     columns = zip(names, units, values.T, strict=True)
     return {name: {"unit": unit, "values": column} for name, unit, column in columns}

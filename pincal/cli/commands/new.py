@@ -27,17 +27,16 @@ from pincal.cli.app import (
     wrote,
 )
 from pincal.cli.options import in_si, with_unit
-from pincal.design.order import in_turns, with_verification
+from pincal.design.select import in_turns, with_verification
 from pincal.design.select_configurations import ConfigurationChoice, select_configurations
 from pincal.errors import MechanismError
+from pincal.files.measurement_writing import write_poses, write_sheet
 from pincal.files.mechanism_writing import MECHANISM_FILES, write_mechanism
 from pincal.files.output import refuse_existing, writing
-from pincal.files.tables.measurement_writing import write_poses
-from pincal.files.tables.measuring_sheet import write_sheet
-from pincal.files.tables.units import WRITTEN
 from pincal.kinematics.inverse import inverse
-from pincal.model.measuring.measurements import Noise, Plan
+from pincal.model.measurements import Noise, Plan
 from pincal.model.mechanism import Mechanism
+from pincal.model.units import WRITTEN
 from pincal.show.tables import choice_table
 from pincal.workspace.criteria import in_workspace
 from pincal.workspace.sampling import sample_configurations

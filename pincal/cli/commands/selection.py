@@ -21,21 +21,19 @@ from pincal.cli.app import (
     wrote,
 )
 from pincal.cli.options import PlanOptions, TableOptions
-from pincal.design.drift import Drift, drift
-from pincal.design.forecast import forecast
+from pincal.design.forecast import Drift, drift, forecast
 from pincal.design.orbits import selection_group
-from pincal.design.order import in_turns, with_reference, with_verification
-from pincal.design.select import Protocol, select_poses
+from pincal.design.select import Protocol, in_turns, select_poses, with_reference, with_verification
 from pincal.design.select_configurations import Goal, select_configurations
 from pincal.errors import MeasurementError, SymmetryError
+from pincal.files.measurement_writing import write_poses
+from pincal.files.measurements import read_poses
 from pincal.files.output import refuse_existing
-from pincal.files.tables.measurement_writing import write_poses
-from pincal.files.tables.measurements import read_poses
 from pincal.kinematics.configurations import check_reached
 from pincal.kinematics.readers import arm_free_of_collision
-from pincal.model.measuring.measurements import EVERY_LEG, VERIFY, Plan
+from pincal.model.measurements import EVERY_LEG, VERIFY, Plan
 from pincal.model.mechanism import Mechanism
-from pincal.show.forecast_summary import drift_answer, drift_lines
+from pincal.show.summary import drift_answer, drift_lines
 from pincal.show.tables import choice_table, selection_table
 from pincal.words.table import Table
 from pincal.workspace.sampling import sample_configurations, sample_workspace

@@ -25,11 +25,11 @@ from pincal.cli.options import NoiseOptions, TableOptions
 from pincal.design.simulate import disturb as disturbed
 from pincal.design.simulate import simulate as simulated
 from pincal.errors import FileError, MeasurementError
+from pincal.files.measurement_writing import write_measurements
+from pincal.files.measurements import read_poses
 from pincal.files.mechanism_folders import load_mechanism
 from pincal.files.mechanism_writing import MECHANISM_FILES, write_mechanism
 from pincal.files.output import refuse_existing, writing_together
-from pincal.files.tables.measurement_writing import write_measurements
-from pincal.files.tables.measurements import read_poses
 from pincal.model.mechanism import Mechanism
 
 

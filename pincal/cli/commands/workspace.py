@@ -23,12 +23,12 @@ from pincal.cli.app import (
     wrote,
 )
 from pincal.errors import WorkspaceError
+from pincal.files.measurement_writing import write_poses
 from pincal.files.mechanism_folders import load_mechanism
 from pincal.files.output import refuse_existing, writing_together
-from pincal.files.tables.measurement_writing import write_poses
-from pincal.files.tables.table import write_table
-from pincal.files.tables.units import WRITTEN
+from pincal.files.table import write_table
 from pincal.model.mechanism import Mechanism
+from pincal.model.units import WRITTEN
 from pincal.show.workspace_answers import (
     articular_answer,
     articular_columns,
@@ -36,10 +36,9 @@ from pincal.show.workspace_answers import (
     poses_answer,
     region_answer,
 )
-from pincal.workspace.articular import articular_space, articular_symmetry
 from pincal.workspace.axes import Axis, Orientations
 from pincal.workspace.box import closer_grid, default_grid, default_samples
-from pincal.workspace.criteria import Margins, refuse_readings
+from pincal.workspace.criteria import Margins, articular_space, articular_symmetry, refuse_readings
 from pincal.workspace.inscribed import largest_inscribed
 from pincal.workspace.positions import POSITION_AXES, Positions
 from pincal.workspace.region import KINDS, Workspace, compute_workspace

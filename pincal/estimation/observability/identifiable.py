@@ -10,17 +10,29 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pincal.errors import MeasurementError, ObservabilityError
-from pincal.estimation.linear import Linear
-from pincal.estimation.observability.indices import identifiability
+from pincal.estimation.linear import Linear, State
+from pincal.estimation.observability.indices import (
+    DIFFER,
+    NEGLIGIBLE,
+    RANK_TOLERANCE,
+    derivatives_near,
+    identifiability,
+    lost_directions,
+    plausible_changes,
+)
 from pincal.estimation.problem import Problem
+from pincal.estimation.start import poses_at_rest
 from pincal.estimation.unknowns import Unknowns
-
-Array = NDArray[np.float64]
+from pincal.kinematics.closure import largest_size
+from pincal.model.mechanism import Mechanism
+from pincal.types import Array
+from pincal.words.numbers import listed
+from pincal.words.wording import NAMED
 
 
 @dataclass(frozen=True)
@@ -134,3 +146,223 @@ def taking_part(names: Sequence[str], directions: Array) -> tuple[str, ...]:
     return tuple(
         name for name, part in zip(names, size, strict=True) if part > _BY.takes_part * size.max()
     )
+
+
+@dataclass(frozen=True)
+class Held:
+    """What measurements cannot observe and was held as near to nominal as can be."""
+
+    unknowns: Unknowns
+    """Less these freedoms."""
+    directions: Array
+    """Directions of all unknowns, as far as machines may differ, shape (n, n_lost)."""
+    groups: tuple[tuple[str, ...], ...]
+    """Ids of the unknowns that are unobservable together, a group for each direction."""
+    weak: tuple[str, ...]
+    """Ids of those that are weakly determined."""
+
+
+def hold_unobservable(mechanism: Mechanism, problem: Problem, unknowns: Unknowns) -> Held:
+    """Return the unknowns less what the measurements leave unobservable.
+
+    Of all parameters that fit as well, those nearest to the nominal ones, each change measured by
+    what it alone would do to the measurements; then, where they are weakly determined, by how much
+    machines may differ.
+
+    Args:
+        mechanism: The nominal mechanism.
+        problem: The problem, at its start.
+        unknowns: Of the problem, less gauge freedoms.
+    """
+    J = _jacobian(mechanism, problem, unknowns)
+    lost, lengths = lost_directions(J)
+    held = unknowns.held(lost * lengths) if len(lost) else unknowns
+    weak, scale = weakly_determined(mechanism, problem, held)
+    moved = [(lost / lengths) @ unknowns.map.T, (weak * scale) @ held.map.T]
+    plausible = _plausible(mechanism, problem)
+    directions = np.concatenate(moved).T
+    directions = directions / np.abs(directions / plausible[:, None]).max(axis=0, initial=0.0)
+    groups = identifiability(J, unknowns.free_labels).groups if len(lost) else ()
+    names = taking_part(held.free_labels, weak) if len(weak) else ()
+    return Held(held.held(weak / scale) if len(weak) else held, directions, groups, names)
+
+
+def weakly_determined(
+    mechanism: Mechanism, problem: Problem, unknowns: Unknowns
+) -> tuple[Array, Array]:
+    """Return along which directions noise moves parameters farther than machines may differ.
+
+    Rows of shape (k, n_free), in unknowns over their scale, and these scales: by how much machines
+    may differ, shape (n_free,).
+
+    Args:
+        mechanism: The nominal mechanism.
+        problem: The problem, at its start.
+        unknowns: Of the problem, none unobservable.
+    """
+    T, plausible = unknowns.map, _plausible(mechanism, problem)
+    state = problem.start(unknowns.start[: problem.n_parameters])
+    if problem.latent:
+        state = poses_at_rest(problem, state)
+    scale = 1.0 / np.abs(T / plausible[:, None]).max(axis=0)
+    rows = _rows(problem, unknowns, state) * scale
+    _, information, axes = np.linalg.svd(np.linalg.qr(rows, mode="r"), full_matrices=True)
+    return axes[int((information > 1.0).sum()) :], scale
+
+
+def _plausible(mechanism: Mechanism, problem: Problem) -> Array:
+    """Return by how much all unknowns may differ from where they start, shape (n,)."""
+    size = largest_size(mechanism.legs)
+    outside = [size if unit == "m" else 1.0 for unit in problem.observation.external.units]
+    return np.concatenate((plausible_changes(mechanism, problem.legs), outside))
+
+
+def _jacobian(mechanism: Mechanism, problem: Problem, unknowns: Unknowns) -> Array:
+    """Return the Jacobian in the free unknowns that says what is unobservable, shape (m, n)."""
+    if problem.latent:
+        return derivatives_near(mechanism, problem, unknowns, generic=False).jacobian(unknowns)
+    return _rows(problem, unknowns, problem.start(unknowns.start[: problem.n_parameters]))
+
+
+def _rows(problem: Problem, unknowns: Unknowns, state: State) -> Array:
+    """Return the whitened Jacobian of a problem in the free unknowns, rows of priors below."""
+    J = problem.linearise(state).jacobian @ unknowns.map
+    _, prior = unknowns.prior_rows(unknowns.start)
+    return np.concatenate((J.reshape(-1, J.shape[2]), prior))
+
+
+def check_weakly_determined(
+    mechanism: Mechanism, problem: Problem, unknowns: Unknowns, cause: ObservabilityError
+) -> None:
+    """Raise if the measurements determine something weakly, though nothing is unobservable.
+
+    Raises:
+        ObservabilityError: that is so; the message names what.
+    """
+    lost, _ = lost_directions(_jacobian(mechanism, problem, unknowns))
+    if len(lost):
+        return
+    weak, _ = weakly_determined(mechanism, problem, unknowns)
+    if len(weak):
+        raise _weak(taking_part(unknowns.free_labels, weak)) from cause
+
+
+def check_covariance(
+    mechanism: Mechanism,
+    problem: Problem,
+    parameters: Array,
+    covariance: Array,
+    *,
+    converged: bool,
+) -> None:
+    """Raise if a search was lost among parameters, or found values that could be any.
+
+    Lost where noise moves parameters farther than machines differ from their drawings; any where
+    it has done so, and two standard errors are longer than the machine, or more than a radian: no
+    linear covariance holds so far.
+
+    Args:
+        mechanism: The nominal mechanism.
+        problem: The problem.
+        parameters: Where the search ended, shape (n_params,).
+        covariance: Of all its unknowns, shape (n, n).
+        converged: Whether the search did.
+
+    Raises:
+        ObservabilityError: that is so; the message names the parameters.
+    """
+    n, limit = problem.n_parameters, plausible_changes(mechanism, problem.legs)
+    std = np.sqrt(np.diagonal(covariance))[:n]
+    moved = np.abs(parameters - np.concatenate([leg.nominal for leg in problem.legs]))
+    far = std > limit
+    anything = (2.0 * std > limit / DIFFER) & (moved > limit)
+    if anything.any() if converged else far.any():
+        ids = [f"{leg.name}.{name}" for leg in problem.legs for name in leg.parameter_names]
+        raise _weak([one for one, weak in zip(ids, far, strict=True) if weak])
+
+
+def _weak(ids: Sequence[str]) -> ObservabilityError:
+    alone, more = len(ids) == 1, len(ids) - NAMED
+    named = listed([*ids[:NAMED], f"{more} more parameters"] if more > 1 else ids)
+    them = "it" if alone else "them"
+    return ObservabilityError(
+        f"{named} {'is' if alone else 'are'} weakly determined by the measured poses: noise moves "
+        f"{them} farther than machines differ from their drawings. Measure poses that differ more "
+        f"(in orientation above all), hold {them} as near to nominal as can be "
+        "(--hold-undetermined), or say how well nominal values are known (--prior)"
+    )
+
+
+_WEAKLY = 3.0  # times better that one would be known with the other: correlation 0.943
+
+
+@dataclass(frozen=True)
+class WeakPair:
+    """Two parameters whose errors mostly compensate each other."""
+
+    first: str
+    """Its id, such as ``"leg_1.l"``."""
+    second: str
+    correlation: float
+    std: tuple[float, float]
+    """Standard errors of the two."""
+    known: tuple[float, float]
+    """Standard error of each if the other one were known exactly: if both are of one leg, the
+    other one of every leg."""
+
+    @property
+    def gain(self) -> float:
+        """By how many times knowing one betters the other, at most."""
+        ratios = zip(self.std, self.known, strict=True)
+        return max(std / known if known > 0.0 else np.inf for std, known in ratios)
+
+
+def weak_pairs(
+    ids: Sequence[str], covariance: Array, gauge: Array | None = None
+) -> tuple[WeakPair, ...]:
+    """Return the pairs that are weakly determined, the weakest first.
+
+    Args:
+        ids: Id of each parameter, its owner's name first: ``leg_1.l``.
+        covariance: Shape (n, n). Parameters whose variance is zero, or not finite, and pairs that
+            are tied, are left out.
+        gauge: Directions that only move frames, columns of shape (n, n_gauge).
+    """
+    std = np.sqrt(np.diagonal(covariance))
+    finite = np.isfinite(std) & (std > 0.0)
+    covariance = np.where(np.outer(finite, finite), covariance, 0.0)
+    scale = np.where(finite, std, 1.0)
+    rho = np.clip(covariance / np.outer(scale, scale), -1.0, 1.0)
+    directions = np.zeros((len(std), 0)) if gauge is None else gauge
+    directions = directions[:, directions.any(axis=0)]  # the others move no parameter
+
+    names = [one.partition(".") for one in ids]
+
+    def known(place: int, other: int) -> float:
+        whole = names[place][0] == names[other][0]
+        rows = [i for i, one in enumerate(names) if whole and one[2] == names[other][2]]
+        return _known(covariance, directions, place, [i for i in rows or [other] if finite[i]])
+
+    pairs = [
+        WeakPair(
+            ids[i],
+            ids[j],
+            float(rho[i, j]),
+            (float(std[i]), float(std[j])),
+            (known(i, j), known(j, i)),
+        )
+        for i, j in np.argwhere(np.triu(np.abs(rho) > sqrt(1.0 - _WEAKLY**-2), 1)).tolist()
+    ]
+    weak = [pair for pair in pairs if _WEAKLY <= pair.gain < 1.0 / NEGLIGIBLE]  # else tied
+    return tuple(sorted(weak, key=lambda pair: -pair.gain))
+
+
+def _known(covariance: Array, gauge: Array, place: int, others: Sequence[int]) -> float:
+    """Return the standard error of one parameter if others were known, frames still unknown."""
+    moved = gauge[list(others)] / np.linalg.norm(gauge, axis=0)
+    axes, size, _ = np.linalg.svd(moved)
+    fixed = axes[:, int((size > RANK_TOLERANCE).sum()) :].T  # combinations that no frame can move
+    across = fixed @ covariance[list(others)]
+    inner = across[:, list(others)] @ fixed.T
+    gained = across[:, place] @ np.linalg.pinv(inner, hermitian=True) @ across[:, place]
+    return float(np.sqrt(max(covariance[place, place] - gained, 0.0)))

@@ -9,21 +9,22 @@ probability that so much is found anywhere if nothing is there.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import reduce
 from operator import add
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pincal.estimation.fit import Fit
 from pincal.estimation.problem import Problem
-from pincal.estimation.residuals.chances import Form, of_forms
+from pincal.estimation.residuals.losses import CLEAR, FALSE_ALARM
+from pincal.estimation.residuals.redundancy import Form, of_forms
 from pincal.estimation.residuals.score import Error, Residuals
-from pincal.kinematics.influences.columns import sides
-from pincal.model.measuring.setup import ORIGIN
+from pincal.kinematics.influences import sides
+from pincal.model.setup import ORIGIN
+from pincal.types import Array, Index
 
-Array = NDArray[np.float64]
 _HARMONICS = (1, 2, 3)
 ALL, FRAME, LENGTHS = "readings", "positions", "lengths"
 """All readings; all positions, in a frame that moves; all lengths, which grow."""
@@ -78,7 +79,7 @@ class _Asked:
             yield Score(quantity, term, p_value)
 
 
-def scores(one: Fit, again: Mapping[str, NDArray[np.intp]] | None = None) -> list[Score]:
+def scores(one: Fit, again: Mapping[str, Index] | None = None) -> list[Score]:
     """Return the score tests of a fit, none of them independent of the others.
 
     Args:
@@ -125,9 +126,7 @@ def scores(one: Fit, again: Mapping[str, NDArray[np.intp]] | None = None) -> lis
     return found
 
 
-def _again(
-    left: Residuals, name: str, error: Error, again: Mapping[str, NDArray[np.intp]]
-) -> Iterator[Score]:
+def _again(left: Residuals, name: str, error: Error, again: Mapping[str, Index]) -> Iterator[Score]:
     """Yield whether a quantity moved with time, at each pose that was measured again."""
     for place, rows in again.items():
         since = _since(left.used, rows)
@@ -136,7 +135,7 @@ def _again(
         yield Score(name, "again", p_value, size=left.size(error, since), place=place)
 
 
-def errors_of(one: Fit, used: NDArray[np.intp]) -> Iterator[tuple[str, Array]]:
+def errors_of(one: Fit, used: Index) -> Iterator[tuple[str, Array]]:
     """Yield each measured quantity and the white rows of its unit error, shape (n_used, m)."""
     problem, stack = one.problem, one.last.stack
     names = iter(problem.quantities)
@@ -179,7 +178,7 @@ def of_target(problem: Problem, errors: Mapping[str, Array], target: str) -> Arr
     return np.stack([errors.get(f"measured {stem}{axis}", none) for axis in axes], axis=2)
 
 
-def _since(used: NDArray[np.intp], rows: NDArray[np.intp]) -> Array:
+def _since(used: Index, rows: Index) -> Array:
     """Return the time at rows of one pose about its mean, 1 from first to last; 0 at others."""
     own = np.flatnonzero(np.isin(used, rows))
     when = np.zeros(len(used))
@@ -188,7 +187,7 @@ def _since(used: NDArray[np.intp], rows: NDArray[np.intp]) -> Array:
     return when
 
 
-def _grown(one: Fit, used: NDArray[np.intp]) -> Array:
+def _grown(one: Fit, used: Index) -> Array:
     """Return the white rows of legs whose lengths all grow by one part, shape (n_used, m)."""
     J, lengths = one.last.jacobian[used], np.zeros(len(one.unknowns.names))
     for leg, columns in zip(one.problem.legs, one.problem.columns, strict=True):
@@ -198,7 +197,7 @@ def _grown(one: Fit, used: NDArray[np.intp]) -> Array:
     return np.asarray(J @ lengths)
 
 
-def _of_value(one: Fit, column: int, used: NDArray[np.intp]) -> Array:
+def _of_value(one: Fit, column: int, used: Index) -> Array:
     """Return by what an error of a reading may follow its own value, shape (n_used, f)."""
     problem = one.problem
     reading = problem.readings[used, column]
@@ -211,7 +210,7 @@ def _of_value(one: Fit, column: int, used: NDArray[np.intp]) -> Array:
     return np.stack([along**2, along**3], axis=1)
 
 
-def _of_pose(one: Fit, used: NDArray[np.intp]) -> Array:
+def _of_pose(one: Fit, used: Index) -> Array:
     """Return by what an error may follow the pose, to second order, shape (n_used, f)."""
     poses = one.problem.platform.from_matrices(one.last.state.matrices[used])
     scale = np.ptp(poses, axis=0)
@@ -220,6 +219,112 @@ def _of_pose(one: Fit, used: NDArray[np.intp]) -> Array:
     return np.concatenate((x, x[:, i] * x[:, j]), axis=1)
 
 
-def _side(one: Fit, column: int, used: NDArray[np.intp]) -> Array:
+def _side(one: Fit, column: int, used: Index) -> Array:
     """Return from which side a reading was come to, shape (n_used, 1)."""
     return np.nan_to_num(sides(one.problem.readings[:, column])[used])[:, None]
+
+
+What = Literal["frame", "target", "orientation", "reading"]
+_MOST = 3
+
+
+@dataclass(frozen=True)
+class Slip:
+    """What is off from one row on, or more and more."""
+
+    what: What
+    name: str
+    """The target or reading; empty of the frame."""
+    row: int
+    """The first row after it, among those of the fit; 0 of a drift."""
+    size: Array
+    """How far it is off after that row, shape (f,): in the axes of the measurements, of a target
+    in those of the platform; of a drift from the first row to the last. [m] or [rad]."""
+    axes: tuple[str, ...]
+    """What the components of the size are along, such as ``("x", "y", "z")``."""
+    unit: str
+    """``"m"`` or ``"rad"``."""
+    steady: bool
+    """Whether it is a drift over the whole run rather than a slip."""
+    p_value: float
+    """Of so clear a change anywhere, by chance, all that was tried taken in."""
+    or_else: tuple[tuple[What, str], ...] = ()
+    """What else may have slipped: these rows cannot separate it."""
+
+
+@dataclass(frozen=True)
+class _Trial:
+    slip: Slip
+    inside: float
+    white: Array
+    """Of the error with its course, shape (n_used, m, f)."""
+
+
+def slips(one: Fit) -> list[Slip]:
+    """Return what slipped or drifted, the clearest first; empty if nothing did."""
+    if not one.problem.weighted or one.degrees_of_freedom < 2 or not one.chi2 > 0.0:
+        return []
+    left, found = Residuals.of(one), list[Slip]()
+    candidates = list(_candidates(one, left.used))
+    while len(found) < _MOST:
+        tried = [trial for own in candidates for trial in _tried(left, *own)]
+        tried = sorted(tried, key=lambda trial: (trial.slip.p_value, -trial.inside))
+        if not tried or tried[0].slip.p_value * len(tried) >= FALSE_ALARM:
+            break
+        first = tried[0]
+        free = max(left.degrees_of_freedom - len(first.slip.size), 1)
+        clear = CLEAR**2 * (left.chi2 - first.inside) / free  # by what is left, as F tests have it
+        alike = tuple(
+            (other.slip.what, other.slip.name)
+            for other in tried[1:]
+            if other.slip.steady == first.slip.steady and first.inside - other.inside < clear
+            if other.slip.unit == first.slip.unit and len(other.slip.size) == len(first.slip.size)
+        )
+        chance = first.slip.p_value * len(tried)
+        found.append(replace(first.slip, p_value=chance, or_else=alike))
+        left = left.without(first.white)
+    return found
+
+
+def _tried(left: Residuals, slip: Slip, W: Array) -> Iterator[_Trial]:
+    """Yield a slip at its clearest row, and a steady drift of the same quantities."""
+    change = left.change(W)
+    course = (left.used >= change.row).astype(float)
+    after = replace(slip, row=change.row, size=change.size, p_value=change.p_value)
+    yield _Trial(after, change.inside, W * course[:, None, None])
+    time = (left.used - left.used[0]) / max(float(np.ptp(left.used)), 1.0)
+    drift = left.amplitudes(W * time[:, None, None])
+    if drift.rank == W.shape[2]:
+        steady = replace(slip, size=-drift.values, steady=True, p_value=drift.p_value)
+        yield _Trial(steady, drift.inside, W * time[:, None, None])
+
+
+def _slip(what: What, name: str, axes: tuple[str, ...], unit: str) -> Slip:
+    return Slip(what, name, 0, np.zeros(len(axes)), axes, unit, steady=False, p_value=1.0)
+
+
+def _candidates(one: Fit, used: Index) -> Iterator[tuple[Slip, Array]]:
+    """Yield what may slip, and the white rows of its unit errors, shape (n_used, m, f)."""
+    problem, platform = one.problem, one.problem.platform
+    errors = dict(errors_of(one, used))
+    names = [name for leg in problem.legs for name in leg.reading_names]
+    units = [unit for leg in problem.legs for unit in leg.reading_units]
+    for name, unit, w in zip(names, units, errors.values(), strict=False):
+        yield _slip("reading", name, ("",), unit), w[:, :, None]
+    if not problem.latent:
+        return
+    seen, state, axes = problem.observation, one.last.state, "xyz"[: platform.space]
+    turns = (state.external.frame[:3, :3] @ state.matrices[used, :3, :3])[:, :, : len(axes)]
+    for target in seen.setup.targets:
+        there = of_target(problem, errors, target)
+        if there.any():
+            turned = np.einsum("nma,nab->nmb", there, turns[:, : len(axes)])
+            yield _slip("target", target, tuple(axes), "m"), turned
+    moved, known = of_frame(problem, errors)
+    if known:
+        yield _slip("frame", "", known, "m"), moved
+    pairs = zip(platform.freedoms, platform.units, strict=True)
+    angles = tuple(name for name, unit in pairs if unit == "rad")
+    if angles and all(errors[f"measured {name}"].any() for name in angles):
+        W = np.stack([errors[f"measured {name}"] for name in angles], axis=2)
+        yield _slip("orientation", ORIGIN, angles, "rad"), W

@@ -13,12 +13,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtr, chdtrc, chdtri, gammaincinv
 
 from pincal.errors import MeasurementError
+from pincal.types import Array, Index, Mask
 
-Array = NDArray[np.float64]
 LossName = Literal["none", "huber", "cauchy", "tukey", "reject"]
 UNLIKELY = 1e-3  # probability that a good row is left out; that fit and held-out rows part
 _STEP = 1e-4  # of the logarithm of a residual, for slopes
@@ -53,11 +52,11 @@ class Loss:
     probability: float
     """Probability below which a good row's χ² lies under the square of the constant."""
 
-    def constant(self, equations: NDArray[np.intp]) -> Array:
+    def constant(self, equations: Index) -> Array:
         """Return the tuning constant of rows by their number of equations, same shape."""
         return np.sqrt(_quantile(self.probability, np.maximum(equations, 1)))
 
-    def weights(self, squares: Array, equations: NDArray[np.intp]) -> Array:
+    def weights(self, squares: Array, equations: Index) -> Array:
         """Return the weight of each row, shape (N,).
 
         Args:
@@ -66,7 +65,7 @@ class Loss:
         """
         return self.weigh(np.sqrt(squares) / self.constant(equations))
 
-    def slope(self, squares: Array, equations: NDArray[np.intp]) -> Array:
+    def slope(self, squares: Array, equations: Index) -> Array:
         """Return the curvature along the residuals, d(u w)/du, shape (N,).
 
         Args:
@@ -77,7 +76,7 @@ class Loss:
         less, more = (np.exp(step) * self.weigh(u * np.exp(step)) for step in (-h, h))
         return np.asarray((more - less) / (2.0 * np.sinh(h)))
 
-    def bend(self, squares: Array, equations: NDArray[np.intp]) -> Array:
+    def bend(self, squares: Array, equations: Index) -> Array:
         """Return the curvature along the residuals over the weight, shape (N,).
 
         Kept above zero, as what is minimised must rise on both sides.
@@ -91,7 +90,7 @@ class Loss:
         return np.clip(bend, _LEAST_BEND, 1.0)
 
     def moments(
-        self, squares: Array, equations: NDArray[np.intp], free: int = 0
+        self, squares: Array, equations: Index, free: int = 0
     ) -> tuple[float, float, float]:
         """Return slope and square of ψ of rows that fit, and Huber's factor for few of them.
 
@@ -120,12 +119,12 @@ LOSSES: dict[str, Loss] = {
 }
 
 
-def outlying(squares: Array, equations: NDArray[np.intp]) -> NDArray[np.bool_]:
+def outlying(squares: Array, equations: Index) -> Mask:
     """Return which rows have a χ² that one good row in a thousand exceeds, shape (N,)."""
     return np.asarray(squares > chdtri(np.maximum(equations, 1), UNLIKELY))
 
 
-def suspected(squares: Array, equations: NDArray[np.intp]) -> NDArray[np.bool_]:
+def suspected(squares: Array, equations: Index) -> Mask:
     """Return which rows are outliers however many there are (S. Holm 1979), shape (N,).
 
     Of good data, one set of rows in a hundred has any.
@@ -138,7 +137,7 @@ def suspected(squares: Array, equations: NDArray[np.intp]) -> NDArray[np.bool_]:
     return found
 
 
-def robust_scale(squares: Array, equations: NDArray[np.intp], share: float) -> float:
+def robust_scale(squares: Array, equations: Index, share: float) -> float:
     """Return the scale of the noise that the median of the rows' χ² tells.
 
     Args:
@@ -168,6 +167,6 @@ def loss_of(given: LossName | Loss) -> Loss | None:
     return LOSSES[given]
 
 
-def _quantile(probability: Array | float, equations: NDArray[np.intp] | int) -> Array:
+def _quantile(probability: Array | float, equations: Index | int) -> Array:
     """Return what χ² lies below with a probability."""
     return np.asarray(2.0 * gammaincinv(np.asarray(equations) / 2.0, probability))

@@ -7,23 +7,21 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc, ndtri
 
 from pincal.errors import ObservabilityError, PincalError
 from pincal.estimation.fit import Fit, fit, without
 from pincal.estimation.linear import Linear, State
-from pincal.estimation.observability.unobservable import check_covariance, check_weakly_determined
-from pincal.estimation.pose_search import unsolved
+from pincal.estimation.observability.identifiable import check_covariance, check_weakly_determined
 from pincal.estimation.problem import Problem
 from pincal.estimation.residuals.losses import LOSSES, Loss, outlying, robust_scale, suspected
+from pincal.estimation.solver import unsolved
 from pincal.estimation.system import System
-from pincal.kinematics.legs.closure import largest_size
+from pincal.kinematics.closure import largest_size
 from pincal.model.mechanism import Mechanism
+from pincal.types import Index, Mask
 
-Array = NDArray[np.float64]
 _LEAST = float(np.finfo(float).tiny)  # of probabilities that can be held
-Mask = NDArray[np.bool_]
 Progress = Callable[[str], None]
 
 
@@ -67,7 +65,7 @@ class Robust:
     """A fit, the rows that did not fit, and the fit that they would have made."""
 
     fit: Fit
-    rows: NDArray[np.intp]
+    rows: Index
     """Rows of the measurements that took part or were rejected."""
     outliers: tuple[Outlier, ...]
     without_loss: Fit | None
@@ -87,7 +85,7 @@ class Robust:
 def robust_fit(
     mechanism: Mechanism,
     system: System,
-    rows: NDArray[np.intp],
+    rows: Index,
     loss: Loss | None,
     start: State | None = None,
     progress: Progress | None = None,
@@ -121,9 +119,7 @@ def robust_fit(
     return found
 
 
-def _fitted(
-    system: System, rows: NDArray[np.intp], loss: Loss | None, search: Callable[..., Fit]
-) -> Robust:
+def _fitted(system: System, rows: Index, loss: Loss | None, search: Callable[..., Fit]) -> Robust:
     if loss is None:
         one = search(system)
         found = _outliers(one, one.noise_scale, rows, system.kept, _seen_scale(one))
@@ -190,7 +186,7 @@ def _without_outliers(robust: Fit, search: Callable[..., Fit]) -> Fit:
 
 
 def _outliers(
-    one: Fit, scale: float, rows: NDArray[np.intp], counts: Mask | None, judged: float = 0.0
+    one: Fit, scale: float, rows: Index, counts: Mask | None, judged: float = 0.0
 ) -> tuple[Outlier, ...]:
     """Return the rows that do not fit, the worst first.
 

@@ -11,16 +11,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import fdtrc
 
 from pincal.estimation.fit import Fit
 from pincal.estimation.linear import left_over
 from pincal.estimation.observability.indices import RANK_TOLERANCE
-from pincal.estimation.residuals.chances import Form
+from pincal.estimation.residuals.redundancy import Form
 from pincal.kinematics.batches import over_rows
-
-Array = NDArray[np.float64]
+from pincal.types import Array, Index
 
 
 @dataclass(frozen=True)
@@ -75,7 +73,7 @@ class Error:
 class Residuals:
     """White residuals and derivatives of rows that count, flat; parameters projected out."""
 
-    used: NDArray[np.intp]
+    used: Index
     left: Array
     """M r, shape (n_used, m)."""
     Q: Array

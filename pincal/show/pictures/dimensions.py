@@ -6,24 +6,29 @@ where it ends, a turn is an angle about where it happens.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from matplotlib.axes import Axes
+from matplotlib.patches import FancyArrowPatch
+from matplotlib.text import Annotation
 from scipy.spatial.transform import Rotation
 
-from pincal.kinematics.legs.closing import sensor_law
-from pincal.kinematics.legs.closure import LegClosure
+from pincal.kinematics.closing import sensor_law
+from pincal.kinematics.closure import LegClosure
 from pincal.model.checks import EXACT
-from pincal.model.joint import Joint
-from pincal.model.links import link_placements
+from pincal.model.home import link_placements
+from pincal.model.leg import Joint
 from pincal.model.placement import Coordinate, Step
-from pincal.model.sensors.sensor import Sensor
+from pincal.model.sensor import Sensor
+from pincal.show.style import DIMENSION, PICTURE
+from pincal.types import Array
+from pincal.words.wording import clean
 
-Array = NDArray[np.float64]
 _ARC = np.linspace(0.0, 1.0, 41)
 
 
@@ -177,3 +182,202 @@ def _read(
         offset = replace(drive.line(position, zero, start, 1.2), names=(sensor.offset,))
         found.append(replace(offset, kind="offset"))
     return found
+
+
+#: Before a parameter's name in the id of its line.
+MARK = "dimension-"
+_TOGETHER = 3  # names of one place that are written out
+_GREEK = re.compile(
+    "alpha|beta|gamma|delta|epsilon|zeta|eta|theta|kappa|lambda|mu|nu|xi|pi|rho|sigma|tau|phi|chi"
+    "|psi|omega"
+)
+
+
+def symbol(name: str, leg: str = "") -> str:
+    """Return a parameter's name as a symbol of mathematics: ``beta_b`` as β with an index.
+
+    Args:
+        name: Of the parameter.
+        leg: Name of its leg, of which a number at the end becomes an index.
+    """
+    if not re.fullmatch(r"[A-Za-z0-9]+(_[A-Za-z0-9]+)*", name):
+        return clean(name).replace("\\", "\\\\").replace("$", r"\$")
+    first, *index = name.split("_")
+    first = f"\\{first}" if _GREEK.fullmatch(first) else rf"\mathit{{{first}}}"
+    number = re.search(r"\d+$", leg)
+    index += [number[0]] if number else []
+    return f"${first}_{{{','.join(index)}}}$" if index else f"${first}$"
+
+
+def draw_dimensions(
+    axes: Axes,
+    found: Sequence[tuple[str, Dimension]],
+    V: Array,
+    busy: Array,
+    colours: Mapping[str, str] | None = None,
+) -> None:
+    """Draw dimensions over what axes show; their limits must be set.
+
+    Args:
+        axes: Where to draw.
+        found: Dimensions, each with the name of its leg where that is to be an index.
+        V: What points right, up and towards the viewer, shape (3, 3), rows in the base frame.
+        busy: Points that names should not hide, shape (n, 3), base frame, [m].
+        colours: Of lines, by the names of parameters; all alike if not given.
+    """
+    own = [_colour(one, colours or {}) for _, one in found]
+    point = point_of(axes)
+    height = PICTURE.name * point
+    hidden = busy[np.isfinite(busy).all(axis=1)] @ V[:2].T
+    middle = hidden.mean(axis=0)
+    lines = [
+        _drawn(axes, one, V, (height, colour), middle)
+        if one.kind != "zero"
+        else _marked(axes, one, V, colours or {})
+        for (_, one), colour in zip(found, own, strict=True)
+    ]
+    seen = np.concatenate([hidden, *map(_sampled, lines)])
+    boxes = [text_box(text, point) for text in axes.texts if isinstance(text, Annotation)]
+    for (leg, one), line in zip(found, lines, strict=True):
+        names = [symbol(name, leg) for name in one.names]
+        names = [names[0], "…", names[-1]] if len(names) > _TOGETHER else names
+        text = ", ".join(names)
+        if one.kind == "reading":
+            text = rf"$\psi$ ({text})" if text else r"$\psi$"
+        text += " = 0" * (one.kind == "zero")
+        half = 0.5 * height * np.array((PICTURE.letter * (_letters(text) + 0.8), 1.4))
+        where = _free(line, half, seen, boxes)
+        room = half + 0.3 * height  # names that touch read as one
+        boxes.append(np.stack((where - room, where + room)))
+        axes.text(
+            float(where[0]),
+            float(where[1]),
+            text,
+            size=PICTURE.name,
+            color=DIMENSION,
+            ha="center",
+            va="center",
+            parse_math=True,
+            zorder=9,
+            bbox={"fc": "white", "ec": "none", "alpha": 0.75, "pad": 0.6},
+        )
+
+
+def point_of(axes: Axes) -> float:
+    """Return what a point of the paper is in a picture, [m]; legend and values take some room."""
+    (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
+    paper = 72.0 * np.array((PICTURE.width, PICTURE.heights[1]))
+    return PICTURE.room * float(np.max(np.array((right - left, high - low)) / paper))
+
+
+def _letters(text: str) -> int:
+    """Return how many letters a text with symbols shows."""
+    return len(re.sub(r"[${}_]", "", re.sub(r"\\mathit|\\[a-z]+", "x", text).replace("x{", "")))
+
+
+def text_box(name: Annotation, point: float) -> Array:
+    """Return the least and largest of where a name beside a point is, shape (2, 2), [m]."""
+    height = float(name.get_fontsize()) * point
+    half = 0.5 * height * np.array((PICTURE.letter * len(name.get_text()), 1.2))
+    shift = {"left": 1.0, "right": -1.0, "bottom": 1.0, "top": -1.0, "center": 0.0}
+    sides = name.get_horizontalalignment(), name.get_verticalalignment()
+    aligned = np.array([shift[side] for side in sides])
+    middle = np.array(list(name.xy)) + point * np.array(name.get_position()) + half * aligned
+    return np.stack((middle - half, middle + half))
+
+
+def _colour(one: Dimension, colours: Mapping[str, str]) -> str:
+    """Return the colour of a dimension, that of its first parameter that has one."""
+    return next((colours[name] for name in one.names if name in colours), DIMENSION)
+
+
+def _drawn(axes: Axes, one: Dimension, V: Array, look: tuple[float, str], middle: Array) -> Array:
+    """Draw a dimension without its name; return its line as drawn, shape (n, 2).
+
+    Args:
+        axes: Where to draw.
+        one: The dimension.
+        V: What points right, up and towards the viewer, shape (3, 3).
+        look: Height of names, [m], and the line's colour.
+        middle: Of the mechanism, from which lines beside links are away, shape (2,), [m].
+    """
+    height, colour = look
+    line = one.line @ V[:2].T
+    thin: list[tuple[Array, str]] = []
+    if one.beside:
+        across = _across(line[-1] - line[0])
+        across *= 1.0 if across @ (line.mean(axis=0) - middle) >= 0.0 else -1.0
+        thin += [(np.stack((end, end + 1.7 * height * across)), "-") for end in line]
+        line = line + 1.3 * height * across
+    if one.corner is not None:
+        corner = one.corner @ V[:2].T
+        sides = (line[0], line[-1])
+        thin += [(np.stack((corner, corner + 1.15 * (end - corner))), "--") for end in sides]
+    for part, dashes in thin:
+        axes.plot(*part.T, dashes, lw=0.5, color=colour, zorder=8)
+    (drawn,) = axes.plot(*line.T, lw=0.8 if colour == DIMENSION else 1.4, color=colour, zorder=8)
+    if colour != DIMENSION and one.names:
+        drawn.set_gid(MARK + one.names[0])  # found by linked pages
+    if np.linalg.norm(np.diff(line, axis=0), axis=1).sum() > 0.3 * height:
+        _arrow(axes, line[-1], line[-2], look)
+        if one.corner is None:
+            _arrow(axes, line[0], line[1], look)
+    return line
+
+
+def _marked(axes: Axes, one: Dimension, V: Array, colours: Mapping[str, str]) -> Array:
+    """Draw where parameters are that are zero, one mark in the other; return it as a line."""
+    line = one.line @ V[:2].T
+    for rank, name in enumerate(one.names):
+        colour, size = colours.get(name, DIMENSION), 4.0 + 2.5 * (len(one.names) - 1 - rank)
+        (mark,) = axes.plot(*line[0], "D", ms=size, color=colour, mec="white", mew=0.6, zorder=8)
+        if name in colours:
+            mark.set_gid(MARK + name)  # found by linked pages
+    return line
+
+
+def _arrow(axes: Axes, end: Array, before: Array, look: tuple[float, str]) -> None:
+    """Draw the head of an arrow at a line's end, in the look of ``_drawn``."""
+    height, colour = look
+    back = before - end
+    tail = end + back * min(1.0, height / max(float(np.linalg.norm(back)), 1e-300))
+    head = FancyArrowPatch(
+        tuple(tail), tuple(end), arrowstyle="-|>", mutation_scale=6.0, lw=0.6, shrinkA=0, shrinkB=0
+    )
+    head.set(color=colour, zorder=8)
+    axes.add_patch(head)
+
+
+def _across(along: Array) -> Array:
+    """Return the unit vector to the left of one in the plane; upwards of none."""
+    size = float(np.linalg.norm(along))
+    return np.array([-along[1], along[0]]) / size if size > 0.0 else np.array([0.0, 1.0])
+
+
+def _sampled(line: Array) -> Array:
+    """Return points all along a line, shape (m, 2)."""
+    places = np.linspace(0.0, len(line) - 1.0, 40)
+    first = np.minimum(places.astype(int), len(line) - 2)
+    part = (places - first)[:, None]
+    return np.asarray((1.0 - part) * line[first] + part * line[first + 1])
+
+
+def _free(line: Array, half: Array, seen: Array, boxes: Sequence[Array]) -> Array:
+    """Return where a name hides the least, near a line: its middle, shape (2,)."""
+    places = _sampled(line)
+    best, least = places[0], np.inf
+    thick = 0.3 * half[1]  # links are no lines
+    for rank, (along, away) in enumerate((a, b) for a in PICTURE.along for b in PICTURE.away):
+        at = int(along * (len(places) - 1))
+        ahead = places[min(at + 1, len(places) - 1)] - places[max(at - 1, 0)]
+        across = _across(ahead)
+        reach = float(np.abs(across) @ half)
+        where = places[at] + away * reach * 1.1 * across
+        hidden = (np.abs(seen - where) < half + thick).all(axis=1).sum()
+        over = sum(
+            bool((where - half < box[1]).all() and (box[0] < where + half).all()) for box in boxes
+        )
+        cost = float(hidden) + 300.0 * over + 0.4 * rank
+        if cost < least:
+            best, least = where, cost
+    return best

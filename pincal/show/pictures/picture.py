@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
 from pincal.errors import MeasurementError
-from pincal.files.given_mechanism import GivenMechanism, as_mechanism
+from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.configurations import home_of
-from pincal.model.measuring.measurements import Plan
+from pincal.model.measurements import Plan
 from pincal.show.view.scene import MAGNIFY, Found, Scene, plan_of, scene
 
 if TYPE_CHECKING:  # matplotlib is imported where it is needed

@@ -6,20 +6,18 @@ from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
-from numpy.typing import NDArray
 
-from pincal.calibration.fits import Fits, fitted
-from pincal.calibration.near import Near
+from pincal.calibration.fits import Fits, Near, fitted
 from pincal.calibration.result import CalibrationResult
 from pincal.estimation.linear import State
 from pincal.estimation.residuals.redundancy import Left, every_residual
 from pincal.show.pictures.parts import NORMAL, label, marks, outside, room, wrapped
-from pincal.show.results import CONTROLLED, Series, noisy_series
+from pincal.show.result_tables import CONTROLLED, Series, noisy_series
 from pincal.show.style import OUTLIER
+from pincal.types import Array, Index
 from pincal.words import plots as words
 from pincal.words.numbers import STORED, per_si
 
-Array = NDArray[np.float64]
 _ROWS = 12  # that are named
 _PARTS = 10  # of a run
 
@@ -110,12 +108,12 @@ class _Kind(NamedTuple):
     """What a fit leaves of the residuals of a leg, or of a measured quantity."""
 
     left: Left
-    rows: NDArray[np.intp]
+    rows: Index
     """Rows of the measurements, ascending, shape (N,)."""
     scale: float
     """Of the noise, where it was estimated."""
 
-    def mean(self, one: Series, part: NDArray[np.intp]) -> float:
+    def mean(self, one: Series, part: Index) -> float:
         """Return the sum of some residuals over its standard deviation; NaN if nothing checks it.
 
         Args:

@@ -13,24 +13,22 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from numpy.typing import NDArray
 
 from pincal.calibration.leg_result import IdentifiedParameter, LegResult
 from pincal.calibration.result import CalibrationResult
 from pincal.kinematics.configurations import home_of
 from pincal.model.mechanism import Mechanism
-from pincal.show.pictures.dimension_lines import symbol
-from pincal.show.pictures.exploded import draw_leg
+from pincal.show.pictures.dimensions import symbol
+from pincal.show.pictures.figure import draw_leg
 from pincal.show.pictures.files import drawing
 from pincal.show.pictures.parts import wrapped
-from pincal.show.report import facts
+from pincal.show.report import report as facts
 from pincal.show.style import IDENTIFIED, INK, NOMINAL, PAGE_WIDTH
 from pincal.show.view.scene import scene
 from pincal.words import plots as words
 from pincal.words.numbers import measured, minus
-from pincal.words.pages import clean
+from pincal.words.wording import clean
 
-Array = NDArray[np.float64]
 #: A4 in a printer's margins, [inch].
 _SIZE = (PAGE_WIDTH / 25.4, 257.0 / 25.4)
 _LEGS = 3  # columns of a table, at most

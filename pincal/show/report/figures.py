@@ -6,15 +6,16 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, NullLocator
-from numpy.typing import NDArray
 
 from pincal.calibration.leg_result import IdentifiedParameter
 from pincal.kinematics.configurations import home_of, joints_at
 from pincal.kinematics.readers import skeleton
-from pincal.model.measuring.measurements import EVERY_LEG, Plan
-from pincal.show.pictures.files import on_page
+from pincal.model.measurements import EVERY_LEG, Plan
+from pincal.show.pictures.charts import over_images, seen_in
+from pincal.show.pictures.files import SvgFigure, on_page
 from pincal.show.pictures.parts import (
     Drawn,
     before_after,
@@ -30,16 +31,25 @@ from pincal.show.pictures.parts import (
     wrapped,
 )
 from pincal.show.pictures.sheet import LEVELS, draw_dimensioned, kinds_of_legs
-from pincal.show.pictures.svg import SvgFigure
-from pincal.show.report.findings import Findings
-from pincal.show.report.image_figure import images_figure
+from pincal.show.report.answers import Findings
 from pincal.show.report.residual_figures import histogram_figure, residuals_figure
-from pincal.show.results import noisy_series, parameters, whose
+from pincal.show.result_tables import noisy_series, parameters, whose
 from pincal.show.style import PAGE, look
+from pincal.types import Array
 from pincal.words import plots as words
 from pincal.words.numbers import SMALL, STORED, per_si, shown_in
 
-Array = NDArray[np.float64]
+
+@on_page("figure-images")
+def images_figure(found: Findings) -> tuple[Figure, str] | None:
+    """Return residuals over the images of cameras; None if none measured."""
+    if not (every := seen_in(found.result)):
+        return None
+    drawn = Figure(
+        figsize=(PAGE.width, PAGE.width / (0.6 + min(len(every), 2))), layout="compressed"
+    )
+    over_images(drawn.subplots(), found.result)
+    return drawn, words.IMAGES
 
 
 def _beside(names: Iterable[str]) -> float:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import platform
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -10,15 +12,25 @@ from functools import cached_property
 from hashlib import file_digest
 from importlib.metadata import version
 from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
 
 from pincal import __version__
 from pincal.calibration.result import CalibrationResult
 from pincal.errors import FileError
-from pincal.files.tables.units import SI, Units
+from pincal.model.measurements import EVERY_LEG, Noise, Plan
+from pincal.model.units import SI, Units
 from pincal.show.page import Page
-from pincal.show.report.findings import Findings, findings
+from pincal.show.report.answers import Findings, findings
+from pincal.show.result_tables import noise_said, warnings
 from pincal.show.style import dark_variables
-from pincal.words.numbers import reading_in
+from pincal.show.summary import check_lines, tie_lines
+from pincal.show.view.calibrated import calibrated
+from pincal.show.view.scene import MAGNIFY, MOST_POSES, plan_of, scene
+from pincal.show.view.view import View
+from pincal.words.numbers import capital, chance, counted, reading_in, rounded
+from pincal.words.wording import rendered
 
 _LIBRARIES = ("pin", "numpy", "scipy")
 
@@ -46,11 +58,12 @@ class Report(Page):
 
     @cached_property
     def _page(self) -> str:
-        from pincal.show import result_tables, results, summary
-        from pincal.show.report import facts
+        from pincal.show import result_tables, summary
+        from pincal.show import result_tables as results
+        from pincal.show.report import report as facts
         from pincal.show.report.answers import Answers, warning_lines
         from pincal.show.report.figures import FIGURES
-        from pincal.words.pages import rendered
+        from pincal.words.wording import rendered
 
         found, origin = self.found, self.origin
         versions = [f"{name} {version(name)}" for name in _LIBRARIES]
@@ -119,3 +132,141 @@ def _sha256(path: Path) -> str:
             return file_digest(file, "sha256").hexdigest()
     except OSError as error:
         raise FileError(f"cannot read {path}: {error.strerror or error}") from error
+
+
+SOURCES = {
+    "given": "as given",
+    "rows": "of each row, in the measurements",
+    "repeats": "from rows that were measured repeatedly",
+    "estimated": "estimated from the residuals, since none was given",
+}
+
+
+def residuals(result: CalibrationResult) -> str:
+    """Return which residuals were minimised."""
+    if result.options.latent:
+        return (
+            "predicted less measured readings and quantities of the platform, weighted by the noise"
+        )
+    if result.options.residual == "joint":
+        return "joint residuals: predicted less measured readings, not weighted"
+    return "closure residuals: by how much a leg misses the platform point, weighted by the noise"
+
+
+def rows(result: CalibrationResult) -> str:
+    """Return how many rows there are, of which sets, runs and poses."""
+    data = result.measurements
+    parts = [f"{len(data)}"]
+    for name, values in (("sets", data.sets), ("runs", data.runs)):
+        if values is not None:
+            counts = Counter("every leg" if one in ("", EVERY_LEG) else one for one in values)
+            parts.append(f"{name}: {', '.join(f'{one} {n}' for one, n in counts.items())}")
+    if data.places is not None:
+        counts = Counter(name for name in data.places if name)
+        again = sum(n > 1 for n in counts.values())
+        parts.append(f"{counted(again, 'pose')} measured more than once")
+    return "; ".join(parts)
+
+
+def columns(result: CalibrationResult) -> str:
+    """Return which quantities of the platform were measured, and how often if not always."""
+    data, platform = result.measurements, result.nominal.platform
+    measured = dict(zip(platform.coordinates, data.poses.T, strict=True)) | dict(data.extra)
+    counts = {name: int(np.isfinite(values).sum()) for name, values in measured.items()}
+    often = {name: "" if n == len(data) else f" ({n} rows)" for name, n in counts.items() if n}
+    return ", ".join(map("".join, often.items())) or "nothing"
+
+
+def noise(result: CalibrationResult) -> str:
+    """Return standard deviations of what was measured."""
+    if result.noise is not None:
+        return f"σ {noise_said(result, result.noise)}"
+    data, units = result.measurements, np.array(result.nominal.platform.units)
+    sigma = data.sigma_poses
+    parts = [None if sigma is None else sigma[:, units == unit] for unit in ("m", "rad")]
+    middle = [
+        0.0 if one is None or not np.isfinite(one).any() else float(np.nanmedian(one))
+        for one in (*parts, data.sigma_readings)
+    ]
+    return f"σ, median of the rows: {noise_said(result, Noise(*middle))}"
+
+
+def checks(result: CalibrationResult, notes: Sequence[str]) -> list[str]:
+    """Return what ties, held-out rows and runs show, and notes on what was not done."""
+    lines = [capital(line) for line in (*tie_lines(result), *check_lines(result))]
+    return [f"{line}." for line in (*lines, *notes)]
+
+
+class Verdict(NamedTuple):
+    """A cell: what it is of, its number, what that means."""
+
+    name: str
+    value: str
+    text: str
+    kind: str
+    """``"good"``, ``"care"``, ``"bad"``, or empty if it says nothing."""
+
+
+def verdicts(result: CalibrationResult) -> tuple[Verdict, ...]:
+    """Return the three cells of a calibration."""
+    return _chi2(result), _loss(result), _held_out(result)
+
+
+def _chi2(result: CalibrationResult) -> Verdict:
+    dof, value = result.degrees_of_freedom, rounded(result.reduced_chi2, 3)
+    text = f"on {dof} degrees of freedom; "
+    if result.noise_source == "estimated":
+        return Verdict("reduced χ²", value, text + "these residuals made the noise", "")
+    kind = "bad" if result.excess > 1.0 else "good"
+    return Verdict("reduced χ²", value, text + chance(result.chi2_p_value), kind)
+
+
+def _loss(result: CalibrationResult) -> Verdict:
+    many = len(result.outliers)
+    text = f"{counted(many, 'row')} {'does' if many == 1 else 'do'} not fit"
+    if result.shift is not None:
+        text += f"; without it parameters move by {result.shift:.2g} standard errors at most"
+    return Verdict("loss", result.loss, text, "care" if many else "good")
+
+
+def _held_out(result: CalibrationResult) -> Verdict:
+    one = result.validation
+    if one is None:
+        return Verdict("held-out rows", "–", "not asked for", "")
+    text = f"those of the fit {one.fit:.2f} σ, expected {one.expected:.2f} σ; {chance(one.p_value)}"
+    worse = any(found.code.startswith("held-out") for found in one.findings)
+    return Verdict("held-out rows", f"{one.held_out:.2f} σ", text, "bad" if worse else "good")
+
+
+class LinkedPage(Page):
+    """A report and the view of its rows."""
+
+    sandbox = "allow-scripts allow-same-origin"
+
+    def __init__(self, report: Report, magnify: float = MAGNIFY) -> None:
+        self.report = report
+        result = report.found.result
+        whole = np.flatnonzero(np.isfinite(result.poses).all(axis=1))[:MOST_POSES]
+        read = result.measurements.readings
+        sets = result.measurements.sets
+        plan = Plan(
+            result.poses[whole],
+            None if sets is None else tuple(sets[row] for row in whole),
+            readings=None if read is None else read[whole],
+        )
+        identified = result.identified if result.converged else None
+        shown = scene(result.nominal, plan_of(result.nominal, plan), None, identified, magnify)
+        shown = calibrated(shown, result, report.found.errors)
+        self.view = View(shown, "poses of the measurements", warnings(result))
+        self.rows = {str(row + 1): place for place, row in enumerate(whole.tolist())}
+
+    @cached_property
+    def _page(self) -> str:
+        return rendered(
+            "linked.html",
+            title=f"{self.report.found.result.nominal.name}: calibration",
+            report=self.report.html(),
+            view=self.view.html(),
+            verdicts=verdicts(self.report.found.result),
+            data=json.dumps({"rows": self.rows}),
+        )

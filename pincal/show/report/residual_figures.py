@@ -8,17 +8,16 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 
 from pincal.show.pictures.files import on_page
 from pincal.show.pictures.parts import NORMAL, Drawn, draw_strokes, page_figure
-from pincal.show.report.findings import Findings
-from pincal.show.results import Series, noisy_series, whose
+from pincal.show.report.answers import Findings
+from pincal.show.result_tables import Series, noisy_series, whose
 from pincal.show.style import IDENTIFIED, OUTLIER, PAGE, look, other_look
+from pincal.types import Array
 from pincal.words import plots as words
 from pincal.words.numbers import SMALL, per_si
 
-Array = NDArray[np.float64]
 _FULL = 0.86  # of a lane's height, what values take
 _TICKS = MaxNLocator(4, steps=(1, 2, 5, 10))
 

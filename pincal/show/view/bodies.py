@@ -21,16 +21,16 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from pincal.errors import FileError
-from pincal.files.urdf_writing import leg_urdf, platform_urdf
-from pincal.files.xml import read_xml
+from pincal.files.mechanism_writing import leg_urdf, platform_urdf
+from pincal.files.text import read_xml
 from pincal.kinematics.configurations import as_plan, joints_at
 from pincal.kinematics.readers import check_mesh
+from pincal.model.home import link_placements
 from pincal.model.leg import Leg
-from pincal.model.links import link_placements
-from pincal.model.measuring.measurements import Plan
+from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
+from pincal.types import Array
 
-Array = NDArray[np.float64]
 GREY, PALE = "#595959", "#9aa0a6"
 _FLAT = 1e-6  # of what is a plane's size
 

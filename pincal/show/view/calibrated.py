@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pincal.calibration.promise import pose_misses
 from pincal.calibration.result import CalibrationResult
 from pincal.errors import MeasurementError, PincalError
-from pincal.model.measuring.setup import ORIGIN
-from pincal.show.results import directions, parameters
+from pincal.model.setup import ORIGIN
+from pincal.show.result_tables import directions, parameters
 from pincal.show.view.scene import (
     Errors,
     Found,
@@ -23,10 +22,10 @@ from pincal.show.view.scene import (
     driven,
     rounded_down,
 )
-from pincal.show.workspace_errors import WorkspaceErrors, workspace_errors
-from pincal.words.views import FRAME
+from pincal.show.workspace_answers import WorkspaceErrors, workspace_errors
+from pincal.types import Array, Mask
+from pincal.words.wording import FRAME
 
-Array = NDArray[np.float64]
 #: Of the scene's size: a long arrow, and how far a parameter moves along the weakest direction.
 _ARROW, _SWING = 0.08, 0.08
 _NAMED = 3
@@ -86,7 +85,7 @@ def _measured(result: CalibrationResult) -> tuple[Array, Array]:
     calibration, platform = result.calibration, result.nominal.platform
     twists = pose_misses(calibration, result.identified, result.outside)
     poses, lengths = np.full(twists.shape, np.nan), platform.lengths
-    whole: NDArray[np.bool_] = np.asarray(np.isfinite(result.measurements.poses).all(axis=1))
+    whole: Mask = np.asarray(np.isfinite(result.measurements.poses).all(axis=1))
     if whole.any():
         poses[whole] = calibration.rows(whole).given_poses(result.outside)[0]
     measured, shifts = np.zeros((2, len(poses), 3))

@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from pincal.errors import MechanismError
@@ -50,9 +49,10 @@ from pincal.show.view.scene import (
     stand,
     tips,
 )
-from pincal.words import views
+from pincal.types import Array
+from pincal.words import wording as views
 from pincal.words.numbers import POSES, SMALL, per_si
-from pincal.words.pages import rendered
+from pincal.words.wording import rendered
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)  # of pyzmq, when meshcat asks for it
@@ -60,7 +60,6 @@ with warnings.catch_warnings():
     import meshcat.geometry as g
 import umsgpack
 
-Array = NDArray[np.float64]
 #: How far sliders go: of the scene's size, and [rad].
 _MOST = {"m": 0.25, "rad": 0.5}
 #: Links and shadows on dark ground.

@@ -10,22 +10,21 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
 from pincal.design.simulate import platform_errors
 from pincal.errors import MeasurementError, MechanismError
-from pincal.files.given_mechanism import GivenMechanism, as_mechanism
+from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.configurations import joints_at
 from pincal.kinematics.forward import forward
 from pincal.model.checks import numbers_of
-from pincal.model.measuring.measurements import EVERY_LEG, Plan
+from pincal.model.measurements import EVERY_LEG, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.show.style import DIMENSION, EVERY, TOWARDS_VIEWER, look
 from pincal.show.view.bodies import PALE, Body, Shape, across, body, rod
 from pincal.symmetry.detect import in_domain, symmetry_group
-
-Array = NDArray[np.float64]
+from pincal.types import Array, Mask
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +35,7 @@ class Misses:
     """Of the platform, shape (n, 3), base frame, [m]."""
     shifts: Array
     """Predicted less measured, shape (n, 3), [m]."""
-    outlying: NDArray[np.bool_]
+    outlying: Mask
     """Which rows are outliers, shape (n,)."""
     magnify: float
     """With which shifts are drawn."""
@@ -133,7 +132,7 @@ class Cloud:
 
     positions: Array
     """Shape (N, 3), base frame, [m]; at most ``MOST_POINTS``, evenly drawn from all."""
-    domain: NDArray[np.bool_]
+    domain: Mask
     """Which lie in a fundamental domain, shape (N,); all where there is no symmetry."""
     group: str
     """Name of the mechanism's symmetry group."""
@@ -395,7 +394,7 @@ _HEAD = 0.3  # of an arrow's length
 _WIDE, _SLIM = 3.0, 14.0  # half width and length at most of a head, of the shaft's half width
 
 
-def cut(misses: Misses, size: float) -> NDArray[np.bool_]:
+def cut(misses: Misses, size: float) -> Mask:
     """Return which arrows are drawn shorter than they are, shape (n,)."""
     lengths = misses.magnify * np.linalg.norm(misses.shifts, axis=1)
     return np.asarray(lengths > _LONGEST * size)
@@ -408,7 +407,7 @@ def tips(misses: Misses, size: float) -> Array:
     return misses.measured + (misses.magnify * shorter)[:, None] * misses.shifts
 
 
-def arrows(misses: Misses, rows: NDArray[np.bool_], size: float) -> Array:
+def arrows(misses: Misses, rows: Mask, size: float) -> Array:
     """Return the triangles of arrows, shape (m, 3, 3), [m].
 
     Args:

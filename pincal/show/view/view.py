@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 from weakref import finalize
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
 from pincal.errors import WorkspaceError
-from pincal.files.given_mechanism import GivenMechanism, as_mechanism
+from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.configurations import home_of
-from pincal.model.measuring.measurements import Plan
+from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.show.page import Page
 from pincal.show.view.bodies import with_meshes
@@ -32,8 +32,6 @@ from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from threading import Thread
 from urllib.parse import parse_qs, urlsplit
-
-Array = NDArray[np.float64]
 
 
 class View(Page):

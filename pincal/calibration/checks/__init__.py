@@ -1,1 +1,0 @@
-"""What contradicts a calibration: held-out rows, drift, runs, ties."""

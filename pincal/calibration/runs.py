@@ -1,0 +1,148 @@
+"""Runs of an experiment compared: do they say the same, within their own standard errors?"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pincal.blas import on_one_thread
+from pincal.calibration.calibrate import identify, prepared
+from pincal.calibration.calibration import Calibration
+from pincal.calibration.covariance import exceeded
+from pincal.calibration.options import Options
+from pincal.errors import MeasurementError
+from pincal.estimation.residuals.losses import UNLIKELY
+from pincal.finding import Finding
+from pincal.model.measurements import Measurements
+from pincal.model.mechanism import Mechanism
+from pincal.types import Array
+from pincal.words.numbers import amount, chance
+from pincal.words.sentences import finding, sentences
+
+
+@dataclass(frozen=True, repr=False)
+class RunComparison:
+    """Spread of parameters over runs against predicted standard errors."""
+
+    runs: tuple[str, ...]
+    names: tuple[str, ...]
+    """``leg.parameter``, length n."""
+    units: tuple[str, ...]
+    """SI unit of each, ``"m"``, ``"rad"`` or ``"1"``."""
+    values: Array
+    """Identified in each run, shape (n_runs, n)."""
+    spread: Array
+    """Standard deviation over the runs, shape (n,)."""
+    predicted: Array
+    """Root mean square standard error of a run, shape (n,)."""
+    ratio: float
+    """Root mean square of the deviations in predicted standard errors, all directions alike;
+    near 1 if runs differ by their noise only."""
+    p_value: float
+    """Probability of such a spread, or a larger one, by noise alone."""
+
+    def _repr_html_(self) -> str:
+        """Return the spread of parameters over runs for notebooks."""
+        from pincal.show.notebook import runs_html
+
+        return runs_html(self)
+
+    def __repr__(self) -> str:
+        return (
+            f"RunComparison({len(self.runs)} runs, ratio {self.ratio:.2f}, {chance(self.p_value)})"
+        )
+
+    @property
+    def worst(self) -> tuple[int, ...]:
+        """The three parameters that spread most for their standard errors, the first most."""
+        known = np.where(self.predicted > 0.0, self.predicted, np.inf)
+        return tuple(np.argsort(-self.spread / known, kind="stable")[:3].tolist())
+
+    def __str__(self) -> str:
+        first = self.worst[0]
+        unit = self.units[first]
+        spread, predicted = amount(self.spread[first], unit), amount(self.predicted[first], unit)
+        lines = [
+            f"{len(self.runs)} runs: {', '.join(self.runs)}",
+            f"parameters spread {self.ratio:.2f} times as much as their standard errors say "
+            f"({chance(self.p_value)})",
+            f"{self.names[first]} most: spread {spread}, predicted {predicted}",
+        ]
+        return "\n".join([*lines, *(f"warning: {one}" for one in sentences(self.findings))])
+
+    @property
+    def agree(self) -> bool:
+        """Whether noise alone explains the spread, at 0.1 %."""
+        return self.p_value >= UNLIKELY
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What to know first."""
+        if self.agree:
+            return ()
+        worst = [self.names[i] for i in self.worst]
+        return (finding("runs-differ", parameters=worst, ratio=self.ratio, p_value=self.p_value),)
+
+
+def compare_runs(
+    mechanism: Mechanism | str | Path,
+    measurements: Measurements | str | Path | Any,
+    options: Options | None = None,
+    **more: Any,
+) -> RunComparison:
+    """Return how well the runs of an experiment agree, each calibrated alone.
+
+    Args:
+        mechanism: The nominal mechanism; or its name or folder.
+        measurements: What was measured, with the run of each row; or a CSV file or DataFrame.
+        options: How to calibrate.
+        **more: Single options by name: see ``Options``.
+
+    Raises:
+        MeasurementError: no runs, or only one; a run whose fit does not converge.
+        ObservabilityError: a run that does not determine the parameters alone.
+    """
+    return runs_compared(prepared(mechanism, measurements, options, **more))
+
+
+@on_one_thread
+def runs_compared(calibration: Calibration) -> RunComparison:
+    """Return how well the runs of a calibration agree; errors are those of ``compare_runs``."""
+    mechanism, measurements = calibration.mechanism, calibration.measurements
+    names = tuple(dict.fromkeys(measurements.runs or ()))
+    if len(names) < 2:
+        raise MeasurementError("runs are compared by a column 'run' with at least two runs in it")
+    of_rows = np.array(measurements.runs)
+    values, covariances, freedoms = [], [], 0.0
+    for name in names:
+        result = identify(calibration.rows(of_rows == name).with_options(intervals="wald"))
+        if not result.converged:
+            raise MeasurementError(f"run {name!r}: {result.message}")
+        values.append(np.concatenate([leg.identified for leg in result.legs]))
+        covariances.append(result.covariance)
+        freedoms += result.noise_freedoms or np.inf
+    found, C = np.array(values), np.array(covariances)
+    scale = np.sqrt(np.einsum("rii->ri", C).mean(axis=0))
+    scale[scale == 0.0] = 1.0
+    weights = np.linalg.pinv(C / np.outer(scale, scale), rcond=1e-12, hermitian=True)
+    relative = found / scale
+    mean = np.linalg.pinv(weights.sum(axis=0), rcond=1e-12, hermitian=True) @ np.einsum(
+        "rij,rj->i", weights, relative
+    )
+    off = relative - mean
+    statistic = float(np.einsum("ri,rij,rj->", off, weights, off))
+    rank = int(np.linalg.matrix_rank(weights.sum(axis=0), hermitian=True))
+    dof = rank * (len(names) - 1)
+    return RunComparison(
+        runs=names,
+        names=tuple(f"{leg.name}.{name}" for leg in mechanism.legs for name in leg.parameter_names),
+        units=tuple(leg.units[name] for leg in mechanism.legs for name in leg.parameter_names),
+        values=found,
+        spread=found.std(axis=0, ddof=1),
+        predicted=np.sqrt(np.einsum("rii->ri", C).mean(axis=0)),
+        ratio=float(np.sqrt(statistic / dof)),
+        p_value=exceeded(statistic / dof, dof, freedoms),
+    )

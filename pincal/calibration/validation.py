@@ -1,0 +1,295 @@
+"""Errors at rows that a fit has not seen.
+
+Held-out rows are predicted like those of the fit, whitened by their noise; of them more is
+expected by what the fit does not know: r has the covariance 1 + J C Jᵀ. What then exceeds the
+fit's own χ² says that the model follows its rows more closely than the machine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pincal.blas import on_one_thread
+from pincal.calibration.calibrate import prepared, started
+from pincal.calibration.calibration import Calibration
+from pincal.calibration.covariance import chi2_freedoms, confidence, exceeded
+from pincal.calibration.findings import lacking, rounding
+from pincal.calibration.fits import Fits, Near, fitted
+from pincal.calibration.missed import (
+    Missed,
+    Misses,
+    Predicted,
+    least_of_folds,
+    missed,
+    misses_of,
+    predictions,
+)
+from pincal.calibration.options import FOLDS, By, Options, folds_of
+from pincal.calibration.promise import UNEXPLAINED
+from pincal.calibration.result import CalibrationResult
+from pincal.errors import MeasurementError, PincalError
+from pincal.estimation.residuals.losses import UNLIKELY
+from pincal.finding import Finding
+from pincal.model.measurements import Measurements
+from pincal.model.mechanism import Mechanism
+from pincal.words.numbers import chance
+from pincal.words.results import missed as missed_in_words
+from pincal.words.sentences import finding, sentences
+
+MISSES = 10.0
+"""Standard deviations by which a fit misses its own rows that is none, which held-out rows do not
+make worse."""
+
+
+@dataclass(frozen=True, repr=False)
+class Validation:
+    """Errors at rows that a fit has seen, and at held-out rows."""
+
+    folds: int
+    rows: int
+    """Rows that were held out, each once."""
+    fit: float
+    """Root mean square residual of the fit in standard deviations of the noise."""
+    held_out: float
+    """The same at held-out rows."""
+    expected: float
+    """Of held-out rows, by the fit's own residuals and what the fits did not know."""
+    p_value: float
+    """Probability of such a growth, or a larger one, if the model is right."""
+    position: tuple[float, float] | None
+    """Root mean square by which positions of targets are missed, [m], in the fit and held out."""
+    orientation: tuple[float, float] | None
+    """The same of the measured orientation, [rad]."""
+    findings: tuple[Finding, ...]
+    """What to know first: what residuals follow, held-out rows that miss by more than expected."""
+    targets: tuple[Missed, ...] = ()
+    """How far each measured target is missed at held-out rows: mean, root mean square, largest,
+    and intervals by a bootstrap of poses."""
+
+    def _repr_html_(self) -> str:
+        """Return held-out rows beside those of the fit for notebooks."""
+        from pincal.show.notebook import validation_html
+
+        return validation_html(self)
+
+    def __repr__(self) -> str:
+        return (
+            f"Validation({self.folds} folds of {self.rows} rows, fit {self.fit:.2f} σ, held-out "
+            f"{self.held_out:.2f} σ, expected {self.expected:.2f} σ)"
+        )
+
+    def __str__(self) -> str:
+        lines = [
+            f"{self.rows} rows, held out in {self.folds} folds",
+            f"rows of the fit miss by {self.fit:.2f} σ, held-out rows by {self.held_out:.2f} σ, "
+            f"{self.expected:.2f} σ are expected ({chance(self.p_value)})",
+        ]
+        lines += [missed_in_words(vars(one)) for one in self.targets]
+        return "\n".join([*lines, *(f"warning: {one}" for one in sentences(self.findings))])
+
+
+def validate(
+    mechanism: Mechanism | str | Path,
+    measurements: Measurements | str | Path | Any,
+    options: Options | None = None,
+    *,
+    folds: int | None = None,
+    by: By = "region",
+    **more: Any,
+) -> Validation:
+    """Return the errors at rows that a calibration has not seen.
+
+    Rows whose ``set`` is ``verify`` are those, if there are any. Else each fold is left out in
+    turn: neighbours in the space of readings, so that an error of the model cannot hide in rows
+    nearby; rows of each ``set`` alike, those of one ``pose`` together. Rows that a robust loss
+    finds outlying are left out.
+
+    Args:
+        mechanism: The nominal mechanism; or its name or folder.
+        measurements: What was measured; or a CSV file or a DataFrame of it.
+        options: How to calibrate.
+        folds: How many times a share of the rows is held out; as in the options if not given.
+        by: ``"region"``, ``"turn"`` (rows dealt to the folds in turn), or ``"run"`` (each run of
+            the experiment is a fold).
+        **more: Single options by name: see ``Options``.
+
+    Raises:
+        MeasurementError: fewer rows than folds, or fewer than two folds; a fold does not converge.
+        ObservabilityError: what is left does not determine the parameters.
+    """
+    calibration = prepared(mechanism, measurements, options, folds=folds, **more)
+    return held_out(started(calibration), calibration.options.folds, by)
+
+
+def with_held_out(
+    result: CalibrationResult, folds: int = FOLDS, by: By = "region", whole: Fits | None = None
+) -> CalibrationResult:
+    """Return a result with its errors at held-out rows, and what these contradict.
+
+    Errors are those of ``validate``.
+
+    Args:
+        result: A calibration.
+        folds: How many times a share of the rows is held out.
+        by: What is held out together.
+        whole: The fits of all its rows, if they are at hand; else they are made again.
+    """
+    found, own = held_out(result.calibration, folds, by, whole), {f.code for f in result.findings}
+    more = (one for one in found.findings if one.code not in own)
+    return replace(result, validation=found, findings=(*result.findings, *more))
+
+
+@on_one_thread
+def held_out(
+    calibration: Calibration, folds: int = FOLDS, by: By = "region", whole: Fits | None = None
+) -> Validation:
+    """Return the errors of a calibration at held-out rows; errors are those of ``validate``.
+
+    Args:
+        calibration: What was calibrated.
+        folds: How many times a share of the rows is held out.
+        by: What is held out together.
+        whole: Its fits of all rows, if they are known; else they are made.
+    """
+    whole = _converged(calibration, "the fit of all rows") if whole is None else whole
+    calibration = whole.calibration
+    if calibration.options.loss != "none":
+        out = [outlier.row for one in whole.fits for outlier in one.outliers]
+        kept = ~np.isin(np.arange(len(calibration.measurements)), out)
+        calibration = calibration.rows(kept).with_options(loss="none")
+        whole = _converged(calibration, "the fit of the rows that fit")
+        calibration = whole.calibration
+    groups = folds_of(calibration.measurements, folds, by)
+    every = bool((groups >= 0).all())  # rows to verify with are in no fit
+    total = sum(one.fit.chi2 for one in whole.fits) if every else None
+    count = int(groups.max()) + 1
+    parts: list[Predicted] = []
+    misses: list[tuple[Calibration, Misses]] = []
+    chances = []
+    for fold in range(count):
+        calibration.options.report(f"held-out rows, fold {fold + 1} of {count}")
+        others = groups != fold
+        seen = calibration.rows(others).at_this_noise()
+        near = Near.of(whole, others) if whole.latent else None
+        found = _converged(seen, f"fold {fold + 1} of {count}", near)
+        unseen = calibration.rows(groups == fold)
+        own = [Predicted.of(one, linear) for one, linear in predictions(found, unseen)]
+        chances.append(_chance(found, own, total))
+        parts += own
+        misses.append((unseen, misses_of(unseen, found)))
+    equations = sum(one.equations for one in parts)
+    dof = sum(one.fit.degrees_of_freedom for one in whole.fits)
+    fit = sum(one.fit.chi2 for one in whole.fits) / max(dof, 1)
+    unit = 1.0 if calibration.noise.known else max(fit, 1e-300)  # noise that was estimated
+    growth = sum(one.unknown for one in parts) / equations
+    held = np.sqrt(sum(one.squares for one in parts) / equations / unit)
+    expected = np.sqrt(fit / unit * (1.0 + growth))
+    p_value = least_of_folds(min(chances), whole.fits, groups, known=calibration.noise.known)
+    readable = not rounding(whole)
+    more = lacking(whole) if readable else []
+    if readable and p_value < UNLIKELY and np.sqrt(fit / unit) <= MISSES:
+        more.append(
+            finding(
+                "held-out-worse", held_out=float(held), expected=float(expected), p_value=p_value
+            )
+        )
+    targets = missed(misses_of(calibration.rows(calibration.counts), whole), misses)
+    return Validation(
+        folds=count,
+        rows=int((groups >= 0).sum()),
+        fit=float(np.sqrt(fit / unit)),
+        held_out=float(held),
+        expected=float(expected),
+        p_value=p_value,
+        position=_both(targets, "m"),
+        orientation=_both(targets, "rad"),
+        findings=tuple(more),
+        targets=targets,
+    )
+
+
+def _converged(calibration: Calibration, what: str, near: Near | None = None) -> Fits:
+    """Return the fits of a calibration, the search begun near another optimum if one is given.
+
+    Raises:
+        MeasurementError: they do not converge.
+    """
+    found = fitted(calibration, near=near)
+    if not all(one.fit.converged for one in found.fits):
+        raise MeasurementError(
+            f"{what} does not converge; measure more poses, or give a better nominal mechanism"
+        )
+    return found
+
+
+def _chance(found: Fits, parts: Sequence[Predicted], total: float | None) -> float:
+    """Return the probability that rows miss a fit so far, or farther, if the model is right.
+
+    χ² of all rows is larger than that of the rows seen by a χ² of its own, independent of theirs;
+    an F test where the scale of the noise was estimated (G. C. Chow 1960). To first order that is
+    Σ rᵀ (1 + J C Jᵀ)⁻¹ r, which curvature spoils where a region is left out.
+
+    Args:
+        found: The fits of the rows seen.
+        parts: What they predict of the others.
+        total: χ² of all rows at this noise; by the first order if not given.
+    """
+    equations = sum(one.equations for one in parts)
+    fits = [one.fit for one in found.fits]
+    dof = sum(one.degrees_of_freedom for one in fits)
+    share = 1.0 if found.latent else chi2_freedoms(found.fits) / max(dof, 1)
+    seen = sum(one.chi2 for one in fits)
+    inside = sum(one.statistic for one in parts) if total is None else max(total - seen, 0.0)
+    ratio, own = inside / equations, seen / max(dof, 1)
+    if found.calibration.noise.known:
+        known = confidence(found).of_chi2
+        if exceeded(own, share * dof, known) >= UNEXPLAINED:  # else the noise is not as given
+            return exceeded(ratio, share * equations, known)
+    if not own > 0.0:
+        return 1.0
+    return exceeded(ratio / own, share * equations, share * dof)
+
+
+def _both(targets: Sequence[Missed], unit: str) -> tuple[float, float] | None:
+    """Return root mean square misses of all targets, in the fit and held out; None without any."""
+    own = [one for one in targets if one.unit == unit]
+    if not own:
+        return None
+    fit, held = np.sqrt(np.mean([(one.fit**2, one.rms**2) for one in own], axis=0)).tolist()
+    return fit, held
+
+
+def checked(
+    result: CalibrationResult,
+    folds: int = FOLDS,
+    by: By = "region",
+    whole: Fits | None = None,
+) -> tuple[CalibrationResult, list[str]]:
+    """Return the result with validation and runs where the rows allow, and why not elsewhere.
+
+    Args:
+        result: A calibration; one that did not converge is returned as it is.
+        folds: How many times a share of the rows is held out; 0 for not at all.
+        by: What is held out together: see ``validate``.
+        whole: The fits of all rows, if they are at hand; else they are made again.
+    """
+    if not result.converged:
+        return result, []
+    said = [] if folds else ["no rows were held out (--folds 0)"]
+    try:
+        if folds:
+            result = with_held_out(result, folds, by, whole)
+    except (PincalError, ArithmeticError) as error:
+        said.append(f"no held-out validation: {error}")
+    try:
+        if result.measurements.runs is not None:
+            result.options.report("comparing the runs")
+            result = result.compared()
+    except PincalError as error:
+        said.append(f"runs not compared: {error}")
+    return result, said

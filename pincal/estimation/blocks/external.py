@@ -1,0 +1,136 @@
+"""Unknowns outside the mechanism: where its base is, where the targets sit, instruments' own.
+
+The base frame in the frame of the measurements, T_frame_base; offsets of targets in the
+platform frame; where an unknown target carries an orientation, how that is turned against the
+platform's; and the parameters of instruments.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from pincal.kinematics.batches import inverse_left_jacobian
+from pincal.model.platform import Platform
+from pincal.model.setup import ORIGIN, Setup
+from pincal.types import Array
+
+
+@dataclass(frozen=True)
+class External:
+    """Values of the unknowns outside the mechanism."""
+
+    frame: Array
+    """T_frame_base, shape (4, 4)."""
+    offsets: Array
+    """Of the targets in the platform frame, shape (n_targets, 3), [m]."""
+    turn: Array
+    """R_platform_target of the measured orientation, shape (3, 3)."""
+    own: Array = field(default_factory=lambda: np.zeros(0))
+    """Parameters of the instruments, in their order, shape (n_own,)."""
+
+
+#: Where poses are those of the platform in the base frame.
+
+
+class ExternalUnknowns:
+    """Which of the external values are unknown, in which order, and how steps move them."""
+
+    def __init__(self, platform: Platform, setup: Setup, oriented: bool) -> None:
+        """Say what is unknown.
+
+        Args:
+            platform: The platform.
+            setup: How it is measured.
+            oriented: Whether orientations are measured.
+        """
+        plane = platform.space == 2
+        self.setup = setup
+        self.frame_rows = ((0, 1, 5) if plane else tuple(range(6))) if setup.unknown_frame else ()
+        axes = range(platform.space)
+        self.offset_entries = tuple(
+            (index, axis)
+            for index, target in enumerate(setup.targets.values())
+            for axis in axes
+            if target.unknown
+        )
+        turned = oriented and setup.targets[ORIGIN].unknown
+        self.turn_axes = ((2,) if plane else (0, 1, 2)) if turned else ()
+        targets = list(setup.targets)
+        twists = ("x", "y", "z", "rx", "ry", "rz")
+        self.names = (
+            *(f"tracker.{twists[row]}" for row in self.frame_rows),
+            *(f"{owner(targets[index])}.{'xyz'[axis]}" for index, axis in self.offset_entries),
+            *(f"{owner(ORIGIN)}.{twists[3 + axis]}" for axis in self.turn_axes),
+        )
+        """Ids of the unknowns."""
+        self.units = tuple(
+            "rad" if name.split(".")[1].startswith("r") else "m" for name in self.names
+        )
+        n_frame, n_offsets, n_turns = map(
+            len, (self.frame_rows, self.offset_entries, self.turn_axes)
+        )
+        self.turn_columns = slice(n_frame + n_offsets, n_frame + n_offsets + n_turns)
+        own = [parameter for one in setup.instruments for parameter in one.parameters]
+        self.own_columns = slice(len(self.names), len(self.names) + len(own))
+        """Parameters of the instruments among the unknowns."""
+        self.names += tuple(one.id for one in own)
+        self.units += tuple(one.unit for one in own)
+        self._nominal = np.array([one.nominal for one in own], dtype=float)
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    @property
+    def start(self) -> External:
+        """The values of the setup; the base frame is that of the measurements."""
+        offsets = np.array([target.offset for target in self.setup.targets.values()], dtype=float)
+        return External(np.eye(4), offsets, np.eye(3), self._nominal)
+
+    def moved(self, values: External, step: Array) -> External:
+        """Return values after a step, shape (n,): twists of the frame about its own origin."""
+        n_frame = len(self.frame_rows)
+        twist, turn = np.zeros(6), np.zeros(3)
+        twist[list(self.frame_rows)] = step[:n_frame]
+        turn[list(self.turn_axes)] = step[self.turn_columns]
+        frame, offsets = values.frame.copy(), values.offsets.copy()
+        frame[:3, 3] += twist[:3]
+        frame[:3, :3] = Rotation.from_rotvec(twist[3:]).as_matrix() @ frame[:3, :3]
+        for (index, axis), change in zip(self.offset_entries, step[n_frame:], strict=False):
+            offsets[index, axis] += change
+        return replace(
+            values,
+            frame=frame,
+            offsets=offsets,
+            turn=Rotation.from_rotvec(turn).as_matrix() @ values.turn,
+            own=values.own + step[self.own_columns],
+        )
+
+    def coordinates(self, values: External) -> Array:
+        """Return the unknowns as numbers, shape (n,), [m] and, rotation vectors, [rad]."""
+        twist = np.concatenate(
+            (values.frame[:3, 3], Rotation.from_matrix(values.frame[:3, :3]).as_rotvec())
+        )
+        turn = Rotation.from_matrix(values.turn).as_rotvec()
+        offsets = [values.offsets[entry] for entry in self.offset_entries]
+        angles = turn[list(self.turn_axes)]
+        return np.array([*twist[list(self.frame_rows)], *offsets, *angles, *values.own])
+
+    def coordinates_by_step(self, values: External) -> Array:
+        """Return the derivative of the coordinates by steps, shape (n, n): see ``moved``."""
+        frame = Rotation.from_matrix(values.frame[:3, :3]).as_rotvec()
+        turn = Rotation.from_matrix(values.turn).as_rotvec()
+        of_frame, of_turn = inverse_left_jacobian(np.array([frame, turn]))
+        D = np.eye(len(self))
+        turns = [i for i, row in enumerate(self.frame_rows) if row >= 3]
+        axes = [row - 3 for row in self.frame_rows if row >= 3]
+        D[np.ix_(turns, turns)] = of_frame[np.ix_(axes, axes)]
+        D[self.turn_columns, self.turn_columns] = of_turn[np.ix_(self.turn_axes, self.turn_axes)]
+        return D
+
+
+def owner(target: str) -> str:
+    """Return the owner of a target's coordinates: ``target`` of the platform's own."""
+    return "target" if target == ORIGIN else target

@@ -1,0 +1,252 @@
+"""Noise that was not given: variance components of positions, orientations and readings.
+
+With white rows r = L⁻¹Nᵀe of covariance Σ_g s_g V_g, V_g = U_g U_gᵀ the part of group g, and M the
+projection on what parameters do not take up, the expectation of rᵀ M V_g M r is Σ_h F_gh s_h,
+F_gh = tr(M V_g M V_h). Solved for s, and repeated with the rows whitened by it, that is the
+restricted maximum likelihood estimator (Patterson and Thompson 1971; Helmert, in geodesy); its
+covariance is 2 F⁻¹.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pincal.estimation.fit import Fit
+from pincal.estimation.linear import Orthonormal, left_over
+from pincal.estimation.problem import Problem
+from pincal.estimation.residuals.losses import outlying
+from pincal.kinematics.batches import over_rows
+from pincal.model.measurements import Noise
+from pincal.types import Array
+
+_P, _O, _R = range(3)  # position, orientation, reading
+
+
+@dataclass(frozen=True)
+class Steps:
+    """What is taken of variances beforehand, and how far they go at once."""
+
+    beforehand: float = 1.0
+    """Of the largest variance, each over its unit: standard deviation of the others about what is
+    assumed of them, which counts where residuals say little."""
+    most: float = 10.0
+    """Times that a variance changes at once."""
+    least: float = 1e-3
+    """Of the largest standard deviation, each over its unit: that of others that are not exact."""
+    rounding: float = 1e-10
+    """Standard deviation over the assumed one, below which residuals are rounding."""
+
+
+_BY = Steps()
+
+
+@dataclass(frozen=True)
+class Normal:
+    """What one fit says of the variances of groups; parameters projected out by Q R = J."""
+
+    F: Array
+    """Shape (3, 3): positions, orientations, readings."""
+    q: Array
+    """rᵀ M V_g M r, shape (3,)."""
+    chi2: float
+    """rᵀ M r."""
+    P: Array
+    """Qᵀ V_g Q, shape (3, n_free, n_free)."""
+    rest: Array
+    """Qᵀ V_g M V_h Q, shape (3, 3, n_free, n_free)."""
+    back: Array
+    """R⁻ᵀ Tᵀ: its columns squared are the variances of the unknowns, shape (n_free, n)."""
+
+
+@dataclass(frozen=True)
+class Moments:
+    """What the residuals of fits say of the variances of groups, relative to the assumed ones."""
+
+    F: Array
+    """Shape (3, 3): positions, orientations, readings."""
+    q: Array
+    """Shape (3,)."""
+    scale: float
+    """χ² over degrees of freedom."""
+    parts: tuple[Normal, ...]
+    """Of each fit."""
+
+    @classmethod
+    def of(cls, fits: Sequence[tuple[Fit, Problem]], reading: float) -> Moments:
+        """Return the moments of fits of groups of legs.
+
+        To first order they need no new fit: what parameters take up is projected out.
+
+        Args:
+            fits: Of groups of legs, each with its problem at the noise in question.
+            reading: Standard deviation to which that of readings is relative, [rad] or [m].
+        """
+        parts = tuple(_normal(one, problem, reading) for one, problem in fits)
+        F, q = (np.sum([getattr(one, name) for one in parts], axis=0) for name in ("F", "q"))
+        dof = max(sum(one.degrees_of_freedom for one, _ in fits), 1)
+        return cls(F, q, sum(one.chi2 for one in parts) / dof, parts)
+
+    @property
+    def rounding(self) -> bool:
+        """Whether the residuals are rounding errors."""
+        return not self.scale > _BY.rounding**2
+
+    def information(self, beforehand: Beforehand) -> tuple[Array, Array]:
+        """Return what is known of the variances: Λ and Λ s, s their mean, shapes (3, 3) and (3,).
+
+        From the residuals, and from what is assumed beforehand, for where they say little.
+        """
+        known = 2.0 * max(self.scale, 1e-300) ** 2
+        return self.F / known + beforehand.information(self.scale), self.q / known
+
+    def variances(self, beforehand: Beforehand) -> Array:
+        """Return the likeliest variances of groups, none below zero, relative, shape (3,)."""
+        information, moments = self.information(beforehand)
+        size = 1.0 / np.sqrt(np.diagonal(information))
+        own, right = information * np.outer(size, size), size * moments
+        free = np.linalg.solve(own, right)
+        if (free >= 0.0).all():  # as nearly always
+            return np.asarray(size * free)
+        from scipy.optimize import nnls  # slow to load
+
+        R = np.linalg.cholesky(own).T
+        return np.asarray(size * nnls(R, np.linalg.solve(R.T, right))[0])
+
+
+@dataclass(frozen=True)
+class Beforehand:
+    """What is assumed of variances before residuals are seen.
+
+    Those of positions and orientations are alike, each over its unit; readings are exact, or alike
+    too where they cannot be exact.
+    """
+
+    ratio: Array
+    """Variance over the square of its unit, shape (3,)."""
+    exact: bool
+    """Whether readings may be exact."""
+    noisy: bool
+    """Whether they are not."""
+
+    @classmethod
+    def of(cls, noise: Noise, unit: Noise, *, exact: bool) -> Beforehand:
+        """Return what is assumed beside some noise.
+
+        Args:
+            noise: The noise.
+            unit: Standard deviations that are assumed to be alike.
+            exact: Whether readings may be exact.
+        """
+        sizes = np.array([noise.position, noise.orientation, noise.reading or unit.reading])
+        units = np.array([unit.position, unit.orientation, unit.reading])
+        return cls((sizes / units) ** 2, exact, noise.reading > 0.0)
+
+    def information(self, scale: float) -> Array:
+        """Return the information on relative variances, shape (3, 3).
+
+        Args:
+            scale: χ² over degrees of freedom.
+        """
+        largest = self.ratio[: 3 if self.noisy else 2].max() * max(scale, 1e-300)
+        apart = np.array([[1.0, -1.0, 0.0], [0.0 if self.exact else -1.0, 0.0, 1.0]])
+        rows = apart * self.ratio / (_BY.beforehand * largest)
+        return np.asarray(rows.T @ rows)
+
+
+def freedoms(one: Normal, covariance: Array) -> Array:
+    """Return the degrees of freedom of the unknowns' variances (Satterthwaite 1946), shape (n,).
+
+    A variance is v = Σ_g s_g v_g, v_g the part of group g: 2 v² / var(v), var(v) = vᵀ cov(s) v.
+
+    Args:
+        one: Of the fit.
+        covariance: Of the groups' relative variances, shape (3, 3).
+    """
+    parts = np.einsum("in,gij,jn->gn", one.back, one.P, one.back)
+    spread = np.einsum("gn,gh,hn->n", parts, covariance, parts)
+    total = (one.back**2).sum(axis=0)
+    return np.where(spread > 0.0, 2.0 * total**2 / np.where(spread > 0.0, spread, 1.0), np.inf)
+
+
+def widened(one: Normal, covariance: Array) -> Array:
+    """Return what the covariance of the unknowns lacks if the noise was estimated, shape (n, n).
+
+    Weights by estimated variances spread the estimate by Λ = Σ_gh cov(s)_gh Qᵀ V_g M V_h Q, and
+    the covariance at the estimate is as much too small: 2 Λ (Kenward and Roger 1997).
+
+    Args:
+        one: Of the fit.
+        covariance: Of the groups' relative variances, shape (3, 3).
+    """
+    more = 2.0 * np.einsum("gh,ghij->ij", covariance, one.rest)
+    return np.asarray(one.back.T @ more @ one.back)
+
+
+def estimated_noise(
+    moments: Moments, noise: Noise, reading: float, beforehand: Beforehand
+) -> Noise:
+    """Return the noise that residuals show.
+
+    Args:
+        moments: Of fits at some noise.
+        noise: That noise.
+        reading: Standard deviation to which that of readings is relative, [rad] or [m].
+        beforehand: What was assumed of it.
+    """
+    variance, assumed = moments.variances(beforehand), beforehand.ratio
+    least = np.full(3, moments.scale / _BY.most)
+    least[_R] *= noise.reading > 0.0  # of a size that is not known yet
+    variance = np.clip(variance, least, moments.scale * _BY.most)
+    floor = _BY.least**2 * (assumed * variance).max() / assumed
+    noisy = np.array([True, True, not beforehand.exact or bool(variance[_R] > floor[_R])])
+    variance = np.maximum(variance, floor)
+    p, o, r = np.sqrt(np.where(noisy, variance, 0.0))
+    return Noise(float(noise.position * p), float(noise.orientation * o), float(reading * r))
+
+
+def _normal(one: Fit, problem: Problem, readings: float) -> Normal:
+    """Return what a fit says of the variances of groups, at a problem's noise."""
+    given = problem is one.problem
+    linear = one.last if given else problem.with_this_noise(one.last)
+    rows = one.weights > 0.0
+    if one.system.loss is not None:
+        rows &= ~outlying(linear.squares / one.system.scale(linear) ** 2, linear.equations)
+    n_readings = problem.reading_columns[-1].stop
+    unit = replace(problem, sigma_readings=np.full_like(problem.sigma_readings, readings))
+    by_reading = linear.white(unit.noise(linear.stack.demands, linear.state)[:, :, :n_readings])
+    W = linear.white.by_noise[:, :, n_readings : len(problem.quantities)]
+    units = problem.observation.units if problem.latent else problem.platform.units
+    lengths = np.array([name == "m" for name in units], dtype=bool)
+    U = [part[rows] for part in (W[:, :, lengths], W[:, :, ~lengths], by_reading)]
+    r = linear.value[rows]
+    held, prior = one.unknowns.prior_rows(one.system.values(one.last.state))
+    if given and (rows == one.good).all():
+        by, Q = one.orthonormal, one.Q
+    else:
+        J = linear.jacobian[rows] @ one.unknowns.map
+        by = Orthonormal.of(J, prior)
+        Q = by(J)
+    left, held = left_over(Q, r, by(prior), held)
+    V = [part @ part.transpose(0, 2, 1) for part in U]
+    VQ = [part @ Q for part in V]
+    P = [over_rows(Q, part) for part in VQ]
+    both = list(zip(VQ, P, strict=True))
+    F = np.array(
+        [
+            [
+                np.einsum("nij,nij->", V[g], V[h])
+                - 2.0 * np.einsum("nmi,nmi->", VQ[g], VQ[h])
+                + np.einsum("ij,ij->", P[g], P[h])
+                for h in range(3)
+            ]
+            for g in range(3)
+        ]
+    )
+    q = np.array([float((np.einsum("nmk,nm->nk", part, left) ** 2).sum()) for part in U])
+    rest = [[over_rows(a, b) - A @ B for b, B in both] for a, A in both]
+    back = by(one.unknowns.map).T
+    chi2 = float((left**2).sum() + (held**2).sum())
+    return Normal(F, q, chi2, np.array(P), np.array(rest), back)

@@ -1,1 +1,0 @@
-"""What legs demand and what instruments measured, as values with derivatives."""

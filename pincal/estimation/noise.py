@@ -1,0 +1,390 @@
+"""The noise of the measurements: given, of each row, from repeated rows, or assumed."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from pincal.errors import MeasurementError
+from pincal.estimation.blocks.covariances import RowNoise, row_noise
+from pincal.estimation.fit import Fit
+from pincal.estimation.observability.indices import RANK_TOLERANCE
+from pincal.model.checks import ROUNDING
+from pincal.model.measurements import SMALLEST_SIGMA, Measurements, Noise
+from pincal.model.mechanism import Mechanism
+from pincal.model.setup import POLAR, Setup
+from pincal.types import Array, Index
+
+Freedoms = tuple[float, float, float]
+Source = Literal["given", "rows", "repeats", "estimated"]
+_ENOUGH = 30  # rows that repeat others; fewer say less about the noise than the residuals do
+_ASSUMED = 1e-4  # of the mechanism's size, and [rad]: where an estimate of the noise begins
+
+
+@dataclass(frozen=True)
+class NoiseModel:
+    """Standard deviations of what was measured, and where they come from."""
+
+    noise: Noise
+    """Of quantities without standard deviations of their own."""
+    poses: RowNoise
+    """Of the platform's freedoms."""
+    readings: Array
+    """Shape (N, n_readings)."""
+    source: Source
+    freedoms: Freedoms = (np.inf, np.inf, np.inf)
+    """Degrees of freedom with which variances of positions, orientations and readings are known."""
+
+    @property
+    def known(self) -> bool:
+        """Whether the scale of the noise is known."""
+        return self.source != "estimated"
+
+
+def noise_model(
+    mechanism: Mechanism, data: Measurements, noise: Noise | None, setup: Setup
+) -> NoiseModel:
+    """Return the noise of measurements.
+
+    Without ``noise`` and without columns of standard deviations, repeated rows give it if there
+    are enough of them; else it is to be estimated, and what is returned is where that begins:
+    readings exact where poses were measured in full.
+
+    Raises:
+        MeasurementError: given twice, or rows that give it for readings only.
+    """
+    _check_tracker(mechanism, data, setup)
+    _check_covariances(mechanism, data, setup)
+    rows = data.sigma_poses is not None or bool(data.sigma_extra)
+    full = bool(np.isfinite(data.poses).all())
+    if data.sigma_readings is not None and full and not rows:
+        raise MeasurementError(
+            "the measurements give standard deviations of readings but none of poses; add columns "
+            + ", ".join(f"'sigma_{name}'" for name in mechanism.platform.coordinates)
+        )
+    if (rows or data.sigma_readings is not None) and noise is not None:
+        raise MeasurementError(
+            "the measurements have columns of standard deviations, and the noise is given as "
+            "well; leave out one of them"
+        )
+    source: Source = "given"
+    freedoms: Freedoms = (np.inf, np.inf, np.inf)
+    if rows or data.sigma_readings is not None:
+        _check_sigmas(mechanism, data, setup)
+        source, one = "rows", Noise(_ASSUMED, _ASSUMED, 0.0)
+    elif noise is None and setup.tracker is not None:
+        raise MeasurementError(
+            "the setup says how well the tracker measures positions; give the noise of all else "
+            "that was measured, 0 for what is exact (--noise-orientation, --noise-reading)"
+        )
+    elif noise is not None:
+        one = noise
+    elif (repeated := noise_of_repeats(mechanism, data)) is not None:
+        source, (one, freedoms) = "repeats", repeated
+    else:
+        source, one = "estimated", assumed_noise(mechanism, exact=full)
+    platform = mechanism.platform
+    poses = row_noise(platform.freedoms, platform.units, data, one, setup, platform)
+    readings = np.full(data.readings.shape, one.reading)
+    return NoiseModel(
+        one,
+        poses,
+        readings if data.sigma_readings is None else data.sigma_readings,
+        source,
+        freedoms,
+    )
+
+
+def assumed_noise(mechanism: Mechanism, *, exact: bool) -> Noise:
+    """Return noise from which an estimate may begin, relative to the mechanism's size.
+
+    Args:
+        mechanism: The mechanism.
+        exact: Whether readings may be taken as exact.
+    """
+    size = max(leg.size for leg in mechanism.legs)
+    metric = "m" in mechanism.reading_units
+    reading = 0.0 if exact and not mechanism.redundant else _ASSUMED * (size if metric else 1.0)
+    return Noise(_ASSUMED * size, _ASSUMED, reading)
+
+
+def _check_tracker(mechanism: Mechanism, data: Measurements, setup: Setup) -> None:
+    """Raise if a tracker's noise is not said in full, or positions have one of their own as well.
+
+    Raises:
+        MeasurementError: saying what to add or to leave out.
+    """
+    own = [name for name in POLAR if name in data.sigma_extra]
+    if setup.tracker is None:
+        if own:
+            raise MeasurementError(
+                f"a column 'sigma_{own[0]}' says how well a tracker measures; say where it is "
+                "(Setup(tracker=Tracker(at=...)), or 'tracker: {at: [x, y, z]}' in the setup)"
+            )
+        return
+    level = mechanism.platform.space == 2 and setup.tracker.at[2] == 0.0
+    for name in POLAR:
+        column = data.sigma_extra.get(name, np.full(len(data), np.nan))
+        if not (np.isfinite(column).all() or getattr(setup.tracker, name)) and (
+            not level or name != "elevation"
+        ):
+            raise MeasurementError(
+                f"nothing says how well the tracker measures the {name}; add a column "
+                f"'sigma_{name} [{'mm' if POLAR[name] == 'm' else 'mrad'}]', or '{name}' of the "
+                "tracker in the setup"
+            )
+    sigma = np.full((0, 0), np.nan) if data.sigma_poses is None else data.sigma_poses
+    if np.isfinite(sigma[:, : mechanism.platform.lengths]).any():
+        raise MeasurementError(
+            "positions have standard deviations of their own and those of a tracker's range and "
+            "angles as well; leave out one of them"
+        )
+
+
+def _check_covariances(mechanism: Mechanism, data: Measurements, setup: Setup) -> None:
+    """Raise if covariances are not of two quantities measured of the platform, with variances.
+
+    Raises:
+        MeasurementError: naming the pair.
+    """
+    names = {*mechanism.platform.freedoms, *setup.columns(mechanism)}
+    said: set[frozenset[str]] = set()
+    for pair, values in data.covariances.items():
+        both = frozenset(pair.split(","))
+        if not both <= names or len(both) < 2 or both in said:
+            raise MeasurementError(
+                f"covariance {pair!r}: expected two of {', '.join(sorted(names))} with a comma "
+                "between them, each pair once"
+            )
+        said.add(both)
+        if np.isinf(values).any():
+            raise MeasurementError(f"covariance {pair!r} is infinite in a row")
+    if said and data.sigma_poses is None and not data.sigma_extra:
+        raise MeasurementError(
+            "the measurements have covariances, but no standard deviations beside them; add "
+            "columns such as 'sigma_x'"
+        )
+
+
+def _check_sigmas(mechanism: Mechanism, data: Measurements, setup: Setup) -> None:
+    """Raise if some quantities have standard deviations, and others that were measured have none.
+
+    Raises:
+        MeasurementError: naming the column that is missing, or a row whose standard deviation is
+            too small to compute with.
+    """
+    given = [v for v in (data.sigma_poses, data.sigma_readings) if v is not None]
+    sigmas = np.column_stack([*given, *data.sigma_extra.values()])
+    tiny = (sigmas > 0.0) & (sigmas < SMALLEST_SIGMA)
+    if tiny.any():
+        raise MeasurementError(
+            f"data row {int(np.argmax(tiny.any(axis=1))) + 1}: a standard deviation is "
+            f"{sigmas[tiny][0]:g}; expected {SMALLEST_SIGMA:g} or more, or 0 for what is exact"
+        )
+    platform = mechanism.platform
+    measured = np.isfinite(data.poses)
+    known = np.zeros_like(measured) if data.sigma_poses is None else np.isfinite(data.sigma_poses)
+    if setup.tracker is not None:
+        known[:, : platform.lengths] = True
+    if platform.kind == "spatial":  # coordinates and freedoms of the orientation are not the same
+        measured[:, 3:] = measured[:, 3:].any(axis=1, keepdims=True)
+    missing = [
+        name
+        for name, column in zip(platform.freedoms, (measured & ~known).T, strict=True)
+        if column.any()
+    ]
+    for name, values in data.extra.items():
+        own = data.sigma_extra.get(name, np.full(len(data), np.nan))
+        if setup.tracker is not None and name in setup.points(platform):
+            continue
+        if (np.isfinite(values) & ~np.isfinite(own)).any():
+            missing.append(name)
+    if missing:
+        raise MeasurementError(
+            f"some columns of standard deviations are given, but none of {missing[0]!r}, which was "
+            f"measured; add 'sigma_{missing[0]}' for each such row, or leave all of them out"
+        )
+
+
+def noise_of_repeats(mechanism: Mechanism, data: Measurements) -> tuple[Noise, Freedoms] | None:
+    """Return the noise that repeated rows show and its degrees of freedom, or None if too few.
+
+    Rows repeat each other if their ``pose`` is the same, or, without such a column, if all
+    readings are equal to the last digit. Values that are equal say nothing about their noise:
+    readings are exact then, and poses that repeat at their resolution leave it to the residuals.
+    """
+    groups: dict[Hashable, list[int]] = defaultdict(list)
+    whole = np.isfinite(data.poses).all(axis=1) & np.isfinite(data.readings).all(axis=1)
+    for row in np.flatnonzero(whole):
+        name = None if data.places is None else data.places[row]
+        if name == "":
+            continue  # a place of its own
+        run = None if data.runs is None else data.runs[row]
+        groups[run, data.readings[row].tobytes() if name is None else name].append(int(row))
+    several = [np.array(rows) for rows in groups.values() if len(rows) > 1]
+    dof = sum(len(rows) - 1 for rows in several)
+    if dof < _ENOUGH:
+        return None
+    platform, twists = mechanism.platform, []
+    turns = np.array([unit == "rad" for unit in platform.units], dtype=bool)
+    for rows in several:
+        first = np.tile(data.poses[rows[0]], (len(rows), 1))
+        twists.append(platform.twists_between(first, data.poses[rows]))
+    position = _variance([one[:, ~turns] for one in twists])
+    orientation = _variance([one[:, turns] for one in twists])
+    reading = _variance([data.readings[rows] for rows in several])
+    if not position > 0.0 or (turns.any() and not orientation > 0.0):
+        return None
+    noise = Noise(*(float(np.sqrt(value)) for value in (position, orientation, reading)))
+    counts = ((~turns).sum(), turns.sum(), data.readings.shape[1] if reading else 0)
+    p, o, r = (float(dof * n) if n else np.inf for n in counts)
+    return noise, (p, o, r)
+
+
+def _variance(groups: list[Array]) -> float:
+    """Return the variance within groups of rows, each of shape (n, k); 0 if most are equal."""
+    within = np.concatenate([one - one.mean(axis=0) for one in groups])
+    rounding = ROUNDING * max(float(np.abs(one).max(initial=0.0)) for one in groups)
+    if not within.size or not np.median(np.abs(within)) > rounding:
+        return 0.0
+    dof = sum(len(one) - 1 for one in groups) * within.shape[1]
+    return float((within**2).sum() / dof)
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """White rows at an optimum, and deviations of groups from nominal values."""
+
+    triangle: Array
+    """R of the rows beside their residuals, other priors included, shape (n + 1, n + 1)."""
+    deviations: Array
+    """T: how deviations follow the unknowns, shape (k, n)."""
+    offsets: Array
+    """d: deviations at the optimum, shape (k,)."""
+    groups: Index
+    """The group of each, from 0, shape (k,)."""
+
+    @classmethod
+    def of(cls, one: Fit, groups: dict[str, int]) -> Evidence:
+        """Return what a fit says of groups of its parameters.
+
+        Args:
+            one: The fit; priors of these parameters do not count.
+            groups: By ids of parameters.
+        """
+        labels, unknowns = one.unknowns.labels, one.unknowns
+        own = [place for place, id_ in enumerate(labels) if id_ in groups]
+        priors = unknowns.priors.copy()
+        priors[own] = np.inf
+        system = one.system.with_priors(priors)
+        values = system.values(one.last.state)
+        return cls(
+            system.triangle(one.last, one.weights) / one.noise_scale,
+            unknowns.map[own],
+            (values - unknowns.nominal)[own],
+            np.array([groups[labels[place]] for place in own], dtype=np.intp),
+        )
+
+    def counts(self, groups: int) -> Array:
+        """Return how many deviations of each group are independent, shape (groups,)."""
+        own = [self.deviations[self.groups == group] for group in range(groups)]
+        return np.array([_rank(one) if len(one) else 0 for one in own], dtype=float)
+
+    def deviance(self, sizes: Array) -> float:
+        """Return minus twice the log evidence of sizes τ of the groups, but for a constant."""
+        n, weights = len(self.triangle) - 1, 1.0 / sizes[self.groups]
+        own = weights[:, None] * np.column_stack((self.deviations, self.offsets))
+        R = np.linalg.qr(np.concatenate((self.triangle, own)), mode="r")
+        every = np.abs(np.diagonal(R))
+        alone = np.linalg.svd(own[:, :n], compute_uv=False)[: _rank(self.deviations)]
+        return float(every[n] ** 2 + 2.0 * np.log(every[:n]).sum() - 2.0 * np.log(alone).sum())
+
+
+@dataclass(frozen=True)
+class FoundTolerance:
+    """By how much parameters of one unit differ from the drawing."""
+
+    unit: str
+    """``"m"``, ``"rad"`` or ``"1"``."""
+    size: float
+    """Standard deviation of the parameters, [unit]; infinite where measurements do not say it."""
+    low: float
+    high: float
+    """Ends of its 95 % interval; 0 where the drawing may be exact, infinite without an end."""
+    count: int
+    """Parameters of this unit without a prior of their own."""
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Standard deviations of groups by the evidence."""
+
+    most: Array
+    """The likeliest that are not zero: the evidence times each of them is largest (Y. Chung et al.,
+    Psychometrika 2013), but not beyond the intervals, shape (k,)."""
+    ends: Array
+    """Of the intervals that hold 95 %, shape (k, 2): 0 where none is as likely, infinite where they
+    have no upper end."""
+
+
+def likeliest(
+    parts: Sequence[Evidence], start: Array, within: tuple[Array, Array], rise: float
+) -> Sizes:
+    """Return the sizes of groups, and the ends of their intervals by the likelihood's profile.
+
+    The deviance of k deviations is a little more than χ² distributed: 1 + 1 / 3k times, exactly so
+    where they are seen without noise (M. S. Bartlett 1937).
+
+    Args:
+        parts: Independent evidence.
+        start: Where the search starts, shape (k,).
+        within: Smallest and largest sizes that mean something, shape (k,) each.
+        rise: Of the deviance, to the ends of intervals, were it χ² distributed.
+    """
+    from scipy.optimize import brentq, minimize  # slow to load: when needed
+
+    low, high = (np.log(one) for one in within)
+    counts = np.sum([one.counts(len(start)) for one in parts], axis=0)
+
+    def least(begin: Array, held: int | None = None, penalty: float = 0.0) -> tuple[Array, float]:
+        """Return where the deviance is least, one logarithm held, and its value there."""
+        free = np.arange(len(begin)) != held
+
+        def cost(values: Array) -> float:
+            logs = begin.copy()
+            logs[free] = values
+            own = sum(one.deviance(np.exp(logs)) for one in parts)
+            return own - 2.0 * penalty * float(values.sum())
+
+        logs = begin.copy()
+        if not free.any():
+            return logs, cost(logs[free])
+        bounds = np.column_stack((low, high))[free]
+        found = minimize(cost, logs[free], method="L-BFGS-B", bounds=bounds)
+        logs[free] = found.x
+        return logs, float(found.fun)
+
+    most, _ = least(np.clip(np.log(start), low, high), penalty=1.0)
+    best, bottom = least(most)
+    ends = np.empty((len(best), 2))
+    for place, middle in enumerate(best):
+
+        def above(value: float, place: int = place) -> float:
+            there = best.copy()
+            there[place] = value
+            return least(there, place)[1] - bottom - rise * (1.0 + 1.0 / (3.0 * counts[place]))
+
+        for side, (end, open_end) in enumerate(((low[place], 0.0), (high[place], np.inf))):
+            closed = end != middle and above(end) > 0.0
+            between = sorted((float(end), float(middle)))
+            ends[place, side] = np.exp(brentq(above, *between)) if closed else open_end
+    return Sizes(np.clip(np.exp(most), *ends.T), ends)
+
+
+def _rank(T: Array) -> int:
+    """Return the rank of rows that a choice of free unknowns made, with its rounding errors."""
+    return int(np.linalg.matrix_rank(T, rtol=RANK_TOLERANCE))

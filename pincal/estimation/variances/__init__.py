@@ -1,1 +1,0 @@
-"""How large noise and deviations are: given, from residuals, or by evidence."""

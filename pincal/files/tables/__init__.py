@@ -1,1 +1,0 @@
-"""Tables of rows: what columns and units mean, measurements and plans read and written."""

@@ -1,0 +1,394 @@
+"""A tree with loops becomes a mechanism: legs, platform, drives, and the parameters of its joints.
+
+Every joint that moves, the tip and the platform's point may be displaced in all directions; of
+these displacements each leg keeps those that its closure can distinguish (``independent``).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from itertools import takewhile
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from pincal.errors import MechanismError
+from pincal.formats.limbs import Limb, Way, limb, point_platform, poses_at_zero, ways_of
+from pincal.formats.tree import Tree, listed
+from pincal.kinematics.assembly import assembled, independent, opening
+from pincal.kinematics.closure import largest_size
+from pincal.model.checks import ALIKE, EXACT, ROUNDING
+from pincal.model.consistency import identifiers
+from pincal.model.home import ROUGH
+from pincal.model.leg import Joint, Leg
+from pincal.model.mechanism import Mechanism
+from pincal.model.placement import Coordinate, Placement, placement_of
+from pincal.model.platform import Platform
+from pincal.model.sensor import Sensor
+from pincal.types import Array
+
+_WRITTEN = (r"xyz|pos|fromto", r"rpy|axis|quat|euler|axisangle|xyaxes|zaxis")
+_NUMBERS = 10  # along a leg, whose digits may be cut: two across each of five joints
+
+
+def slack_of(text: str) -> float:
+    """Return how far digits that an XML file does not write may have moved a leg's frames.
+
+    Half a unit in the last digit, of lengths over the largest or of directions, whichever is more,
+    times the numbers along a leg: of its size, and [rad]. Numbers of less than four digits are
+    taken as exact, but for right angles: 1.57 is cut.
+    """
+    cut = 0.0
+    for kinds in _WRITTEN:
+        values = " ".join(re.findall(rf"""\b(?:{kinds})\s*=\s*["']([^"']*)["']""", text)).split()
+        plain = [re.sub(r"[eE].*|[-+.]", "", value).strip("0") for value in values]
+        if long := [len(digits) for digits in plain if len(digits) > 3]:
+            cut = max(cut, 5.0 * 10.0 ** -float(np.median(long)))
+        if "rpy" in kinds:
+            for value in values:
+                if right := re.fullmatch(r"-?(1\.57|3\.14|4\.71|6\.28)(\d*)", value):
+                    off = abs(np.remainder(float(value) + np.pi / 4, np.pi / 2) - np.pi / 4)
+                    cut = max(cut, off if off < 0.1 ** (2 + len(right[2])) else 0.0)
+    return _NUMBERS * cut
+
+
+def check_drawn(tree: Tree, legs: Sequence[Leg], kind: str) -> None:
+    """Raise if loops are wide open as drawn, and the file does not say where else to begin.
+
+    Args:
+        tree: What the file says.
+        legs: Its legs, at home as drawn.
+        kind: Of the platform.
+
+    Raises:
+        MechanismError: loops drawn open by more than a tenth of the longest leg.
+    """
+    if tree.homed:
+        return
+    gap = opening(legs, kind)
+    size = largest_size(legs)
+    if gap > ROUGH * size:
+        raise MechanismError(
+            f"{tree.source}: the loops do not close near the joint positions that the file draws: "
+            f"ends that should meet are {gap:.3g} m apart, and the longest leg is {size:.3g} m. "
+            "Say positions near which they close (keyframe of MJCF, 'home' of the YAML file), or "
+            "look at the frames of the loops and at units (metres, radians)"
+        )
+
+
+def closing_in_words(tree: Tree, mechanism: Mechanism) -> tuple[str, bool]:
+    """Return by how much loops are open as drawn and how far joints were moved, as sentences.
+
+    And whether that is more than rounding.
+    """
+    drawn = {edge.joint.name: edge.joint.home for edge in tree.edges}
+    legs = [
+        replace(leg, joints=tuple(replace(j, home=drawn.get(j.name, 0.0)) for j in leg.joints))
+        for leg in mechanism.legs
+    ]
+    gap = opening(legs, mechanism.platform.form)
+    if gap <= max(ALIKE, tree.slack) * largest_size(mechanism.legs):
+        return f"the loops close as drawn, within {gap:.2g} m", False
+    moved: dict[str, tuple[float, str]] = {}
+    for joint in (one for leg in mechanism.legs for one in leg.moving if one.name in drawn):
+        unit = "rad" if joint.turns else "m"
+        moved[unit] = max(
+            moved.get(unit, (0.0, "")), (abs(joint.home - drawn[joint.name]), joint.name)
+        )
+    far = " and ".join(f"{way:.3g} {unit} ({name})" for unit, (way, name) in moved.items())
+    return f"as drawn the loops are open by {gap:.3g} m: joints were moved by up to {far}", True
+
+
+_FREEDOMS = {(2, 0): "point", (2, 1): "planar", (3, 0): "translational", (3, 3): "spatial"}
+_SPATIAL, _PLANAR = ("x", "y", "z", "rx", "ry", "rz"), ("x", "y", "rz")
+
+
+def closed_mechanism(tree: Tree, platform: str | None = None) -> tuple[Mechanism, tuple[str, ...]]:
+    """Return the mechanism of a tree with loops, and sentences on what was left out of it.
+
+    Args:
+        tree: Links, joints and loops.
+        platform: Link whose frame is the platform's; the one in which the legs meet if not given.
+
+    Raises:
+        MechanismError: legs, platform and drives cannot be distinguished; the loops do not close.
+    """
+    platform = platform or tree.platform
+    if platform is not None:
+        platform = tree.link(platform, "the platform")
+    found = ways_of(tree, platform)
+    driven = set(tree.active)
+    remarks = [
+        f"{listed(found.left)}: in no loop, left out"
+        + (" (driven)" if driven & set(found.left) else "")
+    ] * bool(found.left)
+    normal = _normal(tree, found.ways)
+    if found.platform is None:
+        if normal is None:
+            raise MechanismError(
+                f"{tree.source}: one loop, which leaves open what the platform is; name it with "
+                "--platform LINK"
+            )
+        limbs: tuple[Limb, ...] = point_platform(tree, found.ways[0], driven, normal)
+        kind, C_platform = "point", np.eye(3)
+    else:
+        legs, own = _legs_and_freedoms(tree, found.ways, driven)
+        kind = own or ("spatial" if normal is None else "planar")
+        limbs = tuple(limb(tree, way, found.platform, driven, normal) for way in legs)
+        at = poses_at_zero(tree)[found.platform][:3, :3]
+        if kind in ("point", "translational"):
+            C_platform = at.T @ (np.eye(3) if normal is None else _onto(normal))
+        else:
+            C_platform = np.eye(3) if normal is None else _onto(at.T @ normal)
+    if normal is not None:
+        limbs = tuple(_in_plane(one, normal, C_platform, max(EXACT, tree.slack)) for one in limbs)
+        if abs(normal[2]) < 1.0 - EXACT:
+            remarks.append("planar, but not across z: the base frame was turned to have z across")
+    elif not np.array_equal(C_platform, np.eye(3)):
+        limbs = tuple(_turned_platform(one, C_platform) for one in limbs)
+    names = _leg_names(limbs)
+    stems = _stems(names, limbs)
+    made = tuple(
+        _leg(name, one, tree, kind, own) for name, one, own in zip(names, limbs, stems, strict=True)
+    )
+    check_drawn(tree, made, kind)
+    try:
+        made, placed = assembled(_apart(made), kind, tree.slack)
+    except MechanismError as error:
+        raise MechanismError(f"{tree.source}: {error}") from error
+    for leg in made:
+        remarks += [
+            f"{leg.name}: {joint.name!r} closes the loops at {joint.home:.6g}, outside its limits"
+            for joint in leg.moving
+            if joint.limited and not joint.lower <= joint.home <= joint.upper
+        ]
+    name = re.sub(r"\W+", "_", tree.name)[:100] or "mechanism"
+    kept = tuple(_reduced(leg, placed, tree.slack) for leg in made)
+    return Mechanism(name, placed, kept, f"From {tree.source}."), tuple(remarks)
+
+
+def _legs_and_freedoms(
+    tree: Tree, ways: tuple[Way, ...], driven: set[str]
+) -> tuple[list[Way], str | None]:
+    """Return the ways with a drive, and the kind of platform if another says its freedoms.
+
+    Raises:
+        MechanismError: a way without a drive that is no row of freedoms.
+    """
+    legs = [way for way in ways if any(one.bond.name in driven for one in way)]
+    idle = [way for way in ways if way not in legs]
+    kinds = [_freedoms(way) for way in idle]
+    for way, kind in zip(idle, kinds, strict=True):
+        if kind is None or len(idle) > 1 or not legs:
+            raise MechanismError(
+                f"{tree.source}: no driven joint in the leg {', '.join(p.bond.name for p in way)}; "
+                "each leg needs one whose position is read: name it under name_mot (YAML) or give "
+                "it an actuator (MJCF)"
+            )
+    return legs, kinds[0] if kinds else None
+
+
+def _freedoms(way: Way) -> str | None:
+    """Return the kind of platform that a row of slides and turns frees; None for another."""
+    joints = [one.bond.edge.joint for one in way if one.bond.edge is not None and one.forth]
+    kinds = [joint.kind for joint in joints]
+    counts = kinds.count("prismatic"), kinds.count("revolute")
+    if len(joints) != len(way) or kinds != sorted(kinds):  # slides first
+        return None
+    return _FREEDOMS.get(counts)
+
+
+def _normal(tree: Tree, ways: Iterable[Way]) -> Array | None:
+    """Return the normal of the plane in which all joints move, in the root's frame, shape (3,)."""
+    at = poses_at_zero(tree)
+    turning: list[Array] = []
+    sliding: list[Array] = []
+    for edge in (one.bond.edge for way in ways for one in way):
+        if edge is not None:
+            axis = at[edge.child][:3, :3] @ edge.joint.axis
+            (turning if edge.joint.kind == "revolute" else sliding).append(axis)
+    if not turning:
+        return None
+    slack = max(EXACT, tree.slack)
+    normal = turning[0]
+    nearest = np.round(normal)  # along an axis of the root's frame
+    if np.linalg.norm(np.cross(normal, nearest)) < slack and nearest.any():
+        normal = nearest
+    parallel = all(np.linalg.norm(np.cross(normal, axis)) < slack for axis in turning)
+    if not (parallel and all(abs(normal @ axis) < slack for axis in sliding)):
+        return None
+    largest = normal[np.argmax(np.abs(normal))]
+    return np.asarray(normal * np.sign(largest))
+
+
+def _onto(normal: Array) -> Array:
+    """Return the smallest turn of z onto a unit vector, shape (3, 3)."""
+    if normal[2] > 1.0 - EXACT:
+        return np.eye(3)
+    if normal[2] < EXACT - 1.0:
+        return np.diag([1.0, -1.0, -1.0])
+    axis = np.cross((0.0, 0.0, 1.0), normal)
+    angle = np.arctan2(np.linalg.norm(axis), normal[2])
+    return Rotation.from_rotvec(angle * axis / np.linalg.norm(axis)).as_matrix()
+
+
+def _along(normal: Array, slack: float) -> Array:
+    """Return the smallest turn of z, or of -z, onto a unit vector, none of less than a slack."""
+    return np.eye(3) if np.hypot(normal[0], normal[1]) < slack else _onto(normal)
+
+
+def _in_plane(one: Limb, normal: Array, C_platform: Array, slack: float) -> Limb:
+    """Return a leg in the plane, z of every frame across it, in a base frame that has it so."""
+    joints: list[Joint] = []
+    C, R = _onto(normal), np.eye(3)
+    for joint in one.joints:
+        origin = joint.placement.origin()
+        R = R @ origin[:3, :3]
+        last = joint is one.joints[-1] and one.point is None
+        C_child = C_platform if last else _along(R.T @ normal, slack)
+        if not (np.array_equal(C, np.eye(3)) and np.array_equal(C_child, np.eye(3))):
+            origin[:3] = C.T @ origin[:3]
+            origin[:3, :3] = origin[:3, :3] @ C_child
+            x, y, z = (float(v) for v in np.round(C_child.T @ joint.axis, 12))
+            joint = replace(joint, placement=placement_of(origin), axis=(x, y, z))
+        if np.abs(origin[:2, 2]).max() > ROUNDING or joint.axis != _flat_axis(joint):
+            origin[:3, :3] = _flat(origin[:3, :3])
+            joint = replace(joint, placement=placement_of(origin), axis=_flat_axis(joint))
+        joints.append(joint)
+        C = C_child
+    return _turned_platform(Limb(tuple(joints), one.point), C_platform)
+
+
+def _flat(R: Array) -> Array:
+    """Return the nearest rotation that keeps z, or turns it over."""
+    side = np.sign(R[2, 2])
+    angle = np.arctan2(R[1, 0] - side * R[0, 1], R[0, 0] + side * R[1, 1])
+    turned = Rotation.from_rotvec((0.0, 0.0, angle)).as_matrix()
+    return np.asarray(turned @ np.diag((1.0, side, side)))
+
+
+def _flat_axis(joint: Joint) -> tuple[float, float, float]:
+    """Return a joint's axis across the plane, or in it if it slides."""
+    x, y, z = joint.axis
+    if joint.kind == "prismatic" and z:
+        return x / float(np.hypot(x, y)), y / float(np.hypot(x, y)), 0.0
+    return joint.axis if joint.kind == "prismatic" else (0.0, 0.0, float(np.sign(z)))
+
+
+def _turned_platform(one: Limb, C_platform: Array) -> Limb:
+    """Return a leg whose platform point is given in a platform frame that is turned."""
+    if one.point is None or np.array_equal(C_platform, np.eye(3)):
+        return one
+    origin = one.point.placement.origin()
+    origin[:3] = C_platform.T @ origin[:3]
+    return Limb(one.joints, replace(one.point, placement=placement_of(origin)))
+
+
+def _leg_names(limbs: tuple[Limb, ...]) -> list[str]:
+    """Return what the names of each leg's joints begin with, or otherwise numbers."""
+    names = []
+    for one in limbs:
+        own = [joint.name for joint in one.joints if joint.kind != "fixed"]
+        stem = _common(own)
+        if any(len(name) > len(stem) and name[len(stem)] not in "_-./ " for name in own):
+            stem = re.sub(r"[^_\-./ ]*$", "", stem)
+        names.append(re.sub(r"\W", "_", stem).strip("_"))
+    if identifiers(names) == tuple(names) and "platform" not in names:
+        return names
+    return [f"leg_{index + 1}" for index in range(len(limbs))]
+
+
+def _common(names: list[str]) -> str:
+    """Return what all names begin with."""
+    alike = (set(letters) for letters in zip(*names, strict=False))
+    return names[0][: sum(1 for _ in takewhile(lambda letters: len(letters) == 1, alike))]
+
+
+def _stems(names: list[str], limbs: tuple[Limb, ...]) -> list[list[str]]:
+    """Return for each leg what its moving joints' parameters begin with.
+
+    The joints' names less the leg's, if all legs have the same; else joint_1, joint_2, and so on.
+    """
+    stems = []
+    for name, one in zip(names, limbs, strict=True):
+        own = [joint.name.removeprefix(name) for joint in one.joints if joint.kind != "fixed"]
+        stems.append([re.sub(r"\W", "_", s).strip("_").removesuffix("_joint") for s in own])
+    first = stems[0]
+    plain = all(stem.isidentifier() and stem.isascii() for stem in first)
+    if all(own == first for own in stems) and plain and len(set(first)) == len(first):
+        return stems
+    return [[f"joint_{index + 1}" for index in range(len(own))] for own in stems]
+
+
+def _leg(name: str, one: Limb, tree: Tree, kind: str, stems: list[str]) -> Leg:
+    """Return a leg with displacements of all its joints as parameters."""
+    axes = _PLANAR if kind in ("point", "planar") else _SPATIAL
+    joints = one.joints
+    if joints[-1].kind != "fixed":
+        joints = (*joints, Joint("tip", "fixed"))
+    parameters: dict[str, float] = {}
+    placed, stem_of = [], iter(stems)
+    for joint in joints:
+        if joint.kind == "fixed" and joint is not joints[-1]:
+            placed.append(joint)
+            continue
+        stem = "tip" if joint is joints[-1] else next(stem_of)
+        placed.append(replace(joint, placement=_displaced(joint.placement, stem, axes, parameters)))
+    point = one.point or Joint("point", "fixed")
+    if one.point is not None:
+        shifts = axes[: len(axes) // 2 + len(axes) % 2]
+        point = replace(point, placement=_displaced(point.placement, "point", shifts, parameters))
+    if point.name == "point":
+        point = replace(point, name=f"{name}_point")
+    sensors = tuple(Sensor(joint.name) for joint in joints if joint.name in tree.active)
+    if not sensors:
+        raise MechanismError(f"{tree.source}: {name} has no driven joint")
+    closes = "frame" if one.point is None else "point"
+    return Leg(name, tuple(placed), sensors, tuple(parameters.items()), point, "tip", closes)  # type: ignore[arg-type]
+
+
+def _displaced(
+    placement: Placement, stem: str, axes: Iterable[str], parameters: dict[str, float]
+) -> Placement:
+    """Return a placement with small displacements, and enter their names."""
+    own = {axis: f"{stem}_{axis}" for axis in axes}
+    parameters |= dict.fromkeys(own.values(), 0.0)
+    steps = tuple(Coordinate(axis, (name,)) for axis, name in own.items())
+    steps += tuple(Coordinate(a, (v,)) for a, v in zip("xyz", placement.xyz, strict=True) if v)
+    return Placement(steps, placement.xyz, placement.rpy)
+
+
+def _apart(legs: tuple[Leg, ...]) -> tuple[Leg, ...]:
+    """Return legs of which each has its own platform point."""
+    names = [leg.point.name for leg in legs]
+    return tuple(
+        replace(leg, point=replace(leg.point, name=f"{leg.name}_point"))
+        if names.count(leg.point.name) > 1
+        else leg
+        for leg in legs
+    )
+
+
+def _reduced(leg: Leg, platform: Platform, slack: float) -> Leg:
+    """Return a leg with the parameters that its closure can distinguish; shifts come first."""
+    order = sorted(leg.parameter_names, key=lambda name: leg.units[name] != "m")
+    kept = set(independent(leg, platform, tuple(order), slack))
+
+    def with_kept(joint: Joint) -> Joint:
+        coordinates = tuple(
+            c
+            for c in joint.placement.coordinates
+            if not isinstance(c.values[0], str) or c.values[0] in kept
+        )
+        if not any(isinstance(c.values[0], str) for c in coordinates):
+            coordinates = ()
+        return replace(joint, placement=replace(joint.placement, coordinates=coordinates))
+
+    return replace(
+        leg,
+        joints=tuple(with_kept(joint) for joint in leg.joints),
+        point=with_kept(leg.point),
+        parameters=tuple(one for one in leg.parameters if one[0] in kept),
+    )

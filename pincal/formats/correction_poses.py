@@ -1,0 +1,125 @@
+"""Corrections over poses: what a controller lacks that knows a machine without its terms.
+
+It is a difference of readings. Such a controller takes the plain machine, geometry, gains and
+offsets, to a pose by readings ψ_plain; the machine with all its terms is there at ψ, so that it
+needs ψ − ψ_plain. Or it is sent to another pose x', at which its own readings are ψ.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+
+from pincal.files.measurement_writing import Columns, columns_of, reason_column
+from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
+from pincal.kinematics.configurations import as_plan, joints_at
+from pincal.kinematics.forward import forward
+from pincal.kinematics.influences import own_influences
+from pincal.kinematics.inverse import inverse
+from pincal.model.measurements import Plan
+from pincal.model.mechanism import Mechanism
+from pincal.types import Array
+
+T = TypeVar("T")
+CORRECTION, COMMAND = "correction", "command"
+
+
+@dataclass(frozen=True, repr=False)
+class Corrections:
+    """What takes the whole machine to N poses by a controller that knows the plain one.
+
+    Example:
+        >>> import pincal
+        >>> found = pincal.corrections("5R", [[0.0, 1.1], [0.2, 1.2]])
+        >>> found.readings.shape  # of a machine without terms there is nothing to add
+        (2, 2)
+        >>> abs(found.readings).max() < 1e-9
+        np.True_
+    """
+
+    plan: Plan
+    """The poses; and the readings of the plain machine, where poses do not determine them."""
+    readings: Array
+    """What to add to readings of the plain machine, shape (N, n_readings), [rad] or [m]; NaN where
+    there is none."""
+    commands: Array | None
+    """Poses to command instead, shape (N, dof), [m] and [rad]; NaN where there is none. None if
+    the legs demand more than there are freedoms: no pose has just these readings then."""
+    reasons: tuple[str, ...]
+    """Why a row has no correction or command; empty strings where it has both."""
+
+    def __repr__(self) -> str:
+        """Return the corrections in a line."""
+        found = self.reasons.count("")
+        return f"Corrections: {found} of {len(self.reasons)} poses"
+
+
+def corrections(mechanism: GivenMechanism, planned: Plan | Array) -> Corrections:
+    """Return what a controller lacks at poses that knows the mechanism without its terms.
+
+    Args:
+        mechanism: The mechanism, at its nominal parameters.
+        planned: N poses, coordinates of shape (N, dof), [m] and [rad]; or a plan, whose columns of
+            influences count, NaN or none at their reference. Where readings do not follow from
+            poses, as of an arm, its readings say by the plain machine which poses these are.
+
+    Raises:
+        MechanismError: poses or readings of a wrong shape, or not finite; a homed sensor and a
+            home pose out of its leg's reach.
+    """
+    mechanism = as_mechanism(mechanism)
+    plain, plan = mechanism.without_terms, as_plan(mechanism, planned)
+    safe = poses = plan.poses
+    why: tuple[str, ...] = ("",) * len(plan)
+    if plan.readings is not None:
+        there = forward(plain, plan.readings, poses)
+        poses, why = there.poses, there.reasons
+        safe = np.where(np.isfinite(poses), poses, mechanism.platform.home)
+    started = joints_at(plain, Plan(safe, readings=plan.readings))
+    own = own_influences(mechanism, plan.influences)
+    whole = inverse(mechanism, safe, own, started.joints)
+    reasons = [one or whole.reason(row) for row, one in enumerate(why)]
+    found = np.array([not one for one in reasons], dtype=bool)
+    commands = None if mechanism.redundant else np.full(poses.shape, np.nan)
+    if commands is not None:
+        back = forward(plain, whole.readings[found], safe[found])
+        commands[found] = back.poses
+        for row, one in zip(np.flatnonzero(found), back.reasons, strict=True):
+            reasons[row] = one
+    return Corrections(
+        Plan(
+            poses,
+            readings=started.readings if mechanism.by_readings else None,
+            influences=own,
+        ),
+        np.where(found[:, None], whole.readings - started.readings, np.nan),
+        commands,
+        tuple(reasons),
+    )
+
+
+def correction_columns(
+    mechanism: Mechanism, found: Corrections, orientation: str = "tilt-torsion"
+) -> Columns:
+    """Return a table of corrections: poses, ``correction_leg_1 [rad]``, ``command_x [m]``, reasons.
+
+    Args:
+        mechanism: The mechanism.
+        found: The corrections.
+        orientation: Way to write a spatial platform's orientation, a key of ``WAYS``.
+    """
+    columns = columns_of(mechanism, found.plan, orientation)
+    named = zip(mechanism.reading_names, mechanism.reading_units, found.readings.T, strict=True)
+    columns |= corrected({f"{name} [{unit}]": values for name, unit, values in named})
+    if found.commands is not None:
+        commands = columns_of(mechanism, Plan(found.commands), orientation)
+        columns |= {f"{COMMAND}_{header}": values for header, values in commands.items()}
+    return columns | reason_column(found.reasons)
+
+
+def corrected(of_readings: Mapping[str, T]) -> dict[str, T]:
+    """Return what belongs to readings, by their names, as of the columns of their corrections."""
+    return {f"{CORRECTION}_{name}": one for name, one in of_readings.items()}

@@ -1,1 +1,0 @@
-"""What a controller lacks that knows the exported geometry alone: tables and code."""

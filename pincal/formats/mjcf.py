@@ -1,0 +1,358 @@
+"""MJCF as MuJoCo reads it: bodies and joints as a tree, with loops, couplings and drives.
+
+MuJoCo's own compiler resolves defaults, includes, frames, replicas and every notation of an
+orientation; what it compiled is the kinematics that simulation uses (``body_pos``, ``jnt_axis``,
+``qpos0``, ``eq_data``). Joints count from where the file draws them, so a ``ref`` is not added.
+Source: MuJoCo's documentation, "Computation" and ``mjmodel.h``.
+"""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from lxml import etree
+from scipy.spatial.transform import Rotation
+
+from pincal.errors import MechanismError
+from pincal.files.text import read_xml
+from pincal.formats.tree import Edge, Loop, Spot, Tree, at_home, ball, turns, with_ranges
+from pincal.model.checks import LARGEST
+from pincal.model.leg import Closing, Joint
+from pincal.model.orientation import turns_in_series
+from pincal.model.placement import Placement, placement_of
+from pincal.types import Array
+
+if TYPE_CHECKING:
+    import mujoco
+
+
+_NOISE = re.compile(r"(?:XML )?Error: |Element name '', id \d+, ")
+_TETRAHEDRON = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+
+
+def read_mjcf(path: Path) -> Tree:
+    """Return the tree of an MJCF file, with its loops and drives.
+
+    Raises:
+        FileError: the file is missing or cannot be read.
+        MechanismError: MuJoCo is not installed, or refuses the file.
+    """
+    title = read_xml(path, "mujoco").get("model")
+    model = _compiled(path)
+    links = _names(model, mujoco.mjtObj.mjOBJ_BODY, [f"body_{i}" for i in range(model.nbody)])
+    of_joints = [f"{links[body]}_joint_{i}" for i, body in enumerate(model.jnt_bodyid)]
+    joints = _names(model, mujoco.mjtObj.mjOBJ_JOINT, of_joints)
+    edges = [edge for body in range(1, model.nbody) for edge in _edges(model, body, links, joints)]
+    edges += _sites(model, links)
+    of_joint = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+    driven = model.actuator_trnid[np.isin(model.actuator_trntype, of_joint), 0]
+    tree = Tree(
+        name=title or path.stem,
+        source=str(path),
+        root=links[0],
+        edges=at_home(tuple(edges), _home(model, joints)),
+        loops=tuple(_loops(model, links)),
+        active=tuple(dict.fromkeys(joints[i] for i in driven)),
+        homed=model.nkey > 0,
+        refused=_coupled(model, joints, path),
+    )
+    return with_ranges(tree)
+
+
+def _compiled(path: Path) -> mujoco.MjModel:
+    """Return MuJoCo's model of a file, for which no mesh or picture is opened."""
+    try:
+        handler = mujoco.get_mju_user_warning()
+    except ModuleNotFoundError as error:
+        raise MechanismError(
+            "MJCF is read by MuJoCo, which is not installed: python -m pip install 'pincal[mujoco]'"
+        ) from error
+    mujoco.set_mju_user_warning(lambda _: None)  # it writes a log into the working folder
+    try:
+        with warnings.catch_warnings(action="ignore"):  # of masses, which do not count here
+            spec = mujoco.MjSpec.from_file(str(path))
+            _drop_shapes(spec)
+            model = spec.compile()
+    except (ValueError, RuntimeError) as error:
+        why = " ".join(_NOISE.sub("", str(error)).split())[:240]
+        raise MechanismError(f"{path}: MuJoCo does not read it: {why}") from error
+    finally:
+        mujoco.set_mju_user_warning(handler)
+    for numbers in (model.body_pos, model.body_quat, model.jnt_pos, model.site_pos, model.eq_data):
+        if not (np.abs(numbers) <= LARGEST).all():
+            raise MechanismError(f"{path}: a place holds a number that is not finite or too large")
+    return model
+
+
+def _drop_shapes(spec: mujoco.MjSpec) -> None:
+    """Put something small in the place of every file of shapes, and masses where none are.
+
+    Bodies stay where the file has them: none is fused with another, none turned to its inertia.
+    """
+    for mesh in spec.meshes:
+        mesh.file, mesh.uservert = "", _TETRAHEDRON
+    for texture in spec.textures:
+        texture.file, texture.builtin = "", mujoco.mjtBuiltin.mjBUILTIN_FLAT
+        texture.cubefiles = [""] * len(texture.cubefiles)
+        texture.width = texture.height = 1
+    for field in spec.hfields:
+        field.file, field.nrow, field.ncol, field.userdata = "", 2, 2, [0.0, 1.0, 1.0, 0.0]
+    for skin in list(spec.skins):
+        spec.delete(skin)
+    spec.compiler.boundmass = spec.compiler.boundinertia = 1.0
+    spec.compiler.balanceinertia = True
+    spec.compiler.fusestatic = spec.compiler.alignfree = False
+
+
+def _names(model: mujoco.MjModel, kind: int, unnamed: list[str]) -> list[str]:
+    """Return the names of all objects of a kind, and other ones for those without."""
+    named = [mujoco.mj_id2name(model, kind, i) for i in range(len(unnamed))]
+    return [name or other for name, other in zip(named, unnamed, strict=True)]
+
+
+def _pose(position: Array, quaternion: Array) -> Array:
+    """Return a pose, shape (4, 4), of a position [m] and a quaternion, its scalar first."""
+    matrix = np.eye(4)
+    matrix[:3, 3] = position
+    matrix[:3, :3] = Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
+    return matrix
+
+
+def _edges(model: mujoco.MjModel, body: int, links: list[str], joints: list[str]) -> Iterator[Edge]:
+    """Yield a body's joints one after the other, each in a frame at its anchor."""
+    link, name = links[model.body_parentid[body]], links[body]
+    T_link_body = _pose(model.body_pos[body], model.body_quat[body])
+    anchor = np.zeros(3)
+    first, count = model.body_jntadr[body], model.body_jntnum[body]
+    for i in range(first, first + count):
+        kind = model.jnt_type[i]
+        place = model.jnt_pos[i] * (kind != mujoco.mjtJoint.mjJNT_FREE)
+        T_link_body[:3, 3] += T_link_body[:3, :3] @ (place - anchor)
+        last = i == first + count - 1 and not place.any()
+        child = name if last else f"{name}_after_{joints[i]}"
+        placement = placement_of(T_link_body)
+        if kind == mujoco.mjtJoint.mjJNT_BALL:
+            yield from ball(Joint(joints[i], "fixed", placement), link, child)
+        elif kind == mujoco.mjtJoint.mjJNT_FREE:
+            yield from turns(Joint(joints[i], "fixed", placement), link, child, "XYZxyz")
+        else:
+            turning = kind == mujoco.mjtJoint.mjJNT_HINGE
+            lower, upper = -np.inf, np.inf
+            if model.jnt_limited[i]:
+                lower, upper = model.jnt_range[i] - model.qpos0[model.jnt_qposadr[i]]
+            x, y, z = map(float, model.jnt_axis[i])
+            joint = Joint(
+                joints[i],
+                "revolute" if turning else "prismatic",
+                placement,
+                (x, y, z),
+                float(lower),
+                float(upper),
+            )
+            yield Edge(joint, link, child)
+        link, anchor, T_link_body = child, place, np.eye(4)
+    if link != name:
+        T_link_body[:3, 3] -= T_link_body[:3, :3] @ anchor
+        yield Edge(Joint(f"{name}_fixed", "fixed", placement_of(T_link_body)), link, name)
+
+
+def _sites(model: mujoco.MjModel, links: list[str]) -> Iterator[Edge]:
+    """Yield each named site as a link that is fixed to its body."""
+    for i, body in enumerate(model.site_bodyid):
+        name = model.site(i).name
+        if name and name not in links:
+            placement = placement_of(_pose(model.site_pos[i], model.site_quat[i]))
+            yield Edge(Joint(name, "fixed", placement), links[body], name)
+
+
+def _home(model: mujoco.MjModel, joints: list[str]) -> dict[str, float]:
+    """Return the joint positions of the first keyframe, by name, from where they are drawn."""
+    home: dict[str, float] = {}
+    for i in range(model.njnt if model.nkey else 0):
+        kind, address = model.jnt_type[i], model.jnt_qposadr[i]
+        qpos = model.key_qpos[0, address : address + 4]
+        if kind == mujoco.mjtJoint.mjJNT_BALL:
+            angles = turns_in_series(_pose(np.zeros(3), qpos)[None, :3, :3])[0]
+            home |= {f"{joints[i]}_{axis}": float(a) for axis, a in zip("xyz", angles, strict=True)}
+        elif kind != mujoco.mjtJoint.mjJNT_FREE:  # where a free body is follows from the loops
+            home[joints[i]] = float(qpos[0] - model.qpos0[address])
+    return home
+
+
+def _loops(model: mujoco.MjModel, links: list[str]) -> Iterator[Loop]:
+    """Yield what connect and weld close.
+
+    Of bodies both anchors are in ``eq_data``: of connect that of the first body, then the
+    second's; of weld the second's, then the pose that the first body sees it in.
+    """
+    for i, data in enumerate(model.eq_data):
+        connects = model.eq_type[i] == mujoco.mjtEq.mjEQ_CONNECT
+        welds = model.eq_type[i] == mujoco.mjtEq.mjEQ_WELD
+        if not (connects or welds) or not model.eq_active0[i]:
+            continue
+        ends = (int(model.eq_obj1id[i]), int(model.eq_obj2id[i]))
+        if model.eq_objtype[i] == mujoco.mjtObj.mjOBJ_SITE:
+            poses = [_pose(model.site_pos[end], model.site_quat[end]) for end in ends]
+            ends = (int(model.site_bodyid[ends[0]]), int(model.site_bodyid[ends[1]]))
+        else:
+            still = np.array([1.0, 0.0, 0.0, 0.0])
+            if connects:
+                poses = [_pose(data[:3], still), _pose(data[3:6], still)]
+            else:
+                poses = [_pose(data[3:6], data[6:10]), _pose(data[:3], still)]
+        first, second = (Spot(links[e], placement_of(T)) for e, T in zip(ends, poses, strict=True))
+        closes: Closing = "point" if connects else "frame"
+        yield Loop(model.eq(i).name or f"loop_{i + 1}", first, second, closes)
+
+
+def _coupled(model: mujoco.MjModel, joints: list[str], path: Path) -> dict[str, str]:
+    """Return why joints cannot move on their own, by name: equalities of joints and tendons."""
+    why: dict[str, str] = {}
+    for i, kind in enumerate(model.eq_type):
+        if not model.eq_active0[i]:
+            continue
+        coupled: list[int] = []
+        if kind == mujoco.mjtEq.mjEQ_JOINT:
+            coupled = [model.eq_obj1id[i]]
+        elif kind == mujoco.mjtEq.mjEQ_TENDON:
+            coupled = [j for t in (model.eq_obj1id[i], model.eq_obj2id[i]) for j in _of(model, t)]
+        for joint in coupled:
+            why[joints[joint]] = (
+                f"{path}: an <equality> couples joint {joints[joint]!r} to others, and joints of "
+                "a leg move on their own"
+            )
+    return why
+
+
+def _of(model: mujoco.MjModel, tendon: int) -> list[int]:
+    """Return the joints that change the length of a tendon; none for no tendon."""
+    if tendon < 0:
+        return []
+    first, count = model.tendon_adr[tendon], model.tendon_num[tendon]
+    moving: list[int] = []
+    for kind, i in zip(
+        model.wrap_type[first : first + count], model.wrap_objid[first : first + count], strict=True
+    ):
+        if kind == mujoco.mjtWrap.mjWRAP_JOINT:
+            moving.append(i)
+        elif kind != mujoco.mjtWrap.mjWRAP_PULLEY:
+            site = kind == mujoco.mjtWrap.mjWRAP_SITE
+            body = (model.site_bodyid if site else model.geom_bodyid)[i]
+            while body:
+                moving += np.flatnonzero(model.jnt_bodyid == body).tolist()
+                body = model.body_parentid[body]
+    return moving
+
+
+_TURNS = ("x", "y", "z")
+
+
+def mjcf(tree: Tree) -> str:
+    """Return the MJCF file of a tree."""
+    root = etree.Element("mujoco", model=tree.name)
+    etree.SubElement(root, "compiler", angle="radian", autolimits="true")
+    world = etree.SubElement(root, "worldbody")
+    bodies = {tree.root: etree.SubElement(world, "body", name=tree.root)}
+    size = _size(tree)
+    home: list[float] = []
+    _children(tree, tree.root, bodies, home, size)
+    _written_loops(tree, root, bodies)
+    actuators = etree.SubElement(root, "actuator")
+    for name in tree.active:
+        etree.SubElement(actuators, "position", name=name, joint=name)
+    frames = etree.SubElement(root, "keyframe")
+    etree.SubElement(frames, "key", name="home", qpos=_text(home))
+    etree.indent(root, space="  ")
+    return str(etree.tostring(root, encoding="unicode")) + "\n"
+
+
+def _children(
+    tree: Tree, link: str, bodies: dict[str, etree._Element], home: list[float], size: float
+) -> None:
+    """Enter the bodies on a link, and their joints' home positions in the same order."""
+    for edge in tree.edges:
+        if edge.parent != link:
+            continue
+        three = _ball(tree, edge)
+        child = three[-1].child if three else edge.child
+        placement = edge.joint.placement
+        body = etree.SubElement(bodies[link], "body", {"name": child, **_written_pose(placement)})
+        etree.SubElement(body, "inertial", pos="0 0 0", mass="0.1", diaginertia="0.001 0.001 0.001")
+        if three:
+            angles = [one.joint.home for one in three]
+            x, y, z, w = Rotation.from_euler("XYZ", angles).as_quat()
+            etree.SubElement(body, "joint", name=_stem(edge), type="ball")
+            home += [w, x, y, z]
+        elif edge.joint.kind != "fixed":
+            _joint(body, edge)
+            home.append(edge.joint.home)
+        if any(abs(value) > 1e-9 for value in placement.xyz) and not three:
+            shape = {"fromto": f"0 0 0 {_text(placement.xyz)}", "size": f"{size:.6g}"}
+            looks = {"type": "capsule", "contype": "0", "conaffinity": "0", "mass": "0"}
+            etree.SubElement(bodies[link], "geom", {**shape, **looks})
+        bodies[child] = body
+        _children(tree, child, bodies, home, size)
+
+
+def _ball(tree: Tree, edge: Edge) -> tuple[Edge, ...]:
+    """Return the three turns that begin with an edge and are one ball joint; none if not so."""
+    place = tree.edges.index(edge)
+    three = tree.edges[place : place + 3]
+    names = [f"{_stem(edge)}_{axis}" for axis in _TURNS]
+    return three if [one.joint.name for one in three] == names else ()
+
+
+def _stem(edge: Edge) -> str:
+    return edge.joint.name.removesuffix("_x")
+
+
+def _joint(body: etree._Element, edge: Edge) -> None:
+    joint = edge.joint
+    kind = "slide" if joint.kind == "prismatic" else "hinge"
+    limits = {}
+    if np.isfinite([joint.lower, joint.upper]).all():
+        limits = {"range": _text((joint.lower, joint.upper))}
+    etree.SubElement(
+        body, "joint", {"name": joint.name, "type": kind, "axis": _text(joint.axis), **limits}
+    )
+
+
+def _written_loops(tree: Tree, root: etree._Element, bodies: dict[str, etree._Element]) -> None:
+    """Enter a site at either end of each loop, and that they meet."""
+    if not tree.loops:
+        return
+    equality = etree.SubElement(root, "equality")
+    for loop in tree.loops:
+        tag = "connect" if loop.closes == "point" else "weld"
+        ends = {}
+        for key, spot in (("site1", loop.first), ("site2", loop.second)):
+            ends[key] = f"{loop.name}_{key}"
+            pose = _written_pose(spot.placement)
+            site = etree.Element("site", {"name": ends[key], **pose})
+            bodies[spot.link].insert(1, site)
+        etree.SubElement(equality, tag, {"name": loop.name, **ends})
+
+
+def _written_pose(placement: Placement) -> dict[str, str]:
+    pose = {}
+    if any(placement.xyz):
+        pose["pos"] = _text(placement.xyz)
+    if any(placement.rpy):
+        x, y, z, w = Rotation.from_matrix(placement.origin()[:3, :3]).as_quat()
+        pose["quat"] = _text((w, x, y, z))
+    return pose
+
+
+def _size(tree: Tree) -> float:
+    """Return a radius for rods, [m]."""
+    lengths = [float(np.linalg.norm(edge.joint.placement.xyz)) for edge in tree.edges]
+    return 0.02 * (max(lengths) or 1.0)
+
+
+def _text(values: tuple[float, ...] | list[float]) -> str:
+    return " ".join(repr(float(value) + 0.0) for value in values)

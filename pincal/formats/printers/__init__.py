@@ -1,1 +1,0 @@
-"""Firmware of delta printers: Klipper and RepRapFirmware, read and written."""

@@ -1,0 +1,265 @@
+"""Closed-form inverse kinematics of legs that point at the platform: rods and lines.
+
+A pointing joint, a revolute in the plane or a universal in space, carries either a rod, and
+is moved along a circle or a line by a drive (planar dyads, deltas, rotary hexapods, carriages),
+or a slide through its own centre (struts, cables). They give the start from which Newton's
+method on the closure needs one step, and say at once what is out of reach. Axes and points
+are read off the calibration chain at zero joint positions, so that the forms hold for any
+parameter values and URDF frames.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from pincal.kinematics.batches import lengths
+from pincal.kinematics.closure import LegClosure
+from pincal.model.checks import ROUNDING, sine_and_cosine, wrapped
+from pincal.types import Array, Mask
+
+#: Joint positions (N, n_joints) that take the tip to targets (N, 3), and which are in reach.
+ClosedForm = Callable[[LegClosure, Array], tuple[Array, Mask]]
+
+
+@lru_cache(maxsize=256)
+def closed_form(closure: LegClosure) -> ClosedForm | None:
+    """Return the closed form of a leg, or None if it has none."""
+    if closure.leg.closes == "frame":
+        return None
+    kinds = [joint.kind for joint in closure.leg.moving]
+    pointing = ["revolute"] * (closure.platform.space - 1)
+    if kinds[1:] == pointing and _points(closure, rod=True):
+        return driven_rod
+    if kinds == [*pointing, "prismatic"] and _points(closure, rod=False):
+        return pointing_slide
+    return None
+
+
+def is_line(closure: LegClosure) -> bool:
+    """Return whether a leg is a driven slide on a universal joint, which only measures a length.
+
+    The joint's two ways of pointing somewhere are one line; turned about it, it is no other leg.
+    """
+    return closure.leg.active == [2] and closed_form(closure) is pointing_slide
+
+
+def rod_directions(closure: LegClosure, targets: Array) -> Array | None:
+    """Return the unit directions of a leg's rod or slide towards targets, shape (N, 3).
+
+    None unless it pushes along itself only: its one sensor reads the drive of the rod, or the
+    slide. NaN where a rod has no direction; out of reach, that of the leg stretched or folded.
+
+    Args:
+        closure: The leg.
+        targets: Shape (N, 3), [m]; may be changed.
+    """
+    form = closed_form(closure)
+    if form is pointing_slide and closure.leg.active == [len(closure.leg.moving) - 1]:
+        arm = _in_space(closure, targets - slide_geometry(closure).centre)
+    elif form is driven_rod and closure.leg.active == [0]:
+        rod, drive = rod_geometry(closure), driven_rod(closure, targets)[0][:, 0]
+        arm = _in_space(closure, targets - rod.centre)
+        if closure.leg.moving[0].kind == "prismatic":
+            arm -= drive[:, None] * rod.frame[:, 1]
+        else:
+            circle = np.stack(sine_and_cosine(drive)[::-1], axis=1)
+            arm -= rod.radius * circle @ rod.frame[:, :2].T
+    else:
+        return None
+    with np.errstate(invalid="ignore"):
+        return np.asarray(arm / np.linalg.norm(arm, axis=1, keepdims=True))
+
+
+@dataclass(frozen=True)
+class Pointing:
+    """A pointing joint at zero joint positions, read off its chain; base frame.
+
+    With axes e₁ ⟂ e₂ and e₃ = e₁ × e₂, it points along
+    u = e₁ sin(q₂ + δ) + (e₃ cos q₁ − e₂ sin q₁) cos(q₂ + δ). A revolute joint in the plane is
+    the same with q₂ + δ = 0.
+    """
+
+    arm: Array
+    """From the joint's centre to the tip, shape (3,), [m]."""
+    e1: Array
+    e2: Array
+    e3: Array
+    """Unit axes of a universal joint and their product, shape (3,)."""
+    delta: float
+    """Angle from e₃ to the pointing direction towards e₁, [rad]."""
+    side: float
+    """Sign of cos(q₂ + δ) at home: of the two ways of pointing somewhere, which is meant."""
+
+    universal: bool = True
+
+    def angles(self, vectors: Array) -> list[Array]:
+        """Return the joint's angles when it points along vectors (N, 3), one or two, (N,) each."""
+        across, up = self.side * (vectors @ self.e2), self.side * (vectors @ self.e3)
+        q1 = np.arctan2(-across, up)
+        if not self.universal:
+            return [q1]
+        beside = self.side * np.sqrt(across * across + up * up)
+        return [q1, np.arctan2(vectors @ self.e1, beside) - self.delta]
+
+
+def pointing_slide(closure: LegClosure, targets: Array) -> tuple[Array, Mask]:
+    """Return the angles of a pointing joint and the length of the slide through its centre.
+
+    Every target but the centre is in reach.
+    """
+    leg, form = closure.leg, slide_geometry(closure)
+    arm = _in_space(closure, targets - form.centre)
+    length = lengths(arm)
+    angles = form.pointing.angles(form.forth * arm)
+    turns = [home + wrapped(q - home) for q, home in zip(angles, leg.home[:-1], strict=True)]
+    return np.stack((*turns, form.forth * length)).T, length > 0.0
+
+
+@dataclass(frozen=True)
+class SlideGeometry:
+    """A slide on a pointing joint at zero joint positions, read off its chain."""
+
+    centre: Array
+    """Of the pointing joint, base frame, shape (3,), [m]."""
+    pointing: Pointing
+    shift: float
+    """How far past the centre the slide is at zero, [m]."""
+    forth: float
+    """Sign of the slide's distance from the centre at home."""
+
+
+@lru_cache(maxsize=256)
+def slide_geometry(closure: LegClosure) -> SlideGeometry:
+    """Return the geometry of a slide on a pointing joint."""
+    tips, (columns, _) = closure.at_zero_and_home
+    start = _arm(columns[:, :-1])
+    shift = float(start @ columns[:3, -1])
+    forth = float(np.sign(closure.leg.home[-1] + shift)) or 1.0
+    pointing = _pointing(closure, columns[:, :-1], columns[:3, -1], first=0)
+    return SlideGeometry(tips[0] - start, pointing, shift, forth)
+
+
+def driven_rod(closure: LegClosure, targets: Array) -> tuple[Array, Mask]:
+    """Return the drive's position and the angles of the pointing joint that it moves.
+
+    The joint's centre C(q) lies on a circle or a line, and as far from the target as the rod
+    is long: |t − C(q)| = L has two solutions, on either side of where the drive loses its grip,
+    (t − C) · ∂C/∂q = 0. The one on the side of home is taken. A target out of reach gets the
+    leg stretched or folded towards it.
+    """
+    leg, rod = closure.leg, rod_geometry(closure)
+    arm = _in_space(closure, targets - rod.centre)
+    out, on, up = rod.frame.T @ arm.T
+    with np.errstate(all="ignore"):
+        if leg.moving[0].kind == "prismatic":
+            square = on**2 - np.einsum("ni,ni->n", arm, arm) + rod.length**2
+            possible = square >= 0.0
+            drive = on - rod.mode * np.sqrt(np.clip(square, 0.0, None))
+            to_tip = arm - drive[:, None] * rod.frame[:, 1]
+        else:
+            flat = out * out + on * on
+            far = np.sqrt(flat)
+            apart = np.where(far > 0.0, far, 1.0)  # at O, any angle
+            cos = (flat + up * up + rod.radius**2 - rod.length**2) / (2 * rod.radius * far)
+            cos = np.where(np.isnan(cos), 0.0, cos)
+            possible = np.abs(cos) <= 1.0
+            cos = np.clip(cos, -1.0, 1.0)
+            sin = rod.mode * np.sqrt((1 - cos) * (1 + cos))
+            out, on = out / apart, on / apart  # the target's way, turned to the drive's: no sines
+            c, s = cos * out + sin * on, cos * on - sin * out
+            drive = leg.home[0] + wrapped(np.arctan2(s, c) - leg.home[0])
+            # turned back to where the drive is at zero
+            back = np.stack((far * cos - rod.radius, far * sin, up))
+            to_tip = (rod.frame @ back).T
+    angles = rod.pointing.angles(to_tip)
+    turns = [home + wrapped(q - home) for q, home in zip(angles, leg.home[1:], strict=True)]
+    return np.stack((drive, *turns)).T, possible
+
+
+@dataclass(frozen=True)
+class RodGeometry:
+    """A driven rod at zero joint positions, read off its chain; base frame.
+
+    The pointing joint is at C(q) = centre + radius (u cos q + v sin q), with u and v the
+    first columns of the frame, or at C(q) = centre + v q on a line.
+    """
+
+    centre: Array
+    """Of the circle, or where the line begins, shape (3,), [m]."""
+    radius: float
+    """Of the circle, [m]; zero for a line."""
+    frame: Array
+    """Columns: from the circle's centre to the pointing joint, its way, the axis; unit vectors,
+    shape (3, 3). Of a line, the way is the second."""
+    pointing: Pointing
+    mode: float
+    """Sign of (t − C) · ∂C/∂q at home."""
+
+    @property
+    def length(self) -> float:
+        """Length of the rod, [m]."""
+        return float(np.linalg.norm(self.pointing.arm))
+
+
+@lru_cache(maxsize=256)
+def rod_geometry(closure: LegClosure) -> RodGeometry:
+    """Return the geometry of a driven rod."""
+    leg = closure.leg
+    tips, (columns, home) = closure.at_zero_and_home
+    pointing = _pointing(closure, columns[:, 1:], _arm(columns), first=1)
+    point, speed = tips[0] - pointing.arm, columns[:3, 0]
+    radius, axis = 0.0, np.zeros(3)
+    if leg.moving[0].kind == "revolute":
+        axis = columns[3:, 0]
+        speed = speed - np.cross(axis, pointing.arm)
+        radius = float(np.linalg.norm(speed))
+        speed = speed / radius
+    out = np.cross(speed, axis)
+    frame = np.stack((out, speed, axis), axis=1)
+    at_home = _arm(home)  # drive and rod as they are there
+    grip = at_home @ (home[:3, 0] - np.cross(home[3:, 0], at_home))
+    mode = float(np.sign(grip)) or 1.0
+    return RodGeometry(point - radius * out, radius, frame, pointing, mode)
+
+
+def _pointing(closure: LegClosure, axes: Array, arm: Array, first: int) -> Pointing:
+    """Return a pointing joint from its twists at the tip, shape (6, 1 or 2), and its arm, [m]."""
+    u = arm / np.linalg.norm(arm)
+    e1 = axes[3:, 0]
+    if axes.shape[1] == 1:
+        return Pointing(arm, e1, np.cross(u, e1), u, 0.0, 1.0, universal=False)
+    e2 = axes[3:, 1]
+    e3 = np.cross(e1, e2)
+    delta = float(np.arctan2(u @ e1, u @ e3))
+    side = float(np.sign(np.cos(closure.leg.home[first + 1] + delta))) or 1.0
+    return Pointing(arm, e1, e2, e3, delta, side)
+
+
+def _arm(columns: Array) -> Array:
+    """Return the arm from the last axis, which it crosses at a right angle, to the tip, (3,)."""
+    return np.cross(columns[:3, -1], columns[3:, -1])
+
+
+def _points(closure: LegClosure, rod: bool) -> bool:
+    """Return whether revolute axes cross at right angles, and the arm starts where they do."""
+    columns = closure.at_zero_and_home[1][0]
+    axes, arm = (columns[:, 1:], _arm(columns)) if rod else (columns[:, :-1], columns[:3, -1])
+    start = arm if rod else _arm(axes)  # from the crossing to the tip
+    missed = np.abs(axes[:3].T - np.cross(axes[3:].T, start)).max()
+    skew = [] if closure.platform.space == 2 else [axes[3:, 0] @ axes[3:, 1]]
+    skew += [] if rod else [axes[3:, -1] @ arm]
+    small = ROUNDING * closure.size
+    lever = columns[:3, 0] - np.cross(columns[3:, 0], arm)  # of a rod's drive
+    degenerate = rod and min(np.linalg.norm(arm), np.linalg.norm(lever)) <= small
+    return bool(missed <= small and np.abs(skew).max(initial=0.0) <= ROUNDING and not degenerate)
+
+
+def _in_space(closure: LegClosure, vectors: Array) -> Array:
+    """Return vectors, shape (N, 3), changed in place: in the plane without their heights."""
+    if closure.platform.space == 2:
+        vectors[:, 2] = 0.0
+    return vectors

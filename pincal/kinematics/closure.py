@@ -1,0 +1,316 @@
+"""Loop closure of one leg, with every derivative of it, at N poses.
+
+Closure is a platform-point constraint in the rows that the mechanism can move in:
+c(x, θ, p; φ) = p_tip(θ, p; φ) − (r + R b(φ)) = 0, with pose x, active joints θ,
+passive joints p and parameters φ. A leg that closes a frame has rows for its turn as well:
+the rotation vector from the platform's frame to the tip's, times the leg's size. Passive joints
+are eliminated by projection on the left null space N of ∂c/∂p: Nᵀ c is what the leg demands of
+pose, readings and parameters, whatever its passive joints do. The leg of a usual mechanism demands
+one equation; one with fewer passive joints more, a serial arm six.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from pincal.kinematics.batches import applied, cross, least_squares, left_null, product, solve
+from pincal.kinematics.chain import (
+    Placed,
+    PlatformPoint,
+    alike_points,
+    deformed_point,
+    leg_chain,
+    motion,
+    platform_point,
+    point_chain,
+)
+from pincal.model.leg import Leg
+from pincal.model.mechanism import Mechanism
+from pincal.model.platform import Platform
+from pincal.model.sensor import Deformations
+from pincal.types import Array
+
+
+@dataclass(frozen=True)
+class Newton:
+    """When a search by Newton's method ends, and how far it goes at once."""
+
+    steps: int
+    """At most."""
+    small: float = 0.0
+    """Step, of the size and [rad], after which the next error is rounding."""
+    largest: float = np.inf
+    """Step that is taken at once, of the size and [rad]."""
+    closed: float = 0.0
+    """Gap, of the size, of what is closed."""
+
+
+@dataclass(frozen=True)
+class Closure:
+    """Closure c of one leg and its derivatives at N configurations; m rows are kept.
+
+    A row of Nᵀc is a wrench on the tip, and what it changes by along a motion is the wrench's
+    power: of many parameters only that is worked out.
+    """
+
+    gap: Array
+    """c, shape (N, m), base frame, [m]."""
+    active: Array
+    """∂c/∂θ, shape (N, m, n_active)."""
+    passive: Array
+    """∂c/∂p, shape (N, m, n_passive)."""
+    at: Placed
+    """The leg and the platform there."""
+
+    @cached_property
+    def parameter(self) -> Array:
+        """∂c/∂φ at fixed joints, shape (N, m, n_params)."""
+        return self.at.by_parameter()
+
+    @cached_property
+    def pose(self) -> Array:
+        """∂c/∂x for the platform's freedoms as a twist at its origin, shape (N, m, dof)."""
+        return self.at.by_pose()
+
+    @cached_property
+    def normal(self) -> Array:
+        """Orthonormal left null space of ∂c/∂p, shape (N, m, m - n_passive)."""
+        return left_null(self.passive)
+
+    def project(self, matrix: Array) -> Array:
+        """Return Nᵀ A for A of shape (N, m, k), shape (N, m - n_passive, k)."""
+        if not self.passive.shape[2]:
+            return matrix
+        return product(self.normal.transpose(0, 2, 1), matrix)
+
+    @cached_property
+    def constraint(self) -> Array:
+        """Nᵀ c, shape (N, m - n_passive), [m]."""
+        return self.project(self.gap[:, :, None])[:, :, 0]
+
+    @cached_property
+    def constraint_by_parameter(self) -> Array:
+        """Nᵀ ∂c/∂φ at fixed joints, shape (N, m - n_passive, n_params)."""
+        if not self.passive.shape[2]:
+            return self.parameter
+        return self.at.power_by_parameter(self.normal)
+
+    @cached_property
+    def constraint_by_pose(self) -> Array:
+        """Nᵀ ∂c/∂x, shape (N, m - n_passive, dof)."""
+        if not self.passive.shape[2]:
+            return self.pose
+        return self.at.power_by_pose(self.normal)
+
+    @cached_property
+    def drive(self) -> Array:
+        """Nᵀ ∂c/∂θ, shape (N, m - n_passive, n_active): less of rank at a type-1 singularity."""
+        return self.project(self.active)
+
+    @cached_property
+    def lever(self) -> Array:
+        """Speed of the next revolute axis after the first active joint per unit of its rate, (N,).
+
+        At a planar dyad the length l; the tip's own speed where there is no such axis.
+        """
+        active, following = self.at.drive_twists()
+        own = np.linalg.norm(self.active[:, :, 0], axis=1)
+        if following is None:
+            return own
+        arm = cross(following[3:].T, following[:3].T)  # from the tip to the next axis
+        speed = active[:3].T + cross(active[3:].T, arm)
+        lever = np.linalg.norm(speed, axis=1)
+        return np.where(lever > 1e-9 * own, lever, own)
+
+    def active_step(self) -> Array:
+        """Return the Newton step of the active joints that closes the leg, shape (N, n_active).
+
+        Of least squares where the leg demands more than they can give, the shortest where less.
+        """
+        return -least_squares(self.drive, self.constraint[:, :, None])[:, :, 0]
+
+    def passive_step(self, gap_change: Array | None = None) -> Array:
+        """Return the Gauss-Newton step of the passive joints, shape (N, n_passive).
+
+        Args:
+            gap_change: Change of c by other steps taken at the same time, shape (N, m).
+        """
+        gap = self.gap if gap_change is None else self.gap + gap_change
+        transposed = self.passive.transpose(0, 2, 1)
+        normal = product(transposed, self.passive)
+        return -solve(normal, product(transposed, gap[:, :, None]))[:, :, 0]
+
+
+class LegClosure:
+    """Evaluates the closure of one leg at given parameter values.
+
+    A value: equal legs at equal parameters are equal, so that what is read off them is found again.
+    """
+
+    def __init__(self, leg: Leg, platform: Platform, parameters: Array | None = None) -> None:
+        self.leg = leg
+        self.platform = platform
+        self.parameters = leg.nominal if parameters is None else np.asarray(parameters, float)
+        self.turns = leg.closes == "frame"
+        self.axes = [row - 3 for row in platform.closing(leg.closes) if row >= 3]
+        self.chain = leg_chain(leg, platform.space == 3 or self.turns)
+        self._key = (leg, platform, self.parameters.tobytes())
+        self._hash = hash(self._key)
+        self._point = platform_point(leg, self.parameters)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, LegClosure) and self._key == other._key
+
+    def __hash__(self) -> int:
+        return self._hash
+
+    @property
+    def size(self) -> float:
+        """Length of the stretched leg, [m] (see ``Leg.size``)."""
+        return self.leg.size
+
+    @property
+    def reach(self) -> float:
+        """Largest distance of the platform's origin from the leg's base, [m]."""
+        return self.leg.reach
+
+    @property
+    def by_name(self) -> dict[str, float]:
+        """Parameter values by name."""
+        return dict(zip(self.leg.parameter_names, self.parameters.tolist(), strict=True))
+
+    def targets(self, matrices: Array) -> Array:
+        """Return the platform point in the base frame, shape (N, 3), [m].
+
+        Args:
+            matrices: Poses ``T_base_platform``, shape (N, 4, 4).
+        """
+        return applied(matrices, self._point.place)[:, 0].T
+
+    @cached_property
+    def deformations(self) -> Deformations:
+        """What parameters deform by."""
+        return Deformations.of(self.leg, self.parameters)
+
+    def deformed(self, joints: Array, influences: Array | None = None) -> Array:
+        """Return joint positions, and behind them how far parameters deform.
+
+        Shape (N, n_joints + n_deformed), [rad] or [m]; the same array if nothing deforms.
+
+        Args:
+            joints: Shape (N, n_joints).
+            influences: Of the leg, shape (N, n_influences); at their reference if not given.
+        """
+        if not self.leg.deformed:
+            return joints
+        none = np.empty((len(joints), 0))
+        by = self.deformations(none if influences is None else influences)
+        return np.concatenate((joints, by), axis=1)
+
+    def point_at(self, joints: Array) -> PlatformPoint:
+        """Return the platform point at joint positions, with deformations or without."""
+        by = joints[:, len(self.leg.moving) :]
+        return self._point if not by.shape[1] else deformed_point(self.leg, self.parameters, by)
+
+    def tips(self, joints: Array) -> Array:
+        """Return the tips of the leg in the base frame, shape (N, 3), [m]."""
+        return _padded(self.chain.motion(self.parameters, joints).tips)
+
+    @cached_property
+    def at_zero_and_home(self) -> tuple[Array, Array]:
+        """Tips with joints at zero and at home, (2, 3), and their twists by joints, (2, 6, n)."""
+        joints = np.stack((np.zeros(len(self.leg.moving)), self.leg.home))
+        motion = self.chain.motion(self.parameters, joints)
+        twists = motion.twists(slice(joints.shape[1]))
+        return _padded(motion.tips), np.ascontiguousarray(twists.transpose(2, 0, 1))
+
+    def evaluate(self, joints: Array, matrices: Array) -> Closure:
+        """Return closure and derivatives at joint positions and poses.
+
+        Args:
+            joints: Shape (N, n_joints), or with deformations behind them (see ``deformed``).
+            matrices: Shape (N, 4, 4).
+        """
+        return evaluate((self,), joints, matrices)
+
+    @cached_property
+    def form(self) -> tuple[object, ...]:
+        """What alike legs have in common: they may be evaluated in one call.
+
+        One that deforms, or closes a frame, is like no other: its rows are those of one leg.
+        """
+        leg, own = self.leg, point_chain(self.leg).moving
+        if leg.deformed or self.turns:
+            return (object(),)
+        sizes = (len(leg.parameters), len(leg.sensors), *own.tolist())
+        return (*self.chain.form, self.platform, *sizes, *leg.active, "passive", *leg.passive)
+
+    def frame(self, joints: Array, gap: Array | None = None) -> Array:
+        """Return where joints put the platform if the leg closes a frame in space, (N, 4, 4).
+
+        Args:
+            joints: Shape (N, n_joints), or with deformations behind them (see ``deformed``).
+            gap: What the closure is to be there, shape (N, 6); nothing if not given.
+        """
+        motion, point = self.chain.motion(self.parameters, joints), self.point_at(joints)
+        tips, turns = motion.tips.T, motion.turns
+        if gap is not None:
+            tips = tips - gap[:, :3]
+            turns = Rotation.from_rotvec(-gap[:, 3:] / self.size).as_matrix() @ turns
+        matrices = np.tile(np.eye(4), (len(joints), 1, 1))
+        matrices[:, :3, :3] = turns @ np.swapaxes(point.turn, -1, -2)
+        matrices[:, :3, 3] = tips - applied(matrices, point.arm)[:, 0].T
+        return matrices
+
+
+def evaluate(legs: Sequence[LegClosure], joints: Array, matrices: Array) -> Closure:
+    """Return closure and derivatives of alike legs, rows of each below those of the one before.
+
+    Args:
+        legs: L legs of one form.
+        joints: Of N rows of each, shape (L N, n_joints …): see ``LegClosure.evaluate``.
+        matrices: Shape (L N, 4, 4).
+    """
+    first = legs[0]
+    moved = motion([leg.chain for leg in legs], [leg.parameters for leg in legs], joints)
+    point = first.point_at(joints)
+    if len(legs) > 1:
+        point = alike_points([leg.point_at(joints) for leg in legs], len(joints) // len(legs))
+    placed = Placed(first, matrices, moved, point)
+    by_joints = placed.by_joints
+    active, passive = by_joints[:, :, first.leg.active], by_joints[:, :, first.leg.passive]
+    return Closure(placed.gap, active, passive, placed)
+
+
+def rows_of_each(count: int, rows: int) -> list[slice]:
+    """Return the rows of each of so many alike legs."""
+    own = rows // count
+    return [slice(leg * own, (leg + 1) * own) for leg in range(count)]
+
+
+def _padded(rows: Array) -> Array:
+    """Return points (2 or 3, N) as points in space, shape (N, 3)."""
+    return np.concatenate((rows, np.zeros((3 - len(rows), rows.shape[1])))).T
+
+
+def largest_size(legs: Iterable[Leg]) -> float:
+    """Return the length of the longest stretched leg, [m]: the scale of a mechanism."""
+    return max(leg.size for leg in legs)
+
+
+def joint_range(leg: Leg) -> tuple[Array, Array]:
+    """Return the ends of each moving joint's range, (n_joints,): limits, or a turn about home."""
+    free = np.array([not joint.limited for joint in leg.moving])
+    low, high = np.array([(joint.lower, joint.upper) for joint in leg.moving]).T
+    return np.where(free, leg.home - np.pi, low), np.where(free, leg.home + np.pi, high)
+
+
+@lru_cache(maxsize=64)
+def nominal_legs(mechanism: Mechanism) -> tuple[LegClosure, ...]:
+    """Return the closures of all legs at their nominal parameters."""
+    return tuple(LegClosure(leg, mechanism.platform) for leg in mechanism.legs)

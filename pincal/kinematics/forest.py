@@ -1,0 +1,317 @@
+"""A forest is one Pinocchio model with many copies of a chain: one call evaluates many poses.
+
+A call from Python into Pinocchio costs more than the kinematics of one leg. With B
+copies side by side in one model, one ``computeJointJacobians`` evaluates B
+configurations, and ``data.J`` holds every joint column of every copy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from threading import Lock
+
+import numpy as np
+import pinocchio as pin
+from numpy.lib.stride_tricks import as_strided
+
+from pincal.kinematics.batches import cross
+from pincal.types import Array
+
+_JOINTS = {
+    "x": pin.JointModelPX,
+    "y": pin.JointModelPY,
+    "z": pin.JointModelPZ,
+    "rx": pin.JointModelRX,
+    "ry": pin.JointModelRY,
+    "rz": pin.JointModelRZ,
+}
+_COLUMNS = (
+    40  # keep nv near this: calls cost what they do with 64, Pinocchio's data (nv³) a quarter
+)
+
+
+@dataclass(frozen=True)
+class Elementary:
+    """An elementary joint after a constant placement: axis letter, or ``t``/``r`` and a vector."""
+
+    axis: str
+    placement: tuple[float, ...] = ()
+    """Homogeneous matrix, row by row; empty for the identity."""
+    vector: tuple[float, float, float] = (0.0, 0.0, 1.0)
+
+    def pinocchio_joint(self) -> pin.JointModel:
+        """Return Pinocchio's joint model."""
+        if self.axis == "t":
+            return pin.JointModelPrismaticUnaligned(np.array(self.vector))
+        if self.axis == "r":
+            return pin.JointModelRevoluteUnaligned(np.array(self.vector))
+        return _JOINTS[self.axis]()
+
+    def pinocchio_placement(self) -> pin.SE3:
+        """Return the constant placement before the joint."""
+        if not self.placement:
+            return pin.SE3.Identity()
+        return pin.SE3(np.array(self.placement).reshape(4, 4))
+
+
+@dataclass(frozen=True)
+class Base:
+    """Where a chain begins, and how k motions move that, whatever its joints do; base frame."""
+
+    placement: pin.SE3
+    twists: Array
+    """At the base's origin, linear first, shape (6, k)."""
+
+
+class Forest:
+    """Copies of one chain of elementary joints, evaluated together."""
+
+    def __init__(
+        self, chain: tuple[Elementary, ...], tip: tuple[float, ...], spatial: bool, copies: int
+    ) -> None:
+        self.chain = chain
+        self.spatial = spatial
+        self.copies = copies
+        self.width = len(chain)
+        self._tip = np.array(tip).reshape(4, 4) if tip else None
+        self._model = pin.Model()
+        for copy in range(copies):
+            parent = 0
+            for index, joint in enumerate(chain):
+                parent = self._model.addJoint(
+                    parent,
+                    joint.pinocchio_joint(),
+                    joint.pinocchio_placement(),
+                    f"{copy}_{index}",
+                )
+        self._data = self._model.createData()
+        each = max(self.width, 1)
+        # Pinocchio's own memory: where copies begin, and what each call writes again
+        self._roots = placements_in(self._model.jointPlacements)[1::each]
+        self._columns = _bytes(self._data.J.T)
+        self._ends = placements_in(self._data.oMi)[self.width :: each]
+        self._turn = Lock()  # Pinocchio's data are one thread's at a time
+        self._first = chain[0].pinocchio_placement() if chain else pin.SE3.Identity()
+        self._base: Base | None = None  # where the copies begin now
+
+    def begin(self, configuration: Array, rates: Array) -> Base:
+        """Return where the first copy ends, and how it moves: where another chain may begin.
+
+        Args:
+            configuration: Of the chain, shape (n,).
+            rates: Of the chain's joints in k motions, shape (k, n).
+        """
+        with self._turn:
+            columns = pin.computeJointJacobians(self._model, self._data, configuration)
+            end = self._data.oMi[self.width].copy()
+        return Base(end, columns.reshape(6, self.width) @ rates.T)
+
+    def motion(
+        self, configurations: Array, rates: Array, bases: Sequence[Base | None] = (None,)
+    ) -> Motion:
+        """Return where the tips of L alike chains are and how they move.
+
+        Args:
+            configurations: N configurations of each chain, shape (L, N, n).
+            rates: Of the chains' joints in k motions, shape (k, n).
+            bases: Where each chain begins, if not at the base's origin.
+        """
+        legs, count, n = configurations.shape
+        rows = [0, 1, 2, 3, 4, 5] if self.spatial else [0, 1, 5]  # across z the others are zero
+        with self._turn:
+            columns, ends = self._evaluated(configurations, bases)
+        kept = np.empty((len(rows), n, legs, count))
+        for target, row in zip(kept, rows, strict=True):
+            target[:] = columns[:, :, :n, row].transpose(2, 0, 1)
+        tips, turns = self._tips(ends.reshape(legs * count, 12))
+        begun = None
+        if any(base is not None and base.twists.any() for base in bases):
+            still = np.zeros((6, len(rates)))
+            begun = np.stack([still if base is None else base.twists for base in bases])[:, rows]
+        return Motion(tips, turns, kept.reshape(len(rows), n, legs * count), rates, begun)
+
+    def _evaluated(
+        self, configurations: Array, bases: Sequence[Base | None]
+    ) -> tuple[Array, Array]:
+        """Return Pinocchio's joint columns at the base's origin, and where chains end.
+
+        Shapes (L, N, width, 6) and (L, N, 12), see ``placements_in``.
+        """
+        legs, count, n = configurations.shape
+        blocks, size = -(-count // self.copies), self.copies * self.width
+        padded = np.zeros((legs, blocks * self.copies, self.width))
+        padded[:, :count, :n] = configurations
+        columns = np.empty((legs, blocks, size, 6))
+        ends = np.empty((legs * blocks, self.copies, 12))
+        evaluate, model, data = pin.computeJointJacobians, self._model, self._data
+        to_columns, each = _bytes(columns), len(self._columns)
+        for leg, base in enumerate(bases):
+            self._begin_at(base)
+            for block, q in enumerate(padded[leg].reshape(blocks, size), leg * blocks):
+                evaluate(model, data, q)
+                to_columns[block * each : (block + 1) * each] = self._columns  # as they lie
+                ends[block] = self._ends
+        every = blocks * self.copies
+        return (
+            columns.reshape(legs, every, self.width, 6)[:, :count],
+            ends.reshape(legs, every, 12)[:, :count],
+        )
+
+    def _tips(self, ends: Array) -> tuple[Array, Array]:
+        """Return tips, shape (2 or 3, N), and their turns, of where the last joints are, (N, 12).
+
+        In the plane across z no turns, shape (0, 3, 3).
+        """
+        turns, m = ends[:, :9].reshape(-1, 3, 3).swapaxes(1, 2), 3 if self.spatial else 2
+        tips = np.ascontiguousarray(ends[:, 9 : 9 + m].T)
+        if self._tip is not None:
+            tips += (turns[:, :m] @ self._tip[:3, 3]).T
+            turns = turns @ self._tip[:3, :3]
+        return tips, turns if self.spatial else np.empty((0, 3, 3))
+
+    def _begin_at(self, base: Base | None) -> None:
+        """Let all copies begin at a base."""
+        if base is self._base:
+            return
+        placement = self._first if base is None else base.placement * self._first
+        self._roots[:, :9], self._roots[:, 9:] = placement.rotation.T.ravel(), placement.translation
+        self._base = base
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Tips of chains at N configurations, and their velocities in k motions; base frame.
+
+    Of L alike chains, rows of each stand below those of the one before. In the plane across z
+    positions and velocities have two rows, and turning one.
+    """
+
+    tips: Array
+    """Shape (2 or 3, N), [m]."""
+    turns: Array
+    """Orientations of the tip in space, shape (N, 3, 3); none in the plane, shape (0, 3, 3)."""
+    columns: Array
+    """Twists at the base's origin by the chain's joints, linear first, shape (3 or 6, n, N)."""
+    rates: Array
+    """Of the joints in each motion, shape (k, n)."""
+    begun: Array | None
+    """Twists at the base's origin by what moves where each chain begins, (L, 3 or 6, k)."""
+
+    @cached_property
+    def whole(self) -> Array:
+        """Twists at the tip in all motions, linear first, shape (3 or 6, k, N)."""
+        return self.some(slice(None))
+
+    def some(self, which: slice | list[int]) -> Array:
+        """Return twists at the tip in some motions, linear first, shape (3 or 6, s, N)."""
+        rates = self.rates[which]
+        twists = np.empty((len(self.columns), len(rates), self.columns.shape[2]))
+        for twist, row in zip(twists, self.columns, strict=True):
+            np.matmul(rates, row, out=twist)
+        if self.begun is not None and (begun := self.begun[:, :, which]).any():
+            own = twists.reshape(*twists.shape[:2], len(begun), -1)
+            own += begun.transpose(1, 2, 0)[..., None]
+        return _at(self.tips, twists)
+
+    def power(self, force: Array, moment: Array | None, after: int) -> Array:
+        """Return the power of wrenches on the tip in all motions after the first, shape (k', N).
+
+        It is the same at every point: taken at the base's origin, no twist has to be carried on.
+
+        Args:
+            force: Shape (2 or 3, N).
+            moment: About the tip, shape (1 or 3, N); none if not given.
+            after: How many motions are left out.
+        """
+        about = moments(self.tips, force)
+        wrench = np.concatenate((force, about if moment is None else about + moment))
+        power = self.rates[after:] @ np.einsum("rjn,rn->jn", self.columns, wrench)
+        if self.begun is not None:
+            legs = len(self.begun)
+            own = wrench.reshape(len(wrench), legs, -1).swapaxes(0, 1)
+            begun = self.begun[:, :, after:].swapaxes(1, 2) @ own
+            by_leg = power.reshape(len(power), legs, -1)
+            by_leg += begun.swapaxes(0, 1)
+        return np.asarray(power)
+
+    @property
+    def linear(self) -> Array:
+        """Velocities of the tip, shape (2 or 3, k, N), [m] a unit."""
+        return self.whole[: len(self.tips)]
+
+    @property
+    def angular(self) -> Array:
+        """How the tip turns, shape (1 or 3, k, N), [rad] a unit."""
+        return self.whole[len(self.tips) :]
+
+    def twists(self, which: slice | list[int] = slice(None)) -> Array:
+        """Return twists at the tip in space, linear first: of all motions, (6, k, N), or some."""
+        found, m = self.some(which), len(self.tips)
+        full = np.zeros((6, *found.shape[1:]))
+        full[:m], full[6 - (len(found) - m) :] = found[:m], found[m:]
+        return full
+
+
+def moments(arms: Array, force: Array) -> Array:
+    """Return arm × force, shape (1 or 3, N), of shapes (2 or 3, N): in the plane about z."""
+    if len(arms) == 2:
+        return (arms[0] * force[1] - arms[1] * force[0])[None]
+    return cross(arms.T, force.T).T
+
+
+def _at(tips: Array, twists: Array) -> Array:
+    """Return twists (3 or 6, k, N) at the base's origin as twists at tips, in place."""
+    if len(tips) == 2:
+        twists[0] -= twists[2] * tips[1]
+        twists[1] += twists[2] * tips[0]
+        return twists
+    (x, y, z), (wx, wy, wz) = tips, twists[3:]
+    twists[0] += wy * z - wz * y
+    twists[1] += wz * x - wx * z
+    twists[2] += wx * y - wy * x
+    return twists
+
+
+def placements_in(memory: pin.StdVec_SE3) -> Array:
+    """Return n placements where Pinocchio keeps them, shape (n, 12): to be read and written there.
+
+    Rotation matrices column by column, then positions. Of no meaning once the model or data that
+    they are in are gone, or joints are added.
+
+    Raises:
+        TypeError: this Pinocchio keeps them in another way.
+    """
+    first, last, size = memory[0].rotation, memory[-1], memory[0].rotation.itemsize
+    begin, end, position = (
+        one.__array_interface__["data"][0] for one in (first, last.rotation, last.translation)
+    )
+    if end - begin != 12 * size * (len(memory) - 1) or position - end != 9 * size:
+        raise TypeError(f"pin {pin.__version__} keeps placements in another way")
+    return as_strided(first, (len(memory), 12), (12 * size, size))
+
+
+def _bytes(array: Array) -> memoryview:
+    """Return a contiguous array's memory."""
+    return array.reshape(-1).data.cast("B")
+
+
+@lru_cache(maxsize=64)
+def forest(
+    chain: tuple[Elementary, ...],
+    tip: tuple[float, ...] = (),
+    *,
+    spatial: bool,
+    copies: int | None = None,
+) -> Forest:
+    """Return the forest of a chain, made once; by default with as many copies as pay.
+
+    Args:
+        chain: Elementary joints, base first.
+        tip: Constant placement of the tip after the last joint, row by row.
+        spatial: Whether tips are wanted in space, or in the plane across z only.
+        copies: Number of chains side by side.
+    """
+    chain = chain or (Elementary("rz"),)  # one that nobody turns
+    return Forest(chain, tip, spatial, copies or max(1, _COLUMNS // len(chain)))

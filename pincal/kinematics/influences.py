@@ -1,0 +1,255 @@
+"""Influence quantities of rows: what terms depend on beside readings, as columns.
+
+Temperature, time and whatever else is measured are given. From which side a joint came follows from
+the order of rows where no column says it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pincal.errors import MeasurementError
+from pincal.kinematics.batches import block_diagonal, least_squares, left_null, product
+from pincal.kinematics.chain import body_chain
+from pincal.kinematics.closure import LegClosure, nominal_legs
+from pincal.kinematics.nearest_closure import nearest_closure
+from pincal.model.checks import array_of
+from pincal.model.measurements import Measurements, Plan
+from pincal.model.mechanism import Mechanism
+from pincal.model.terms import APPROACH, Load
+from pincal.types import Array
+
+_STILL = 1e-3  # of the range of a reading: it has not moved
+Influences = Mapping[str, Array | float] | Array
+
+
+def influence_columns(mechanism: Mechanism, given: Influences | None, count: int) -> Array | None:
+    """Return the columns of a mechanism's influences, shape (N, n_influences).
+
+    NaN, at its reference, where nothing is given; None if no term depends on any.
+
+    Args:
+        mechanism: The mechanism.
+        given: By column, a number for all rows or one for each, shape (N,); or all columns.
+        count: Number of rows N.
+
+    Raises:
+        MeasurementError: a column on which nothing depends, or of a wrong shape.
+    """
+    if isinstance(given, np.ndarray):
+        shape = (count, len(mechanism.influences))
+        return array_of(given, shape, "influences", MeasurementError)
+    given = given or {}
+    if unknown := [name for name in given if name not in mechanism.influences]:
+        known = ", ".join(mechanism.influences) or "none"
+        raise MeasurementError(
+            f"no term of {mechanism.name!r} depends on {unknown[0]!r}; its influences: {known}"
+        )
+    if not mechanism.influences:
+        return None
+    columns = np.full((count, len(mechanism.influences)), np.nan)
+    for place, name in enumerate(mechanism.influences):
+        if name in given:
+            values = np.asarray(given[name])
+            values = np.full(count, values) if values.ndim == 0 else values
+            columns[:, place] = array_of(values, (count,), f"influence {name!r}", MeasurementError)
+    if np.isinf(columns).any():
+        raise MeasurementError("an influence is infinite; expected numbers, or NaN where not known")
+    return columns
+
+
+def influences_of(mechanism: Mechanism, plan: Plan, readings: Array | None = None) -> Array | None:
+    """Return the columns of influences of a plan's or measurements' rows, in order of time.
+
+    Args:
+        mechanism: The mechanism.
+        plan: The rows, with the influences that were given.
+        readings: Of each row, shape (N, n_readings); those of the plan if not given.
+
+    Returns:
+        Shape (N, n_influences); None if no term depends on any.
+    """
+    own = own_influences(mechanism, plan.influences)
+    columns = influence_columns(mechanism, own, len(plan))
+    readings = plan.readings if readings is None else readings
+    if columns is None or readings is None:
+        return columns
+    runs = plan.runs if isinstance(plan, Measurements) else None
+    for place, name in enumerate(mechanism.reading_names):
+        column = f"{APPROACH}_{name}"
+        if column in mechanism.influences and column not in own:
+            columns[:, mechanism.influences.index(column)] = sides(readings[:, place], runs)
+    return columns
+
+
+def own_influences(mechanism: Mechanism, given: Mapping[str, Array]) -> dict[str, Array]:
+    """Return those of given columns on which terms of a mechanism depend."""
+    return {name: given[name] for name in mechanism.influences if name in given}
+
+
+def by_name(mechanism: Mechanism, columns: Array | None) -> dict[str, Array]:
+    """Return columns of a mechanism's influences by name, each of shape (N,); none if None."""
+    return {} if columns is None else dict(zip(mechanism.influences, columns.T, strict=True))
+
+
+def sides(readings: Array, runs: Sequence[str] | None = None) -> Array:
+    """Return from which side readings were come to, +1 from below, -1 from above, shape (N,).
+
+    A reading that stays keeps its side, and one that goes back by less than a thousandth of its
+    range, which is noise. NaN until it first moves, in each run, and where it was not read.
+
+    Args:
+        readings: In order of time, shape (N,).
+        runs: Run of each row, if there were several.
+    """
+    found = np.full(len(readings), np.nan)
+    read = np.flatnonzero(np.isfinite(readings))
+    if not len(read):
+        return found
+    noise = _STILL * float(np.ptp(readings[read]))
+    begins = [0]
+    if runs is not None:
+        names = np.array(runs)[read]
+        begins += (1 + np.flatnonzero(names[1:] != names[:-1])).tolist()
+    for rows in np.split(read, begins[1:]):
+        found[rows] = _sides_of_run(readings[rows].tolist(), noise)
+    return found
+
+
+def _sides_of_run(readings: Sequence[float], noise: float) -> list[float]:
+    """Return the sides of one run, what moves by more than the noise from where it last turned.
+
+    However finely rows follow a motion, it has the same sides.
+    """
+    side, turned, found = np.nan, readings[0], []
+    for reading in readings:
+        moved = reading - turned
+        if abs(moved) > noise and not moved * side > 0.0:
+            side = float(np.sign(moved))
+        if moved * side > 0.0:
+            turned = reading  # the farthest so far
+        found.append(side)
+    return found
+
+
+def gravity_loads(mechanism: Mechanism, readings: Array, matrices: Array) -> dict[str, Array]:
+    """Return forces and torques of gravity by name (``Mechanism.load_names``), of shape (N,) each.
+
+    Of an active joint, a length or an angle, along its positive direction, [N] or [N m]: what
+    gravity does along it while all (other) active joints are held. With more active joints than
+    freedoms, those of the least that hold the machine.
+
+    Args:
+        mechanism: The mechanism, with its load; what terms follow is loads of its ``drawing``.
+        readings: Of all legs, shape (N, n_readings), [rad] or [m].
+        matrices: Poses that belong to them, ``T_base_platform``, shape (N, 4, 4).
+    """
+    load = mechanism.load or Load()
+    gravity = np.array(load.gravity)
+    legs = [
+        _held(own, matrices, mechanism.known(index, readings), gravity)
+        for index, own in enumerate(nominal_legs(mechanism))
+    ]
+    found: dict[str, Array] = {}
+    of_parameters: dict[str, Array] = {}
+    forces = _carrying(legs, _weight(mechanism, load, matrices))
+    for leg, own, mu in zip(mechanism.legs, legs, forces, strict=True):
+        found |= zip(leg.reading_names, (own.joints + _along(own.drive, mu)).T, strict=True)
+        ids = (f"{leg.name}.{name}" for name in leg.parameter_names)
+        by_parameter = own.parameters + _along(own.parameter, mu)
+        of_parameters |= zip(ids, by_parameter.T, strict=True)
+    return found | of_parameters
+
+
+@dataclass(frozen=True)
+class _Held:
+    """A leg whose links are held on its passive joints, and what more it can carry.
+
+    The force by which its closure holds it to the platform is λ = λ₀ + N μ: λ₀ holds the links on
+    passive joints, and N μ is what these do not feel.
+    """
+
+    joints: Array
+    """Loads of active joints by the links, λ₀ at work, shape (N, n_active)."""
+    parameters: Array
+    """The same of parameters, shape (N, n_params)."""
+    platform: Array
+    """What λ₀ does along the platform's freedoms, shape (N, dof)."""
+    drive: Array
+    """Nᵀ ∂c/∂θ, shape (N, k, n_active)."""
+    parameter: Array
+    """Nᵀ ∂c/∂φ, shape (N, k, n_params)."""
+    pose: Array
+    """Nᵀ ∂c/∂x, shape (N, k, dof)."""
+
+
+def _held(leg: LegClosure, matrices: Array, known: Array, gravity: Array) -> _Held:
+    """Return a leg at poses and what is known of its readings and influences."""
+    closed, joints = nearest_closure(leg, matrices, known)
+    lost, n = _links(leg, joints, gravity), len(leg.leg.moving)
+    by_joint, by_parameter = lost[:, leg.leg.active], lost[:, n:]
+    platform = np.zeros((len(matrices), leg.platform.dof))
+    if lost.any():  # links with masses
+        passive = closed.passive.transpose(0, 2, 1)
+        force = -least_squares(passive, lost[:, leg.leg.passive, None])[:, :, 0]
+        by_joint = by_joint + _along(closed.active, force)
+        by_parameter = by_parameter + _along(closed.parameter, force)
+        platform = _along(closed.pose, force)
+    rows = (closed.drive, closed.constraint_by_parameter, closed.constraint_by_pose)
+    return _Held(by_joint, by_parameter, platform, *rows)
+
+
+def _carrying(legs: Sequence[_Held], weight: Array) -> list[Array]:
+    """Return by what forces the legs carry the platform: μ, shape (N, k) each.
+
+    With Σ (Nᵀ ∂c/∂x)ᵀ μ, its weight and what the links do to it are nothing; of forces of legs
+    against each other, those of the least in joints.
+
+    Args:
+        legs: The legs.
+        weight: What the platform loses in height with each freedom, times weight, shape (N, dof).
+    """
+    left = weight + sum(one.platform for one in legs)
+    lines = np.concatenate([one.pose for one in legs], axis=1)
+    mu = -least_squares(lines.transpose(0, 2, 1), left[:, :, None])
+    if lines.shape[1] > lines.shape[2]:
+        drive = block_diagonal([one.drive for one in legs]).transpose(0, 2, 1)
+        inner = left_null(lines)
+        joints = np.concatenate([one.joints for one in legs], axis=1)
+        joints = joints[:, :, None] + product(drive, mu)
+        mu = mu - product(inner, least_squares(product(drive, inner), joints))
+    ends = np.cumsum([one.pose.shape[1] for one in legs])[:-1]
+    return np.split(mu[:, :, 0], ends, axis=1)
+
+
+def _along(rows: Array, force: Array) -> Array:
+    """Return Aᵀ λ of rows (N, m, k) and a force (N, m), shape (N, k)."""
+    return np.einsum("nmk,nm->nk", rows, force)
+
+
+def _weight(mechanism: Mechanism, load: Load, matrices: Array) -> Array:
+    """Return what the platform loses in height with each freedom, times weight, shape (N, dof)."""
+    force = load.mass * np.array(load.gravity)
+    arms = matrices[:, :3, :3] @ np.array(load.centre)
+    wrench = np.concatenate((np.broadcast_to(force, arms.shape), np.cross(arms, force)), axis=1)
+    return wrench[:, list(mechanism.platform.twist_rows)]
+
+
+def _links(leg: LegClosure, joints: Array, gravity: Array) -> Array:
+    """Return what links lose in height with each joint, then each parameter, times weight.
+
+    Shape (N, n_joints + n_params).
+    """
+    n, moving = len(leg.leg.moving), 0
+    found = np.zeros((len(joints), n + len(leg.parameters)))
+    for index, joint in enumerate(leg.leg.joints):
+        moving += joint.kind != "fixed"
+        if joint.mass:
+            motion = body_chain(leg.leg, index).motion(leg.parameters, joints[:, :moving])
+            lost = joint.mass * np.einsum("x,xjn->nj", gravity, motion.linear)
+            found[:, :moving] += lost[:, :moving]
+            found[:, n:] += lost[:, moving:]
+    return found

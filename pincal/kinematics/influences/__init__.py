@@ -1,1 +1,0 @@
-"""What terms depend on beside readings: columns of rows, and loads of joints and links."""

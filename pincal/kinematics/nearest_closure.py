@@ -1,0 +1,165 @@
+"""The nearest closure of a leg: at poses and readings that need not agree, passive joints do best.
+
+What is left of the closure, Nᵀ c, exists out of reach and stays tame near singularities.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pincal.kinematics.batches import lengths, product
+from pincal.kinematics.closing import driven, sensor_law
+from pincal.kinematics.closure import Closure, LegClosure, Newton, evaluate, rows_of_each
+from pincal.kinematics.starts import start_joints
+from pincal.model.checks import EXACT
+from pincal.types import Array, Mask
+
+# of the square of the small step, Nᵀ c is off at most
+NEWTON = Newton(steps=60, small=1e-8, largest=0.1)
+_FAR = 1e-2  # of a leg's size, from which a gap's curvature counts
+
+
+def nearest_closure(
+    leg: LegClosure,
+    matrices: Array,
+    known: Array,
+    joints: Array | None = None,
+) -> tuple[Closure, Array]:
+    """Return a leg's closure at poses and readings, |c| least, and the joint positions there.
+
+    Deformations of its parameters stand behind these, if there are any.
+
+    Args:
+        leg: The leg at its parameter values.
+        matrices: Poses ``T_base_platform``, shape (N, 4, 4).
+        known: Readings [rad] or [m], then influences, shape (N, n_active [+ n_influences]).
+        joints: Where the search for passive joints starts, shape (N, n_joints [+ n_deformed]).
+    """
+    return nearest_closures((leg,), matrices, begun(leg, matrices, known, joints))
+
+
+def begun(leg: LegClosure, matrices: Array, known: Array, joints: Array | None) -> Array:
+    """Return joints as readings say, from which passive ones are found: see ``nearest_closure``."""
+    n = len(leg.leg.moving)
+    if joints is not None:
+        joints = joints[:, :n].copy()
+    elif leg.leg.passive:
+        joints = start_joints(leg, matrices)[0]
+    else:
+        joints = np.empty((len(matrices), n))
+    return driven(leg, joints, known)
+
+
+def nearest_closures(
+    legs: Sequence[LegClosure], matrices: Array, joints: Array, by: Newton = NEWTON
+) -> tuple[Closure, Array]:
+    """Return the closures of alike legs and joint positions, rows of each below the one before.
+
+    Args:
+        legs: L legs of one form.
+        matrices: Poses ``T_base_platform`` of N rows of each, shape (L N, 4, 4).
+        joints: Where the search for passive joints starts, shape (L N, n_joints …); overwritten.
+        by: When the search ends.
+    """
+    leg, scales = legs[0].leg, _scales(legs, len(joints))
+    sizes = np.repeat([one.size for one in legs], len(joints) // len(legs))
+    for _ in range(by.steps):
+        closed = evaluate(legs, joints, matrices)
+        step = closed.passive_step()
+        if leg.passive and closed.gap.shape[1] <= 3:  # of points
+            far = lengths(closed.gap) > _FAR * sizes
+            if far.any():
+                step[far] = _curved_step(closed, far)
+        joints[:, leg.passive] += step
+        if np.abs(step / scales).max(initial=0.0) <= by.small:
+            break
+    return closed, joints
+
+
+def followed(
+    legs: Sequence[LegClosure],
+    closed: Closure,
+    known: Sequence[Array],
+    parameters: Sequence[Array],
+    twists: Array,
+) -> Array:
+    """Return how far passive joints of alike legs follow changes, to first order.
+
+    Where first order says nothing, near a singularity, they stay.
+
+    Args:
+        legs: L legs of one form, at their parameter values.
+        closed: Their nearest closures there.
+        known: Of each leg readings and influences, as for ``nearest_closure``.
+        parameters: Of each leg the change of its parameters, shape (n_params,).
+        twists: Of the poses, shape (N, dof).
+
+    Returns:
+        Shape (L N, n_passive).
+    """
+    change = np.empty_like(closed.gap)
+    driven_by = np.empty((len(change), len(legs[0].leg.active)))
+    parts = zip(legs, known, parameters, strict=True)
+    for rows, (leg, own, delta) in zip(rows_of_each(len(legs), len(change)), parts, strict=True):
+        law = sensor_law(leg)
+        driven_by[rows] = law.by_parameter(own) @ delta[law.parameter_places]
+        by_parameter = closed.parameter[rows]
+        change[rows] = by_parameter @ delta
+        if leg.leg.deformed:
+            rates = leg.deformations.by_parameter(own[:, len(leg.leg.sensors) :]) @ delta
+            deforming = by_parameter[:, :, leg.deformations.parameters]
+            change[rows] += product(deforming, rates[:, :, None])[:, :, 0]
+    change += product(closed.active, driven_by[:, :, None])[:, :, 0]
+    change += product(closed.pose, np.tile(twists, (len(legs), 1))[:, :, None])[:, :, 0]
+    step = closed.passive_step(change)
+    with np.errstate(invalid="ignore"):
+        far = (~(np.abs(step / _scales(legs, len(step))) <= NEWTON.largest)).any(axis=1)
+    step[far] = 0.0
+    return step
+
+
+def _scales(legs: Sequence[LegClosure], rows: int) -> Array:
+    """Return what steps of passive joints are measured by, each leg's own, (rows, n_passive)."""
+    return np.repeat([one.leg.passive_scales for one in legs], rows // len(legs), axis=0)
+
+
+def _curved_step(closed: Closure, rows: Mask) -> Array:
+    """Return Newton steps of passive joints where points stay far apart, shape (n, n_passive).
+
+    Gauss-Newton steps are right where c is 0; out of reach the paths' curvature c · (ω_i × v_j),
+    i ≤ j, counts as much, and without it they overshoot. Where |c| is no minimum along a
+    direction, the step goes down it (saddle-free Newton).
+    """
+    gap, J = closed.gap[rows], closed.passive[rows]
+    n, m = len(gap), gap.shape[1]
+    turning, space = np.zeros((3, J.shape[2], n)), np.zeros((n, 3, J.shape[2] + 1))
+    own = closed.at.passive_turning()[:, :, rows]
+    turning[3 - len(own) :] = own
+    space[:, :m, :-1], space[:, :m, -1] = J, gap
+    v, c = space[:, :, :-1], space[:, :, -1]
+    (x, y, z), (u, w, t) = c.T, turning
+    crossed = np.array((y * t - z * w, z * u - x * t, x * w - y * u))
+    pulled = crossed.transpose(2, 1, 0)  # c · (ω × v) = (c × ω) · v
+    bend = np.triu(pulled @ v)
+    bend += np.triu(bend, 1).transpose(0, 2, 1)
+    transposed = J.transpose(0, 2, 1)
+    values, vectors = np.linalg.eigh(product(transposed, J) + bend)
+    downhill = vectors.transpose(0, 2, 1) @ product(transposed, gap[:, :, None])
+    steepest = np.abs(values).max(axis=1, keepdims=True)
+    least = np.maximum(EXACT * steepest, np.finfo(float).tiny)  # a slide of no length goes nowhere
+    steps = vectors @ (downhill[:, :, 0] / np.maximum(np.abs(values), least))[:, :, None]
+    return -np.asarray(steps)[:, :, 0]
+
+
+def arm_poses(leg: LegClosure, known: Array, gap: Array | None = None) -> Array:
+    """Return where readings of an arm put the platform, ``T_base_platform``, shape (N, 4, 4).
+
+    Args:
+        leg: A leg that is an arm (see ``Leg``), at its parameter values.
+        known: Readings [rad] or [m], then influences, shape (N, n_active [+ n_influences]).
+        gap: What the closure is to be there, shape (N, 6); nothing if not given.
+    """
+    joints = np.empty((len(known), len(leg.leg.moving)))
+    return leg.frame(driven(leg, joints, known), gap)

@@ -1,0 +1,316 @@
+"""Poses, readings and measurements: rows that belong to a mechanism."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+from pincal.errors import MeasurementError
+from pincal.model.checks import LARGEST, array_of, must_be, names_of, number_of
+from pincal.model.mechanism import Mechanism
+from pincal.model.overview import counted, one_line
+from pincal.model.setup import Setup
+from pincal.types import Array, Index, Mask
+
+EVERY_LEG = "all"
+_COLUMNS = ("poses", "lines", "written", "extra", "sigma_extra", "covariances", "influences")
+VERIFY = "verify"
+SMALLEST_SIGMA = 1e-50
+"""Standard deviation, [m] or [rad], below which powers of weights overflow; 0 is exact."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Standard deviations of what is measured; zero is exact."""
+
+    position: float = 1e-4
+    """Of each position coordinate, [m]."""
+    orientation: float = 1e-4
+    """Of each orientation coordinate, [rad]."""
+    reading: float = 0.0
+    """Of each sensor reading, [rad] or [m]."""
+
+    def __post_init__(self) -> None:
+        for name, given in vars(self).items():
+            value = number_of(given, f"the noise of {name}", MeasurementError)
+            object.__setattr__(self, name, value)
+            if not (value == 0.0 or SMALLEST_SIGMA <= value <= LARGEST):
+                raise MeasurementError(
+                    f"the noise of {name} is {value}; expected a standard deviation, 0 or more "
+                    f"({SMALLEST_SIGMA:g} to {LARGEST:g}, or 0 for what is exact)"
+                )
+
+    def of_poses(self, mechanism: Mechanism) -> Array:
+        """Return the standard deviation of each platform coordinate, shape (dof,)."""
+        units = mechanism.platform.units
+        return np.array([self.position if unit == "m" else self.orientation for unit in units])
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Poses to measure, and for which leg each was chosen."""
+
+    poses: Array
+    """Coordinates, shape (N, dof), [m] and [rad]."""
+    sets: tuple[str, ...] | None = None
+    """Leg for which each pose was chosen, ``"leg_1+leg_2"`` for several, ``"all"`` for every leg,
+    ``"verify"`` for none: to see how the calibrated mechanism does there; None if not said."""
+    readings: Array | None = None
+    """Readings to command, shape (N, n_readings), where poses do not determine them."""
+    places: tuple[str, ...] | None = field(default=None, kw_only=True)
+    """Name of the pose of each row: rows of one name are repeated measurements."""
+    influences: Mapping[str, Array] = field(default_factory=dict, kw_only=True)
+    """Influence quantities by column, on which terms depend (``Mechanism.influences``),
+    each of shape (N,); NaN where not known, which counts as at its reference."""
+    lines: tuple[int, ...] | None = field(default=None, compare=False, kw_only=True)
+    """Line of the file that holds each row, if they were read from one."""
+    written: str | None = field(default=None, compare=False, kw_only=True)
+    """Way in which the file gives a spatial platform's orientation, a key of ``WAYS``; None if
+    they were not read from one."""
+
+    def __post_init__(self) -> None:
+        poses = array_of(self.poses, ("N", "dof"), "poses", MeasurementError)
+        object.__setattr__(self, "poses", poses)
+        self._check({"readings": ("n_readings",)}, ("sets", "places"))
+        self._check_columns("influences")
+
+    def _check_columns(self, *names: str) -> None:
+        """Make mappings of columns ones of arrays, one number for each row.
+
+        Raises:
+            MeasurementError: something else, or another number of rows.
+        """
+        for name in names:
+            columns = must_be(getattr(self, name), Mapping, name, MeasurementError)
+            arrays = {
+                column: array_of(values, (len(self),), f"{name} {column!r}", MeasurementError)
+                for column, values in columns.items()
+            }
+            object.__setattr__(self, name, arrays)
+
+    def _check(self, arrays: Mapping[str, tuple[int | str, ...]], names: Sequence[str]) -> None:
+        """Make fields arrays and tuples with one entry for each row of the poses.
+
+        Raises:
+            MeasurementError: something else, or another number of rows.
+        """
+        count = len(self.poses)
+        for name, shape in arrays.items():
+            if (given := getattr(self, name)) is not None:
+                array = array_of(given, (count, *shape), name, MeasurementError)
+                object.__setattr__(self, name, array)
+        for name in names:
+            if (given := getattr(self, name)) is not None:
+                one_a_row = names_of(given, count, name, MeasurementError)
+                object.__setattr__(self, name, one_a_row)
+
+    @classmethod
+    def from_csv(
+        cls, path: str | Path, mechanism: Mechanism | str | Path, *, partial: bool = False
+    ) -> Plan:
+        """Return the poses of a CSV file, with its ``set`` column if there is one.
+
+        And with the readings, of a mechanism whose poses do not determine them.
+
+        Args:
+            path: The file.
+            mechanism: The mechanism; or its name or folder.
+            partial: Whether columns or cells of the pose may be missing; they are NaN.
+
+        Raises:
+            FileError: the file is missing or cannot be read.
+            MeasurementError: a column or cell that is missing or wrong; the message says where.
+        """
+        from pincal.files.measurements import read_poses
+
+        return read_poses(path, mechanism, partial=partial)
+
+    @classmethod
+    def from_dataframe(
+        cls, frame: Any, mechanism: Mechanism | str | Path, *, partial: bool = False
+    ) -> Plan:
+        """Return the poses of a pandas DataFrame, whose columns are named as in a CSV file.
+
+        Raises:
+            MeasurementError: a column or cell that is missing or wrong; the message says where.
+        """
+        return cls.from_csv(frame, mechanism, partial=partial)
+
+    def to_csv(
+        self,
+        path: str | Path,
+        mechanism: Mechanism | str | Path,
+        *,
+        orientation: str = "tilt-torsion",
+        setup: Setup | None = None,
+        force: bool = False,
+    ) -> None:
+        """Write a CSV file.
+
+        Args:
+            path: The file.
+            mechanism: The mechanism; or its name or folder.
+            orientation: Way to write a spatial platform's orientation, a key of ``WAYS``.
+            setup: Says units of further columns that are neither lengths nor single angles.
+            force: Whether to replace the file if it exists.
+
+        Raises:
+            FileError: the file exists and ``force`` is not set, or cannot be written.
+        """
+        from pincal.files.measurement_writing import columns_of
+        from pincal.files.table import write_table
+
+        write_table(path, columns_of(mechanism, self, orientation, setup), force=force)
+
+    def to_dataframe(
+        self,
+        mechanism: Mechanism | str | Path,
+        *,
+        orientation: str = "tilt-torsion",
+        setup: Setup | None = None,
+    ) -> Any:
+        """Return a pandas DataFrame with the columns of a CSV file, units in brackets."""
+        from pincal.files.measurement_writing import columns_of
+        from pincal.files.table import dataframe
+
+        return dataframe(columns_of(mechanism, self, orientation, setup))
+
+    def _repr_html_(self) -> str:
+        """Return the first rows for notebooks."""
+        from pincal.show.notebook import plan_html
+
+        return plan_html(self)
+
+    def __repr__(self) -> str:
+        more = [name for name, value in vars(self).items() if value is not None]
+        has = [name for name in more if name not in _COLUMNS]
+        has += [*getattr(self, "extra", ()), *self.influences]
+        poses = f"{counted(len(self), 'row')}: {counted(self.poses.shape[1], 'coordinate')}"
+        if lacks := int(np.isnan(self.poses).any(axis=1).sum()):
+            poses += f" (not all in {counted(lacks, 'row')})"
+        if self.readings is not None:
+            poses += f", {counted(self.readings.shape[1], 'reading')}"
+        return one_line(type(self).__name__, poses, *(name for name in has if name != "readings"))
+
+    def __len__(self) -> int:
+        return len(self.poses)
+
+    def place(self, row: int) -> str:
+        """Return where a row is: the line of its file, else its number."""
+        return f"row {row + 1}" if self.lines is None else f"line {self.lines[row]}"
+
+    def rows(self, chosen: Index | Mask) -> Self:
+        """Return some rows, by index or mask."""
+        index = np.arange(len(self))[chosen]
+
+        def some(values: Any) -> Any:
+            if isinstance(values, Mapping):
+                return {name: column[index] for name, column in values.items()}
+            if isinstance(values, tuple):
+                return tuple(values[i] for i in index)
+            return values[index] if isinstance(values, np.ndarray) else values
+
+        return replace(self, **{one.name: some(getattr(self, one.name)) for one in fields(self)})
+
+    @property
+    def serving(self) -> tuple[str, ...]:
+        """The sets of all rows: every leg where none are said, length N."""
+        return self.sets or (EVERY_LEG,) * len(self)
+
+    @property
+    def verifying(self) -> Mask:
+        """Which rows no fit follows, ``set`` being ``verify``, shape (N,)."""
+        if self.sets is None:
+            return np.zeros(len(self.poses), dtype=bool)
+        return np.array([one == VERIFY for one in self.sets], dtype=bool)
+
+    def serves(self, leg: str) -> Mask:
+        """Return which poses were chosen for a leg, shape (N,)."""
+        if self.sets is None:
+            return np.ones(len(self.poses), dtype=bool)
+        served = (s in (leg, EVERY_LEG, "") or leg in s.split("+") for s in self.sets)
+        return np.fromiter(served, dtype=bool, count=len(self.sets))
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Measurements(Plan):
+    """What was measured, row by row; NaN where it was not.
+
+    Without a ``Setup`` that says otherwise, ``poses`` are those of the platform in the base
+    frame. Of all legs together, part of a pose, or all of it, may be NaN: not measured.
+    """
+
+    readings: Array = field()
+    """Shape (N, n_readings), legs in order, [rad] or [m]."""
+    sigma_poses: Array | None = None
+    """Standard deviation of each freedom, shape (N, dof), if the file gives it."""
+    sigma_readings: Array | None = None
+    """Standard deviation of each reading, shape (N, n_readings), if the file gives it."""
+    extra: Mapping[str, Array] = field(default_factory=dict)
+    """Further measured quantities by column, each of shape (N,): positions of further targets
+    and distances [m] (see ``Setup``), single angles of a spatial platform [rad]."""
+    sigma_extra: Mapping[str, Array] = field(default_factory=dict)
+    """Standard deviations of further quantities by column, each of shape (N,); of what a tracker
+    measures as ``range``, ``azimuth`` and ``elevation``."""
+    covariances: Mapping[str, Array] = field(default_factory=dict)
+    """Covariances within a row by a pair of quantities, ``"x,y"``, in the product of their SI
+    units, each of shape (N,); NaN where there is none."""
+    runs: tuple[str, ...] | None = None
+    """Run of the experiment to which each row belongs, if there were several."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        dof = self.poses.shape[1]
+        array_of(self.readings, ("N", "n_readings"), "readings", MeasurementError)
+        self._check(
+            {"sigma_poses": (dof,), "sigma_readings": (self.readings.shape[1],)},
+            ("runs",),
+        )
+        self._check_columns("extra", "sigma_extra", "covariances")
+        if lone := [pair for pair in self.covariances if pair.count(",") != 1]:
+            raise MeasurementError(f"covariance of {lone[0]!r}; expected a pair such as 'x,y'")
+
+    @classmethod
+    def from_csv(
+        cls,
+        path: str | Path,
+        mechanism: Mechanism | str | Path,
+        setup: Setup | None = None,
+        *,
+        partial: bool = False,
+    ) -> Measurements:
+        """Return the measurements of a CSV file: poses, readings, sets and standard deviations.
+
+        Args:
+            path: The file.
+            mechanism: The mechanism; or its name or folder.
+            setup: What else was measured than the platform's pose.
+            partial: Whether columns or cells of the pose may be missing.
+
+        Raises:
+            FileError: the file is missing or cannot be read.
+            MeasurementError: a column or cell that is missing or wrong; the message says where.
+        """
+        from pincal.files.measurements import read_measurements
+
+        return read_measurements(path, mechanism, setup, partial=partial)
+
+    @classmethod
+    def from_dataframe(
+        cls,
+        frame: Any,
+        mechanism: Mechanism | str | Path,
+        setup: Setup | None = None,
+        *,
+        partial: bool = False,
+    ) -> Measurements:
+        """Return the measurements of a pandas DataFrame, whose columns are named as in a CSV file.
+
+        Raises:
+            MeasurementError: a column or cell that is missing or wrong; the message says where.
+        """
+        return cls.from_csv(frame, mechanism, setup, partial=partial)

@@ -1,1 +1,0 @@
-"""What was measured: rows, targets and frames, instruments, and how well they measure."""

@@ -1,0 +1,395 @@
+"""A sensor is the law between an active joint and its reading: gain, offset, direction, terms.
+
+q = k ψ + γ + Σ a_j b_j: linear in all that is unknown. Where a row says more than readings, its
+influence quantities stand beside them, as columns that follow the readings; what is not known of
+them, NaN or no column, is at its reference, where its terms are zero.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from pincal.errors import MechanismError
+from pincal.model.checks import LARGEST
+from pincal.model.terms import APPROACH, Harmonic, Term
+from pincal.types import Array, Index
+
+if TYPE_CHECKING:
+    from pincal.model.leg import Leg
+
+
+STEPS = 50
+
+
+@dataclass(frozen=True)
+class PlacedTerm:
+    """A term at parameter values."""
+
+    term: Term
+    target: int
+    """Which of the leg's active joints it is added to, or of the parameters that deform."""
+    column: int
+    """On which column it depends: a reading, or behind them an influence; an influence, if it is
+    of a parameter."""
+    parameter: int
+    """Which of the leg's parameters its amplitude is."""
+    amplitude: float
+
+    def basis(self, known: Array) -> Array:
+        """Return b at what is known of rows, shape (N, n_columns) to (N,)."""
+        column = known[:, self.column]
+        b = self.term.basis(column)
+        return np.where(np.isfinite(column), b, 0.0) if self.term.of else b
+
+
+def add_terms(terms: Iterable[PlacedTerm], known: Array, to: Array) -> None:
+    """Add a b of terms whose columns are known, shape (N, n_columns), to targets (N, n)."""
+    for one in terms:
+        if one.column < known.shape[1]:
+            to[:, one.target] += one.amplitude * one.basis(known)
+
+
+def add_bases(terms: Iterable[PlacedTerm], known: Array, to: Array) -> None:
+    """Add b, derivatives by amplitudes, likewise: to targets by parameters (N, n, n_params)."""
+    for one in terms:
+        if one.column < known.shape[1]:
+            to[:, one.target, one.parameter] += one.basis(known)
+
+
+@dataclass(frozen=True)
+class SensorLaw:
+    """Active joints' positions of readings, at parameter values: q = slope ψ + start + terms."""
+
+    slope: Array
+    """∂q/∂ψ, shape (n_active,), [1]."""
+    start: Array
+    """Joint positions at which readings are zero, shape (n_active,), [rad] or [m]."""
+    slope_by_parameter: Array
+    """∂slope/∂φ, shape (n_active, n_params)."""
+    start_by_parameter: Array
+    """∂start/∂φ, shape (n_active, n_params)."""
+    terms: tuple[PlacedTerm, ...] = ()
+
+    def reading(self, joints: Array, influences: Array | None = None) -> Array:
+        """Return the readings ψ of active joints' positions, shape (N, n_active), [rad] or [m].
+
+        By Newton's method where there are terms; NaN where it finds none.
+
+        Args:
+            joints: Shape (N, n_active), [rad] or [m].
+            influences: Influence quantities, shape (N, n_influences); at reference if not given.
+        """
+        readings = (joints - self.start) / self.slope
+        for _ in range(STEPS if self.terms else 0):
+            known = readings if influences is None else np.hstack((readings, influences))
+            step = (joints - self.position(known)) / self.slopes(known)
+            readings = readings + step
+            size = np.maximum(1.0, np.abs(readings))
+            going = np.abs(step) > 4.0 * np.finfo(float).eps * size
+            if not going.any():
+                break
+        else:
+            if self.terms:  # that are not small: q(ψ) is not monotonic
+                readings = np.where(
+                    going & (np.abs(step) > np.sqrt(np.finfo(float).eps) * size), np.nan, readings
+                )
+        return readings
+
+    def position(self, known: Array) -> Array:
+        """Return the active joints' positions of readings ψ, shape (N, n_active).
+
+        Args:
+            known: Readings, and behind them influences, shape (N, n_active [+ n_influences]).
+        """
+        joints = self.slope * known[:, : len(self.slope)] + self.start
+        add_terms(self.terms, known, joints)
+        return joints
+
+    def slopes(self, known: Array) -> Array:
+        """Return ∂q/∂ψ at given readings, shape (N, n_active), or (n_active,) if everywhere."""
+        if not self.terms:
+            return self.slope
+        slopes = np.tile(self.slope, (len(known), 1))
+        for one in self.terms:
+            if one.column < len(self.slope):
+                by = one.term.slope_of(known[:, one.column])
+                slopes[:, one.target] += one.amplitude * by
+        return slopes
+
+    @cached_property
+    def parameter_places(self) -> Index:
+        """Which of the leg's parameters change positions, in order, shape (k,)."""
+        by = np.concatenate((self.slope_by_parameter, self.start_by_parameter)).any(axis=0)
+        amplitudes = np.array([one.parameter for one in self.terms], dtype=np.intp)
+        return np.union1d(np.flatnonzero(by), amplitudes)
+
+    def by_parameter(self, known: Array) -> Array:
+        """Return ∂q/∂φ by ``parameter_places``, shape (N, n_active, k).
+
+        Args:
+            known: Readings, and behind them influences, shape (N, n_active [+ n_influences]).
+        """
+        readings, own = known.T[: len(self.slope), None], self.parameter_places
+        by_slope, by_start = self.slope_by_parameter[:, own], self.start_by_parameter[:, own]
+        found = (by_slope[:, :, None] * readings + by_start[:, :, None]).transpose(2, 0, 1)
+        add_bases(self._own_terms, known, found)
+        return found
+
+    @cached_property
+    def _own_terms(self) -> tuple[PlacedTerm, ...]:
+        """The terms, their parameters counted among ``parameter_places``."""
+        places = np.searchsorted(self.parameter_places, [one.parameter for one in self.terms])
+        pairs = zip(self.terms, places.tolist(), strict=True)
+        return tuple(replace(one, parameter=place) for one, place in pairs)
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """Sensor on an active joint, linear but for its terms, in one of the two forms of the papers.
+
+    With joint coordinate q (counted from ``zero``), direction d = ±1, gain k and offset γ:
+
+    - form ``"joint"``:   q = d k ψ + γ, ψ the reading (3-RRR paper, Eq. 6)
+    - form ``"reading"``: ψ = d k q + γ, ψ the reading (5R paper, Eq. 9)
+    """
+
+    joint: str
+    """Name of the active joint."""
+    form: Literal["joint", "reading"] = "joint"
+    gain: str | float = 1.0
+    """Gain's parameter name, or a constant [1]."""
+    offset: str | float = 0.0
+    """Offset's parameter name, or a constant [rad] or [m]."""
+    direction: int = 1
+    zero: float | Literal["home"] = 0.0
+    """Joint position from which q counts, [rad] or [m]; ``"home"``: the joint's position at the
+    platform's home pose, whatever the parameters, as on machines that are zeroed there."""
+    terms: tuple[Term, ...] = ()
+    """What is added to the joint's position in either form: Σ a_j b_j."""
+    counts_per_unit: float | None = field(default=None, repr=False)
+    """Encoder counts of one rad or m of the reading, above 0; None if it is not read in counts."""
+
+    def __post_init__(self) -> None:
+        by = self.counts_per_unit
+        if by is not None and not 1.0 / LARGEST <= by <= LARGEST:
+            raise MechanismError(
+                f"sensor of {self.joint!r}: {by!r} counts of one unit; expected a number above 0 "
+                "(which way it counts is the direction)"
+            )
+
+    @property
+    def homed(self) -> bool:
+        """Whether the reading counts from the platform's home pose."""
+        return self.zero == "home"
+
+    def constants(self, parameters: Mapping[str, float]) -> tuple[float, float]:
+        """Return d k and γ at the given parameter values."""
+        gain = parameters[self.gain] if isinstance(self.gain, str) else self.gain
+        offset = parameters[self.offset] if isinstance(self.offset, str) else self.offset
+        return self.direction * gain, offset
+
+    def reads_position(self, parameters: Mapping[str, float]) -> bool:
+        """Return whether readings are joint positions at the given parameter values."""
+        return self.constants(parameters) == (1.0, 0.0) and self.zero == 0.0 and not self.terms
+
+    def law(self, parameters: Mapping[str, float]) -> tuple[float, float, Array, Array]:
+        """Return slope and start of q = slope ψ + start, and their derivatives by parameters.
+
+        Args:
+            parameters: Values of the leg's parameters by name, in order.
+        """
+        gain, offset = self.constants(parameters)
+        by_gain, by_offset = (_unit(tuple(parameters), one) for one in (self.gain, self.offset))
+        if self.form == "joint":
+            slope, start = gain, offset
+            slopes, starts = self.direction * by_gain, by_offset
+        else:
+            slope, start = 1.0 / gain, -offset / gain
+            slopes = -self.direction * slope**2 * by_gain
+            starts = -slope * by_offset + offset * self.direction * slope**2 * by_gain
+        return slope, start, slopes, starts
+
+
+@lru_cache(maxsize=256)
+def _unit(names: tuple[str, ...], own: str | float) -> Array:
+    """Return 1 where a parameter's name is one's own, else 0, shape (n_params,)."""
+    return np.array([float(name == own) for name in names])
+
+
+def sensor_laws(
+    sensors: Sequence[Sensor],
+    parameters: Mapping[str, float],
+    home: Array,
+    home_by_parameter: Array,
+    columns: Sequence[str] = (),
+) -> SensorLaw:
+    """Return the law of a leg's sensors at parameter values.
+
+    Args:
+        sensors: The sensors.
+        parameters: Values of the leg's parameters by name, in order.
+        home: The active joints' positions at the platform's home pose, shape (n_active,).
+        home_by_parameter: Their derivatives, shape (n_active, n_params).
+        columns: Names of the leg's readings, one for each sensor, and of its influences; not
+            needed where no term depends on any.
+    """
+    slope, start, slopes, starts = map(
+        np.array, zip(*(sensor.law(parameters) for sensor in sensors), strict=True)
+    )
+    homed = np.array([sensor.homed for sensor in sensors])
+    zeros = np.array([0.0 if isinstance(one.zero, str) else one.zero for one in sensors])
+    place = {name: index for index, name in enumerate(parameters)}
+    terms = tuple(
+        PlacedTerm(
+            term,
+            index,
+            columns.index(term.column(columns[index])) if term.of else index,
+            place[term.parameter],
+            parameters[term.parameter],
+        )
+        for index, sensor in enumerate(sensors)
+        for term in sensor.terms
+    )
+    return SensorLaw(
+        slope,
+        start + np.where(homed, home, zeros),
+        slopes,
+        starts + np.where(homed[:, None], home_by_parameter, 0.0),
+        terms,
+    )
+
+
+@dataclass(frozen=True)
+class Deformations:
+    """How far a leg's parameters deform, at parameter values."""
+
+    parameters: tuple[int, ...]
+    """Indices of the parameters that deform, length n_deformed."""
+    terms: tuple[PlacedTerm, ...]
+    """What is added to these, by the leg's influences."""
+    n_parameters: int
+    """All parameters of the leg."""
+
+    @classmethod
+    def of(cls, leg: Leg, values: Array) -> Deformations:
+        """Return those of a leg at parameter values, shape (n_params,)."""
+        place = {name: index for index, name in enumerate(leg.parameter_names)}
+        terms = tuple(
+            PlacedTerm(
+                term,
+                leg.deformed.index(name),
+                leg.influences.index(term.column(f"{leg.name}.{name}")),
+                place[term.parameter],
+                float(values[place[term.parameter]]),
+            )
+            for name, term in leg.terms
+        )
+        return cls(tuple(place[name] for name in leg.deformed), terms, len(place))
+
+    def __call__(self, influences: Array) -> Array:
+        """Return deformations ε, shape (N, n_deformed), [m] or [rad].
+
+        Args:
+            influences: Of the leg, shape (N, n_influences); zero where NaN, or none are given.
+        """
+        by = np.zeros((len(influences), len(self.parameters)))
+        add_terms(self.terms, influences, by)
+        return by
+
+    def by_parameter(self, influences: Array) -> Array:
+        """Return ∂ε/∂φ, shape (N, n_deformed, n_params): that of an amplitude is its b."""
+        found = np.zeros((len(influences), len(self.parameters), self.n_parameters))
+        add_bases(self.terms, influences, found)
+        return found
+
+
+def check_terms(leg: Leg, placed: Mapping[str, str]) -> None:
+    """Raise if a term of a leg's sensors or parameters cannot be one.
+
+    Args:
+        leg: The leg.
+        placed: Units of the parameters of its placements, by name.
+
+    Raises:
+        MechanismError: one of a parameter is of no length or angle, or follows a reading or a side
+            of approach; an amplitude that is a parameter of a placement or sensor itself, or that
+            terms of different units share.
+    """
+    of_sensors = {one for s in leg.sensors for one in (s.gain, s.offset) if isinstance(one, str)}
+    for name, term in leg.terms:
+        where = f"{leg.name}: term {term.parameter!r} of parameter {name!r}"
+        if name in of_sensors and name not in placed:
+            raise MechanismError(
+                f"{where}: that is the sensor's, whose position terms are added to as it is; give "
+                "the term to the sensor (sensors: terms)"
+            )
+        if name not in placed:
+            raise MechanismError(
+                f"{where}: no placement has such a parameter; expected one of "
+                f"{', '.join(placed) or 'none'}"
+            )
+        if not term.of:
+            raise MechanismError(
+                f"{where} depends on a reading; a parameter's depends on an influence: of a "
+                "column such as 'temperature', or of 'load'"
+            )
+        if term.of == APPROACH:
+            raise MechanismError(
+                f"{where} depends on the side of approach, which is a joint's; give the term to a "
+                "sensor, or name a column of your own"
+            )
+    units: dict[str, str] = {}
+    for owner, term, unit in _amplitudes(leg, placed):
+        where = f"{leg.name}: term {term.parameter!r} of {owner}"
+        if term.parameter in placed or term.parameter in of_sensors:
+            raise MechanismError(
+                f"{where}: its amplitude is also a parameter of a placement or sensor; name the "
+                "amplitude otherwise"
+            )
+        if units.setdefault(term.parameter, unit) != unit:
+            raise MechanismError(
+                f"{where}: its amplitude, [{unit}], is also that of another term, "
+                f"[{units[term.parameter]}]; name one of them otherwise"
+            )
+
+
+def _amplitudes(leg: Leg, placed: Mapping[str, str]) -> Iterator[tuple[str, Term, str]]:
+    """Yield owners of a leg's terms, for messages, the terms, and the units of their amplitudes."""
+    for sensor, unit in zip(leg.sensors, leg.reading_units, strict=True):
+        for term in sensor.terms:
+            yield f"sensor {sensor.joint!r}", term, term.unit or unit
+    for name, term in leg.terms:
+        yield f"parameter {name!r}", term, term.unit or placed[name]
+
+
+_POINTS = 2000
+_OF_A_PERIOD = 24
+
+
+def turning(law: SensorLaw, low: Array, high: Array) -> Array:
+    """Return the first reading at which q(ψ) turns back, shape (n_active,); NaN where it does not.
+
+    By ∂q/∂ψ on a grid over the joint's range, fine enough for the shortest harmonic of a machine;
+    what terms of influences add does not depend on the reading.
+
+    Args:
+        law: The law at parameter values.
+        low: Least positions of the active joints, shape (n_active,), [rad] or [m].
+        high: Largest ones.
+    """
+    first, last = np.sort([(end - law.start) / law.slope for end in (low, high)], axis=0)
+    waves = [
+        (last - first)[one.target] * one.term.basis.rate / (2.0 * np.pi)
+        for one in law.terms
+        if isinstance(one.term.basis, Harmonic)
+    ]
+    count = int(max([_POINTS, *(_OF_A_PERIOD * wave for wave in waves)]))
+    count = min(count, 500 * _POINTS)  # shorter waves are met at other phases, period by period
+    readings = np.linspace(first, last, count + 1)
+    back = np.broadcast_to(law.slopes(readings), readings.shape) * np.sign(law.slope) <= 0.0
+    return np.where(back.any(axis=0), readings[back.argmax(axis=0), np.arange(len(first))], np.nan)

@@ -1,1 +1,0 @@
-"""What is not geometry: the law of a sensor, its terms, parameters that deform, what weighs."""

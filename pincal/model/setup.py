@@ -1,0 +1,462 @@
+"""How a platform is measured: in which frame, at which points of it, from where.
+
+By default positions are those of the platform's origin in the robot's base frame. A tracker
+is elsewhere, a reflector sits somewhere on the platform, a cable measures a distance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from math import hypot
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+
+from pincal.errors import MeasurementError
+from pincal.model.checks import array_of, count_of, must_be, number_of
+from pincal.model.mechanism import Mechanism
+from pincal.model.orientation import WAYS
+from pincal.model.overview import one_line
+from pincal.model.parameter import Parameter, listed
+from pincal.model.platform import Platform
+from pincal.types import Array
+
+
+@dataclass(frozen=True)
+class Condition:
+    """What an instrument demands at N poses: one row for each of its r columns."""
+
+    value: Array
+    """Predicted less measured, shape (N, r), in the columns' units; angles within ±π."""
+    by_pose: Array
+    """By the twist of the platform at its origin, linear first, in the axes of the frame of the
+    measurements, shape (N, r, 6)."""
+    by_parameter: Array
+    """By the instrument's own parameters, shape (N, r, p)."""
+
+
+@runtime_checkable
+class Instrument(Protocol):
+    """Anything that reads the platform's pose, in its own columns and with its own unknowns.
+
+    One that says where it stands is drawn there by a view of the result: by a method
+    ``stand(values)`` that returns T_frame_instrument, shape (4, 4), at values of its parameters. A
+    camera, which looks along z, may have ``sees``: half width and half height of its picture at a
+    distance of 1.
+
+    Example:
+        >>> import numpy as np, pincal
+        >>> class Height:
+        ...     name, columns = "table", {"gauge": "m"}
+        ...     parameters = (pincal.Parameter("table", "z", "m", 0.0),)
+        ...
+        ...     def condition(self, poses, values, measured):
+        ...         by_twist = np.tile([0.0, 0, 1, 0, 0, 0], (len(poses), 1, 1))
+        ...         by_own = -np.ones((len(poses), 1, 1))
+        ...         height = poses[:, 2, 3:]
+        ...         return pincal.Condition(height - values[0] - measured, by_twist, by_own)
+        >>> isinstance(Height(), pincal.Instrument)
+        True
+    """
+
+    @property
+    def name(self) -> str:
+        """Its name, which owns its parameters: ``gauge_1``."""
+
+    @property
+    def columns(self) -> Mapping[str, str]:
+        """Its columns in the measurements, and their units: m or rad."""
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Its unknowns; the search starts at their nominal values."""
+
+    def condition(self, poses: Array, values: Array, measured: Array) -> Condition:
+        """Return what it demands.
+
+        Args:
+            poses: T_frame_platform, in the frame of the measurements, shape (N, 4, 4).
+            values: Of its parameters, shape (p,).
+            measured: What it read, shape (N, r); NaN where it did not.
+        """
+
+
+def checked(condition: Condition, one: Instrument, count: int) -> Condition:
+    """Return a condition of N poses that has the shapes it should have.
+
+    Raises:
+        MeasurementError: another shape, or something else than a condition.
+    """
+    r, p = len(one.columns), len(one.parameters)
+    if not isinstance(condition, Condition):
+        raise MeasurementError(
+            f"instrument {one.name!r} gave {type(condition).__name__}; expected a pincal.Condition"
+        )
+    for name, shape in (
+        ("value", (count, r)),
+        ("by_pose", (count, r, 6)),
+        ("by_parameter", (count, r, p)),
+    ):
+        if (given := np.shape(getattr(condition, name))) != shape:
+            raise MeasurementError(
+                f"{name} of instrument {one.name!r} has shape {given}; expected {shape}"
+            )
+    return condition
+
+
+@dataclass(frozen=True)
+class Image:
+    """What columns of an instrument are in the picture that it takes, for plots of residuals.
+
+    An instrument that has one as its ``image`` is a camera to ``result.plot.images()``.
+
+    Example:
+        >>> import pincal
+        >>> image = pincal.Image((1600, 1200), {"tip": ("tip_u", "tip_v")}, scale=1500.0)
+        >>> image.at([0.1], [-0.2]).tolist()
+        [[950.0, 300.0]]
+    """
+
+    size: tuple[int, int]
+    """Width and height, [px]."""
+    points: Mapping[str, tuple[str, str]]
+    """Columns that point right and down, by the names of the points seen."""
+    scale: float
+    """Pixels per unit of the columns: of tangents of angles the focal length, [px]."""
+    centre: tuple[float, float] | None = None
+    """Where both columns are zero, from the upper left corner, [px]; the middle if not given."""
+
+    def __post_init__(self) -> None:
+        size = must_be(self.size, (tuple, list), "size of an image", MeasurementError)
+        if len(size) != 2:
+            raise MeasurementError(f"size of an image is {size!r}; expected width and height in px")
+        for one in size:
+            count_of(one, "size of an image [px]", MeasurementError, 1)
+        if not number_of(self.scale, "scale of an image", MeasurementError) > 0.0:
+            raise MeasurementError(f"scale of an image is {self.scale:g}; expected more than 0")
+        for name, columns in must_be(
+            self.points, Mapping, "points of an image", MeasurementError
+        ).items():
+            if isinstance(columns, str) or len(columns) != 2:
+                raise MeasurementError(
+                    f"point {name!r} of an image has the columns {columns!r}; expected two: one "
+                    "that points right, one that points down"
+                )
+
+    def at(self, right: Array, down: Array) -> Array:
+        """Return places in the image, shape (N, 2), [px], of values of columns, shape (N,)."""
+        middle = np.array(self.size) / 2 if self.centre is None else np.array(self.centre)
+        return np.asarray(middle + self.scale * np.column_stack((right, down)))
+
+
+@runtime_checkable
+class Camera(Protocol):
+    """An instrument that takes pictures."""
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+
+    @property
+    def image(self) -> Image:
+        """What its columns are in them."""
+
+
+POLAR = {"range": "m", "azimuth": "rad", "elevation": "rad"}
+"""What a tracker measures, and the units; ``sigma_range`` is a column of its noise."""
+STEEL = 11.5e-6
+"""Thermal expansion of steel, [1/K]."""
+
+
+@dataclass(frozen=True)
+class Tracker:
+    """An instrument that measures positions by a range and two angles."""
+
+    at: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Where its axes meet, in the frame of the measurements, [m]; azimuth is about z."""
+    range: float = 0.0
+    """Standard deviation of the range, [m], of rows without a column of it."""
+    azimuth: float = 0.0
+    """Of the azimuth, [rad]."""
+    elevation: float = 0.0
+    """Of the elevation, [rad]."""
+
+    def __post_init__(self) -> None:
+        at = array_of(self.at, (3,), "place of the tracker", MeasurementError)
+        object.__setattr__(self, "at", tuple(at.tolist()))
+        _check_sizes(self, tuple(POLAR), "noise of the tracker's")
+
+    @property
+    def has_noise(self) -> bool:
+        """Whether it has noise without columns of it."""
+        return any((self.range, self.azimuth, self.elevation))
+
+    def by_polar(self, points: Array) -> Array:
+        """Return how points move by range [1], azimuth and elevation [m/rad], shape (N, 3, 3).
+
+        Args:
+            points: Positions in the frame of the measurements, shape (N, 3), [m].
+        """
+        x, y, z = ray = (points - self.at).T
+        level = np.hypot(x, y)
+        length = np.hypot(level, z)
+        away = np.where(level > 0.0, level, 1.0)
+        c, s = np.where(level > 0.0, x / away, 1.0), np.where(level > 0.0, y / away, 0.0)
+        along = np.where(length > 0.0, ray / np.where(length > 0.0, length, 1.0), 0.0)
+        return np.stack(
+            (along.T, np.column_stack((-y, x, 0 * z)), np.column_stack((-z * c, -z * s, level))),
+            axis=2,
+        )
+
+
+@dataclass(frozen=True)
+class Systematic:
+    """Standard uncertainties of what is off by the same in all rows (type B, GUM 4.3).
+
+    More rows do not make them smaller: they are taken into what is promised, not into weights.
+
+    Example:
+        >>> import pincal
+        >>> warm = pincal.Systematic(scale=2e-6, temperature=1.0)  # a tracker's scale; 1 K
+        >>> pincal.Setup(systematic=warm).systematic.expansion  # steel
+        1.15e-05
+    """
+
+    scale: float = 0.0
+    """Of measured lengths, relative: 20e-6 for 20 µm/m."""
+    temperature: float = 0.0
+    """Of the machine against that at which it is to be right, [K]."""
+    expansion: float = STEEL
+    """Thermal expansion of the machine, [1/K]."""
+    target: float = 0.0
+    """Of the offset of each target that is taken as known, along each axis, [m]."""
+
+    def __post_init__(self) -> None:
+        _check_sizes(self, tuple(vars(self)), "systematic uncertainty, its")
+
+    @property
+    def relative(self) -> float:
+        """Standard uncertainty of all lengths together, relative."""
+        return hypot(self.scale, self.temperature * self.expansion)
+
+
+def _check_sizes(one: object, names: Iterable[str], what: str) -> None:
+    """Make fields numbers of 0 or more.
+
+    Raises:
+        MeasurementError: something else.
+    """
+    for name in names:
+        value = number_of(getattr(one, name), f"the {what} {name}", MeasurementError)
+        object.__setattr__(one, name, value)
+        if not 0.0 <= value < np.inf:
+            raise MeasurementError(f"the {what} {name} is {value:g}; expected 0 or more")
+
+
+Point = tuple[float, float, float]
+_FAR = 3.0  # times the longest leg: no target is that far from its platform
+ORIGIN = "platform"  # the target whose position is x, y, z
+
+
+def _point(values: Any, what: str) -> Point:
+    x, y, z = array_of(values, (3,), what, MeasurementError).tolist()
+    return x, y, z
+
+
+@dataclass(frozen=True)
+class Target:
+    """A point of the platform whose position is measured."""
+
+    offset: Point = (0.0, 0.0, 0.0)
+    """In the platform frame, [m]; where the search starts if unknown."""
+    unknown: bool = False
+    """Whether the offset is identified; of ``platform``, also how the measured orientation is
+    turned against the platform's."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "offset", _point(self.offset, "offset of a target"))
+        must_be(self.unknown, bool, "unknown of a target", MeasurementError)
+
+
+@dataclass(frozen=True)
+class Distance:
+    """A measured distance from a known point to a target."""
+
+    point: Point
+    """In the frame of the measurements, [m]."""
+    target: str = ORIGIN
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "point", _point(self.point, "point of a distance"))
+        must_be(self.target, str, "target of a distance", MeasurementError)
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What measured numbers mean."""
+
+    unknown_frame: bool = False
+    """Whether the place of the robot's base in the frame of the measurements is unknown."""
+    targets: Mapping[str, Target] = field(default_factory=lambda: {ORIGIN: Target()})
+    """``platform`` is the target of x, y, z; another target t of the columns t_x, t_y, t_z."""
+    distances: Mapping[str, Distance] = field(default_factory=dict)
+    """By column."""
+    instruments: tuple[Instrument, ...] = ()
+    """Instruments of one's own, each with its columns and unknowns."""
+    tracker: Tracker | None = None
+    """What measures positions by a range and angles, if their noise is to be said so."""
+    systematic: Systematic = field(default_factory=Systematic)
+    """Uncertainties of what is off by the same in all rows."""
+
+    def __post_init__(self) -> None:
+        must_be(self.unknown_frame, bool, "unknown_frame", MeasurementError)
+        kinds: dict[str, type] = {"targets": Target, "distances": Distance}
+        for field_name, kind in kinds.items():
+            named = must_be(getattr(self, field_name), Mapping, field_name, MeasurementError)
+            for name, one in named.items():
+                must_be(name, str, f"a name in {field_name}", MeasurementError)
+                must_be(one, kind, f"{field_name}, {name!r}", MeasurementError)
+        object.__setattr__(self, "targets", {ORIGIN: Target(), **self.targets})
+        for column, one in self.distances.items():
+            if one.target not in self.targets:
+                raise MeasurementError(
+                    f"distance {column!r} is to a target {one.target!r}; expected one of "
+                    f"{', '.join(self.targets)}"
+                )
+        object.__setattr__(self, "instruments", tuple(self.instruments))
+        if self.tracker is not None:
+            must_be(self.tracker, Tracker, "tracker", MeasurementError)
+        must_be(self.systematic, Systematic, "systematic", MeasurementError)
+        self._check_instruments()
+
+    @staticmethod
+    def from_yaml(path: str | Path) -> Setup:
+        """Return the setup that a YAML file says.
+
+        Raises:
+            FileError: the file is missing or cannot be read.
+            MeasurementError: it does not parse, or says something else than it should.
+        """
+        from pincal.files.yaml import read_setup
+
+        return read_setup(path)
+
+    def _check_instruments(self) -> None:
+        """Raise if an instrument is none, or its names are another's.
+
+        Raises:
+            MeasurementError: saying which.
+        """
+        names = {"tracker", "target", *self.targets}
+        for one in self.instruments:
+            must_be(one, Instrument, "an instrument", MeasurementError)
+            if one.name in names or not one.name.isidentifier():
+                raise MeasurementError(
+                    f"an instrument is named {one.name!r}; expected a word that no target and no "
+                    "other instrument has"
+                )
+            names.add(one.name)
+            for column, unit in one.columns.items():
+                if unit not in ("m", "rad"):
+                    raise MeasurementError(
+                        f"column {column!r} of instrument {one.name!r} is in {unit!r}; expected m "
+                        "or rad"
+                    )
+            if isinstance(one, Camera):
+                seen = {c for pair in one.image.points.values() for c in pair}
+                if unknown := sorted(seen - set(one.columns)):
+                    raise MeasurementError(
+                        f"the image of instrument {one.name!r} has a column {unknown[0]!r}; "
+                        f"expected its own: {listed(one.columns)}"
+                    )
+            for parameter in one.parameters:
+                if parameter.owner != one.name:
+                    raise MeasurementError(
+                        f"parameter {parameter.id!r} is of instrument {one.name!r}; expected "
+                        f"'{one.name}.{parameter.name}'"
+                    )
+
+    def __repr__(self) -> str:
+        targets = [n + " (unknown)" * t.unknown for n, t in self.targets.items() if t != Target()]
+        return one_line(
+            "Setup",
+            "unknown frame" if self.unknown_frame else "base frame",
+            f"targets {listed(targets)}" if targets else "",
+            f"distances {listed(self.distances)}" if self.distances else "",
+            f"instruments {listed(one.name for one in self.instruments)}"
+            if self.instruments
+            else "",
+            "" if self.tracker is None else "tracker",
+            "systematic uncertainties" if self.systematic != Systematic() else "",
+        )
+
+    @property
+    def plain(self) -> bool:
+        """Whether poses are those of the platform in the base frame, and nothing else."""
+        further = self.distances or self.instruments or self.targets != {ORIGIN: Target()}
+        return not (self.unknown_frame or further)
+
+    @property
+    def polar(self) -> dict[str, str]:
+        """Columns ``sigma_…`` that say a tracker's noise, and units; none without a tracker."""
+        return {} if self.tracker is None else POLAR
+
+    @property
+    def required(self) -> dict[str, str]:
+        """Columns that measurements must have, and whose they are."""
+        return dict.fromkeys(self.distances, "a distance that the setup names") | {
+            column: f"which instrument {one.name!r} reads"
+            for one in self.instruments
+            for column in one.columns
+        }
+
+    def points(self, platform: Platform) -> dict[str, str]:
+        """Return the columns of further targets' positions, and their units."""
+        further = [name for name in self.targets if name != ORIGIN]
+        return {f"{name}_{axis}": "m" for name in further for axis in "xyz"[: platform.space]}
+
+    def columns(self, mechanism: Mechanism) -> dict[str, str]:
+        """Return columns that this setup adds to those of the pose, and their units.
+
+        Raises:
+            MeasurementError: a column that means something else; a target far off the mechanism.
+        """
+        size = max(leg.size for leg in mechanism.legs)
+        for name, target in self.targets.items():
+            if (far := hypot(*target.offset)) > _FAR * size:
+                raise MeasurementError(
+                    f"target {name!r} is {far:.4g} m from the platform's origin, and the longest "
+                    f"leg of {mechanism.name!r} is {size:.3g} m; expected metres: is this "
+                    "millimetres?"
+                )
+        points = self.points(mechanism.platform)
+        columns = points | dict.fromkeys(self.distances, "m")
+        taken_twice = set(points) & set(self.distances)
+        for one in self.instruments:
+            taken_twice |= set(columns) & set(one.columns)
+            columns |= one.columns
+        platform = mechanism.platform
+        taken = {
+            *mechanism.leg_names,
+            *mechanism.reading_names,
+            *platform.coordinates,
+            *platform.freedoms,
+            "set",
+            "run",
+        }
+        if owners := {one.name for one in self.instruments} & set(mechanism.leg_names):
+            raise MeasurementError(
+                f"an instrument is named {sorted(owners)[0]!r}, as a leg of {mechanism.name!r}; "
+                "choose another name"
+            )
+        taken |= {"pose", "rx", "ry", "rz", *(n for names, _ in WAYS.values() for n in names)}
+        taken |= {name for name in columns if name.startswith("sigma_")} | set(self.polar)
+        taken |= taken_twice
+        if both := taken & set(columns):
+            raise MeasurementError(
+                f"the setup names a column {sorted(both)[0]!r}, which means something else in "
+                "measurements; choose another name"
+            )
+        return columns
