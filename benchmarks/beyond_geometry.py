@@ -388,15 +388,14 @@ def main() -> None:
     parser.add_argument("--write", action="store_true", help="into docs/beyond_geometry.md")
     given = parser.parse_args()
     print(HEAD)
-    lines, said = [], []
+    lines = []
     for kind in given.only:
         table, often = line(kind, given.sets)
         print(table, often, sep="\n", flush=True)
         lines.append(table)
-        said.append(often)
     if given.write:
         page = PAGE.read_text(encoding="utf-8")
-        text = "\n".join([HEAD, *lines, "", f"Of {given.sets} sets each, found:", "", *said])
+        text = "\n".join([HEAD, *lines])
         PAGE.write_text(_BLOCK.sub(lambda m: f"{m[1]}{text}\n{m[2]}", page), encoding="utf-8")
 
 

@@ -1,6 +1,6 @@
 """One calibration after another by an older pincal and by this one, side by side.
 
-    python benchmarks/side_by_side.py OLD_TREE [--only WORDS] [--write docs/side_by_side.md]
+    python benchmarks/side_by_side.py OLD_TREE [--only WORDS] [--write PAGE.md]
 
 Both get the same rows, made once by the older one, and the same options; each runs in a process
 of its own, and they are timed in turn. Parameters are compared in the older one's standard errors.
@@ -379,7 +379,7 @@ def table(rows: list[tuple[str, ...]]) -> str:
 
 PAGE = """# Side by side with the release before
 
-Written by `python benchmarks/side_by_side.py OLD_TREE --write docs/side_by_side.md`.
+Written by `python benchmarks/side_by_side.py OLD_TREE --write PAGE.md`.
 The same rows and options for both. Change of parameters in standard errors of the older: the
 largest, the root mean square, and the latter over what is measured, the gauge apart. Standard
 errors and time as ratios, new over old: range over parameters, and best of several runs in turn.

@@ -1,7 +1,7 @@
 """A study is a page of text with tables and figures, and a folder that holds them.
 
-The page is Markdown; tables are written as CSV and Markdown, figures as SVG and PNG. What
-takes time on the machine at hand is shown in figures only, so that the same seed gives
+The page is Markdown and holds the tables; each table is also a CSV file, each figure an SVG and a
+PNG. What takes time on the machine at hand is shown in figures only, so that the same seed gives
 the same text and tables byte for byte.
 """
 
@@ -74,17 +74,13 @@ class Study:
         columns = by_rows(("what", "paper", "measured", "verdict"), rows)
         self.table("against_the_paper", "What the paper says, and what was measured.", columns)
 
-    def page(self, folder: str = "") -> str:
-        """Return the page, its figures and tables in a folder relative to it."""
+    def page(self) -> str:
+        """Return the page; it names figures and tables by paths relative to its folder."""
         options = f" --seed {self.seed}" * bool(self.seed) + " --quick" * self.quick
         command = f"pincal study {self.name}{options} -o FOLDER"
         after = f"After *{self.paper}*. " if self.paper else ""
         head = f"# {self.title}\n\n{after}Written by `{command}`."
-        text = "\n\n".join([head, *self.parts])
-        if folder:
-            text = text.replace("](figures/", f"]({folder}/figures/")
-            text = text.replace("(`tables/", f"(`{folder}/tables/")
-        return text + "\n"
+        return "\n\n".join([head, *self.parts]) + "\n"
 
     def write(self, folder: Path) -> None:
         """Write the page ``study.md``, ``tables/`` and ``figures/`` into a folder."""
@@ -96,7 +92,6 @@ class Study:
             with stem.with_suffix(".csv").open("w", newline="", encoding="utf-8") as file:
                 writer = csv.writer(file, lineterminator="\n")
                 writer.writerows([list(columns), *_rows(columns, digits=8)])
-            stem.with_suffix(".md").write_text(markdown(columns) + "\n", encoding="utf-8")
         dots = 100 if self.quick else 300  # an inch
         with mpl.rc_context({"svg.hashsalt": self.name, "savefig.dpi": dots}):
             for name, figure in self.figures.items():

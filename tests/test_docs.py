@@ -54,7 +54,7 @@ def test_every_page_is_linked() -> None:
             assert linked.exists(), f"{page}: {target}"
             if linked.suffix == ".md" and linked not in seen:
                 left.append(linked)
-    made = ("_build", "gallery", "made", "api", "studies")  # by the build of the site, by studies
+    made = ("_build", "gallery", "made", "api")  # by the build of the site
     pages = {one for one in (ROOT / "docs").rglob("*.md") if not set(made) & set(one.parts)}
     assert pages <= seen
 
@@ -71,20 +71,6 @@ def test_measuring_page_runs(tmp_path: Path) -> None:
     table = (tmp_path / "lines.csv").read_text(encoding="utf-8").splitlines()
     assert len(table) == 61
     assert table[9].startswith(",,,")  # the ninth row has no position
-
-
-@pytest.mark.slow
-def test_what_commands_answer_is_what_the_page_says(tmp_path: Path) -> None:
-    """``python docs/what_now.py`` makes the page that is there, but for digits."""
-    made = runpy.run_path(str(ROOT / "docs" / "what_now.py"))
-    page = (ROOT / "docs" / "what_now.md").read_text(encoding="utf-8")
-    made["write_measurements"](tmp_path)
-    again = made["filled"](page, tmp_path)
-
-    def words(text: str) -> list[str]:
-        return re.sub(r"[\d.]+", "#", text).split()
-
-    assert words(again) == words(page)
 
 
 def test_measuring_page_names_columns_and_units() -> None:

@@ -22,7 +22,7 @@ from pincal.estimation.profile import profile
 
 Array = NDArray[np.float64]
 QUANTILE = float(ndtri(0.975))
-#: As large as in "24 poses at 1 mm" of docs/statistics.md: the problem is curved.
+#: As large as in "24 poses at 1 mm" of docs/accuracy.md: the problem is curved.
 CURVED = pincal.Noise(1e-3, 1e-3, 1e-3)
 SMALL = pincal.Noise(1e-5, 1e-5, 1e-5)
 

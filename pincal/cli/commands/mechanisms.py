@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
@@ -245,10 +244,6 @@ def study(
         bool, typer.Option("--quick", help="Fewer draws, coarser grids: seconds, not minutes.")
     ] = False,
     seed: Seed = 0,
-    page: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE.md", help="Write the text there too, with links to FOLDER."),
-    ] = None,
     force: Force = False,
 ) -> None:
     """Compute a paper's figures and tables anew.
@@ -256,7 +251,7 @@ def study(
     And what it lacks. 5R: divide and conquer; 3RRR: symmetrical observability; 6UPS: symmetrical
     workspace and, after its paper, the calibration. errors: errors that are no geometry,
     simulated and, where PINCAL_DATA has them, of real arms. FOLDER gets study.md, tables as
-    CSV and Markdown, figures as SVG and PNG; with 'all' one folder for each. The same seed
+    CSV, figures as SVG and PNG; with 'all' one folder for each. The same seed
     gives the same text and tables; times are in figures only.
     """
     studies = _installed()
@@ -266,9 +261,7 @@ def study(
         refuse_existing(output, force=False).mkdir()
     for folder in folders:
         refuse_existing(folder, force=force, folder=(STUDY,))
-    if page is not None:
-        refuse_existing(page, force=force)
-    pages, found = [], []
+    found = []
     for one, folder in zip(names, folders, strict=True):
         with working(f"study of the {one}") as progress:
             done = studies.run_study(one, seed, quick, progress)
@@ -277,14 +270,7 @@ def study(
         wrote(folder)
         kept = {key: getattr(done, key) for key in ("name", "title", "paper", "tables")}
         found.append({**kept, "folder": str(folder)})
-        if page is not None:
-            pages.append(done.page(Path(os.path.relpath(folder, page.parent)).as_posix()))
-    if page is not None:
-        with writing(page, force=force) as scratch:
-            scratch.write_text("\n".join(pages), encoding="utf-8")
-        wrote(page)
-    else:
-        remark(f"read {folders[0] / 'study.md'}")
+    remark(f"read {folders[0] / 'study.md'}")
     answer({"studies": found})
 
 
