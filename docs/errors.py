@@ -21,7 +21,7 @@ from pincal import errors, formats
 from pincal.calibration.result_files import read_result
 from pincal.calibration.runs import compare_runs
 from pincal.cli.app import app
-from pincal.files.measurement_writing import write_measurements, write_poses
+from pincal.files.measurement_writing import write_plan
 from pincal.files.measurements import read_measurements, read_poses
 from pincal.files.yaml import read_setup
 from pincal.formats.arm import load_arm
@@ -98,7 +98,7 @@ _BEHIND = {
     "Measurements.from_csv": [read_measurements],
     "Mechanism.from_urdf": [load_arm],
     "Plan.from_csv": [read_poses],
-    "Plan.to_csv": [write_poses, write_measurements],
+    "Plan.to_csv": [write_plan],
     "Setup.from_yaml": [read_setup],
 }
 _MOST = 6  # commands that are named one by one

@@ -14,13 +14,13 @@ sys.path.insert(0, str(ROOT))
 from tools.counts import Counts, count, count_revision, main  # noqa: E402
 
 LINES = {
-    "": 280,
+    "": 330,
     "architectures": 800,
     "calibration": 7_400,
     "cli": 3_950,
     "design": 3_400,
     "estimation": 6_650,
-    "files": 3_480,
+    "files": 3_200,
     "formats": 3_675,
     "kinematics": 4_440,
     "model": 3_750,
@@ -39,7 +39,7 @@ MOST = {
     "dataclasses": 260,
     "complex functions": 54,
     "long signatures": 3,
-    "imports inside functions": 74,
+    "imports inside functions": 52,
 }
 
 

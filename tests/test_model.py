@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 import pincal
 from pincal.errors import MeasurementError, MechanismError
-from pincal.files.measurement_writing import write_measurements, write_poses, write_readings
+from pincal.files.measurement_writing import write_plan, write_readings
 from pincal.files.measurements import read_readings
 from pincal.files.mechanism_folders import as_mechanism, bundled
 from pincal.files.read import as_measurements, as_plan, as_setup
@@ -295,10 +295,10 @@ def test_a_kind_of_ones_own_is_identified_and_kept(tmp_path: Path) -> None:
         lambda: pincal.Plan.from_csv("p.csv", None),
         lambda: read_readings(3, THREE),
         lambda: pincal.Setup.from_yaml(None),
-        lambda: write_measurements("m.csv", THREE, POSES),
-        lambda: write_measurements("m.csv", None, pincal.Plan(POSES)),
-        lambda: write_poses("p.csv", THREE, POSES),
-        lambda: write_poses(None, THREE, pincal.Plan(POSES)),
+        lambda: write_plan(POSES, "m.csv", THREE),
+        lambda: write_plan(pincal.Plan(POSES), "m.csv", None),
+        lambda: write_plan(pincal.Plan(POSES), "p.csv", 3),
+        lambda: write_plan(pincal.Plan(POSES), None, THREE),
         lambda: write_readings("r.csv", THREE, None),
         lambda: write_readings("r.csv", 3, READINGS),
         lambda: THREE.save(None),

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 import pincal
 from pincal.design.forecast import forecast
-from pincal.files.measurement_writing import write_poses
+from pincal.files.measurement_writing import write_plan
 from pincal.files.measurements import read_poses
 
 Array = NDArray[np.float64]
@@ -133,7 +133,7 @@ def test_files_keep_readings(
 ) -> None:
     """A plan of such a mechanism is written and read with its readings, bit for bit."""
     path = tmp_path / "plan.csv"
-    write_poses(path, mechanism, plan)
+    write_plan(plan, path, mechanism)
     read = read_poses(path, mechanism)
     np.testing.assert_array_equal(read.readings, plan.readings)
     np.testing.assert_array_equal(read.poses, plan.poses)

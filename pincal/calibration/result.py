@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
+from pincal.attached import attached
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.leg_result import IdentifiedParameter, LegResult, Observed, TieTest
 from pincal.calibration.options import FOLDS, By, Options
@@ -293,6 +294,7 @@ class CalibrationResult:
         """Return the result with these findings."""
         return replace(self, findings=findings)
 
+    @attached
     def validated(self, folds: int = FOLDS, by: By = "region") -> CalibrationResult:
         """Return the result with its errors at held-out rows, and what these contradict.
 
@@ -305,9 +307,6 @@ class CalibrationResult:
                 converge.
             ObservabilityError: what is left does not determine the parameters.
         """
-        from pincal.calibration.validation import with_held_out
-
-        return with_held_out(self, folds, by)
 
     def compared(self) -> CalibrationResult:
         """Return the result with how well the runs of its measurements agree.
@@ -329,6 +328,7 @@ class CalibrationResult:
         rows = [{name: getattr(p, name) for name in names} for p in self.parameters]
         return pd.DataFrame(rows, index=pd.Index(self.parameters.ids, name="parameter"))
 
+    @attached
     def report(self, **origin: Any) -> Report:
         """Return the report as a page: ``html()``, ``save(path)``, or shown by a notebook.
 
@@ -340,22 +340,15 @@ class CalibrationResult:
             FileError: a file that cannot be read.
             MeasurementError: a unit that is not understood.
         """
-        from pincal.show.report.report import report
-
-        return report(self, **origin)
 
     @property
+    @attached
     def plot(self) -> Plots:
         """Plots of this result, such as ``plot.residuals()``: each returns matplotlib axes."""
-        from pincal.show.plots import Plots
 
-        return Plots(self)
-
+    @attached
     def _repr_html_(self) -> str:
         """Return parameters and residuals for notebooks."""
-        from pincal.show.notebook import result_html
-
-        return result_html(self)
 
     def __repr__(self) -> str:
         ended = "converged" if self.converged else "did not converge"
@@ -364,12 +357,11 @@ class CalibrationResult:
             f"reduced χ² {rounded(self.reduced_chi2, 3)}, {ended})"
         )
 
+    @attached
     def __str__(self) -> str:
         """Return a page: how it was made, its tables, what it means, warnings."""
-        from pincal.show.notebook import result_text
 
-        return result_text(self)
-
+    @attached
     def save(self, folder: str | Path, *, force: bool = False, report: Page | None = None) -> Path:
         """Write the result to a folder: ``load_result`` gives it back.
 
@@ -384,6 +376,3 @@ class CalibrationResult:
         Raises:
             FileError: the folder exists and ``force`` is not set, or cannot be written.
         """
-        from pincal.calibration.result_files import save_result
-
-        return save_result(self, folder, force=force, report=report)

@@ -30,7 +30,7 @@ from pincal.errors import MeasurementError
 from pincal.estimation.noise import NoiseModel
 from pincal.estimation.residuals.losses import LOSSES, Loss, LossName
 from pincal.files.json_text import json_text, plain
-from pincal.files.measurement_writing import write_poses
+from pincal.files.measurement_writing import write_plan
 from pincal.files.mechanism_folders import load_mechanism
 from pincal.files.mechanism_writing import write_mechanism
 from pincal.files.table import write_table
@@ -194,7 +194,7 @@ def save_result(
         write_table(scratch / "residuals.csv", _residuals(result))
         if result.estimated_poses is not None:
             plan = Plan(result.estimated_poses)
-            write_poses(scratch / "poses.csv", result.identified, plan)
+            write_plan(plan, scratch / "poses.csv", result.identified)
     if report is not None:  # drawn when the result is safe
         with output.writing(Path(folder) / REPORT) as scratch:
             scratch.write_text(report.html(), encoding="utf-8")

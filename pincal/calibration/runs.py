@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from pincal.attached import attached
 from pincal.blas import on_one_thread
 from pincal.calibration.calibrate import identify, prepared
 from pincal.calibration.calibration import Calibration
@@ -44,11 +45,9 @@ class RunComparison:
     p_value: float
     """Probability of such a spread, or a larger one, by noise alone."""
 
+    @attached
     def _repr_html_(self) -> str:
         """Return the spread of parameters over runs for notebooks."""
-        from pincal.show.notebook import runs_html
-
-        return runs_html(self)
 
     def __repr__(self) -> str:
         return (

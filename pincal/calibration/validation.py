@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from pincal.attached import attached
 from pincal.blas import on_one_thread
 from pincal.calibration.calibrate import prepared, started
 from pincal.calibration.calibration import Calibration
@@ -71,11 +72,9 @@ class Validation:
     """How far each measured target is missed at held-out rows: mean, root mean square, largest,
     and intervals by a bootstrap of poses."""
 
+    @attached
     def _repr_html_(self) -> str:
         """Return held-out rows beside those of the fit for notebooks."""
-        from pincal.show.notebook import validation_html
-
-        return validation_html(self)
 
     def __repr__(self) -> str:
         return (

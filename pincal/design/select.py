@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
+from pincal.attached import attached
 from pincal.blas import on_one_thread
 from pincal.design.orbits import leg_orbits, merged, multiplicities, selection_group, smallest
 from pincal.design.search import Search, SelectionOptions
@@ -114,11 +115,9 @@ class Selection:
         ]
         return pd.DataFrame(rows, index=pd.Index([leg.leg for leg in self.legs], name="leg"))
 
+    @attached
     def _repr_html_(self) -> str:
         """Return what each leg gets, and the first poses, for notebooks."""
-        from pincal.show.notebook import selection_html
-
-        return selection_html(self)
 
     def __repr__(self) -> str:
         what = f"{self.protocol}, {len(self.plan.poses)} poses of {self.candidates}"

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from pincal.errors import MeasurementError, MechanismError
 from pincal.files.measurements import product_unit
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
-from pincal.files.table import write_table
+from pincal.files.table import dataframe, write_table
 from pincal.model.checks import array_of, must_be
 from pincal.model.measurements import Measurements, Plan
 from pincal.model.mechanism import Mechanism
@@ -25,22 +26,30 @@ from pincal.words.wording import COUNTED, DRIVEN, FILL_IN, HEADS, MEASURED, PLAN
 Columns = dict[str, Array | tuple[str, ...]]
 
 
-def write_poses(
+def write_plan(
+    plan: Plan,
     path: str | Path,
     mechanism: GivenMechanism,
-    plan: Plan,
     *,
     orientation: str = "tilt-torsion",
+    setup: Setup | None = None,
     units: Units = SI,
     force: bool = False,
 ) -> None:
-    """Write poses, and their sets if they have them, to a CSV file: see ``Plan.to_csv``."""
-    mechanism = as_mechanism(mechanism)
-    must_be(plan, Plan, "poses to write", MeasurementError)
-    planned = Plan(
-        plan.poses, plan.sets, plan.readings, places=plan.places, influences=plan.influences
-    )
-    write_table(path, columns_of(mechanism, planned, orientation), units=units, force=force)
+    """Write a plan, or measurements, to a CSV file: see ``Plan.to_csv``."""
+    columns = columns_of(mechanism, plan, orientation, setup)
+    write_table(path, columns, units=units, force=force)
+
+
+def dataframe_of(
+    plan: Plan,
+    mechanism: GivenMechanism,
+    *,
+    orientation: str = "tilt-torsion",
+    setup: Setup | None = None,
+) -> Any:
+    """Return a plan, or measurements, as a pandas DataFrame: see ``Plan.to_dataframe``."""
+    return dataframe(columns_of(mechanism, plan, orientation, setup))
 
 
 def write_readings(
@@ -78,20 +87,6 @@ def reason_column(reasons: Sequence[str]) -> Columns:
     return {"reason": tuple(reasons)} if any(reasons) else {}
 
 
-def write_measurements(
-    path: str | Path,
-    mechanism: GivenMechanism,
-    data: Measurements,
-    *,
-    units: Units = SI,
-    force: bool = False,
-) -> None:
-    """Write measurements to a CSV file: see ``Measurements.to_csv``."""
-    mechanism = as_mechanism(mechanism)
-    must_be(data, Measurements, "measurements to write", MeasurementError)
-    write_table(path, columns_of(mechanism, data), units=units, force=force)
-
-
 def columns_of(
     mechanism: GivenMechanism,
     plan: Plan,
@@ -110,6 +105,7 @@ def columns_of(
         MeasurementError: numbers of another mechanism, or no such way.
     """
     mechanism = as_mechanism(mechanism)
+    must_be(plan, Plan, "poses or measurements to write", MeasurementError)
     columns = _pose_columns(mechanism, plan, orientation)
     named: Columns = {**plan.influences}
     named |= {} if plan.places is None else {"pose": plan.places}

@@ -9,6 +9,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from pincal.attached import attached
 from pincal.errors import MeasurementError
 from pincal.model.checks import LARGEST, array_of, must_be, names_of, number_of
 from pincal.model.mechanism import Mechanism
@@ -108,9 +109,10 @@ class Plan:
                 one_a_row = names_of(given, count, name, MeasurementError)
                 object.__setattr__(self, name, one_a_row)
 
-    @classmethod
+    @staticmethod
+    @attached
     def from_csv(
-        cls, path: str | Path, mechanism: Mechanism | str | Path, *, partial: bool = False
+        path: str | Path, mechanism: Mechanism | str | Path, *, partial: bool = False
     ) -> Plan:
         """Return the poses of a CSV file, with its ``set`` column if there is one.
 
@@ -125,21 +127,19 @@ class Plan:
             FileError: the file is missing or cannot be read.
             MeasurementError: a column or cell that is missing or wrong; the message says where.
         """
-        from pincal.files.measurements import read_poses
 
-        return read_poses(path, mechanism, partial=partial)
-
-    @classmethod
+    @staticmethod
+    @attached
     def from_dataframe(
-        cls, frame: Any, mechanism: Mechanism | str | Path, *, partial: bool = False
+        frame: Any, mechanism: Mechanism | str | Path, *, partial: bool = False
     ) -> Plan:
         """Return the poses of a pandas DataFrame, whose columns are named as in a CSV file.
 
         Raises:
             MeasurementError: a column or cell that is missing or wrong; the message says where.
         """
-        return cls.from_csv(frame, mechanism, partial=partial)
 
+    @attached
     def to_csv(
         self,
         path: str | Path,
@@ -161,11 +161,8 @@ class Plan:
         Raises:
             FileError: the file exists and ``force`` is not set, or cannot be written.
         """
-        from pincal.files.measurement_writing import columns_of
-        from pincal.files.table import write_table
 
-        write_table(path, columns_of(mechanism, self, orientation, setup), force=force)
-
+    @attached
     def to_dataframe(
         self,
         mechanism: Mechanism | str | Path,
@@ -174,16 +171,10 @@ class Plan:
         setup: Setup | None = None,
     ) -> Any:
         """Return a pandas DataFrame with the columns of a CSV file, units in brackets."""
-        from pincal.files.measurement_writing import columns_of
-        from pincal.files.table import dataframe
 
-        return dataframe(columns_of(mechanism, self, orientation, setup))
-
+    @attached
     def _repr_html_(self) -> str:
         """Return the first rows for notebooks."""
-        from pincal.show.notebook import plan_html
-
-        return plan_html(self)
 
     def __repr__(self) -> str:
         more = [name for name, value in vars(self).items() if value is not None]
@@ -274,9 +265,9 @@ class Measurements(Plan):
         if lone := [pair for pair in self.covariances if pair.count(",") != 1]:
             raise MeasurementError(f"covariance of {lone[0]!r}; expected a pair such as 'x,y'")
 
-    @classmethod
+    @staticmethod
+    @attached
     def from_csv(
-        cls,
         path: str | Path,
         mechanism: Mechanism | str | Path,
         setup: Setup | None = None,
@@ -295,13 +286,10 @@ class Measurements(Plan):
             FileError: the file is missing or cannot be read.
             MeasurementError: a column or cell that is missing or wrong; the message says where.
         """
-        from pincal.files.measurements import read_measurements
 
-        return read_measurements(path, mechanism, setup, partial=partial)
-
-    @classmethod
+    @staticmethod
+    @attached
     def from_dataframe(
-        cls,
         frame: Any,
         mechanism: Mechanism | str | Path,
         setup: Setup | None = None,
@@ -313,4 +301,3 @@ class Measurements(Plan):
         Raises:
             MeasurementError: a column or cell that is missing or wrong; the message says where.
         """
-        return cls.from_csv(frame, mechanism, setup, partial=partial)

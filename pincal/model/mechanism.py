@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from pincal.attached import attached
 from pincal.errors import MechanismError
 from pincal.model.checks import must_be
 from pincal.model.consistency import check_mechanism
@@ -269,13 +270,12 @@ class Mechanism:
         """Nominal parameter values by leg, each of shape (n_params,), SI units."""
         return {leg.name: leg.nominal for leg in self.legs}
 
+    @attached
     def _repr_html_(self) -> str:
         """Return a picture and the nominal parameters for notebooks."""
-        from pincal.show.notebook import mechanism_html
-
-        return mechanism_html(self)
 
     @staticmethod
+    @attached
     def from_urdf(path: str | Path, tip: str, base: str | None = None) -> Mechanism:
         """Return a serial arm from any URDF, as a mechanism to calibrate.
 
@@ -288,16 +288,11 @@ class Mechanism:
             FileError: the file is missing or cannot be read.
             MechanismError: not well-formed, or no chain of joints from base to tip.
         """
-        from pincal.formats.arm import load_arm
 
-        return load_arm(path, tip, base)
-
+    @attached
     def save(self, folder: str | Path, *, force: bool = False) -> Path:
         """Write ``mechanism.yaml`` and the URDFs to a new folder, whole or not at all.
 
         Raises:
             FileError: the folder exists and ``force`` is not set, or cannot be written.
         """
-        from pincal.files.mechanism_folders import save_mechanism
-
-        return save_mechanism(self, folder, force=force)

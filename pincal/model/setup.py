@@ -14,6 +14,7 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
+from pincal.attached import attached
 from pincal.errors import MeasurementError
 from pincal.model.checks import array_of, count_of, must_be, number_of
 from pincal.model.mechanism import Mechanism
@@ -332,6 +333,7 @@ class Setup:
         self._check_instruments()
 
     @staticmethod
+    @attached
     def from_yaml(path: str | Path) -> Setup:
         """Return the setup that a YAML file says.
 
@@ -339,9 +341,6 @@ class Setup:
             FileError: the file is missing or cannot be read.
             MeasurementError: it does not parse, or says something else than it should.
         """
-        from pincal.files.yaml import read_setup
-
-        return read_setup(path)
 
     def _check_instruments(self) -> None:
         """Raise if an instrument is none, or its names are another's.

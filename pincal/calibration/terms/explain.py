@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from pincal.attached import attached
 from pincal.blas import on_one_thread
 from pincal.calibration.calibrate import identify, prepared, started
 from pincal.calibration.calibration import Calibration
@@ -56,11 +57,9 @@ class Explanation:
         """The terms that pay, as options say them: ``leg_2=harmonics:1``, ``leg_1.l=warm``."""
         return tuple(term_said(*one) for one in self.choice.model.added)
 
+    @attached
     def __str__(self) -> str:
         """Return a page: what residuals follow, the models compared, and what to do."""
-        from pincal.show.explanation import explanation_page
-
-        return explanation_page(self)
 
     def __repr__(self) -> str:
         found = ", ".join(self.terms) or self.verdict

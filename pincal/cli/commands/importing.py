@@ -12,7 +12,7 @@ import typer
 
 from pincal.cli.app import Force, command, output_option, remark, stdout, warn, wrote
 from pincal.errors import FileError, MeasurementError, MechanismError
-from pincal.files.measurement_writing import write_measurements
+from pincal.files.measurement_writing import write_plan
 from pincal.files.measurements import read_poses
 from pincal.files.mechanism_folders import load_mechanism, save_mechanism
 from pincal.files.mechanism_writing import MECHANISM_FILES, write_mechanism
@@ -182,7 +182,7 @@ def _import_printer(
     with writing(output, force=force, folder=(*MECHANISM_FILES, PROBING)) as scratch:
         write_mechanism(mechanism, scratch)
         if len(heights):
-            write_measurements(scratch / PROBING, mechanism, _on_bed(heights, readings))
+            write_plan(_on_bed(heights, readings), scratch / PROBING, mechanism)
     stdout.print(printer.firmware_lines, markup=False)
     for text in remarks:
         warn(text)
@@ -203,7 +203,7 @@ def _import_table(file: Path, output: Path, how: ImportOptions, *, force: bool) 
         raise MeasurementError("--probed goes with a printer's configuration, not with a table")
     mechanism = load_mechanism(how.mech)
     data, remarks = read_figaroh(file, mechanism)
-    write_measurements(output, mechanism, data, force=force)
+    write_plan(data, output, mechanism, force=force)
     for text in remarks:
         warn(text)
     wrote(output)

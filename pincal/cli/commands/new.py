@@ -30,7 +30,7 @@ from pincal.cli.options import in_si, with_unit
 from pincal.design.select import in_turns, with_verification
 from pincal.design.select_configurations import ConfigurationChoice, select_configurations
 from pincal.errors import MechanismError
-from pincal.files.measurement_writing import write_poses, write_sheet
+from pincal.files.measurement_writing import write_plan, write_sheet
 from pincal.files.mechanism_writing import MECHANISM_FILES, write_mechanism
 from pincal.files.output import refuse_existing, writing
 from pincal.kinematics.inverse import inverse
@@ -217,6 +217,6 @@ def _write(output: Path, mechanism: Mechanism, plan: Plan, *, force: bool) -> No
     with writing(output, force=force, folder=FOLDER) as scratch:
         write_mechanism(mechanism, scratch)
         picture(mechanism, dimensions=drawn).save(scratch / "picture.svg")
-        write_poses(scratch / "plan.csv", mechanism, plan, units=WRITTEN)
+        write_plan(plan, scratch / "plan.csv", mechanism, units=WRITTEN)
         known = replace(plan, readings=readings)
         write_sheet(scratch / "sheet.csv", scratch / "columns.csv", mechanism, known)

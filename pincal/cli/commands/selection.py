@@ -26,7 +26,7 @@ from pincal.design.orbits import selection_group
 from pincal.design.select import Protocol, in_turns, select_poses, with_reference, with_verification
 from pincal.design.select_configurations import Goal, select_configurations
 from pincal.errors import MeasurementError, SymmetryError
-from pincal.files.measurement_writing import write_poses
+from pincal.files.measurement_writing import write_plan
 from pincal.files.measurements import read_poses
 from pincal.files.output import refuse_existing
 from pincal.kinematics.configurations import check_reached
@@ -184,7 +184,7 @@ def select(
         planned = len(plan)
         plan = with_reference(mechanism, plan, how.reference)
         remark(f"one pose is measured {len(plan) - planned} times more, as the pose 'reference'")
-    write_poses(output, mechanism, plan, units=units, force=force)
+    write_plan(plan, output, mechanism, units=units, force=force)
     stdout.print(table)
     drifts = _drifts(mechanism, plan, how)
     for line in drift_lines(drifts):

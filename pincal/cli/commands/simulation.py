@@ -25,7 +25,7 @@ from pincal.cli.options import NoiseOptions, TableOptions
 from pincal.design.simulate import disturb as disturbed
 from pincal.design.simulate import simulate as simulated
 from pincal.errors import FileError, MeasurementError
-from pincal.files.measurement_writing import write_measurements
+from pincal.files.measurement_writing import write_plan
 from pincal.files.measurements import read_poses
 from pincal.files.mechanism_folders import load_mechanism
 from pincal.files.mechanism_writing import MECHANISM_FILES, write_mechanism
@@ -91,7 +91,7 @@ def simulate(
     if truth is not None and not given:
         outputs = [(truth, MECHANISM_FILES), (output, ())]
     with writing_together(outputs, force=force) as made:
-        write_measurements(made[-1], mechanism, simulation.measurements, units=units)
+        write_plan(simulation.measurements, made[-1], mechanism, units=units)
         for folder in made[:-1]:
             write_mechanism(true_mechanism, folder)
     if truth is not None and not given:

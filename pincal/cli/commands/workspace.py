@@ -23,7 +23,7 @@ from pincal.cli.app import (
     wrote,
 )
 from pincal.errors import WorkspaceError
-from pincal.files.measurement_writing import write_poses
+from pincal.files.measurement_writing import write_plan
 from pincal.files.mechanism_folders import load_mechanism
 from pincal.files.output import refuse_existing, writing_together
 from pincal.files.table import write_table
@@ -204,7 +204,7 @@ def _poses(mechanism: Mechanism, output: Path, how: WorkspaceOptions, force: boo
     with counting("sampling the workspace", (how.count or _COUNT)) as done:
         plan = sample_configurations(mechanism, (how.count or _COUNT), how.seed, least, done)
     poses = plan.poses
-    write_poses(output, mechanism, plan, units=WRITTEN, force=force)
+    write_plan(plan, output, mechanism, units=WRITTEN, force=force)
     platform = mechanism.platform
     box = zip(
         platform.coordinates, poses.min(axis=0), poses.max(axis=0), platform.units, strict=True

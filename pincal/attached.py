@@ -1,0 +1,53 @@
+"""What people ask of an object from below, and which function above does it.
+
+A mechanism is saved and drawn, measurements are read from a table, a result makes its report: the
+class declares such a method, with its arguments and what it means, and is marked ``@attached``; the
+work is done by a function of a higher floor, imported when it is first asked for. This table is the
+only place where anything reaches up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import wraps
+from importlib import import_module
+from typing import Any, TypeVar
+
+Method = TypeVar("Method", bound=Callable[..., Any])
+
+DONE_BY = {
+    "CalibrationResult.__str__": "pincal.show.notebook.result_text",
+    "CalibrationResult._repr_html_": "pincal.show.notebook.result_html",
+    "CalibrationResult.plot": "pincal.show.plots.Plots",
+    "CalibrationResult.report": "pincal.show.report.report.report",
+    "CalibrationResult.save": "pincal.calibration.result_files.save_result",
+    "CalibrationResult.validated": "pincal.calibration.validation.with_held_out",
+    "Explanation.__str__": "pincal.show.explanation.explanation_page",
+    "Forecast._repr_html_": "pincal.show.notebook.forecast_html",
+    "Measurements.from_csv": "pincal.files.measurements.read_measurements",
+    "Measurements.from_dataframe": "pincal.files.measurements.read_measurements",
+    "Mechanism._repr_html_": "pincal.show.notebook.mechanism_html",
+    "Mechanism.from_urdf": "pincal.formats.arm.load_arm",
+    "Mechanism.save": "pincal.files.mechanism_folders.save_mechanism",
+    "Plan._repr_html_": "pincal.show.notebook.plan_html",
+    "Plan.from_csv": "pincal.files.measurements.read_poses",
+    "Plan.from_dataframe": "pincal.files.measurements.read_poses",
+    "Plan.to_csv": "pincal.files.measurement_writing.write_plan",
+    "Plan.to_dataframe": "pincal.files.measurement_writing.dataframe_of",
+    "RunComparison._repr_html_": "pincal.show.notebook.runs_html",
+    "Selection._repr_html_": "pincal.show.notebook.selection_html",
+    "Setup.from_yaml": "pincal.files.yaml.read_setup",
+    "Validation._repr_html_": "pincal.show.notebook.validation_html",
+}
+"""Function or class that is called with what a method is called with, its object first."""
+
+
+def attached(method: Method) -> Method:
+    """Return a method that is declared without a body and done by its function in ``DONE_BY``."""
+    module, _, name = DONE_BY[method.__qualname__].rpartition(".")
+
+    @wraps(method)
+    def done_above(*arguments: Any, **options: Any) -> Any:
+        return getattr(import_module(module), name)(*arguments, **options)
+
+    return done_above  # type: ignore[return-value]
