@@ -1,37 +1,22 @@
 """Writes errors.md: ``python docs/errors.py``.
 
-Causes and remedies are the docstrings of the error classes; where an error comes from is read off
-the ``Raises`` of every function and class that people call, and which commands call it off the
-modules of the command line. Findings are those of ``pincal.words.sentences.WORDINGS``.
+Causes and remedies are the docstrings of the error classes; findings are the wordings of
+``pincal.words``. Which function raises what is said by ``Raises`` in the reference.
 """
 
 from __future__ import annotations
 
-import importlib
 import inspect
-import pkgutil
 import re
-import sys
-from collections import defaultdict
 from collections.abc import Mapping
 from pathlib import Path
 
-import pincal
-from pincal import errors, formats
-from pincal.calibration.result_files import read_result
-from pincal.calibration.runs import compare_runs
-from pincal.cli.app import app
-from pincal.files.measurement_writing import write_plan
-from pincal.files.measurements import read_measurements, read_poses
-from pincal.files.yaml import read_setup
-from pincal.formats.arm import load_arm
-from pincal.show.report.report import report
+from pincal import errors
 from pincal.words.findings import FAULTS, FREEDOMS, ROWS
 from pincal.words.hypotheses import HYPOTHESES
 from pincal.words.parameters import PARAMETERS
 from pincal.words.results import RESULTS
 from pincal.words.wording import Wording
-from pincal.workspace.criteria import in_workspace
 
 PAGE = Path(__file__).with_suffix(".md")
 _HEAD = """\
@@ -39,33 +24,30 @@ _HEAD = """\
 
 <!-- made by errors.py -->
 
-pincal raises these on purpose, and says what was wrong, where, what it expected and what to do.
-On the command line they are one message and exit code 2, and nothing is written. In Python each is
-a `PincalError` and the built-in error beside it. A calibration that does not converge raises
-nothing: its result says so, and the exit code is 1; `pincal inverse` and `forward` end with 1 if
-some rows have no solution, whose reason they write. A `numpy.linalg.LinAlgError` comes of numbers
-far too large or too small. Anything else that is raised is a defect of pincal's, or a wrong type in
-a call.
+| on the command line | exit code |
+|---|---|
+| an error below: one message (what, where, what was expected, what to do); nothing is written | 2 |
+| a wrong option: `Usage: …`, `Try 'pincal COMMAND -h' for help.`, `Error: …` | 2 |
+| a calibration that does not converge, or whose χ² contradicts the noise (`--accept`: 0) | 1 |
+| rows without a solution in `pincal inverse` and `forward`; each has its reason | 1 |
+| warnings | 0 |
 
-Options that do not exist or cannot be read end with exit code 2 too, in three lines: `Usage: …`,
-`Try 'pincal COMMAND -h' for help.`, and `Error: …`, which says which option it is.
+In Python each error is a `PincalError` and a built-in error; the [reference](reference/made/api)
+says under *Raises* which function raises it when. A calibration that does not converge raises
+nothing: its result says so. `numpy.linalg.LinAlgError` comes of numbers far too large or small. Any
+other exception is a defect of pincal, or a wrong type in a call.
 
 """
 _FOUND = """\
 ## Findings
 
-What a calibration finds beside its numbers has a code, a severity and values. **Of a warning the
-exit code stays 0**, and files are written: the result is an answer, but not to be taken as it is.
-Only a χ² that contradicts the noise given (`chi2-too-large` and what follows from it) makes it 1,
-unless `--accept` is said.
-On the command line it is a line that begins with `warning:` on stderr, also with `--quiet`; in the
-report warnings come first. An error among the findings ends a calibration with exit code 2, or
-is said in the report in place of an accuracy. An info is said in the summary.
+A finding has a code, a severity and values. A **warning** is a line `warning: …` on stderr, also
+with `--quiet`; files are written, but do not take the result as it is. An **error** ends the
+calibration with exit code 2, or replaces the accuracy in the report. An **info** is in the summary.
 
-Scripts look at `findings` in `result.json` and in what `pincal calibrate --json` prints, or in
-Python at `result.findings`, where each has `code`, `severity`, `values` (in SI), `rows` and
-`parameters`; `result.warnings` holds the sentences. An empty list is a calibration that nothing
-speaks against.
+Scripts read `findings` in `result.json`, in `pincal calibrate --json` or at `result.findings`, with
+`code`, `severity`, `values` (SI), `rows` and `parameters`; `result.warnings` are the sentences. An
+empty list means: no problems found.
 
 """
 #: Kinds of findings: title, what they are, and their wordings.
@@ -73,109 +55,26 @@ _KINDS: tuple[tuple[str, str, Mapping[str, Wording]], ...] = (
     ("The fit", "Whether it converged, its noise, χ² and intervals.", RESULTS),
     ("Rows", "What residuals follow, outliers, held-out rows, runs.", ROWS),
     ("Parameters", "Poses that are too few, values that moved far, ties.", PARAMETERS),
-    ("Gauge freedoms", "What was fixed by choice; `result.gauge`.", FREEDOMS),
-    ("Measurements", "What cannot be right, whatever the mechanism's parameters.", FAULTS),
+    ("Gauge freedoms", "Fixed by choice; `result.gauge`.", FREEDOMS),
+    ("Measurements", "Cannot be right, whatever the parameters.", FAULTS),
     (
         "Hypotheses",
-        "What may explain measurements that no mechanism near the nominal one gives. Several that "
-        "explain them alike are one sentence.",
+        "Faults that would explain measurements of no mechanism near the nominal one. Those "
+        "that explain them alike share a sentence.",
         HYPOTHESES,
     ),
 )
 _FOUND_HEAD = "| code | severity | what | it means | what to do |\n|---|---|---|---|---|"
-_COMMANDS = """\
+_COMMANDS = """
 ## Warnings of other commands
 
-`pincal view` and `pincal picture` say that rows hold no whole pose, where poses were measured in
-part: show the result, which holds the estimated ones, beside the table. `pincal import` and
-`pincal export` say what a file has no place for: read what was left out; nothing if it is known.
-
+`pincal view` and `pincal picture`: rows hold no whole pose; show the result, which holds the
+estimated poses, beside the table. `pincal import` and `pincal export`: a file has no place for
+something; read what was left out.
 """
-_ENTRY = re.compile(r"^    (\w+Error): (.*?)(?=^    \S|\Z)", re.MULTILINE | re.DOTALL)
-#: Methods, and the functions that commands call in their place.
-_BEHIND = {
-    "CalibrationResult.report": [report],
-    "Measurements.from_csv": [read_measurements],
-    "Mechanism.from_urdf": [load_arm],
-    "Plan.from_csv": [read_poses],
-    "Plan.to_csv": [write_plan],
-    "Setup.from_yaml": [read_setup],
-}
-_MOST = 6  # commands that are named one by one
 
 
-def commands() -> dict[str, list[object]]:
-    """Return, for each command, what its module and the modules that it leans on have imported."""
-    found = {}
-    for one in app.registered_commands:
-        found[str(one.name)] = used(str(one.callback.__module__), set())
-    return found
-
-
-def used(module: str, seen: set[str]) -> list[object]:
-    """Return what a module of the command line, and those that it imports from, have in hand."""
-    seen.add(module)
-    own = list(vars(sys.modules[module]).values())
-    others = {getattr(one, "__module__", None) or "" for one in own}
-    leaning = [one for one in others if one.startswith("pincal.cli.") and one not in seen]
-    return own + [one for other in sorted(leaning) for one in used(other, seen)]
-
-
-def public() -> dict[str, object]:
-    """Return what people call from Python, and of the readers of formats what commands call."""
-    found = {name: getattr(pincal, name) for name in pincal.__all__}
-    at_top = [load_arm, *found.values()]  # it is Mechanism.from_urdf there
-    for one in (compare_runs, in_workspace, read_result):
-        found[f"{one.__module__.removeprefix('pincal.')}.{one.__name__}"] = one
-    reached = [one for own in commands().values() for one in own]
-    for module in pkgutil.walk_packages(formats.__path__, "pincal.formats."):
-        imported = importlib.import_module(module.name)
-        found |= {
-            f"{module.name.removeprefix('pincal.')}.{name}": what
-            for name, what in vars(imported).items()
-            if getattr(what, "__module__", "") == module.name
-            and inspect.isfunction(what)
-            and not any(what is one for one in at_top)
-            and any(what is one for one in reached)
-        }
-    return found
-
-
-def raised() -> dict[str, list[tuple[str, str, str]]]:
-    """Return, for each class of error, commands, the function that raises it, and when.
-
-    In the order of the commands; what no command calls comes last.
-    """
-    found: dict[str, list[tuple[tuple[int, str], tuple[str, str, str]]]] = defaultdict(list)
-    reach = commands()
-    for name, what in public().items():
-        for called, function in members(name, what):
-            behind = _BEHIND.get(called, [what])
-            by = [
-                command
-                for command, own in reach.items()
-                if name == command or any(one is any_of for one in own for any_of in behind)
-            ]
-            place = list(reach).index(by[0]) if by else len(reach)
-            said = ", ".join(f"`pincal {command}`" for command in by)
-            if len(by) > _MOST:
-                place, said = -1, "most commands"
-            section = (inspect.getdoc(function) or "").partition("Raises:\n")[2]
-            for error, when in _ENTRY.findall(section.partition("\n\n")[0]):
-                row = (said, called, " ".join(when.split()))
-                found[error].append(((place, called.lower()), row))
-    return {error: [row for _, row in sorted(rows)] for error, rows in found.items()}
-
-
-def members(name: str, what: object) -> list[tuple[str, object]]:
-    """Return a function, or a class and its own public methods, by the names they are called by."""
-    if not inspect.isclass(what):
-        return [(name, what)]
-    own = [(key, value) for key, value in vars(what).items() if not key.startswith("_")]
-    return [(name, what), *((f"{name}.{key}", value) for key, value in own)]
-
-
-def section(kind: type[errors.PincalError], where: list[tuple[str, str, str]]) -> str:
+def section(kind: type[errors.PincalError]) -> str:
     """Return what the page says of one class."""
     base = kind.__bases__[-1]
     told = (inspect.getdoc(kind) or "").partition("\n\nExample:")[0]
@@ -185,12 +84,6 @@ def section(kind: type[errors.PincalError], where: list[tuple[str, str, str]]) -
     lines = [f"## {kind.__name__}\n", f"{text}\n"]
     if base is not Exception:
         lines += [f"In Python it is also a `{base.__name__}`.\n"]
-    if where and kind is not errors.PincalError:
-        lines += ["| on the command line | in Python | if |", "|---|---|---|"]
-        for said, called, when in where:
-            clean = when.replace("``", "`").replace("|", "\\|")
-            lines += [f"| {said or '–'} | `{called}` | {clean} |"]
-        lines += [""]
     return "\n".join(lines)
 
 
@@ -224,9 +117,8 @@ def page() -> str:
         for kind in vars(errors).values()
         if inspect.isclass(kind) and issubclass(kind, errors.PincalError)
     ]
-    where = raised()
-    sections = [section(kind, where.get(kind.__name__, [])) for kind in kinds]
-    return _HEAD + "\n".join([findings() + _COMMANDS, *sections])
+    sections = "\n".join(section(kind) for kind in kinds)
+    return _HEAD + sections + "\n" + findings() + _COMMANDS
 
 
 if __name__ == "__main__":

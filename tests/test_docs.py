@@ -134,18 +134,6 @@ def test_every_finding_is_explained() -> None:
     assert {one.code for one in result.findings} <= set(WORDINGS)
 
 
-def test_no_internals_on_the_page_of_errors() -> None:
-    """Readers come with the commands that call them; what only other code calls is not there."""
-    page = (ROOT / "docs" / "errors.md").read_text(encoding="utf-8")
-    assert "| `pincal import` | `formats.klipper.read_klipper` |" in page
-    assert "ways_of" not in page
-    assert "root_of" not in page
-    for table in page.split("|---|---|---|\n")[1:]:
-        rows = [line for line in table.split("\n\n")[0].splitlines() if line]
-        python_only = [row.startswith("| – |") for row in rows]
-        assert python_only == sorted(python_only)
-
-
 def raised() -> set[str]:
     """Return the names of what the source raises; of functions that make errors, of these."""
     nodes = nodes_of_the_source()
