@@ -5,14 +5,15 @@ Beside the package, not in it: to find a module in the package, Python loads the
 
 import signal
 
+CATCHES_CTRL_C = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+if CATCHES_CTRL_C:  # and does not ignore it, as in the background
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
 
 def main() -> None:
     """Load the package, in which there is nothing to clean up yet, and run the command line."""
-    own = signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    if own:  # and not ignored, as in the background
-        signal.signal(signal.SIGINT, signal.SIG_DFL)
     from pincal.cli import main as run
 
-    if own:
+    if CATCHES_CTRL_C:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     run()

@@ -1,5 +1,5 @@
 """``python -m pincal`` is the ``pincal`` command."""
 
-from pincal.cli import main
+from pincal_command import main
 
 main()

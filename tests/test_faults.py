@@ -227,7 +227,7 @@ def test_an_interrupt_leaves_nothing(line: str, begun: str, measured: Path, tmp_
 @pytest.mark.parametrize(
     ("redirected", "code"),
     some_slow(
-        [("| true", 0), ("> /dev/full", 2), (">&-", 0), (">&- 2>&- <&-", 0)],
+        [("| true", 0), ("> /dev/full", 4), (">&-", 0), (">&- 2>&- <&-", 0)],
         ("| true", 0),
         (">&-", 0),
         (">&- 2>&- <&-", 0),
@@ -242,7 +242,69 @@ def test_output_that_goes_nowhere(redirected: str, code: int) -> None:
     assert "Traceback" not in ended.stderr
     assert "Exception" not in ended.stderr
     assert ended.returncode == code, ended.stderr
-    assert ("No space left" in ended.stderr) == (code == 2)
+    assert ("No space left" in ended.stderr) == (code == 4)
+
+
+CHOOSE = "select 5R --count 6 --candidates {}/candidates.csv --starts 1 -o new.csv"
+
+
+@pytest.mark.parametrize(
+    ("redirected", "code"), [("> /dev/full", 4), ("2> /dev/full", 0), ("--json > /dev/full", 4)]
+)
+def test_a_result_is_written_though_nothing_can_be_printed(
+    redirected: str, code: int, measured: Path, tmp_path: Path
+) -> None:
+    """A full stdout has an exit code of its own and one message; a full stderr changes nothing."""
+    line = " ".join([*PINCAL, CHOOSE.format(measured), redirected])
+    ended = subprocess.run(
+        ["/bin/sh", "-c", line], cwd=tmp_path, env=os.environ | HERE, capture_output=True, text=True
+    )
+    assert ended.returncode == code, ended.stderr
+    assert ("the work is done" in ended.stderr) == (code == 4)
+    assert "Traceback" not in ended.stderr
+    assert len((tmp_path / "new.csv").read_text().splitlines()) == 13
+
+
+def test_sigterm_ends_the_workers_too(tmp_path: Path) -> None:
+    """Processes that a command started are gone soon after it: nobody holds its stdout."""
+    grid = "--kind total-orientation --axis tilt=0:0.05:0.001 --axis torsion=-0.05:0.05:0.005"
+    process = subprocess.Popen(
+        [*PINCAL, *f"workspace 6UPS {grid} --jobs 2 -o new".split()],
+        cwd=tmp_path,
+        env=os.environ | HERE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
+    while process.poll() is None and len(children.read_text().split()) < 2:
+        time.sleep(0.1)
+    time.sleep(1.0)
+    process.terminate()
+    process.communicate(timeout=20)  # until all have closed the pipe
+    assert process.returncode == 128 + signal.SIGTERM
+    assert contents(tmp_path) == {}
+
+
+@pytest.mark.parametrize("begin", ["-m pincal", "-c 'from pincal_command import main; main()'"])
+def test_ctrl_c_is_quiet_from_the_start(begin: str) -> None:
+    """Ctrl-C at the first module that the command loads ends it without a traceback."""
+    early = (
+        "import builtins, os, runpy, signal, sys\n"
+        "load = builtins.__import__\n"
+        "def interrupted(name, *rest, **named):\n"
+        "    if name == 'pincal.cli':\n"
+        "        os.kill(os.getpid(), signal.SIGINT)\n"
+        "    return load(name, *rest, **named)\n"
+        "builtins.__import__ = interrupted\n"
+        "sys.argv[:] = ['pincal', 'mechanisms']\n"
+    )
+    run_it = "from pincal_command import main\nmain()"
+    if begin == "-m pincal":
+        run_it = "runpy.run_module('pincal', run_name='__main__')"
+    ended = subprocess.run([sys.executable, "-c", early + run_it], capture_output=True, text=True)
+    assert ended.returncode in (-signal.SIGINT, 130)
+    assert ended.stderr == ""
 
 
 @pytest.mark.parametrize(

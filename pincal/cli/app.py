@@ -12,13 +12,16 @@ import logging
 import os
 import re
 import shlex
+import signal
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from functools import wraps
+from multiprocessing import active_children
 from pathlib import Path
-from typing import Annotated, Any, get_type_hints
+from threading import current_thread, main_thread
+from typing import Annotated, Any, NoReturn, get_type_hints
 
 import numpy as np
 import typer
@@ -44,16 +47,24 @@ def plain(text: str) -> str:
 
 
 class _Console(Console):
-    """A console whose reader may leave, as that of ``| head -1`` does: the work goes on."""
+    """A console whose reader may leave, or whose disk may be full: the work goes on."""
 
-    def print(self, *objects: Any, **how: Any) -> None:
+    failure = ""
+    """Why the terminal, file or pipe took no more text; empty while all was printed."""
+
+    def print(self, *objects: Any, **style: Any) -> None:
         """Print; text comes from files too, and may hold anything."""
-        super().print(*(plain(one) if isinstance(one, str) else one for one in objects), **how)
+        shown = [plain(text) if isinstance(text, str) else text for text in objects]
+        try:
+            super().print(*shown, **style)
+        except OSError as error:
+            self.failure = error.strerror or str(error)
+            self.on_broken_pipe()
 
     def on_broken_pipe(self) -> None:
-        """Say the rest to nobody."""
-        with Path(os.devnull).open("w") as nobody:
-            os.dup2(nobody.fileno(), self.file.fileno())
+        """Discard what is printed from now on."""
+        with Path(os.devnull).open("w") as discarded:
+            os.dup2(discarded.fileno(), self.file.fileno())
 
 
 stdout = _Console(highlight=False, width=_WIDTH)
@@ -212,6 +223,7 @@ def answer(found: Mapping[str, Any] | Callable[[], Mapping[str, Any]]) -> None:
         text = json_text(found() if callable(found) else found)
         answers = _Console(file=sys.stdout, soft_wrap=True, markup=False, emoji=False)
         answers.print(Text(text))  # whole, whatever its length
+        stdout.failure = stdout.failure or answers.failure
 
 
 def remember(typed: Sequence[str]) -> None:
@@ -291,7 +303,9 @@ def wrote(path: str | Path) -> None:
 
 
 def main(argv: list[str] | None = None) -> None:
-    """Run the command line; leaves by ``SystemExit``: 0 done, 1 not converged, 2 wrong input.
+    """Run the command line; it leaves by ``SystemExit``, with the exit code.
+
+    0 done, 1 not converged, 2 wrong input, 3 no report, 4 the answer could not be printed.
 
     Args:
         argv: What was typed behind ``pincal``; that of the process if not given.
@@ -300,30 +314,42 @@ def main(argv: list[str] | None = None) -> None:
         if isinstance(stream, io.TextIOWrapper):  # χ and ± where the encoding lacks them
             stream.reconfigure(errors="replace")
     os.environ["MPLBACKEND"] = "agg"  # nothing is drawn on a screen
+    if current_thread() is main_thread():
+        signal.signal(signal.SIGTERM, _terminate)
     remember(sys.argv[1:] if argv is None else argv)
     listen()
+    stdout.failure = ""
     try:
         app(args=argv, prog_name="pincal")
+    except SystemExit as end:
+        if stdout.failure and not end.code:
+            _leave(4, f"the answer could not be printed ({stdout.failure}); the work is done")
+        raise
     except PincalError as error:
-        stderr.print(f"pincal: {error}", style="bold red", markup=False, highlight=False)
-        sys.exit(2)
-    except OSError as error:  # of files, errors are PincalErrors
-        stderr.print(f"pincal: cannot write the answer: {error.strerror}", style="bold red")
-        sys.exit(2)
+        _leave(2, str(error))
+    except OSError as error:  # errors of files are PincalErrors: this is typer's own printing
+        stdout.on_broken_pipe()
+        _leave(4, f"the answer could not be printed ({error.strerror})")
     except MemoryError as error:
-        stderr.print(
-            f"pincal: not enough memory ({error}); ask for less at once",
-            style="bold red",
-            markup=False,
-            highlight=False,
-        )
-        sys.exit(2)
+        _leave(2, f"not enough memory ({error}); ask for less at once")
     except np.linalg.LinAlgError as error:
-        stderr.print(
-            f"pincal: numbers of sizes with which nothing can be computed ({error}): look for "
+        _leave(
+            2,
+            f"numbers of sizes with which nothing can be computed ({error}): look for "
             "values in the files and options that are far too large or too small",
-            style="bold red",
-            markup=False,
-            highlight=False,
         )
-        sys.exit(2)
+
+
+def _leave(code: int, message: str) -> NoReturn:
+    """End the process with a message on stderr."""
+    stderr.print(f"pincal: {message}", style="bold red", markup=False, highlight=False)
+    sys.exit(code)
+
+
+def _terminate(number: int, frame: object) -> None:  # noqa: ARG001 - what signals call
+    """End at SIGTERM, with all worker processes: they would hold stdout."""
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    for worker in active_children():
+        if worker.pid is not None:
+            os.kill(worker.pid, signal.SIGKILL)
+    sys.exit(128 + signal.SIGTERM)
