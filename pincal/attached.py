@@ -18,10 +18,11 @@ Method = TypeVar("Method", bound=Callable[..., Any])
 DONE_BY = {
     "CalibrationResult.__str__": "pincal.show.notebook.result_text",
     "CalibrationResult._repr_html_": "pincal.show.notebook.result_html",
+    "CalibrationResult.compared": "pincal.calibration.calibrate.with_runs",
     "CalibrationResult.plot": "pincal.show.plots.Plots",
     "CalibrationResult.report": "pincal.show.report.report.report",
     "CalibrationResult.save": "pincal.calibration.result_files.save_result",
-    "CalibrationResult.validated": "pincal.calibration.validation.with_held_out",
+    "CalibrationResult.validated": "pincal.calibration.calibrate.with_validation",
     "Explanation.__str__": "pincal.show.explanation.explanation_page",
     "Forecast._repr_html_": "pincal.show.notebook.forecast_html",
     "Measurements.from_csv": "pincal.files.measurements.read_measurements",

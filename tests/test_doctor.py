@@ -16,7 +16,6 @@ from measured import machine, seen_from_elsewhere
 from numpy.typing import NDArray
 
 import pincal
-from pincal.calibration.calibrate import identify
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.doctor import remedies
 from pincal.calibration.options import Options
@@ -179,7 +178,7 @@ def test_doctor_does_not_say_works_for_what_calibrate_contradicts() -> None:
     moved = data.poses + np.outer(2e-4 * side - 1e-4, [1.0, 1.0, 0.0])
     data = replace(data, runs=tuple(map(str, side)), poses=moved)
     calibration = Calibration(mechanism, data, Options(noise=NOISE))
-    assert identify(calibration).promises
+    assert pincal.calibrate(mechanism, data, noise=NOISE).promises
     first = next(iter(remedies(calibration)))
     assert first.result is not None
     assert first.result.validation is not None

@@ -122,7 +122,7 @@ def test_what_uncertainty_explains_is_not_said_to_have_moved() -> None:
         low, high = one.nominal + 0.1 - 2 * std, one.nominal + 0.1 + 2 * std
         far = replace(one, identified=one.nominal + 0.1, std=std, low=low, high=high)
         changed = replace(legs[0], parameters=(*legs[0].parameters[:-1], far))
-        found = findings_of(replace(result, legs=(changed, *legs[1:])), None)
+        found = findings_of(replace(result, legs=(changed, *legs[1:])))
         said.append(" ".join(sentences(found)))
     assert "moved by" not in said[0]
     assert f"{legs[0].parameters[-1].id} moved by +0.1" in said[1]

@@ -12,12 +12,11 @@ from arms import loaded
 from measured import workspace
 
 import pincal
-from pincal.calibration.calibrate import identified, prepared
+from pincal.calibration.calibrate import prepared, run
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.missed import _times, missed
 from pincal.calibration.terms.candidates import with_terms
 from pincal.calibration.terms.kinds import said
-from pincal.calibration.validation import with_held_out
 from pincal.design.platform_error import closing_twists
 
 ORIGIN = ("platform", "m")
@@ -114,8 +113,8 @@ def test_held_out_rows_go_on_from_the_fit() -> None:
     places = [[x, y] for x in (-0.3, 0.0, 0.3) for y in (1.0, 1.1, 1.2, 1.3)]
     truth, noise = pincal.disturb("5R", 1e-3, seed=1), pincal.Noise(1e-4)
     data = pincal.simulate("5R", truth, pincal.Plan(np.array(places)), noise, seed=1).measurements
-    result, fits = identified(prepared("5R", data, noise=noise))
-    again, on = result.validated(3).validation, with_held_out(result, 3, whole=fits).validation
+    on = run(prepared("5R", data, noise=noise), folds=3)[0].validation
+    again = pincal.calibrate("5R", data, noise=noise).validated(3).validation
     assert again is not None
     assert on is not None
     numbers = [

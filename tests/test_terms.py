@@ -13,6 +13,7 @@ from command_line import done, run
 from measured import workspace
 
 import pincal
+from pincal.calibration.calibrate import prepared
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.terms.candidates import with_terms
 from pincal.calibration.terms.kinds import said
@@ -283,7 +284,7 @@ def test_sides_do_not_depend_on_how_finely_rows_follow_a_motion() -> None:
 def test_rows_keep_their_side_where_others_are_left_out() -> None:
     machine = extended(pincal.load_mechanism("3RRR"), FORMS["backlash"])
     data = measured(machine, machine, EXACT, 20)
-    whole = Calibration(machine, replace(data, influences={}))
+    whole = prepared(machine, replace(data, influences={}))
     part = whole.rows(np.arange(0, len(data), 3))
     np.testing.assert_array_equal(part.influences, whole.influences[::3])
 

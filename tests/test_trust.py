@@ -14,11 +14,11 @@ from measured import EXACT, NOISE, machine, put, seen_from_elsewhere, targets
 from scipy.stats import chi2, f
 
 import pincal
+from pincal.calibration.calibrate import compare_runs
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.fits import Near, fitted
 from pincal.calibration.missed import least_of_folds
 from pincal.calibration.options import Options, folds_of
-from pincal.calibration.runs import compare_runs
 from pincal.show.summary import check_lines
 from pincal.words.numbers import amount
 from pincal.words.sentences import finding, sentence

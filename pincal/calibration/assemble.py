@@ -1,4 +1,4 @@
-"""From fits to a result: parameters with intervals, residuals leg by leg, what to know first."""
+"""From fits to a result: parameters with intervals, residuals leg by leg."""
 
 from __future__ import annotations
 
@@ -6,9 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import ndtri
 
-from pincal.blas import on_one_thread
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.covariance import (
     Confidence,
@@ -20,21 +18,17 @@ from pincal.calibration.covariance import (
     systematic,
     tie_tests,
 )
-from pincal.calibration.findings import QUESTIONS, findings_of
-from pincal.calibration.fits import Fits, fitted
+from pincal.calibration.fits import Fits
 from pincal.calibration.leg_result import HELD, IdentifiedParameter, LegResult, Observed
 from pincal.calibration.promise import excess_of
 from pincal.calibration.result import CalibrationResult
-from pincal.errors import PincalError
 from pincal.estimation.fit import Fit
 from pincal.estimation.profile import profile
-from pincal.estimation.residuals.losses import FALSE_ALARM
 from pincal.estimation.residuals.redundancy import LegResiduals, leg_residuals, redundancy
 from pincal.estimation.residuals.robust import Outlier, Robust
 from pincal.model.measurements import Noise
 from pincal.model.parameter import Parameter
 from pincal.types import Array
-from pincal.words.sentences import finding
 
 _UNMOVED = 0.1  # of a standard error: what is held and moves a value by less leaves its interval
 
@@ -74,7 +68,7 @@ def assemble(found: Fits, without_ties: Fits | None) -> CalibrationResult:
     }
     legs = tuple(by_name[name] for name in mechanism.leg_names)
     shifts = [one.shift for one in found.fits]
-    result = CalibrationResult(
+    return CalibrationResult(
         calibration=calibration,
         identified=mechanism.with_parameters({leg.name: leg.identified for leg in legs}),
         legs=legs,
@@ -107,7 +101,6 @@ def assemble(found: Fits, without_ties: Fits | None) -> CalibrationResult:
         if found.latent
         else None,
     )
-    return replace(result, findings=findings_of(result, held, found))
 
 
 def determined(std: Array, lost: Array) -> Array:
@@ -327,55 +320,3 @@ def _merged(outliers: Sequence[Outlier]) -> tuple[Outlier, ...]:
             legs = (*worst.legs, *one.legs)
             rows[one.row] = replace(worst, legs=legs, weight=min(worst.weight, one.weight))
     return tuple(rows.values())
-
-
-#: Findings that follow from wrong rows.
-_FOLLOW = frozenset(
-    {
-        "chi2-too-large",
-        "outliers",
-        "many-outliers",
-        "model-lacks",
-        "step",
-        "reference-moved",
-        "noise-in-other-proportion",
-        "bad-rows",
-        "curved",
-    }
-)
-
-
-@on_one_thread
-def wrong_rows(result: CalibrationResult) -> CalibrationResult:
-    """Return a result that says which few rows spoil it, if without them χ² is as it should be.
-
-    Parameters, residuals and standard errors stay those of all rows: what is left out is said by
-    the user. What only follows from these rows is no longer said, what is found without them is.
-    """
-    if result.loss != "none" or result.excess == 1.0:
-        return result
-    try:
-        robust = assemble(fitted(result.calibration.with_options(loss="reject")), None)
-    except PincalError:
-        return result
-    total = len(result.measurements)
-    least = -ndtri(FALSE_ALARM / (2.0 * total))  # Bonferroni: one sound set in a hundred has any
-    left = [one for one in robust.outliers if one.weight == 0.0 and one.sigma > least]
-    few = 0 < len(left) <= QUESTIONS.much * total
-    if not (few and robust.converged and robust.excess == 1.0):
-        return result
-    worst = left[0]
-    said = finding(
-        "wrong-rows",
-        [one.row for one in left],
-        total=total,
-        chi2=result.reduced_chi2,
-        without=robust.reduced_chi2,
-        sigma=worst.sigma,
-        quantity=worst.quantity,
-        off=worst.off,
-    )
-    others = [one for one in result.findings if one.code not in _FOLLOW]
-    stay = [one for one in robust.findings if one.code in _FOLLOW]  # without these rows, too
-    outliers = tuple(replace(one, weight=1.0) for one in left)  # they took part
-    return replace(result, outliers=outliers, findings=(said, *stay, *others))

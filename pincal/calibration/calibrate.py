@@ -1,4 +1,8 @@
-"""Calibrate: check, fit, report. Parameters of all legs from what was measured."""
+"""The pipeline of a calibration: read, check, start, fit, verify, decide what to say of it.
+
+``calibrate``, ``validate``, ``compare_runs``, ``explain``, the command and the doctor all go this
+way; ``run`` has its steps in order.
+"""
 
 from __future__ import annotations
 
@@ -9,8 +13,9 @@ from typing import Any
 import numpy as np
 
 from pincal.blas import on_one_thread
-from pincal.calibration.assemble import assemble, wrong_rows
-from pincal.calibration.calibration import Calibration
+from pincal.calibration.assemble import assemble
+from pincal.calibration.calibration import Calibration, with_followed_influences
+from pincal.calibration.findings import blame_wrong_rows, findings_of
 from pincal.calibration.fits import Fits, fitted
 from pincal.calibration.hypotheses.faults import zeros_found, zeros_measured
 from pincal.calibration.hypotheses.plausibility import (
@@ -21,14 +26,16 @@ from pincal.calibration.hypotheses.plausibility import (
     misaligned,
     said,
 )
-from pincal.calibration.options import AUTO, Options
+from pincal.calibration.options import AUTO, FOLDS, By, Options
 from pincal.calibration.result import CalibrationResult
+from pincal.calibration.runs import RunComparison, run_names, runs_compared
 from pincal.calibration.terms.candidates import extended
 from pincal.calibration.terms.choice import choose
 from pincal.calibration.terms.kinds import columns_said, every_pair
-from pincal.calibration.terms.kinds import said as said_terms
+from pincal.calibration.terms.kinds import said as parse_terms
 from pincal.calibration.tolerances import with_found_tolerance, with_unsure_tolerances
-from pincal.errors import MisfitError, ObservabilityError, PincalError
+from pincal.calibration.validation import Validation, held_out
+from pincal.errors import MeasurementError, MisfitError, ObservabilityError, PincalError
 from pincal.estimation.blocks.external import External
 from pincal.files.mechanism_folders import as_mechanism
 from pincal.files.read import as_measurements
@@ -43,7 +50,7 @@ def calibrate(
     mechanism: Mechanism | str | Path,
     measurements: Measurements | str | Path | Any,
     options: Options | None = None,
-    **more: Any,
+    **single_options: Any,
 ) -> CalibrationResult:
     """Return the identified parameters of a mechanism, with uncertainties.
 
@@ -54,7 +61,7 @@ def calibrate(
         mechanism: The nominal mechanism, where the search starts; or its name or folder.
         measurements: What was measured; or a CSV file or a DataFrame of it.
         options: How to calibrate.
-        **more: Single options by name, such as ``noise=`` or ``setup=``: see ``Options``.
+        **single_options: Options by name, such as ``noise=`` or ``setup=``: see ``Options``.
 
     Raises:
         ObservabilityError: too few poses, or poses that leave parameters undetermined.
@@ -62,22 +69,120 @@ def calibrate(
             twice, or leaves a residual without any; the joint residual out of reach; an unknown
             parameter or option.
     """
-    return wrong_rows(identify(prepared(mechanism, measurements, options, **more)))
+    return run(prepared(mechanism, measurements, options, **single_options))[0]
+
+
+def validate(
+    mechanism: Mechanism | str | Path,
+    measurements: Measurements | str | Path | Any,
+    options: Options | None = None,
+    *,
+    folds: int | None = None,
+    by: By = "region",
+    **single_options: Any,
+) -> Validation:
+    """Return the errors at rows that a calibration has not seen.
+
+    Rows whose ``set`` is ``verify`` are those, if there are any. Else each fold is left out in
+    turn: neighbours in the space of readings, so that an error of the model cannot hide in rows
+    nearby; rows of each ``set`` alike, those of one ``pose`` together. Rows that a robust loss
+    finds outlying are left out.
+
+    Args:
+        mechanism: The nominal mechanism; or its name or folder.
+        measurements: What was measured; or a CSV file or a DataFrame of it.
+        options: How to calibrate.
+        folds: How many times a share of the rows is held out; as in the options if not given.
+        by: ``"region"``, ``"turn"`` (rows dealt to the folds in turn), or ``"run"`` (each run of
+            the experiment is a fold).
+        **single_options: Options by name: see ``Options``.
+
+    Raises:
+        MeasurementError: fewer rows than folds, or fewer than two folds; a fold does not converge.
+        ObservabilityError: what is left does not determine the parameters.
+    """
+    calibration = prepared(mechanism, measurements, options, folds=folds, **single_options)
+    return held_out(started(calibration), calibration.options.folds, by)
+
+
+def compare_runs(
+    mechanism: Mechanism | str | Path,
+    measurements: Measurements | str | Path | Any,
+    options: Options | None = None,
+    **single_options: Any,
+) -> RunComparison:
+    """Return how well the runs of an experiment agree, each calibrated alone.
+
+    Args:
+        mechanism: The nominal mechanism; or its name or folder.
+        measurements: What was measured, with the run of each row; or a CSV file or DataFrame.
+        options: How to calibrate.
+        **single_options: Options by name: see ``Options``.
+
+    Raises:
+        MeasurementError: no runs, or only one; a run whose fit does not converge.
+        ObservabilityError: a run that does not determine the parameters alone.
+    """
+    return calibrate_runs(prepared(mechanism, measurements, options, **single_options))
 
 
 def prepared(
     mechanism: Mechanism | str | Path,
     measurements: Measurements | str | Path | Any,
     options: Options | None = None,
-    **more: Any,
+    **single_options: Any,
 ) -> Calibration:
     """Return a calibration to be done; arguments and errors are those of ``calibrate``."""
-    chosen = Options.of(options, **more)
+    asked = Options.of(options, **single_options)
     machine = as_mechanism(mechanism)
-    columns = columns_said(chosen.terms)
-    partly = chosen.latent  # all legs at once need no whole poses
-    data = as_measurements(measurements, machine, chosen.setup, partial=partly, influences=columns)
-    return Calibration(machine, replace(data), chosen)  # a copy: the user's may be changed
+    data = as_measurements(
+        measurements,
+        machine,
+        asked.setup,
+        partial=asked.latent,  # all legs at once need no complete poses
+        influences=columns_said(asked.terms),
+    )
+    # a copy of the measurements: the user's may be changed
+    return with_followed_influences(Calibration(machine, replace(data), asked))
+
+
+@on_one_thread
+def run(
+    asked: Calibration, folds: int | None = None, by: By = "region"
+) -> tuple[CalibrationResult, list[str]]:
+    """Return the result of a calibration, and why a check of it was not made, if one was not.
+
+    Args:
+        asked: The calibration as it was read.
+        folds: How many times a share of the rows is held out, 0 for not at all; None makes no
+            checks: no rows are held out, and runs are not compared.
+        by: What is held out together: see ``validate``.
+
+    Raises:
+        PincalError: those of ``calibrate``.
+    """
+    calibration = started(asked)
+    try:
+        fits = fitted(calibration)
+        sure_fits = with_unsure_tolerances(fits)
+        free_fits = fitted(calibration, tied=False) if calibration.options.tied else None
+    except (PincalError, np.linalg.LinAlgError) as error:
+        raise explained_error(calibration, error) from error
+    result = assemble(sure_fits, free_fits)
+    checks: dict[str, Any] = {}
+    notes: list[str] = []
+    if folds is not None and result.converged:
+        checks, notes = check_result(result, folds, by, fits)
+    findings = (
+        *explain_result(result, fits.external),
+        *findings_of(result, sure_fits),
+        *chosen_terms(asked, calibration),
+    )
+    outliers = result.outliers
+    if result.excess > 1.0 and result.loss == "none":
+        findings, outliers = blame_wrong_rows(result, findings)
+    result = replace(result, findings=findings, outliers=outliers)
+    return result.with_checks(**checks), notes
 
 
 @on_one_thread
@@ -104,47 +209,10 @@ def _with_terms(calibration: Calibration) -> Calibration:
         return calibration
     plain = replace(calibration, options=replace(calibration.options, terms=()))
     mechanism = plain.mechanism
-    named = said_terms([one for one in terms if one != AUTO], mechanism)
-    plain = extended(plain, named)
+    plain = extended(plain, parse_terms([term for term in terms if term != AUTO], mechanism))
     if AUTO not in terms:
         return plain
     return extended(plain, choose(started(plain), every_pair(mechanism, data)).model.added)
-
-
-def identify(calibration: Calibration) -> CalibrationResult:
-    """Return what a calibration finds; errors are those of ``calibrate``."""
-    return identified(calibration)[0]
-
-
-@on_one_thread
-def identified(calibration: Calibration) -> tuple[CalibrationResult, Fits]:
-    """Return what a calibration finds, and the fits of it, for checks that go on from there.
-
-    Errors are those of ``calibrate``.
-    """
-    asked, calibration = calibration, started(calibration)
-    options = calibration.options
-    try:
-        fits = fitted(calibration)
-        found = with_unsure_tolerances(fits)
-    except (PincalError, np.linalg.LinAlgError) as error:
-        causes = _causes(calibration, None)
-        if isinstance(error, ObservabilityError):  # a few strange rows are no reason for that
-            causes = tuple(one for one in causes if one.severity == "error")
-        if causes:
-            raise MisfitError(said(causes)) from error
-        if isinstance(error, np.linalg.LinAlgError):
-            raise ObservabilityError(
-                "the search went where the parameters are not determined; look for rows that are "
-                "wrong (--robust reject), or give a better nominal mechanism"
-            ) from error
-        raise
-    result = assemble(found, fitted(calibration, tied=False) if options.tied else None)
-    result = _explained(result, found)
-    terms = sorted(calibration.mechanism.amplitudes - asked.mechanism.amplitudes)
-    if AUTO in asked.options.terms and terms:
-        result = result.with_only((*result.findings, finding("terms-chosen", parameters=terms)))
-    return result, fits
 
 
 def _start(calibration: Calibration) -> Array | None:
@@ -155,31 +223,104 @@ def _start(calibration: Calibration) -> Array | None:
     """
     if calibration.options.rough:
         return zeros_measured(calibration)
-    found = implausible(calibration.mechanism, calibration.measurements)
-    start = zeros_found(calibration, found)
-    if found and start is None:
-        raise MisfitError(said(found))
+    faults = implausible(calibration.mechanism, calibration.measurements)
+    start = zeros_found(calibration, faults)
+    if faults and start is None:
+        raise MisfitError(said(faults))
     return start
 
 
-def _explained(result: CalibrationResult, found: Fits) -> CalibrationResult:
-    """Return the result with what would explain residuals or changes that are too large, first."""
-    first: tuple[Finding, ...] = ()
-    if not result.explained:
-        first = _causes(result.calibration, found.external)
-    elif result.converged and result.options.setup.plain and not result.options.tied:
-        changes = np.array([p.change for leg in result.legs for p in leg.parameters])
-        changes -= result.calibration.shift
-        data = result.measurements
-        first = misaligned(result.nominal, changes, result.poses, data.readings)
-    rest = (one for one in result.findings if one not in first)
-    return result.with_only((*first, *rest))
+def explained_error(calibration: Calibration, error: Exception) -> Exception:
+    """Return what to raise of a fit that failed: the fault that explains it, if there is one."""
+    faults = explain_failure(calibration, None)
+    if isinstance(error, ObservabilityError):  # a few strange rows are no reason for that
+        faults = tuple(fault for fault in faults if fault.severity == "error")
+    if faults:
+        return MisfitError(said(faults))
+    if isinstance(error, np.linalg.LinAlgError):
+        return ObservabilityError(
+            "the search went where the parameters are not determined; look for rows that are "
+            "wrong (--robust reject), or give a better nominal mechanism"
+        )
+    return error
 
 
-def _causes(calibration: Calibration, frame: External | None) -> tuple[Finding, ...]:
+def explain_failure(calibration: Calibration, frame: External | None) -> tuple[Finding, ...]:
     """Return what would explain that measurements do not fit."""
-    options = calibration.options
-    found = explain_misfit(calibration.mechanism, calibration.measurements, options.setup, frame)
+    setup = calibration.options.setup
+    faults = explain_misfit(calibration.mechanism, calibration.measurements, setup, frame)
     if calibration.start is None:
-        return found
-    return tuple(one for one in found if one.code != "reading-offset")  # the search started there
+        return faults
+    return tuple(one for one in faults if one.code != "reading-offset")  # the search started there
+
+
+def explain_result(result: CalibrationResult, frame: External | None) -> tuple[Finding, ...]:
+    """Return what would explain residuals or changes of parameters that are too large."""
+    if not result.explained:
+        return explain_failure(result.calibration, frame)
+    if not result.converged or not result.options.setup.plain or result.options.tied:
+        return ()
+    changes = np.array([p.change for leg in result.legs for p in leg.parameters])
+    changes -= result.calibration.shift
+    return misaligned(result.nominal, changes, result.poses, result.measurements.readings)
+
+
+def chosen_terms(asked: Calibration, calibration: Calibration) -> tuple[Finding, ...]:
+    """Return a finding if the measurements chose terms themselves."""
+    terms = sorted(calibration.mechanism.amplitudes - asked.mechanism.amplitudes)
+    if AUTO not in asked.options.terms or not terms:
+        return ()
+    return (finding("terms-chosen", parameters=terms),)
+
+
+def check_result(
+    result: CalibrationResult, folds: int = FOLDS, by: By = "region", fits: Fits | None = None
+) -> tuple[dict[str, Validation | RunComparison], list[str]]:
+    """Return checks of a result that converged, by its fields, and why others were not made.
+
+    Args:
+        result: The result.
+        folds: How many times a share of the rows is held out; 0 for not at all.
+        by: What is held out together: see ``validate``.
+        fits: The fits of all rows, if they are at hand; else they are made again.
+    """
+    checks: dict[str, Validation | RunComparison] = {}
+    notes = [] if folds else ["no rows were held out (--folds 0)"]
+    try:
+        if folds:
+            checks["validation"] = held_out(result.calibration, folds, by, fits)
+    except (PincalError, ArithmeticError) as error:
+        notes.append(f"no held-out validation: {error}")
+    try:
+        if result.measurements.runs is not None:
+            result.options.report("comparing the runs")
+            checks["runs"] = calibrate_runs(result.calibration)
+    except PincalError as error:
+        notes.append(f"runs not compared: {error}")
+    return checks, notes
+
+
+def calibrate_runs(calibration: Calibration) -> RunComparison:
+    """Return how well the runs of a calibration agree; errors are those of ``compare_runs``."""
+    names = run_names(calibration.measurements)
+    of_rows = np.array(calibration.measurements.runs)
+    results = []
+    for name in names:
+        alone = calibration.rows(of_rows == name).with_options(intervals="wald")
+        result, _ = run(alone)
+        if not result.converged:
+            raise MeasurementError(f"run {name!r}: {result.message}")
+        results.append(result)
+    return runs_compared(names, results)
+
+
+def with_validation(
+    result: CalibrationResult, folds: int = FOLDS, by: By = "region"
+) -> CalibrationResult:
+    """Return what ``CalibrationResult.validated`` does."""
+    return result.with_checks(validation=held_out(result.calibration, folds, by))
+
+
+def with_runs(result: CalibrationResult) -> CalibrationResult:
+    """Return what ``CalibrationResult.compared`` does."""
+    return result.with_checks(runs=calibrate_runs(result.calibration))

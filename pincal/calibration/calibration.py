@@ -48,37 +48,11 @@ class Calibration:
     def __post_init__(self) -> None:
         _check_shapes(self.mechanism, self.measurements)
         _check_influences(self.mechanism, self.measurements)
-        if set(self.mechanism.influences) - set(self.measurements.influences):
-            self._follow_influences()
         if self.options.residual == "joint" and self.mechanism.by_readings:
             raise MeasurementError(
                 f"readings of {self.mechanism.name!r} do not follow from its poses, so there is no "
                 "joint residual; take the closure residual (--residual closure)"
             )
-
-    def _follow_influences(self) -> None:
-        """Add columns of influences that follow from all rows in order, which parts do not know."""
-        loads = set(self.mechanism.loaded) - set(self.measurements.influences)
-        there = self.located if loads else self.measurements
-        own = by_name(self.mechanism, planned_influences(self.mechanism, there))
-        data = replace(self.measurements, influences={**self.measurements.influences, **own})
-        object.__setattr__(self, "measurements", data)
-
-    @cached_property
-    def located(self) -> Measurements:
-        """The measurements with whole poses in the base frame, by the machine as drawn.
-
-        Those that were measured in full there, or as a search starts from them.
-
-        Raises:
-            MeasurementError: frames that cannot be aligned, or too little measured in a row.
-        """
-        drawing, options = self.mechanism.drawing, self.options
-        asked = Options(noise=options.noise, setup=options.setup)
-        bare = Calibration(drawing, self.measurements, asked, known_noise=self.known_noise)
-        nominal = np.concatenate([leg.nominal for leg in drawing.legs])
-        state = align_start(drawing, bare.latent_problem, self.measurements, nominal)
-        return replace(self.measurements, poses=drawing.platform.from_matrices(state.matrices))
 
     @property
     def shift(self) -> Array:
@@ -96,9 +70,7 @@ class Calibration:
     def with_noise(self, noise: Noise) -> Calibration:
         """Return the calibration with noise that was estimated."""
         model = noise_model(self.mechanism, self.measurements, noise, self.options.setup)
-        found = replace(self, known_noise=replace(model, source=self.noise.source))
-        found.__dict__["observation"] = self.observation  # made once: it knows no noise
-        return found
+        return replace(self, known_noise=replace(model, source=self.noise.source))
 
     def at_this_noise(self) -> Calibration:
         """Return the calibration with its noise as it is, not estimated again."""
@@ -348,6 +320,36 @@ class Calibration:
                         else ". --poses all uses every pose for every leg"
                     )
                 )
+
+
+def with_followed_influences(calibration: Calibration) -> Calibration:
+    """Return a calibration whose measurements hold all columns on which terms depend.
+
+    Sides of approach and loads follow from all rows in their order, which parts do not know.
+    """
+    mechanism, data = calibration.mechanism, calibration.measurements
+    if not set(mechanism.influences) - set(data.influences):
+        return calibration
+    rows = located(calibration) if set(mechanism.loaded) - set(data.influences) else data
+    followed = by_name(mechanism, planned_influences(mechanism, rows))
+    data = replace(data, influences={**data.influences, **followed})
+    return replace(calibration, measurements=data)
+
+
+def located(calibration: Calibration) -> Measurements:
+    """Return measurements with complete poses in the base frame, by the machine as drawn.
+
+    Those that were measured in full there, or as a search starts from them.
+
+    Raises:
+        MeasurementError: frames that cannot be aligned, or too little measured in a row.
+    """
+    drawing, data = calibration.mechanism.drawing, calibration.measurements
+    options = Options(noise=calibration.options.noise, setup=calibration.options.setup)
+    drawn = Calibration(drawing, data, options, known_noise=calibration.known_noise)
+    nominal = np.concatenate([leg.nominal for leg in drawing.legs])
+    state = align_start(drawing, drawn.latent_problem, data, nominal)
+    return replace(data, poses=drawing.platform.from_matrices(state.matrices))
 
 
 def _check_shapes(mechanism: Mechanism, data: Measurements) -> None:

@@ -15,13 +15,12 @@ from typing import Any
 import numpy as np
 
 from pincal.blas import on_one_thread
-from pincal.calibration.calibrate import identify
+from pincal.calibration.calibrate import check_result, run
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.hypotheses.plausibility import check_noise, hypotheses_of
 from pincal.calibration.hypotheses.ranking import Judged
 from pincal.calibration.hypotheses.sample import whole_sample
 from pincal.calibration.result import CalibrationResult
-from pincal.calibration.validation import checked
 from pincal.errors import MeasurementError, PincalError
 from pincal.finding import Finding
 from pincal.model.measurements import Measurements
@@ -123,7 +122,7 @@ def _wider(setup: Setup) -> list[Setup]:
 @on_one_thread
 def _attempt(findings: tuple[Finding, ...], calibration: Calibration) -> Remedy:
     try:
-        result = identify(calibration)
+        result, _ = run(calibration)
     except PincalError as error:
         return Remedy(findings, calibration, None, str(error))
     try:
@@ -131,8 +130,11 @@ def _attempt(findings: tuple[Finding, ...], calibration: Calibration) -> Remedy:
             check_noise(calibration.mechanism, result.noise)
     except MeasurementError:
         return Remedy(findings, calibration, None, "residuals are too large for noise")
-    found = Remedy(findings, calibration, result, "")
-    return replace(found, result=checked(result)[0]) if found.works else found
+    remedy = Remedy(findings, calibration, result, "")
+    if not remedy.works:
+        return remedy
+    checks, _ = check_result(result)
+    return replace(remedy, result=result.with_checks(**checks))
 
 
 def _left_out(result: CalibrationResult) -> float:

@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.special import chdtrc
+from scipy.special import chdtrc, ndtri
 
-from pincal.calibration.fits import Fits
+from pincal.calibration.assemble import assemble
+from pincal.calibration.fits import Fits, fitted
 from pincal.calibration.promise import UNEXPLAINED
 from pincal.calibration.result import CalibrationResult
+from pincal.errors import PincalError
 from pincal.estimation.components import Moments
 from pincal.estimation.fit import curvature
 from pincal.estimation.noise import assumed_noise
-from pincal.estimation.observability.identifiable import Held
 from pincal.estimation.observability.indices import DIFFER, plausible_changes
 from pincal.estimation.residuals.courses import Score, scores
 from pincal.estimation.residuals.losses import FALSE_ALARM
 from pincal.estimation.residuals.redundancy import together
-from pincal.estimation.residuals.robust import Robust
+from pincal.estimation.residuals.robust import Outlier, Robust
 from pincal.finding import Finding
 from pincal.kinematics.closure import largest_size
 from pincal.model.checks import ROUNDING
@@ -48,17 +49,15 @@ class Questions:
 QUESTIONS = Questions()
 
 
-def findings_of(
-    result: CalibrationResult, held: Held | None, fits: Fits | None = None
-) -> tuple[Finding, ...]:
+def findings_of(result: CalibrationResult, fits: Fits | None = None) -> tuple[Finding, ...]:
     """Return what to know first of a result.
 
     Args:
         result: The result.
-        held: What the measurements cannot observe, if that was held.
         fits: The fits, whose residuals are tested for what the model lacks.
     """
     found = []
+    held = None if fits is None else fits.held
     if held is not None and (held.groups or held.weak):
         found.append(finding("undetermined-held", groups=held.groups, weak=held.weak))
     found += _zeros(result)
@@ -82,6 +81,63 @@ def findings_of(
         *_rows(result, lacking=bool(lacks)),
         *_legs(result),
     )
+
+
+#: Findings that follow from wrong rows.
+_FOLLOW = frozenset(
+    {
+        "chi2-too-large",
+        "outliers",
+        "many-outliers",
+        "model-lacks",
+        "step",
+        "reference-moved",
+        "noise-in-other-proportion",
+        "bad-rows",
+        "curved",
+    }
+)
+
+
+def blame_wrong_rows(
+    result: CalibrationResult, findings: tuple[Finding, ...]
+) -> tuple[tuple[Finding, ...], tuple[Outlier, ...]]:
+    """Return findings and outliers that name the few rows that alone spoil a result, if any do.
+
+    They do if χ² without them is as it should be. Parameters, residuals and standard errors stay
+    those of all rows: the user says what is left out. What only follows from these rows is no
+    longer said, what is found without them is.
+
+    Args:
+        result: The result of all rows, without a robust loss, whose χ² contradicts the noise.
+        findings: What is found of it.
+    """
+    try:
+        fits = fitted(result.calibration.with_options(loss="reject"))
+        robust = assemble(fits, None)
+    except PincalError:
+        return findings, result.outliers
+    total = len(result.measurements)
+    least = -ndtri(FALSE_ALARM / (2.0 * total))  # Bonferroni: one sound set in a hundred has any
+    rejected = [row for row in robust.outliers if row.weight == 0.0 and row.sigma > least]
+    few = 0 < len(rejected) <= QUESTIONS.much * total
+    if not (few and robust.converged and robust.excess == 1.0):
+        return findings, result.outliers
+    worst = rejected[0]
+    wrong_rows = finding(
+        "wrong-rows",
+        [outlier.row for outlier in rejected],
+        total=total,
+        chi2=result.reduced_chi2,
+        without=robust.reduced_chi2,
+        sigma=worst.sigma,
+        quantity=worst.quantity,
+        off=worst.off,
+    )
+    without_rows = [one for one in findings_of(robust, fits) if one.code in _FOLLOW]
+    others = [one for one in findings if one.code not in _FOLLOW]
+    outliers = tuple(replace(outlier, weight=1.0) for outlier in rejected)  # they took part
+    return (wrong_rows, *without_rows, *others), outliers
 
 
 def rounding(fits: Fits) -> bool:

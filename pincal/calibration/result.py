@@ -290,9 +290,18 @@ class CalibrationResult:
             return self.estimated_poses
         return self.calibration.given_poses(self.outside)[0]
 
-    def with_only(self, findings: tuple[Finding, ...]) -> CalibrationResult:
-        """Return the result with these findings."""
-        return replace(self, findings=findings)
+    def with_checks(self, **checks: Validation | RunComparison) -> CalibrationResult:
+        """Return the result with checks of it, and with what these say that it does not say yet.
+
+        Args:
+            **checks: ``validation``, ``runs`` or both.
+        """
+        findings = self.findings
+        for check in checks.values():
+            codes = {finding.code for finding in findings}
+            findings += tuple(one for one in check.findings if one.code not in codes)
+        changes: dict[str, Any] = {"findings": findings, **checks}
+        return replace(self, **changes)
 
     @attached
     def validated(self, folds: int = FOLDS, by: By = "region") -> CalibrationResult:
@@ -308,6 +317,7 @@ class CalibrationResult:
             ObservabilityError: what is left does not determine the parameters.
         """
 
+    @attached
     def compared(self) -> CalibrationResult:
         """Return the result with how well the runs of its measurements agree.
 
@@ -315,10 +325,6 @@ class CalibrationResult:
             MeasurementError: no runs, or only one; a run whose fit does not converge.
             ObservabilityError: a run that does not determine the parameters alone.
         """
-        from pincal.calibration.runs import runs_compared
-
-        found = runs_compared(self.calibration)
-        return replace(self, runs=found, findings=(*self.findings, *found.findings))
 
     def to_dataframe(self) -> Any:
         """Return the parameters as a pandas DataFrame, one row each, ids as its index."""

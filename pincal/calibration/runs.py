@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pincal.attached import attached
-from pincal.blas import on_one_thread
-from pincal.calibration.calibrate import identify, prepared
-from pincal.calibration.calibration import Calibration
 from pincal.calibration.covariance import exceeded
-from pincal.calibration.options import Options
 from pincal.errors import MeasurementError
 from pincal.estimation.residuals.losses import UNLIKELY
 from pincal.finding import Finding
 from pincal.model.measurements import Measurements
-from pincal.model.mechanism import Mechanism
 from pincal.types import Array
 from pincal.words.numbers import amount, chance
 from pincal.words.sentences import finding, sentences
+
+if TYPE_CHECKING:
+    from pincal.calibration.result import CalibrationResult
 
 
 @dataclass(frozen=True, repr=False)
@@ -86,48 +84,33 @@ class RunComparison:
         return (finding("runs-differ", parameters=worst, ratio=self.ratio, p_value=self.p_value),)
 
 
-def compare_runs(
-    mechanism: Mechanism | str | Path,
-    measurements: Measurements | str | Path | Any,
-    options: Options | None = None,
-    **more: Any,
-) -> RunComparison:
-    """Return how well the runs of an experiment agree, each calibrated alone.
-
-    Args:
-        mechanism: The nominal mechanism; or its name or folder.
-        measurements: What was measured, with the run of each row; or a CSV file or DataFrame.
-        options: How to calibrate.
-        **more: Single options by name: see ``Options``.
+def run_names(data: Measurements) -> tuple[str, ...]:
+    """Return the names of the runs of measurements, in their order.
 
     Raises:
-        MeasurementError: no runs, or only one; a run whose fit does not converge.
-        ObservabilityError: a run that does not determine the parameters alone.
+        MeasurementError: no runs, or only one.
     """
-    return runs_compared(prepared(mechanism, measurements, options, **more))
-
-
-@on_one_thread
-def runs_compared(calibration: Calibration) -> RunComparison:
-    """Return how well the runs of a calibration agree; errors are those of ``compare_runs``."""
-    mechanism, measurements = calibration.mechanism, calibration.measurements
-    names = tuple(dict.fromkeys(measurements.runs or ()))
+    names = tuple(dict.fromkeys(data.runs or ()))
     if len(names) < 2:
         raise MeasurementError("runs are compared by a column 'run' with at least two runs in it")
-    of_rows = np.array(measurements.runs)
-    values, covariances, freedoms = [], [], 0.0
-    for name in names:
-        result = identify(calibration.rows(of_rows == name).with_options(intervals="wald"))
-        if not result.converged:
-            raise MeasurementError(f"run {name!r}: {result.message}")
-        values.append(np.concatenate([leg.identified for leg in result.legs]))
-        covariances.append(result.covariance)
-        freedoms += result.noise_freedoms or np.inf
-    found, C = np.array(values), np.array(covariances)
+    return names
+
+
+def runs_compared(names: tuple[str, ...], results: Sequence[CalibrationResult]) -> RunComparison:
+    """Return how well runs agree that were calibrated each alone, all of them converged.
+
+    Args:
+        names: The runs.
+        results: Their results.
+    """
+    parameters = [parameter for leg in results[0].legs for parameter in leg.parameters]
+    values = np.array([np.concatenate([leg.identified for leg in one.legs]) for one in results])
+    C = np.array([one.covariance for one in results])
+    freedoms = sum(one.noise_freedoms or np.inf for one in results)
     scale = np.sqrt(np.einsum("rii->ri", C).mean(axis=0))
     scale[scale == 0.0] = 1.0
     weights = np.linalg.pinv(C / np.outer(scale, scale), rcond=1e-12, hermitian=True)
-    relative = found / scale
+    relative = values / scale
     mean = np.linalg.pinv(weights.sum(axis=0), rcond=1e-12, hermitian=True) @ np.einsum(
         "rij,rj->i", weights, relative
     )
@@ -137,10 +120,10 @@ def runs_compared(calibration: Calibration) -> RunComparison:
     dof = rank * (len(names) - 1)
     return RunComparison(
         runs=names,
-        names=tuple(f"{leg.name}.{name}" for leg in mechanism.legs for name in leg.parameter_names),
-        units=tuple(leg.units[name] for leg in mechanism.legs for name in leg.parameter_names),
-        values=found,
-        spread=found.std(axis=0, ddof=1),
+        names=tuple(parameter.id for parameter in parameters),
+        units=tuple(parameter.unit for parameter in parameters),
+        values=values,
+        spread=values.std(axis=0, ddof=1),
         predicted=np.sqrt(np.einsum("rii->ri", C).mean(axis=0)),
         ratio=float(np.sqrt(statistic / dof)),
         p_value=exceeded(statistic / dof, dof, freedoms),

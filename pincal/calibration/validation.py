@@ -8,15 +8,12 @@ fit's own χ² says that the model follows its rows more closely than the machin
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
 from pincal.attached import attached
 from pincal.blas import on_one_thread
-from pincal.calibration.calibrate import prepared, started
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.covariance import chi2_freedoms, confidence, exceeded
 from pincal.calibration.findings import lacking, rounding
@@ -30,14 +27,11 @@ from pincal.calibration.missed import (
     misses_of,
     predictions,
 )
-from pincal.calibration.options import FOLDS, By, Options, folds_of
+from pincal.calibration.options import FOLDS, By, folds_of
 from pincal.calibration.promise import UNEXPLAINED
-from pincal.calibration.result import CalibrationResult
-from pincal.errors import MeasurementError, PincalError
+from pincal.errors import MeasurementError
 from pincal.estimation.residuals.losses import UNLIKELY
 from pincal.finding import Finding
-from pincal.model.measurements import Measurements
-from pincal.model.mechanism import Mechanism
 from pincal.words.numbers import chance
 from pincal.words.results import missed as missed_in_words
 from pincal.words.sentences import finding, sentences
@@ -90,57 +84,6 @@ class Validation:
         ]
         lines += [missed_in_words(vars(one)) for one in self.targets]
         return "\n".join([*lines, *(f"warning: {one}" for one in sentences(self.findings))])
-
-
-def validate(
-    mechanism: Mechanism | str | Path,
-    measurements: Measurements | str | Path | Any,
-    options: Options | None = None,
-    *,
-    folds: int | None = None,
-    by: By = "region",
-    **more: Any,
-) -> Validation:
-    """Return the errors at rows that a calibration has not seen.
-
-    Rows whose ``set`` is ``verify`` are those, if there are any. Else each fold is left out in
-    turn: neighbours in the space of readings, so that an error of the model cannot hide in rows
-    nearby; rows of each ``set`` alike, those of one ``pose`` together. Rows that a robust loss
-    finds outlying are left out.
-
-    Args:
-        mechanism: The nominal mechanism; or its name or folder.
-        measurements: What was measured; or a CSV file or a DataFrame of it.
-        options: How to calibrate.
-        folds: How many times a share of the rows is held out; as in the options if not given.
-        by: ``"region"``, ``"turn"`` (rows dealt to the folds in turn), or ``"run"`` (each run of
-            the experiment is a fold).
-        **more: Single options by name: see ``Options``.
-
-    Raises:
-        MeasurementError: fewer rows than folds, or fewer than two folds; a fold does not converge.
-        ObservabilityError: what is left does not determine the parameters.
-    """
-    calibration = prepared(mechanism, measurements, options, folds=folds, **more)
-    return held_out(started(calibration), calibration.options.folds, by)
-
-
-def with_held_out(
-    result: CalibrationResult, folds: int = FOLDS, by: By = "region", whole: Fits | None = None
-) -> CalibrationResult:
-    """Return a result with its errors at held-out rows, and what these contradict.
-
-    Errors are those of ``validate``.
-
-    Args:
-        result: A calibration.
-        folds: How many times a share of the rows is held out.
-        by: What is held out together.
-        whole: The fits of all its rows, if they are at hand; else they are made again.
-    """
-    found, own = held_out(result.calibration, folds, by, whole), {f.code for f in result.findings}
-    more = (one for one in found.findings if one.code not in own)
-    return replace(result, validation=found, findings=(*result.findings, *more))
 
 
 @on_one_thread
@@ -261,34 +204,3 @@ def _both(targets: Sequence[Missed], unit: str) -> tuple[float, float] | None:
         return None
     fit, held = np.sqrt(np.mean([(one.fit**2, one.rms**2) for one in own], axis=0)).tolist()
     return fit, held
-
-
-def checked(
-    result: CalibrationResult,
-    folds: int = FOLDS,
-    by: By = "region",
-    whole: Fits | None = None,
-) -> tuple[CalibrationResult, list[str]]:
-    """Return the result with validation and runs where the rows allow, and why not elsewhere.
-
-    Args:
-        result: A calibration; one that did not converge is returned as it is.
-        folds: How many times a share of the rows is held out; 0 for not at all.
-        by: What is held out together: see ``validate``.
-        whole: The fits of all rows, if they are at hand; else they are made again.
-    """
-    if not result.converged:
-        return result, []
-    said = [] if folds else ["no rows were held out (--folds 0)"]
-    try:
-        if folds:
-            result = with_held_out(result, folds, by, whole)
-    except (PincalError, ArithmeticError) as error:
-        said.append(f"no held-out validation: {error}")
-    try:
-        if result.measurements.runs is not None:
-            result.options.report("comparing the runs")
-            result = result.compared()
-    except PincalError as error:
-        said.append(f"runs not compared: {error}")
-    return result, said

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pincal.calibration.calibration import Calibration
+from pincal.calibration.calibration import Calibration, located, with_followed_influences
 from pincal.calibration.terms.kinds import (
     BACKLASH,
     GRAVITY,
@@ -149,7 +149,7 @@ def extended(calibration: Calibration, pairs: Sequence[tuple[str, Kind]]) -> Cal
     mechanism, ids = with_terms(calibration.mechanism, data, pairs)
     tied = [one for one in tied_by(ids) if one not in calibration.options.tied]
     options = replace(calibration.options, tied=(*calibration.options.tied, *tied))
-    return replace(calibration, mechanism=mechanism, options=options)
+    return with_followed_influences(replace(calibration, mechanism=mechanism, options=options))
 
 
 def tied_by(ids: Mapping[tuple[str, Kind], Sequence[str]]) -> tuple[str, ...]:
@@ -291,12 +291,12 @@ def with_columns(calibration: Calibration, kinds: Iterable[Kind]) -> Measurement
     """Return measurements of a calibration with the columns that terms of kinds would depend on.
 
     Loads are those where the platform is, wherever it was measured from. Errors are those of
-    ``with_influences`` and ``Calibration.located``.
+    ``with_influences`` and ``located``.
     """
     asked, data, mechanism = list(kinds), calibration.measurements, calibration.mechanism
     missing = {f"{LOAD}_{name}" for name in mechanism.load_names} - set(data.influences)
     weigh = missing and mechanism.load is not None and any(one.name == GRAVITY for one in asked)
-    found = with_influences(mechanism, calibration.located if weigh else data, asked)
+    found = with_influences(mechanism, located(calibration) if weigh else data, asked)
     return replace(data, influences=found.influences)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from pincal.attached import attached
 from pincal.blas import on_one_thread
-from pincal.calibration.calibrate import identify, prepared, started
+from pincal.calibration.calibrate import prepared, run, started
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.options import AUTO, Options
 from pincal.calibration.result import CalibrationResult
@@ -98,5 +98,5 @@ def explained(calibration: Calibration) -> Explanation:
     named = said([one for one in asked if one != AUTO], plain.mechanism)
     every = every_pair(plain.mechanism, plain.measurements) if AUTO in asked else []
     pairs = list(dict.fromkeys((*named, *every)))
-    result = identify(plain)
+    result, _ = run(plain)
     return Explanation(result, choose(started(plain), pairs))

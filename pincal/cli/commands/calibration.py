@@ -11,14 +11,12 @@ from typing import Annotated, Literal
 import numpy as np
 import typer
 
-from pincal.calibration.assemble import wrong_rows
-from pincal.calibration.calibrate import identified
+from pincal.calibration.calibrate import prepared, run
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.options import AUTO, FOLDS, By, Intervals, Options, Poses
 from pincal.calibration.result import CalibrationResult
 from pincal.calibration.result_files import REPORT, RESULT_FILES, as_json
 from pincal.calibration.terms.kinds import columns_said
-from pincal.calibration.validation import checked
 from pincal.cli.app import (
     Force,
     Measured,
@@ -212,7 +210,7 @@ class CalibrateOptions(TableOptions, SetupOptions, GivenNoise, MethodOptions):
             folds=self.folds or FOLDS,
             intervals=self.intervals,
         )
-        return Calibration(mechanism, data, options)
+        return prepared(mechanism, data, options)
 
 
 @command(answers=True)
@@ -242,20 +240,18 @@ def calibrate(
     with working("identifying parameters") as progress:
         options = replace(calibration.options, progress=progress)
         try:
-            found, fits = identified(replace(calibration, options=options))
-            found = wrong_rows(found)
+            result, notes = run(replace(calibration, options=options), how.folds, how.by)
         except MisfitError:
             remark(
                 f"pincal doctor {mech} {measurements} tries what may be wrong, and says what works"
             )
             raise
-        result, said = checked(found, how.folds, how.by, fits)
         result.save(output, force=force)
         files = [*mechanism_files(mech), measurements, *([how.setup] if how.setup else [])]
         errors, undrawn = None, ""
         try:
             progress("sampling the workspace for the platform's errors")
-            page = report(result, command=typed(), files=files, notes=said, units=how.units or "")
+            page = report(result, command=typed(), files=files, notes=notes, units=how.units or "")
             errors = page.found.errors
             if not how.no_report:
                 progress("drawing the report")
@@ -266,7 +262,7 @@ def calibrate(
         for text in warnings(result):
             warn(text)
         tables = calibration_tables(result) if how.verbose else []
-        _say(result, errors, said, tables, drawn=not (how.no_report or undrawn))
+        _say(result, errors, notes, tables, drawn=not (how.no_report or undrawn))
     wrote(output)
     answer(lambda: as_json(result))
     if undrawn:
@@ -282,7 +278,7 @@ def calibrate(
 def _say(
     result: CalibrationResult,
     errors: WorkspaceErrors | None,
-    said: list[str],
+    notes: list[str],
     tables: Sequence[Table],
     *,
     drawn: bool,
@@ -300,7 +296,7 @@ def _say(
         stdout.print(line, markup=False)
     for table in tables:
         stdout.print(table)
-    for line in (*more, *said):
+    for line in (*more, *notes):
         stdout.print(line, markup=False)
     if not tables:
         where = "report.html in the result's folder, or --verbose" if drawn else "--verbose"

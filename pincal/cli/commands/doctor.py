@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from pincal.calibration.calibration import Calibration
+from pincal.calibration.calibrate import prepared
 from pincal.calibration.doctor import Remedy, remedies
 from pincal.calibration.options import Options
 from pincal.cli.app import (
@@ -79,7 +79,7 @@ def doctor(
     options = Options(noise=how.of(mechanism, data, setup), setup=setup)
     found: list[Remedy] = []
     with working("trying what may be wrong") as progress:
-        for one in remedies(Calibration(mechanism, data, options)):
+        for one in remedies(prepared(mechanism, data, options)):
             found.append(one)
             progress(tried(one))
     works = [one for one in found if one.works]
