@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import lazy_loader
 import numpy as np
 from lxml import etree
 from scipy.spatial.transform import Rotation
@@ -29,6 +30,8 @@ from pincal.types import Array
 
 if TYPE_CHECKING:
     import mujoco
+else:
+    mujoco = lazy_loader.load("mujoco")
 
 
 _NOISE = re.compile(r"(?:XML )?Error: |Element name '', id \d+, ")
