@@ -14,7 +14,7 @@ from pincal.estimation.blocks.alike_legs import evaluated
 from pincal.kinematics.batches import CHUNK
 from pincal.kinematics.closing import by_leg, close, close_legs, grouped
 from pincal.kinematics.closure import LegClosure
-from pincal.kinematics.derivatives import Demand, leg_demand_at, leg_demands_at
+from pincal.kinematics.derivatives import Demand, leg_demands_at
 
 FORMS = {"5R": 1, "3RRR": 1, "3RPR": 1, "3PRR": 2, "6UPS": 1, "6RUS": 1, "8cable": 1, "delta": 1}
 """How many forms the legs of a machine have: those of the 3-PRR slide to either side."""
@@ -113,7 +113,7 @@ def test_alike_legs_close_as_each_alone_does(name: str) -> None:
     joints = by_leg(closed, lambda one: one.joints)
     rows = by_leg(closed, lambda one: one.closure.constraint_by_parameter)
     for index, leg in enumerate(legs):
-        alone = close(leg, matrices)
+        alone = close((leg,), matrices)
         np.testing.assert_array_equal(reached[:, index], alone.reached)
         np.testing.assert_allclose(joints[index], alone.joints, rtol=0.0, atol=1e-12)
         own = alone.closure.constraint_by_parameter[alone.reached]
@@ -131,7 +131,7 @@ def test_legs_demand_at_poses_of_their_own() -> None:
     for placed in ([every[:5], every[5:10], every[10:15]], [every[:9], every[9:13], many]):
         found = leg_demands_at(legs, placed)
         for leg, own, one in zip(legs, placed, found, strict=True):
-            alone = leg_demand_at(robot, leg.leg.name, own)
+            (alone,) = leg_demands_at((leg,), (own,))
             for part, values in vars(one).items():
                 assert len(values) == len(own)
                 wanted = getattr(alone, part)

@@ -17,9 +17,8 @@ import pincal
 from pincal import Joint, Leg, Placement
 from pincal.estimation.observability.indices import identifiability
 from pincal.files.mechanism_folders import bundled
-from pincal.kinematics.closed_forms import closed_form
+from pincal.kinematics.closed_forms import closed_form, reach_of
 from pincal.kinematics.closure import LegClosure
-from pincal.kinematics.reach import reach_of
 from pincal.model.placement import Coordinate
 from pincal.workspace.criteria import in_workspace
 

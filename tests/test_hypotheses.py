@@ -372,7 +372,9 @@ def test_a_home_bent_to_the_other_side_is_named(kind: str, legs: tuple[int, ...]
     changed = list(mechanism.legs)
     for index in legs:
         leg = mechanism.legs[index].with_home(mechanism.legs[index].home * [1, -1])
-        home = close(LegClosure(leg, mechanism.platform), mechanism.platform.home_pose.as_matrix())
+        home = close(
+            (LegClosure(leg, mechanism.platform),), mechanism.platform.home_pose.as_matrix()
+        )
         changed[index] = leg.with_home(home.joints[0])
     wrong = replace(mechanism, legs=tuple(changed))
     with pytest.raises(pincal.MeasurementError, match="bend the other way than in mech") as caught:

@@ -10,7 +10,7 @@ from closed_forms import angles, bends, jacobian, near, poses_near_home, random_
 
 import pincal
 from pincal.files.mechanism_folders import bundled
-from pincal.kinematics import starts
+from pincal.kinematics import closing
 from pincal.kinematics.closed_forms import rod_geometry
 from pincal.kinematics.closing import close
 from pincal.kinematics.closure import LegClosure, largest_size, nominal_legs
@@ -80,10 +80,10 @@ def test_sampled_starts_find_what_the_closed_form_finds(
     poses = mechanism.platform.transforms(poses_near_home(mechanism, rng, 3000)).as_matrix()
     for leg in mechanism.legs:
         closure = LegClosure(leg, mechanism.platform)
-        closed = close(closure, poses)
+        closed = close((closure,), poses)
         with monkeypatch.context() as patch:
-            patch.setattr(starts, "closed_form", lambda _: None)
-            sampled = close(closure, poses)
+            patch.setattr(closing, "closed_form", lambda _: None)
+            sampled = close((closure,), poses)
         elbow = np.abs(np.sin(np.nan_to_num(closed.joints[:, 1])))
         clear = elbow > 0.02  # at the edge of reach Newton may stop a hair outside
         assert (closed.reached == sampled.reached)[clear].all()

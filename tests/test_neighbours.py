@@ -37,9 +37,8 @@ from pincal.formats.mjcf import mjcf, read_mjcf
 from pincal.formats.tree_of import loops_urdf, loops_yaml, tree_of
 from pincal.kinematics.assembly import independent
 from pincal.kinematics.batches import cross
-from pincal.kinematics.closed_forms import closed_form, pointing_slide
+from pincal.kinematics.closed_forms import closed_form, pointing_slide, reach_of
 from pincal.kinematics.closure import LegClosure
-from pincal.kinematics.reach import reach_of
 from pincal.model.home import link_placements
 from pincal.model.leg import Leg
 from pincal.model.placement import Coordinate

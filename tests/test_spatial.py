@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 import pincal
 from pincal.estimation.blocks.observation import angle
 from pincal.estimation.observability.indices import r_diagonal
-from pincal.kinematics import starts
+from pincal.kinematics import closing
 from pincal.model.checks import sine_and_cosine
 from pincal.model.orientation import WAYS, columns_of, rotation_of, tilted
 
@@ -238,7 +238,7 @@ def test_sampled_starts_find_the_same_joints(
 ) -> None:
     """Without the closed form, Newton's method from sampled tips gives the same leg lengths."""
     expected = pincal.inverse(hexapod, poses[:200])
-    monkeypatch.setattr(starts, "closed_form", lambda _: None)
+    monkeypatch.setattr(closing, "closed_form", lambda _: None)
     found = pincal.inverse(hexapod, poses[:200])
     assert found.reached.all()
     np.testing.assert_allclose(found.readings, expected.readings, atol=1e-12)

@@ -16,7 +16,8 @@ from pincal.errors import MeasurementError, ObservabilityError
 from pincal.estimation.observability.indices import identifiability
 from pincal.files.read import as_noise
 from pincal.kinematics.batches import CHUNK, chunks
-from pincal.kinematics.derivatives import leg_demand_at
+from pincal.kinematics.closure import LegClosure
+from pincal.kinematics.derivatives import leg_demands_at
 from pincal.kinematics.inverse import reached
 from pincal.model.checks import count_of, generator_of
 from pincal.model.measurements import Noise
@@ -72,7 +73,8 @@ class LegRows:
         return tuple(rows[leg] for leg in self.legs)
 
     def _of(self, leg: str, matrices: Array) -> Array:
-        demand = leg_demand_at(self.mechanism, leg, matrices)
+        closure = LegClosure(self.mechanism.leg(leg), self.mechanism.platform)
+        (demand,) = leg_demands_at((closure,), (matrices,))
         return leg_rows(demand, self.mechanism, self.noise)
 
     def admitted(self, places: Index) -> Index:

@@ -16,12 +16,12 @@ from pincal.estimation.alignment import aligned
 from pincal.estimation.blocks.external import External
 from pincal.estimation.linear import Stack, State
 from pincal.estimation.problem import Problem
+from pincal.kinematics.closing import home_mode, mode_sign
 from pincal.kinematics.closure import LegClosure, Newton, largest_size
 from pincal.kinematics.forward import placed_by_arm
 from pincal.kinematics.inverse import inverse
 from pincal.kinematics.nearest_closure import nearest_closure
 from pincal.kinematics.singularity import platform_margin
-from pincal.kinematics.starts import home_mode, mode_sign
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
 from pincal.model.setup import ORIGIN, Setup
@@ -131,7 +131,7 @@ def _well(mechanism: Mechanism, problem: Problem, state: State) -> Mask:
     """Return which poses close all legs, in the working and assembly modes of home, shape (N,)."""
     legs = [LegClosure(leg, mechanism.platform) for leg in mechanism.legs]
     closures = [
-        nearest_closure(leg, state.matrices, one.known, joints)[0]
+        nearest_closure((leg,), state.matrices, (one.known,), (joints,))[0]
         for leg, one, joints in zip(legs, problem.conditions, state.joints, strict=True)
     ]
     redundant = mechanism.redundant  # of which the type-2 margin has no sign

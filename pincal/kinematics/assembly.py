@@ -87,7 +87,7 @@ def _closed(
         gaps = np.concatenate([part.gap[0] for part in parts])
         gap = float(np.abs(gaps).max())
         by_pose = np.concatenate([part.pose[0] for part in parts])
-        J = np.hstack((by_pose, block_diag(*(part.at.by_joints[0] for part in parts))))
+        J = np.hstack((by_pose, block_diag(*(part.by_joints[0] for part in parts))))
         u, values, vt = np.linalg.svd(J * scale / size, full_matrices=False)
         free_to = values > cut_in_gap(values, least)
         step = -scale * (vt[free_to].T @ ((u[:, free_to].T @ gaps / size) / values[free_to]))

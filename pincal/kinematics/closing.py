@@ -1,8 +1,10 @@
 """Legs closed at poses, in their working modes, and what their sensors read there.
 
-Newton's method on closure from a start in the mode. A pose that a leg cannot reach in
-its mode is NaN, never a wrong branch. A homed sensor counts from the joint's
-position at the platform's home pose, which is a leg closed too.
+Newton's method on closure from a start in the mode, the sign of det ∂c/∂(θ, p) at home. Some legs
+have a closed form; any other is sampled once: of many joint positions in its mode, the one whose
+tip is nearest is a start from which Newton's method stays in the mode. A pose that a leg cannot
+reach in its mode is NaN, never a wrong branch. A homed sensor counts from the joint's position at
+the platform's home pose, which is a leg closed too.
 """
 
 from __future__ import annotations
@@ -10,32 +12,125 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from pincal.errors import MechanismError
 from pincal.kinematics.batches import (
     Matrices,
+    cross,
     least_squares,
     matrix_chunks,
     product,
     repeated,
     stacked,
 )
+from pincal.kinematics.closed_forms import closed_form
 from pincal.kinematics.closure import (
     Closure,
     LegClosure,
     Newton,
     evaluate,
+    joint_range,
     nominal_legs,
     rows_of_each,
 )
-from pincal.kinematics.starts import in_home_modes, start_joints
 from pincal.model.checks import ROUNDING, wrapped
+from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
+from pincal.model.platform import Platform
 from pincal.model.sensor import SensorLaw, sensor_laws
 from pincal.types import Array, Mask
+
+Group = TypeVar("Group")
+
+_SAMPLES = 20_000
+_OUT_OF_REACH = 3.0  # times the widest gap between sampled tips: farther tips are out of reach
+
+
+def start_joints(closure: LegClosure, matrices: Array, attempt: int = 0) -> tuple[Array, Mask]:
+    """Return joint positions near those that close the leg, and where that may be possible.
+
+    A planar dyad that cannot reach a pose starts stretched or folded towards it. Shapes
+    (N, n_joints), [rad] or [m], and (N,).
+
+    Args:
+        closure: The leg at its parameter values.
+        matrices: Poses ``T_base_platform``, shape (N, 4, 4).
+        attempt: Counts from 0; each gives another sampled start. A closed form has one.
+    """
+    form = closed_form(closure)
+    if form:
+        joints, possible = form(closure, closure.targets(matrices))
+        return joints, possible & (attempt == 0)
+    tree, joints, reach = _samples(closure.leg, closure.platform)
+    distance, nearest = tree.query(_places(closure, matrices), [attempt + 1])
+    index = np.minimum(nearest[:, 0], len(joints) - 1)  # none is near where a target is infinite
+    return joints[index], distance[:, 0] <= reach
+
+
+@lru_cache(maxsize=64)
+def _samples(leg: Leg, platform: Platform) -> tuple[KDTree, Array, float]:
+    """Return sampled tips of the leg in its mode, their joints, and how far around it reaches."""
+    closure = LegClosure(leg, platform)
+    rng = np.random.default_rng(0)
+    joints = rng.uniform(*joint_range(leg), (_SAMPLES, len(leg.moving)))
+    poses = np.broadcast_to(platform.home_pose.as_matrix(), (_SAMPLES, 4, 4))
+    joints = joints[in_home_modes((closure,), closure.evaluate(joints, poses))]
+    if leg.closes == "frame":
+        tree = KDTree(_places(closure, closure.frame(joints)))
+    else:
+        tree = KDTree(closure.tips(joints)[:, list(platform.closure_rows)])
+    gaps = tree.query(tree.data, [2])[0]
+    return tree, joints, _OUT_OF_REACH * float(gaps.max())
+
+
+def _places(closure: LegClosure, matrices: Array) -> Array:
+    """Return where poses put a leg's end, shape (N, k), [m]: its point, and its axes if it turns.
+
+    The axes' tips are as far from the point as the leg is long.
+    """
+    points = closure.targets(matrices)[:, list(closure.platform.closure_rows)]
+    if closure.leg.closes == "point":
+        return points
+    axes = matrices[:, :3, :3].reshape(len(matrices), 9)
+    return np.concatenate((points, closure.size * axes), axis=1)
+
+
+def mode_sign(closure: Closure) -> Array:
+    """Return the sign of det ∂c/∂(θ, p), shape (N,).
+
+    One where the closure is not square, or where no joint is passive: those that are read say
+    themselves how the leg bends.
+    """
+    passive = closure.passive.shape[2]
+    if closure.active.shape[2] + passive != closure.gap.shape[1] or not passive:
+        return np.ones(len(closure.gap))
+    columns = [*closure.active.transpose(2, 0, 1), *closure.passive.transpose(2, 0, 1)]
+    if len(columns) == 2:
+        (a, b), (c, d) = (column.T for column in columns)
+        return np.sign(a * d - b * c)
+    if len(columns) == 3:
+        first, second, third = columns
+        return np.sign((first * cross(second, third)).sum(axis=1))
+    return np.sign(np.linalg.det(np.stack(columns, axis=2)))
+
+
+def in_home_modes(legs: Sequence[LegClosure], closure: Closure) -> Mask:
+    """Return where closures of alike legs are in their working modes, shape (L N,)."""
+    signs = mode_sign(closure)
+    home_signs = [home_mode(leg.leg, leg.platform) for leg in legs]
+    return np.asarray(signs == np.repeat(home_signs, len(signs) // len(legs)))
+
+
+@lru_cache(maxsize=256)
+def home_mode(leg: Leg, platform: Platform) -> float:
+    """Return the sign of det ∂c/∂(θ, p) in the home configuration: the leg's working mode."""
+    closure = LegClosure(leg, platform).evaluate(leg.home[None], platform.home_pose.as_matrix())
+    return float(mode_sign(closure)[0])
+
 
 _ATTEMPTS = 6
 _NEWTON = Newton(steps=15, small=1e-4, closed=1e-11)  # the step after that is rounding
@@ -56,22 +151,6 @@ class ClosedLegs:
 
 
 def close(
-    leg: LegClosure, matrices: Array, influences: Array | None = None, near: Array | None = None
-) -> ClosedLegs:
-    """Return one leg closed at poses.
-
-    Args:
-        leg: The leg at its parameter values.
-        matrices: Poses ``T_base_platform``, shape (N, 4, 4).
-        influences: Of the leg, by which its parameters deform, shape (N, n_influences); at their
-            reference if not given.
-        near: Positions of the moving joints near those that close it, shape (N, n_joints); where
-            NaN it counts as not reached. Found in its working mode if not given.
-    """
-    return close_alike((leg,), matrices, influences, near)
-
-
-def close_alike(
     legs: Sequence[LegClosure],
     matrices: Array,
     influences: Array | None = None,
@@ -82,24 +161,26 @@ def close_alike(
     Args:
         legs: Legs of one form, at their parameter values.
         matrices: Poses ``T_base_platform``, shape (L N, 4, 4).
-        influences: See ``close``; of no effect unless one leg that deforms is alone.
-        near: See ``close``, shape (L N, n_joints).
+        influences: Of the leg, by which its parameters deform, shape (N, n_influences); at their
+            reference if not given. A leg that deforms is alone.
+        near: Positions of the moving joints near those that close a leg, shape (L N, n_joints);
+            where NaN it counts as not reached. Found in its working mode if not given.
     """
-    rows, count = rows_of_each(len(legs), len(matrices)), len(matrices) // len(legs)
+    rows_of_leg, count = rows_of_each(len(legs), len(matrices)), len(matrices) // len(legs)
+    homes = np.repeat([leg.leg.home for leg in legs], count, axis=0)
     if near is None:
-        starts = [start_joints(leg, matrices[own]) for leg, own in zip(legs, rows, strict=True)]
+        starts = [start_joints(leg, matrices[r]) for leg, r in zip(legs, rows_of_leg, strict=True)]
         start, attempts = stacked([joints for joints, _ in starts]), _ATTEMPTS
-        possible = stacked([one for _, one in starts])
+        possible = stacked([possible for _, possible in starts])
     else:
         possible = np.asarray(np.isfinite(near).all(axis=1))
-        start, attempts = np.where(possible[:, None], near, _homes(legs, count)), 1
+        start, attempts = np.where(possible[:, None], near, homes), 1
     joints, n = legs[0].deformed(start, influences), start.shape[1]
     if near is None:
         possible = possible | joints[:, n:].any(axis=1)  # a start knows nothing of deformations
     closure = evaluate(legs, joints, matrices)
-    off = _off(legs, closure)
-    closed = possible & (off <= _NEWTON.closed)
-    exact = closed & (off <= _EXACT)
+    gap = _relative_gap(legs, closure)
+    closed, exact = possible & (gap <= _NEWTON.closed), possible & (gap <= _EXACT)
     if not exact.all():
         step = _newton_step(legs[0], closure)
         last = (np.abs(step) <= _NEWTON.small).all(axis=1)  # not at a singularity
@@ -107,43 +188,38 @@ def close_alike(
         joints = np.where(stays[:, None], joints, joints + step)
     searched = possible & ~closed
     if searched.any():
-        for leg, own in zip(legs, rows, strict=True):
-            if searched[own].any():
-                joints[own], closed[own] = _search(
-                    leg, matrices[own], joints[own], closed[own], possible[own], attempts
+        for leg, rows in zip(legs, rows_of_leg, strict=True):
+            if searched[rows].any():
+                joints[rows], closed[rows] = _search(
+                    leg, matrices[rows], joints[rows], closed[rows], possible[rows], attempts
                 )
-        about = _homes(legs, count) if near is None else start
-        turning = [i for i, joint in enumerate(legs[0].leg.moving) if joint.kind == "revolute"]
-        some = np.ix_(searched, turning)
-        around = wrapped(joints[some] - about[some])
-        joints[some] = about[some] + around  # Newton's method may have gone round
-        home = legs[0].deformed(_homes(legs, count))
-        closure = evaluate(legs, np.where(closed[:, None], joints, home), matrices)
+        centre = homes if near is None else start
+        turning = np.ix_(searched, [i for i, joint in enumerate(legs[0].leg.moving) if joint.turns])
+        # Newton's method may have gone round
+        joints[turning] = centre[turning] + wrapped(joints[turning] - centre[turning])
+        closure = evaluate(
+            legs, np.where(closed[:, None], joints, legs[0].deformed(homes)), matrices
+        )
     joints = joints[:, :n]
     if near is None:
-        for leg, own in zip(legs, rows, strict=True):
-            _turn_within_limits(leg, joints[own])
+        for leg, rows in zip(legs, rows_of_leg, strict=True):
+            _turn_within_limits(leg, joints[rows])
     reached = closed & in_home_modes(legs, closure)
     return ClosedLegs(np.where(reached[:, None], joints, np.nan), reached, closure)
-
-
-def _homes(legs: Sequence[LegClosure], rows: int) -> Array:
-    """Return the home joints of legs, so many rows of each, shape (L rows, n_joints)."""
-    return np.repeat([leg.leg.home for leg in legs], rows, axis=0)
 
 
 def _turn_within_limits(leg: LegClosure, joints: Array) -> None:
     """Add full turns to joints, in place, where that brings them within their limits."""
     turn = 2 * np.pi
-    for place, joint in enumerate(leg.leg.moving):
-        if joint.kind == "revolute" and joint.limited:
-            own = joints[:, place]
+    for joint, positions in zip(leg.leg.moving, joints.T, strict=True):
+        if joint.turns and joint.limited:
             low, high = joint.lower - ROUNDING, joint.upper + ROUNDING
-            outside = np.flatnonzero(((own < low) | (own > high)) & np.isfinite(own))
-            if len(outside):
-                turned = own[outside] - turn * np.floor((own[outside] - low) / turn)
-                fits = turned <= high
-                own[outside[fits]] = turned[fits]
+            outside = np.flatnonzero(
+                ((positions < low) | (positions > high)) & np.isfinite(positions)
+            )
+            turned = positions[outside] - turn * np.floor((positions[outside] - low) / turn)
+            fits = turned <= high
+            positions[outside[fits]] = turned[fits]
 
 
 def _search(
@@ -154,20 +230,21 @@ def _search(
     for attempt in range(attempts):
         rows = np.flatnonzero(possible & ~closed)
         if attempt:
-            again, may = start_joints(leg, matrices[rows], attempt)
-            joints[rows, : again.shape[1]] = again
-            rows = rows[may]
-        found = rows
+            sampled, in_reach = start_joints(leg, matrices[rows], attempt)
+            joints[rows, : sampled.shape[1]] = sampled
+            rows = rows[in_reach]
+        started = rows
         for _ in range(_NEWTON.steps):
-            part = leg.evaluate(joints[rows], matrices[rows])
-            joints[rows] += _newton_step(leg, part)
-            going = ~_small(leg, part) & np.isfinite(joints[rows]).all(axis=1)
-            rows = rows[going]
+            closure = leg.evaluate(joints[rows], matrices[rows])
+            joints[rows] += _newton_step(leg, closure)
+            closes = _relative_gap((leg,), closure) <= _NEWTON.closed
+            rows = rows[~closes & np.isfinite(joints[rows]).all(axis=1)]
             if not len(rows):
                 break
-        found = found[np.isfinite(joints[found]).all(axis=1)]
-        part = leg.evaluate(joints[found], matrices[found])
-        closed[found] = _small(leg, part) & in_home_modes((leg,), part)
+        ended = started[np.isfinite(joints[started]).all(axis=1)]
+        closure = leg.evaluate(joints[ended], matrices[ended])
+        small = _relative_gap((leg,), closure) <= _NEWTON.closed
+        closed[ended] = small & in_home_modes((leg,), closure)
         if (closed | ~possible).all():
             break
     return joints, closed
@@ -185,15 +262,10 @@ def _newton_step(leg: LegClosure, closure: Closure) -> Array:
         return step
 
 
-def _off(legs: Sequence[LegClosure], closure: Closure) -> Array:
+def _relative_gap(legs: Sequence[LegClosure], closure: Closure) -> Array:
     """Return the largest gap of alike legs over their sizes, shape (L N,)."""
     gaps = np.abs(closure.gap).max(axis=1).reshape(len(legs), -1)
     return np.asarray(gaps / np.array([[leg.size] for leg in legs])).ravel()
-
-
-def _small(leg: LegClosure, closure: Closure) -> Mask:
-    """Return where the gap of a leg is small against its size, shape (N,)."""
-    return _off((leg,), closure) <= _NEWTON.closed
 
 
 @lru_cache(maxsize=64)
@@ -233,7 +305,7 @@ def _at_home(leg: LegClosure) -> tuple[Array, Array]:
     q_home in [rad] or [m], shape (n_active,), and ∂q_home/∂φ = −(Nᵀ ∂c/∂θ)⁻¹ (Nᵀ ∂c/∂φ), shape
     (n_active, n_params).
     """
-    closed = close(leg, leg.platform.home_pose.as_matrix())
+    closed = close((leg,), leg.platform.home_pose.as_matrix())
     if not closed.reached[0]:
         values = ", ".join(f"{name} = {value:.6g}" for name, value in leg.by_name.items())
         raise MechanismError(
@@ -246,40 +318,6 @@ def _at_home(leg: LegClosure) -> tuple[Array, Array]:
 
 
 _FEW = 8192  # rows of all legs: those of more are quicker leg by leg, near the processor
-
-
-@dataclass(frozen=True)
-class ClosedGroup:
-    """Some of all legs, closed in one call."""
-
-    places: list[int]
-    """Of the legs, among all."""
-    closed: ClosedLegs
-
-
-def close_legs(
-    legs: Sequence[LegClosure],
-    matrices: Array,
-    influences: Sequence[Array | None] | None = None,
-    near: Sequence[Array] | None = None,
-) -> list[ClosedGroup]:
-    """Return all legs closed at the same poses, alike ones in one call where poses are few.
-
-    Args:
-        legs: The legs at their parameter values.
-        matrices: Poses ``T_base_platform``, shape (N, 4, 4).
-        influences: Of each leg, shape (N, n_influences); at their reference if not given.
-        near: Of each leg, positions of its moving joints near those that close it, shape
-            (N, n_joints); found in its working mode if not given.
-    """
-    found = []
-    for places in grouped([leg.form for leg in legs], len(matrices)):
-        own = [legs[place] for place in places]
-        there = repeated(matrices, len(own))
-        at = None if influences is None else influences[places[0]]  # what deforms is alone
-        start = None if near is None else stacked([near[place] for place in places])
-        found.append(ClosedGroup(places, close_alike(own, there, at, start)))
-    return found
 
 
 def grouped(forms: Sequence[object], rows: int) -> list[list[int]]:
@@ -295,22 +333,44 @@ def grouped(forms: Sequence[object], rows: int) -> list[list[int]]:
     return list(groups.values())
 
 
-def by_leg(closed: Sequence[ClosedGroup], value: Callable[[ClosedLegs], Any]) -> list[Any]:
-    """Return values of all legs in order, shape (N, …) each, from those of each call."""
-    return in_order([one.places for one in closed], [value(one.closed) for one in closed])
-
-
-def in_order(places: Sequence[Sequence[int]], values: Sequence[Any]) -> list[Any]:
-    """Return values of all legs in order, shape (N, …) each.
+def close_legs(
+    legs: Sequence[LegClosure],
+    matrices: Array,
+    influences: Sequence[Array | None] | None = None,
+    near: Sequence[Array] | None = None,
+) -> list[tuple[list[int], ClosedLegs]]:
+    """Return all legs closed at the same poses: places of alike ones, and these closed in one call.
 
     Args:
-        places: Of the legs of each group, among all.
-        values: Of each group, shape (L N, …), rows of each leg below those of the one before.
+        legs: The legs at their parameter values.
+        matrices: Poses ``T_base_platform``, shape (N, 4, 4).
+        influences: Of each leg, shape (N, n_influences); at their reference if not given.
+        near: Of each leg, positions of its moving joints near those that close it, shape
+            (N, n_joints); found in its working mode if not given.
     """
-    found: dict[int, Any] = {}
-    for group, own in zip(places, values, strict=True):
-        found |= zip(group, np.split(own, len(group)), strict=True)
-    return [found[place] for place in sorted(found)]
+    groups = []
+    for places in grouped([leg.form for leg in legs], len(matrices)):
+        alike = [legs[place] for place in places]
+        deforming = None if influences is None else influences[places[0]]  # what deforms is alone
+        start = None if near is None else stacked([near[place] for place in places])
+        closed = close(alike, repeated(matrices, len(alike)), deforming, start)
+        groups.append((places, closed))
+    return groups
+
+
+def by_leg(
+    groups: Sequence[tuple[Sequence[int], Group]], value: Callable[[Group], Any]
+) -> list[Any]:
+    """Return values of all legs in order, shape (N, …) each, from those of groups of alike legs.
+
+    Args:
+        groups: Places of legs among all, and what has the value.
+        value: Rows of each leg of a group below those of the one before, shape (L N, …).
+    """
+    values: dict[int, Any] = {}
+    for places, group in groups:
+        values |= zip(places, np.split(value(group), len(places)), strict=True)
+    return [values[place] for place in sorted(values)]
 
 
 def close_chunks(
@@ -318,8 +378,8 @@ def close_chunks(
     placed: Matrices,
     influences: Array | None = None,
     near: Mapping[str, Array] | None = None,
-) -> Iterator[tuple[slice, list[ClosedGroup]]]:
-    """Yield the closed legs of poses in chunks of bounded memory, and their rows.
+) -> Iterator[tuple[slice, list[tuple[list[int], ClosedLegs]]]]:
+    """Yield rows of poses, in chunks of bounded memory, and the legs closed there.
 
     Args:
         mechanism: The mechanism, at its nominal parameters.
@@ -329,9 +389,9 @@ def close_chunks(
     """
     legs = nominal_legs(mechanism)
     for rows, matrices in matrix_chunks(placed):
-        own = start = None
+        deforming = start = None
         if influences is not None:
-            own = [mechanism.influences_at(i, influences[rows]) for i in range(len(legs))]
+            deforming = [mechanism.influences_at(i, influences[rows]) for i in range(len(legs))]
         if near is not None:
             start = [near[leg.leg.name][rows] for leg in legs]
-        yield rows, close_legs(legs, matrices, own, start)
+        yield rows, close_legs(legs, matrices, deforming, start)

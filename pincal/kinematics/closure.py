@@ -18,9 +18,18 @@ from functools import cached_property, lru_cache
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pincal.kinematics.batches import applied, cross, least_squares, left_null, product, solve
+from pincal.kinematics.batches import (
+    applied,
+    cross,
+    inverse_left_jacobian,
+    least_squares,
+    left_null,
+    point_velocity,
+    product,
+    solve,
+    turn_between,
+)
 from pincal.kinematics.chain import (
-    Placed,
     PlatformPoint,
     alike_points,
     deformed_point,
@@ -29,6 +38,7 @@ from pincal.kinematics.chain import (
     platform_point,
     point_chain,
 )
+from pincal.kinematics.forest import Motion, moments
 from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Platform
@@ -52,30 +62,73 @@ class Newton:
 
 @dataclass(frozen=True)
 class Closure:
-    """Closure c of one leg and its derivatives at N configurations; m rows are kept.
+    """Closure c of alike legs, and its derivatives, at N configurations; m rows are kept.
 
-    A row of Nᵀc is a wrench on the tip, and what it changes by along a motion is the wrench's
-    power: of many parameters only that is worked out.
+    Each is worked out where it is asked for. A row of Nᵀc is a wrench on the tip, and what it
+    changes by along a motion is the wrench's power: of many parameters only that is worked out.
     """
 
-    gap: Array
-    """c, shape (N, m), base frame, [m]."""
-    active: Array
-    """∂c/∂θ, shape (N, m, n_active)."""
-    passive: Array
-    """∂c/∂p, shape (N, m, n_passive)."""
-    at: Placed
-    """The leg and the platform there."""
+    leg: LegClosure
+    """The first of the legs; all have its form."""
+    matrices: Array
+    """Poses, shape (N, 4, 4)."""
+    motion: Motion
+    """Of the tip by the leg's joints, then by its parameters."""
+    point: PlatformPoint
+
+    @cached_property
+    def turn_error(self) -> Array | None:
+        """Rotation vectors from the platform's frame to the tip's, (N, 3), if it closes a frame."""
+        if not self.leg.turns:
+            return None
+        return turn_between(self.motion.turns, self.matrices[:, :3, :3] @ self.point.turn)
+
+    @cached_property
+    def gap(self) -> Array:
+        """c, shape (N, m), base frame, [m]; rotation vectors are multiplied by the leg's size."""
+        m = self.leg.platform.space
+        gap = (self.motion.tips[:m] - applied(self.matrices, self.point.place)[:m, 0]).T
+        if self.turn_error is None:
+            return gap
+        return np.concatenate((gap, self.leg.size * self.turn_error[:, self.leg.axes]), axis=1)
+
+    @cached_property
+    def by_joints(self) -> Array:
+        """∂c/∂(θ, p) of all joints in order, shape (N, m, n_joints)."""
+        return self._rows(self.motion.some(slice(len(self.leg.leg.moving))))
+
+    @cached_property
+    def active(self) -> Array:
+        """∂c/∂θ, shape (N, m, n_active)."""
+        return self.by_joints[:, :, self.leg.leg.active]
+
+    @cached_property
+    def passive(self) -> Array:
+        """∂c/∂p, shape (N, m, n_passive)."""
+        return self.by_joints[:, :, self.leg.leg.passive]
 
     @cached_property
     def parameter(self) -> Array:
         """∂c/∂φ at fixed joints, shape (N, m, n_params)."""
-        return self.at.by_parameter()
+        rows = self._rows(self.motion.some(slice(len(self.leg.leg.moving), None)))
+        if len(placing := self.point.parameters):
+            m = self.leg.platform.space
+            rows[:, :m, placing] -= applied(self.matrices, self.point.speeds)[:m].transpose(2, 0, 1)
+            if self.turn_error is not None:
+                turned = self._by_platform_turn @ self.matrices[:, :3, :3] @ self.point.turning
+                rows[:, m:, placing] -= turned
+        return rows
 
     @cached_property
     def pose(self) -> Array:
         """∂c/∂x for the platform's freedoms as a twist at its origin, shape (N, m, dof)."""
-        return self.at.by_pose()
+        arm = applied(self.matrices, self.point.arm)[:, 0].T
+        twist_rows = self.leg.platform.twist_rows
+        pose = -point_velocity(arm, twist_rows)[:, : self.leg.platform.space]
+        if self.turn_error is None:
+            return pose
+        turned = np.equal.outer((3, 4, 5), twist_rows).astype(float)
+        return np.concatenate((pose, -(self._by_platform_turn @ turned)), axis=1)
 
     @cached_property
     def normal(self) -> Array:
@@ -94,38 +147,60 @@ class Closure:
         return self.project(self.gap[:, :, None])[:, :, 0]
 
     @cached_property
+    def drive(self) -> Array:
+        """Nᵀ ∂c/∂θ, shape (N, m - n_passive, n_active): less of rank at a type-1 singularity."""
+        return self.project(self.active)
+
+    @cached_property
     def constraint_by_parameter(self) -> Array:
         """Nᵀ ∂c/∂φ at fixed joints, shape (N, m - n_passive, n_params)."""
         if not self.passive.shape[2]:
             return self.parameter
-        return self.at.power_by_parameter(self.normal)
+        m, n, placing = self.leg.platform.space, len(self.leg.leg.moving), self.point.parameters
+        shape = (self.normal.shape[2], len(self.leg.parameters), len(self.normal))
+        power = np.empty(shape)
+        for row, y in zip(power, self.normal.transpose(2, 1, 0), strict=True):
+            force, turning = np.zeros((len(self.motion.tips), len(self.normal))), y[m:].T[:, None]
+            force[:m] = y[:m]
+            moment = None if self.turn_error is None else (turning @ self._by_tip_turn)[:, 0].T
+            row[:] = self.motion.power(force, moment, n)
+            if len(placing):
+                row[placing] -= _power_in_platform(self.matrices, self.point.speeds, y[:m])
+                if self.turn_error is not None:
+                    back = (turning @ self._by_platform_turn) @ self.matrices[:, :3, :3]
+                    row[placing] -= (back @ self.point.turning)[:, 0].T
+        return power.transpose(2, 0, 1)
 
     @cached_property
     def constraint_by_pose(self) -> Array:
         """Nᵀ ∂c/∂x, shape (N, m - n_passive, dof)."""
         if not self.passive.shape[2]:
             return self.pose
-        return self.at.power_by_pose(self.normal)
-
-    @cached_property
-    def drive(self) -> Array:
-        """Nᵀ ∂c/∂θ, shape (N, m - n_passive, n_active): less of rank at a type-1 singularity."""
-        return self.project(self.active)
+        m, twist_rows = self.leg.platform.space, list(self.leg.platform.twist_rows)
+        arm = applied(self.matrices, self.point.arm)[:, 0]
+        wrench = np.zeros((self.normal.shape[2], 6, len(self.normal)))
+        for row, y in zip(wrench, self.normal.transpose(2, 1, 0), strict=True):
+            row[:m] = y[:m]
+            row[6 - (1 if m == 2 else 3) :] = moments(arm[:m], y[:m])
+            if self.turn_error is not None:
+                row[3:] += (y[m:].T[:, None] @ self._by_platform_turn)[:, 0].T
+        return -wrench[:, twist_rows].transpose(2, 0, 1)
 
     @cached_property
     def lever(self) -> Array:
         """Speed of the next revolute axis after the first active joint per unit of its rate, (N,).
 
-        At a planar dyad the length l; the tip's own speed where there is no such axis.
+        At a planar dyad the length l; the tip's speed where there is no such axis.
         """
-        active, following = self.at.drive_twists()
-        own = np.linalg.norm(self.active[:, :, 0], axis=1)
-        if following is None:
-            return own
-        arm = cross(following[3:].T, following[:3].T)  # from the tip to the next axis
-        speed = active[:3].T + cross(active[3:].T, arm)
-        lever = np.linalg.norm(speed, axis=1)
-        return np.where(lever > 1e-9 * own, lever, own)
+        moving, active = self.leg.leg.moving, self.leg.leg.active[0]
+        revolute = [i for i in range(active + 1, len(moving)) if moving[i].turns]
+        tip_speed = np.linalg.norm(self.active[:, :, 0], axis=1)
+        if not revolute:
+            return tip_speed
+        drive, turn = self.motion.twists([active])[:, 0], self.motion.twists(revolute[:1])[:, 0]
+        arm = cross(turn[3:].T, turn[:3].T)  # from the tip to the next axis
+        lever = np.linalg.norm(drive[:3].T + cross(drive[3:].T, arm), axis=1)
+        return np.where(lever > 1e-9 * tip_speed, lever, tip_speed)
 
     def active_step(self) -> Array:
         """Return the Newton step of the active joints that closes the leg, shape (N, n_active).
@@ -144,6 +219,39 @@ class Closure:
         transposed = self.passive.transpose(0, 2, 1)
         normal = product(transposed, self.passive)
         return -solve(normal, product(transposed, gap[:, :, None]))[:, :, 0]
+
+    def passive_turning(self) -> Array:
+        """Return how passive joints turn the tip, (1 or 3, n_passive, N): across z, or all."""
+        return self.motion.some(list(self.leg.leg.passive))[len(self.motion.tips) :]
+
+    @cached_property
+    def _by_tip_turn(self) -> Array:
+        """How a turn of the tip changes the turn's rows, shape (N, 1 or 3, 3)."""
+        assert self.turn_error is not None
+        return self.leg.size * inverse_left_jacobian(self.turn_error)[:, self.leg.axes]
+
+    @cached_property
+    def _by_platform_turn(self) -> Array:
+        """How a turn of the platform changes them, but for the sign, shape (N, 1 or 3, 3)."""
+        assert self.turn_error is not None
+        by_turn = inverse_left_jacobian(self.turn_error).transpose(0, 2, 1)
+        return self.leg.size * by_turn[:, self.leg.axes]
+
+    def _rows(self, twists: Array) -> Array:
+        """Return rows of the closure by twists of the tip, (3 or 6, k, N), shape (N, m, k)."""
+        rows = twists[: self.leg.platform.space].transpose(2, 0, 1)
+        if self.turn_error is None:
+            return rows
+        turned = self._by_tip_turn @ np.ascontiguousarray(twists[3:].transpose(2, 0, 1))
+        return np.concatenate((rows, turned), axis=1)
+
+
+def _power_in_platform(matrices: Array, vectors: Array, force: Array) -> Array:
+    """Return f · (R v) of vectors (4, k[, N]) in the platform frame and f (2 or 3, N), (k, N)."""
+    in_platform = np.einsum("nij,in->jn", matrices[:, : len(force), :3], force)
+    if vectors.ndim == 3:
+        return np.einsum("jkn,jn->kn", vectors[:3], in_platform)
+    return np.asarray(vectors[:3].T @ in_platform)
 
 
 class LegClosure:
@@ -276,15 +384,11 @@ def evaluate(legs: Sequence[LegClosure], joints: Array, matrices: Array) -> Clos
         joints: Of N rows of each, shape (L N, n_joints …): see ``LegClosure.evaluate``.
         matrices: Shape (L N, 4, 4).
     """
-    first = legs[0]
     moved = motion([leg.chain for leg in legs], [leg.parameters for leg in legs], joints)
-    point = first.point_at(joints)
+    point = legs[0].point_at(joints)
     if len(legs) > 1:
         point = alike_points([leg.point_at(joints) for leg in legs], len(joints) // len(legs))
-    placed = Placed(first, matrices, moved, point)
-    by_joints = placed.by_joints
-    active, passive = by_joints[:, :, first.leg.active], by_joints[:, :, first.leg.passive]
-    return Closure(placed.gap, active, passive, placed)
+    return Closure(legs[0], matrices, moved, point)
 
 
 def rows_of_each(count: int, rows: int) -> list[slice]:

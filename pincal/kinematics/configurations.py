@@ -108,7 +108,7 @@ def joints_at(mechanism: Mechanism, planned: Plan | Array) -> InverseSolution:
     influences = influences_of(mechanism, plan)
     for index, leg in enumerate(nominal_legs(mechanism)):
         known = mechanism.known(index, plan.readings, influences)
-        closed, found = nearest_closure(leg, matrices, known)
+        closed, found = nearest_closure((leg,), matrices, (known,))
         near = np.abs(closed.gap).max(axis=1) <= _CLOSES * leg.size
         joints[leg.leg.name] = np.where(near[:, None], found[:, : len(leg.leg.moving)], np.nan)
         reached.append(near)

@@ -21,9 +21,9 @@ from pincal.kinematics.batches import (
     product,
     stacked,
 )
-from pincal.kinematics.closing import close_alike, grouped, sensor_law
+from pincal.kinematics.closing import close, grouped, sensor_law
 from pincal.kinematics.closure import Closure, LegClosure, rows_of_each
-from pincal.kinematics.nearest_closure import begun, nearest_closures
+from pincal.kinematics.nearest_closure import nearest_closure
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
 from pincal.types import Array, Mask
@@ -62,32 +62,21 @@ class Demand:
         )
 
 
-def demand(leg: LegClosure, closure: Closure, known: Array) -> Demand:
-    """Return what a leg demands, from its closure and what is known of readings and influences.
-
-    Args:
-        leg: The leg at its parameter values.
-        closure: Its closure at N configurations.
-        known: Readings, then influences, shape (N, n_active [+ n_influences]).
-    """
-    return demands((leg,), closure, (known,))[0]
-
-
 def demands(legs: Sequence[LegClosure], closure: Closure, known: Sequence[Array]) -> list[Demand]:
-    """Return what each of some alike legs demands, from their closures: see ``demand``.
+    """Return what each of some alike legs demands, from closures, readings and influences.
 
     Args:
         legs: L legs of one form at their parameter values.
         closure: Their closures at N configurations, rows of each below the one before.
         known: Of each leg readings, then influences, shape (N, n_active [+ n_influences]).
     """
-    value, rows_of = closure.constraint, rows_of_each(len(legs), len(closure.gap))
-    rows, drive, pose = closure.constraint_by_parameter, closure.drive, closure.constraint_by_pose
-    found = []
-    for own, leg, said in zip(rows_of, legs, known, strict=True):
-        reading = drive[own] * sensor_law(leg).slopes(said)[..., None, :]
-        by_parameter = _by_parameter(leg, rows[own], drive[own], said)
-        found.append(Demand(value[own], by_parameter, pose[own], reading))
+    value, rows_of_leg = closure.constraint, rows_of_each(len(legs), len(closure.gap))
+    by_parameter, pose = closure.constraint_by_parameter, closure.constraint_by_pose
+    drive, found = closure.drive, []
+    for rows, leg, leg_known in zip(rows_of_leg, legs, known, strict=True):
+        reading = drive[rows] * sensor_law(leg).slopes(leg_known)[..., None, :]
+        parameter = _by_parameter(leg, by_parameter[rows], drive[rows], leg_known)
+        found.append(Demand(value[rows], parameter, pose[rows], reading))
     return found
 
 
@@ -119,11 +108,9 @@ def _closed(
     more = influences or [np.zeros((len(matrices[own]), 0)) for own in rows]
     if readings is not None:
         known = [np.hstack(pair) for pair in zip(readings, more, strict=True)]
-        parts = zip(legs, rows, known, strict=True)
-        start = np.concatenate([begun(leg, matrices[own], said, None) for leg, own, said in parts])
-        closure, _ = nearest_closures(legs, matrices, start)
+        closure, _ = nearest_closure(legs, matrices, known)
         return closure, known, np.ones(len(matrices), dtype=bool)
-    closed = close_alike(legs, matrices, more[0])  # one that deforms is alone
+    closed = close(legs, matrices, more[0])  # one that deforms is alone
     known = []
     for leg, own, said in zip(legs, rows, more, strict=True):
         psi = sensor_law(leg).reading(closed.joints[own][:, leg.leg.active], said)
@@ -212,22 +199,9 @@ def leg_demand(
     Raises:
         MechanismError: unknown leg; poses of a wrong shape, or not finite.
     """
-    placed = mechanism.platform.placed(poses)
-    return leg_demand_at(mechanism, leg, placed, parameters, readings, influences)
-
-
-def leg_demand_at(
-    mechanism: Mechanism,
-    leg: str,
-    placed: Matrices,
-    parameters: Array | None = None,
-    readings: Array | None = None,
-    influences: Array | None = None,
-) -> Demand:
-    """Return what a leg demands at ``PoseMatrices`` or matrices (N, 4, 4): see ``leg_demand``."""
     closure = LegClosure(mechanism.leg(leg), mechanism.platform, parameters)
-    given = (None if part is None else [part] for part in (readings, influences))
-    return leg_demands_at((closure,), (placed,), *given)[0]
+    measured = (None if columns is None else [columns] for columns in (readings, influences))
+    return leg_demands_at((closure,), (mechanism.platform.placed(poses),), *measured)[0]
 
 
 def identification_jacobian(

@@ -24,7 +24,15 @@ from pincal.errors import MechanismError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.batches import chunks, least_squares, product, repeated
 from pincal.kinematics.closed_forms import is_line
-from pincal.kinematics.closing import close_alike, driven, grouped, in_order, sensor_law
+from pincal.kinematics.closing import (
+    by_leg,
+    close,
+    driven,
+    grouped,
+    in_home_modes,
+    sensor_law,
+    start_joints,
+)
 from pincal.kinematics.closure import (
     Closure,
     LegClosure,
@@ -37,7 +45,6 @@ from pincal.kinematics.closure import (
 from pincal.kinematics.influences import Influences, gravity_loads, influence_columns
 from pincal.kinematics.nearest_closure import arm_poses
 from pincal.kinematics.singularity import platform_margin
-from pincal.kinematics.starts import in_home_modes, start_joints
 from pincal.model.checks import ROUNDING, numbers_of
 from pincal.model.home import ROUGH
 from pincal.model.mechanism import Mechanism
@@ -123,7 +130,7 @@ def _joints_near(legs: Sequence[LegClosure], matrices: Array) -> Array:
         return np.empty((len(legs), count, len(leg.leg.moving)))
     if len(leg.leg.moving) < len(leg.platform.closing(leg.leg.closes)):  # few poses close it
         return np.stack([start_joints(one, matrices)[0] for one in legs])
-    closed = close_alike(legs, repeated(matrices, len(legs)))
+    closed = close(legs, repeated(matrices, len(legs)))
     joints = closed.joints.reshape(len(legs), count, -1)
     for own, one, reached in zip(joints, legs, np.split(closed.reached, len(legs)), strict=True):
         if not reached.all():
@@ -412,9 +419,9 @@ def placed_by_arm(legs: Sequence[LegClosure], known: Sequence[Array]) -> Array |
 
 def _platform_step(groups: Sequence[MovingLegs], closures: Sequence[Closure]) -> Array:
     """Return the twist that closes all legs to first order, shape (N, dof)."""
-    places = [one.places for one in groups]
-    lines = np.concatenate(in_order(places, [c.constraint_by_pose for c in closures]), axis=1)
-    gaps = np.concatenate(in_order(places, [c.constraint for c in closures]), axis=1)
+    closed = [(legs.places, closure) for legs, closure in zip(groups, closures, strict=True)]
+    lines = np.concatenate(by_leg(closed, lambda legs: legs.constraint_by_pose), axis=1)
+    gaps = np.concatenate(by_leg(closed, lambda legs: legs.constraint), axis=1)
     return -least_squares(lines, gaps[:, :, None])[:, :, 0]
 
 
@@ -441,11 +448,10 @@ def _reasons(
     for one, closure in zip(groups, closures, strict=True):
         closes &= one.closable(closure, twist) <= _NEWTON.closed
         in_mode &= one.all_in_mode(closure)
-    places = [one.places for one in groups]
-    lines = in_order(places, [one.constraint_by_pose for one in closures])
+    closed = [(legs.places, closure) for legs, closure in zip(groups, closures, strict=True)]
+    lines = by_leg(closed, lambda legs: legs.constraint_by_pose)
     in_mode &= platform_margin(mechanism, lines) > 0.0
     reasons = np.where(in_mode, "", "left the working or assembly mode of home")
-    gaps = [np.linalg.norm(closure.gap, axis=1) for closure in closures]
-    every = np.stack(in_order(places, gaps), axis=1)
-    closes &= every.max(axis=1) <= ROUGH * largest_size(mechanism.legs)
-    return [str(r) for r in np.where(closes, reasons, "no pose found that closes all legs")], every
+    gaps = np.stack(by_leg(closed, lambda legs: np.linalg.norm(legs.gap, axis=1)), axis=1)
+    closes &= gaps.max(axis=1) <= ROUGH * largest_size(mechanism.legs)
+    return [str(r) for r in np.where(closes, reasons, "no pose found that closes all legs")], gaps

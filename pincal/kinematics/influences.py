@@ -188,7 +188,7 @@ class _Held:
 
 def _held(leg: LegClosure, matrices: Array, known: Array, gravity: Array) -> _Held:
     """Return a leg at poses and what is known of its readings and influences."""
-    closed, joints = nearest_closure(leg, matrices, known)
+    closed, joints = nearest_closure((leg,), matrices, (known,))
     lost, n = _links(leg, joints, gravity), len(leg.leg.moving)
     by_joint, by_parameter = lost[:, leg.leg.active], lost[:, n:]
     platform = np.zeros((len(matrices), leg.platform.dof))

@@ -15,11 +15,10 @@ from pincal.errors import MechanismError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.batches import Matrices, matrix_chunks
 from pincal.kinematics.closed_forms import closed_form
-from pincal.kinematics.closing import by_leg, close, close_chunks, sensor_law
+from pincal.kinematics.closing import by_leg, close, close_chunks, sensor_law, start_joints
 from pincal.kinematics.closure import largest_size, nominal_legs
 from pincal.kinematics.forward import LOADS, needs_loads, with_loads
 from pincal.kinematics.influences import Influences, influence_columns
-from pincal.kinematics.starts import start_joints
 from pincal.model.checks import ROUNDING, array_of
 from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
@@ -178,6 +177,6 @@ def reached(mechanism: Mechanism, poses: Poses) -> Mask:
         for index, leg in enumerate(legs):
             solved = closed_form(leg) is not None
             found[rows, index] = (
-                start_joints(leg, matrices)[1] if solved else close(leg, matrices).reached
+                start_joints(leg, matrices)[1] if solved else close((leg,), matrices).reached
             )
     return found

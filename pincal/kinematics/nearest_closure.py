@@ -9,10 +9,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pincal.kinematics.batches import lengths, product
-from pincal.kinematics.closing import driven, sensor_law
+from pincal.kinematics.batches import lengths, product, stacked
+from pincal.kinematics.closing import driven, sensor_law, start_joints
 from pincal.kinematics.closure import Closure, LegClosure, Newton, evaluate, rows_of_each
-from pincal.kinematics.starts import start_joints
 from pincal.model.checks import EXACT
 from pincal.types import Array, Mask
 
@@ -22,47 +21,49 @@ _FAR = 1e-2  # of a leg's size, from which a gap's curvature counts
 
 
 def nearest_closure(
-    leg: LegClosure,
+    legs: Sequence[LegClosure],
     matrices: Array,
-    known: Array,
-    joints: Array | None = None,
+    known: Sequence[Array],
+    joints: Sequence[Array | None] | None = None,
+    by: Newton = NEWTON,
 ) -> tuple[Closure, Array]:
-    """Return a leg's closure at poses and readings, |c| least, and the joint positions there.
+    """Return the closure of alike legs at poses and readings, |c| least, and the joints there.
 
-    Deformations of its parameters stand behind these, if there are any.
+    Rows of each leg stand below those of the one before. Deformations of parameters stand behind
+    joint positions, if there are any.
 
     Args:
-        leg: The leg at its parameter values.
-        matrices: Poses ``T_base_platform``, shape (N, 4, 4).
-        known: Readings [rad] or [m], then influences, shape (N, n_active [+ n_influences]).
-        joints: Where the search for passive joints starts, shape (N, n_joints [+ n_deformed]).
-    """
-    return nearest_closures((leg,), matrices, begun(leg, matrices, known, joints))
-
-
-def begun(leg: LegClosure, matrices: Array, known: Array, joints: Array | None) -> Array:
-    """Return joints as readings say, from which passive ones are found: see ``nearest_closure``."""
-    n = len(leg.leg.moving)
-    if joints is not None:
-        joints = joints[:, :n].copy()
-    elif leg.leg.passive:
-        joints = start_joints(leg, matrices)[0]
-    else:
-        joints = np.empty((len(matrices), n))
-    return driven(leg, joints, known)
-
-
-def nearest_closures(
-    legs: Sequence[LegClosure], matrices: Array, joints: Array, by: Newton = NEWTON
-) -> tuple[Closure, Array]:
-    """Return the closures of alike legs and joint positions, rows of each below the one before.
-
-    Args:
-        legs: L legs of one form.
-        matrices: Poses ``T_base_platform`` of N rows of each, shape (L N, 4, 4).
-        joints: Where the search for passive joints starts, shape (L N, n_joints …); overwritten.
+        legs: L legs of one form, at their parameter values.
+        matrices: Poses ``T_base_platform`` of N rows of each leg, shape (L N, 4, 4).
+        known: Of each leg readings [rad] or [m], then influences, shape (N, n_active
+            [+ n_influences]).
+        joints: Of each leg where the search for passive joints starts, shape (N, n_joints
+            [+ n_deformed]); near those that close it if not given.
         by: When the search ends.
     """
+    starts = []
+    for rows, leg, leg_known, near in zip(
+        rows_of_each(len(legs), len(matrices)),
+        legs,
+        known,
+        joints or [None] * len(legs),
+        strict=True,
+    ):
+        n = len(leg.leg.moving)
+        if near is not None:
+            start = near[:, :n].copy()
+        elif leg.leg.passive:
+            start = start_joints(leg, matrices[rows])[0]
+        else:
+            start = np.empty((len(leg_known), n))
+        starts.append(driven(leg, start, leg_known))
+    return _nearest(legs, matrices, stacked(starts), by)
+
+
+def _nearest(
+    legs: Sequence[LegClosure], matrices: Array, joints: Array, by: Newton
+) -> tuple[Closure, Array]:
+    """Return nearest closures and joints, from a start, shape (L N, n_joints …), overwritten."""
     leg, scales = legs[0].leg, _scales(legs, len(joints))
     sizes = np.repeat([one.size for one in legs], len(joints) // len(legs))
     for _ in range(by.steps):
@@ -135,7 +136,7 @@ def _curved_step(closed: Closure, rows: Mask) -> Array:
     gap, J = closed.gap[rows], closed.passive[rows]
     n, m = len(gap), gap.shape[1]
     turning, space = np.zeros((3, J.shape[2], n)), np.zeros((n, 3, J.shape[2] + 1))
-    own = closed.at.passive_turning()[:, :, rows]
+    own = closed.passive_turning()[:, :, rows]
     turning[3 - len(own) :] = own
     space[:, :m, :-1], space[:, :m, -1] = J, gap
     v, c = space[:, :, :-1], space[:, :, -1]

@@ -18,7 +18,7 @@ import numpy as np
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.batches import point_velocity
 from pincal.kinematics.closed_forms import rod_directions
-from pincal.kinematics.closing import ClosedGroup, by_leg, close, close_chunks, sensor_law
+from pincal.kinematics.closing import ClosedLegs, by_leg, close, close_chunks, sensor_law
 from pincal.kinematics.closure import Closure, nominal_legs
 from pincal.kinematics.nearest_closure import nearest_closure
 from pincal.model.mechanism import Mechanism
@@ -59,7 +59,7 @@ def margins(mechanism: GivenMechanism, poses: Poses) -> SingularityMargins:
     return SingularityMargins(type1, type2)
 
 
-def drive_margins(closed: Sequence[ClosedGroup]) -> Array:
+def drive_margins(closed: Sequence[tuple[list[int], ClosedLegs]]) -> Array:
     """Return |Nᵀ ∂c/∂θ| over the drive's lever, one column a leg, shape (N, n_legs).
 
     Of several drives, the least singular value of their columns, each of unit speed at its best.
@@ -150,10 +150,10 @@ def home_determinant(mechanism: Mechanism) -> float:
         if mechanism.by_readings:
             leg = closure.leg
             readings = sensor_law(closure).reading(leg.home[None, leg.active])
-            there = nearest_closure(closure, matrices, readings, leg.home[None])[0]
-            lines.append(there.constraint_by_pose)
+            home = nearest_closure((closure,), matrices, (readings,), (leg.home[None],))[0]
+            lines.append(home.constraint_by_pose)
             continue
-        closed = close(closure, matrices)
+        closed = close((closure,), matrices)
         if not closed.reached[0]:
             return float("nan")
         lines.append(closed.closure.constraint_by_pose)

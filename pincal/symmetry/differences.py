@@ -8,10 +8,9 @@ from functools import cached_property
 
 import numpy as np
 
-from pincal.kinematics.closed_forms import is_line
+from pincal.kinematics.closed_forms import is_line, reach_of
+from pincal.kinematics.closing import home_mode
 from pincal.kinematics.closure import LegClosure
-from pincal.kinematics.reach import reach_of
-from pincal.kinematics.starts import home_mode
 from pincal.model.checks import ALIKE
 from pincal.model.leg import Joint, Leg
 from pincal.model.mechanism import Mechanism

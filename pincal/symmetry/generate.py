@@ -60,7 +60,7 @@ def at_home(leg: Leg, platform: Platform) -> Leg:
     Raises:
         MechanismError: it does not close there in the working mode of its rough home.
     """
-    closed = close(LegClosure(leg, platform), platform.home_pose.as_matrix())
+    closed = close((LegClosure(leg, platform),), platform.home_pose.as_matrix())
     if not closed.reached[0]:
         raise MechanismError(
             f"{leg.name} does not reach the home pose {platform.home}; correct the home pose, the "

@@ -15,19 +15,18 @@ import numpy as np
 from pincal.errors import WorkspaceError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.batches import chunks, matrix_chunks
-from pincal.kinematics.closing import ClosedGroup, ClosedLegs, by_leg, close_legs
+from pincal.kinematics.closed_forms import Reach, reach_of
+from pincal.kinematics.closing import ClosedLegs, by_leg, close_legs, in_home_modes
 from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.forward import forward
 from pincal.kinematics.inverse import beyond_limits, inverse
 from pincal.kinematics.nearest_closure import nearest_closure
-from pincal.kinematics.reach import Reach, reach_of
 from pincal.kinematics.singularity import (
     drive_margins,
     home_determinant,
     platform_margin,
     rods_margin,
 )
-from pincal.kinematics.starts import in_home_modes
 from pincal.model.checks import EXACT, ROUNDING, must_be
 from pincal.model.home import home_gap
 from pincal.model.mechanism import Mechanism
@@ -124,20 +123,19 @@ class Criteria:
         matrices, closed = self.mechanism.platform.matrices(poses), []
         for place, leg in enumerate(self._legs):
             known = self.mechanism.known(place, readings, None)
-            closure, joints = nearest_closure(leg, matrices, known)
+            closure, joints = nearest_closure((leg,), matrices, (known,))
             open_ = 10.0 * home_gap(leg.leg, self.mechanism.platform) + EXACT * leg.size
             near = (np.abs(closure.gap).max(axis=1) <= open_) & in_home_modes((leg,), closure)
             joints = joints[:, : len(leg.leg.moving)]
-            closed.append(ClosedGroup([place], ClosedLegs(joints, near, closure)))
+            closed.append(([place], ClosedLegs(joints, near, closure)))
         return self._counted(closed)
 
-    def _counted(self, closed: Sequence[ClosedGroup]) -> Mask:
+    def _counted(self, closed: Sequence[tuple[list[int], ClosedLegs]]) -> Mask:
         """Return which poses count of those at which legs were closed."""
-        inside = np.ones(len(closed[0].closed.joints) // len(closed[0].places), dtype=bool)
         with np.errstate(invalid="ignore"):
+            inside = np.all(by_leg(closed, lambda legs: legs.reached), axis=0)
             for leg, joints in zip(self._legs, by_leg(closed, lambda one: one.joints), strict=True):
                 inside &= ~beyond_limits(leg.leg, joints).any(axis=1)
-            inside &= np.all(by_leg(closed, lambda one: one.reached), axis=0)
             least = max(self.least.type1 - ROUNDING, _GRIP)
             inside &= (drive_margins(closed) >= least).all(axis=1)
             if self._type2 > -np.inf:

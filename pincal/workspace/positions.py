@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pincal.errors import WorkspaceError
-from pincal.kinematics.reach import Turned
+from pincal.kinematics.closed_forms import Turned
 from pincal.model.checks import ALIKE
 from pincal.model.mechanism import Mechanism
 from pincal.symmetry.elements import IDENTITY, SAME, Element, Isometry

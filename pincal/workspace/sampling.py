@@ -316,7 +316,7 @@ def _why_not_home(mechanism: Mechanism, least: Margins) -> str:
     name, platform = mechanism.name, mechanism.platform
     start = f"the home pose of {name!r} is not in the workspace: "
     for closure in nominal_legs(mechanism):
-        leg, closed = closure.leg, close(closure, platform.home_pose.as_matrix())
+        leg, closed = closure.leg, close((closure,), platform.home_pose.as_matrix())
         if not closed.reached[0]:
             return start + f"{leg.name} does not reach it on the side where it bends at home"
         for joint, value in zip(leg.moving, closed.joints[0], strict=True):

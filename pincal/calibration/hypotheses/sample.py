@@ -16,11 +16,11 @@ from scipy.spatial.transform import Rotation
 from pincal.estimation.observability.gauge import frame_motions
 from pincal.estimation.observability.indices import DIFFER, changes_of
 from pincal.kinematics.batches import CHUNK, chunks, stacked
+from pincal.kinematics.closing import home_mode, mode_sign
 from pincal.kinematics.closure import LegClosure, largest_size, nominal_legs
 from pincal.kinematics.derivatives import demands
 from pincal.kinematics.forward import forward
-from pincal.kinematics.nearest_closure import NEWTON, begun, nearest_closures
-from pincal.kinematics.starts import home_mode, mode_sign
+from pincal.kinematics.nearest_closure import NEWTON, nearest_closure
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import WAYS
@@ -393,15 +393,13 @@ def _fitted(
     # rows of one leg are rows of one call, whatever its form; alike legs stand below each other
     alone = len({one.leg for one in sets}) == 1
     called, known = (own[:1], [stacked(said)]) if alone else (own, said)
-    there = np.split(matrices, len(called))
 
     def by_set(parts: Sequence[Array]) -> Array:
         whole: Array = stacked(parts)
         return whole.reshape(len(sets), count, *whole.shape[1:])
 
     with np.errstate(all="ignore"):  # units may be far off
-        start = [begun(*one, None) for one in zip(called, there, known, strict=True)]
-        closed, _ = nearest_closures(called, matrices, stacked(start), _SEARCH)
+        closed, _ = nearest_closure(called, matrices, known, by=_SEARCH)
         missed = np.nan_to_num(np.linalg.norm(closed.constraint, axis=1), nan=np.inf)
         rows = demands(called, closed, known)
         sizes = np.array([one.size for one in own])

@@ -16,7 +16,7 @@ from pincal.estimation.linear import Follow, State
 from pincal.kinematics.batches import repeated
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.derivatives import demands
-from pincal.kinematics.nearest_closure import begun, followed, nearest_closures
+from pincal.kinematics.nearest_closure import followed, nearest_closure
 from pincal.types import Array
 
 
@@ -93,9 +93,7 @@ def evaluated(
         predicted = tuple(one.predicted(leg, matrices) for one, leg in each_)
         return AlikeMet(predicted, lambda *_: [one.joints for one in predicted])
     known = [one.known for one in alike]
-    each = zip(legs, known, joints, strict=True)
-    start = np.concatenate([begun(leg, matrices, own, near) for leg, own, near in each])
-    closed, found = nearest_closures(legs, repeated(matrices, len(legs)), start)
+    closed, found = nearest_closure(legs, repeated(matrices, len(legs)), known, joints)
     by_leg = found.reshape(len(legs), len(matrices), found.shape[1])
 
     def after(changes: Sequence[Array], twists: Array) -> list[Array]:

@@ -16,7 +16,7 @@ import numpy as np
 from pincal.errors import MeasurementError
 from pincal.kinematics.closing import close, sensor_law
 from pincal.kinematics.closure import LegClosure
-from pincal.kinematics.derivatives import Demand, demand
+from pincal.kinematics.derivatives import Demand, demands
 from pincal.model.leg import Leg
 from pincal.model.platform import Platform
 from pincal.types import Array, Index
@@ -106,7 +106,7 @@ class LegCondition:
             MeasurementError: a pose out of reach.
         """
         influences = self.known[:, len(self.leg.sensors) :]
-        closed = close(closure, matrices, influences)
+        closed = close((closure,), matrices, influences)
         if not closed.reached.all():
             row = int(self.rows[np.argmin(closed.reached)])
             raise MeasurementError(
@@ -116,7 +116,7 @@ class LegCondition:
             )
         reading = sensor_law(closure).reading(closed.joints[:, self.leg.active], influences)
         there = np.hstack((reading, influences))
-        rows = demand(closure, closed.closure, there).as_joint()
+        rows = demands((closure,), closed.closure, (there,))[0].as_joint()
         difference = reading - self.readings
         found = Demand(difference, rows.parameter, rows.pose, rows.reading)
         return Met(found, closed.joints)
