@@ -19,7 +19,7 @@ from measured import workspace
 
 import pincal
 from pincal.errors import FileError, MechanismError, PincalError
-from pincal.files import mechanism_writing
+from pincal.files import mechanism_folders
 from pincal.files.mechanism_folders import bundled
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.readers import tips_by_reader
@@ -175,7 +175,7 @@ def test_failed_saving_leaves_nothing(
     def fail(*_: object) -> str:
         raise error
 
-    monkeypatch.setattr(mechanism_writing, "platform_urdf", fail)  # written last
+    monkeypatch.setattr(mechanism_folders, "platform_urdf", fail)  # written last
     target = folder if force else folder.parent / "new"
     expected = FileError if isinstance(error, OSError) else KeyboardInterrupt
     with pytest.raises(expected) as caught:
@@ -189,14 +189,14 @@ def test_failed_exchange_keeps_the_old_folder(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """If the new folder cannot take the old one's place, the old one stays as it was."""
-    before, rename = contents(folder), os.replace
+    before, rename = contents(folder), os.rename
 
     def fail_into_place(source: Path, target: Path) -> None:
         if Path(target) == folder and "5R" in (Path(source) / YAML).read_text():
             raise OSError(5, "Input/output error")
         rename(source, target)
 
-    monkeypatch.setattr(os, "replace", fail_into_place)
+    monkeypatch.setattr(os, "rename", fail_into_place)
     with pytest.raises(FileError, match="copy"):
         pincal.load_mechanism("5R").save(folder, force=True)
     assert names(folder.parent) == ["copy"]

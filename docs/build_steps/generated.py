@@ -13,7 +13,7 @@ from typer.main import get_command
 import pincal
 from build_steps.names import GROUPS, RETURNED
 from pincal.cli.app import app
-from pincal.files.schema import MechanismSpec
+from pincal.files.mechanism_yaml import MechanismSpec
 from pincal.files.yaml import _SetupSpec
 
 FOLDER = Path("reference") / "made"

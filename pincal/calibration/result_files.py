@@ -31,8 +31,7 @@ from pincal.estimation.noise import NoiseModel
 from pincal.estimation.residuals.losses import LOSSES, Loss, LossName
 from pincal.files.json_text import json_text, plain
 from pincal.files.measurement_writing import write_plan
-from pincal.files.mechanism_folders import load_mechanism
-from pincal.files.mechanism_writing import write_mechanism
+from pincal.files.mechanism_folders import load_mechanism, write_mechanism
 from pincal.files.table import write_table
 from pincal.files.text import LARGEST_FILE, read_text
 from pincal.model.measurements import Measurements, Plan

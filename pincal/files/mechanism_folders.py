@@ -7,23 +7,23 @@ from dataclasses import replace
 from difflib import get_close_matches
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 from pincal.errors import FileError, MechanismError
-from pincal.files.mechanism_writing import MECHANISM_FILES, YAML, write_mechanism
+from pincal.files.mechanism_yaml import LegSpec, MechanismSpec, mechanism_yaml
 from pincal.files.output import writing
-from pincal.files.schema import LegSpec, LoadSpec, MechanismSpec, SensorSpec, read_spec, term_of
 from pincal.files.urdf import read_chain, read_points
+from pincal.files.urdf_writing import leg_urdf, platform_urdf
+from pincal.files.yaml import read_yaml
 from pincal.model.checks import must_be
 from pincal.model.home import check_home
 from pincal.model.leg import Joint, Leg
 from pincal.model.mechanism import Mechanism
-from pincal.model.placement import Coordinate, Placement
-from pincal.model.platform import Platform, PlatformKind
-from pincal.model.sensor import Sensor
-from pincal.model.terms import Load
 
 _log = logging.getLogger(__name__)
+YAML = "mechanism.yaml"
+MECHANISM_FILES = (YAML, "*.urdf")
+"""Files of a mechanism folder that are replaced together; by the first pincal knows its own."""
 
 
 def bundled() -> dict[str, Path]:
@@ -48,12 +48,12 @@ def load_mechanism(name_or_path: str | Path) -> Mechanism:
     folder = _folder(name_or_path)
     if folder not in bundled().values():
         return _read(folder)
-    files = [(one.name, one.stat()) for one in sorted(folder.iterdir())]
-    return _kept(folder, tuple((name, stat.st_mtime_ns, stat.st_size) for name, stat in files))
+    files = [(file.name, file.stat()) for file in sorted(folder.iterdir())]
+    return _read_once(folder, tuple((name, s.st_mtime_ns, s.st_size) for name, s in files))
 
 
 @lru_cache(maxsize=64)
-def _kept(folder: Path, _: tuple[tuple[str, int, int], ...]) -> Mechanism:
+def _read_once(folder: Path, _: tuple[tuple[str, int, int], ...]) -> Mechanism:
     """Return a mechanism read once, as long as no file of its folder changes."""
     return _read(folder)
 
@@ -61,7 +61,7 @@ def _kept(folder: Path, _: tuple[tuple[str, int, int], ...]) -> Mechanism:
 def _read(folder: Path) -> Mechanism:
     path = folder / YAML
     try:
-        spec = read_spec(_inside(folder, YAML))
+        spec = read_yaml(_inside(folder, YAML), MechanismSpec, MechanismError)
         return _mechanism(spec, folder)
     except MechanismError as error:
         raise MechanismError(
@@ -77,7 +77,7 @@ def mechanism_files(name_or_path: str | Path) -> list[Path]:
         MechanismError: it does not say what it should.
     """
     folder = _folder(name_or_path)
-    spec = read_spec(_inside(folder, YAML))
+    spec = read_yaml(_inside(folder, YAML), MechanismSpec, MechanismError)
     urdfs = dict.fromkeys((spec.platform.urdf, *(leg.urdf for leg in spec.legs)))
     return [folder / YAML, *(folder / name for name in urdfs)]
 
@@ -98,8 +98,9 @@ def _folder(name_or_path: str | Path) -> Path:
             _log.info("%s: the folder here, not the bundled mechanism of that name", name_or_path)
     name = str(name_or_path)[:200]
     if not is_folder(folder):
-        alike = get_close_matches(name.lower(), known := {one.lower(): one for one in bundled()}, 1)
-        question = f"; did you mean {known[alike[0]]!r}?" if alike else ""
+        known = {mechanism.lower(): mechanism for mechanism in bundled()}
+        nearest = get_close_matches(name.lower(), known, 1)
+        question = f"; did you mean {known[nearest[0]]!r}?" if nearest else ""
         raise FileError(
             f"no mechanism {name!r}: neither a folder nor one of the bundled "
             f"ones ({', '.join(bundled()) or 'none found'}){question}"
@@ -108,9 +109,9 @@ def _folder(name_or_path: str | Path) -> Path:
         return folder / "mechanism"  # a result of 'pincal calibrate'
     if not (folder / YAML).is_symlink() and not (folder / YAML).exists():
         result = (folder / "result.json").is_file()
-        why = "a result whose fit did not converge" if result else "no mechanism folder"
+        kind = "a result whose fit did not converge" if result else "no mechanism folder"
         hides = "; it hides the bundled mechanism of that name" if name in bundled() else ""
-        raise FileError(f"{name!r} is {why}: it has no {'mechanism' if result else YAML}{hides}")
+        raise FileError(f"{name!r} is {kind}: it has no {'mechanism' if result else YAML}{hides}")
     return folder
 
 
@@ -123,27 +124,17 @@ def is_folder(path: Path) -> bool:
 
 
 def _mechanism(spec: MechanismSpec, folder: Path) -> Mechanism:
-    home = spec.platform.home
-    kind = spec.platform.kind
-    own = kind if isinstance(kind, str) else PlatformKind(kind.name, tuple(kind.freedoms))
-    platform = Platform(own, tuple(home.values()))
-    if tuple(home) != platform.coordinates:
-        raise MechanismError(
-            f"platform.home has {', '.join(home)}; expected {', '.join(platform.coordinates)}"
-        )
+    """Return what a ``mechanism.yaml`` and the URDFs that it names say together."""
+    platform = spec.platform.platform()
     points = read_points(_inside(folder, spec.platform.urdf))
     legs = tuple(_leg(leg, folder, points) for leg in spec.legs)
-    load = None if spec.load is None else _load(spec.load)
+    load = None if spec.load is None else spec.load.load()
     labels = tuple(spec.labels.items())
     mechanism = Mechanism(spec.name, platform, legs, spec.description, labels, load)
     identified = (folder.parent / "result.json").is_file()  # at the nominal home
     for leg in () if identified else legs:
         check_home(leg, platform)
     return mechanism
-
-
-def _load(spec: LoadSpec) -> Load:
-    return Load(spec.mass, spec.centre, spec.gravity, tuple(spec.drawn.items()))
 
 
 def _leg(spec: LegSpec, folder: Path, points: dict[str, Joint]) -> Leg:
@@ -168,47 +159,24 @@ def _leg(spec: LegSpec, folder: Path, points: dict[str, Joint]) -> Leg:
             f"{spec.name}: 'home' gives {', '.join(spec.home) or 'nothing'}; it needs the home "
             f"position of each moving joint: {', '.join(moving)}"
         )
-
-    def described(joint: Joint) -> Joint:
-        coordinates = tuple(
-            _coordinate(item, spec.name, joint.name) for item in spec.placements.get(joint.name, [])
+    *joints, point = (
+        replace(
+            joint,
+            placement=replace(joint.placement, coordinates=spec.coordinates(joint.name)),
+            home=spec.home.get(joint.name, 0.0),
         )
-        placement = Placement(coordinates, joint.placement.xyz, joint.placement.rpy)
-        home = spec.home.get(joint.name, 0.0)
-        return replace(joint, placement=placement, home=home)
-
+        for joint in (*chain, point)
+    )
     return Leg(
         name=spec.name,
-        joints=tuple(described(joint) for joint in chain),
-        sensors=tuple(_sensor(sensor, spec.name) for sensor in spec.sensors),
+        joints=tuple(joints),
+        sensors=tuple(sensor.sensor(spec.name) for sensor in spec.sensors),
         parameters=tuple(spec.parameters.items()),
-        point=described(point),
+        point=point,
         tip=spec.tip,
         closes=spec.closes,
-        terms=tuple(
-            (name, term_of(amplitude, term, f"{spec.name}, parameter {name!r}"))
-            for name, own in spec.terms.items()
-            for amplitude, term in own.items()
-        ),
+        terms=spec.parameter_terms(),
     )
-
-
-def _sensor(spec: SensorSpec, leg: str) -> Sensor:
-    terms = tuple(term_of(name, term, leg) for name, term in spec.terms.items())
-    return Sensor(**spec.model_dump(exclude={"terms"}), terms=terms)
-
-
-def _coordinate(item: dict[str, Any], leg: str, joint: str) -> Coordinate:
-    if len(item) != 1:
-        raise MechanismError(
-            f"{leg}, placement of {joint!r}: each entry is one coordinate, such as "
-            f"'- polar: [OA, beta]'; got {list(item)}"
-        )
-    ((kind, values),) = item.items()
-    try:
-        return Coordinate(kind, tuple(values) if isinstance(values, list) else (values,))
-    except MechanismError as error:
-        raise MechanismError(f"{leg}, placement of {joint!r}: {error}") from error
 
 
 def _inside(folder: Path, name: str) -> Path:
@@ -220,6 +188,15 @@ def _inside(folder: Path, name: str) -> Path:
     if not inside:
         raise MechanismError(f"{name!r} leads out of the mechanism's folder; keep its files inside")
     return folder / name
+
+
+def write_mechanism(mechanism: Mechanism, folder: Path) -> None:
+    """Write a mechanism's files into a folder that exists."""
+    (folder / YAML).write_text(mechanism_yaml(mechanism), encoding="utf-8")
+    for leg in mechanism.legs:
+        (folder / f"{leg.name}.urdf").write_text(leg_urdf(leg), encoding="utf-8")
+    platform = platform_urdf(mechanism.name, mechanism.legs)
+    (folder / "platform.urdf").write_text(platform, encoding="utf-8")
 
 
 def save_mechanism(mechanism: Mechanism, folder: str | Path, *, force: bool = False) -> Path:
@@ -250,7 +227,7 @@ GivenMechanism = Mechanism | str | Path | Calibrated
 """A mechanism, its bundled name, its folder, or a calibration's result."""
 
 
-def as_mechanism(given: GivenMechanism) -> Mechanism:
+def as_mechanism(source: GivenMechanism) -> Mechanism:
     """Return a mechanism that is given as such, by its bundled name, folder, or calibration.
 
     Raises:
@@ -258,12 +235,11 @@ def as_mechanism(given: GivenMechanism) -> Mechanism:
         MechanismError: something else, a file that does not say what it should, or a calibration
             that did not converge.
     """
-    if isinstance(given, Mechanism):
-        return given
-    if isinstance(found := getattr(given, "identified", None), Mechanism):
-        if not getattr(given, "converged", False):
+    if isinstance(source, Mechanism):
+        return source
+    if isinstance(identified := getattr(source, "identified", None), Mechanism):
+        if not getattr(source, "converged", False):
             raise MechanismError("the calibration did not converge: it has no calibrated mechanism")
-        return found
-
-    kinds, what = (Mechanism, str, Path), "a mechanism, its name or folder, or a result"
-    return load_mechanism(must_be(given, kinds, what, MechanismError))
+        return identified
+    expected = "a mechanism, its name or folder, or a result"
+    return load_mechanism(must_be(source, (Mechanism, str, Path), expected, MechanismError))

@@ -32,8 +32,8 @@ def refuse_existing(path: str | Path, *, force: bool, folder: Sequence[str] = ()
     Args:
         path: Where to write.
         force: Whether what is there may be replaced.
-        folder: Of a folder: the files and folders in it that pincal writes, first the file by
-            which it is known that pincal wrote the folder.
+        folder: Of a folder: patterns of the files and folders in it that pincal writes, first the
+            file by which it is known that pincal wrote the folder.
 
     Raises:
         FileError: it exists and ``force`` is not set; the command reads it; a folder is in a
@@ -50,7 +50,7 @@ def refuse_existing(path: str | Path, *, force: bool, folder: Sequence[str] = ()
         has_parent = real.parent.is_dir()
         known = is_folder and bool(folder) and (real / folder[0]).is_file()
         inside = is_folder and Path.cwd().is_relative_to(real)
-        places = [real / name for name in folder] if known else [real]
+        places = _made_in(real, folder) if known else [real]
         read = [file for place in places for file in _files(place) if is_input(file)]
     except (OSError, ValueError, RuntimeError) as error:
         raise FileError(f"cannot write {str(path)[:200]!r}: {error}") from error
@@ -160,12 +160,18 @@ def _unchanged(made: Path, target: Path, folder: Sequence[str]) -> bool:
     """Return whether a file, or all that pincal writes in a folder, is at its place already."""
     if not folder:
         return filecmp.cmp(made, target, shallow=False)
-    old = {file.relative_to(target) for name in folder for file in _files(target / name)}
+    places = _made_in(target, folder)
+    old = {file.relative_to(target) for place in places for file in _files(place)}
     new = {file.relative_to(made) for file in _files(made)}
     return old <= new and all(
         (target / name).is_file() and filecmp.cmp(made / name, target / name, shallow=False)
         for name in new
     )
+
+
+def _made_in(place: Path, folder: Sequence[str]) -> list[Path]:
+    """Return the files and folders that pincal made in a folder."""
+    return [path for pattern in folder for path in place.glob(pattern)]
 
 
 def _files(place: Path) -> list[Path]:
@@ -179,6 +185,7 @@ def _carry(old: Path, new: Path, folder: Sequence[str]) -> None:
     Raises:
         FileError: a folder is where a file is to be written.
     """
+    replaced = _made_in(old, folder)
 
     def not_carried(place: str, names: list[str]) -> list[str]:
         skipped = []
@@ -189,7 +196,7 @@ def _carry(old: Path, new: Path, folder: Sequence[str]) -> None:
             if is_folder and target.is_file():
                 raise FileError(f"{source} is where a file is to be written; move it")
             is_made = os.path.lexists(target) and not is_folder
-            if is_made or str(source.relative_to(old)) in folder:
+            if is_made or source in replaced:
                 skipped.append(name)
         return skipped
 

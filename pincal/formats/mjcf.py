@@ -21,6 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from pincal.errors import MechanismError
 from pincal.files.text import read_xml
+from pincal.files.urdf_writing import numbers_text, xml_text
 from pincal.formats.tree import Edge, Loop, Spot, Tree, at_home, ball, turns, with_ranges
 from pincal.model.checks import LARGEST
 from pincal.model.leg import Closing, Joint
@@ -269,9 +270,8 @@ def mjcf(tree: Tree) -> str:
     for name in tree.active:
         etree.SubElement(actuators, "position", name=name, joint=name)
     frames = etree.SubElement(root, "keyframe")
-    etree.SubElement(frames, "key", name="home", qpos=_text(home))
-    etree.indent(root, space="  ")
-    return str(etree.tostring(root, encoding="unicode")) + "\n"
+    etree.SubElement(frames, "key", name="home", qpos=numbers_text(home))
+    return xml_text(root)
 
 
 def _children(
@@ -295,7 +295,7 @@ def _children(
             _joint(body, edge)
             home.append(edge.joint.home)
         if any(abs(value) > 1e-9 for value in placement.xyz) and not three:
-            shape = {"fromto": f"0 0 0 {_text(placement.xyz)}", "size": f"{size:.6g}"}
+            shape = {"fromto": f"0 0 0 {numbers_text(placement.xyz)}", "size": f"{size:.6g}"}
             looks = {"type": "capsule", "contype": "0", "conaffinity": "0", "mass": "0"}
             etree.SubElement(bodies[link], "geom", {**shape, **looks})
         bodies[child] = body
@@ -319,9 +319,11 @@ def _joint(body: etree._Element, edge: Edge) -> None:
     kind = "slide" if joint.kind == "prismatic" else "hinge"
     limits = {}
     if np.isfinite([joint.lower, joint.upper]).all():
-        limits = {"range": _text((joint.lower, joint.upper))}
+        limits = {"range": numbers_text((joint.lower, joint.upper))}
     etree.SubElement(
-        body, "joint", {"name": joint.name, "type": kind, "axis": _text(joint.axis), **limits}
+        body,
+        "joint",
+        {"name": joint.name, "type": kind, "axis": numbers_text(joint.axis), **limits},
     )
 
 
@@ -344,10 +346,10 @@ def _written_loops(tree: Tree, root: etree._Element, bodies: dict[str, etree._El
 def _written_pose(placement: Placement) -> dict[str, str]:
     pose = {}
     if any(placement.xyz):
-        pose["pos"] = _text(placement.xyz)
+        pose["pos"] = numbers_text(placement.xyz)
     if any(placement.rpy):
         x, y, z, w = Rotation.from_matrix(placement.origin()[:3, :3]).as_quat()
-        pose["quat"] = _text((w, x, y, z))
+        pose["quat"] = numbers_text((w, x, y, z))
     return pose
 
 
@@ -355,7 +357,3 @@ def _size(tree: Tree) -> float:
     """Return a radius for rods, [m]."""
     lengths = [float(np.linalg.norm(edge.joint.placement.xyz)) for edge in tree.edges]
     return 0.02 * (max(lengths) or 1.0)
-
-
-def _text(values: tuple[float, ...] | list[float]) -> str:
-    return " ".join(repr(float(value) + 0.0) for value in values)

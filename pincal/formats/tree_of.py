@@ -15,6 +15,7 @@ import yaml
 from lxml import etree
 
 from pincal.errors import MechanismError
+from pincal.files.urdf_writing import ends_element, joint_element, xml_text
 from pincal.formats.tree import FREE, Edge, Loop, Spot, Tree, at_home, turns
 from pincal.kinematics.assembly import assembled
 from pincal.kinematics.closure import LegClosure
@@ -147,11 +148,10 @@ def loops_urdf(tree: Tree) -> str:
         if edge in free:
             if edge is free[-1]:
                 element = etree.SubElement(robot, "joint", name=edge.child, type="floating")
-                _ends(element, free[0].parent, edge.child)
+                ends_element(element, free[0].parent, edge.child)
             continue
-        _joint(robot, edge)
-    etree.indent(robot, space="  ")
-    return str(etree.tostring(robot, encoding="unicode")) + "\n"
+        joint_element(robot, edge.joint, edge.parent, edge.child)
+    return xml_text(robot)
 
 
 def loops_yaml(tree: Tree) -> str:
@@ -177,28 +177,3 @@ def _free(tree: Tree) -> tuple[Edge, ...]:
     free = tree.edges[:6]
     names = [f"{tree.platform}_{end}" for end in FREE]
     return free if [edge.joint.name for edge in free] == names else ()
-
-
-def _joint(robot: etree._Element, edge: Edge) -> None:
-    joint = edge.joint
-    continuous = joint.kind == "revolute" and not np.isfinite(joint.lower)
-    kind = "continuous" if continuous else joint.kind
-    element = etree.SubElement(robot, "joint", name=joint.name, type=kind)
-    _ends(element, edge.parent, edge.child)
-    placement = joint.placement
-    etree.SubElement(element, "origin", xyz=_text(placement.xyz), rpy=_text(placement.rpy))
-    if joint.kind == "fixed":
-        return
-    etree.SubElement(element, "axis", xyz=_text(joint.axis))
-    if not continuous:
-        limits = {"lower": repr(float(joint.lower)), "upper": repr(float(joint.upper))}
-        etree.SubElement(element, "limit", {"effort": "0", "velocity": "0", **limits})
-
-
-def _ends(element: etree._Element, parent: str, child: str) -> None:
-    etree.SubElement(element, "parent", link=parent)
-    etree.SubElement(element, "child", link=child)
-
-
-def _text(values: tuple[float, float, float]) -> str:
-    return " ".join(repr(float(value) + 0.0) for value in values)

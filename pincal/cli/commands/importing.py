@@ -14,8 +14,12 @@ from pincal.cli.app import Force, command, output_option, remark, stdout, warn, 
 from pincal.errors import FileError, MeasurementError, MechanismError
 from pincal.files.measurement_writing import write_plan
 from pincal.files.measurements import read_poses
-from pincal.files.mechanism_folders import load_mechanism, save_mechanism
-from pincal.files.mechanism_writing import MECHANISM_FILES, write_mechanism
+from pincal.files.mechanism_folders import (
+    MECHANISM_FILES,
+    load_mechanism,
+    save_mechanism,
+    write_mechanism,
+)
 from pincal.files.output import writing
 from pincal.formats.arm import serial_arm
 from pincal.formats.closed import closed_mechanism, closing_in_words, slack_of

@@ -31,7 +31,7 @@ from pincal.design.select import in_turns, with_verification
 from pincal.design.select_configurations import ConfigurationChoice, select_configurations
 from pincal.errors import MechanismError
 from pincal.files.measurement_writing import write_plan, write_sheet
-from pincal.files.mechanism_writing import MECHANISM_FILES, write_mechanism
+from pincal.files.mechanism_folders import MECHANISM_FILES, write_mechanism
 from pincal.files.output import refuse_existing, writing
 from pincal.kinematics.inverse import inverse
 from pincal.model.measurements import Noise, Plan

@@ -27,8 +27,7 @@ from pincal.design.simulate import simulate as simulated
 from pincal.errors import FileError, MeasurementError
 from pincal.files.measurement_writing import write_plan
 from pincal.files.measurements import read_poses
-from pincal.files.mechanism_folders import load_mechanism
-from pincal.files.mechanism_writing import MECHANISM_FILES, write_mechanism
+from pincal.files.mechanism_folders import MECHANISM_FILES, load_mechanism, write_mechanism
 from pincal.files.output import refuse_existing, writing_together
 from pincal.model.mechanism import Mechanism
 

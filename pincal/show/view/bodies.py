@@ -21,8 +21,8 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from pincal.errors import FileError
-from pincal.files.mechanism_writing import leg_urdf, platform_urdf
 from pincal.files.text import read_xml
+from pincal.files.urdf_writing import leg_urdf, platform_urdf
 from pincal.kinematics.configurations import as_plan, joints_at
 from pincal.kinematics.readers import check_mesh
 from pincal.model.home import link_placements
