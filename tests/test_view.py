@@ -5,10 +5,15 @@ from __future__ import annotations
 import html
 import http.client
 import json
+import os
 import re
 import signal
+import socket
+import struct
 import subprocess
 import sys
+import threading
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -229,6 +234,41 @@ def test_page_is_served_to_this_machine_under_its_own_name_only() -> None:
         urlopen(f"http://{place.netloc}/")
 
 
+def test_clients_that_say_nothing_or_hang_up_are_nothing_to_the_others(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    """Hundreds of idle clients take no thread each, those that hang up leave no trace."""
+    view = pincal.view("5R", [[0.0, 1.1]])
+    place = urlsplit(view.url)
+    threads = threading.active_count()
+    with ExitStack() as stack:
+        for _ in range(300):
+            stack.enter_context(socket.create_connection((place.hostname, place.port)))
+        for request in (
+            b"",
+            b"GET / HT",
+            f"GET / HTTP/1.1\r\nHost: {place.netloc}\r\n\r\n".encode(),
+        ):
+            client = socket.create_connection((place.hostname, place.port))
+            client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+            client.sendall(request)
+            client.close()  # with a reset, whatever is under way
+        with urlopen(view.url) as answer:
+            assert answer.read().decode().startswith("<!DOCTYPE html>")
+        assert threading.active_count() <= threads + 1
+    view.close()
+    assert capfd.readouterr().err == ""
+
+
+def test_names_that_are_no_text_are_shown_all_the_same(tmp_path: Path) -> None:
+    """A file whose name no text can hold is named with a replacement, in a file and served."""
+    view = pincal.view("5R", [[0.0, 1.1]], source="p\udcff.csv")
+    assert "p\ufffd.csv" in view.save(tmp_path / "view.html").read_text("utf-8")
+    with urlopen(view.url) as answer:
+        assert "p\ufffd.csv" in answer.read().decode()
+    view.close()
+
+
 def test_view_takes_poses_in_every_form() -> None:
     """Coordinates, transforms and plans give the same view; none gives home first."""
     mechanism = pincal.load_mechanism("3RRR")
@@ -402,6 +442,14 @@ def shown_poses(page: Path, head: str = "pose") -> np.ndarray:
     rows = [row for row in json.loads(block[1])["rows"] if row["head"] == head]
     factors = [{"mm": 1e-3, "°": np.pi / 180}[row["unit"]] for row in rows]
     return np.array([row["values"] for row in rows]).T * factors
+
+
+def test_a_date_that_is_none_harms_nothing() -> None:
+    """Libraries read ``SOURCE_DATE_EPOCH`` while they are loaded; garbage in it is as if unset."""
+    command = [sys.executable, "-m", "pincal", "--version"]
+    environment = os.environ | {"SOURCE_DATE_EPOCH": "garbage"}
+    process = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert (process.returncode, process.stderr) == (0, "")
 
 
 @pytest.mark.slow

@@ -52,7 +52,7 @@ from pincal.show.view.scene import (
 from pincal.types import Array
 from pincal.words import wording as views
 from pincal.words.numbers import POSES, SMALL, per_si
-from pincal.words.wording import rendered
+from pincal.words.wording import clean, rendered
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)  # of pyzmq, when meshcat asks for it
@@ -83,7 +83,7 @@ def page(
         "view.html",
         title=scene.mechanism.name,
         meshcat=viewer_script(),
-        data=text.replace("<", "\\u003c"),
+        data=clean(text).replace("<", "\\u003c"),
         served=served,
     )
 

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import asyncio
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
+from http import HTTPStatus
 from pathlib import Path
+from threading import Thread
 from typing import TYPE_CHECKING
+from urllib.parse import parse_qs, urlsplit
 from weakref import finalize
 
 import numpy as np
@@ -26,12 +30,7 @@ if TYPE_CHECKING:
     from pincal.calibration.result import CalibrationResult
 
 
-from collections.abc import Callable
-from contextlib import suppress
-from http import HTTPStatus
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from threading import Thread
-from urllib.parse import parse_qs, urlsplit
+PATIENCE = 10.0  # seconds in which a client must say what it asks for, and take the answer
 
 
 class View(Page):
@@ -155,8 +154,9 @@ def _some_poses(mechanism: Mechanism) -> Plan:
 class PageServer:
     """Serves one page, and what it asks for, on a free port of 127.0.0.1 until it is closed.
 
-    Requests under another host's name are refused, so that a page elsewhere whose name is made
-    to resolve to this machine cannot read it.
+    One thread serves all clients, however many of them say nothing. Requests under another host's
+    name are refused, so that a page elsewhere whose name is made to resolve to this machine cannot
+    read it.
     """
 
     def __init__(self, text: str, answer: Callable[[Mapping[str, list[str]]], str]) -> None:
@@ -167,47 +167,69 @@ class PageServer:
             answer: Returns the JSON for the query of ``/moved``; a ValueError or KeyError
                 says that it is none.
         """
-
-        class Handler(BaseHTTPRequestHandler):
-            def do_GET(self) -> None:
-                port = server.server_port
-                if self.headers.get("Host") not in (f"127.0.0.1:{port}", f"localhost:{port}"):
-                    self.send_error(HTTPStatus.MISDIRECTED_REQUEST, "not under this name")
-                    return
-                asked = urlsplit(self.path)
-                if asked.path == "/":
-                    self._send(text, "text/html")
-                elif asked.path == "/moved":
-                    try:
-                        self._send(answer(parse_qs(asked.query)), "application/json")
-                    except (ValueError, KeyError):
-                        self.send_error(HTTPStatus.BAD_REQUEST, "not a pose and how to move it")
-                else:
-                    self.send_error(HTTPStatus.NOT_FOUND)
-
-            def _send(self, text: str, kind: str) -> None:
-                content = text.encode()
-                self.send_response(HTTPStatus.OK)
-                self.send_header("Content-Type", f"{kind}; charset=utf-8")
-                self.send_header("Content-Length", str(len(content)))
-                self.send_header("Cache-Control", "no-store")
-                self.send_header("X-Content-Type-Options", "nosniff")
-                self.send_header("X-Frame-Options", "DENY")
-                self.end_headers()
-                with suppress(ConnectionError):  # the browser went away
-                    self.wfile.write(content)
-
-            def log_message(self, format: str, *args: object) -> None:  # noqa: A002
-                pass
-
-        server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-        self.url = f"http://127.0.0.1:{server.server_port}/"
-        self._server = server
-        self._thread = Thread(target=server.serve_forever, daemon=True)
+        self._content = text.encode()
+        self._answer = answer
+        self._loop = asyncio.new_event_loop()
+        self._loop.set_exception_handler(lambda *_: None)  # clients that hang up
+        listening = asyncio.start_server(self._serve, "127.0.0.1", 0)
+        self._server = self._loop.run_until_complete(listening)
+        port = self._server.sockets[0].getsockname()[1]
+        self._hosts = (f"127.0.0.1:{port}", f"localhost:{port}")
+        self.url = f"http://{self._hosts[0]}/"
+        self._thread = Thread(target=self._loop.run_forever, daemon=True)
         self._thread.start()
+
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Answer the one request of a client, or hang up if it does not come."""
+        try:
+            request = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), PATIENCE)
+            status, kind, content = self._response(request.decode("latin-1"))
+            head = (
+                f"HTTP/1.0 {status.value} {status.phrase}",
+                f"Content-Type: {kind}; charset=utf-8",
+                f"Content-Length: {len(content)}",
+                "Cache-Control: no-store",
+                "X-Content-Type-Options: nosniff",
+                "X-Frame-Options: DENY",
+            )
+            writer.write("\r\n".join((*head, "\r\n")).encode() + content)
+            await asyncio.wait_for(writer.drain(), PATIENCE)
+        except (OSError, TimeoutError, asyncio.IncompleteReadError, asyncio.LimitOverrunError):
+            pass  # the client went away, or asked for nothing
+        finally:
+            writer.close()
+
+    def _response(self, request: str) -> tuple[HTTPStatus, str, bytes]:
+        """Return status, kind and content of the answer to a request's lines."""
+        first, *headers = request.splitlines()
+        method, _, target = first.partition(" ")
+        host = next((line[5:].strip() for line in headers if line.lower().startswith("host:")), "")
+        asked = urlsplit(target.partition(" ")[0])
+        if method != "GET":
+            return HTTPStatus.NOT_IMPLEMENTED, "text/plain", b"only GET"
+        if host not in self._hosts:
+            return HTTPStatus.MISDIRECTED_REQUEST, "text/plain", b"not under this name"
+        if asked.path == "/":
+            return HTTPStatus.OK, "text/html", self._content
+        if asked.path != "/moved":
+            return HTTPStatus.NOT_FOUND, "text/plain", b"no such page"
+        try:
+            content = self._answer(parse_qs(asked.query)).encode()
+        except (ValueError, KeyError):
+            return HTTPStatus.BAD_REQUEST, "text/plain", b"not a pose and how to move it"
+        return HTTPStatus.OK, "application/json", content
 
     def close(self) -> None:
         """Stop serving."""
-        self._server.shutdown()
-        self._server.server_close()
+        asyncio.run_coroutine_threadsafe(self._end(), self._loop).result()
+        self._loop.call_soon_threadsafe(self._loop.stop)
         self._thread.join()
+        self._loop.close()
+
+    async def _end(self) -> None:
+        """Close the server and end what waits for clients."""
+        self._server.close()
+        clients = asyncio.all_tasks() - {asyncio.current_task()}
+        for client in clients:
+            client.cancel()
+        await asyncio.gather(*clients, return_exceptions=True)
