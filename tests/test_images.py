@@ -14,7 +14,7 @@ from matplotlib.quiver import Quiver
 from measured import machine
 
 import pincal
-from pincal.show.pictures.charts import seen_in
+from pincal.show.residual_charts import camera_residuals
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "23_camera_images.py"
 
@@ -54,9 +54,9 @@ def test_marks_that_a_camera_did_not_see_have_no_arrow(made: dict[str, Any]) -> 
     column[:20] = np.nan
     other = replace(data, extra=dict(data.extra) | {"front_a_v": column})
     setup = pincal.Setup(instruments=(made["front"], made["side"]))
-    front, side = seen_in(pincal.calibrate("6UPS", other, setup=setup))
-    assert len(front.at) == 130
-    assert len(side.at) == 150
+    front, side = camera_residuals(pincal.calibrate("6UPS", other, setup=setup))
+    assert len(front.points) == 130
+    assert len(side.points) == 150
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ from command_line import done
 
 import pincal
 from pincal.files.mechanism_folders import bundled
-from pincal.show.report.report import report
+from pincal.show.report import report
 from pincal.show.result_tables import parameters_table
 from pincal.show.tables import nominal_table
 

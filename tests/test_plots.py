@@ -19,12 +19,12 @@ from measured import machine, seen_from_elsewhere
 
 import pincal
 from pincal.calibration.fits import fitted
+from pincal.cli.commands.plot import Kind
 from pincal.estimation.residuals.redundancy import Left, every_residual
 from pincal.kinematics.configurations import home_of
 from pincal.show.pictures.dimensions import MARK
 from pincal.show.pictures.figure import GAP, dimensions_at, draw_leg, shifts
 from pincal.show.pictures.sheet import LEVELS, colour_of
-from pincal.show.plots import Plots
 from pincal.show.style import NOMINAL
 from pincal.show.view.scene import axes_of_view, scene
 from pincal.words.numbers import measured, minus
@@ -108,16 +108,22 @@ def test_expected_errors_over_the_workspace(
         result.plot.error_map()
 
 
-@pytest.mark.parametrize("draw", [Plots.residuals, Plots.parameters, Plots.correlation])
-def test_axes_that_are_given_are_drawn_into(draw: object, result: pincal.CalibrationResult) -> None:
+@pytest.mark.parametrize("kind", ["residuals", "parameters", "correlation"])
+def test_axes_that_are_given_are_drawn_into(kind: str, result: pincal.CalibrationResult) -> None:
     """And returned; names that matplotlib would hide stay visible."""
     hidden = tuple(replace(leg, name=f"_{leg.name}") for leg in result.legs)
     figure = Figure()
     axes = figure.subplots()
     assert isinstance(axes, Axes)
-    assert draw(replace(result, legs=hidden).plot, axes) is axes  # type: ignore[operator]
-    by_name = getattr(result.plot, draw.__name__)  # type: ignore[attr-defined]
-    assert by_name(axes) is axes
+    assert getattr(replace(result, legs=hidden).plot, kind)(axes) is axes
+    assert getattr(result.plot, kind)(ax=axes) is axes
+
+
+def test_command_draws_every_chart(result: pincal.CalibrationResult) -> None:
+    """``pincal plot`` has a kind for each chart of ``result.plot``, and each says what it is."""
+    kinds = {name for name in dir(result.plot) if not name.startswith("_")} - {"result"}
+    assert kinds == set(Kind)
+    assert all(getattr(result.plot, name).__doc__ for name in kinds)
 
 
 #: Mechanism, noise, and how it is calibrated.

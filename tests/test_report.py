@@ -28,10 +28,9 @@ from rich.console import Console
 import pincal
 from pincal.calibration.result_files import as_json
 from pincal.estimation.residuals.robust import Outlier
+from pincal.show.answers import Answers, Findings, findings
 from pincal.show.pictures.parts import draw_poses
-from pincal.show.report.answers import Answers, Findings, findings
-from pincal.show.report.report import Origin, Report
-from pincal.show.report.residual_figures import _Lane
+from pincal.show.report import Origin, Report
 from pincal.show.result_tables import legs_table, noisy_series, parameters_table
 from pincal.show.summary import calibration_summary, check_lines
 from pincal.show.workspace_answers import errors_at
@@ -697,13 +696,3 @@ def test_a_leg_that_was_never_read_has_no_residuals() -> None:
     result = pincal.calibrate(mechanism, data, noise=noise, hold_undetermined=True)
     assert "nan" not in str(result)
     assert "leg_3" in result.report().html()
-
-
-def test_values_of_a_lane_stay_in_it() -> None:
-    """From its lowest to its highest value a lane rises, within half its height; so do ticks."""
-    lane = _Lane(-2.0, -3.7e-5, 8.1e-5)
-    values = np.linspace(lane.low, lane.high, 20)
-    assert (np.diff(lane.at(values)) > 0.0).all()
-    assert np.abs(lane.at(values) + 2.0).max() < 0.5
-    assert len(lane.ticks) >= 2
-    assert np.abs(lane.at(lane.ticks) + 2.0).max() < 0.5

@@ -13,7 +13,7 @@ from arms import loaded
 from command_line import done, run
 
 import pincal
-import pincal.show.report.report
+import pincal.show.report
 from pincal.kinematics.configurations import home_of, joints_at
 
 
@@ -88,7 +88,7 @@ def test_a_report_that_cannot_be_drawn_loses_nothing(
 
     measured = folder / "measured.csv"
     done("calibrate", "5R", measured, "-o", tmp_path / "plain", "--no-report")
-    monkeypatch.setattr(pincal.show.report.report.Report, "html", fail)
+    monkeypatch.setattr(pincal.show.report.Report, "html", fail)
     outcome = run("calibrate", "5R", measured, "-o", tmp_path / "r")
     assert outcome.code == 3
     assert "ZeroDivisionError: no such figure" in outcome.err

@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 import pincal
 from pincal.calibration.fits import fitted
-from pincal.show.report.report import LinkedPage, report, verdicts
+from pincal.show.report import LinkedPage, report, verdicts
 from pincal.show.style import ERRORS, shades
 from pincal.show.view.calibrated import calibrated, stations
 from pincal.show.view.calibrated import misses as misses_of

@@ -37,8 +37,8 @@ from pincal.words.sentences import sentences
 if TYPE_CHECKING:
     from pincal.calibration.runs import RunComparison
     from pincal.calibration.validation import Validation
-    from pincal.show.plots import Plots
-    from pincal.show.report.report import Report
+    from pincal.show.charts import Plots
+    from pincal.show.report import Report
 
 
 class Page(Protocol):

@@ -18,22 +18,21 @@ _ROWS = 12  # of a plan, in a notebook
 
 def mechanism_html(mechanism: Mechanism) -> str:
     """Return a mechanism: a picture and its nominal parameters."""
-    from pincal.show.pictures.files import on_page
+    from pincal.show.pictures.files import svg_figure
     from pincal.show.pictures.picture import picture
     from pincal.show.tables import nominal_table
     from pincal.words.wording import rendered
 
-    drawn = on_page("figure-mechanism")(
-        lambda: (picture(mechanism).figure(), f"{mechanism.name} at home")
-    )
+    caption = f"{mechanism.name} at home"
+    drawn = svg_figure("figure-mechanism", lambda: (picture(mechanism).figure(), caption))
     table = nominal_table(mechanism)
-    return rendered("mechanism.html", mechanism=mechanism, figure=drawn(), table=table)
+    return rendered("mechanism.html", mechanism=mechanism, figure=drawn, table=table)
 
 
 def result_html(result: CalibrationResult) -> str:
     """Return a calibration: what to know first, parameters, residuals."""
     from pincal.show import result_tables, summary
-    from pincal.show.report.answers import warning_lines
+    from pincal.show.answers import warning_lines
     from pincal.words.wording import rendered
 
     warnings = warning_lines(result)
@@ -101,7 +100,7 @@ def runs_html(runs: RunComparison) -> str:
 
 def result_text(result: CalibrationResult) -> str:
     """Return a calibration as a page of text: how it was made, tables, what to know first."""
-    from pincal.show.report.answers import warning_lines
+    from pincal.show.answers import warning_lines
     from pincal.show.result_tables import calibration_tables
     from pincal.show.summary import (
         check_lines,

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -75,18 +74,10 @@ class PageStyle:
     """Across a page, [inch]."""
     height: float = 9.5
     """At most, [inch]."""
-    margins: Mapping[str, float] = field(
-        default_factory=lambda: {"left": 0.65, "right": 0.1, "bottom": 0.45, "top": 0.25}
-    )
-    """Around a figure's panels, [inch]."""
-    letter: float = 0.075
-    """Width of a letter in a legend, [inch]."""
     small: float = 0.065
     """Width of a letter of labels, [inch]."""
     line_small: float = 0.115
     """Height of a line of names along an axis, [inch]."""
-    line: float = 0.2
-    """Height of a line of a legend, [inch]."""
     many: int = 1500
     """Points from which they are drawn as pixels: a vector picture stays small."""
 

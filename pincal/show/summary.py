@@ -13,10 +13,11 @@ from pincal.design.forecast import SCALE, Drift, Forecast, ScaleEffect
 from pincal.design.platform_error import PlatformError, platform_error
 from pincal.estimation.observability.identifiable import WeakPair
 from pincal.estimation.residuals.losses import CLEAR
+from pincal.model.measurements import Noise
 from pincal.model.mechanism import Mechanism
 from pincal.show.result_tables import gauge, noise_said, turns, unpromised
 from pincal.show.workspace_answers import WorkspaceErrors
-from pincal.words.numbers import amount, chance, listed, number, rounded, size
+from pincal.words.numbers import amount, capital, chance, listed, number, rounded, size
 from pincal.words.results import missed, systematic
 from pincal.words.sentences import finding, sentence
 from pincal.words.wording import LISTED, group_in_words
@@ -98,6 +99,33 @@ def noise_line(result: CalibrationResult) -> str:
         f"reduced χ² {rounded(chi2, 3)} on {dof} degrees of freedom; near 1 the residuals are as "
         "large as the noise given makes them"
     )
+
+
+_NOISE_SOURCES = {
+    "given": "as given",
+    "rows": "of each row, in the measurements",
+    "repeats": "from rows that were measured repeatedly",
+    "estimated": "estimated from the residuals, since none was given",
+}
+
+
+def noise_source(result: CalibrationResult) -> str:
+    """Return where the noise comes from."""
+    return _NOISE_SOURCES.get(result.noise_source, result.noise_source)
+
+
+def noise_sizes(result: CalibrationResult) -> str:
+    """Return standard deviations of what was measured."""
+    if result.noise is not None:
+        return f"σ {noise_said(result, result.noise)}"
+    data, units = result.measurements, np.array(result.nominal.platform.units)
+    sigma = data.sigma_poses
+    parts = [None if sigma is None else sigma[:, units == unit] for unit in ("m", "rad")]
+    medians = [
+        0.0 if part is None or not np.isfinite(part).any() else float(np.nanmedian(part))
+        for part in (*parts, data.sigma_readings)
+    ]
+    return f"σ, median of the rows: {noise_said(result, Noise(*medians))}"
 
 
 def tolerance_lines(result: CalibrationResult) -> list[str]:
@@ -186,6 +214,12 @@ def check_lines(result: CalibrationResult) -> list[str]:
             f"much as their standard errors say ({chance(result.runs.p_value)})"
         )
     return lines
+
+
+def checks(result: CalibrationResult, notes: Sequence[str]) -> list[str]:
+    """Return what ties, held-out rows and runs show, and notes on what was not done."""
+    lines = [capital(line) for line in (*tie_lines(result), *check_lines(result))]
+    return [f"{line}." for line in (*lines, *notes)]
 
 
 def held_out_line(one: Validation) -> str:

@@ -44,7 +44,7 @@ from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import SINGLE_ANGLES
 from pincal.model.setup import Setup
 from pincal.model.units import UNITS
-from pincal.show.report.report import report
+from pincal.show.report import report
 from pincal.show.result_tables import calibration_tables, warnings
 from pincal.show.summary import calibration_summary, verdict_lines, weak_lines
 from pincal.show.workspace_answers import WorkspaceErrors

@@ -21,6 +21,7 @@ class Kind(StrEnum):
     residuals = "residuals"
     workspace = "workspace"
     time = "time"
+    images = "images"
     parameters = "parameters"
     platform = "platform"
     correlation = "correlation"
@@ -59,7 +60,8 @@ def plot(
     """Draw a figure of a calibration.
 
     One column or a page wide, letters of 7 to 9 points. residuals: by row; workspace: where they
-    were measured; time: their means over the run; parameters: changes in units of their ±;
+    were measured; time: their means over the run; images: over those of cameras;
+    parameters: changes in units of their ±;
     platform: what changes move the platform by; correlation; singular: how well each direction is
     determined; convergence: residuals by step of the search; poses: accuracy by number of poses,
     with the bound; error_map: expected error over x and y; bed: z over a printer's bed; runs: runs

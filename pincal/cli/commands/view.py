@@ -266,7 +266,7 @@ def _linked(how: SeenOptions, html: Path | None, *, force: bool) -> None:
     Raises:
         BadParameter: no RESULT alone, or no file to write.
     """
-    from pincal.show.report.report import LinkedPage, report
+    from pincal.show.report import LinkedPage, report
 
     given = how.files or []
     if html is None or len(given) != 1 or not is_folder(given[0]):

@@ -35,17 +35,28 @@ class SvgFigure:
     """Elements of HTML; texts in it are escaped."""
     caption: str
 
-    @classmethod
-    def of(cls, svg: bytes, name: str, caption: str) -> SvgFigure:
-        """Return the figure that matplotlib wrote, by a name that no other has in the page."""
-        picture = _inline(svg)
-        for key, value in {"role": "img", "aria-label": clean(caption), "id": name}.items():
-            picture.set(key, value)
-        return cls(etree.tostring(picture, method="html", encoding="unicode"), caption)
-
     def __html__(self) -> str:
         """Return the figure for a page."""
         return rendered("figure.html", figure=self)
+
+
+def svg_figure(name: str, draw: Callable[[], tuple[Figure, str] | None]) -> SvgFigure | None:
+    """Return a figure as part of a page; None where there is nothing to show.
+
+    Args:
+        name: The figure's id in the page: ids in it differ from those of other figures.
+        draw: Returns the figure and its caption.
+    """
+    buffer = io.BytesIO()
+    with drawing(svg_hashsalt=name):
+        if (drawn := draw()) is None:
+            return None
+        canvas: Any = FigureCanvasSVG(drawn[0])
+        canvas.print_svg(buffer, metadata={"Date": None})  # savefig would draw twice
+    picture = _inline(buffer.getvalue())
+    for key, value in {"role": "img", "aria-label": clean(drawn[1]), "id": name}.items():
+        picture.set(key, value)
+    return SvgFigure(etree.tostring(picture, method="html", encoding="unicode"), drawn[1])
 
 
 def _themed(colour: re.Match[str]) -> str:
@@ -159,27 +170,3 @@ def figure_bytes(drawn: Figure, kind: str, *, whole: bool = False) -> bytes:
     if kind != "svg":
         return buffer.getvalue()
     return re.sub(rb"(?<= )(-?\d+\.\d\d)\d+\b", rb"\1", buffer.getvalue())  # of a point
-
-
-def on_page(
-    name: str,
-) -> Callable[[Callable[..., tuple[Figure, str] | None]], Callable[..., SvgFigure | None]]:
-    """Return what makes a function that draws a figure and gives its caption a part of a page.
-
-    Args:
-        name: The figure's own in the page: ids in it differ from those of other figures.
-    """
-
-    def decorate(draw: Callable[..., tuple[Figure, str] | None]) -> Callable[..., SvgFigure | None]:
-        def part(*args: Any) -> SvgFigure | None:
-            buffer = io.BytesIO()
-            with drawing(svg_hashsalt=name):
-                if (drawn := draw(*args)) is None:
-                    return None
-                canvas: Any = FigureCanvasSVG(drawn[0])
-                canvas.print_svg(buffer, metadata={"Date": None})  # savefig would draw twice
-            return SvgFigure.of(buffer.getvalue(), name, drawn[1])
-
-        return part
-
-    return decorate

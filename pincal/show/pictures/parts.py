@@ -25,11 +25,8 @@ from pincal.model.mechanism import Mechanism
 from pincal.show.style import EVERY, IDENTIFIED, NOMINAL, PAGE, PICTURE, Look, look, other_look
 from pincal.show.view.bodies import Body, Shape
 from pincal.types import Array
-from pincal.words.numbers import STORED, minus, per_si
-from pincal.words.plots import along
+from pincal.words.numbers import STORED, amount, minus, per_si
 
-#: A figure and its caption, or none where there is nothing to show.
-Drawn = tuple[Figure, str] | None
 #: Standard deviations within which 95 of 100 normal numbers lie.
 NORMAL = 1.96
 #: Of lines over a map, which is as light on dark ground: no colour that pages change there.
@@ -46,20 +43,9 @@ _BESIDE = 0.75
 _LIGHT = ListedColormap(colormaps["cividis"](np.linspace(0.35, 1.0, 128)))
 
 
-def page_figure(height: float, **margins: float) -> Figure:
-    """Return a figure as wide as a page, its panels within fixed margins, [inch].
-
-    Args:
-        height: Of the figure.
-        **margins: ``left``, ``right``, ``bottom``, ``top`` where they are other than usual.
-    """
-    height = min(height, PAGE.height)
-    left, right, bottom, top = (margins.get(one, own) for one, own in PAGE.margins.items())
-    drawn = Figure(figsize=(PAGE.width, height))
-    drawn.subplots_adjust(
-        left / PAGE.width, bottom / height, 1 - right / PAGE.width, 1 - top / height, 0.3, 0.3
-    )
-    return drawn
+def page_figure(height: float) -> Figure:
+    """Return a figure as wide as a page; its height [inch] is at most that of one."""
+    return Figure(figsize=(PAGE.width, min(height, PAGE.height)), layout="constrained")
 
 
 def before_after(index: int) -> Look:
@@ -149,7 +135,7 @@ def draw_mechanism(axes: Axes, mechanism: Mechanism) -> None:
     if len({tuple(c.round(9)) for c in corners}) > 2:
         axes.fill(*np.array(corners).T, color="0.5", alpha=0.4, zorder=1)
     axes.margins(0.18)
-    axes.set(xlabel=along("x"), ylabel=along("y"), aspect="equal")
+    axes.set(xlabel=axis_name("x"), ylabel=axis_name("y"), aspect="equal")
 
 
 def draw_poses(
@@ -182,7 +168,7 @@ def draw_poses(
         if turns:
             end = at + size * np.stack((np.cos(own[:, 2]), np.sin(own[:, 2])), axis=1)
             draw_strokes(axes, at, end, colors=colour, lw=0.8, zorder=2)
-    axes.set(xlabel=along("xyz"[seen[0]]), ylabel=along("xyz"[seen[1]]))
+    axes.set(xlabel=axis_name("xyz"[seen[0]]), ylabel=axis_name("xyz"[seen[1]]))
 
 
 def draw_strokes(axes: Axes, begin: Array, end: Array, **look: Any) -> None:
@@ -220,15 +206,33 @@ def draw_bars(
         own_look: dict[str, Any] = {"color": colour, "hatch": hatch, "edgecolor": "white"}
         axes.bar(places + shift, list(own.values()), width, label=label(series), **own_look)
     name_places(axes, names)
-    outside(axes)
+    return legend_beside(axes)
+
+
+def legend_beside(axes: Axes) -> Axes:
+    """Put the legend beside the axes, where it hides nothing, closely set where it is long."""
+    names = axes.get_legend_handles_labels()[1]
+    long: dict[str, Any] = {"fontsize": 7, "labelspacing": 0.15}
+    style: dict[str, Any] = long if len(names) > _LONG else {"fontsize": 8}
+    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False, **style)
     return axes
 
 
-def outside(axes: Axes) -> None:
-    """Put the legend beside the axes, where it hides nothing, closely set where it is long."""
-    many = len(axes.get_legend_handles_labels()[1]) > _LONG
-    close: dict[str, Any] = {"fontsize": 7, "labelspacing": 0.15} if many else {"fontsize": 8}
-    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False, **close)
+def levels(axes: Axes, size: float, name: str) -> None:
+    """Draw lines at zero and, dashed, at a size on both sides, with a name in the legend."""
+    axes.axhline(0.0, color="0.5", lw=0.8, zorder=0)
+    for level, said in ((-size, f"_{name}"), (size, name)):
+        axes.axhline(level, color="0.5", lw=0.8, ls="--", zorder=0, label=said)
+
+
+def axis_name(axis: str) -> str:
+    """Return what names an axis of the base frame, with its unit."""
+    return f"{axis} [{STORED['m']}]"
+
+
+def height_name(value: float | None) -> str:
+    """Return at which z something is drawn, [m]; nothing where there is no z."""
+    return "" if value is None else minus(f"z = {amount(value, 'm', 3, STORED)}")
 
 
 def room(axes: Axes) -> tuple[float, float]:
@@ -252,13 +256,6 @@ def name_places(axes: Axes, names: Sequence[str], units: Sequence[str] = ()) -> 
     axes.set_xticks(range(0, len(names), step), _named(names, units, width)[::step])
     if _upright(names, width):
         axes.tick_params(axis="x", labelrotation=90, labelsize=7)
-
-
-def height_of_names(names: Sequence[str], units: Sequence[str] = ()) -> float:
-    """Return how much room ``name_places`` takes below an axis across a page, [inch]."""
-    if not _upright(names, PAGE.width):
-        return PAGE.margins["bottom"]
-    return 0.2 + 0.7 * PAGE.letter * max(map(len, _named(names, units, PAGE.width)))
 
 
 def _upright(names: Sequence[str], width: float) -> bool:

@@ -22,10 +22,9 @@ from pincal.show.pictures.dimensions import symbol
 from pincal.show.pictures.figure import draw_leg
 from pincal.show.pictures.files import drawing
 from pincal.show.pictures.parts import wrapped
-from pincal.show.report import report as facts
 from pincal.show.style import IDENTIFIED, INK, NOMINAL, PAGE_WIDTH
+from pincal.show.summary import noise_sizes, noise_source
 from pincal.show.view.scene import scene
-from pincal.words import plots as words
 from pincal.words.numbers import measured, minus
 from pincal.words.wording import clean
 
@@ -37,9 +36,9 @@ _NOMINAL = 0.345  # where the column of nominal values ends, of the width
 _LABEL = 30  # letters of a line of a label, its symbol among them
 #: Changes over ± from which a colour is used, with what it says.
 LEVELS = (
-    (0.0, NOMINAL, words.CHANGED[0]),
-    (1.0, "#7352e8", words.CHANGED[1]),
-    (5.0, IDENTIFIED, words.CHANGED[2]),
+    (0.0, NOMINAL, "changed by less than its ±"),
+    (1.0, "#7352e8", "by 1 to 5 times its ±"),
+    (5.0, IDENTIFIED, "by more than 5 times its ±"),
 )
 
 
@@ -79,18 +78,20 @@ def sheet(result: CalibrationResult, name: str = "", date: str = "") -> Figure:
         figure = Figure(figsize=_SIZE)
         draw_dimensioned(figure.add_axes((0.02, table + 0.06, 0.96, 0.88 - table)), result, leg)
         figure.text(0.02, 0.975, f"{clean(mechanism.name)}: {clean(leg)}", size=9, weight="bold")
-        about = words.SHEET["several" if len(legs) > 1 else "alone"]
+        about = "one of these legs; values of all below" if len(legs) > 1 else "values below"
         figure.text(0.98, 0.975, about, size=8, ha="right")
         below = figure.add_axes((0.02, 0.06, 0.96, table))
         _table(below, result, blocks, lines)
         keys = [Line2D([], [], color=colour, lw=3, label=said) for _, colour, said in LEVELS]
-        keys.append(Line2D([], [], color=INK[0], lw=3, label=words.SHEET["fixed"]))
+        keys.append(Line2D([], [], color=INK[0], lw=3, label="held fixed"))
         figure.legend(handles=keys, loc="lower center", ncols=4, frameon=False, fontsize=7)
-        noise = (
-            f"{facts.SOURCES.get(result.noise_source, result.noise_source)}, {facts.noise(result)}"
+        doubt = f" Residuals are {result.excess:.3g} times as large: no ± can be relied on."
+        foot = (
+            f"±: half of the 95 % interval. Noise: {noise_source(result)}, {noise_sizes(result)}."
+            f"{'' if result.explained else doubt} ◆ zero on the drawing."
+            + (f" Drawn {date}." if date else "")
         )
-        excess = None if result.explained else result.excess
-        foot = wrapped(words.foot(noise, date, excess), 0.96 * _SIZE[0])
+        foot = wrapped(foot, 0.96 * _SIZE[0])
         figure.text(0.02, 0.045, foot, size=7, va="center")
     return figure
 
@@ -113,8 +114,8 @@ def _table(
     for legs in blocks:
         places = [_NOMINAL + (0.985 - _NOMINAL) * (i + 1) / len(legs) for i in range(len(legs))]
         head = [
-            (0.0, "left", words.SHEET["parameter"]),
-            (_NOMINAL, "right", words.SHEET["nominal"]),
+            (0.0, "left", "parameter"),
+            (_NOMINAL, "right", "nominal"),
         ]
         head += [(at, "right", clean(leg.name)) for at, leg in zip(places, legs, strict=True)]
         for at, side, text in head:
@@ -171,12 +172,12 @@ def _row(
     for more in rest:
         axes.text(0.027, line + 0.8, more, size=7, va="center")
     alike = _alike(legs, name)
-    nominal = measured(own[0].nominal, 0.0, own[0].unit) if alike else words.SHEET["beneath"]
+    nominal = measured(own[0].nominal, 0.0, own[0].unit) if alike else "beneath"
     axes.text(_NOMINAL, line, minus(nominal), size=7, ha="right", va="center")
     for p, at in zip(own, places, strict=True):
         if not alike:
-            was = words.was(minus(measured(p.nominal, 0.0, p.unit)))
-            axes.text(at, line + 0.8, was, size=7, ha="right", va="center")
+            nominal = f"nominal {minus(measured(p.nominal, 0.0, p.unit))}"
+            axes.text(at, line + 0.8, nominal, size=7, ha="right", va="center")
         shown = colour_of(p) if colour_of(p) != NOMINAL else "#6B6B6B"  # text needs more contrast
         axes.text(at, line, minus(p.text), size=7, ha="right", va="center", color=shown)
 

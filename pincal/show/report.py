@@ -19,17 +19,17 @@ import numpy as np
 from pincal import __version__
 from pincal.calibration.result import CalibrationResult
 from pincal.errors import FileError
-from pincal.model.measurements import EVERY_LEG, Noise, Plan
+from pincal.model.measurements import EVERY_LEG, Plan
 from pincal.model.units import SI, Units
+from pincal.show import result_tables, summary
+from pincal.show.answers import Answers, Findings, findings, warning_lines
+from pincal.show.figures import figure
 from pincal.show.page import Page
-from pincal.show.report.answers import Findings, findings
-from pincal.show.result_tables import noise_said, warnings
 from pincal.show.style import dark_variables
-from pincal.show.summary import check_lines, tie_lines
 from pincal.show.view.calibrated import calibrated
 from pincal.show.view.scene import MAGNIFY, MOST_POSES, plan_of, scene
 from pincal.show.view.view import View
-from pincal.words.numbers import capital, chance, counted, reading_in, rounded
+from pincal.words.numbers import chance, counted, reading_in, rounded
 from pincal.words.wording import rendered
 
 _LIBRARIES = ("pin", "numpy", "scipy")
@@ -58,29 +58,25 @@ class Report(Page):
 
     @cached_property
     def _page(self) -> str:
-        from pincal.show import result_tables, summary
-        from pincal.show import result_tables as results
-        from pincal.show.report import report as facts
-        from pincal.show.report.answers import Answers, warning_lines
-        from pincal.show.report.figures import FIGURES
-        from pincal.words.wording import rendered
-
-        found, origin = self.found, self.origin
         versions = [f"{name} {version(name)}" for name in _LIBRARIES]
+        result = self.found.result
         with reading_in(self.units.printed):
             return rendered(
                 "report.html",
-                found=found,
-                result=found.result,
-                origin=origin,
-                facts=facts,
-                figure=lambda name: FIGURES[name](found),
-                results=results,
+                found=self.found,
+                result=result,
+                origin=self.origin,
+                facts={
+                    "minimised": minimised(result),
+                    "rows": rows(result),
+                    "columns": columns(result),
+                },
+                figure=lambda name: figure(name, self.found),
                 summary=summary,
                 tables=result_tables,
-                warnings=warning_lines(found.result),
+                warnings=warning_lines(result),
                 dark=dark_variables(),
-                answers=Answers(found, origin.notes),
+                answers=Answers(self.found, self.origin.notes),
                 versions=[
                     f"pincal {__version__}",
                     *versions,
@@ -134,15 +130,7 @@ def _sha256(path: Path) -> str:
         raise FileError(f"cannot read {path}: {error.strerror or error}") from error
 
 
-SOURCES = {
-    "given": "as given",
-    "rows": "of each row, in the measurements",
-    "repeats": "from rows that were measured repeatedly",
-    "estimated": "estimated from the residuals, since none was given",
-}
-
-
-def residuals(result: CalibrationResult) -> str:
+def minimised(result: CalibrationResult) -> str:
     """Return which residuals were minimised."""
     if result.options.latent:
         return (
@@ -175,26 +163,6 @@ def columns(result: CalibrationResult) -> str:
     counts = {name: int(np.isfinite(values).sum()) for name, values in measured.items()}
     often = {name: "" if n == len(data) else f" ({n} rows)" for name, n in counts.items() if n}
     return ", ".join(map("".join, often.items())) or "nothing"
-
-
-def noise(result: CalibrationResult) -> str:
-    """Return standard deviations of what was measured."""
-    if result.noise is not None:
-        return f"σ {noise_said(result, result.noise)}"
-    data, units = result.measurements, np.array(result.nominal.platform.units)
-    sigma = data.sigma_poses
-    parts = [None if sigma is None else sigma[:, units == unit] for unit in ("m", "rad")]
-    middle = [
-        0.0 if one is None or not np.isfinite(one).any() else float(np.nanmedian(one))
-        for one in (*parts, data.sigma_readings)
-    ]
-    return f"σ, median of the rows: {noise_said(result, Noise(*middle))}"
-
-
-def checks(result: CalibrationResult, notes: Sequence[str]) -> list[str]:
-    """Return what ties, held-out rows and runs show, and notes on what was not done."""
-    lines = [capital(line) for line in (*tie_lines(result), *check_lines(result))]
-    return [f"{line}." for line in (*lines, *notes)]
 
 
 class Verdict(NamedTuple):
@@ -257,7 +225,7 @@ class LinkedPage(Page):
         identified = result.identified if result.converged else None
         shown = scene(result.nominal, plan_of(result.nominal, plan), None, identified, magnify)
         shown = calibrated(shown, result, report.found.errors)
-        self.view = View(shown, "poses of the measurements", warnings(result))
+        self.view = View(shown, "poses of the measurements", result_tables.warnings(result))
         self.rows = {str(row + 1): place for place, row in enumerate(whole.tolist())}
 
     @cached_property

@@ -1,1 +1,0 @@
-"""A calibration as one page: to read, print and keep."""
