@@ -45,7 +45,7 @@ def test_steps_that_are_too_long_are_shortened(seed: int) -> None:
     (one,) = fitted(Calibration(mechanism, data, options)).fits
     there = adjusted(one.fit.problem, one.fit.last)
     left = one.fit.system.solve(there, one.fit.weights, 1.0).decrement
-    assert one.fit.left == pytest.approx(left, rel=1e-6)
+    assert one.fit.distance == pytest.approx(left, rel=1e-6)
     assert left <= 1e-3
 
 

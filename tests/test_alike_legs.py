@@ -10,7 +10,7 @@ from measured import workspace
 
 import pincal
 from pincal.calibration.calibration import Calibration
-from pincal.estimation.blocks.alike_legs import evaluated
+from pincal.estimation.linear import State
 from pincal.kinematics.batches import CHUNK
 from pincal.kinematics.closing import by_leg, close, close_legs, grouped
 from pincal.kinematics.closure import LegClosure
@@ -28,7 +28,6 @@ def test_alike_legs_demand_what_each_alone_does(name: str) -> None:
     noise = pincal.Noise(1e-3, 1e-3, 1e-3)
     data = pincal.simulate(robot, truth, pincal.Plan(poses), noise, 5).measurements
     calibration, rows = Calibration(robot, data), np.arange(len(data))
-    conditions = [calibration.condition(leg, rows) for leg in range(len(robot.legs))]
     values = [leg.nominal for leg in pincal.disturb(robot, 1e-3, seed=6).legs]
     matrices = robot.platform.transforms(data.poses).as_matrix()
     rng = np.random.default_rng(7)
@@ -39,24 +38,27 @@ def test_alike_legs_demand_what_each_alone_does(name: str) -> None:
         groups.setdefault(LegClosure(leg, robot.platform).form, []).append(place)
     assert len(groups) == FORMS[name]
     for places in groups.values():
-        own = [conditions[place] for place in places]
-        parameters = [values[place] for place in places]
-        together = evaluated(own, parameters, matrices, [None] * len(own))
-        after = together.after([changes[place] for place in places], twists)
-        for place, condition, met, there in zip(places, own, together.legs, after, strict=True):
-            alone = evaluated([condition], [values[place]], matrices, [None])
-            (expected,) = alone.legs
+        block = calibration.leg_block(places, rows)
+        parameters = np.concatenate([values[place] for place in places])
+        together = block.evaluate(State(parameters, matrices))
+        after = together.follow(np.concatenate([changes[place] for place in places]), twists)
+        for index, place in enumerate(places):
+            alone = calibration.leg_block([place], rows).evaluate(State(values[place], matrices))
             for part in Demand.__dataclass_fields__:
-                wanted = getattr(expected.demand, part)
+                wanted = getattr(alone.demands[0], part)
                 largest = np.abs(wanted).max()
                 # the search ends where passive joints are right to 1e-8, and values to its square
                 atol = 1e-14 if part == "value" else 1e-7 * largest
                 np.testing.assert_allclose(
-                    getattr(met.demand, part), wanted, rtol=0.0, atol=atol, err_msg=part
+                    getattr(together.demands[index], part),
+                    wanted,
+                    rtol=0.0,
+                    atol=atol,
+                    err_msg=part,
                 )
-            np.testing.assert_allclose(met.joints, expected.joints, rtol=0.0, atol=1e-7)
-            (one,) = alone.after([changes[place]], twists)
-            np.testing.assert_allclose(there, one, rtol=0.0, atol=1e-7)
+            np.testing.assert_allclose(together.joints[index], alone.joints[0], rtol=0.0, atol=1e-7)
+            (followed,) = alone.follow(changes[place], twists)
+            np.testing.assert_allclose(after[index], followed, rtol=0.0, atol=1e-7)
 
 
 def test_no_rows_demand_nothing() -> None:
@@ -64,10 +66,10 @@ def test_no_rows_demand_nothing() -> None:
     robot = pincal.load_mechanism("3RRR")
     data = pincal.Measurements(np.zeros((1, 3)), readings=np.zeros((1, 3)))
     calibration = Calibration(robot, data)
-    conditions = [calibration.condition(leg, np.arange(0)) for leg in range(3)]
-    nominal = [leg.nominal for leg in robot.legs]
-    found = evaluated(conditions, nominal, np.empty((0, 4, 4)), [None] * 3)
-    assert [one.demand.value.shape for one in found.legs] == [(0, 1)] * 3
+    nominal = np.concatenate([leg.nominal for leg in robot.legs])
+    block = calibration.leg_block(range(3), np.arange(0))
+    rows = block.evaluate(State(nominal, np.empty((0, 4, 4))))
+    assert [demand.value.shape for demand in rows.demands] == [(0, 1)] * 3
 
 
 def test_each_leg_is_measured_by_its_own_size() -> None:
@@ -81,17 +83,18 @@ def test_each_leg_is_measured_by_its_own_size() -> None:
     poses = rng.uniform(-4.0, 4.0, (20, 3))
     data = pincal.Measurements(poses, readings=rng.uniform(-1.0, 1.0, (20, 3)))
     calibration, rows = Calibration(plain, data), np.arange(20)
-    conditions = [calibration.condition(leg, rows) for leg in range(2)]
-    conditions[0] = replace(conditions[0], leg=robot.legs[0])
-    assert conditions[0].form == conditions[1].form
-    values = [one.leg.nominal for one in conditions]
+    legs = (robot.legs[0], plain.legs[1])
+    forms = [LegClosure(leg, plain.platform).form for leg in legs]
+    assert forms[0] == forms[1]
+    values = [leg.nominal for leg in legs]
     matrices = robot.platform.transforms(poses).as_matrix()
-    start: list[np.ndarray | None] = [rng.uniform(-3.0, 3.0, (20, 2)) for _ in conditions]
-    together = evaluated(conditions, values, matrices, start)
-    (alone,) = evaluated(conditions[1:], values[1:], matrices, start[1:]).legs
-    met = together.legs[1]
-    np.testing.assert_allclose(met.demand.value, alone.demand.value, rtol=0.0, atol=1e-9)
-    np.testing.assert_allclose(met.joints, alone.joints, rtol=0.0, atol=1e-6)
+    start = tuple(rng.uniform(-3.0, 3.0, (20, 2)) for _ in legs)
+    block = replace(calibration.leg_block(range(2), rows), legs=legs)
+    together = block.evaluate(State(np.concatenate(values), matrices, start))
+    alone = calibration.leg_block([1], rows).evaluate(State(values[1], matrices, start[1:]))
+    value, expected = together.demands[1].value, alone.demands[0].value
+    np.testing.assert_allclose(value, expected, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(together.joints[1], alone.joints[0], rtol=0.0, atol=1e-6)
 
 
 @pytest.mark.parametrize("name", FORMS)

@@ -79,7 +79,7 @@ def test_what_is_known_beforehand_is_measured_too() -> None:
     data = pincal.simulate(mechanism, truth, plan, noise, 3).measurements
     result = pincal.calibrate(mechanism, data, noise=noise, tolerance=tolerance)
     (one,) = fitted(result.calibration).fits
-    left, r = Residuals.of(one.fit), one.fit.last.value
+    left, r = Residuals.of(one.fit), one.fit.last.residuals
     assert left.chi2 == pytest.approx(one.fit.chi2, rel=1e-6)  # it ends near the optimum
     W = np.random.default_rng(4).standard_normal((*r.shape, 2))
     held, prior = one.fit.unknowns.prior_rows(one.fit.parameters)

@@ -21,7 +21,7 @@ from pincal.calibration.terms.candidates import with_terms
 from pincal.calibration.terms.kinds import every_pair, said
 from pincal.calibration.terms.screen import screen
 from pincal.errors import MeasurementError, MechanismError, SymmetryError
-from pincal.estimation.blocks.alike_legs import evaluated
+from pincal.estimation.linear import State
 from pincal.kinematics.configurations import planned_influences
 from pincal.kinematics.derivatives import Demand
 from pincal.kinematics.influences import gravity_loads
@@ -151,12 +151,11 @@ def test_derivatives_are_differences(name: str, of: str) -> None:
     data = pincal.Measurements(
         poses=plan.poses, readings=readings + 1e-4, influences=plan.influences
     )
-    condition = Calibration(machine, data).condition(0, np.arange(len(data)))
+    legs = Calibration(machine, data).leg_block([0], np.arange(len(data)))
     matrices, values, h = machine.platform.matrices(data.poses), machine.legs[0].nominal, 1e-6
 
     def demand(values: np.ndarray) -> Demand:
-        (met,) = evaluated([condition], [values], matrices, [None]).legs
-        return met.demand
+        return legs.evaluate(State(values, matrices)).demands[0]
 
     exact = demand(values)
     for column, step in enumerate(h * np.eye(len(values))):

@@ -78,21 +78,19 @@ def test_derivatives_of_what_is_measured(kind: str) -> None:
     external = unknowns.moved(unknowns.start, 0.3 * rng.standard_normal(len(unknowns)))
     matrices = np.tile(platform.home_pose.as_matrix(), (len(data), 1, 1))
     matrices = platform.displaced(matrices, 0.2 * rng.standard_normal((len(data), platform.dof)))
-    rows = observation.evaluate(matrices, external)
+    value, by_pose, by_external = observation.residuals(matrices, external)
     assert_derivative(
-        rows.pose,
-        lambda h: (
-            observation.evaluate(
-                platform.displaced(matrices, np.tile(h, (len(data), 1))), external
-            ).value
-        ),
+        by_pose,
+        lambda h: observation.residuals(
+            platform.displaced(matrices, np.tile(h, (len(data), 1))), external
+        )[0],
     )
     assert_derivative(
-        rows.external,
-        lambda h: observation.evaluate(matrices, unknowns.moved(external, h)).value,
+        by_external,
+        lambda h: observation.residuals(matrices, unknowns.moved(external, h))[0],
     )
-    assert not rows.value[~observation.measured].any()
-    assert not rows.pose[~observation.measured].any()
+    assert not value[~observation.measured].any()
+    assert not by_pose[~observation.measured].any()
 
 
 @pytest.mark.parametrize("kind", some_slow(KINDS, "6UPS"))
@@ -105,11 +103,11 @@ def test_derivatives_of_the_problem(kind: str) -> None:
     def values(parameters: np.ndarray, twist: np.ndarray) -> np.ndarray:
         moved = mechanism.platform.displaced(state.matrices, np.tile(twist, (len(data), 1)))
         there = replace(state, parameters=state.parameters + parameters, matrices=moved)
-        return np.concatenate([d.value for d in problem.stack(there).demands], axis=1)
+        return np.concatenate([d.value for d in problem.evaluate(there).demands], axis=1)
 
-    demands = problem.stack(state).demands
+    demands = problem.evaluate(state).demands
     parameter = np.zeros((len(data), len(demands), len(state.parameters)))
-    for row, (demand, columns) in enumerate(zip(demands, problem.columns, strict=True)):
+    for row, (demand, columns) in enumerate(zip(demands, problem.leg_block.columns, strict=True)):
         parameter[:, row, columns] = demand.parameter[:, 0]
     pose = np.concatenate([demand.pose for demand in demands], axis=1)
     nowhere = np.zeros(mechanism.platform.dof)
@@ -123,8 +121,8 @@ def whitened(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return residuals in standard deviations and Jacobian, (N, k) and (N, k, n), poses free."""
     problem, unknowns = started(mechanism, data, noise=NOISE)
-    linear = problem.linearise(problem.start(unknowns.start))
-    return linear.value, linear.jacobian
+    linear = problem.evaluate(problem.start(unknowns.start))
+    return linear.residuals, linear.jacobian
 
 
 @pytest.mark.parametrize("kind", some_slow(KINDS, "6UPS"))

@@ -43,11 +43,11 @@ def dense_covariance(fit: Fit, follows: NDArray[np.float64]) -> NDArray[np.float
 
     Σ − M (Mᵀ Σ⁻¹ M)⁻¹ Mᵀ of M = [A T, B], every pose an unknown; exact readings nearly so.
     """
-    stack, T = fit.last.stack, fit.unknowns.map
-    A = np.concatenate(list(stack.parameter())) @ T
-    M = np.column_stack((A, block_diag(*stack.pose))) if fit.problem.latent else A
-    most = np.abs(stack.noise).max()
-    noise = [S @ S.T + (1e-4 * most) ** 2 * np.eye(len(S)) for S in stack.noise]
+    linear, T = fit.last, fit.unknowns.map
+    A = np.concatenate(list(linear.by_parameter())) @ T
+    M = np.column_stack((A, block_diag(*linear.by_pose))) if fit.problem.latent else A
+    most = np.abs(linear.noise_root).max()
+    noise = [S @ S.T + (1e-4 * most) ** 2 * np.eye(len(S)) for S in linear.noise_root]
     sigma = block_diag(*noise)
     weight = np.linalg.inv(sigma) if fit.problem.weighted else np.eye(len(sigma))
     _, prior = fit.unknowns.prior_rows(fit.unknowns.start)
@@ -71,7 +71,7 @@ def test_what_is_left_is_that_of_the_dense_hat_matrix(case: str) -> None:
     result = pincal.calibrate(mechanism, data, noise=noise, **options)
     for one in fitted(result.calibration).fits:
         fit = one.fit
-        rows = fit.last.stack.value.shape[1]
+        rows = fit.last.conditions.shape[1]
         every = [leg_residuals(fit.problem, fit.last, i) for i in range(len(fit.problem.legs))]
         legs = np.concatenate([leg.follows for leg in every], axis=1)
         identity = np.broadcast_to(np.eye(rows), (len(data), rows, rows))

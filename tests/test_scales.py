@@ -131,7 +131,7 @@ def whole_parts(one: Fit) -> list[np.ndarray]:
         W[:, :, 3:][:, :, [unit == "rad" for unit in units]],
         W[:, :, :3],
     ]
-    count, m = one.last.value.shape
+    count, m = one.last.residuals.shape
     V = []
     for part in groups:
         whole = np.zeros((count * m, count * m))
@@ -161,7 +161,7 @@ def test_moments_are_those_of_the_whole_projection() -> None:
     white, T = one.last, one.unknowns.map
     J = (white.jacobian @ T).reshape(-1, T.shape[1])
     M, V = np.eye(len(J)) - J @ np.linalg.pinv(J), whole_parts(one)
-    r = white.value.ravel()
+    r = white.residuals.ravel()
     F = [[np.trace(M @ a @ M @ b) for b in V] for a in V]
     np.testing.assert_allclose(moments.F, F, rtol=1e-8)
     np.testing.assert_allclose(moments.q, [r @ M @ a @ M @ r for a in V], rtol=1e-8)

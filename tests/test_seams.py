@@ -16,9 +16,9 @@ from scipy.stats import chi2
 
 import pincal
 from pincal.calibration.result_files import read_result
-from pincal.estimation.blocks.alike_legs import evaluated
-from pincal.estimation.blocks.leg_condition import LegCondition
+from pincal.estimation.blocks.legs import LegBlock
 from pincal.estimation.blocks.observation import Observation
+from pincal.estimation.linear import State
 from pincal.kinematics.closing import sensor_law
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.derivatives import Demand
@@ -97,17 +97,17 @@ def test_conditions_of_instruments_are_differentiated(name: str, unknown_frame: 
     if unknown_frame:
         place = replace(place, frame=_frame(robot))
     matrices = robot.platform.transforms(data.poses).as_matrix()
-    rows = seen.evaluate(matrices, place)
-    assert rows.value[:, -2:].shape == (4, 2)
+    value, by_pose, by_external = seen.residuals(matrices, place)
+    assert value[:, -2:].shape == (4, 2)
     assert_derivative(
-        rows.pose,
-        lambda twist: (
-            seen.evaluate(robot.platform.displaced(matrices, np.tile(twist, (4, 1))), place).value
-        ),
+        by_pose,
+        lambda twist: seen.residuals(
+            robot.platform.displaced(matrices, np.tile(twist, (4, 1))), place
+        )[0],
     )
     assert_derivative(
-        rows.external,
-        lambda step: seen.evaluate(matrices, seen.external.moved(place, step)).value,
+        by_external,
+        lambda step: seen.residuals(matrices, seen.external.moved(place, step))[0],
     )
 
 
@@ -237,9 +237,10 @@ def test_terms_of_sensors_are_differentiated(name: str) -> None:
     np.testing.assert_allclose(law.reading(law.position(psi)), psi, rtol=0.0, atol=1e-14)
 
     def demand(step: Array, readings: Array) -> Demand:
-        condition = LegCondition(leg, robot.platform, readings, "closure", np.arange(1))
-        (met,) = evaluated([condition], [leg.nominal + step], matrices, [None]).legs
-        return met.demand
+        row = np.arange(1)
+        used, sigma = np.ones((1, 1), dtype=bool), np.zeros((1, 1))
+        block = LegBlock((leg,), robot.platform, (readings,), "closure", row, used, sigma)
+        return block.evaluate(State(leg.nominal + step, matrices)).demands[0]
 
     n = len(leg.nominal)
     here = demand(np.zeros(n), psi)

@@ -19,7 +19,7 @@ from pincal.calibration.terms.candidates import with_terms
 from pincal.calibration.terms.kinds import said
 from pincal.cli.commands.calibration import CalibrateOptions
 from pincal.errors import MeasurementError, MechanismError
-from pincal.estimation.blocks.alike_legs import evaluated
+from pincal.estimation.linear import State
 from pincal.kinematics.closing import sensor_law
 from pincal.kinematics.closure import LegClosure, joint_range
 from pincal.kinematics.configurations import planned_influences
@@ -124,14 +124,13 @@ def test_forward_and_inverse_agree_with_terms(name: str, form: str) -> None:
 def test_derivatives_by_amplitudes_are_differences(form: str) -> None:
     machine = truth_of(extended(pincal.load_mechanism("3RRR"), FORMS[form]), 1e-2)
     data = measured(machine, machine, pincal.Noise(0.0, 0.0, 0.0), 6)
-    condition = Calibration(machine, data).condition(0, np.arange(len(data)))
+    legs = Calibration(machine, data).leg_block([0], np.arange(len(data)))
     matrices = machine.platform.matrices(data.poses)
     values = machine.legs[0].nominal
 
     def demand(values: np.ndarray, by: float = 0.0) -> Demand:
-        moved = condition.corrected(np.full((len(data), 1), by))
-        (met,) = evaluated([moved], [values], matrices, [None]).legs
-        return met.demand
+        moved = legs.corrected(np.full((len(data), 1), by))
+        return moved.evaluate(State(values, matrices)).demands[0]
 
     exact = demand(values)
     h = 1e-6

@@ -83,7 +83,7 @@ def assemble(found: Fits, without_ties: Fits | None) -> CalibrationResult:
         chi2_freedoms=free,
         noise_freedoms=sure.least,
         evaluations=sum(one.evaluations for one in fits),
-        left=max(one.left for one in fits),
+        left=max(one.distance for one in fits),
         converged=all(one.converged for one in fits),
         costs=tuple(
             tuple(cost / max(one.degrees_of_freedom, 1) for cost in one.costs) for one in fits
@@ -190,8 +190,10 @@ def _leg_results(
     errors = np.concatenate([std[leg.name] for leg in problem.legs], axis=1)
     n = errors.shape[1]
     ends = _ends(calibration, found, np.eye(n, len(quantile)), errors, quantile[:n])
-    for index, (leg, columns) in enumerate(zip(problem.legs, problem.columns, strict=True)):
-        own = problem.used[:, index] & (found.weights > 0.0)
+    for index, (leg, columns) in enumerate(
+        zip(problem.legs, problem.leg_block.columns, strict=True)
+    ):
+        own = problem.leg_block.used[:, index] & (found.weights > 0.0)
         before = leg_residuals(problem, found.first, index)
         after = residuals[index]
         rank, condition = found.ranks[index]
@@ -287,13 +289,13 @@ def _observed(found: Fits, left: Array) -> tuple[Observed, ...]:
     """Return how the measured quantities of the platform fit; left: redundancies, (N, r)."""
     fit = found.fits[0].fit
     problem, seen = fit.problem, fit.problem.observation
-    n_legs = problem.leg_rows[-1].stop
-    before, values = (linear.stack.value[:, n_legs:] for linear in (fit.first, fit.last))
+    n_legs = problem.leg_block.n_rows
+    before, values = (linear.conditions[:, n_legs:] for linear in (fit.first, fit.last))
     results = []
     for column, (name, unit) in enumerate(zip(seen.names, seen.units, strict=True)):
         own = seen.measured[:, column] & (fit.weights > 0.0)
         if own.any():
-            sigmas = fit.noise_scale * problem.sigma_observed[own, column]
+            sigmas = fit.noise_scale * problem.observation.sigma[own, column]
             results.append(
                 Observed(
                     name=name,

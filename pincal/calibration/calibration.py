@@ -12,7 +12,7 @@ import numpy as np
 from pincal.calibration.options import Options
 from pincal.errors import MeasurementError, ObservabilityError
 from pincal.estimation.blocks.external import External
-from pincal.estimation.blocks.leg_condition import LegCondition
+from pincal.estimation.blocks.legs import LegBlock
 from pincal.estimation.blocks.observation import Observation
 from pincal.estimation.linear import State
 from pincal.estimation.noise import FoundTolerance, NoiseModel, noise_model
@@ -159,21 +159,47 @@ class Calibration:
             seen.add(key)
         return found
 
-    def condition(self, leg: int, rows: Index) -> LegCondition:
-        """Return what a leg demands at some rows of the measurements."""
-        mechanism = self.mechanism
-        readings = self.measurements.readings[rows][:, mechanism.reading_columns[leg]]
-        measured = np.isfinite(readings)
-        usual = [
-            np.median(own[one]) if one.any() else 0.0
-            for own, one in zip(readings.T, measured.T, strict=True)
-        ]
-        readings = np.where(measured, readings, usual)  # not used where not measured
-        kind = "closure" if self.options.latent else self.options.residual
-        if self.influences is not None:
-            more = mechanism.influences_at(leg, self.influences[rows])
-            readings = np.hstack((readings, more))
-        return LegCondition(mechanism.legs[leg], mechanism.platform, readings, kind, rows)
+    def leg_block(
+        self,
+        places: Sequence[int],
+        rows: Index,
+        used: Mask | None = None,
+        pose_roots: Array | None = None,
+    ) -> LegBlock:
+        """Return the residual block of some legs at some rows of the measurements.
+
+        Args:
+            places: Of the legs in the mechanism.
+            rows: Of the measurements.
+            used: Which of the rows serves which of the legs, shape (N, n_legs); all if None.
+            pose_roots: Roots of the poses' covariance if these are taken as measured.
+        """
+        mechanism, known = self.mechanism, []
+        for place in places:
+            readings = self.measurements.readings[rows][:, mechanism.reading_columns[place]]
+            measured = np.isfinite(readings)
+            usual = [
+                np.median(column[present]) if present.any() else 0.0
+                for column, present in zip(readings.T, measured.T, strict=True)
+            ]
+            readings = np.where(measured, readings, usual)  # not used where not measured
+            if self.influences is not None:
+                influences = mechanism.influences_at(place, self.influences[rows])
+                readings = np.hstack((readings, influences))
+            known.append(readings)
+        columns = np.concatenate(
+            [np.arange(len(mechanism.reading_names))[mechanism.reading_columns[i]] for i in places]
+        )
+        return LegBlock(
+            tuple(mechanism.legs[place] for place in places),
+            mechanism.platform,
+            tuple(known),
+            "closure" if self.options.latent else self.options.residual,
+            rows,
+            np.ones((len(rows), len(places)), dtype=bool) if used is None else used,
+            self.noise.readings[np.ix_(rows, columns)],
+            pose_roots,
+        )
 
     @cached_property
     def influences(self) -> Array | None:
@@ -190,20 +216,12 @@ class Calibration:
             MeasurementError: rows with too little measured; exact readings that contradict.
         """
         every = np.arange(len(self.measurements))
-        seen = self.observation
-        noise = seen.noise(self.measurements, self.noise.noise)
-        found = Problem(
-            tuple(self.condition(i, every) for i in range(len(self.mechanism.legs))),
-            self.used
-            if self.options.latent
-            else np.ones((len(every), len(self.mechanism.legs)), bool),
-            seen,
-            noise.sigma,
-            self.noise.readings,
-            noise.correlation,
-        )
-        _check_equations(found)
-        return found
+        seen, legs = self.observation, range(len(self.mechanism.legs))
+        noise = seen.row_noise(self.measurements, self.noise.noise)
+        used = self.used if self.options.latent else None
+        problem = Problem(self.leg_block(legs, every, used), seen.with_noise(noise))
+        _check_equations(problem)
+        return problem
 
     def started(self, problem: Problem) -> Problem:
         """Return the problem with poses and frames from which a search may start.
@@ -212,7 +230,7 @@ class Calibration:
             MeasurementError: frames that cannot be aligned; readings that contradict poses.
         """
         self.options.report("finding poses and frames to start from")
-        nominal = self.unknowns().start[: problem.n_parameters]
+        nominal = self.unknowns().start[: problem.leg_block.n_parameters]
         first = align_start(self.mechanism, problem, self.measurements, nominal)
         whole = self.options.setup.plain and np.isfinite(self.measurements.poses).all()
         if not (self.options.rough or whole):  # whole poses are checked as such
@@ -231,23 +249,12 @@ class Calibration:
         """
         used = self.used[:, legs]
         rows = np.flatnonzero(used.any(axis=1))
-        every = np.arange(self.noise.readings.shape[1])
-        columns = np.concatenate([every[self.mechanism.reading_columns[i]] for i in legs])
-        conditions = tuple(self.condition(i, rows) for i in legs)
         matrices = self.mechanism.platform.matrices(poses[rows])
         nominal = np.concatenate([self.mechanism.legs[i].nominal for i in legs])
         plain = replace(self.options.setup, unknown_frame=False, targets={}, distances={})
         seen = Observation(self.mechanism, self.measurements.rows(rows), plain)
-        problem = Problem(
-            conditions,
-            used[rows],
-            seen,
-            np.zeros(seen.measured.shape),
-            self.noise.readings[np.ix_(rows, columns)],
-            pose_roots=roots[rows],
-            first=State(nominal, matrices, (None,) * len(legs), seen.external.start),
-        )
-        return problem, rows
+        first = State(nominal, matrices, external=seen.external.start)
+        return Problem(self.leg_block(legs, rows, used[rows], roots[rows]), seen, first), rows
 
     def given_poses(self, external: External | None) -> tuple[Array, Array]:
         """Return measured poses in the base frame, shape (N, dof), and roots of their covariance.
@@ -394,10 +401,10 @@ def _check_equations(problem: Problem) -> None:
             f"data row {row + 1} has {problem.equations[row] + dof} measured quantities, which do "
             f"not fix the {dof} freedoms of the platform; measure more, or leave the row out"
         )
-    noisy = [(problem.sigma_readings[:, own] > 0.0).any(axis=1) for own in problem.reading_columns]
-    exact = problem.used & ~np.stack(noisy, axis=1)
-    widths = np.array([one.width for one in problem.conditions])
-    if (exact @ widths > dof).any():
+    legs = problem.leg_block
+    noisy = [(legs.sigma[:, columns] > 0.0).any(axis=1) for columns in legs.reading_columns]
+    exact = legs.used & ~np.stack(noisy, axis=1)
+    if (exact @ np.array(legs.widths) > dof).any():
         raise MeasurementError(
             f"{len(problem.legs)} exact readings contradict each other in {dof} freedoms of the "
             "platform; give the readings a standard deviation (--noise-reading)"

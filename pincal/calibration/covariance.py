@@ -38,7 +38,7 @@ def all_legs(mechanism: Mechanism, fits: Sequence[Robust]) -> Array:
         one = robust.fit
         places = _places(mechanism, one.problem.legs)
         covariance[np.ix_(places, places)] = one.covariance[: len(places), : len(places)]
-        last = one.problem.reading_columns[-1].stop
+        last = one.problem.leg_block.n_readings
         columns = [*range(last, last + mechanism.platform.dof), -1]  # the pose's noise, an outlier
         by_pose = one.influence[:, : len(places), columns]
         parts.append((places, robust.rows, by_pose))
@@ -71,7 +71,7 @@ def chi2_freedoms(fits: Sequence[Robust]) -> float:
     for robust in fits:
         one = robust.fit
         used = np.flatnonzero(one.good)
-        last = one.problem.reading_columns[-1].stop
+        last = one.problem.leg_block.n_readings
         W = one.last.white.by_noise[used, :, last : last + one.problem.platform.dof]
         parts.append((robust.rows[used], one.Q, W))
         total += one.degrees_of_freedom
@@ -125,7 +125,7 @@ def systematic(found: Fits) -> Array:
     if found.latent:
         fit = found.fits[0].fit
         own = seen.systematic(fit.last.state.matrices, fit.last.state.external)
-        errors = np.zeros((*fit.last.stack.value.shape, own.shape[2]))
+        errors = np.zeros((*fit.last.conditions.shape, own.shape[2]))
         errors[:, errors.shape[1] - own.shape[1] :] = own
         return fit.spread.response(errors)
     external = found.external or seen.external.start
@@ -133,15 +133,16 @@ def systematic(found: Fits) -> Array:
     matrices = mechanism.platform.matrices(poses)
     own = seen.systematic(matrices, external)
     rows = [seen.names.index(name) for name in mechanism.platform.freedoms]
-    by_twist = seen.evaluate(matrices, external).pose[:, rows]
+    by_twist = seen.residuals(matrices, external)[1][:, rows]
     twists = -np.linalg.solve(by_twist, own[:, rows])  # where what is measured takes the poses
     follows = np.zeros((n, own.shape[2]))
     for robust in found.fits:
         one = robust.fit
         places = _places(mechanism, one.problem.legs)
-        moved = [demand.pose @ twists[robust.rows] for demand in one.last.stack.demands]
-        errors = np.zeros((*one.last.stack.value.shape, own.shape[2]))
-        for leg, error, used in zip(one.problem.leg_rows, moved, one.problem.used.T, strict=True):
+        moved = [demand.pose @ twists[robust.rows] for demand in one.last.demands]
+        errors = np.zeros((*one.last.conditions.shape, own.shape[2]))
+        block = one.problem.leg_block
+        for leg, error, used in zip(block.leg_rows, moved, block.used.T, strict=True):
             errors[used, leg] = error[used]
         follows[places] = one.spread.response(errors)[: len(places)]
     if found.gauge is None or found.unknowns is None:

@@ -144,7 +144,7 @@ def rounding(fits: Fits) -> bool:
     """Return whether residuals are rounding errors, in which nothing can be read."""
     mechanism, every = fits.calibration.mechanism, [one.fit for one in fits.fits]
     size = largest_size(mechanism.legs)
-    parts = [one.last.stack.value[one.good] for one in every]
+    parts = [one.last.conditions[one.good] for one in every]
     return all(np.abs(one).max(initial=0.0) <= 10.0 * ROUNDING * max(1.0, size) for one in parts)
 
 
@@ -205,7 +205,7 @@ def _proportion(fits: Fits) -> list[Finding]:
         return []
     unit = noise.noise.reading or assumed_noise(fits.calibration.mechanism, exact=False).reading
     moments = Moments.of([(one.fit, one.fit.problem) for one in fits.fits], unit)
-    readings = any(one.fit.problem.sigma_readings.any() for one in fits.fits)
+    readings = any(one.fit.problem.leg_block.sigma.any() for one in fits.fits)
     asked = np.array([True, True, readings and noise.source != "rows"])
     groups = np.flatnonzero(asked & (np.diagonal(moments.F) > 0.0))
     F = moments.F[np.ix_(groups, groups)]
@@ -262,7 +262,7 @@ def _moved(p_value: float, worst: Score, robust: Robust, data: Measurements) -> 
     """Return that what was measured at one pose moved with time."""
     rows = robust.rows[_again(data, robust.rows)[worst.place]]
     values: dict[str, Any] = {"pose": worst.place, "quantity": worst.quantity, "size": worst.size}
-    unit = robust.fit.problem.unit_of(worst.quantity)
+    unit = robust.fit.problem.quantities[worst.quantity]
     return finding("reference-moved", rows, **values, unit=unit, p_value=p_value)
 
 
@@ -270,7 +270,7 @@ def _lacks(p_value: float, worst: Score, robust: Robust, _: Measurements) -> Fin
     """Return what residuals follow."""
     if worst.term == "step":
         row = int(robust.rows[worst.row])
-        unit = robust.fit.problem.unit_of(worst.quantity)
+        unit = robust.fit.problem.quantities[worst.quantity]
         values: dict[str, Any] = {"quantity": worst.quantity, "size": worst.size, "unit": unit}
         return finding("step", (row,), **values, p_value=p_value)
     return finding("model-lacks", quantity=worst.quantity, term=worst.term, p_value=p_value)

@@ -59,7 +59,9 @@ class Near:
 
 def _said(problem: Problem) -> tuple[list[bool], dict[str, bool]]:
     """Return what is measured in some row, and which influences are known in some."""
-    known = {name: bool(np.isfinite(own).any()) for name, own in problem.influences.items()}
+    known = {
+        name: bool(np.isfinite(own).any()) for name, own in problem.leg_block.influences.items()
+    }
     return [bool(own.any()) for own in problem.observation.measured.T], known
 
 
@@ -111,7 +113,9 @@ class Fits:
         found = {
             leg.name: one.fit.parameters[columns]
             for one in self.fits
-            for leg, columns in zip(one.fit.problem.legs, one.fit.problem.columns, strict=True)
+            for leg, columns in zip(
+                one.fit.problem.legs, one.fit.problem.leg_block.columns, strict=True
+            )
         }
         return {name: found[name] for name in mechanism.leg_names}
 
@@ -350,14 +354,16 @@ def _toward_nominal(
     gauge: Gauge, problem: Problem, unknowns: Unknowns, fits: list[Robust], external: External
 ) -> Array:
     """Return the step of the external unknowns that brings the parameters nearest to nominal."""
-    n = problem.n_parameters
+    n = problem.leg_block.n_parameters
     if problem.first is None:
         raise TypeError("the problem has no start")
     values = unknowns.start.copy()
     for one in fits:
-        for leg, columns in zip(one.fit.problem.legs, one.fit.problem.columns, strict=True):
+        for leg, columns in zip(
+            one.fit.problem.legs, one.fit.problem.leg_block.columns, strict=True
+        ):
             place = [leg.name for leg in problem.legs].index(leg.name)
-            values[problem.columns[place]] = one.fit.parameters[columns]
+            values[problem.leg_block.columns[place]] = one.fit.parameters[columns]
     outside = problem.observation.external
     values[n:] = outside.coordinates(external) - outside.coordinates(problem.first.external)
     off = np.linalg.lstsq(unknowns.map, values - unknowns.start, rcond=None)[0]

@@ -77,8 +77,8 @@ def misses_of(calibration: Calibration, found: Fits) -> Misses:
         guess = np.where(np.isfinite(data.poses[rows]), data.poses[rows], platform.home)
     there = forward(machine, data.readings[rows], guess, influences)
     rows, poses = rows[there.converged], there.poses[there.converged]
-    at = seen.rows(rows)
-    off = np.where(at.measured, at.evaluate(platform.matrices(poses), external).value, np.nan)
+    at = seen.at(rows)
+    off = np.where(at.measured, at.residuals(platform.matrices(poses), external)[0], np.nan)
     names = list(seen.names)
     columns = {
         (target, "m"): [
@@ -204,7 +204,7 @@ class Predicted:
     def of(cls, one: Fit, linear: Linear) -> Predicted:
         """Return how a fit does at rows, noise of unit variance."""
         scale = one.noise_scale**2
-        J, r = linear.jacobian, linear.value
+        J, r = linear.jacobian, linear.residuals
         spread = J @ (one.covariance / scale) @ J.transpose(0, 2, 1)
         weighed = np.linalg.solve(np.eye(J.shape[1]) + spread, r[:, :, None])[:, :, 0]
         return cls(
@@ -223,7 +223,7 @@ def predictions(found: Fits, unseen: Calibration) -> list[tuple[Fit, Linear]]:
         problem = unseen.latent_problem
         external = one.last.state.external
         state = placed(problem, unseen.measurements, one.parameters, external)
-        linear = problem.linearise(poses_at_rest(problem, state))
+        linear = problem.evaluate(poses_at_rest(problem, state))
         return [(one, solve_poses(problem, linear)[0])]
     names = list(unseen.mechanism.leg_names)
     given = unseen.given_poses(found.external)
@@ -231,7 +231,7 @@ def predictions(found: Fits, unseen: Calibration) -> list[tuple[Fit, Linear]]:
     for one in fits:
         group = [names.index(leg.name) for leg in one.problem.legs]
         problem, _ = unseen.measured_problem(group, *given)
-        pairs.append((one, problem.linearise(problem.start(one.parameters))))
+        pairs.append((one, problem.evaluate(problem.start(one.parameters))))
     return pairs
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from pincal.design.information import Method
 from pincal.errors import MeasurementError
-from pincal.estimation.blocks.leg_condition import Residual
+from pincal.estimation.blocks.legs import Residual
 from pincal.estimation.residuals.losses import Loss, LossName, loss_of
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.setup import Setup

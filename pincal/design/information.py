@@ -16,7 +16,7 @@ import numpy as np
 
 from pincal.errors import MeasurementError
 from pincal.estimation.blocks.external import ExternalUnknowns
-from pincal.estimation.blocks.observation import Observation, Rows
+from pincal.estimation.blocks.observation import Observation
 from pincal.estimation.observability.gauge import frames_moved, split_frames
 from pincal.estimation.observability.indices import (
     GENERIC,
@@ -117,21 +117,21 @@ def information_rows(
     """
     platform = mechanism.platform
     matrices = platform.matrices(legs.poses)
-    seen, off, scatter, kept = _planned(mechanism, matrices, noise, measured, setup)
+    by_pose, by_external, off, scatter, kept = _planned(mechanism, matrices, noise, measured, setup)
     (count, n_rows, n_legs), n_readings = legs.parameter.shape, legs.reading.shape[2]
     # ┌ A          0        ┐  legs           ┌ B ┐   ┌ σ ∂e/∂ψ    ┐
     # └ 0  by external      ┘  what is seen   └ B ┘   └          σ ┘
     width, kinds = scatter.shape[1:]
-    parameter = np.zeros((count, n_rows + width, n_legs + seen.external.shape[2]))
+    parameter = np.zeros((count, n_rows + width, n_legs + by_external.shape[2]))
     parameter[:, :n_rows, :n_legs] = legs.parameter
-    parameter[:, n_rows:, n_legs:] = seen.external
+    parameter[:, n_rows:, n_legs:] = by_external
     errors = np.zeros((count, n_rows + width, off.shape[2]))
     errors[:, n_rows:] = off
     root = np.zeros((count, n_rows + width, n_readings + kinds))
     root[:, :n_rows, :n_readings] = noise.reading * legs.reading
     root[:, n_rows:, n_readings:] = scatter
     try:
-        white = white_rows(np.concatenate((legs.pose, seen.pose), axis=1), root)
+        white = white_rows(np.concatenate((legs.pose, by_pose), axis=1), root)
     except NoNoiseError as error:
         raise MeasurementError(
             "some measurements carry no noise at all; give standard deviations above zero for what "
@@ -160,8 +160,8 @@ def _planned(
     noise: Noise,
     measured: Sequence[str] | None,
     setup: Setup,
-) -> tuple[Rows, Array, Array, tuple[str, ...]]:
-    """Return the rows of planned measurements, what is off, roots of the noise, and names.
+) -> tuple[Array, Array, Array, Array, tuple[str, ...]]:
+    """Return derivatives by pose and externals, what is off, roots of the noise, and names.
 
     Raises:
         MeasurementError: unknown freedoms.
@@ -187,13 +187,19 @@ def _planned(
         poses=coordinates, readings=np.zeros((count, len(mechanism.reading_names))), extra=columns
     )
     observation = Observation(mechanism, data, setup)
-    rows = observation.evaluate(matrices, observation.external.start)
+    value, *slopes = observation.residuals(matrices, observation.external.start)
     chosen = [observation.names.index(name) for name in kept]
-    predicted = {name: rows.value[:, observation.names.index(name)] for name in columns}
+    predicted = {name: value[:, observation.names.index(name)] for name in columns}
     there = replace(data, extra=predicted)  # less what was measured: zero
-    some = Rows(rows.value[:, chosen], rows.pose[:, chosen], rows.external[:, chosen])
+    by_pose, by_external = (rows[:, chosen] for rows in slopes)
     off = observation.systematic(matrices, observation.external.start)
-    return some, off[:, chosen], observation.noise(there, noise).roots[:, chosen], kept
+    return (
+        by_pose,
+        by_external,
+        off[:, chosen],
+        observation.row_noise(there, noise).roots[:, chosen],
+        kept,
+    )
 
 
 Method = Literal["all-legs", "per-leg"]

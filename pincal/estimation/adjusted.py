@@ -16,9 +16,14 @@ import numpy as np
 from pincal.errors import MeasurementError
 from pincal.estimation.linear import Linear
 from pincal.estimation.problem import Problem
-from pincal.estimation.solver import BY, Found, solve_poses
-from pincal.estimation.system import Normal, System
+from pincal.estimation.solver import NEGLIGIBLE, SolverResult, solve_poses
+from pincal.estimation.system import NormalEquations, System
 from pincal.types import Array
+
+_STEPS = 30  # steps at most; most fits need two or three
+_SHORTEST = 1e-4  # share of a step that is still tried
+_CORRECTIONS = 4  # corrections of the readings in a step, at most
+_SAME = 1e-3  # standard deviations by which corrections may still change
 
 
 def adjusted(problem: Problem, linear: Linear) -> Linear:
@@ -30,11 +35,11 @@ def adjusted(problem: Problem, linear: Linear) -> Linear:
     Raises:
         MeasurementError: a residual that does not exist there.
     """
-    noise = np.zeros_like(problem.sigma_readings)
+    noise = np.zeros_like(problem.leg_block.sigma)
     found = linear
-    for _ in range(BY.corrections):
+    for _ in range(_CORRECTIONS):
         before, noise = noise, _corrections(problem, found)
-        if np.abs(noise - before).max(initial=0.0) <= BY.same:
+        if np.abs(noise - before).max(initial=0.0) <= _SAME:
             break
         found = _at(problem, linear, noise)
     return found
@@ -42,29 +47,25 @@ def adjusted(problem: Problem, linear: Linear) -> Linear:
 
 def _corrections(problem: Problem, linear: Linear) -> Array:
     """Return the corrections of readings in standard deviations, shape (N, n_readings)."""
-    noise = linear.noise[:, : problem.reading_columns[-1].stop]
+    noise = linear.noise[:, : problem.leg_block.n_readings]
     return np.where(np.isfinite(noise), noise, 0.0)
 
 
 def _at(problem: Problem, linear: Linear, noise: Array) -> Linear:
     """Return the conditions at readings that are corrected by so many standard deviations."""
-    shift = problem.sigma_readings * noise
-    conditions = tuple(
-        condition.corrected(shift[:, own])
-        for condition, own in zip(problem.conditions, problem.reading_columns, strict=True)
-    )
-    stack = replace(problem, conditions=conditions).stack(linear.state)
-    back = (stack.noise[:, :, : noise.shape[1]] @ noise[:, :, None])[:, :, 0]
-    return problem.whitened(replace(stack, value=stack.value - back))
+    legs = problem.leg_block.corrected(problem.leg_block.sigma * noise)
+    there = replace(problem, leg_block=legs).evaluate(linear.state)
+    back = (there.noise_root[:, :, : noise.shape[1]] @ noise[:, :, None])[:, :, 0]
+    return replace(there, conditions=there.conditions - back)
 
 
 def adjusts(problem: Problem) -> bool:
     """Return whether a problem's fit ends at adjusted readings."""
-    noisy = np.nanmax(problem.sigma_readings, initial=0.0) > 0.0
+    noisy = np.nanmax(problem.leg_block.sigma, initial=0.0) > 0.0
     return problem.weighted and problem.latent and bool(noisy)
 
 
-def last_steps(system: System, found: Found) -> Found:
+def last_steps(system: System, found: SolverResult) -> SolverResult:
     """Return the optimum with all conditions at adjusted readings, found from that without.
 
     As it is where readings are exact, residuals are not whitened, or nothing gets better. A step
@@ -83,10 +84,12 @@ def last_steps(system: System, found: Found) -> Found:
             now = adjusted(problem, here.linear)
             normal = system.solve(now, here.weights, here.scale)
             share, tried = 1.0, 0
-            while normal.decrement > BY.negligible and tried < BY.last and share > BY.shortest:
+            while normal.decrement > NEGLIGIBLE and tried < _STEPS and share > _SHORTEST:
                 tried += 1
                 there, trial = _stepped(system, here, normal, share)
-                costs = [system.cost(one.value, here.weights, one.state) for one in (now, trial)]
+                costs = [
+                    system.cost(one.residuals, here.weights, one.state) for one in (now, trial)
+                ]
                 if not costs[1] < costs[0]:
                     share /= 4.0
                     continue
@@ -95,17 +98,19 @@ def last_steps(system: System, found: Found) -> Found:
                 normal = system.solve(now, here.weights, here.scale)
     except (MeasurementError, np.linalg.LinAlgError):  # no such conditions there: as it was
         return found
-    cost = system.cost(now.value, here.weights, here.linear.state)
+    cost = system.cost(now.residuals, here.weights, here.linear.state)
     dof = max(int(now.equations[here.weights > 0.0].sum()) - system.unknowns.map.shape[1], 1)
     left = normal.decrement / (1.0 if system.known else max(float(np.sqrt(cost / dof)), 1e-300))
-    return replace(here, left=left, converged=left <= 10.0 * BY.negligible)
+    return replace(here, distance=left, converged=left <= 10.0 * NEGLIGIBLE)
 
 
-def _stepped(system: System, here: Found, normal: Normal, share: float) -> tuple[Found, Linear]:
+def _stepped(
+    system: System, here: SolverResult, normal: NormalEquations, share: float
+) -> tuple[SolverResult, Linear]:
     """Return where a share of a step leads, and the conditions there at adjusted readings."""
     problem = system.problem
     state = problem.moved(here.linear, share * (system.unknowns.map @ normal.step()))
-    linear, count = solve_poses(problem, problem.linearise(state))
+    linear, count = solve_poses(problem, problem.evaluate(state))
     weights, scale = system.weights(linear)
     there = replace(
         here,

@@ -44,7 +44,7 @@ _BY = Steps()
 
 
 @dataclass(frozen=True)
-class Normal:
+class VarianceEquations:
     """What one fit says of the variances of groups; parameters projected out by Q R = J."""
 
     F: Array
@@ -71,7 +71,7 @@ class Moments:
     """Shape (3,)."""
     scale: float
     """χ² over degrees of freedom."""
-    parts: tuple[Normal, ...]
+    parts: tuple[VarianceEquations, ...]
     """Of each fit."""
 
     @classmethod
@@ -156,7 +156,7 @@ class Beforehand:
         return np.asarray(rows.T @ rows)
 
 
-def freedoms(one: Normal, covariance: Array) -> Array:
+def freedoms(one: VarianceEquations, covariance: Array) -> Array:
     """Return the degrees of freedom of the unknowns' variances (Satterthwaite 1946), shape (n,).
 
     A variance is v = Σ_g s_g v_g, v_g the part of group g: 2 v² / var(v), var(v) = vᵀ cov(s) v.
@@ -171,7 +171,7 @@ def freedoms(one: Normal, covariance: Array) -> Array:
     return np.where(spread > 0.0, 2.0 * total**2 / np.where(spread > 0.0, spread, 1.0), np.inf)
 
 
-def widened(one: Normal, covariance: Array) -> Array:
+def widened(one: VarianceEquations, covariance: Array) -> Array:
     """Return what the covariance of the unknowns lacks if the noise was estimated, shape (n, n).
 
     Weights by estimated variances spread the estimate by Λ = Σ_gh cov(s)_gh Qᵀ V_g M V_h Q, and
@@ -207,21 +207,24 @@ def estimated_noise(
     return Noise(float(noise.position * p), float(noise.orientation * o), float(reading * r))
 
 
-def _normal(one: Fit, problem: Problem, readings: float) -> Normal:
+def _normal(one: Fit, problem: Problem, readings: float) -> VarianceEquations:
     """Return what a fit says of the variances of groups, at a problem's noise."""
     given = problem is one.problem
-    linear = one.last if given else problem.with_this_noise(one.last)
+    linear = one.last if given else problem.renoised(one.last)
     rows = one.weights > 0.0
     if one.system.loss is not None:
         rows &= ~outlying(linear.squares / one.system.scale(linear) ** 2, linear.equations)
-    n_readings = problem.reading_columns[-1].stop
-    unit = replace(problem, sigma_readings=np.full_like(problem.sigma_readings, readings))
-    by_reading = linear.white(unit.noise(linear.stack.demands, linear.state)[:, :, :n_readings])
+    n_readings = problem.leg_block.n_readings
+    legs = problem.leg_block
+    legs = replace(legs, sigma=np.full_like(legs.sigma, readings))
+    by_reading = np.zeros((*linear.conditions.shape, n_readings))
+    by_reading[:, : legs.n_rows] = legs.noise_root(linear.demands)[:, :, :n_readings]
+    by_reading = linear.white(by_reading)
     W = linear.white.by_noise[:, :, n_readings : len(problem.quantities)]
-    units = problem.observation.units if problem.latent else problem.platform.units
-    lengths = np.array([name == "m" for name in units], dtype=bool)
+    units = list(problem.quantities.values())[n_readings:]
+    lengths = np.array([unit == "m" for unit in units], dtype=bool)
     U = [part[rows] for part in (W[:, :, lengths], W[:, :, ~lengths], by_reading)]
-    r = linear.value[rows]
+    r = linear.residuals[rows]
     held, prior = one.unknowns.prior_rows(one.system.values(one.last.state))
     if given and (rows == one.good).all():
         by, Q = one.orthonormal, one.Q
@@ -249,4 +252,4 @@ def _normal(one: Fit, problem: Problem, readings: float) -> Normal:
     rest = [[over_rows(a, b) - A @ B for b, B in both] for a, A in both]
     back = by(one.unknowns.map).T
     chi2 = float((left**2).sum() + (held**2).sum())
-    return Normal(F, q, chi2, np.array(P), np.array(rest), back)
+    return VarianceEquations(F, q, chi2, np.array(P), np.array(rest), back)

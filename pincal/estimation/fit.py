@@ -15,8 +15,9 @@ from pincal.estimation.linear import Linear, Orthonormal, State
 from pincal.estimation.observability.identifiable import check_information, check_rank
 from pincal.estimation.problem import Problem
 from pincal.estimation.residuals.losses import FALSE_ALARM, outlying
-from pincal.estimation.solver import BY, near_start, search, solve_poses
-from pincal.estimation.system import ROWS_FOLLOW, Normal, System
+from pincal.estimation.solver import SLOW, search, solve_poses
+from pincal.estimation.start import near_start
+from pincal.estimation.system import ROWS_FOLLOW, NormalEquations, System
 from pincal.estimation.unknowns import Unknowns
 from pincal.types import Array, Mask
 
@@ -78,7 +79,7 @@ class Spread:
 
         Of least squares R⁻¹.
         """
-        normal = Normal.of(self.system.triangle(self.linear, self.slopes))
+        normal = NormalEquations.of(self.system.triangle(self.linear, self.slopes))
         half = np.asarray(np.linalg.inv(normal.R)) / normal.lengths[:, None]
         if not self.falls.any():
             return half
@@ -190,7 +191,7 @@ class Fit:
     degrees_of_freedom: int
     evaluations: int
     converged: bool
-    left: float
+    distance: float
     """How far the optimum is, to first order, in standard errors."""
     costs: tuple[float, ...]
     """Sums of squares at the start, where the search began if elsewhere, after each step taken."""
@@ -273,17 +274,16 @@ def fit(
         MeasurementError: residuals that do not exist, or have no noise.
     """
     problem, unknowns = system.problem, system.unknowns
-    state = start or problem.start(unknowns.start[: problem.n_parameters])
-    first, count = solve_poses(problem, problem.linearise(state))
+    state = start or problem.start(unknowns.start[: problem.leg_block.n_parameters])
+    first, count = solve_poses(problem, problem.evaluate(state))
     check_rank(problem, unknowns, first)
     if not problem.weighted:
-        system = replace(system, unit=float(np.median(np.linalg.norm(first.stack.noise, axis=2))))
-    weights, _ = system.weights(first)
-    begun = highest = system.cost(system.residuals(first), weights, first.state)
+        system = replace(system, unit=float(np.median(np.linalg.norm(first.noise_root, axis=2))))
+    begun = highest = system.cost_at(first)
     if start is not None:  # where the last steps ended, which the search does not know of
         highest *= 1.0 + ROWS_FOLLOW
     near, more = near_start(system, first, progress) if start is None else (first, 0)
-    enough = BY.slow if adjusts(problem) else 0.0  # the last steps go on from there
+    enough = SLOW if adjusts(problem) else 0.0  # the last steps go on from there
     found = search(system, near, progress, highest=highest, enough=enough, most=most)
     found = last_steps(system, found)
     linear, weights = found.linear, found.weights
@@ -322,7 +322,7 @@ def fit(
         degrees_of_freedom=dof,
         evaluations=found.evaluations + count + more,
         converged=found.converged,
-        left=found.left,
+        distance=found.distance,
         costs=found.costs if near is first else (float(begun), *found.costs),
     )
 
@@ -391,11 +391,11 @@ def _relative(
     for step in steps:
         ends = []
         for sign in (1.0, -1.0):
-            stack = problem.stack(problem.moved(here, sign * step))
+            end = problem.evaluate(problem.moved(here, sign * step))
             if solved:
-                stack = solve_poses(problem, problem.whitened(stack), ~used)[0].stack
-            ends.append(here.white(stack.value[:, :, None])[:, :, 0])
-        bent += float(((0.5 * (ends[0] + ends[1]) - here.value)[used] ** 2).sum())
-        along = here.stack.after(step) - here.stack.value
+                end, _ = solve_poses(problem, end, ~used)
+            ends.append(here.whitened(end.conditions))
+        bent += float(((0.5 * (ends[0] + ends[1]) - here.residuals)[used] ** 2).sum())
+        along = here.after(step) - here.conditions
         straight += float((here.white(along[:, :, None])[used] ** 2).sum())
     return float(np.sqrt(bent / straight)) if straight > 0.0 else 0.0

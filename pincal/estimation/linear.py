@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
+from pincal.errors import MeasurementError
 from pincal.estimation.blocks.external import External
-from pincal.estimation.blocks.leg_condition import Met
-from pincal.estimation.rows import WhiteRows
+from pincal.estimation.rows import NoNoiseError, WhiteRows, white_rows
 from pincal.kinematics.batches import chunks, over_rows
 from pincal.kinematics.derivatives import Demand
-from pincal.types import Array, Index
+from pincal.types import Array, Index, Mask
 
 Follow = Callable[[Array, Array], tuple[Array, ...]]
 """Returns joints of each leg, near those after a step of all unknowns and twists of the poses."""
+Entry = tuple[slice, slice, Array]
+"""Rows, columns and derivatives, shape (N, rows, columns); other columns do not move these rows."""
+NO_NOISE = (
+    "some measurements carry no noise at all; give standard deviations above zero for what is "
+    "measured, and for readings (--noise-reading) where there are more of them than freedoms"
+)
 
 
 @dataclass(frozen=True)
@@ -27,82 +33,102 @@ class State:
     """Of the legs, shape (n_params,)."""
     matrices: Array
     """Poses ``T_base_platform``, shape (N, 4, 4)."""
-    joints: tuple[Array | None, ...]
+    joints: tuple[Array, ...] = ()
     """Joint positions of each leg, deformations behind them, shape (N, n_joints [+ n_deformed]);
-    None before the first evaluation."""
-    external: External
+    none before the first evaluation."""
+    external: External = field(default_factory=External)
     """Unknowns outside the mechanism."""
 
     def rows(self, chosen: Index) -> State:
         """Return the state at some poses."""
-        joints = tuple(None if q is None else q[chosen] for q in self.joints)
+        joints = tuple(positions[chosen] for positions in self.joints)
         return replace(self, matrices=self.matrices[chosen], joints=joints)
 
 
 @dataclass(frozen=True)
-class Block:
-    """Some rows of the conditions by some unknowns; others do not move them."""
+class BlockRows:
+    """Residuals of one block at a state: k rows at each of N poses; zero where none is active."""
 
-    rows: slice
-    columns: slice
-    values: Array
-    """Shape (N, k of the rows, n of the columns)."""
-
-
-@dataclass(frozen=True)
-class Stack:
-    """Conditions at a state, before anything is eliminated: k rows at each of N poses."""
-
-    state: State
-    legs: tuple[Met, ...]
-    """What each leg demands."""
-    follow: Follow
-    """How their joints follow a step."""
     value: Array
-    """e, shape (N, k), [m] and [rad]."""
-    blocks: tuple[Block, ...]
-    """A, by all parameters and external unknowns: legs move their own rows only."""
-    pose: Array
-    """B, by the platform's twist, shape (N, k, dof); no columns where poses are as measured."""
-    noise: Array
+    """Residuals, shape (N, k), [m] and [rad]."""
+    by_pose: Array
+    """Derivatives by the platform's twist, (N, k, dof); no columns where poses are as measured."""
+    by_parameter: tuple[Entry, ...]
+    """Derivatives by the block's unknowns, those of each of its legs in rows of their own."""
+    noise_root: Array
     """S, root of the noise, shape (N, k, s)."""
-
-    @property
-    def demands(self) -> list[Demand]:
-        """What each leg demands."""
-        return [one.demand for one in self.legs]
-
-    @property
-    def finite(self) -> bool:
-        """Whether all derivatives by the unknowns exist."""
-        return all(bool(np.isfinite(one.values).all()) for one in self.blocks)
-
-    def parameter(self, poses: slice = slice(None)) -> Array:
-        """Return A of some poses, shape (N, k, n)."""
-        n = max(one.columns.stop for one in self.blocks)
-        A = np.zeros((len(self.value[poses]), self.value.shape[1], n))
-        for one in self.blocks:
-            A[:, one.rows, one.columns] = one.values[poses]
-        return A
-
-    def after(self, step: Array) -> Array:
-        """Return the conditions after a step of the unknowns (n,), to first order, (N, k)."""
-        value = self.value.copy()
-        for one in self.blocks:
-            value[:, one.rows] += one.values @ step[one.columns]
-        return value
 
 
 @dataclass(frozen=True)
 class Linear:
-    """Conditions as rows of ordinary least squares: freed of the poses, and whitened."""
+    """Conditions of all blocks at a state, also freed of the poses and whitened."""
 
-    stack: Stack
-    white: WhiteRows
-    value: Array
-    """Residuals in standard deviations, shape (N, m)."""
+    state: State
+    """Values of the unknowns, joints where the legs close best."""
+    demands: tuple[Demand, ...]
+    """What each leg demands."""
+    follow: Follow
+    """Returns the legs' joints after a step."""
+    conditions: Array
+    """Residuals e of all blocks, shape (N, k), [m] and [rad]."""
+    entries: tuple[Entry, ...]
+    """A: derivatives by all parameters and external unknowns."""
+    by_pose: Array
+    """B: derivatives by the platform's twist, shape (N, k, dof)."""
+    noise_root: Array
+    """S: root of the noise, shape (N, k, s)."""
+    active: Mask
+    """Rows that something was measured of, shape (N, k)."""
     equations: Index
     """How many equations each pose gives, shape (N,)."""
+
+    @property
+    def finite(self) -> bool:
+        """Whether all derivatives by the unknowns exist."""
+        return all(bool(np.isfinite(values).all()) for _, _, values in self.entries)
+
+    def by_parameter(self, poses: slice = slice(None)) -> Array:
+        """Return A of some poses, shape (N, k, n)."""
+        n = max(columns.stop for _, columns, _ in self.entries)
+        A = np.zeros((len(self.conditions[poses]), self.conditions.shape[1], n))
+        for rows, columns, values in self.entries:
+            A[:, rows, columns] = values[poses]
+        return A
+
+    def after(self, step: Array) -> Array:
+        """Return the conditions after a step of the unknowns (n,), to first order, (N, k)."""
+        conditions = self.conditions.copy()
+        for rows, columns, values in self.entries:
+            conditions[:, rows] += values @ step[columns]
+        return conditions
+
+    @cached_property
+    def white(self) -> WhiteRows:
+        """What frees the rows of the poses and whitens them.
+
+        Rows that nothing was measured of have noise of their own, so that they say nothing.
+
+        Raises:
+            MeasurementError: conditions without noise.
+        """
+        noise, idle = self.noise_root, ~self.active
+        if idle.any():
+            size = float(np.median(np.abs(noise[noise != 0.0]))) if noise.any() else 1.0
+            alone = np.where(idle[:, :, None], size * np.eye(idle.shape[1]), 0.0)
+            noise = np.concatenate((noise, alone[:, :, idle.any(axis=0)]), axis=2)
+        try:
+            return white_rows(self.by_pose, noise)
+        except NoNoiseError as error:
+            raise MeasurementError(NO_NOISE) from error
+
+    def whitened(self, conditions: Array) -> Array:
+        """Return conditions of shape (N, k), as those at another state, in these rows, (N, m)."""
+        return self.white(conditions[:, :, None])[:, :, 0]
+
+    @cached_property
+    def residuals(self) -> Array:
+        """Residuals in standard deviations, freed of the poses, shape (N, m)."""
+        return self.whitened(self.conditions)
 
     @property
     def jacobian(self) -> Array:
@@ -111,14 +137,12 @@ class Linear:
 
     def jacobian_of(self, poses: slice) -> Array:
         """Return the derivatives of the residuals at some poses, shape (N, m, n)."""
-        return (
-            np.asarray(self.white.reduced[poses] @ self.stack.parameter(poses))
-            / (self.white.scale[poses])
-        )
+        freed = self.white.reduced[poses] @ self.by_parameter(poses)
+        return np.asarray(freed) / self.white.scale[poses]
 
     def parts(self) -> Iterator[slice]:
         """Return poses, so many at once as memory holds well."""
-        return chunks(len(self.value))
+        return chunks(len(self.conditions))
 
     @cached_property
     def triangle(self) -> Array:
@@ -130,23 +154,14 @@ class Linear:
         return R
 
     @property
-    def state(self) -> State:
-        """Where this is."""
-        return self.stack.state
-
-    @property
     def squares(self) -> Array:
         """Sum of the squared residuals of each pose in standard deviations, shape (N,)."""
-        return np.einsum("nm,nm->n", self.value, self.value)
-
-    def frozen(self, other: Linear) -> Array:
-        """Return the conditions at another state in the rows of this one, shape (N, m)."""
-        return self.white(other.stack.value[:, :, None])[:, :, 0]
+        return np.einsum("nm,nm->n", self.residuals, self.residuals)
 
     @cached_property
     def noise(self) -> Array:
         """The least noise that explains the conditions, standard deviations, shape (N, s)."""
-        return self.white.least_noise(self.stack.value)
+        return self.white.least_noise(self.conditions)
 
     @cached_property
     def noise_by_parameter(self) -> Array:

@@ -124,10 +124,10 @@ class _Path:
         try:
             with np.errstate(all="ignore"):
                 state = problem.moved(here, amount * self.along)
-                start, _ = solve_poses(problem, problem.linearise(state))
-                weights, _ = self.system.weights(start)
-                cost = self.system.cost(self.system.residuals(start), weights, start.state)
-                highest = (1.0 + ROWS_FOLLOW) * cost  # the last steps were taken here before
+                start, _ = solve_poses(problem, problem.evaluate(state))
+                highest = (1.0 + ROWS_FOLLOW) * self.system.cost_at(
+                    start
+                )  # the last steps were taken here before
                 near = search(self.system, start, highest=highest, most=_BY.most)
                 found = last_steps(self.system, near)
         except (MeasurementError, np.linalg.LinAlgError):
@@ -143,7 +143,7 @@ def _cost(system: System, linear: Linear) -> float:
     """Return what a fit minimises: with a loss, the integral of its weights."""
     problem = system.problem
     at = adjusted(problem, linear) if adjusts(problem) else linear
-    kept = np.ones(len(at.value)) if system.kept is None else system.kept.astype(float)
+    kept = np.ones(len(at.residuals)) if system.kept is None else system.kept.astype(float)
     if system.loss is None or system.held_scale is None:
         return system.cost(system.residuals(at), kept, at.state)
     squares = at.squares / system.held_scale**2

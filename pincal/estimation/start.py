@@ -7,15 +7,20 @@ the rigid motion that takes the targets there to where they were measured.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from pincal.errors import MeasurementError
 from pincal.estimation.alignment import aligned
+from pincal.estimation.blocks.covariances import RowNoise
 from pincal.estimation.blocks.external import External
-from pincal.estimation.linear import Stack, State
-from pincal.estimation.problem import Problem
+from pincal.estimation.linear import Linear, State
+from pincal.estimation.problem import Problem, spread
+from pincal.estimation.solver import search, solve_poses
+from pincal.estimation.system import System
 from pincal.kinematics.closing import home_mode, mode_sign
 from pincal.kinematics.closure import LegClosure, Newton, largest_size
 from pincal.kinematics.forward import placed_by_arm
@@ -73,10 +78,9 @@ def align_start(
         state = placed(problem, data, parameters, external)
         return state if whole else poses_at_rest(problem, state)
     legs = [LegClosure(leg, platform) for leg in mechanism.legs]
-    there = placed_by_arm(legs, [one.known for one in problem.conditions])
+    there = placed_by_arm(legs, problem.leg_block.known)
     home = np.tile(platform.home_pose.as_matrix(), (len(data), 1, 1))
-    joints = (None,) * len(problem.legs)
-    state = State(parameters, home if there is None else there, joints, external)
+    state = State(parameters, home if there is None else there, external=external)
     for share in np.linspace(0.0, 1.0, _BY.way + 1)[1:] if there is None else ():
         state = poses_at_rest(_driven(mechanism, problem, share), state)
     good = _well(mechanism, problem, state)
@@ -89,7 +93,7 @@ def align_start(
     known = agrees & np.isfinite(data.poses[:, : platform.lengths]).all(axis=1)
     arms = (matrices - guess.matrices)[:, :3, :3] @ state.external.offsets[0]
     matrices[known, :3, 3] = (guess.matrices[:, :3, 3] - arms)[known]
-    state = replace(state, matrices=matrices, joints=(None,) * len(problem.legs))
+    state = replace(state, matrices=matrices, joints=())
     return poses_at_rest(problem, instruments_started(problem, state))
 
 
@@ -111,12 +115,14 @@ def instruments_started(problem: Problem, state: State) -> State:
         return state
     matrices = poses_at_rest(others, state).matrices
     own = seen.only(columns)
-    sigma = np.where(own.measured & (problem.sigma_observed > 0.0), problem.sigma_observed, 1.0)
+    sigma = np.where(
+        own.measured & (problem.observation.sigma > 0.0), problem.observation.sigma, 1.0
+    )
 
     def rows(values: Array) -> tuple[Array, Array]:
-        found = own.evaluate(matrices, replace(state.external, own=values))
-        by_own = found.external[:, :, seen.external.own_columns] / sigma[:, :, None]
-        return (found.value / sigma).ravel(), by_own.reshape(-1, len(values))
+        value, _, by_external = own.residuals(matrices, replace(state.external, own=values))
+        by_own = by_external[:, :, seen.external.own_columns] / sigma[:, :, None]
+        return (value / sigma).ravel(), by_own.reshape(-1, len(values))
 
     found = least_squares(
         lambda values: rows(values)[0],
@@ -131,15 +137,17 @@ def _well(mechanism: Mechanism, problem: Problem, state: State) -> Mask:
     """Return which poses close all legs, in the working and assembly modes of home, shape (N,)."""
     legs = [LegClosure(leg, mechanism.platform) for leg in mechanism.legs]
     closures = [
-        nearest_closure((leg,), state.matrices, (one.known,), (joints,))[0]
-        for leg, one, joints in zip(legs, problem.conditions, state.joints, strict=True)
+        nearest_closure((leg,), state.matrices, (known,), (joints,))[0]
+        for leg, known, joints in zip(
+            legs, problem.leg_block.known, state.joints or (None,) * len(legs), strict=True
+        )
     ]
     redundant = mechanism.redundant  # of which the type-2 margin has no sign
     known = _leg_equations(problem) >= mechanism.platform.dof  # readings alone give the pose
     lines = [one.constraint_by_pose for one in closures]
     good = known & (redundant | (platform_margin(mechanism, lines) > 0.0))
     missed = np.zeros(len(good))
-    for leg, closure, own in zip(legs, closures, problem.used.T, strict=True):
+    for leg, closure, own in zip(legs, closures, problem.leg_block.used.T, strict=True):
         missed = np.fmax(missed, np.where(own, np.abs(closure.gap).max(axis=1) / leg.size, 0.0))
         good &= ~own | (mode_sign(closure) == home_mode(leg.leg, leg.platform))
     usual = _BY.usual * np.median(missed[known]) if redundant and known.any() else 0.0
@@ -170,33 +178,29 @@ def placed(problem: Problem, data: Measurements, parameters: Array, external: Ex
         measured[:, 2] = 0.0
     there = (measured - external.frame[:3, 3]) @ F - matrices[:, :3, :3] @ external.offsets[0]
     matrices[:, :3, 3] = np.where(np.isfinite(there), there, matrices[:, :3, 3])
-    joints = (None,) * len(problem.legs)
-    return State(parameters, matrices, joints, external)
+    return State(parameters, matrices, external=external)
 
 
 def _driven(mechanism: Mechanism, problem: Problem, share: float) -> Problem:
     """Return the problem of readings alone that are on the way from home to those measured."""
     home = inverse(mechanism, np.array([mechanism.platform.home])).readings[0]
-    conditions = (
-        one.corrected((1.0 - share) * (home[own] - one.readings))
-        for one, own in zip(problem.conditions, problem.reading_columns, strict=True)
-    )
-    observation = problem.observation.only(())
-    return replace(problem, conditions=tuple(conditions), observation=observation)
+    legs = problem.leg_block
+    legs = legs.corrected((1.0 - share) * (home - legs.readings))
+    return replace(problem, leg_block=legs, observation=problem.observation.only(()))
 
 
 def _leg_equations(problem: Problem) -> Index:
     """Return how many equations the legs give at each pose, shape (N,)."""
-    return np.asarray(problem.used @ np.array([one.width for one in problem.conditions]))
+    return problem.leg_block.active.sum(axis=1)
 
 
-def _as_lengths(problem: Problem, stack: Stack) -> tuple[Array, Array]:
+def _as_lengths(problem: Problem, linear: Linear) -> tuple[Array, Array]:
     """Return conditions as lengths [m], shape (N, k), and derivatives by poses, (N, k, dof)."""
     size = largest_size(problem.legs)
     angles = np.array([unit == "rad" for unit in problem.observation.units], dtype=bool)
-    scale = np.ones(stack.value.shape[1])
+    scale = np.ones(linear.conditions.shape[1])
     scale[len(scale) - len(angles) :] = np.where(angles, size, 1.0)
-    return stack.value * scale, stack.pose * scale[:, None]
+    return linear.conditions * scale, linear.by_pose * scale[:, None]
 
 
 def poses_at_rest(problem: Problem, state: State) -> State:
@@ -208,9 +212,9 @@ def poses_at_rest(problem: Problem, state: State) -> State:
     platform = problem.platform
     size = largest_size(problem.legs)
     scale = np.array([size if unit == "m" else 1.0 for unit in platform.units])
-    stack = problem.stack(state)
-    value, pose = _as_lengths(problem, stack)
-    state, cost = stack.state, np.einsum("nk,nk->n", value, value)
+    linear = problem.evaluate(state)
+    value, pose = _as_lengths(problem, linear)
+    state, cost = linear.state, np.einsum("nk,nk->n", value, value)
     damping = np.full(len(cost), 1e-6)
     open_ = np.ones(len(cost), dtype=bool)
     for _ in range(_NEWTON.steps):
@@ -224,16 +228,16 @@ def poses_at_rest(problem: Problem, state: State) -> State:
         step *= np.minimum(1.0, _NEWTON.largest / np.maximum(longest, 1e-300))[:, None]
         step[~open_] = 0.0
         moved = platform.displaced(state.matrices, np.asarray(step * scale))
-        stack = problem.stack(replace(state, matrices=moved))
-        new_value, new_pose = _as_lengths(problem, stack)
+        linear = problem.evaluate(replace(state, matrices=moved))
+        new_value, new_pose = _as_lengths(problem, linear)
         new_cost = np.einsum("nk,nk->n", new_value, new_value)
         better = open_ & (new_cost <= cost)
         state = State(
             state.parameters,
             np.where(better[:, None, None], moved, state.matrices),
             tuple(
-                new if old is None or new is None else np.where(better[:, None], new, old)
-                for new, old in zip(stack.state.joints, state.joints, strict=True)
+                np.where(better[:, None], new, old)
+                for new, old in zip(linear.state.joints, state.joints, strict=True)
             ),
             state.external,
         )
@@ -257,10 +261,10 @@ def check_start(problem: Problem, state: State) -> None:
     """
     state = poses_at_rest(problem, state)
     size = largest_size(problem.legs)
-    stack = problem.stack(state)
-    n_legs = problem.leg_rows[-1].stop
+    linear = problem.evaluate(state)
+    n_legs = problem.leg_block.n_rows
     lengths = [unit == "m" for unit in problem.observation.units]
-    missed = stack.value[:, [*range(n_legs), *(n_legs + np.flatnonzero(lengths))]]
+    missed = linear.conditions[:, [*range(n_legs), *(n_legs + np.flatnonzero(lengths))]]
     worst = float(np.median(np.linalg.norm(missed, axis=1)))
     if worst > _BY.missed * size:
         raise MeasurementError(
@@ -282,3 +286,95 @@ def left_out(setup: Setup) -> str:
     }
     left = "; ".join(words for words, said in options.items() if not said)
     return f" ({left})" if left else ""
+
+
+_UNEVEN = 100.0  # ratio of noise up to which valleys are wide enough
+_GROSS = 100.0  # times as far off as usual at the start: rows left out of the easier problem
+_EASY_ROWS = 2000  # rows that suffice to begin near the optimum
+_EASY_NEAR = 0.1  # standard deviations of a residual at which the easier problem is left
+_EASY_EVALUATIONS = 50
+
+
+def near_start(
+    system: System, first: Linear, progress: Callable[[str], None] | None = None
+) -> tuple[Linear, int]:
+    """Return where the search begins, near an easier optimum if that is better; and evaluations.
+
+    That of the evened problem, without gross errors, and of least squares: a loss bends the cost
+    far from its optimum.
+
+    Args:
+        system: What is minimised.
+        first: The conditions at the start, poses solved.
+        progress: Called with what is being done.
+    """
+    problem, count = system.problem, len(first.conditions)
+    sound = first.squares <= _GROSS**2 * np.median(first.squares)
+    easier = _evened(problem, first) or (problem if system.loss or not sound.all() else None)
+    if easier is None:
+        return first, 0
+    rows, start = spread(count, _EASY_ROWS), problem.start(first.state.parameters)
+    if len(rows) < count:
+        easier, start = easier.at(rows), start.rows(rows)
+    begin, solved = solve_poses(easier, easier.evaluate(start))
+    taking_part = sound if system.kept is None else system.kept & sound
+    easy = replace(system, problem=easier, kept=taking_part[rows], loss=None)
+    easy_result = search(easy, begin, progress, enough=_EASY_NEAR, most=_EASY_EVALUATIONS)
+    state, evaluations = easy_result.linear.state, solved + easy_result.evaluations
+    if len(rows) < count:
+        state = replace(problem.start(state.parameters), external=state.external)
+    state = _among_similar(problem, state, sound)
+    try:
+        with np.errstate(all="ignore"):
+            near, solved = solve_poses(problem, problem.evaluate(state))
+            costs = [system.cost_at(linear) for linear in (first, near)]
+    except MeasurementError:
+        return first, evaluations
+    better = np.isfinite(costs[1]) and not costs[1] > costs[0]
+    return (near if better else first), evaluations + solved
+
+
+def _evened(problem: Problem, linear: Linear) -> Problem | None:
+    """Return the problem with every quantity at least as uncertain as is typical.
+
+    Its optimum is nearby and has no narrow valleys: where readings are exact, a pose near a
+    singularity of the nominal machine goes far astray. None where nothing changes, or where an
+    arm carries the platform.
+    """
+    if not problem.latent or any(leg.is_arm for leg in problem.legs):
+        return None
+    legs, seen = problem.leg_block, problem.observation
+    lengths = np.array([unit == "m" for unit in seen.units], dtype=bool)
+    size = max(leg.size for leg in problem.legs)
+    of_legs = np.linalg.norm(linear.noise_root[:, : legs.n_rows], axis=2)
+    observed = (seen.sigma * np.where(lengths, 1.0, size))[seen.measured]
+    noisy = [values[values > 0.0] for values in (observed, of_legs) if (values > 0.0).any()]
+    if not noisy:
+        return None
+    typical = float(np.median(noisy[0]))
+    sigma = np.maximum(seen.sigma, np.where(lengths, typical, typical / size))
+    slopes = [np.median(np.linalg.norm(one.reading, axis=1), axis=0) for one in linear.demands]
+    floors = typical / np.maximum(np.concatenate(slopes), 1e-300)
+    readings = np.maximum(legs.sigma, np.where(np.isfinite(floors), floors, 0.0))
+    even = (sigma <= _UNEVEN * seen.sigma) | ~seen.measured
+    if even.all() and (readings <= _UNEVEN * legs.sigma).all():
+        return None
+    return replace(
+        problem,
+        leg_block=replace(legs, sigma=readings),
+        observation=seen.with_noise(RowNoise(sigma, seen.noise.correlation)),
+    )
+
+
+def _among_similar(problem: Problem, state: State, sound: Mask) -> State:
+    """Return a state whose rows that are far off start where the readings are most alike.
+
+    What was measured there may lead to another assembly mode.
+    """
+    if not problem.latent or sound.all():
+        return state
+    readings = problem.leg_block.readings
+    readings = readings / np.maximum(np.ptp(readings, axis=0), 1e-300)
+    rows, sound_rows = np.arange(len(sound)), np.flatnonzero(sound)
+    rows[~sound] = sound_rows[KDTree(readings[sound_rows]).query(readings[~sound])[1]]
+    return state.rows(rows)

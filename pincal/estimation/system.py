@@ -37,7 +37,7 @@ class System:
 
     def weights(self, linear: Linear) -> tuple[Array, float]:
         """Return the weight of each row, shape (N,), and the scale of the noise."""
-        kept = np.ones(len(linear.value)) if self.kept is None else self.kept.astype(float)
+        kept = np.ones(len(linear.conditions)) if self.kept is None else self.kept.astype(float)
         if self.loss is None:
             return kept, 1.0
         scale = self.held_scale or max(self.scale(linear), 1.0 if self.known else 1e-300)
@@ -45,20 +45,20 @@ class System:
 
     def scale(self, linear: Linear) -> float:
         """Return the scale of the noise by the rows in the middle."""
-        own = np.ones(len(linear.value), dtype=bool) if self.kept is None else self.kept
+        own = np.ones(len(linear.conditions), dtype=bool) if self.kept is None else self.kept
         equations = linear.equations[own]
         share = 1.0 - self.unknowns.map.shape[1] / max(int(equations.sum()), 1)
         return robust_scale(linear.squares[own], equations, max(share, 0.1))
 
     def residuals(self, linear: Linear) -> Array:
         """Return what is minimised, shape (N, m)."""
-        return linear.value if self.problem.weighted else linear.stack.value / self.unit
+        return linear.residuals if self.problem.weighted else linear.conditions / self.unit
 
     def derivatives(self, linear: Linear, poses: slice = slice(None)) -> Array:
         """Return the derivatives of what is minimised, shape (N, m, n)."""
         if self.problem.weighted:
             return linear.jacobian_of(poses)
-        return linear.stack.parameter(poses) / self.unit
+        return linear.by_parameter(poses) / self.unit
 
     def triangle(
         self, linear: Linear, weights: Array, bend: Array | None = None, *, white: bool = False
@@ -74,7 +74,7 @@ class System:
         Returns:
             Shape (n_free + 1, n_free + 1).
         """
-        residuals = linear.value if white else self.residuals(linear)
+        residuals = linear.residuals if white else self.residuals(linear)
         r, J = self.unknowns.prior_rows(self.values(linear.state))
         n = self.unknowns.map.shape[1]
         R = np.concatenate((np.column_stack((J, r)), np.zeros((n + 1, n + 1))))
@@ -98,10 +98,19 @@ class System:
         prior, _ = self.unknowns.prior_rows(self.values(state))
         return float(weights @ np.einsum("nm,nm->n", value, value) + prior @ prior)
 
+    def cost_at(self, linear: Linear) -> float:
+        """Return what is minimised at conditions, in their own weights."""
+        return self.cost(self.residuals(linear), self.weights(linear)[0], linear.state)
+
+    def residuals_in(self, here: Linear, other: Linear) -> Array:
+        """Return what is minimised at another state, in the rows of this one, shape (N, m)."""
+        if self.problem.weighted:
+            return here.whitened(other.conditions)
+        return other.conditions / self.unit
+
     def cost_in(self, here: Linear, trial: Linear, weights: Array) -> float:
         """Return the cost at a trial, in the rows and weights of another state."""
-        value = here.frozen(trial) if self.problem.weighted else self.residuals(trial)
-        return self.cost(value, weights, trial.state)
+        return self.cost(self.residuals_in(here, trial), weights, trial.state)
 
     def falls(self, here: Linear, trial: Linear, weights: Array, cost: float) -> bool:
         """Return whether a step is a good one.
@@ -116,12 +125,12 @@ class System:
         near = own <= (1.0 + ROWS_FOLLOW) * cost
         return near and self.cost_in(here, trial, weights) <= cost
 
-    def solve(self, linear: Linear, weights: Array, scale: float) -> Normal:
+    def solve(self, linear: Linear, weights: Array, scale: float) -> NormalEquations:
         """Return the normal equations in square-root form, a loss with its curvature."""
         bend = None
         if self.loss is not None:
             bend = self.loss.bend(linear.squares / scale**2, linear.equations)
-        return Normal.of(self.triangle(linear, weights, bend))
+        return NormalEquations.of(self.triangle(linear, weights, bend))
 
 
 def bent(J: Array, r: Array, root: Array) -> tuple[Array, Array]:
@@ -136,7 +145,7 @@ def bent(J: Array, r: Array, root: Array) -> tuple[Array, Array]:
 
 
 @dataclass(frozen=True)
-class Normal:
+class NormalEquations:
     """R δz = −c of Q R = J, columns of unit length."""
 
     lengths: Array
@@ -147,7 +156,7 @@ class Normal:
     """Qᵀ r, shape (n,)."""
 
     @classmethod
-    def of(cls, triangle: Array) -> Normal:
+    def of(cls, triangle: Array) -> NormalEquations:
         """Return the normal equations of R of Jacobian and residuals, shape (n + 1, n + 1)."""
         n = len(triangle) - 1
         lengths = np.linalg.norm(triangle[:n, :n], axis=0)

@@ -203,17 +203,19 @@ def _columns(asked: Calibration, robust: Robust, used: Index) -> tuple[list[str]
         used: Rows of the fit that count.
     """
     fit = robust.fit
-    legs = [asked.mechanism.leg_names.index(leg.name) for leg in fit.problem.legs]
-    conditions = tuple(asked.condition(leg, robust.rows) for leg in legs)
+    before = fit.problem.leg_block
+    places = [asked.mechanism.leg_names.index(leg.name) for leg in before.legs]
+    legs = asked.leg_block(places, robust.rows, before.used, before.pose_roots)
+    legs = replace(legs, sigma=before.sigma)
     names, values = [], []
-    for condition, columns in zip(conditions, fit.problem.columns, strict=True):
-        own = fit.parameters[columns]
-        values += [own, np.zeros(len(condition.leg.parameters) - len(own))]
-        names += [f"{condition.leg.name}.{name}" for name in condition.leg.parameter_names]
+    for leg, columns in zip(legs.legs, before.columns, strict=True):
+        nominal = fit.parameters[columns]
+        values += [nominal, np.zeros(len(leg.parameters) - len(nominal))]
+        names += [f"{leg.name}.{name}" for name in leg.parameter_names]
     state = fit.last.state
     there = State(np.concatenate(values), state.matrices, state.joints, state.external)
-    problem = replace(fit.problem, conditions=conditions, first=None)
-    return names, problem.linearise(there).jacobian[used]
+    problem = replace(fit.problem, leg_block=legs, first=None)
+    return names, problem.evaluate(there).jacobian[used]
 
 
 _FEW = 8  # values that differ: of fewer nothing is said
@@ -293,7 +295,7 @@ def _of_steps(calibration: Calibration) -> Iterator[Bound]:
     seen = calibration.observation
     lengths = mechanism.platform.units.count("m")
     named = dict(zip(mechanism.platform.coordinates[:lengths], data.poses.T, strict=False))
-    sigma = seen.noise(data, noise.noise).sigma
+    sigma = seen.row_noise(data, noise.noise).sigma
     for name, values in {**named, **data.extra}.items():
         if name in seen.names and (step := step_of(values)):
             usual = float(np.median(sigma[:, seen.names.index(name)]))

@@ -33,7 +33,7 @@ from pincal.cli.app import (
 )
 from pincal.cli.options import SetupOptions, TableOptions, in_si, with_unit
 from pincal.errors import MeasurementError, MisfitError
-from pincal.estimation.blocks.leg_condition import Residual
+from pincal.estimation.blocks.legs import Residual
 from pincal.estimation.residuals.losses import LossName
 from pincal.files.measurements import read_measurements
 from pincal.files.mechanism_folders import mechanism_files

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -29,12 +30,13 @@ class RowNoise:
     correlation: Array | None = None
     """Symmetric roots of the correlation matrices, shape (N, r, r); None if there are none."""
 
-    @property
+    @cached_property
     def roots(self) -> Array:
         """Roots S of the covariance matrices S Sᵀ, shape (N, r, r)."""
-        if self.correlation is None:
-            return self.sigma[:, :, None] * np.eye(self.sigma.shape[1])
-        return self.sigma[:, :, None] * self.correlation
+        correlation = np.eye(self.sigma.shape[1]) if self.correlation is None else self.correlation
+        roots = self.sigma[:, :, None] * correlation
+        roots.setflags(write=False)
+        return roots
 
     def rows(self, chosen: Index | Mask) -> RowNoise:
         """Return that of some rows."""

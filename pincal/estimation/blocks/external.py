@@ -22,17 +22,14 @@ from pincal.types import Array
 class External:
     """Values of the unknowns outside the mechanism."""
 
-    frame: Array
-    """T_frame_base, shape (4, 4)."""
-    offsets: Array
-    """Of the targets in the platform frame, shape (n_targets, 3), [m]."""
-    turn: Array
+    frame: Array = field(default_factory=lambda: np.eye(4))
+    """T_frame_base, shape (4, 4); the identity where poses are those in the base frame."""
+    offsets: Array = field(default_factory=lambda: np.zeros((1, 3)))
+    """Positions of the targets in the platform frame, shape (n_targets, 3), [m]."""
+    turn: Array = field(default_factory=lambda: np.eye(3))
     """R_platform_target of the measured orientation, shape (3, 3)."""
     own: Array = field(default_factory=lambda: np.zeros(0))
     """Parameters of the instruments, in their order, shape (n_own,)."""
-
-
-#: Where poses are those of the platform in the base frame.
 
 
 class ExternalUnknowns:

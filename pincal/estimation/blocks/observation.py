@@ -14,13 +14,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from pincal.errors import MeasurementError
 from pincal.estimation.blocks.covariances import RowNoise, row_noise
 from pincal.estimation.blocks.external import External, ExternalUnknowns
+from pincal.estimation.linear import BlockRows, State
 from pincal.kinematics.batches import inverse_left_jacobian, point_velocity, turn_between
 from pincal.model.checks import wrapped
 from pincal.model.measurements import Measurements, Noise
@@ -84,20 +85,8 @@ def _sum(a: Entry, b: Entry) -> Entry:
     return a[0] + b[0], a[1] + b[1]
 
 
-@dataclass(frozen=True)
-class Rows:
-    """Predicted less measured quantities at N poses; zero where nothing is measured."""
-
-    value: Array
-    """Shape (N, r), [m] and [rad]."""
-    pose: Array
-    """By the platform's twist, shape (N, r, dof)."""
-    external: Array
-    """By the external unknowns, shape (N, r, n_external)."""
-
-
 class Observation:
-    """What was measured of the platform at N poses."""
+    """The residual block of what was measured of the platform at N poses."""
 
     def __init__(self, mechanism: Mechanism, data: Measurements, setup: Setup) -> None:
         """Hold what was measured.
@@ -112,71 +101,100 @@ class Observation:
         """
         platform = self.platform = mechanism.platform
         self.setup = setup
-        axes, count = platform.space, len(data)
-        lengths = platform.units.count("m")
-        values = dict(zip(platform.coordinates[:lengths], data.poses.T, strict=False))
-        for column in setup.columns(mechanism):
-            values[column] = data.extra.get(column, np.full(len(data), np.nan))
-        for name, whose in setup.required.items():
+        count, lengths = len(data), platform.lengths
+        for name, purpose in setup.required.items():
             if name not in data.extra:
-                raise MeasurementError(f"no column {name!r}, {whose}")
-        own = {c: unit for one in setup.instruments for c, unit in one.columns.items()}
-        own_values = [values.pop(column) for column in own]
+                raise MeasurementError(f"no column {name!r}, {purpose}")
+        scalars = dict(zip(platform.coordinates[:lengths], data.poses.T, strict=False))
+        for column in setup.columns(mechanism):
+            scalars[column] = data.extra.get(column, np.full(count, np.nan))
+        instrument_units = {
+            column: unit
+            for instrument in setup.instruments
+            for column, unit in instrument.columns.items()
+        }
+        self._instrument_values = _columns([scalars.pop(name) for name in instrument_units], count)
         self.orientations = _orientations(platform, data)
         """Measured orientations, shape (N, 3, 3); NaN where not measured in full."""
-        whole = _whole(self.orientations)
-        single = {name: data.extra[name] for name in SINGLE_ANGLES if name in data.extra}
+        oriented = _oriented(self.orientations)
+        angles = {name: data.extra[name] for name in SINGLE_ANGLES if name in data.extra}
         if platform.turns == 3:
-            part = np.where(whole[:, None], np.nan, data.poses[:, lengths:])
-            single |= dict(zip(platform.coordinates[lengths:], part.T, strict=True))
-        single = {name: own for name, own in single.items() if np.isfinite(own).any()}
-        self._angle_names = tuple(single)
-        self._angles, self._parts = _angles(single, data, whole | (platform.turns < 3))
-        """Measured single angles, [rad], and which are parts of an orientation, (N, angles)."""
-        values |= single
+            partial = np.where(oriented[:, None], np.nan, data.poses[:, lengths:])
+            angles |= dict(zip(platform.coordinates[lengths:], partial.T, strict=True))
+        angles = {name: values for name, values in angles.items() if np.isfinite(values).any()}
+        self._angle_names = tuple(angles)
+        self._angles, self._follow_turn = _angles(angles, data, oriented | (platform.turns < 3))
+        """Measured single angles, [rad], and which have the noise of a turn, (N, angles)."""
         turn_names = platform.freedoms[lengths:]
-        self.names = (*values, *turn_names, *own)
-        self.units = ("m",) * (len(values) - len(single)) + ("rad",) * (
-            len(single) + len(turn_names)
+        self.names = (*scalars, *angles, *turn_names, *instrument_units)
+        """Names of the r quantities, as columns of measurements or freedoms of the platform."""
+        self.units = (
+            *("m" for _ in scalars),
+            *("rad" for _ in (*angles, *turn_names)),
+            *instrument_units.values(),
         )
-        self.units += tuple(own.values())
-        turned = np.repeat(whole[:, None], len(turn_names), axis=1)
-        stacked = np.column_stack(list(values.values())) if values else np.empty((count, 0))
-        self._own = np.column_stack(own_values) if own else np.empty((count, 0))
+        values = _columns([*scalars.values(), *angles.values()], count)
+        turns = np.repeat(oriented[:, None], len(turn_names), axis=1)
         self.measured: Mask = np.concatenate(
-            (np.isfinite(stacked), turned, np.isfinite(self._own)), axis=1
+            (np.isfinite(values), turns, np.isfinite(self._instrument_values)), axis=1
         )
         """Which quantity is measured in which row, shape (N, r)."""
-        self._values = np.where(self.measured[:, : stacked.shape[1]], stacked, 0.0)
-        self._values[:, stacked.shape[1] - len(single) :] = 0.0
+        self._values = np.where(np.isfinite(values), values, 0.0)
+        self._values[:, len(scalars) :] = 0.0
         self._turn_rows = [row - 3 for row in platform.twist_rows if row >= 3]
-        oriented = bool(whole.any() or single)
-        self.external = ExternalUnknowns(platform, setup, oriented)
-        self._axes = axes
+        self.external = ExternalUnknowns(platform, setup, bool(oriented.any() or angles))
+        self.noise = RowNoise(np.zeros(self.measured.shape))
+        """Noise of the quantities; none until it is said."""
+
+    @property
+    def active(self) -> Mask:
+        """Rows that were measured, shape (N, r)."""
+        return self.measured
+
+    @property
+    def sigma(self) -> Array:
+        """Standard deviations of the quantities, shape (N, r), [m] or [rad]."""
+        return self.noise.sigma
+
+    @property
+    def quantities(self) -> dict[str, str]:
+        """Names of what the columns of the noise belong to, each with its unit, m or rad."""
+        return {f"measured {name}": u for name, u in zip(self.names, self.units, strict=True)}
 
     def only(self, names: Sequence[str]) -> Observation:
         """Return the observation with nothing measured but the quantities named."""
-        found = copy(self)
-        found.measured = self.measured & np.isin(self.names, list(names))
-        return found
+        return self._with(measured=self.measured & np.isin(self.names, list(names)))
 
     def anywhere(self) -> Observation:
         """Return the observation with every quantity measured that is measured in some row."""
-        found = copy(self)
-        found.measured = np.broadcast_to(self.measured.any(axis=0), self.measured.shape)
-        whole = _whole(self.orientations)
-        found.orientations = np.where(whole[:, None, None], self.orientations, np.eye(3))
-        return found
+        oriented = _oriented(self.orientations)[:, None, None]
+        return self._with(
+            measured=np.broadcast_to(self.measured.any(axis=0), self.measured.shape),
+            orientations=np.where(oriented, self.orientations, np.eye(3)),
+        )
 
-    def rows(self, chosen: Index) -> Observation:
+    def at(self, rows: Index) -> Observation:
         """Return the observation at some rows."""
-        found = copy(self)
-        found.measured, found._values = self.measured[chosen], self._values[chosen]
-        found.orientations, found._own = self.orientations[chosen], self._own[chosen]
-        found._angles, found._parts = self._angles[chosen], self._parts[chosen]
-        return found
+        return self._with(
+            measured=self.measured[rows],
+            noise=self.noise.rows(rows),
+            orientations=self.orientations[rows],
+            _values=self._values[rows],
+            _angles=self._angles[rows],
+            _follow_turn=self._follow_turn[rows],
+            _instrument_values=self._instrument_values[rows],
+        )
 
-    def noise(self, data: Measurements, noise: Noise) -> RowNoise:
+    def with_noise(self, noise: RowNoise) -> Observation:
+        """Return the observation with other noise of its quantities."""
+        return self._with(noise=noise)
+
+    def _with(self, **changes: object) -> Observation:
+        changed = copy(self)
+        vars(changed).update(changes)
+        return changed
+
+    def row_noise(self, data: Measurements, noise: Noise) -> RowNoise:
         """Return the noise of all that is measured: each row's own, else that given.
 
         Raises:
@@ -184,21 +202,23 @@ class Observation:
         """
         return row_noise(self.names, self.units, data, noise, self.setup, self.platform)
 
-    def noise_roots(self, roots: Array, matrices: Array, external: External) -> Array:
-        """Return roots of the rows' noise, of those of what is measured, shape (N, r, r).
+    def noise_root(self, state: State) -> Array:
+        """Return the root of the rows' noise, shape (N, r, r); zero where nothing is measured.
 
         Parts of an orientation follow the turn that is its noise, others their own.
         """
-        if not self._parts.any():
-            return roots
-        predicted = external.frame[:3, :3] @ matrices[:, :3, :3] @ external.turn
-        first = self.names.index(self.platform.freedoms[self.platform.lengths])
-        by_turn, found = roots[:, first : first + len(self._turn_rows)], roots.copy()
-        for column, name in enumerate(self._angle_names):
-            along = self._angle(column, predicted)[2]
-            part = self._parts[:, column] & along.any(axis=1)
-            found[part, self.names.index(name)] = (along[part, None] @ by_turn[part])[:, 0]
-        return found
+        roots = self.noise.roots
+        if self._follow_turn.any():
+            external = state.external
+            predicted = external.frame[:3, :3] @ state.matrices[:, :3, :3] @ external.turn
+            first = self.names.index(self.platform.freedoms[self.platform.lengths])
+            by_turn = roots[:, first : first + len(self._turn_rows)]
+            roots = roots.copy()
+            for column, name in enumerate(self._angle_names):
+                along = self._angle(column, predicted)[2]
+                rows = self._follow_turn[:, column] & along.any(axis=1)
+                roots[rows, self.names.index(name)] = (along[rows, None] @ by_turn[rows])[:, 0]
+        return np.where(self.measured[:, :, None], roots, 0.0)
 
     def systematic(self, matrices: Array, external: External) -> Array:
         """Return by how much all is off for one standard uncertainty of what is off in all rows.
@@ -210,62 +230,63 @@ class Observation:
             Shape (N, r, q); no columns where nothing is uncertain so.
         """
         setup, r = self.setup, len(self.names)
-        off = [np.zeros((len(matrices), r, 0))]
+        errors = [np.zeros((len(matrices), r, 0))]
         if setup.systematic.relative:
             lengths = np.array([unit == "m" for unit in self.units], dtype=bool)
-            lengths[r - self._own.shape[1] :] = False  # instruments of one's own
-            value = self.evaluate(matrices, external).value
+            lengths[r - self._instrument_values.shape[1] :] = False
+            value, _, _ = self.residuals(matrices, external)
             value[:, : self._values.shape[1]] += self._values
-            off.append(setup.systematic.relative * np.where(lengths, value, 0.0)[:, :, None])
+            errors.append(setup.systematic.relative * np.where(lengths, value, 0.0)[:, :, None])
         if setup.systematic.target:
             free = {name: replace(one, unknown=True) for name, one in setup.targets.items()}
-            every = copy(self)
-            every.external = ExternalUnknowns(self.platform, replace(setup, targets=free), False)
-            first = len(every.external.frame_rows)
-            columns = [
+            unknowns = ExternalUnknowns(self.platform, replace(setup, targets=free), False)
+            first = len(unknowns.frame_rows)
+            known = [
                 first + column
-                for column, entry in enumerate(every.external.offset_entries)
+                for column, entry in enumerate(unknowns.offset_entries)
                 if entry not in self.external.offset_entries
             ]
-            by = every.evaluate(matrices, external).external[:, :, columns]
-            off.append(setup.systematic.target * by)
-        return np.concatenate(off, axis=2)
+            _, _, by_external = self._with(external=unknowns).residuals(matrices, external)
+            errors.append(setup.systematic.target * by_external[:, :, known])
+        return np.concatenate(errors, axis=2)
 
-    def evaluate(self, matrices: Array, external: External) -> Rows:
-        """Return predicted less measured quantities and their derivatives.
+    def evaluate(self, state: State) -> BlockRows:
+        """Return the residuals at a state, unknowns those outside the mechanism."""
+        value, by_pose, by_external = self.residuals(state.matrices, state.external)
+        _, r, n = by_external.shape
+        entries = ((slice(0, r), slice(0, n), by_external),)
+        return BlockRows(value, by_pose, entries, self.noise_root(state))
+
+    def residuals(self, matrices: Array, external: External) -> tuple[Array, Array, Array]:
+        """Return predicted less measured quantities, zero where nothing is measured.
 
         Args:
             matrices: Poses ``T_base_platform``, shape (N, 4, 4).
             external: Values of the external unknowns.
+
+        Returns:
+            Residuals, shape (N, r), [m] and [rad], their derivatives by the platform's twist,
+            (N, r, dof), and by the external unknowns, (N, r, n_external).
         """
-        value, pose, outer = self._predicted(matrices, external)
+        value, by_pose, by_external = self._predicted(matrices, external)
+        value[:, : self._values.shape[1]] -= self._values
         if self.setup.instruments:
-            below = self._instruments(matrices, external)
-            value, pose, outer = (
+            instruments = self._instruments(matrices, external)
+            value, by_pose, by_external = (
                 np.concatenate(pair, axis=1)
-                for pair in zip((value, pose, outer), below, strict=True)
+                for pair in zip((value, by_pose, by_external), instruments, strict=True)
             )
-        n_scalar = self._values.shape[1]
-        value[:, :n_scalar] -= self._values
-        keep = self.measured
-        return Rows(
-            np.where(keep, value, 0.0),
-            np.where(keep[:, :, None], pose, 0.0),
-            np.where(keep[:, :, None], outer, 0.0),
+        measured = self.measured[:, :, None]
+        return (
+            np.where(self.measured, value, 0.0),
+            np.where(measured, by_pose, 0.0),
+            np.where(measured, by_external, 0.0),
         )
 
     def _predicted(self, matrices: Array, external: External) -> tuple[Array, Array, Array]:
         """Return predictions (of angles: less measured) and derivatives of all rows."""
         R, F = matrices[:, :3, :3], external.frame[:3, :3]
-        unknowns, axes, n = self.external, self._axes, len(self.external.frame_rows)
-        turned = self._turned(R, F, external)
-        first = axes * len(self.setup.targets)  # of the rows after all positions
-        count = first + len(self.setup.distances) + turned[0].shape[1]
-        found = value, pose, outer = (
-            np.empty((len(R), count)),
-            np.empty((len(R), count, self.platform.dof)),
-            np.empty((len(R), count, len(unknowns))),
-        )
+        unknowns, axes, n_frame = self.external, self.platform.space, len(self.external.frame_rows)
         points, by_pose, by_external = {}, {}, {}
         for index, target in enumerate(self.setup.targets):
             arm = R @ external.offsets[index]
@@ -273,32 +294,29 @@ class Observation:
             points[target] = moved + external.frame[:3, 3]
             by_pose[target] = F @ point_velocity(arm, self.platform.twist_rows)
             by_external[target] = np.zeros((len(R), 3, len(unknowns)))
-            by_external[target][:, :, :n] = point_velocity(moved, unknowns.frame_rows)
-            for column, (other, axis) in enumerate(unknowns.offset_entries):
-                if other == index:
-                    by_external[target][:, :, n + column] = (F @ R)[:, :, axis]
-            own = slice(index * axes, (index + 1) * axes)
-            value[:, own], pose[:, own] = points[target][:, :axes], by_pose[target][:, :axes]
-            outer[:, own] = by_external[target][:, :axes]
-        for row, one in enumerate(self.setup.distances.values(), first):
-            ray = points[one.target] - np.array(one.point)
-            length = np.linalg.norm(ray, axis=1)
+            by_external[target][:, :, :n_frame] = point_velocity(moved, unknowns.frame_rows)
+            for column, (target_index, axis) in enumerate(unknowns.offset_entries, n_frame):
+                if target_index == index:
+                    by_external[target][:, :, column] = (F @ R)[:, :, axis]
+        rows = [
+            (points[target][:, :axes], by_pose[target][:, :axes], by_external[target][:, :axes])
+            for target in self.setup.targets
+        ]
+        for distance in self.setup.distances.values():
+            ray = points[distance.target] - np.array(distance.point)
+            length = np.linalg.norm(ray, axis=1)[:, None]
             with np.errstate(invalid="ignore", divide="ignore"):
-                unit = (ray / length[:, None])[:, None]
-            value[:, row], pose[:, row] = length, (unit @ by_pose[one.target])[:, 0]
-            outer[:, row] = (unit @ by_external[one.target])[:, 0]
-        for part, last in zip(found, turned, strict=True):
-            part[:, count - last.shape[1] :] = last
-        return found
+                unit = (ray / length)[:, None]
+            rows.append(
+                (length, unit @ by_pose[distance.target], unit @ by_external[distance.target])
+            )
+        rows.append(self._turned(R, F, external))
+        value, pose, outer = (np.concatenate(parts, axis=1) for parts in zip(*rows, strict=True))
+        return value, pose, outer
 
     def _turned(self, R: Array, F: Array, external: External) -> tuple[Array, Array, Array]:
-        """Return rows of single angles and of whole orientations, less what was measured."""
-        unknowns, names = self.external, self._angle_names
-        count, dof, n = len(names) + len(self._turn_rows), self.platform.dof, len(unknowns)
-        value = np.empty((len(R), count))
-        pose, outer = np.empty((len(R), count, dof)), np.empty((len(R), count, n))
-        if not count:
-            return value, pose, outer
+        """Return rows of single angles and of orientations, less what was measured."""
+        unknowns, dof, n = self.external, self.platform.dof, len(self.external)
         predicted = F @ R @ external.turn
         by_pose = np.zeros((len(R), 3, dof))  # turns of the prediction, outer axes
         for column, row in enumerate(self.platform.twist_rows):
@@ -308,23 +326,21 @@ class Observation:
         for column, row in enumerate(unknowns.frame_rows):
             if row >= 3:
                 by_external[:, row - 3, column] = 1.0
-        last = unknowns.turn_columns.start
-        for column, axis in enumerate(unknowns.turn_axes):
-            by_external[:, :, last + column] = (F @ R)[:, :, axis]
-        for row in range(len(names)):
-            value[:, row], by_turn, _ = self._angle(row, predicted)
-            pose[:, row] = (by_turn[:, None] @ by_pose)[:, 0]
-            outer[:, row] = (by_turn[:, None] @ by_external)[:, 0]
-        if not self._turn_rows:
-            return value, pose, outer
-        whole = _whole(self.orientations)
-        error = np.zeros((len(R), 3))
-        error[whole] = turn_between(predicted[whole], self.orientations[whole])
-        spread, own = inverse_left_jacobian(error), list(self._turn_rows)
-        value[:, len(names) :] = error[:, own]
-        pose[:, len(names) :] = (spread @ by_pose)[:, own]
-        outer[:, len(names) :] = (spread @ by_external)[:, own]
-        return value, pose, outer
+        for column, axis in enumerate(unknowns.turn_axes, unknowns.turn_columns.start):
+            by_external[:, :, column] = (F @ R)[:, :, axis]
+        value, by_turn = np.zeros((len(R), 0)), np.zeros((len(R), 0, 3))
+        for column in range(len(self._angle_names)):
+            missed, slope, _ = self._angle(column, predicted)
+            value = np.column_stack((value, missed))
+            by_turn = np.concatenate((by_turn, slope[:, None]), axis=1)
+        if self._turn_rows:
+            oriented = _oriented(self.orientations)
+            error = np.zeros((len(R), 3))
+            error[oriented] = turn_between(predicted[oriented], self.orientations[oriented])
+            value = np.column_stack((value, error[:, self._turn_rows]))
+            slopes = inverse_left_jacobian(error)[:, self._turn_rows]
+            by_turn = np.concatenate((by_turn, slopes), axis=1)
+        return value, by_turn @ by_pose, by_turn @ by_external
 
     def _angle(self, column: int, predicted: Array) -> tuple[Array, Array, Array]:
         """Return the row of a single angle, its derivative by turns, and by those that are noise.
@@ -332,37 +348,45 @@ class Observation:
         Shapes (N,), [rad], (N, 3), (N, 3).
         """
         (value, slope), (h, by_turn) = angle(self._angle_names[column], predicted)
-        part = self._parts[:, column, None]
+        follows = self._follow_turn[:, column, None]
         missed, h = wrapped(value - self._angles[:, column])[:, None], h[:, None]
-        row = np.where(part, h * missed, missed)[:, 0]
+        row = np.where(follows, h * missed, missed)[:, 0]
         along = h * slope
-        return row, np.where(part, along + missed * by_turn, slope), along
+        return row, np.where(follows, along + missed * by_turn, slope), along
 
     def _instruments(self, matrices: Array, external: External) -> tuple[Array, Array, Array]:
         """Return the conditions of the instruments, and derivatives as those of all rows."""
         platform, unknowns, frame = self.platform, self.external, external.frame
-        count, r = self._own.shape
-        value = np.empty((count, r))
-        pose, outer = np.zeros((count, r, platform.dof)), np.zeros((count, r, len(unknowns)))
+        count = len(matrices)
         # Twists of the platform in the frame's axes, by its own in base axes and by the frame's.
         by_base, by_frame = np.zeros((6, 6)), np.zeros((count, 6, 6))
         by_base[:3, :3] = by_base[3:, 3:] = frame[:3, :3]
         by_frame[:, :3] = point_velocity(matrices[:, :3, 3] @ frame[:3, :3].T, tuple(range(6)))
         by_frame[:, 3:, 3:] = np.eye(3)
-        n_frame, first, begin = len(unknowns.frame_rows), 0, unknowns.own_columns.start
-        for one in self.setup.instruments:
-            end, last = first + len(one.columns), begin + len(one.parameters)
-            values = external.own[begin - unknowns.own_columns.start :][: len(one.parameters)]
-            given = one.condition(frame @ matrices, values, self._own[:, first:end])
-            found = checked(given, one, count)
-            value[:, first:end] = found.value
-            pose[:, first:end] = found.by_pose @ by_base[:, list(platform.twist_rows)]
-            outer[:, first:end, :n_frame] = (found.by_pose @ by_frame)[
+        rows, first_row, first = [], 0, 0
+        for instrument in self.setup.instruments:
+            last_row, last = first_row + len(instrument.columns), first + len(instrument.parameters)
+            measured = self._instrument_values[:, first_row:last_row]
+            condition = instrument.condition(frame @ matrices, external.own[first:last], measured)
+            condition = checked(condition, instrument, count)
+            by_external = np.zeros((*condition.value.shape, len(unknowns)))
+            by_external[:, :, : len(unknowns.frame_rows)] = (condition.by_pose @ by_frame)[
                 :, :, list(unknowns.frame_rows)
             ]
-            outer[:, first:end, begin:last] = found.by_parameter
-            first, begin = end, last
-        return value, pose, outer
+            own_columns = slice(*(unknowns.own_columns.start + end for end in (first, last)))
+            by_external[:, :, own_columns] = condition.by_parameter
+            by_pose = condition.by_pose @ by_base[:, list(platform.twist_rows)]
+            rows.append((condition.value, by_pose, by_external))
+            first_row, first = last_row, last
+        value, by_pose, by_external = (
+            np.concatenate(parts, axis=1) for parts in zip(*rows, strict=True)
+        )
+        return value, by_pose, by_external
+
+
+def _columns(values: Sequence[Array], count: int) -> Array:
+    """Return columns beside each other, shape (count, n)."""
+    return np.column_stack([np.empty((count, 0)), *values])
 
 
 def _angles(single: dict[str, Array], data: Measurements, apart: Mask) -> tuple[Array, Mask]:
@@ -378,7 +402,7 @@ def _angles(single: dict[str, Array], data: Measurements, apart: Mask) -> tuple[
     return np.where(np.isfinite(angles), angles, 0.0), parts
 
 
-def _whole(orientations: Array) -> Mask:
+def _oriented(orientations: Array) -> Mask:
     """Return which orientations were measured, shape (N,)."""
     return np.asarray(np.isfinite(orientations).all(axis=(1, 2)))
 

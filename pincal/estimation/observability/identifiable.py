@@ -69,7 +69,7 @@ def check_rank(
         ObservabilityError: a parameter is not determined; the message names it.
         MeasurementError: a derivative does not exist at some pose.
     """
-    if not (linear.stack.finite and np.isfinite(linear.white.whitener).all()):
+    if not (linear.finite and np.isfinite(linear.white.whitener).all()):
         names = [leg.name for leg in problem.legs]
         raise MeasurementError(
             f"{', '.join(names)}: a residual or its derivative is not finite at some measured "
@@ -92,7 +92,7 @@ def check_rank(
         )
     own = (
         identifiability(J[:, columns], leg.parameter_names)
-        for leg, columns in zip(problem.legs, problem.columns, strict=True)
+        for leg, columns in zip(problem.legs, problem.leg_block.columns, strict=True)
     )
     return [(one.rank, one.condition) for one in own]
 
@@ -128,8 +128,8 @@ def _by_noise_only(problem: Problem, unknowns: Unknowns, linear: Linear, scale: 
     """Return directions in parameter space that noise observes as well as poses, shape (k, n)."""
     part, linear, _ = problem.thinned(linear, _BY.poses)
     state = linear.state
-    matrices = problem.platform.displaced(state.matrices, part.pose_draws(linear))
-    drawn = part.linearise(replace(state, matrices=matrices)).noise_by_parameter
+    matrices = problem.platform.displaced(state.matrices, _pose_draws(part, linear))
+    drawn = part.evaluate(replace(state, matrices=matrices)).noise_by_parameter
     here, T = linear.noise_by_parameter, unknowns.map
     _, prior = unknowns.prior_rows(unknowns.start)
     own = np.concatenate((linear.triangle @ T, prior))  # that of the rows here: W Wᵀ = 1
@@ -138,6 +138,18 @@ def _by_noise_only(problem: Problem, unknowns: Unknowns, linear: Linear, scale: 
     _, information, directions = np.linalg.svd(own / lengths, full_matrices=False)
     made = scale * np.linalg.norm(difference / lengths @ directions.T, axis=0)
     return np.asarray(directions[information < _BY.clearly * made])
+
+
+def _pose_draws(problem: Problem, linear: Linear) -> Array:
+    """Return poses' twists drawn from what is not known about them, shape (N, dof)."""
+    rng, roots = np.random.default_rng(0), problem.leg_block.pose_roots
+    if roots is not None:
+        draws = rng.standard_normal(roots.shape[:2])
+        return np.asarray((roots @ draws[:, :, None])[:, :, 0])
+    S, W = linear.white.noise, linear.white.by_noise
+    draws = rng.standard_normal((len(S), S.shape[2], 1))
+    unseen = draws - W.transpose(0, 2, 1) @ (W @ draws)  # what white rows do not see
+    return linear.white.poses_by(S @ unseen)[:, :, 0]
 
 
 def taking_part(names: Sequence[str], directions: Array) -> tuple[str, ...]:
@@ -201,7 +213,7 @@ def weakly_determined(
         unknowns: Of the problem, none unobservable.
     """
     T, plausible = unknowns.map, _plausible(mechanism, problem)
-    state = problem.start(unknowns.start[: problem.n_parameters])
+    state = problem.start(unknowns.start[: problem.leg_block.n_parameters])
     if problem.latent:
         state = poses_at_rest(problem, state)
     scale = 1.0 / np.abs(T / plausible[:, None]).max(axis=0)
@@ -221,12 +233,12 @@ def _jacobian(mechanism: Mechanism, problem: Problem, unknowns: Unknowns) -> Arr
     """Return the Jacobian in the free unknowns that says what is unobservable, shape (m, n)."""
     if problem.latent:
         return derivatives_near(mechanism, problem, unknowns, generic=False).jacobian(unknowns)
-    return _rows(problem, unknowns, problem.start(unknowns.start[: problem.n_parameters]))
+    return _rows(problem, unknowns, problem.start(unknowns.start[: problem.leg_block.n_parameters]))
 
 
 def _rows(problem: Problem, unknowns: Unknowns, state: State) -> Array:
     """Return the whitened Jacobian of a problem in the free unknowns, rows of priors below."""
-    J = problem.linearise(state).jacobian @ unknowns.map
+    J = problem.evaluate(state).jacobian @ unknowns.map
     _, prior = unknowns.prior_rows(unknowns.start)
     return np.concatenate((J.reshape(-1, J.shape[2]), prior))
 
@@ -271,7 +283,7 @@ def check_covariance(
     Raises:
         ObservabilityError: that is so; the message names the parameters.
     """
-    n, limit = problem.n_parameters, plausible_changes(mechanism, problem.legs)
+    n, limit = problem.leg_block.n_parameters, plausible_changes(mechanism, problem.legs)
     std = np.sqrt(np.diagonal(covariance))[:n]
     moved = np.abs(parameters - np.concatenate([leg.nominal for leg in problem.legs]))
     far = std > limit

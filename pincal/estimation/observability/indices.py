@@ -206,32 +206,32 @@ def derivatives_near(
             that is measured in some row.
     """
     platform = mechanism.platform
-    start = problem.start(unknowns.start[: problem.columns[-1].stop])
+    start = problem.start(unknowns.start[: problem.leg_block.n_parameters])
     size = largest_size(problem.legs)
     chosen = np.arange(len(start.matrices))
     if generic:  # the same ones in whatever order rows were measured
-        chosen = np.lexsort((*start.matrices[:, :3, 3].T, *problem.readings.T))[:GENERIC]
+        chosen = np.lexsort((*start.matrices[:, :3, 3].T, *problem.leg_block.readings.T))[:GENERIC]
     planned = Plan(
         platform.from_matrices(start.matrices[chosen]),
-        readings=problem.readings[chosen] if mechanism.by_readings else None,
-        influences={name: values[chosen] for name, values in problem.influences.items()},
+        readings=problem.leg_block.readings[chosen] if mechanism.by_readings else None,
+        influences={name: values[chosen] for name, values in problem.leg_block.influences.items()},
     )
-    values = (start.parameters[columns] for columns in problem.columns)
+    values = (start.parameters[columns] for columns in problem.leg_block.columns)
     at = mechanism.with_parameters(dict(zip(mechanism.leg_names, values, strict=True)))
     legs = legs_at(at, nearby(at, planned, GENERIC, size) if generic else planned)
     matrices = platform.matrices(legs.poses)
     rows = chosen[np.flatnonzero(legs.reached) % len(chosen)]
     observation = problem.observation.anywhere() if generic else problem.observation
-    seen = observation.rows(rows).evaluate(matrices, start.external)
-    outer = np.zeros((*seen.pose.shape[:2], len(unknowns.names)))
-    outer[:, :, legs.parameter.shape[2] :] = seen.external
+    _, seen_pose, by_external = observation.at(rows).residuals(matrices, start.external)
+    outer = np.zeros((*seen_pose.shape[:2], len(unknowns.names)))
+    outer[:, :, legs.parameter.shape[2] :] = by_external
     per = np.array([1.0 / size if unit == "m" else 1.0 for unit in observation.units])
-    ok = np.isfinite(seen.pose).all(axis=(1, 2)) & np.isfinite(outer).all(axis=(1, 2))
+    ok = np.isfinite(seen_pose).all(axis=(1, 2)) & np.isfinite(outer).all(axis=(1, 2))
     return Derivatives(
         matrices[ok],
         legs.pose[ok] / size,
         legs.parameter[ok] / size,
-        seen.pose[ok] * per[:, None],
+        seen_pose[ok] * per[:, None],
         outer[ok] * per[:, None],
     )
 

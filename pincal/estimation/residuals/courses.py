@@ -92,7 +92,7 @@ def scores(one: Fit, again: Mapping[str, Index] | None = None) -> list[Score]:
     left, problem = Residuals.of(one), one.problem
     white = dict(errors_of(one, left.used))
     asked, errors = _Asked(left), {name: left.error(w) for name, w in white.items()}
-    readings = problem.quantities[: problem.reading_columns[-1].stop]
+    readings = list(problem.quantities)[: problem.leg_block.n_readings]
     time = np.linspace(-1.0, 1.0, len(left.used))[:, None]
     pose = _of_pose(one, left.used)
     every: dict[str, list[tuple[Error, Array]]] = {}
@@ -137,23 +137,18 @@ def _again(left: Residuals, name: str, error: Error, again: Mapping[str, Index])
 
 def errors_of(one: Fit, used: Index) -> Iterator[tuple[str, Array]]:
     """Yield each measured quantity and the white rows of its unit error, shape (n_used, m)."""
-    problem, stack = one.problem, one.last.stack
-    names = iter(problem.quantities)
-    for index, (demand, rows, columns) in enumerate(
-        zip(stack.demands, problem.leg_rows, problem.reading_columns, strict=True)
-    ):
-        for place in range(columns.stop - columns.start):
-            error = np.zeros((*stack.value.shape, 1))
-            error[:, rows, 0] = np.where(
-                problem.used[:, index, None], demand.reading[:, :, place], 0.0
-            )
-            yield next(names), one.last.white(error)[used, :, 0]
+    problem, linear, legs = one.problem, one.last, one.problem.leg_block
+    names, k = iter(problem.quantities), linear.conditions.shape[1]
+    for demand, rows, serves in zip(linear.demands, legs.leg_rows, legs.used.T, strict=True):
+        for by_reading in np.where(serves[:, None, None], demand.reading, 0.0).transpose(2, 0, 1):
+            error = np.zeros((len(serves), k, 1))
+            error[:, rows, 0] = by_reading
+            yield next(names), linear.white(error)[used, :, 0]
     if problem.latent:
-        n_legs = problem.leg_rows[-1].stop
-        for column in range(problem.observation.measured.shape[1]):
-            error = np.zeros((*stack.value.shape, 1))  # residuals are predicted less measured
-            error[:, n_legs + column, 0] = -problem.observation.measured[:, column].astype(float)
-            yield next(names), one.last.white(error)[used, :, 0]
+        for row in range(legs.n_rows, k):
+            error = np.zeros((*linear.conditions.shape, 1))  # residuals are predicted less measured
+            error[:, row, 0] = -linear.active[:, row].astype(float)
+            yield next(names), linear.white(error)[used, :, 0]
 
 
 def of_frame(problem: Problem, errors: Mapping[str, Array]) -> tuple[Array, tuple[str, ...]]:
@@ -190,7 +185,7 @@ def _since(used: Index, rows: Index) -> Array:
 def _grown(one: Fit, used: Index) -> Array:
     """Return the white rows of legs whose lengths all grow by one part, shape (n_used, m)."""
     J, lengths = one.last.jacobian[used], np.zeros(len(one.unknowns.names))
-    for leg, columns in zip(one.problem.legs, one.problem.columns, strict=True):
+    for leg, columns in zip(one.problem.legs, one.problem.leg_block.columns, strict=True):
         own = {name for name, unit in leg.units.items() if unit == "m"} - leg.amplitudes
         long = np.array([name in own for name in leg.parameter_names])
         lengths[columns] = long * one.parameters[columns]
@@ -200,9 +195,13 @@ def _grown(one: Fit, used: Index) -> Array:
 def _of_value(one: Fit, column: int, used: Index) -> Array:
     """Return by what an error of a reading may follow its own value, shape (n_used, f)."""
     problem = one.problem
-    reading = problem.readings[used, column]
-    leg = next(i for i, own in enumerate(problem.reading_columns) if own.start <= column < own.stop)
-    unit = problem.legs[leg].reading_units[column - problem.reading_columns[leg].start]
+    reading = problem.leg_block.readings[used, column]
+    leg = next(
+        i
+        for i, own in enumerate(problem.leg_block.reading_columns)
+        if own.start <= column < own.stop
+    )
+    unit = problem.legs[leg].reading_units[column - problem.leg_block.reading_columns[leg].start]
     if unit == "rad":
         turns = [k * reading for k in _HARMONICS]
         return np.stack([f(turn) for turn in turns for f in (np.sin, np.cos)], axis=1)
@@ -221,7 +220,7 @@ def _of_pose(one: Fit, used: Index) -> Array:
 
 def _side(one: Fit, column: int, used: Index) -> Array:
     """Return from which side a reading was come to, shape (n_used, 1)."""
-    return np.nan_to_num(sides(one.problem.readings[:, column])[used])[:, None]
+    return np.nan_to_num(sides(one.problem.leg_block.readings[:, column])[used])[:, None]
 
 
 What = Literal["frame", "target", "orientation", "reading"]

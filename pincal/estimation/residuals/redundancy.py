@@ -48,28 +48,29 @@ def leg_residuals(problem: Problem, linear: Linear, index: int) -> LegResiduals:
     less measured reading; of exact readings, which are missed by nothing, the closure at the pose
     that was measured (to first order), where it was.
     """
-    demand = linear.stack.demands[index]
-    condition, own = problem.conditions[index], problem.reading_columns[index]
-    by_reading = demand.reading * problem.sigma_readings[:, None, own]
-    rows, (count, k) = problem.leg_rows[index], demand.value.shape
-    follows = np.zeros((count, k, linear.stack.value.shape[1]))
+    demand = linear.demands[index]
+    own = problem.leg_block.reading_columns[index]
+    unit = " or ".join(dict.fromkeys(problem.legs[index].reading_units))
+    by_reading = demand.reading * problem.leg_block.sigma[:, None, own]
+    rows, (count, k) = problem.leg_block.leg_rows[index], demand.value.shape
+    follows = np.zeros((count, k, linear.conditions.shape[1]))
     follows[:, :, rows] = np.eye(k)
-    if problem.pose_roots is not None:
-        noise = np.concatenate((by_reading, demand.pose @ problem.pose_roots), axis=2)
-        what = ("m", "closure") if problem.weighted else (condition.reading_unit, "reading")
+    if problem.leg_block.pose_roots is not None:
+        noise = np.concatenate((by_reading, demand.pose @ problem.leg_block.pose_roots), axis=2)
+        what = ("m", "closure") if problem.weighted else (unit, "reading")
         return LegResiduals(demand.value, np.linalg.norm(noise, axis=2), *what, follows)
-    if problem.sigma_readings[:, own].any() and k == 1:
-        sigma = problem.sigma_readings[:, own]  # of as many readings as there are
+    if problem.leg_block.sigma[:, own].any() and k == 1:
+        sigma = problem.leg_block.sigma[:, own]  # of as many readings as there are
         follows = np.repeat(follows, sigma.shape[1], axis=1)
         follows[:, :, rows] = -least_squares(demand.reading, np.ones((count, 1, 1)))
         value = demand.as_joint().value
-        return LegResiduals(value, sigma, condition.reading_unit, "reading", follows)
-    n_legs = problem.leg_rows[-1].stop
-    h, B = linear.stack.value[:, n_legs:], linear.stack.pose[:, n_legs:]
+        return LegResiduals(value, sigma, unit, "reading", follows)
+    n_legs = problem.leg_block.n_rows
+    h, B = linear.conditions[:, n_legs:], linear.by_pose[:, n_legs:]
     whole = problem.observation.measured.sum(axis=1) >= problem.platform.dof
     back = np.where(whole[:, None, None], np.linalg.pinv(B, rcond=1e-9), 0.0)
     moved = demand.pose @ back  # from what was measured to the estimated pose
-    noise = np.concatenate((by_reading, moved @ problem.observed_roots), axis=2)
+    noise = np.concatenate((by_reading, moved @ problem.observation.noise.roots), axis=2)
     value = demand.value - (moved @ h[:, :, None])[:, :, 0]
     follows[:, :, n_legs:] = -moved
     return LegResiduals(value, np.linalg.norm(noise, axis=2), "m", "closure", follows)
@@ -140,7 +141,7 @@ def every_residual(fit: Fit) -> tuple[list[LegResiduals], Array, list[slice]]:
     """
     problem, linear = fit.problem, fit.last
     legs = [leg_residuals(problem, linear, index) for index in range(len(problem.legs))]
-    n_legs, (count, k) = problem.leg_rows[-1].stop, linear.stack.value.shape
+    n_legs, (count, k) = problem.leg_block.n_rows, linear.conditions.shape
     seen = np.broadcast_to(np.eye(k)[n_legs:], (count, k - n_legs, k))
     parts = [*(leg.follows for leg in legs), seen]
     ends = np.cumsum([one.shape[1] for one in parts]).tolist()
@@ -157,7 +158,7 @@ def redundancy(fit: Fit) -> tuple[list[LegResiduals], list[Array]]:
     legs, follows, columns = every_residual(fit)
     left = Left.of(fit, follows).variances
     measured = columns[-1].stop - columns[-1].start
-    sigmas = [*(leg.sigma for leg in legs), fit.problem.sigma_observed[:, :measured]]
+    sigmas = [*(leg.sigma for leg in legs), fit.problem.observation.sigma[:, :measured]]
     return legs, [
         np.maximum(left[:, own], 0.0) / np.where(sigma > 0.0, sigma, np.inf) ** 2
         for own, sigma in zip(columns, sigmas, strict=True)

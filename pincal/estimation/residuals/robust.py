@@ -166,7 +166,7 @@ def _near(problem: Problem, linear: Linear) -> Mask:
     moved = (linear.white.noise @ linear.noise[:, :, None])[:, :, 0]
     far = {"m": _BY.linear * largest_size(problem.legs), "rad": _BY.linear}
     seen = problem.observation.units if problem.latent else ()
-    units = [*["m"] * problem.leg_rows[-1].stop, *seen]
+    units = [*["m"] * problem.leg_block.n_rows, *seen]
     near = np.abs(moved) <= [far.get(unit, np.inf) for unit in units]
     return ~unsolved(problem, linear) & near.all(axis=1)
 
@@ -216,7 +216,7 @@ def _outliers(
             legs=legs,
             sigma=_as_one(float(relative[i]), int(equations[i])),
             weight=float(one.weights[i]),
-            quantity=one.problem.quantities[worst[i]],
+            quantity=tuple(one.problem.quantities)[worst[i]],
             off=float(noise[i, worst[i]]),
         )
         for i in listed

@@ -88,7 +88,7 @@ class Residuals:
     @classmethod
     def of(cls, one: Fit) -> Residuals:
         """Return those of a fit."""
-        used, Q, r = np.flatnonzero(one.good), one.Q, one.last.value[one.good]
+        used, Q, r = np.flatnonzero(one.good), one.Q, one.last.residuals[one.good]
         held, rows = one.unknowns.prior_rows(one.system.values(one.last.state))
         prior = one.orthonormal(rows)
         left, beside = left_over(Q, r, prior, held)
