@@ -8,7 +8,6 @@ the pages: equations are MathML, examples are run here, other sites' names are n
 from __future__ import annotations
 
 import sys
-from importlib.metadata import version as installed
 from pathlib import Path
 
 _DOCS = Path(__file__).parent
@@ -16,9 +15,11 @@ sys.path.insert(0, str(_DOCS))
 
 from build_steps import gallery, generated, rendering  # noqa: E402
 
+import pincal  # noqa: E402
+
 project = "pincal"
 author = "pincal"
-release = installed("pincal")
+release = pincal.__version__
 version = ".".join(release.split(".")[:2])
 project_copyright = "pincal, BSD-3-Clause"
 
