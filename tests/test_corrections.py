@@ -429,6 +429,8 @@ def test_wrong_uses_are_refused_and_nothing_is_written(tmp_path: Path) -> None:
     gainless.save(tmp_path / "arm")
     poses = tmp_path / "poses.csv"
     poses.write_text("x [m],y [m]\n0,\n")
+    filled = tmp_path / "filled.csv"
+    filled.write_text("x [m],y [m]\n0,1.1\n")
     before = contents(tmp_path)
     m, out = tmp_path / "m", ("-o", tmp_path / "c.csv")
     for words, message in [
@@ -442,7 +444,7 @@ def test_wrong_uses_are_refused_and_nothing_is_written(tmp_path: Path) -> None:
         ((m, *out, "--original", poses), "--original and --leg go with URDF"),
         ((m, "-o", tmp_path / "c.py", "--poses", poses), "--poses goes with a table"),
         ((m, "-o", tmp_path / "c.urdf", "--units", "mm"), "--units and --counts go with"),
-        ((m, "-o", poses, "--poses", poses, "--force"), "would replace"),
+        ((m, "-o", filled, "--poses", filled, "--force"), "would replace"),
         ((m, "-o", poses), "exists"),
         ((m, "-o", tmp_path / "c.txt"), "does not say what to write"),
     ]:
