@@ -86,25 +86,11 @@ def arm(name: str, joints: tuple[Joint, ...], description: str = "") -> Mechanis
         raise MechanismError(f"{name}: no joint moves")
     if joints[-1].kind != "fixed":
         joints = (*joints, Joint("tip", "fixed"))
-    stems = iter(_stems(moving))
-    parameters: dict[str, float] = {}
-    placed = []
-    for joint in joints:
-        last = joint is joints[-1]
-        if joint.kind == "fixed" and not last:
-            placed.append(joint)
-            continue
-        stem = TOOL if last else next(stems)
-        own = {f"{stem}_{axis}": 0.0 for axis in _AXES}
-        parameters |= own
-        steps = tuple(Coordinate(axis, (name,)) for axis, name in zip(_AXES, own, strict=True))
-        xyz = zip("xyz", joint.placement.xyz, strict=True)
-        steps += tuple(Coordinate(axis, (value,)) for axis, value in xyz if value)
-        placement = Placement(steps, joint.placement.xyz, joint.placement.rpy)
-        placed.append(replace(joint, placement=placement, home=_home(joint)))
+    joints = tuple(replace(joint, home=_home(joint)) for joint in joints)
+    placed, parameters = displaced_joints(joints, _stems(moving), TOOL, _AXES)
     leg = Leg(
         name="arm",
-        joints=tuple(placed),
+        joints=placed,
         sensors=tuple(Sensor(joint.name) for joint in moving),
         parameters=tuple(parameters.items()),
         point=Joint(identifiers((*(joint.name for joint in placed), TOOL))[-1], "fixed"),
@@ -114,6 +100,39 @@ def arm(name: str, joints: tuple[Joint, ...], description: str = "") -> Mechanis
     free = Platform("spatial", (0.0,) * 6)
     home = free.from_matrices(LegClosure(leg, free).frame(leg.home[None]))[0]
     return Mechanism(name, Platform("spatial", tuple(home.tolist())), (leg,), description)
+
+
+def displaced_joints(
+    joints: Sequence[Joint], stems: Sequence[str], end: str, axes: Sequence[str]
+) -> tuple[tuple[Joint, ...], dict[str, float]]:
+    """Return joints with small displacements at each that moves and at the last, and these.
+
+    Args:
+        joints: Base first; the last is fixed.
+        stems: What the names of the moving joints' displacements begin with.
+        end: What those of the last joint's begin with.
+        axes: Of the displacements.
+    """
+    parameters: dict[str, float] = {}
+    placed, moving_stems = [], iter(stems)
+    for joint in joints:
+        if joint.kind != "fixed" or joint is joints[-1]:
+            stem = end if joint is joints[-1] else next(moving_stems)
+            placement, names = displaced(joint.placement, stem, axes)
+            joint, parameters = replace(joint, placement=placement), parameters | names
+        placed.append(joint)
+    return tuple(placed), parameters
+
+
+def displaced(
+    placement: Placement, stem: str, axes: Sequence[str]
+) -> tuple[Placement, dict[str, float]]:
+    """Return a placement with small displacements along axes, and their names, each zero."""
+    names = [f"{stem}_{axis}" for axis in axes]
+    steps = [Coordinate(axis, (name,)) for axis, name in zip(axes, names, strict=True)]
+    shifts = zip("xyz", placement.xyz, strict=True)
+    steps += [Coordinate(axis, (value,)) for axis, value in shifts if value]
+    return Placement(tuple(steps), placement.xyz, placement.rpy), dict.fromkeys(names, 0.0)
 
 
 def _stems(joints: Sequence[Joint]) -> Sequence[str]:

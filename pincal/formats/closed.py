@@ -15,16 +15,24 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pincal.errors import MechanismError
-from pincal.formats.limbs import Limb, Way, limb, point_platform, poses_at_zero, ways_of
+from pincal.formats.arm import displaced, displaced_joints
+from pincal.formats.limbs import (
+    LegPath,
+    Limb,
+    limb_along,
+    paths_to_platform,
+    point_platform,
+    poses_at_zero,
+)
 from pincal.formats.tree import Tree, listed
 from pincal.kinematics.assembly import assembled, independent, opening
 from pincal.kinematics.closure import largest_size
 from pincal.model.checks import ALIKE, EXACT, ROUNDING
 from pincal.model.consistency import identifiers
 from pincal.model.home import ROUGH
-from pincal.model.leg import Joint, Leg
+from pincal.model.leg import Closing, Joint, Leg
 from pincal.model.mechanism import Mechanism
-from pincal.model.placement import Coordinate, Placement, placement_of
+from pincal.model.placement import placement_of
 from pincal.model.platform import Platform
 from pincal.model.sensor import Sensor
 from pincal.types import Array
@@ -49,8 +57,8 @@ def slack_of(text: str) -> float:
         if "rpy" in kinds:
             for value in values:
                 if right := re.fullmatch(r"-?(1\.57|3\.14|4\.71|6\.28)(\d*)", value):
-                    off = abs(np.remainder(float(value) + np.pi / 4, np.pi / 2) - np.pi / 4)
-                    cut = max(cut, off if off < 0.1 ** (2 + len(right[2])) else 0.0)
+                    missed = abs(np.remainder(float(value) + np.pi / 4, np.pi / 2) - np.pi / 4)
+                    cut = max(cut, missed if missed < 0.1 ** (2 + len(right[2])) else 0.0)
     return _NUMBERS * cut
 
 
@@ -85,18 +93,17 @@ def closing_in_words(tree: Tree, mechanism: Mechanism) -> tuple[str, bool]:
     """
     drawn = {edge.joint.name: edge.joint.home for edge in tree.edges}
     legs = [
-        replace(leg, joints=tuple(replace(j, home=drawn.get(j.name, 0.0)) for j in leg.joints))
+        leg.with_home([drawn.get(joint.name, 0.0) for joint in leg.moving])
         for leg in mechanism.legs
     ]
     gap = opening(legs, mechanism.platform.form)
     if gap <= max(ALIKE, tree.slack) * largest_size(mechanism.legs):
         return f"the loops close as drawn, within {gap:.2g} m", False
     moved: dict[str, tuple[float, str]] = {}
-    for joint in (one for leg in mechanism.legs for one in leg.moving if one.name in drawn):
-        unit = "rad" if joint.turns else "m"
-        moved[unit] = max(
-            moved.get(unit, (0.0, "")), (abs(joint.home - drawn[joint.name]), joint.name)
-        )
+    for joint in (joint for leg in mechanism.legs for joint in leg.moving):
+        if joint.name in drawn:
+            unit, way = "rad" if joint.turns else "m", abs(joint.home - drawn[joint.name])
+            moved[unit] = max(moved.get(unit, (0.0, "")), (way, joint.name))
     far = " and ".join(f"{way:.3g} {unit} ({name})" for unit, (way, name) in moved.items())
     return f"as drawn the loops are open by {gap:.3g} m: joints were moved by up to {far}", True
 
@@ -118,114 +125,121 @@ def closed_mechanism(tree: Tree, platform: str | None = None) -> tuple[Mechanism
     platform = platform or tree.platform
     if platform is not None:
         platform = tree.link(platform, "the platform")
-    found = ways_of(tree, platform)
-    driven = set(tree.active)
-    remarks = [
-        f"{listed(found.left)}: in no loop, left out"
-        + (" (driven)" if driven & set(found.left) else "")
-    ] * bool(found.left)
-    normal = _normal(tree, found.ways)
-    if found.platform is None:
+    paths, platform, loose = paths_to_platform(tree, platform)
+    remarks = []
+    if loose:
+        driven = " (driven)" if set(tree.active) & set(loose) else ""
+        remarks.append(f"{listed(loose)}: in no loop, left out{driven}")
+    normal = _normal(tree, paths)
+    kind, limbs, C_platform = _limbs(tree, paths, platform, normal)
+    if normal is not None:
+        slack = max(EXACT, tree.slack)
+        limbs = tuple(_in_plane(limb, normal, C_platform, slack) for limb in limbs)
+        if abs(normal[2]) < 1.0 - EXACT:
+            remarks.append("planar, but not across z: the base frame was turned to have z across")
+    elif not np.array_equal(C_platform, np.eye(3)):
+        limbs = tuple(_turned_platform(limb, C_platform) for limb in limbs)
+    names = _leg_names(limbs)
+    stems = _stems(names, limbs)
+    legs = tuple(_leg(*leg, tree, kind) for leg in zip(names, limbs, stems, strict=True))
+    check_drawn(tree, legs, kind)
+    try:
+        legs, placed = assembled(_with_points_apart(legs), kind, tree.slack)
+    except MechanismError as error:
+        raise MechanismError(f"{tree.source}: {error}") from error
+    remarks += [
+        f"{leg.name}: {joint.name!r} closes the loops at {joint.home:.6g}, outside its limits"
+        for leg in legs
+        for joint in leg.moving
+        if joint.limited and not joint.lower <= joint.home <= joint.upper
+    ]
+    name = re.sub(r"\W+", "_", tree.name)[:100] or "mechanism"
+    legs = tuple(_reduced(leg, placed, tree.slack) for leg in legs)
+    return Mechanism(name, placed, legs, f"From {tree.source}."), tuple(remarks)
+
+
+def _limbs(
+    tree: Tree, paths: tuple[LegPath, ...], platform: str | None, normal: Array | None
+) -> tuple[str, tuple[Limb, ...], Array]:
+    """Return the kind of platform, the legs, and the platform's axes in its link, shape (3, 3).
+
+    Raises:
+        MechanismError: legs, platform and drives cannot be distinguished.
+    """
+    driven, turn = set(tree.active), np.eye(3)
+    if platform is None:
         if normal is None:
             raise MechanismError(
                 f"{tree.source}: one loop, which leaves open what the platform is; name it with "
                 "--platform LINK"
             )
-        limbs: tuple[Limb, ...] = point_platform(tree, found.ways[0], driven, normal)
-        kind, C_platform = "point", np.eye(3)
-    else:
-        legs, own = _legs_and_freedoms(tree, found.ways, driven)
-        kind = own or ("spatial" if normal is None else "planar")
-        limbs = tuple(limb(tree, way, found.platform, driven, normal) for way in legs)
-        at = poses_at_zero(tree)[found.platform][:3, :3]
-        if kind in ("point", "translational"):
-            C_platform = at.T @ (np.eye(3) if normal is None else _onto(normal))
-        else:
-            C_platform = np.eye(3) if normal is None else _onto(at.T @ normal)
-    if normal is not None:
-        limbs = tuple(_in_plane(one, normal, C_platform, max(EXACT, tree.slack)) for one in limbs)
-        if abs(normal[2]) < 1.0 - EXACT:
-            remarks.append("planar, but not across z: the base frame was turned to have z across")
-    elif not np.array_equal(C_platform, np.eye(3)):
-        limbs = tuple(_turned_platform(one, C_platform) for one in limbs)
-    names = _leg_names(limbs)
-    stems = _stems(names, limbs)
-    made = tuple(
-        _leg(name, one, tree, kind, own) for name, one, own in zip(names, limbs, stems, strict=True)
-    )
-    check_drawn(tree, made, kind)
-    try:
-        made, placed = assembled(_apart(made), kind, tree.slack)
-    except MechanismError as error:
-        raise MechanismError(f"{tree.source}: {error}") from error
-    for leg in made:
-        remarks += [
-            f"{leg.name}: {joint.name!r} closes the loops at {joint.home:.6g}, outside its limits"
-            for joint in leg.moving
-            if joint.limited and not joint.lower <= joint.home <= joint.upper
-        ]
-    name = re.sub(r"\W+", "_", tree.name)[:100] or "mechanism"
-    kept = tuple(_reduced(leg, placed, tree.slack) for leg in made)
-    return Mechanism(name, placed, kept, f"From {tree.source}."), tuple(remarks)
+        return "point", point_platform(tree, paths[0], driven, normal), turn
+    legs, kind = _legs_and_freedoms(tree, paths, driven)
+    kind = kind or ("spatial" if normal is None else "planar")
+    link = poses_at_zero(tree)[platform][:3, :3]
+    if kind in ("point", "translational"):
+        turn = link.T @ (turn if normal is None else _onto(normal))
+    elif normal is not None:
+        turn = _onto(link.T @ normal)
+    return kind, tuple(limb_along(tree, path, platform, driven, normal) for path in legs), turn
 
 
 def _legs_and_freedoms(
-    tree: Tree, ways: tuple[Way, ...], driven: set[str]
-) -> tuple[list[Way], str | None]:
-    """Return the ways with a drive, and the kind of platform if another says its freedoms.
+    tree: Tree, paths: tuple[LegPath, ...], driven: set[str]
+) -> tuple[list[LegPath], str | None]:
+    """Return the paths with a drive, and the kind of platform if another says its freedoms.
 
     Raises:
-        MechanismError: a way without a drive that is no row of freedoms.
+        MechanismError: a path without a drive that is no row of freedoms.
     """
-    legs = [way for way in ways if any(one.bond.name in driven for one in way)]
-    idle = [way for way in ways if way not in legs]
-    kinds = [_freedoms(way) for way in idle]
-    for way, kind in zip(idle, kinds, strict=True):
+    legs = [path for path in paths if any(bond.name in driven for bond in path)]
+    idle = [path for path in paths if path not in legs]
+    kinds = [_freedoms(path) for path in idle]
+    for path, kind in zip(idle, kinds, strict=True):
         if kind is None or len(idle) > 1 or not legs:
             raise MechanismError(
-                f"{tree.source}: no driven joint in the leg {', '.join(p.bond.name for p in way)}; "
+                f"{tree.source}: no driven joint in the leg {', '.join(b.name for b in path)}; "
                 "each leg needs one whose position is read: name it under name_mot (YAML) or give "
                 "it an actuator (MJCF)"
             )
     return legs, kinds[0] if kinds else None
 
 
-def _freedoms(way: Way) -> str | None:
+def _freedoms(path: LegPath) -> str | None:
     """Return the kind of platform that a row of slides and turns frees; None for another."""
-    joints = [one.bond.edge.joint for one in way if one.bond.edge is not None and one.forth]
-    kinds = [joint.kind for joint in joints]
-    counts = kinds.count("prismatic"), kinds.count("revolute")
-    if len(joints) != len(way) or kinds != sorted(kinds):  # slides first
+    kinds = [bond.joint.kind for bond in path if bond.joint is not None and bond.forward]
+    if len(kinds) != len(path) or kinds != sorted(kinds):  # slides first
         return None
-    return _FREEDOMS.get(counts)
+    return _FREEDOMS.get((kinds.count("prismatic"), kinds.count("revolute")))
 
 
-def _normal(tree: Tree, ways: Iterable[Way]) -> Array | None:
+def _normal(tree: Tree, paths: Iterable[LegPath]) -> Array | None:
     """Return the normal of the plane in which all joints move, in the root's frame, shape (3,)."""
-    at = poses_at_zero(tree)
-    turning: list[Array] = []
-    sliding: list[Array] = []
-    for edge in (one.bond.edge for way in ways for one in way):
-        if edge is not None:
-            axis = at[edge.child][:3, :3] @ edge.joint.axis
-            (turning if edge.joint.kind == "revolute" else sliding).append(axis)
-    if not turning:
+    poses = poses_at_zero(tree)
+    children = {edge.joint.name: edge.child for edge in tree.edges}
+    axes: dict[str, list[Array]] = {"revolute": [], "prismatic": []}
+    for joint in (bond.joint for path in paths for bond in path):
+        if joint is not None:
+            axes[joint.kind].append(poses[children[joint.name]][:3, :3] @ joint.axis)
+    if not axes["revolute"]:
         return None
     slack = max(EXACT, tree.slack)
-    normal = turning[0]
+    normal = axes["revolute"][0]
     nearest = np.round(normal)  # along an axis of the root's frame
     if np.linalg.norm(np.cross(normal, nearest)) < slack and nearest.any():
         normal = nearest
-    parallel = all(np.linalg.norm(np.cross(normal, axis)) < slack for axis in turning)
-    if not (parallel and all(abs(normal @ axis) < slack for axis in sliding)):
+    parallel = all(np.linalg.norm(np.cross(normal, axis)) < slack for axis in axes["revolute"])
+    if not (parallel and all(abs(normal @ axis) < slack for axis in axes["prismatic"])):
         return None
-    largest = normal[np.argmax(np.abs(normal))]
-    return np.asarray(normal * np.sign(largest))
+    return np.asarray(normal * np.sign(normal[np.argmax(np.abs(normal))]))
 
 
-def _onto(normal: Array) -> Array:
-    """Return the smallest turn of z onto a unit vector, shape (3, 3)."""
-    if normal[2] > 1.0 - EXACT:
+def _onto(normal: Array, slack: float = 0.0) -> Array:
+    """Return the smallest turn of z onto a unit vector, shape (3, 3).
+
+    None where the vector is along z, or against it, within a slack.
+    """
+    if normal[2] > 1.0 - EXACT or np.hypot(normal[0], normal[1]) < slack:
         return np.eye(3)
     if normal[2] < EXACT - 1.0:
         return np.diag([1.0, -1.0, -1.0])
@@ -234,20 +248,15 @@ def _onto(normal: Array) -> Array:
     return Rotation.from_rotvec(angle * axis / np.linalg.norm(axis)).as_matrix()
 
 
-def _along(normal: Array, slack: float) -> Array:
-    """Return the smallest turn of z, or of -z, onto a unit vector, none of less than a slack."""
-    return np.eye(3) if np.hypot(normal[0], normal[1]) < slack else _onto(normal)
-
-
-def _in_plane(one: Limb, normal: Array, C_platform: Array, slack: float) -> Limb:
+def _in_plane(limb: Limb, normal: Array, C_platform: Array, slack: float) -> Limb:
     """Return a leg in the plane, z of every frame across it, in a base frame that has it so."""
     joints: list[Joint] = []
     C, R = _onto(normal), np.eye(3)
-    for joint in one.joints:
+    for joint in limb.joints:
         origin = joint.placement.origin()
         R = R @ origin[:3, :3]
-        last = joint is one.joints[-1] and one.point is None
-        C_child = C_platform if last else _along(R.T @ normal, slack)
+        last = joint is limb.joints[-1] and limb.point is None
+        C_child = C_platform if last else _onto(R.T @ normal, slack)
         if not (np.array_equal(C, np.eye(3)) and np.array_equal(C_child, np.eye(3))):
             origin[:3] = C.T @ origin[:3]
             origin[:3, :3] = origin[:3, :3] @ C_child
@@ -258,7 +267,7 @@ def _in_plane(one: Limb, normal: Array, C_platform: Array, slack: float) -> Limb
             joint = replace(joint, placement=placement_of(origin), axis=_flat_axis(joint))
         joints.append(joint)
         C = C_child
-    return _turned_platform(Limb(tuple(joints), one.point), C_platform)
+    return _turned_platform(Limb(tuple(joints), limb.point), C_platform)
 
 
 def _flat(R: Array) -> Array:
@@ -277,33 +286,27 @@ def _flat_axis(joint: Joint) -> tuple[float, float, float]:
     return joint.axis if joint.kind == "prismatic" else (0.0, 0.0, float(np.sign(z)))
 
 
-def _turned_platform(one: Limb, C_platform: Array) -> Limb:
+def _turned_platform(limb: Limb, C_platform: Array) -> Limb:
     """Return a leg whose platform point is given in a platform frame that is turned."""
-    if one.point is None or np.array_equal(C_platform, np.eye(3)):
-        return one
-    origin = one.point.placement.origin()
+    if limb.point is None or np.array_equal(C_platform, np.eye(3)):
+        return limb
+    origin = limb.point.placement.origin()
     origin[:3] = C_platform.T @ origin[:3]
-    return Limb(one.joints, replace(one.point, placement=placement_of(origin)))
+    return Limb(limb.joints, replace(limb.point, placement=placement_of(origin)))
 
 
 def _leg_names(limbs: tuple[Limb, ...]) -> list[str]:
     """Return what the names of each leg's joints begin with, or otherwise numbers."""
     names = []
-    for one in limbs:
-        own = [joint.name for joint in one.joints if joint.kind != "fixed"]
-        stem = _common(own)
-        if any(len(name) > len(stem) and name[len(stem)] not in "_-./ " for name in own):
+    for limb in limbs:
+        ends = zip(min(limb.moving_names), max(limb.moving_names), strict=False)
+        stem = "".join(first for first, _ in takewhile(lambda pair: pair[0] == pair[1], ends))
+        if any(len(n) > len(stem) and n[len(stem)] not in "_-./ " for n in limb.moving_names):
             stem = re.sub(r"[^_\-./ ]*$", "", stem)
         names.append(re.sub(r"\W", "_", stem).strip("_"))
     if identifiers(names) == tuple(names) and "platform" not in names:
         return names
     return [f"leg_{index + 1}" for index in range(len(limbs))]
-
-
-def _common(names: list[str]) -> str:
-    """Return what all names begin with."""
-    alike = (set(letters) for letters in zip(*names, strict=False))
-    return names[0][: sum(1 for _ in takewhile(lambda letters: len(letters) == 1, alike))]
 
 
 def _stems(names: list[str], limbs: tuple[Limb, ...]) -> list[list[str]]:
@@ -312,55 +315,38 @@ def _stems(names: list[str], limbs: tuple[Limb, ...]) -> list[list[str]]:
     The joints' names less the leg's, if all legs have the same; else joint_1, joint_2, and so on.
     """
     stems = []
-    for name, one in zip(names, limbs, strict=True):
-        own = [joint.name.removeprefix(name) for joint in one.joints if joint.kind != "fixed"]
-        stems.append([re.sub(r"\W", "_", s).strip("_").removesuffix("_joint") for s in own])
+    for name, limb in zip(names, limbs, strict=True):
+        bare = [joint.removeprefix(name) for joint in limb.moving_names]
+        stems.append([re.sub(r"\W", "_", s).strip("_").removesuffix("_joint") for s in bare])
     first = stems[0]
     plain = all(stem.isidentifier() and stem.isascii() for stem in first)
-    if all(own == first for own in stems) and plain and len(set(first)) == len(first):
+    if all(leg_stems == first for leg_stems in stems) and plain and len(set(first)) == len(first):
         return stems
-    return [[f"joint_{index + 1}" for index in range(len(own))] for own in stems]
+    return [[f"joint_{index + 1}" for index in range(len(leg_stems))] for leg_stems in stems]
 
 
-def _leg(name: str, one: Limb, tree: Tree, kind: str, stems: list[str]) -> Leg:
+def _leg(name: str, limb: Limb, stems: list[str], tree: Tree, kind: str) -> Leg:
     """Return a leg with displacements of all its joints as parameters."""
     axes = _PLANAR if kind in ("point", "planar") else _SPATIAL
-    joints = one.joints
+    joints = limb.joints
     if joints[-1].kind != "fixed":
         joints = (*joints, Joint("tip", "fixed"))
-    parameters: dict[str, float] = {}
-    placed, stem_of = [], iter(stems)
-    for joint in joints:
-        if joint.kind == "fixed" and joint is not joints[-1]:
-            placed.append(joint)
-            continue
-        stem = "tip" if joint is joints[-1] else next(stem_of)
-        placed.append(replace(joint, placement=_displaced(joint.placement, stem, axes, parameters)))
-    point = one.point or Joint("point", "fixed")
-    if one.point is not None:
+    placed, parameters = displaced_joints(joints, stems, "tip", axes)
+    point = limb.point or Joint("point", "fixed")
+    if limb.point is not None:
         shifts = axes[: len(axes) // 2 + len(axes) % 2]
-        point = replace(point, placement=_displaced(point.placement, "point", shifts, parameters))
+        placement, shifted = displaced(point.placement, "point", shifts)
+        point, parameters = replace(point, placement=placement), parameters | shifted
     if point.name == "point":
         point = replace(point, name=f"{name}_point")
     sensors = tuple(Sensor(joint.name) for joint in joints if joint.name in tree.active)
     if not sensors:
         raise MechanismError(f"{tree.source}: {name} has no driven joint")
-    closes = "frame" if one.point is None else "point"
-    return Leg(name, tuple(placed), sensors, tuple(parameters.items()), point, "tip", closes)  # type: ignore[arg-type]
+    closes: Closing = "frame" if limb.point is None else "point"
+    return Leg(name, placed, sensors, tuple(parameters.items()), point, "tip", closes)
 
 
-def _displaced(
-    placement: Placement, stem: str, axes: Iterable[str], parameters: dict[str, float]
-) -> Placement:
-    """Return a placement with small displacements, and enter their names."""
-    own = {axis: f"{stem}_{axis}" for axis in axes}
-    parameters |= dict.fromkeys(own.values(), 0.0)
-    steps = tuple(Coordinate(axis, (name,)) for axis, name in own.items())
-    steps += tuple(Coordinate(a, (v,)) for a, v in zip("xyz", placement.xyz, strict=True) if v)
-    return Placement(steps, placement.xyz, placement.rpy)
-
-
-def _apart(legs: tuple[Leg, ...]) -> tuple[Leg, ...]:
+def _with_points_apart(legs: tuple[Leg, ...]) -> tuple[Leg, ...]:
     """Return legs of which each has its own platform point."""
     names = [leg.point.name for leg in legs]
     return tuple(
@@ -374,21 +360,17 @@ def _apart(legs: tuple[Leg, ...]) -> tuple[Leg, ...]:
 def _reduced(leg: Leg, platform: Platform, slack: float) -> Leg:
     """Return a leg with the parameters that its closure can distinguish; shifts come first."""
     order = sorted(leg.parameter_names, key=lambda name: leg.units[name] != "m")
-    kept = set(independent(leg, platform, tuple(order), slack))
+    distinct = set(independent(leg, platform, tuple(order), slack))
 
-    def with_kept(joint: Joint) -> Joint:
-        coordinates = tuple(
-            c
-            for c in joint.placement.coordinates
-            if not isinstance(c.values[0], str) or c.values[0] in kept
-        )
-        if not any(isinstance(c.values[0], str) for c in coordinates):
-            coordinates = ()
+    def reduced(joint: Joint) -> Joint:
+        named = [c for c in joint.placement.coordinates if c.values[0] in distinct]
+        constant = [c for c in joint.placement.coordinates if not isinstance(c.values[0], str)]
+        coordinates = (*named, *constant) if named else ()
         return replace(joint, placement=replace(joint.placement, coordinates=coordinates))
 
     return replace(
         leg,
-        joints=tuple(with_kept(joint) for joint in leg.joints),
-        point=with_kept(leg.point),
-        parameters=tuple(one for one in leg.parameters if one[0] in kept),
+        joints=tuple(reduced(joint) for joint in leg.joints),
+        point=reduced(leg.point),
+        parameters=tuple(item for item in leg.parameters if item[0] in distinct),
     )
