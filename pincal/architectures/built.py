@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pincal.architectures.dimension import Architecture, Dimension, Values
+from pincal.architectures.dimension import Architecture, Dimension, Values, length
 from pincal.errors import MechanismError
 from pincal.files.table import is_dataframe, read_table
 from pincal.formats.arm import arm, load_arm
@@ -20,8 +20,8 @@ from pincal.model.sensor import Sensor
 from pincal.types import Array
 
 _LABELS = {
-    f"{letter}_{axis}": f"{what}, {axis}"
-    for letter, what in (("A", "anchor"), ("b", "platform's corner"))
+    f"{letter}_{axis}": f"{label}, {axis}"
+    for letter, label in (("A", "anchor"), ("b", "platform's corner"))
     for axis in "xyz"
 } | {"k": "gain of the reading"}
 _WITHIN, _TURN = 0.8, pi / 9  # of the room that a platform has in its frame; from upright
@@ -91,13 +91,13 @@ def _spatial(d: Values) -> Mechanism:
     for level, (x, y) in product((1, -1), ((1, 1), (-1, 1), (-1, -1), (1, -1))):
         z = d["upper"] if level > 0 else d["lower"]
         anchors.append((x * d["frame_length"] / 2, y * d["frame_width"] / 2, z))
-        own = -level
+        side = -level
         if d["cables"] == "turned":
             x, y = (-y, x) if level > 0 else (y, -x)
         elif d["cables"] == "straight":
-            own = level
+            side = level
         sides = d["platform_length"], d["platform_width"], d["platform_height"]
-        corners.append(np.multiply((x, y, own), sides) / 2)
+        corners.append(np.multiply((x, y, side), sides) / 2)
     home = Platform("spatial", (0.0, 0.0, d["height"], 0.0, 0.0, 0.0))
     return _robot(np.array(anchors), np.array(corners), home)
 
@@ -126,22 +126,20 @@ CABLES = (
         "cable-4",
         "Planar cable robot, four cables",
         (
-            Dimension("frame_width", "distance of the anchors along x", default=2.0),
-            Dimension(
-                "frame_height", "distance of the anchors along y", default=0.75, of="frame_width"
-            ),
-            Dimension(
+            length("frame_width", "distance of the anchors along x", 2.0),
+            length("frame_height", "distance of the anchors along y", 0.75, "frame_width"),
+            length(
                 "platform_width",
                 "width of the platform along x",
-                default=0.15,
-                of="frame_width",
+                0.15,
+                "frame_width",
                 below="frame_width",
             ),
-            Dimension(
+            length(
                 "platform_height",
                 "height of the platform along y",
-                default=1.0,
-                of="platform_width",
+                1.0,
+                "platform_width",
                 below="frame_height",
             ),
             Dimension(
@@ -155,30 +153,26 @@ CABLES = (
         "cable-8",
         "Cable robot in space, eight cables",
         (
-            Dimension("frame_length", "distance of the anchors along x", default=4.0),
-            Dimension(
-                "frame_width", "distance of the anchors along y", default=1.0, of="frame_length"
-            ),
-            Dimension("upper", "height of the upper anchors", default=0.75, of="frame_length"),
-            Dimension("lower", "height of the lower anchors", default=0.1, of="upper", least=0.0),
-            Dimension(
+            length("frame_length", "distance of the anchors along x", 4.0),
+            length("frame_width", "distance of the anchors along y", 1.0, "frame_length"),
+            length("upper", "height of the upper anchors", 0.75, "frame_length"),
+            length("lower", "height of the lower anchors", 0.1, "upper", least=0.0),
+            length(
                 "platform_length",
                 "length of the platform along x",
-                default=0.2,
-                of="frame_length",
+                0.2,
+                "frame_length",
                 below="frame_length",
             ),
-            Dimension(
+            length(
                 "platform_width",
                 "width of the platform along y",
-                default=0.2,
-                of="frame_width",
+                0.2,
+                "frame_width",
                 below="frame_width",
             ),
-            Dimension(
-                "platform_height", "height of the platform", default=1.0, of="platform_width"
-            ),
-            Dimension("height", "height of the platform's middle at home", default=0.5, of="upper"),
+            length("platform_height", "height of the platform", 1.0, "platform_width"),
+            length("height", "height of the platform's middle at home", 0.5, "upper"),
             Dimension(
                 "cables",
                 "way of the cables",
@@ -216,25 +210,25 @@ def dh_joints(table: Any, convention: str = "standard") -> tuple[Joint, ...]:
         read.numbers(name, "rad") if name in read else np.full(len(rows), usual)
         for name, usual in (("lower", -pi), ("upper", pi))
     ]
-    left, joints = np.eye(4), []
+    T_behind_joint, joints = np.eye(4), []
     for number, ((a, alpha, d, theta), lower, upper) in enumerate(
         zip(rows.tolist(), *map(Array.tolist, limits), strict=True), start=1
     ):
         turn, lift = _moved(("rz", theta)), _moved(("z", d))
         link = _moved(("x", a), ("rx", alpha)) if convention == "standard" else np.eye(4)
         before = np.eye(4) if convention == "standard" else _moved(("rx", alpha), ("x", a))
-        place = placement_of(left @ before @ turn)
+        place = placement_of(T_behind_joint @ before @ turn)
         joints.append(Joint(f"joint_{number}", "revolute", place, lower=lower, upper=upper))
-        left = lift @ link
-    return (*joints, Joint("tip", "fixed", placement_of(left)))
+        T_behind_joint = lift @ link
+    return (*joints, Joint("tip", "fixed", placement_of(T_behind_joint)))
 
 
 def _moved(*steps: tuple[str, float]) -> Array:
     """Return displacements along and about axes, one after the other, shape (4, 4)."""
-    found = np.eye(4)
+    T_moved = np.eye(4)
     for axis, value in steps:
-        found = found @ Step(axis, value).matrix({})
-    return found
+        T_moved = T_moved @ Step(axis, value).matrix({})
+    return T_moved
 
 
 def _arm(d: Values) -> Mechanism:
@@ -243,8 +237,10 @@ def _arm(d: Values) -> Mechanism:
     if bool(d["urdf"]) == (table is not None):
         raise MechanismError("an arm is made of one: urdf, with tip; or dh, a table")
     if table is not None:
-        what = f"Serial arm of a table of Denavit and Hartenberg, {d['convention']} convention."
-        return arm("arm", dh_joints(table, d["convention"]), what)
+        description = (
+            f"Serial arm of a table of Denavit and Hartenberg, {d['convention']} convention."
+        )
+        return arm("arm", dh_joints(table, d["convention"]), description)
     if not d["tip"]:
         raise MechanismError(f"{d['urdf']}: name the link whose frame is measured (tip)")
     return load_arm(d["urdf"], d["tip"], d["base"] or None)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from math import degrees
+from math import degrees, radians
 from typing import Any, TypeAlias
 
 from pincal.errors import MechanismError
@@ -50,7 +50,7 @@ class Dimension:
         """Return the default, where other dimensions are what they are."""
         return float(self.default) * before[self.of] if self.of else self.default
 
-    def asked(self, before: Values) -> bool:
+    def applies(self, before: Values) -> bool:
         """Return whether it means something, where others before it are what they are."""
         meant = not self.goes_with or bool(before[self.goes_with])
         return meant and not (self.instead_of and before[self.instead_of])
@@ -62,28 +62,30 @@ class Dimension:
             MechanismError: something else.
         """
         if not self.unit:
-            text = str(must_be(value, (str,), self.said, MechanismError)) if self.choices else value
+            text = (
+                str(must_be(value, (str,), self.title, MechanismError)) if self.choices else value
+            )
             if self.choices and text not in self.choices:
                 raise MechanismError(
-                    f"{self.said} is {text!r}; expected {' or '.join(self.choices)}"
+                    f"{self.title} is {text!r}; expected {' or '.join(self.choices)}"
                 )
             return text
-        number = number_of(value, self.said, MechanismError)
+        number = number_of(value, self.title, MechanismError)
         if not self.least <= number <= self.most:
-            wanted = f"{self.text(self.least)} to {self.text(self.most)}"
+            expected = f"{self.text(self.least)} to {self.text(self.most)}"
             if self.least == LEAST and not number >= LEAST:
-                wanted = "more than zero"
-            raise MechanismError(f"{self.said} is {self.text(number)}; expected {wanted}")
-        for other, word, sign in ((self.above, "more", 1.0), (self.below, "less", -1.0)):
-            if other and not sign * number > sign * before[other]:
+                expected = "more than zero"
+            raise MechanismError(f"{self.title} is {self.text(number)}; expected {expected}")
+        for bound, word, sign in ((self.above, "more", 1.0), (self.below, "less", -1.0)):
+            if bound and not sign * number > sign * before[bound]:
                 raise MechanismError(
-                    f"{self.said} is {self.text(number)}; expected {word} than {other}, "
-                    f"{self.text(before[other])}"
+                    f"{self.title} is {self.text(number)}; expected {word} than {bound}, "
+                    f"{self.text(before[bound])}"
                 )
         return number
 
     @property
-    def said(self) -> str:
+    def title(self) -> str:
         """Return what it is and its name, for messages."""
         return f"the {self.label} ({self.name})"
 
@@ -99,6 +101,16 @@ class Dimension:
 LEAST = Dimension.least
 
 
+def length(name: str, label: str, default: float, of: str = "", **limits: Any) -> Dimension:
+    """Return a length, its default in [m], or a multiple of another one before it."""
+    return Dimension(name, label, "m", default, of, **limits)
+
+
+def angle(name: str, label: str, default: float, **limits: Any) -> Dimension:
+    """Return an angle, its default in degrees, its limits in [rad]."""
+    return Dimension(name, label, "rad", radians(default), **limits)
+
+
 @dataclass(frozen=True)
 class Architecture:
     """A kind of mechanism, and how one is made from its dimensions."""
@@ -111,25 +123,26 @@ class Architecture:
     """Lower and upper coordinates between which it works, where readings have no limits that say
     so, [m] and [rad]."""
 
-    def complete(self, given: Values) -> dict[str, float | str]:
+    def complete(self, dimensions: Values) -> dict[str, float | str]:
         """Return all dimensions in order: those given, others in proportion to these.
 
         Raises:
             MechanismError: one that the architecture does not have, or that cannot be.
         """
-        names = [one.name for one in self.dimensions]
-        if other := [name for name in given if name not in names]:
+        names = [dimension.name for dimension in self.dimensions]
+        if unknown := [name for name in dimensions if name not in names]:
             raise MechanismError(
-                f"{other[0]} is no dimension of a {self.name}; it has {', '.join(names)}"
+                f"{unknown[0]} is no dimension of a {self.name}; it has {', '.join(names)}"
             )
-        found: dict[str, float | str] = {}
-        for one in self.dimensions:
-            value = given.get(one.name)
-            found[one.name] = one.checked(one.usual(found) if value is None else value, found)
-        return found
+        values: dict[str, float | str] = {}
+        for dimension in self.dimensions:
+            value = dimensions.get(dimension.name)
+            value = dimension.usual(values) if value is None else value
+            values[dimension.name] = dimension.checked(value, values)
+        return values
 
     def described(self, values: Values) -> str:
         """Return title and dimensions in a line."""
-        kept = [one for one in self.dimensions if one.unit or one.choices]
-        given = [f"{one.name} {one.text(values[one.name])}" for one in kept]
-        return f"{self.title}{': ' * bool(given)}{', '.join(given)}."
+        shown = [item for item in self.dimensions if item.unit or item.choices]
+        texts = [f"{item.name} {item.text(values[item.name])}" for item in shown]
+        return f"{self.title}{': ' * bool(texts)}{', '.join(texts)}."

@@ -16,7 +16,7 @@ from pincal.model.checks import ROUNDING, must_be
 from pincal.model.mechanism import Mechanism
 from pincal.symmetry.generate import at_home
 
-ARCHITECTURES = {one.name: one for one in (*RESIZED, *CABLES, ARM)}
+ARCHITECTURES = {kind.name: kind for kind in (*RESIZED, *CABLES, ARM)}
 LENGTH, ANGLE = Dimension("", "", "m"), Dimension("", "", "rad")
 _FLAT = 1e-3  # of what the legs' lines span at home
 
@@ -38,15 +38,15 @@ def new_mechanism(architecture: str, *, name: str = "", **dimensions: Any) -> Me
         FileError: a file of an arm is missing or cannot be read.
         MeasurementError: a table of an arm with a column or cell that is missing or wrong.
     """
-    one = architecture_of(architecture)
-    values = one.complete(dimensions)
-    made = one.make(values)
+    kind = architecture_of(architecture)
+    values = kind.complete(dimensions)
+    made = kind.make(values)
     made = replace(
         made,
-        name=name or one.name.replace("-", "_"),
-        description=made.description or one.described(values),
+        name=name or kind.name.replace("-", "_"),
+        description=made.description or kind.described(values),
     )
-    return made if made.by_readings else _at_home(made, one, values)
+    return made if made.by_readings else _at_home(made, kind, values)
 
 
 def architecture_of(name: str) -> Architecture:
@@ -67,13 +67,13 @@ def architecture_of(name: str) -> Architecture:
     return ARCHITECTURES[known[plain]]
 
 
-def _at_home(made: Mechanism, one: Architecture, values: Values) -> Mechanism:
+def _at_home(made: Mechanism, kind: Architecture, values: Values) -> Mechanism:
     """Return a mechanism with its legs closed at home.
 
     Raises:
         MechanismError: one does not reach it, or not within its limits; nothing holds the platform.
     """
-    numbers = {d.name: d.text(values[d.name]) for d in one.dimensions if d.unit or d.choices}
+    numbers = {d.name: d.text(values[d.name]) for d in kind.dimensions if d.unit or d.choices}
     change = "change one of " + ", ".join(f"{key} {text}" for key, text in numbers.items())
     platform, legs = made.platform, []
     for leg in made.legs:
@@ -81,21 +81,21 @@ def _at_home(made: Mechanism, one: Architecture, values: Values) -> Mechanism:
             legs.append(at_home(leg, platform))
         except MechanismError as error:
             raise MechanismError(
-                f"{one.name}: {leg.name} is too short or too long for the home pose; {change}"
+                f"{kind.name}: {leg.name} is too short or too long for the home pose; {change}"
             ) from error
         for joint in (j for j in legs[-1].moving if j.limited):
             slack = ROUNDING * max(abs(joint.lower), abs(joint.upper))
             if not joint.lower - slack <= joint.home <= joint.upper + slack:
                 unit = ANGLE if joint.turns else LENGTH
-                at, lower, upper = map(unit.text, (joint.home, joint.lower, joint.upper))
+                position, lower, upper = map(unit.text, (joint.home, joint.lower, joint.upper))
                 raise MechanismError(
-                    f"{one.name}: at home joint {joint.name!r} of {leg.name} is at {at}, outside "
-                    f"its limits {lower} to {upper}; {change}"
+                    f"{kind.name}: at home joint {joint.name!r} of {leg.name} is at {position}, "
+                    f"outside its limits {lower} to {upper}; {change}"
                 )
     made = replace(made, legs=tuple(legs))
     span = home_determinant(made)
     if not isfinite(span) or abs(span) < _FLAT:
         raise MechanismError(
-            f"{one.name}: the legs do not hold the platform at home, a singular pose; {change}"
+            f"{kind.name}: the legs do not hold the platform at home, a singular pose; {change}"
         )
     return made

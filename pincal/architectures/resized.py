@@ -11,7 +11,7 @@ from dataclasses import replace
 from itertools import cycle
 from math import acos, asin, pi, radians, sqrt
 
-from pincal.architectures.dimension import Architecture, Dimension, Values
+from pincal.architectures.dimension import Architecture, Values, angle, length
 from pincal.errors import MechanismError
 from pincal.files.mechanism_folders import load_mechanism
 from pincal.model.leg import Joint
@@ -122,34 +122,26 @@ RESIZED = (
         "hexapod",
         "Hexapod (Gough-Stewart platform), six legs with linear drives",
         (
-            Dimension("base_radius", "radius of the base joints", default=0.25),
-            Dimension(
-                "platform_radius", "radius of the platform joints", default=0.6, of="base_radius"
-            ),
-            Dimension(
+            length("base_radius", "radius of the base joints", 0.25),
+            length("platform_radius", "radius of the platform joints", 0.6, "base_radius"),
+            angle(
                 "base_half_angle",
                 "half the angle between paired base joints",
-                "rad",
-                radians(15),
+                15,
                 least=0.0,
                 most=_BY_HALF,
             ),
-            Dimension(
+            angle(
                 "platform_half_angle",
                 "half the angle between paired platform joints",
-                "rad",
-                radians(15),
+                15,
                 least=0.0,
                 most=_BY_HALF,
             ),
-            Dimension(
-                "height", "height of the platform joints at home", default=1.5, of="base_radius"
-            ),
-            Dimension("shortest", "length of a leg drawn in", default=0.9, of="height"),
-            Dimension(
-                "longest", "length of a leg drawn out", default=1.5, of="shortest", above="shortest"
-            ),
-            Dimension("zero_length", "length of a leg where it reads zero", default=0.0, least=0.0),
+            length("height", "height of the platform joints at home", 1.5, "base_radius"),
+            length("shortest", "length of a leg drawn in", 0.9, "height"),
+            length("longest", "length of a leg drawn out", 1.5, "shortest", above="shortest"),
+            length("zero_length", "length of a leg where it reads zero", 0.0, least=0.0),
         ),
         _hexapod,
     ),
@@ -157,25 +149,16 @@ RESIZED = (
         "delta",
         "Delta robot, three rotary drives",
         (
-            Dimension("base_radius", "radius of the drives' axes", default=0.2),
-            Dimension("platform_radius", "radius of the rods' ends", default=0.3, of="base_radius"),
-            Dimension("arm", "length of the arms", default=1.25, of="base_radius"),
-            Dimension("rod", "length of the rods", default=2.2, of="arm"),
-            Dimension(
-                "height", "depth of the platform below the drives at home", default=0.9, of="rod"
-            ),
-            Dimension(
-                "arm_up",
-                "angle of an arm below the horizontal, least",
-                "rad",
-                radians(-35),
-                least=-pi,
-            ),
-            Dimension(
+            length("base_radius", "radius of the drives' axes", 0.2),
+            length("platform_radius", "radius of the rods' ends", 0.3, "base_radius"),
+            length("arm", "length of the arms", 1.25, "base_radius"),
+            length("rod", "length of the rods", 2.2, "arm"),
+            length("height", "depth of the platform below the drives at home", 0.9, "rod"),
+            angle("arm_up", "angle of an arm below the horizontal, least", -35, least=-pi),
+            angle(
                 "arm_down",
                 "angle of an arm below the horizontal, most",
-                "rad",
-                radians(80),
+                80,
                 least=-pi,
                 most=pi,
                 above="arm_up",
@@ -187,21 +170,19 @@ RESIZED = (
         "linear-delta",
         "Linear delta, three carriages on upright towers",
         (
-            Dimension(
+            length(
                 "delta_radius",
                 "radius of the towers less the offsets of carriage and effector",
-                default=0.175,
+                0.175,
             ),
-            Dimension("rod", "length of the rods", default=1.9, of="delta_radius"),
-            Dimension(
+            length("rod", "length of the rods", 1.9, "delta_radius"),
+            length(
                 "endstop_height",
                 "height of the nozzle over the bed, carriages at their endstops",
-                default=1.7,
-                of="delta_radius",
+                1.7,
+                "delta_radius",
             ),
-            Dimension(
-                "print_radius", "radius of the bed that is reached", default=0.65, of="delta_radius"
-            ),
+            length("print_radius", "radius of the bed that is reached", 0.65, "delta_radius"),
         ),
         _linear_delta,
         lambda d: (
@@ -213,31 +194,19 @@ RESIZED = (
         "five-bar",
         "Planar five-bar, two motors, elbows outward",
         (
-            Dimension("motor_distance", "distance between the motors", default=0.2),
-            Dimension(
-                "driving_link", "length of the driving links", default=0.75, of="motor_distance"
+            length("motor_distance", "distance between the motors", 0.2),
+            length("driving_link", "length of the driving links", 0.75, "motor_distance"),
+            length("conducted_link", "length of the conducted links", 1.1, "motor_distance"),
+            length(
+                "height", "distance of the end from the motors' line at home", 1.0, "conducted_link"
             ),
-            Dimension(
-                "conducted_link", "length of the conducted links", default=1.1, of="motor_distance"
+            angle(
+                "motor_least", "angle of a motor, 0 towards the other one, least", 30, least=-2 * pi
             ),
-            Dimension(
-                "height",
-                "distance of the end from the motors' line at home",
-                default=1.0,
-                of="conducted_link",
-            ),
-            Dimension(
-                "motor_least",
-                "angle of a motor, 0 towards the other one, least",
-                "rad",
-                radians(30),
-                least=-2 * pi,
-            ),
-            Dimension(
+            angle(
                 "motor_most",
                 "angle of a motor, 0 towards the other one, most",
-                "rad",
-                radians(225),
+                225,
                 most=2 * pi,
                 above="motor_least",
             ),
@@ -248,12 +217,10 @@ RESIZED = (
         "3-RRR",
         "Planar 3-RRR, three motors",
         (
-            Dimension("base_radius", "radius of the motors", default=0.3),
-            Dimension(
-                "platform_radius", "radius of the platform joints", default=0.25, of="base_radius"
-            ),
-            Dimension("proximal", "length of the proximal links", default=0.45, of="base_radius"),
-            Dimension("distal", "length of the distal links", default=1.0, of="proximal"),
+            length("base_radius", "radius of the motors", 0.3),
+            length("platform_radius", "radius of the platform joints", 0.25, "base_radius"),
+            length("proximal", "length of the proximal links", 0.45, "base_radius"),
+            length("distal", "length of the distal links", 1.0, "proximal"),
         ),
         _3rrr,
     ),

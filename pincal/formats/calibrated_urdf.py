@@ -46,14 +46,14 @@ def calibrated_urdf(original: str | Path, mechanism: Mechanism, leg: str | None 
     urdf = _Urdf(path)
     origins: dict[str, Placement] = {}
     moved: list[tuple[str, Array]] = []
-    for one in _legs_of(urdf, mechanism, leg):
-        if any(urdf.named(joint.name) for joint in one.moving):
-            origins |= _of_chain(urdf, one)
-        points, shift = _of_point(urdf, one)
+    for calibrated_leg in _legs_of(urdf, mechanism, leg):
+        if any(urdf.named(joint.name) for joint in calibrated_leg.moving):
+            origins |= _of_chain(urdf, calibrated_leg)
+        points, shift = _of_point(urdf, calibrated_leg)
         origins |= points
-        moved += [(urdf.last_link(one), shift)] if shift is not None else []
+        moved += [(urdf.last_link(calibrated_leg), shift)] if shift is not None else []
     for link, T_link_platform in moved:
-        on = [name for name, one in urdf.parents.items() if one == link]
+        on = [name for name, parent in urdf.parents.items() if parent == link]
         ends = [name for name in on if urdf.joints[name].kind == "fixed"]
         if not ends or len(ends) != len(on):
             raise MechanismError(
@@ -93,7 +93,12 @@ class _Urdf:
     def before(self, name: str) -> str | None:
         """Return the joint that carries a joint's parent link; None at the root."""
         return next(
-            (one for one, link in self._children.items() if link == self.parents[name]), None
+            (
+                joint_name
+                for joint_name, link in self._children.items()
+                if link == self.parents[name]
+            ),
+            None,
         )
 
     def last_link(self, leg: Leg) -> str:
@@ -142,7 +147,7 @@ def _of_chain(urdf: _Urdf, leg: Leg) -> dict[str, Placement]:
         MechanismError: a joint with parameters that the URDF lacks, or has elsewhere.
     """
     origins: dict[str, Placement] = {}
-    before: str | None = None
+    previous: str | None = None
     for joint in leg.joints:
         name = urdf.named(joint.name)
         if name is None or name in origins:
@@ -153,34 +158,34 @@ def _of_chain(urdf: _Urdf, leg: Leg) -> dict[str, Placement]:
                     "the URDF that the mechanism was made from, or hold "
                     f"{', '.join(joint.placement.parameter_units)} (--fix)"
                 )
-            before = before if name in origins else joint.name
+            previous = previous if name in origins else joint.name
             continue
-        own, there = urdf.joints[name], urdf.before(name)
-        if origins and there != before:
+        drawn, carrier = urdf.joints[name], urdf.before(name)
+        if origins and carrier != previous:
             raise MechanismError(
-                f"{urdf.path}: joint {name!r} cannot be placed: it hangs on {there!r} there, on "
-                f"{before!r} in the mechanism"
+                f"{urdf.path}: joint {name!r} cannot be placed: it hangs on {carrier!r} there, on "
+                f"{previous!r} in the mechanism"
             )
         one_axis = joint.kind != "fixed" and name == joint.name
         if one_axis and (
-            own.kind != joint.kind or np.abs(np.subtract(own.axis, joint.axis)).max() > ROUNDING
+            drawn.kind != joint.kind or np.abs(np.subtract(drawn.axis, joint.axis)).max() > ROUNDING
         ):
             raise MechanismError(
                 f"{urdf.path}: joint {name!r} cannot be placed: its axis there is another one than "
                 "in the mechanism, whose frames were turned on import"
             )
         origins[name] = Placement((), joint.placement.xyz, joint.placement.rpy)
-        before = name
+        previous = name
     return origins
 
 
 def _displaced(leg: Leg, joint: Joint) -> bool:
     """Return whether a joint's parameters have moved it from where they are all zero."""
-    own = dict.fromkeys(joint.placement.parameter_units, 0.0)
-    if not own:
+    zeros = dict.fromkeys(joint.placement.parameter_units, 0.0)
+    if not zeros:
         return False
-    there = next(j for j in leg.with_parameters(own).joints if j.name == joint.name)
-    return not _is_nothing(np.linalg.inv(there.placement.origin()) @ joint.placement.origin())
+    nominal = next(j for j in leg.with_parameters(zeros).joints if j.name == joint.name)
+    return not _is_nothing(np.linalg.inv(nominal.placement.origin()) @ joint.placement.origin())
 
 
 def _of_point(urdf: _Urdf, leg: Leg) -> tuple[dict[str, Placement], Array | None]:
@@ -198,11 +203,11 @@ def _of_point(urdf: _Urdf, leg: Leg) -> tuple[dict[str, Placement], Array | None
     if leg.point.name in urdf.joints:
         placement = leg.point.placement
         return {leg.point.name: Placement((), placement.xyz, placement.rpy)}, None
-    own = list(leg.point.placement.parameter_units)
+    names = list(leg.point.placement.parameter_units)
     carries = tip is not None and urdf.joints[tip].kind != "fixed"
-    if not own or not carries:  # the platform is in another file
+    if not names or not carries:  # the platform is in another file
         return {}, None
-    nominal = leg.with_parameters(dict.fromkeys(own, 0.0)).point.placement.origin()
+    nominal = leg.with_parameters(dict.fromkeys(names, 0.0)).point.placement.origin()
     shift = np.eye(4)
     shift[:3, 3] = nominal[:3, 3] - leg.point.placement.origin()[:3, 3]
     return {}, None if _is_nothing(shift) else shift

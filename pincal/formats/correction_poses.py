@@ -53,8 +53,8 @@ class Corrections:
 
     def __repr__(self) -> str:
         """Return the corrections in a line."""
-        found = self.reasons.count("")
-        return f"Corrections: {found} of {len(self.reasons)} poses"
+        count = self.reasons.count("")
+        return f"Corrections: {count} of {len(self.reasons)} poses"
 
 
 def corrections(mechanism: GivenMechanism, planned: Plan | Array) -> Corrections:
@@ -73,51 +73,51 @@ def corrections(mechanism: GivenMechanism, planned: Plan | Array) -> Corrections
     mechanism = as_mechanism(mechanism)
     plain, plan = mechanism.without_terms, as_plan(mechanism, planned)
     safe = poses = plan.poses
-    why: tuple[str, ...] = ("",) * len(plan)
+    reasons_plain: tuple[str, ...] = ("",) * len(plan)
     if plan.readings is not None:
-        there = forward(plain, plan.readings, poses)
-        poses, why = there.poses, there.reasons
+        plain_poses = forward(plain, plan.readings, poses)
+        poses, reasons_plain = plain_poses.poses, plain_poses.reasons
         safe = np.where(np.isfinite(poses), poses, mechanism.platform.home)
     started = joints_at(plain, Plan(safe, readings=plan.readings))
-    own = own_influences(mechanism, plan.influences)
-    whole = inverse(mechanism, safe, own, started.joints)
-    reasons = [one or whole.reason(row) for row, one in enumerate(why)]
-    found = np.array([not one for one in reasons], dtype=bool)
+    influences = own_influences(mechanism, plan.influences)
+    reached = inverse(mechanism, safe, influences, started.joints)
+    reasons = [reason or reached.reason(row) for row, reason in enumerate(reasons_plain)]
+    has_readings = np.array([not reason for reason in reasons], dtype=bool)
     commands = None if mechanism.redundant else np.full(poses.shape, np.nan)
     if commands is not None:
-        back = forward(plain, whole.readings[found], safe[found])
-        commands[found] = back.poses
-        for row, one in zip(np.flatnonzero(found), back.reasons, strict=True):
-            reasons[row] = one
+        commanded = forward(plain, reached.readings[has_readings], safe[has_readings])
+        commands[has_readings] = commanded.poses
+        for row, reason in zip(np.flatnonzero(has_readings), commanded.reasons, strict=True):
+            reasons[row] = reason
     return Corrections(
         Plan(
             poses,
             readings=started.readings if mechanism.by_readings else None,
-            influences=own,
+            influences=influences,
         ),
-        np.where(found[:, None], whole.readings - started.readings, np.nan),
+        np.where(has_readings[:, None], reached.readings - started.readings, np.nan),
         commands,
         tuple(reasons),
     )
 
 
 def correction_columns(
-    mechanism: Mechanism, found: Corrections, orientation: str = "tilt-torsion"
+    mechanism: Mechanism, lacking: Corrections, orientation: str = "tilt-torsion"
 ) -> Columns:
     """Return a table of corrections: poses, ``correction_leg_1 [rad]``, ``command_x [m]``, reasons.
 
     Args:
         mechanism: The mechanism.
-        found: The corrections.
+        lacking: The corrections.
         orientation: Way to write a spatial platform's orientation, a key of ``WAYS``.
     """
-    columns = columns_of(mechanism, found.plan, orientation)
-    named = zip(mechanism.reading_names, mechanism.reading_units, found.readings.T, strict=True)
+    columns = columns_of(mechanism, lacking.plan, orientation)
+    named = zip(mechanism.reading_names, mechanism.reading_units, lacking.readings.T, strict=True)
     columns |= corrected({f"{name} [{unit}]": values for name, unit, values in named})
-    if found.commands is not None:
-        commands = columns_of(mechanism, Plan(found.commands), orientation)
+    if lacking.commands is not None:
+        commands = columns_of(mechanism, Plan(lacking.commands), orientation)
         columns |= {f"{COMMAND}_{header}": values for header, values in commands.items()}
-    return columns | reason_column(found.reasons)
+    return columns | reason_column(lacking.reasons)
 
 
 def corrected(of_readings: Mapping[str, T]) -> dict[str, T]:

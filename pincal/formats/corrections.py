@@ -22,7 +22,7 @@ from pincal.model.units import COUNTS, SI, UNITS, Units
 from pincal.types import Array
 
 Pair = tuple[str, str]
-AT = "at_"
+ARGUMENT_PREFIX = "at_"
 """With which names of arguments begin, so that none is a word of a language."""
 
 
@@ -62,25 +62,27 @@ def laws_of(mechanism: Mechanism, units: Units = SI) -> list[Law]:
         MechanismError: a term that is a function of one's own; a homed sensor and a home pose out
             of its leg's reach.
     """
-    found: list[Law] = []
+    laws: list[Law] = []
     for leg in nominal_legs(mechanism):
-        law, own = sensor_law(leg), leg.leg
-        for index, (name, si) in enumerate(zip(own.reading_names, own.reading_units, strict=True)):
+        law, leg_of_law = sensor_law(leg), leg.leg
+        for index, (name, si) in enumerate(
+            zip(leg_of_law.reading_names, leg_of_law.reading_units, strict=True)
+        ):
             unit, counts = units.names.get(si, si), units.counts.get(name)
             per_joint = 1.0 / UNITS[unit][1]
             per_reading = counts or per_joint
-            one = Law(
-                _identifier(name, [law.name for law in found]),
-                own.sensors[index].joint,
+            sensor_code = Law(
+                _identifier(name, [law.name for law in laws]),
+                leg_of_law.sensors[index].joint,
                 unit,
                 COUNTS if counts else unit,
                 float(law.slope[index]) * per_joint / per_reading,
                 float(law.start[index]) * per_joint,
                 per_reading,
             )
-            _add_terms(one, [each for each in law.terms if each.target == index], per_joint)
-            found.append(one)
-    return found
+            _add_terms(sensor_code, [term for term in law.terms if term.target == index], per_joint)
+            laws.append(sensor_code)
+    return laws
 
 
 def _add_terms(law: Law, terms: Sequence[PlacedTerm], per_joint: float) -> None:
@@ -90,24 +92,24 @@ def _add_terms(law: Law, terms: Sequence[PlacedTerm], per_joint: float) -> None:
         MechanismError: a term that is a function of one's own.
     """
     errors: dict[tuple[str, tuple[float, ...], bool], Array] = {}
-    for one in terms:
-        if not one.term.has_form:
+    for placed in terms:
+        if not placed.term.has_form:
             raise MechanismError(
-                f"{law.name}: the term of {one.term.parameter!r} is a function of your own, which "
-                "cannot be written in another language; a table over poses (.csv) holds it"
+                f"{law.name}: the term of {placed.term.parameter!r} is a function of your own, "
+                "which cannot be written in another language; a table over poses (.csv) holds it"
             )
-        basis, amplitude = one.term.basis, one.amplitude * per_joint
+        basis, amplitude = placed.term.basis, placed.amplitude * per_joint
         if isinstance(basis, Knot):
             table = errors.setdefault(
-                (one.term.of, basis.knots, basis.periodic), np.zeros(len(basis.knots))
+                (placed.term.of, basis.knots, basis.periodic), np.zeros(len(basis.knots))
             )
             table[basis.knot] += amplitude
         else:
-            x, per = _by(law, one.term.of)
+            x, per = _argument_of(law, placed.term.of)
             value, slope = _form(basis, x, per)
-            _add(law, one.term.of, (f"{amplitude!r} * {value}", f"{amplitude!r} * {slope}"))
+            _add(law, placed.term.of, (f"{amplitude!r} * {value}", f"{amplitude!r} * {slope}"))
     for (of, knots, periodic), values in errors.items():
-        x, per = _by(law, of)
+        x, per = _argument_of(law, of)
         scaled = per * np.array(knots)
         if periodic:  # back into the first period
             values[-1] = values[0]
@@ -119,21 +121,23 @@ def _add_terms(law: Law, terms: Sequence[PlacedTerm], per_joint: float) -> None:
         _add(law, of, (f"spline{called}", f"spline_slope{called}"))
 
 
-def _by(law: Law, of: str) -> tuple[str, float]:
+def _argument_of(law: Law, column: str) -> tuple[str, float]:
     """Return what a term depends on, as it is written in code, and how many of it are one of SI."""
-    if not of:
+    if not column:
         return "reading", law.one
     known = {column: name for name, column in law.arguments.items()}
-    name = known.get(of) or _identifier(AT + of, [*law.arguments, f"{law.name}_joint"])
-    law.arguments[name] = of
+    name = known.get(column) or _identifier(
+        ARGUMENT_PREFIX + column, [*law.arguments, f"{law.name}_joint"]
+    )
+    law.arguments[name] = column
     return name, 1.0
 
 
-def _add(law: Law, of: str, term: Pair) -> None:
+def _add(law: Law, column: str, term: Pair) -> None:
     """Add a term and its slope; one of an influence is zero where that is not known."""
     value, slope = term
-    law.terms.append(f"known({value})" if of else value)
-    law.slopes.extend([] if of else [slope])
+    law.terms.append(f"known({value})" if column else value)
+    law.slopes.extend([] if column else [slope])
 
 
 def _form(basis: object, x: str, per: float) -> Pair:
@@ -366,7 +370,7 @@ def code_of(mechanism: Mechanism, language: Language, units: Units = SI) -> str:
         )
     body = "".join(_written(law, language) for law in laws)
     used = [text for name, text in language.helpers.items() if f"{name}(" in body]
-    arguments = {name: of for law in laws for name, of in law.arguments.items()}
+    arguments = {name: column for law in laws for name, column in law.arguments.items()}
     legend = [f"Sensors of {mechanism.name!a}, written by pincal."]
     legend += [
         f"{name}: {_MEANS.get(of, f'column {of!a} of the measurements')}; nan: its terms are 0."

@@ -216,21 +216,21 @@ def _tower(closure: LegClosure) -> Array:
             "are"
         )
     rod = rod_geometry(closure)
-    up = rod.frame[:, 1]
-    tilt = hypot(up[0], up[1])
+    vertical = rod.frame[:, 1]
+    tilt = hypot(vertical[0], vertical[1])
     if tilt > EXACT:
         raise MechanismError(
             f"{leg.name}: its carriage moves {1e3 * tilt:.4g} mrad off the vertical; firmwares "
             "have no parameter for that"
         )
     law = sensor_law(closure)
-    gain = -float(up[2]) * law.slope[0]
+    gain = -float(vertical[2]) * law.slope[0]
     if gain <= 0.0:
         raise MechanismError(
             f"{leg.name}: its readings grow upwards; a firmware's count down from the endstop "
             "(direction -1 of the sensor)"
         )
-    top = rod.centre - closure.targets(np.eye(4)[None])[0] + up * law.start[0]
+    top = rod.centre - closure.targets(np.eye(4)[None])[0] + vertical * law.start[0]
     return np.array([*top, rod.length, gain])
 
 

@@ -56,8 +56,8 @@ def read_figaroh(path: str | Path, mechanism: Mechanism) -> tuple[Measurements, 
             f"{table.path}: nothing of the platform's pose; expected columns x1, y1, z1 and, of a "
             "platform that turns, phix1, phiy1, phiz1"
         )
-    left = columns.left()
-    remarks = () if not left else (f"columns left out: {', '.join(left)}",)
+    unread = columns.left()
+    remarks = () if not unread else (f"columns left out: {', '.join(unread)}",)
     return Measurements(poses=poses, readings=readings), remarks
 
 

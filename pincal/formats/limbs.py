@@ -98,8 +98,8 @@ def _bodies(tree: Tree) -> dict[str, str]:
     rigid = [(edge.parent, edge.child) for edge in tree.edges if edge.joint.kind == "fixed"]
     rigid += [(loop.first.link, loop.second.link) for loop in tree.loops if loop.closes == "frame"]
     for first, second in rigid:
-        kept, merged = sorted((body[first], body[second]), key=tree.links.index)
-        body = {link: kept if name == merged else name for link, name in body.items()}
+        representative, merged = sorted((body[first], body[second]), key=tree.links.index)
+        body = {link: representative if name == merged else name for link, name in body.items()}
     return body
 
 

@@ -51,7 +51,7 @@ def loops_beside(file: Path) -> Path:
         if place.is_file():
             return place
     raise FileError(
-        f"no {' or '.join(dict.fromkeys(one.name for one in places))} beside {file} says what "
+        f"no {' or '.join(dict.fromkeys(place.name for place in places))} beside {file} says what "
         "closes its loops; name one with --loops, or import a serial arm with --tip LINK"
     )
 
@@ -69,10 +69,10 @@ def read_loops(urdf: Path, loops: Path) -> Tree:
         if question := meant(key, absent):
             raise MechanismError(f"{loops}: unknown key {key!r}; {question}")
     for first, second in (("closed_loop", "type"), ("joint_name", "joint_type")):
-        one, other = getattr(spec, first), getattr(spec, second)
-        if len(one) != len(other) and (other or first == "joint_name"):
+        sizes = len(getattr(spec, first)), len(getattr(spec, second))
+        if sizes[0] != sizes[1] and (sizes[1] or first == "joint_name"):
             raise MechanismError(
-                f"{loops}: {len(one)} entries of {first!r}, but {len(other)} of {second!r}; each "
+                f"{loops}: {sizes[0]} entries of {first!r}, but {sizes[1]} of {second!r}; each "
                 "needs one"
             )
     axes = [_TURNED.get(kind, "") for kind in spec.joint_type]
@@ -106,28 +106,28 @@ def read_loops(urdf: Path, loops: Path) -> Tree:
     return replace(tree, loops=closed)
 
 
-def _motors(wanted: list[str], edges: tuple[Edge, ...], loops: Path, urdf: Path) -> tuple[str, ...]:
+def _motors(named: list[str], edges: tuple[Edge, ...], loops: Path, urdf: Path) -> tuple[str, ...]:
     """Return the joints that ``name_mot`` means: of that name, or else with it in their names.
 
     Raises:
         MechanismError: no joint, or one that does not move.
     """
     moving = [edge.joint.name for edge in edges if edge.joint.kind != "fixed"]
-    found: list[str] = []
-    for name in wanted:
-        meant = [name] if name in moving else [one for one in moving if name in one]
+    motors: list[str] = []
+    for name in named:
+        meant = [name] if name in moving else [joint for joint in moving if name in joint]
         if not meant:
             raise MechanismError(
                 f"{loops}: 'name_mot' has {name!r}, but no joint of {urdf} that moves has that in "
                 f"its name; it has {listed(moving)}"
             )
-        found += meant
-    return tuple(dict.fromkeys(found))
+        motors += meant
+    return tuple(dict.fromkeys(motors))
 
 
-def _known(wanted: Iterable[str], names: Sequence[str], key: str, loops: Path, urdf: Path) -> None:
+def _known(named: Iterable[str], names: Sequence[str], key: str, loops: Path, urdf: Path) -> None:
     """Raise if a joint is named that there is not."""
-    for name in wanted:
+    for name in named:
         if name not in names:
             raise MechanismError(
                 f"{loops}: {key!r} has {name!r}, which is no joint of {urdf}; it has "

@@ -116,7 +116,7 @@ def _drop_shapes(spec: mujoco.MjSpec) -> None:
 def _names(model: mujoco.MjModel, kind: int, unnamed: list[str]) -> list[str]:
     """Return the names of all objects of a kind, and other ones for those without."""
     named = [mujoco.mj_id2name(model, kind, i) for i in range(len(unnamed))]
-    return [name or other for name, other in zip(named, unnamed, strict=True)]
+    return [name or substitute for name, substitute in zip(named, unnamed, strict=True)]
 
 
 def _pose(position: Array, quaternion: Array) -> Array:
@@ -216,7 +216,7 @@ def _loops(model: mujoco.MjModel, links: list[str]) -> Iterator[Loop]:
 
 def _coupled(model: mujoco.MjModel, joints: list[str], path: Path) -> dict[str, str]:
     """Return why joints cannot move on their own, by name: equalities of joints and tendons."""
-    why: dict[str, str] = {}
+    reasons: dict[str, str] = {}
     for i, kind in enumerate(model.eq_type):
         if not model.eq_active0[i]:
             continue
@@ -224,16 +224,17 @@ def _coupled(model: mujoco.MjModel, joints: list[str], path: Path) -> dict[str, 
         if kind == mujoco.mjtEq.mjEQ_JOINT:
             coupled = [model.eq_obj1id[i]]
         elif kind == mujoco.mjtEq.mjEQ_TENDON:
-            coupled = [j for t in (model.eq_obj1id[i], model.eq_obj2id[i]) for j in _of(model, t)]
+            tendons = model.eq_obj1id[i], model.eq_obj2id[i]
+            coupled = [j for tendon in tendons for j in _joints_of_tendon(model, tendon)]
         for joint in coupled:
-            why[joints[joint]] = (
+            reasons[joints[joint]] = (
                 f"{path}: an <equality> couples joint {joints[joint]!r} to others, and joints of "
                 "a leg move on their own"
             )
-    return why
+    return reasons
 
 
-def _of(model: mujoco.MjModel, tendon: int) -> list[int]:
+def _joints_of_tendon(model: mujoco.MjModel, tendon: int) -> list[int]:
     """Return the joints that change the length of a tendon; none for no tendon."""
     if tendon < 0:
         return []
@@ -287,7 +288,7 @@ def _children(
         body = etree.SubElement(bodies[link], "body", {"name": child, **_written_pose(placement)})
         etree.SubElement(body, "inertial", pos="0 0 0", mass="0.1", diaginertia="0.001 0.001 0.001")
         if three:
-            angles = [one.joint.home for one in three]
+            angles = [turn.joint.home for turn in three]
             x, y, z, w = Rotation.from_euler("XYZ", angles).as_quat()
             etree.SubElement(body, "joint", name=_stem(edge), type="ball")
             home += [w, x, y, z]
@@ -307,7 +308,7 @@ def _ball(tree: Tree, edge: Edge) -> tuple[Edge, ...]:
     place = tree.edges.index(edge)
     three = tree.edges[place : place + 3]
     names = [f"{_stem(edge)}_{axis}" for axis in _TURNS]
-    return three if [one.joint.name for one in three] == names else ()
+    return three if [turn.joint.name for turn in three] == names else ()
 
 
 def _stem(edge: Edge) -> str:

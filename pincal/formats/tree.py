@@ -70,7 +70,7 @@ class Tree:
         """Names of the links, root first."""
         return (self.root, *(edge.child for edge in self.edges))
 
-    def link(self, name: str, what: str) -> str:
+    def link(self, name: str, purpose: str) -> str:
         """Return a link's name, of a link or of the joint that carries it.
 
         Raises:
@@ -82,7 +82,7 @@ class Tree:
             if edge.joint.name == name:
                 return edge.child
         raise MechanismError(
-            f"{self.source}: no frame named {name!r} for {what}; it has {listed(self.links)}"
+            f"{self.source}: no frame named {name!r} for {purpose}; it has {listed(self.links)}"
         )
 
     def check_joints(self, names: Iterable[str]) -> None:
@@ -112,8 +112,8 @@ def with_ranges(tree: Tree) -> Tree:
         for edge in tree.edges
     )
     remark = f"slides without a range in the file; ±{reach:.3g} m is taken"
-    said = {name: f"{name!r} {remark}" for name in endless}
-    return replace(tree, edges=edges, remarks=dict(tree.remarks) | said)
+    remarks = {name: f"{name!r} {remark}" for name in endless}
+    return replace(tree, edges=edges, remarks=dict(tree.remarks) | remarks)
 
 
 def ball(joint: Joint, parent: str, child: str) -> tuple[Edge, ...]:
@@ -134,7 +134,7 @@ def turns(joint: Joint, parent: str, child: str, axes: str) -> tuple[Edge, ...]:
     for index, letter in enumerate(axes):
         last = index == len(axes) - 1
         slides, axis = letter.isupper(), letter.lower()
-        one = Joint(
+        single = Joint(
             f"{joint.name}_{letter if not slides else 'p' + letter.lower()}",
             "prismatic" if slides else "revolute",
             joint.placement if index == 0 else Placement(),
@@ -142,8 +142,8 @@ def turns(joint: Joint, parent: str, child: str, axes: str) -> tuple[Edge, ...]:
             -np.inf,
             np.inf,
         )
-        link = child if last else f"{child}_{one.name}"
-        edges.append(Edge(one, edges[-1].child if edges else parent, link))
+        link = child if last else f"{child}_{single.name}"
+        edges.append(Edge(single, edges[-1].child if edges else parent, link))
     return tuple(edges)
 
 
@@ -175,10 +175,10 @@ def root_of(edges: tuple[Edge, ...], links: tuple[str, ...], source: str) -> str
         raise MechanismError(f"{source}: {len(roots)} root links ({listed(roots)}); expected one")
     reached, ahead = {roots[0]}, {edge.parent for edge in edges}
     while True:
-        more = {edge.child for edge in edges if edge.parent in reached} - reached
-        if not more:
+        reachable = {edge.child for edge in edges if edge.parent in reached} - reached
+        if not reachable:
             break
-        reached |= more
+        reached |= reachable
     if lost := (ahead | set(children)) - reached:
         raise MechanismError(
             f"{source}: {listed(sorted(lost))} cannot be reached from the root {roots[0]!r}"
@@ -186,8 +186,8 @@ def root_of(edges: tuple[Edge, ...], links: tuple[str, ...], source: str) -> str
     return roots[0]
 
 
-def listed(names: object, most: int = 12) -> str:
+def listed(names: object, limit: int = 12) -> str:
     """Return names in a row, not all of many."""
     every = [str(name) for name in names]  # type: ignore[attr-defined]
-    more = f" and {len(every) - most} more" if len(every) > most else ""
-    return (", ".join(every[:most]) or "none") + more
+    remainder = f" and {len(every) - limit} more" if len(every) > limit else ""
+    return (", ".join(every[:limit]) or "none") + remainder

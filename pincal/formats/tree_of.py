@@ -73,7 +73,7 @@ def tree_of(mechanism: Mechanism) -> tuple[Tree, tuple[str, ...]]:
 def _named(leg: Leg) -> Leg:
     """Return a leg whose joints' names begin with its own."""
     joints = tuple(replace(joint, name=f"{leg.name}_{joint.name}") for joint in leg.joints)
-    sensors = tuple(replace(one, joint=f"{leg.name}_{one.joint}") for one in leg.sensors)
+    sensors = tuple(replace(sensor, joint=f"{leg.name}_{sensor.joint}") for sensor in leg.sensors)
     return replace(leg, joints=joints, sensors=sensors)
 
 
@@ -82,9 +82,9 @@ def _floating(mechanism: Mechanism) -> tuple[Edge, ...]:
     platform = mechanism.platform
     freedoms = "".join("XYZxyz"[row] for row in platform.twist_rows)
     edges = turns(Joint(PLATFORM, "fixed"), BASE, PLATFORM, freedoms)
-    at = platform.home_pose.as_matrix()[0]
-    x, y, z = turns_in_series(at[None, :3, :3])[0]
-    values = dict(zip(FREE, (*at[:3, 3], x, y, z), strict=True))
+    T_base_platform = platform.home_pose.as_matrix()[0]
+    x, y, z = turns_in_series(T_base_platform[None, :3, :3])[0]
+    values = dict(zip(FREE, (*T_base_platform[:3, 3], x, y, z), strict=True))
     reach = sum(LegClosure(leg, platform).reach for leg in mechanism.legs)
     limited = tuple(
         replace(edge, joint=replace(edge.joint, lower=-reach, upper=reach))
@@ -107,15 +107,15 @@ def _point(leg: Leg, mechanism: Mechanism, name: str) -> Joint:
 
 def _height(leg: Leg) -> float:
     """Return the height of a planar leg's tip, which no joint changes, [m]."""
-    here = np.eye(4)
+    T_base_link = np.eye(4)
     for joint in leg.joints:
-        here = here @ joint.placement.origin()
-    return float(here[2, 3])
+        T_base_link = T_base_link @ joint.placement.origin()
+    return float(T_base_link[2, 3])
 
 
 def unwritten(mechanism: Mechanism) -> tuple[str, ...]:
     """Return what neighbours' files have no place for."""
-    other = [
+    converting = [
         leg.name
         for leg in mechanism.legs
         for sensor in leg.sensors
@@ -126,13 +126,13 @@ def unwritten(mechanism: Mechanism) -> tuple[str, ...]:
         f"the file holds one machine, at the reference of its influences: lengths and angles of "
         f"{', '.join(grown)} that follow these (terms) are as they are there"
     ] * bool(grown)
-    if not other:
+    if not converting:
         return tuple(lost)
     has_terms = any(sensor.terms for leg in mechanism.legs for sensor in leg.sensors)
-    what = "gains, offsets, zeros and terms" if has_terms else "gains, offsets and zeros"
+    laws = "gains, offsets, zeros and terms" if has_terms else "gains, offsets and zeros"
     return (
-        f"the file holds joint positions, not readings: {what} of the sensors of "
-        f"{', '.join(dict.fromkeys(other))} have no place in it",
+        f"the file holds joint positions, not readings: {laws} of the sensors of "
+        f"{', '.join(dict.fromkeys(converting))} have no place in it",
         *lost,
     )
 

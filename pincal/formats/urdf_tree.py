@@ -46,8 +46,8 @@ def read_urdf(path: Path, replaced: Mapping[str, str] | None = None) -> Tree:
             refused[name] = str(error)
             edges.append(Edge(Joint(name, "revolute"), parent, child))
             continue
-        if said := _remarks(element, edges[-1].joint, f"{path}, line {element.sourceline}"):
-            remarks[name] = said
+        if remark := _remarks(element, edges[-1].joint, f"{path}, line {element.sourceline}"):
+            remarks[name] = remark
     links = tuple(str(link.get("name")) for link in robot.findall("link"))
     tree = Tree(
         name=str(robot.get("name") or path.stem),
@@ -74,12 +74,12 @@ def _unknown_elements(robot: etree._Element, path: Path) -> dict[str, str]:
             continue
         prefix = f"{element.prefix}:" if element.prefix else ""
         tag = f"{prefix}{etree.QName(element).localname}"
-        where = f"{path}, line {element.sourceline}: <{tag}>"
+        named = f"{path}, line {element.sourceline}: <{tag}>"
         if prefix == "xacro:":
-            raise MechanismError(f"{where} is a macro, which xacro expands: {XACRO}")
+            raise MechanismError(f"{named} is a macro, which xacro expands: {XACRO}")
         if "include" in tag or "joint" in tag:
-            raise MechanismError(f"{where} may place links, and is not URDF; write URDF without it")
-        remarks[tag] = f"{where} is not read"
+            raise MechanismError(f"{named} may place links, and is not URDF; write URDF without it")
+        remarks[tag] = f"{named} is not read"
     return remarks
 
 
@@ -113,19 +113,19 @@ def _edges(
     return (Edge(Joint(name, "fixed", joint.placement), parent, middle), Edge(moved, middle, child))
 
 
-def _remarks(element: etree._Element, joint: Joint, where: str) -> str:
+def _remarks(element: etree._Element, joint: Joint, place: str) -> str:
     """Return what to say of a joint that a leg has; nothing if it is an ordinary one."""
-    name, said = element.get("name"), []
+    name, remarks = element.get("name"), []
     if joint.kind == "fixed" and element.get("type") in ("revolute", "prismatic"):
-        said.append(f"joint {name!r} has equal limits: it is fixed there")
+        remarks.append(f"joint {name!r} has equal limits: it is fixed there")
     if element.find("calibration") is not None:
-        said.append(
+        remarks.append(
             f"<calibration> of joint {name!r} says where switches are, and is not read: readings "
             "count from the zero of the URDF"
         )
     rpy = element.find("origin[@rpy]")
     if rpy is not None and np.abs(joint.placement.rpy).max() > 2 * np.pi:
-        said.append(
+        remarks.append(
             f"rpy={rpy.get('rpy')!r} is more than a turn: radians are expected; is this degrees?"
         )
-    return f"{where}: {'; '.join(said)}" if said else ""
+    return f"{place}: {'; '.join(remarks)}" if remarks else ""

@@ -145,7 +145,7 @@ def _asked(one: Architecture, given: dict[str, Any], output: Path) -> dict[str, 
     missing = [d for d in one.dimensions if d.name not in given]
     for each in one.dimensions:
         value = given.get(each.name)
-        if value is not None or not each.asked(found):
+        if value is not None or not each.applies(found):
             usual = each.usual(found)
             found[each.name] = each.checked(usual if value is None else value, found)
             continue
