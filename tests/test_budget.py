@@ -15,13 +15,13 @@ from tools.counts import Counts, count, count_revision, main  # noqa: E402
 
 LINES = {
     "": 330,
-    "architectures": 800,
+    "architectures": 745,
     "calibration": 7_400,
     "cli": 3_950,
     "design": 3_400,
     "estimation": 6_650,
-    "files": 3_200,
-    "formats": 3_675,
+    "files": 3_180,
+    "formats": 3_545,
     "kinematics": 4_440,
     "model": 3_750,
     "show": 7_150,
@@ -31,15 +31,15 @@ LINES = {
 }
 """Most lines of each room; a room that is not listed may have none."""
 MOST = {
-    "files": 228,
+    "files": 219,
     "page lines": 970,
     "largest folder": 18,
-    "vague names": 0.131,
-    "class names twice": 15,
-    "dataclasses": 260,
-    "complex functions": 54,
+    "vague names": 0.112,
+    "class names twice": 11,
+    "dataclasses": 250,
+    "complex functions": 48,
     "long signatures": 3,
-    "imports inside functions": 52,
+    "imports inside functions": 44,
 }
 
 
