@@ -28,7 +28,7 @@ from rich.console import Console
 import pincal
 from pincal.calibration.result_files import as_json
 from pincal.estimation.residuals.robust import Outlier
-from pincal.show.answers import Answers, Findings, findings
+from pincal.show.answers import Answers, ReportFacts, report_facts
 from pincal.show.pictures.parts import draw_poses
 from pincal.show.report import Origin, Report
 from pincal.show.result_tables import legs_table, noisy_series, parameters_table
@@ -80,7 +80,7 @@ def hexapod() -> Report:
     mechanism, data = measured("6UPS", 30)
     result = pincal.calibrate(mechanism, data, noise=NOISE)
     errors = errors_at(result, data.poses)  # at poses at hand: to sample the workspace takes long
-    return Report(Findings(result, errors), Origin("", (), (), DATE))
+    return Report(ReportFacts(result, errors), Origin("", (), (), DATE))
 
 
 @pytest.fixture(scope="module")
@@ -101,7 +101,7 @@ def test_the_first_section_answers(planar: Any) -> None:
     result, _, report = planar
     first = page_of(report).get_element_by_id("answers")
     assert [head.text_content() for head in first.iter("h2")] == QUESTIONS
-    poses = report.found.errors.poses
+    poses = report.facts.errors.poses
     before = pincal.accuracy(result.nominal, result.identified, poses)
     after = result.expected_error(poses)
     shown = [[float(cell.text) for cell in row.iter("td")] for row in first.xpath(".//tbody/tr")]
@@ -134,7 +134,7 @@ def test_every_row_is_drawn_in_its_set(planar: Any) -> None:
 
 def verdicts_of(report: Any, result: Any) -> tuple[list[str], str]:
     """Return the three verdicts on a result, and all of the first section's text."""
-    section = Answers(replace(report.found, result=result), []).__html__()
+    section = Answers(replace(report.facts, result=result), []).__html__()
     first = lxml_html.fromstring(section)
     return [one.text_content() for one in first.find_class("verdict")], first.text_content()
 
@@ -153,7 +153,7 @@ def test_residuals_beyond_the_noise_are_no_success(planar: Any) -> None:
         findings=(larger,),
     )
     errors = errors_at(poor, poor.poses)
-    report = Report(replace(report.found, result=poor, errors=errors), report.origin)
+    report = Report(replace(report.facts, result=poor, errors=errors), report.origin)
     verdicts, text = verdicts_of(report, poor)
     after = 1e3 * errors.mean_after()[0]
     assert after >= 2e3 * errors_at(result, poor.poses).mean_after()[0]
@@ -170,7 +170,7 @@ def test_residuals_beyond_the_noise_are_no_success(planar: Any) -> None:
     report = planar[2]
     sound = page_of(report).get_element_by_id("answers").find_class("verdict")
     assert [one.text_content() for one in sound][::2] == ["Yes", "Nothing speaks against it"]
-    section = Answers(replace(report.found, result=poor), []).__html__()
+    section = Answers(replace(report.facts, result=poor), []).__html__()
     cards = lxml_html.fromstring(section).iter("article")
     assert [card.get("class") for card in cards] == ["care", "", "bad"]
     cards = page_of(report).get_element_by_id("answers").iter("article")
@@ -182,7 +182,7 @@ def test_a_fit_that_fails_is_not_compared_with_held_out_rows(planar: Any) -> Non
     result, _, report = planar
     lost = replace(result.validation, fit=316.2, held_out=1361.71, expected=405.02)
     poor = replace(result, reduced_chi2=1e5, chi2_p_value=0.0, validation=lost)
-    made = Report(replace(report.found, result=poor), report.origin)
+    made = Report(replace(report.facts, result=poor), report.origin)
     page = re.sub("<(path|use)[^>]*>", "", made.html())  # strokes hold all kinds of numbers
     for text in (page, poor._repr_html_(), " ".join(check_lines(poor))):
         assert "misses even its own rows by 316 σ" in text
@@ -202,13 +202,13 @@ def test_a_fit_that_failed_promises_nothing(planar: Any) -> None:
         assert "→" not in text
         (said,) = (
             line
-            for line in calibration_summary(poor, report.found.errors)
+            for line in calibration_summary(poor, report.facts.errors)
             if line.startswith("platform")
         )
         assert "no accuracy can be promised" in said
         assert "by about" not in said
         assert ("hardly fell" in said) == (verdict == "No")
-        page = page_of(Report(replace(report.found, result=poor), report.origin))
+        page = page_of(Report(replace(report.facts, result=poor), report.origin))
         section = page.get_element_by_id("platform").text_content()
         assert "No maps: no accuracy can be promised" in section
         bars = " ".join(page.get_element_by_id("figure-rms").text_content().split())
@@ -223,10 +223,10 @@ def test_errors_are_as_large_on_maps_as_on_cards(planar: Any) -> None:
     """Where residuals are larger than the noise, maps and bars are as large as the answer."""
     result, _, report = planar
     worse = replace(result, reduced_chi2=4.0, covariance=4.0 * result.covariance)
-    poor = findings(worse)
-    np.testing.assert_allclose(poor.maps.after, 2 * report.found.maps.after)
+    poor = report_facts(worse)
+    np.testing.assert_allclose(poor.maps.after, 2 * report.facts.maps.after)
     bars = page_of(Report(poor, report.origin)).get_element_by_id("figure-rms").text_content()
-    assert f"{2e3 * report.found.errors.mean_after()[0]:.2g}" in bars
+    assert f"{2e3 * report.facts.errors.mean_after()[0]:.2g}" in bars
 
 
 @pytest.mark.parametrize("frame", [False, True])
@@ -465,7 +465,7 @@ def test_exact_readings_are_no_proof() -> None:
 def test_the_limit_holds_in_95_of_100_calibrations(planar: Any) -> None:
     """Of machines whose parameters differ by the covariance; and the report names the limit."""
     result, _, report = planar
-    poses = report.found.errors.poses[:40]
+    poses = report.facts.errors.poses[:40]
     found = errors_at(result, poses)
     n, draws = len(result.covariance), 200
     values, axes = np.linalg.eigh(result.covariance)
@@ -485,7 +485,7 @@ def test_the_limit_holds_in_95_of_100_calibrations(planar: Any) -> None:
     assert (np.abs(below - 0.95) < 0.055).all()  # 3.5 standard deviations
     assert (np.array(found.limit) > found.mean_after()).all()
     text = page_of(report).get_element_by_id("answers").text_content()
-    assert f"stay below {1e3 * report.found.errors.limit[0]:.3g} mm" in text
+    assert f"stay below {1e3 * report.facts.errors.limit[0]:.3g} mm" in text
     assert "with 95 % confidence" in text
 
 
@@ -521,7 +521,7 @@ def test_a_result_reports_itself(planar: Any) -> None:
 @pytest.mark.slow
 def test_unknown_frames(cables: Report) -> None:
     """Errors leave out motions of the frames; poses measured elsewhere are shown in the base."""
-    found, result = cables.found, cables.found.result
+    found, result = cables.facts, cables.facts.result
     assert found.errors is not None
     expected = result.expected_error(found.errors.poses)
     assert found.errors.mean_after()[0] == pytest.approx(expected.position, rel=1e-9)
@@ -536,7 +536,7 @@ def test_unknown_frames(cables: Report) -> None:
     moved, setup = data.poses + np.array([0.4, 0.2, 0.0]), pincal.Setup(unknown_frame=True)
     given = replace(data, poses=moved)
     aligned = pincal.calibrate(mechanism, given, noise=NOISE, setup=setup)
-    poses = aligned.report().found.poses
+    poses = aligned.report().facts.poses
     np.testing.assert_allclose(poses, data.poses, atol=0.02)
 
 

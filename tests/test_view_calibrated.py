@@ -49,8 +49,8 @@ def test_arrows_go_from_measured_to_predicted(
     result: pincal.CalibrationResult, drawn: Scene
 ) -> None:
     """An arrow ends where forward kinematics predicts, to first order; the outlier's goes back."""
-    assert drawn.found is not None
-    misses = drawn.found.misses
+    assert drawn.overlay is not None
+    misses = drawn.overlay.misses
     assert misses is not None
     data = result.measurements
     np.testing.assert_allclose(misses.measured[:, :2], data.poses)
@@ -62,8 +62,8 @@ def test_arrows_go_from_measured_to_predicted(
 
 def test_drawn_arrows_are_magnified(drawn: Scene) -> None:
     """A drawn arrow begins at the point and is the shift's length times the factor, or is cut."""
-    assert drawn.found is not None
-    misses = drawn.found.misses
+    assert drawn.overlay is not None
+    misses = drawn.overlay.misses
     assert misses is not None
     size = 2.0
     for row in range(len(misses.measured)):
@@ -80,8 +80,8 @@ def test_drawn_arrows_are_magnified(drawn: Scene) -> None:
 
 def test_errors_share_one_scale(result: pincal.CalibrationResult, drawn: Scene) -> None:
     """Before and after are those of the workspace; equal errors have equal colours in both."""
-    assert drawn.found is not None
-    errors = drawn.found.errors
+    assert drawn.overlay is not None
+    errors = drawn.overlay.errors
     assert errors is not None
     assert errors.after.mean() < 0.1 * errors.before.mean()
     row = 7
@@ -102,8 +102,8 @@ def test_weakest_direction_is_that_of_the_least_singular_value(
     result: pincal.CalibrationResult, drawn: Scene
 ) -> None:
     """The machine that swings is closed, drawn at every pose, and named by what moves most."""
-    assert drawn.found is not None
-    weakest = drawn.found.weakest
+    assert drawn.overlay is not None
+    weakest = drawn.overlay.weakest
     assert weakest is not None
     assert np.isfinite(weakest.body.placements).all()
     off = weakest.body.placements - drawn.body.placements
@@ -130,11 +130,11 @@ def test_tracker_stands_where_the_frame_says(tmp_path: Path) -> None:
     setup = pincal.Setup(unknown_frame=True, tracker=tracker)
     noise = pincal.Noise(orientation=1e-6)
     result = pincal.calibrate(mechanism, moved, noise=noise, setup=setup)
-    shown = calibrated(scene(mechanism, pincal.Plan(result.poses[:2])), result).found
+    shown = calibrated(scene(mechanism, pincal.Plan(result.poses[:2])), result).overlay
     assert shown is not None
     assert shown.instrument is not None
     expected = T.inv().apply([0.1, 0.2, 0.3])
-    np.testing.assert_allclose(shown.instrument.at, expected, atol=2e-2)
+    np.testing.assert_allclose(shown.instrument.position, expected, atol=2e-2)
     page = pincal.view(mechanism, result.poses[:2]).with_result(result).html()
     assert page.count("tracker, ") == 1
     drawn = pincal.picture(mechanism).with_result(result)

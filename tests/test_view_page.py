@@ -606,9 +606,9 @@ def test_weakest_direction_and_errors_of_a_result(opened: Any) -> None:
     result = pincal.calibrate(mechanism, data, noise=noise)
     view = pincal.view(mechanism, result.poses, identified=result.identified).with_result(result)
     window = opened(view)
-    assert view.scene.found is not None
-    assert view.scene.found.weakest is not None
-    ends = view.scene.body.placements[0], view.scene.found.weakest.body.placements[0]
+    assert view.scene.overlay is not None
+    assert view.scene.overlay.weakest is not None
+    ends = view.scene.body.placements[0], view.scene.overlay.weakest.body.placements[0]
     for share in (-1.0, 0.5, 1.0):
         window.page.locator("#weakest").fill(str(share))
         expected = (1 - share) * ends[0] + share * ends[1]

@@ -22,7 +22,7 @@ from pincal.words.wording import rendered
 
 
 @dataclass(frozen=True)
-class Findings:
+class ReportFacts:
     """A calibration, what it was made from, and what follows from it."""
 
     result: CalibrationResult
@@ -46,19 +46,19 @@ class Findings:
         Of what it moves the readings by, [rad/unit] or [m/unit]; where poses do not determine
         readings, of what it moves the leg's end by, [m/unit].
         """
-        found, machine = {}, self.result.identified
-        for leg, own in zip(self.result.legs, machine.reading_columns, strict=True):
+        by_leg, machine = {}, self.result.identified
+        for leg, columns in zip(self.result.legs, machine.reading_columns, strict=True):
             free = [i for i, p in enumerate(leg.parameters) if p.std > 0.0]
             rows = np.unique(leg.rows)
             read = self.result.measurements.readings
-            readings = read[rows][:, own] if machine.by_readings else None
+            readings = read[rows][:, columns] if machine.by_readings else None
             demand = leg_demand(machine, leg.name, self.poses[rows], readings=readings)
             demand = demand if machine.by_readings else demand.as_joint()
             C = demand.parameter.reshape(-1, len(leg.parameters))
             C = C[np.isfinite(C).all(axis=1)][:, free]
             names = [leg.parameters[i].name for i in free]
-            found[leg.name] = dict(zip(names, r_diagonal(C).tolist(), strict=True))
-        return found
+            by_leg[leg.name] = dict(zip(names, r_diagonal(C).tolist(), strict=True))
+        return by_leg
 
     @cached_property
     def maps(self) -> ErrorMaps | None:
@@ -66,9 +66,9 @@ class Findings:
         return None if self.errors is None else error_maps(self.result, self.errors)
 
 
-def findings(result: CalibrationResult) -> Findings:
+def report_facts(result: CalibrationResult) -> ReportFacts:
     """Return what follows from a calibration."""
-    return Findings(result, workspace_errors(result) if result.converged else None)
+    return ReportFacts(result, workspace_errors(result) if result.converged else None)
 
 
 def warning_lines(result: CalibrationResult) -> list[str]:
@@ -82,7 +82,7 @@ def warning_lines(result: CalibrationResult) -> list[str]:
 class Answers:
     """The three answers; their sentences are the page's."""
 
-    found: Findings
+    facts: ReportFacts
     notes: Sequence[str]
     """What was not done, and why."""
 
@@ -91,9 +91,9 @@ class Answers:
         return rendered(
             "answers.html",
             answers=self,
-            result=self.found.result,
-            errors=self.found.errors,
-            unpromised=unpromised(self.found.result),
+            result=self.facts.result,
+            errors=self.facts.errors,
+            unpromised=unpromised(self.facts.result),
             wordings=WORDINGS,
             summary=summary,
             amount=amount,
@@ -106,12 +106,12 @@ class Answers:
     @cached_property
     def _ratios(self) -> dict[str, list[float]]:
         """By what the errors of position and orientation fall: as expected, and surely."""
-        if (errors := self.found.errors) is None:
+        if (errors := self.facts.errors) is None:
             return {}
-        both = errors.mean_before(), errors.mean_after(), errors.limit
-        before, after, limit = np.array(both)[:, : 1 + self.found.turns]
+        sizes = errors.mean_before(), errors.mean_after(), errors.limit
+        before, after, limit = np.array(sizes)[:, : 1 + self.facts.turns]
         ratios = {"expected": before / after, "sure": before / limit}
-        return {name: own.tolist() for name, own in ratios.items()}
+        return {name: factors.tolist() for name, factors in ratios.items()}
 
     def times(self, name: str) -> str:
         """Return factors in position and, where the platform turns, in orientation."""
@@ -123,7 +123,7 @@ class Answers:
     @property
     def better(self) -> tuple[str, str]:
         """Whether it is better, and the look of that: ``"good"``, ``"care"`` or ``"bad"``."""
-        result, ratios = self.found.result, self._ratios["expected"]
+        result, ratios = self.facts.result, self._ratios["expected"]
         if not result.explained:
             return "Not shown" if result.corrects else "No", "bad"
         if min(ratios) >= 2.0:
@@ -134,27 +134,27 @@ class Answers:
     @property
     def residuals(self) -> str:
         """What became of the residuals, where they could have been anything else than zero."""
-        if not self.found.result.degrees_of_freedom:
+        if not self.facts.result.degrees_of_freedom:
             return "Residuals are zero, since there are as many unknowns as measured values."
-        series = noisy_series(self.found.result)
-        others = [one.name for one in series if not one.of_leg]
-        whose = ", ".join([*(["all legs"] if len(others) < len(series) else []), *others])
-        if len(units := {one.unit for one in series}) > 1:
-            before, after = (np.sqrt(np.mean(one**2)) for one in self.found.result.whitened)
+        series = noisy_series(self.facts.result)
+        quantities = [block.name for block in series if not block.of_leg]
+        names = ", ".join([*(["all legs"] if len(quantities) < len(series) else []), *quantities])
+        if len(units := {block.unit for block in series}) > 1:
+            before, after = (np.sqrt(np.mean(block**2)) for block in self.facts.result.whitened)
             unit = "standard deviations"
         else:
             (si,) = units
-            sizes = np.sqrt(np.mean([np.square(one.rms) for one in series], axis=0))
+            sizes = np.sqrt(np.mean([np.square(block.rms) for block in series], axis=0))
             before, after, unit = shown_in(sizes[0], si), shown_in(sizes[1], si), SMALL[si]
         return (
-            f"At the {'estimated' if others else 'measured'} poses, residuals went from "
-            f"{before:.3g} to {after:.3g} {unit} (root mean square, {whose})."
+            f"At the {'estimated' if quantities else 'measured'} poses, residuals went from "
+            f"{before:.3g} to {after:.3g} {unit} (root mean square, {names})."
         )
 
     @property
     def reliable(self) -> tuple[str, str]:
         """Whether it can be relied on, and the look of that."""
-        result = self.found.result
+        result = self.facts.result
         if count := len(warnings(result)):
             warned = f"{'one warning' if count == 1 else f'{count} warnings'} above"
             sound = result.promises
@@ -166,7 +166,7 @@ class Answers:
     @property
     def chi2(self) -> str:
         """How the residuals compare with the noise."""
-        result, dof = self.found.result, self.found.result.degrees_of_freedom
+        result, dof = self.facts.result, self.facts.result.degrees_of_freedom
         line = capital(summary.noise_line(result))
         if result.noise_source == "estimated":
             return f"{line}; so residuals cannot contradict it."

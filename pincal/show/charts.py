@@ -52,7 +52,7 @@ _SAMPLES = 300  # of the workspace
 _STEPS = 12  # numbers of poses
 _NAMED = 3  # parameters of a direction
 _CELLS = 31  # of a bed, along each side
-_SAME = 0.02  # by which the error of all rows may differ from the result's own
+_AGREEMENT = 0.02  # by which the error of all rows may differ from the result's own
 _BAR = 0.125  # height of a bar with its name, [inch]
 _LEGEND = 0.35  # height of a legend of two lines, [inch]
 _EXPECTED = f"expected error of position [{SMALL['m']}]"
@@ -108,13 +108,13 @@ def correlations(axes: Axes, result: CalibrationResult) -> Axes:
     axes.figure.colorbar(image, ax=axes, label="correlation")
     ids = [p.id for _, p in parameters(result)]
     places, names = list(range(len(free))), [ids[i] for i in free]
-    most = int(min(room(axes)) / PAGE.line_small)  # letters stay large
-    if len(free) > most and len(result.legs) > 1:  # legs alone
+    capacity = int(min(room(axes)) / PAGE.line_small)  # letters stay large
+    if len(free) > capacity and len(result.legs) > 1:  # legs alone
         owners = [name.rpartition(".")[0] for name in names]
         places = [i for i in places if i == 0 or owners[i] != owners[i - 1]]
         names = [owners[i] for i in places]
-    elif len(free) > most:
-        step = -(-len(free) // most)
+    elif len(free) > capacity:
+        step = -(-len(free) // capacity)
         places, names = places[::step], names[::step]
     axes.set_xticks(places, names, rotation=90, fontsize=7)
     axes.set_yticks(places, names, fontsize=7)
@@ -189,7 +189,7 @@ def by_poses(axes: Axes, result: CalibrationResult) -> Axes:
             half = np.linalg.solve(first_rows.T @ first_rows, C)
             numbers.append(count)
             errors.append(float(np.sqrt((half * C).sum())))
-    if not errors or abs(errors[-1] / promised - 1.0) > _SAME:
+    if not errors or abs(errors[-1] / promised - 1.0) > _AGREEMENT:
         raise MeasurementError(
             f"{result.nominal.name}: more than the rows and their noise made this result (priors, "
             "legs alone, a loss), so what fewer rows would give is not drawn"
@@ -224,8 +224,8 @@ def at_platform(axes: Axes, result: CalibrationResult) -> Axes:
     identified = zip((p for _, p in parameters(result)), per_unit.tolist(), strict=True)
     bars = [(p, factor) for p, factor in identified if 0.0 < p.std < np.inf]
     bars.sort(key=lambda bar: abs(bar[0].change) * bar[1])
-    count, most = len(bars), int((room(axes)[1] - _LEGEND) / _BAR)
-    bars = bars[-most:]
+    count, capacity = len(bars), int((room(axes)[1] - _LEGEND) / _BAR)
+    bars = bars[-capacity:]
     places, scale = np.arange(len(bars)), per_si("m")
     changes = np.array([scale * factor * abs(p.change) for p, factor in bars])
     halves = np.array([scale * factor * p.half for p, factor in bars])
@@ -260,9 +260,9 @@ def compared_runs(axes: Axes, result: CalibrationResult) -> Axes:
         )
     known = comparison.predicted > 0.0
     share = np.sqrt(1.0 - 1.0 / len(comparison.values))  # a run is in the mean, too
-    off = (comparison.values - comparison.values.mean(axis=0))[:, known]
-    standardised = off / (share * comparison.predicted[known])
-    places = np.arange(off.shape[1])
+    deviations = (comparison.values - comparison.values.mean(axis=0))[:, known]
+    standardised = deviations / (share * comparison.predicted[known])
+    places = np.arange(deviations.shape[1])
     for index, (name, values) in enumerate(zip(comparison.runs, standardised, strict=True)):
         axes.plot(places, values, **marks(index, of_leg=False), ls="", ms=4, label=label(name))
     axes.axhspan(-NORMAL, NORMAL, color="0.92", zorder=0, label=residual_charts.LEVEL)
@@ -296,8 +296,8 @@ def bed_heights(axes: Axes, result: CalibrationResult) -> Axes:
         raise WorkspaceError(f"{machine.name}: no workspace at the height of home")
     heights = np.full(len(poses), np.nan)
     heights[inside] = per_si("m") * moved_apart(result, machine, Plan(poses[inside]))[:, 2]
-    most = float(np.nanmax(np.abs(heights)))
-    image = draw_map(axes, (x, y), heights.reshape(_CELLS, _CELLS), (-most, most))
+    largest = float(np.nanmax(np.abs(heights)))
+    image = draw_map(axes, (x, y), heights.reshape(_CELLS, _CELLS), (-largest, largest))
     image.set_cmap("RdBu_r")
     name = wrapped(f"z, true less commanded [{SMALL['m']}]", room(axes)[1])
     axes.figure.colorbar(image, ax=axes, label=name)

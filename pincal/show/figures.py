@@ -19,7 +19,7 @@ from pincal.kinematics.configurations import home_of, joints_at
 from pincal.kinematics.readers import skeleton
 from pincal.model.measurements import EVERY_LEG, Plan
 from pincal.show import charts, residual_charts
-from pincal.show.answers import Findings
+from pincal.show.answers import ReportFacts
 from pincal.show.pictures.files import SvgFigure, svg_figure
 from pincal.show.pictures.parts import (
     NORMAL,
@@ -47,23 +47,23 @@ _QUANTITIES = ((0, "position", "m"), (1, "orientation", "rad"))
 _ORIENTATIONS = 3  # bars from which their names are turned
 
 
-def figure(name: str, found: Findings) -> SvgFigure | None:
+def figure(name: str, facts: ReportFacts) -> SvgFigure | None:
     """Return a figure of a report by its name in ``FIGURES``."""
-    return svg_figure(f"figure-{name}", lambda: FIGURES[name](found))
+    return svg_figure(f"figure-{name}", lambda: FIGURES[name](facts))
 
 
 def _chart(
-    draw: Callable[[Axes, CalibrationResult], Axes], found: Findings, caption: str, height: float
+    draw: Callable[[Axes, CalibrationResult], Axes], facts: ReportFacts, caption: str, height: float
 ) -> Captioned:
     """Return a chart across the page."""
     drawn = page_figure(height)
-    draw(drawn.subplots(), found.result)
+    draw(drawn.subplots(), facts.result)
     return drawn, caption
 
 
-def _images(found: Findings) -> Captioned:
+def _images(facts: ReportFacts) -> Captioned:
     """Return residuals over the images of cameras."""
-    if not (cameras := residual_charts.camera_residuals(found.result)):
+    if not (cameras := residual_charts.camera_residuals(facts.result)):
         return None
     caption = (
         "What cameras saw: arrows from each point as seen towards where it is predicted, magnified "
@@ -71,20 +71,20 @@ def _images(found: Findings) -> Captioned:
         "model."
     )
     height = PAGE.width / (0.6 + min(len(cameras), 2))
-    return _chart(residual_charts.images, found, caption, height)
+    return _chart(residual_charts.images, facts, caption, height)
 
 
-def _poses(found: Findings) -> Captioned:
+def _poses(facts: ReportFacts) -> Captioned:
     """Return the measured poses, with the mechanism in the plane (3-RRR paper, Figs. 4, 8)."""
-    mechanism = found.result.nominal
-    sets = found.result.measurements.sets or ("",) * len(found.poses)
-    plan = Plan(found.poses, tuple(name or EVERY_LEG for name in sets))
+    mechanism = facts.result.nominal
+    sets = facts.result.measurements.sets or ("",) * len(facts.poses)
+    plan = Plan(facts.poses, tuple(name or EVERY_LEG for name in sets))
     if plane := mechanism.platform.space == 2:
         drawn = page_figure(3.4)
         side, axes = drawn.subplots(1, 2)
         draw_mechanism(side, mechanism)
-        if found.errors is not None and found.errors.sampled:
-            sampled = per_si("m", STORED) * found.errors.poses[:, :2]
+        if facts.errors is not None and facts.errors.sampled:
+            sampled = per_si("m", STORED) * facts.errors.poses[:, :2]
             dot = np.array((7e-3 * float(np.ptp(sampled[:, 0])), 0.0))
             draw_strokes(axes, sampled, sampled + dot, colors="0.75", lw=1.3, zorder=0)
         draw_poses(axes, mechanism, plan)
@@ -92,24 +92,24 @@ def _poses(found: Findings) -> Captioned:
     else:
         drawn = page_figure(3.0)
         home = joints_at(mechanism, home_of(mechanism)).joints
-        for axes, seen in zip(drawn.subplots(1, 3), ((0, 1), (0, 2), (1, 2)), strict=True):
+        for axes, projection in zip(drawn.subplots(1, 3), ((0, 1), (0, 2), (1, 2)), strict=True):
             for leg in mechanism.legs:
                 if np.isfinite(home[leg.name]).all():
-                    points = per_si("m", STORED) * skeleton(leg, home[leg.name][0])[:, seen]
+                    points = per_si("m", STORED) * skeleton(leg, home[leg.name][0])[:, projection]
                     axes.plot(*points.T, "-", color="0.75", lw=1.5, zorder=1)
-            draw_poses(axes, mechanism, plan, seen)
+            draw_poses(axes, mechanism, plan, projection)
             axes.set_aspect("equal", adjustable="datalim")
     _legend_below(drawn, *axes.get_legend_handles_labels())
-    what = "seen from above, from the front and from the side; grey: the mechanism at home"
+    description = "seen from above, from the front and from the side; grey: the mechanism at home"
     if plane:
-        what = "over its workspace (grey), and the mechanism at home"
-        what += "; strokes show the orientation" if found.turns else ""
-    return drawn, f"The {len(plan.poses)} measured poses of the platform, {what}."
+        description = "over its workspace (grey), and the mechanism at home"
+        description += "; strokes show the orientation" if facts.turns else ""
+    return drawn, f"The {len(plan.poses)} measured poses of the platform, {description}."
 
 
-def _drawing(found: Findings) -> Captioned:
+def _drawing(facts: ReportFacts) -> Captioned:
     """Return the first leg with its dimensions, in the colours of their changes."""
-    result = found.result
+    result = facts.result
     leg = result.legs[0].name
     drawn = page_figure(4.6)
     axes = draw_dimensioned(drawn.subplots(), result, leg)
@@ -117,26 +117,26 @@ def _drawing(found: Findings) -> Captioned:
         return None
     keys = [Line2D([], [], color=colour, lw=3, label=text) for _, colour, text in LEVELS]
     _legend_below(drawn, keys, [str(key.get_label()) for key in keys])
-    others = ", those of the others alike" if len(kinds_of_legs(result)[0]) > 1 else ""
+    alike_legs = ", those of the others alike" if len(kinds_of_legs(result)[0]) > 1 else ""
     return drawn, (
-        f"Where the parameters of {leg} are{others}: lines in the colours of their changes. Values "
-        "stand in the table above; diamonds are parameters that are zero."
+        f"Where the parameters of {leg} are{alike_legs}: lines in the colours of their changes. "
+        "Values stand in the table above; diamonds are parameters that are zero."
     )
 
 
-def _platform(found: Findings) -> Captioned:
+def _platform(facts: ReportFacts) -> Captioned:
     """Return bars of the platform's errors and of the residuals, before and after (Fig. 10)."""
-    if (errors := found.errors) is None:
+    if (errors := facts.errors) is None:
         return None
     panels: dict[str, dict[str, Array]] = {}
     promised = ""
-    if found.result.explained:
+    if facts.result.explained:
         promised = f"the platform's {errors.where} (after: as expected), and "
         sizes = np.array([errors.mean_before(), errors.mean_after()]).T
-        for column, quantity, unit in _QUANTITIES[: 1 + found.turns]:
+        for column, quantity, unit in _QUANTITIES[: 1 + facts.turns]:
             bar = {wrapped(errors.where, 0.0): per_si(unit) * sizes[column]}
             panels[f"{quantity}\n[{SMALL[unit]}]"] = bar
-    series = noisy_series(found.result)
+    series = noisy_series(facts.result)
     for residuals in series:
         rms = np.array([shown_in(value, residuals.unit) for value in residuals.rms[:2]])
         panels.setdefault(f"residuals\n[{SMALL[residuals.unit]}]", {})[residuals.name] = rms
@@ -164,15 +164,15 @@ def _platform(found: Findings) -> Captioned:
     )
 
 
-def _observability(found: Findings) -> Captioned:
+def _observability(facts: ReportFacts) -> Captioned:
     """Return |R_ii| of each parameter and leg at the poses used (3-RRR paper, Fig. 9)."""
-    mechanism = found.result.nominal
+    mechanism = facts.result.nominal
     units = {name: leg.units[name] for leg in mechanism.legs for name in leg.parameter_names}
-    names = list(dict.fromkeys(name for values in found.observability.values() for name in values))
+    names = list(dict.fromkeys(name for values in facts.observability.values() for name in values))
     read = {"m"} if mechanism.by_readings else set(mechanism.reading_units)
     unit = read.pop() if len(read) == 1 else "reading"
     drawn = page_figure(3.4)
-    axes = draw_bars(drawn.subplots(), found.observability)
+    axes = draw_bars(drawn.subplots(), facts.observability)
     name_places(axes, names, [unit if units[n] == "1" else f"{unit}/{units[n]}" for n in names])
     axes.set_ylabel("|Rᵢᵢ|")
     moved = "the leg's end" if mechanism.by_readings else "the readings"
@@ -183,16 +183,16 @@ def _observability(found: Findings) -> Captioned:
     )
 
 
-def _maps(found: Findings) -> Captioned:
+def _maps(facts: ReportFacts) -> Captioned:
     """Return the platform's errors over x and y, before and after (3-RRR paper, Figs. 6, 11).
 
     A row of panels for each map in space, one panel for each height; in the plane two side by side.
     """
-    if (maps := found.maps) is None:
+    if (maps := facts.maps) is None:
         return None
     rows = [
         (f"{quantity} {name}", unit, per_si(unit) * values[..., column])
-        for column, quantity, unit in _QUANTITIES[: 1 + found.turns]
+        for column, quantity, unit in _QUANTITIES[: 1 + facts.turns]
         for name, values in (("before", maps.before), ("after, expected", maps.after))
         if np.isfinite(values[..., column]).any()  # nominal zeros of motors may lead nowhere
     ]
@@ -207,8 +207,10 @@ def _maps(found: Findings) -> Captioned:
     for axes in panels[len(rows) * len(maps.heights) :]:
         axes.set_axis_off()
     for unit in dict.fromkeys(unit for _, unit, _ in rows):
-        alike = np.concatenate([values.ravel() for _, other, values in rows if other == unit])
-        limits = float(np.nanmin(alike)), float(np.nanmax(alike))
+        values_of_unit = np.concatenate(
+            [values.ravel() for _, row_unit, values in rows if row_unit == unit]
+        )
+        limits = float(np.nanmin(values_of_unit)), float(np.nanmax(values_of_unit))
         places = [i for i, row in enumerate(rows) if row[1] == unit]
         for i in places:
             title, _, values = rows[i]
@@ -216,26 +218,26 @@ def _maps(found: Findings) -> Captioned:
                 axes = panels[i * len(maps.heights) + k]
                 draw_map(axes, (maps.x, maps.y), error, limits, decades=True)
                 axes.set_title("\n".join(filter(None, (title * (k == 0), height_name(height)))))
-        beside = panels[places[0] * len(maps.heights) : (places[-1] + 1) * len(maps.heights)]
-        bar = drawn.colorbar(axes.images[0], ax=list(beside), label=SMALL[unit])
+        neighbours = panels[places[0] * len(maps.heights) : (places[-1] + 1) * len(maps.heights)]
+        bar = drawn.colorbar(axes.images[0], ax=list(neighbours), label=SMALL[unit])
         bar.ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         bar.ax.yaxis.set_minor_locator(NullLocator())
     drawn.supxlabel(axis_name("x"), size=8)
     drawn.supylabel(axis_name("y"), size=8)
-    where = "the workspace at home orientation" if found.turns else "the workspace"
+    region = "the workspace at home orientation" if facts.turns else "the workspace"
     return drawn, (
-        f"Error of the platform over {where}: how far the nominal model is off, and what is to be "
+        f"Error of the platform over {region}: how far the nominal model is off, and what is to be "
         "expected of the calibrated one (standard error). One scale of decades for both; white: "
         "not in the workspace."
     )
 
 
-def _histogram(found: Findings) -> Captioned:
+def _histogram(facts: ReportFacts) -> Captioned:
     """Return the distribution of residuals in standard deviations, against the normal one.
 
     None if all that was measured is exact.
     """
-    white = np.concatenate([series.standardised for series in noisy_series(found.result)])
+    white = np.concatenate([series.standardised for series in noisy_series(facts.result)])
     if not len(white := white[np.isfinite(white)]):
         return None
     drawn = page_figure(2.6)
@@ -275,12 +277,12 @@ _RESIDUALS = (
     "that were rejected."
 )
 #: By what a report calls them.
-FIGURES: dict[str, Callable[[Findings], Captioned]] = {
+FIGURES: dict[str, Callable[[ReportFacts], Captioned]] = {
     "poses": _poses,
     "images": _images,
-    "changes": lambda found: _chart(charts.changes, found, _CHANGES, 3.4),
+    "changes": lambda facts: _chart(charts.changes, facts, _CHANGES, 3.4),
     "drawing": _drawing,
-    "residuals": lambda found: _chart(residual_charts.residuals, found, _RESIDUALS, 3.4),
+    "residuals": lambda facts: _chart(residual_charts.residuals, facts, _RESIDUALS, 3.4),
     "histogram": _histogram,
     "rms": _platform,
     "maps": _maps,

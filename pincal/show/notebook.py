@@ -48,45 +48,51 @@ def selection_html(selection: Selection) -> str:
     return f"{selection_table(selection).__html__()}{plan_html(selection.plan)}"
 
 
-def forecast_html(found: Forecast) -> str:
+def forecast_html(forecast: Forecast) -> str:
     """Return the standard errors to expect, and what the plan determines."""
     from pincal.show.summary import weak_lines
     from pincal.show.tables import standard_errors
     from pincal.words.wording import rendered
 
-    words = [] if found.rank.complete else [f"Not determined apart: {found.rank.describe()}."]
-    lines = [*words, *weak_lines(found.weak, found.mechanism)]
-    return rendered("held.html", tables=[standard_errors(found)], lines=lines)
+    words = [] if forecast.rank.complete else [f"Not determined apart: {forecast.rank.describe()}."]
+    lines = [*words, *weak_lines(forecast.weak, forecast.mechanism)]
+    return rendered("held.html", tables=[standard_errors(forecast)], lines=lines)
 
 
 def plan_html(plan: Plan) -> str:
     """Return the first rows of a plan or of measurements, in SI; empty where not measured."""
     parts = [("coordinate", plan.poses)]
     parts += [("reading", plan.readings)] if plan.readings is not None else []
-    names = [f"{what} {i + 1}:.6g" for what, own in parts for i in range(own.shape[1])]
-    values = np.concatenate([own for _, own in parts], axis=1)[:_ROWS]
+    names = [f"{kind} {i + 1}:.6g" for kind, array in parts for i in range(array.shape[1])]
+    values = np.concatenate([array for _, array in parts], axis=1)[:_ROWS]
     sets = plan.sets or ("",) * len(plan)
     rows = [
-        (i + 1, *([name] if plan.sets else []), *(v if np.isfinite(v) else None for v in own))
-        for i, (name, own) in enumerate(zip(sets, values.tolist(), strict=False))
+        (i + 1, *([name] if plan.sets else []), *(v if np.isfinite(v) else None for v in row))
+        for i, (name, row) in enumerate(zip(sets, values.tolist(), strict=False))
     ]
     heads = columns("row", *(["set"] if plan.sets else []), *names)
-    more = len(plan) - len(rows)
-    return Table(repr(plan), heads, rows, f"and {more} more rows" if more > 0 else "").__html__()
+    omitted = len(plan) - len(rows)
+    return Table(
+        repr(plan), heads, rows, f"and {omitted} more rows" if omitted > 0 else ""
+    ).__html__()
 
 
-def validation_html(one: Validation) -> str:
+def validation_html(validation: Validation) -> str:
     """Return how rows that a fit has not seen compare with its own."""
     from pincal.show.summary import held_out_line, missed_lines
     from pincal.words.sentences import sentences
     from pincal.words.wording import rendered
 
     table = Table(
-        f"{one.rows} rows held out in {one.folds} folds",
+        f"{validation.rows} rows held out in {validation.folds} folds",
         columns("rows", "miss by [σ]:.3g"),
-        [("of the fit", one.fit), ("held out", one.held_out), ("expected", one.expected)],
+        [
+            ("of the fit", validation.fit),
+            ("held out", validation.held_out),
+            ("expected", validation.expected),
+        ],
     )
-    lines = [held_out_line(one), *missed_lines(one), *sentences(one.findings)]
+    lines = [held_out_line(validation), *missed_lines(validation), *sentences(validation.findings)]
     return rendered("held.html", tables=[table], lines=lines)
 
 
@@ -117,4 +123,4 @@ def result_text(result: CalibrationResult) -> str:
         lines = [noise_line(result), *systematic_lines(result), *tie_lines(result)]
         lines += [*tolerance_lines(result), *check_lines(result)]
         parts.append("\n".join(lines))
-    return "\n\n".join([*parts, *(f"warning: {one}" for one in warning_lines(result))])
+    return "\n\n".join([*parts, *(f"warning: {warning}" for warning in warning_lines(result))])

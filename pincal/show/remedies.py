@@ -13,11 +13,11 @@ from pincal.words.table import Table, columns
 from pincal.words.wording import Wording
 
 
-def tried(one: Remedy) -> str:
+def tried(remedy: Remedy) -> str:
     """Return what was tried, in a few words."""
-    options = one.calibration.options
-    words = [_wording(found).said(found) for found in one.findings]
-    if options.setup.unknown_frame and not any(f.code == "unknown-frame" for f in one.findings):
+    options = remedy.calibration.options
+    words = [_wording(finding).said(finding) for finding in remedy.findings]
+    if options.setup.unknown_frame and not any(f.code == "unknown-frame" for f in remedy.findings):
         words.append("the base is elsewhere in the frame of the measurements")
     if options.setup.targets[ORIGIN].unknown:
         words.append("the target is elsewhere on the platform")
@@ -26,34 +26,37 @@ def tried(one: Remedy) -> str:
     return " and ".join(words) or "as measured"
 
 
-def remedy_table(found: Sequence[Remedy]) -> Table:
+def remedy_table(remedies: Sequence[Remedy]) -> Table:
     """Return the table of what was tried."""
     rows = [
-        (tried(one), one.result.reduced_chi2 if one.result else None, _then(one)) for one in found
+        (tried(remedy), remedy.result.reduced_chi2 if remedy.result else None, _outcome(remedy))
+        for remedy in remedies
     ]
     return Table("What was tried", columns("if", "χ²/dof:.3g", "calibration"), rows)
 
 
-def advice(found: Sequence[Remedy]) -> list[str]:
+def advice(remedies: Sequence[Remedy]) -> list[str]:
     """Return what to do: at the source of what works, or else about each refusal."""
-    works = [one for one in found if one.works]
+    works = [remedy for remedy in remedies if remedy.works]
     if works:
-        advised = [_wording(each).remedied(each) for one in works for each in one.findings]
+        advised = [
+            _wording(finding).remedied(finding) for remedy in works for finding in remedy.findings
+        ]
         return [f"{text}." for text in dict.fromkeys(advised) if text]
-    return [f"{tried(one)}: {one.trouble}" for one in found if one.trouble]
+    return [f"{tried(remedy)}: {remedy.trouble}" for remedy in remedies if remedy.trouble]
 
 
-def _wording(found: Finding) -> Wording:
-    return HYPOTHESES[found.code]
+def _wording(finding: Finding) -> Wording:
+    return HYPOTHESES[finding.code]
 
 
-def _then(one: Remedy) -> str:
-    if one.result is None:
+def _outcome(remedy: Remedy) -> str:
+    if remedy.result is None:
         return "refused"
-    if one.works:
+    if remedy.works:
         return "works"
-    if not one.result.converged:
+    if not remedy.result.converged:
         return "does not converge"
-    if one.result.promises:
+    if remedy.result.promises:
         return "rows do not fit the others"
-    return f"contradicted: {unpromised(one.result) or 'residuals are larger than the noise'}"
+    return f"contradicted: {unpromised(remedy.result) or 'residuals are larger than the noise'}"

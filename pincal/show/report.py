@@ -22,7 +22,7 @@ from pincal.errors import FileError
 from pincal.model.measurements import EVERY_LEG, Plan
 from pincal.model.units import SI, Units
 from pincal.show import result_tables, summary
-from pincal.show.answers import Answers, Findings, findings, warning_lines
+from pincal.show.answers import Answers, ReportFacts, report_facts, warning_lines
 from pincal.show.figures import figure
 from pincal.show.page import Page
 from pincal.show.style import dark_variables
@@ -51,32 +51,32 @@ class Origin:
 class Report(Page):
     """A report: a page to save, or to see in a notebook."""
 
-    def __init__(self, found: Findings, origin: Origin, units: Units = SI) -> None:
-        self.found = found
+    def __init__(self, facts: ReportFacts, origin: Origin, units: Units = SI) -> None:
+        self.facts = facts
         self.origin = origin
         self.units = units
 
     @cached_property
     def _page(self) -> str:
         versions = [f"{name} {version(name)}" for name in _LIBRARIES]
-        result = self.found.result
+        result = self.facts.result
         with reading_in(self.units.printed):
             return rendered(
                 "report.html",
-                found=self.found,
+                facts=self.facts,
                 result=result,
                 origin=self.origin,
-                facts={
+                about={
                     "minimised": minimised(result),
                     "rows": rows(result),
                     "columns": columns(result),
                 },
-                figure=lambda name: figure(name, self.found),
+                figure=lambda name: figure(name, self.facts),
                 summary=summary,
                 tables=result_tables,
                 warnings=warning_lines(result),
                 dark=dark_variables(),
-                answers=Answers(self.found, self.origin.notes),
+                answers=Answers(self.facts, self.origin.notes),
                 versions=[
                     f"pincal {__version__}",
                     *versions,
@@ -108,13 +108,13 @@ def report(
         FileError: a file that cannot be read.
         MeasurementError: a unit that is not understood.
     """
-    now = datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %z")
-    kept = [path for path in map(Path, files) if not path.is_fifo()]  # a pipe is read once
-    hashes = tuple((path.name, _sha256(path)) for path in kept)
-    origin = Origin(command, hashes, tuple(notes), now if date is None else date)
+    today = datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %z")
+    regular = [path for path in map(Path, files) if not path.is_fifo()]  # a pipe is read once
+    hashes = tuple((path.name, _sha256(path)) for path in regular)
+    origin = Origin(command, hashes, tuple(notes), today if date is None else date)
     nominal = result.nominal
     read = Units.of(units, nominal.counts, nominal.reading_names)
-    return Report(findings(result), origin, read)
+    return Report(report_facts(result), origin, read)
 
 
 def _sha256(path: Path) -> str:
@@ -147,12 +147,12 @@ def rows(result: CalibrationResult) -> str:
     parts = [f"{len(data)}"]
     for name, values in (("sets", data.sets), ("runs", data.runs)):
         if values is not None:
-            counts = Counter("every leg" if one in ("", EVERY_LEG) else one for one in values)
-            parts.append(f"{name}: {', '.join(f'{one} {n}' for one, n in counts.items())}")
+            counts = Counter("every leg" if value in ("", EVERY_LEG) else value for value in values)
+            parts.append(f"{name}: {', '.join(f'{value} {n}' for value, n in counts.items())}")
     if data.places is not None:
         counts = Counter(name for name in data.places if name)
-        again = sum(n > 1 for n in counts.values())
-        parts.append(f"{counted(again, 'pose')} measured more than once")
+        repeated = sum(n > 1 for n in counts.values())
+        parts.append(f"{counted(repeated, 'pose')} measured more than once")
     return "; ".join(parts)
 
 
@@ -190,20 +190,25 @@ def _chi2(result: CalibrationResult) -> Verdict:
 
 
 def _loss(result: CalibrationResult) -> Verdict:
-    many = len(result.outliers)
-    text = f"{counted(many, 'row')} {'does' if many == 1 else 'do'} not fit"
+    count = len(result.outliers)
+    text = f"{counted(count, 'row')} {'does' if count == 1 else 'do'} not fit"
     if result.shift is not None:
         text += f"; without it parameters move by {result.shift:.2g} standard errors at most"
-    return Verdict("loss", result.loss, text, "care" if many else "good")
+    return Verdict("loss", result.loss, text, "care" if count else "good")
 
 
 def _held_out(result: CalibrationResult) -> Verdict:
-    one = result.validation
-    if one is None:
+    validation = result.validation
+    if validation is None:
         return Verdict("held-out rows", "–", "not asked for", "")
-    text = f"those of the fit {one.fit:.2f} σ, expected {one.expected:.2f} σ; {chance(one.p_value)}"
-    worse = any(found.code.startswith("held-out") for found in one.findings)
-    return Verdict("held-out rows", f"{one.held_out:.2f} σ", text, "bad" if worse else "good")
+    text = (
+        f"those of the fit {validation.fit:.2f} σ, expected {validation.expected:.2f} σ; "
+        f"{chance(validation.p_value)}"
+    )
+    worse = any(finding.code.startswith("held-out") for finding in validation.findings)
+    return Verdict(
+        "held-out rows", f"{validation.held_out:.2f} σ", text, "bad" if worse else "good"
+    )
 
 
 class LinkedPage(Page):
@@ -213,28 +218,28 @@ class LinkedPage(Page):
 
     def __init__(self, report: Report, magnify: float = MAGNIFY) -> None:
         self.report = report
-        result = report.found.result
-        whole = np.flatnonzero(np.isfinite(result.poses).all(axis=1))[:MOST_POSES]
+        result = report.facts.result
+        complete = np.flatnonzero(np.isfinite(result.poses).all(axis=1))[:MOST_POSES]
         read = result.measurements.readings
         sets = result.measurements.sets
         plan = Plan(
-            result.poses[whole],
-            None if sets is None else tuple(sets[row] for row in whole),
-            readings=None if read is None else read[whole],
+            result.poses[complete],
+            None if sets is None else tuple(sets[row] for row in complete),
+            readings=None if read is None else read[complete],
         )
         identified = result.identified if result.converged else None
         shown = scene(result.nominal, plan_of(result.nominal, plan), None, identified, magnify)
-        shown = calibrated(shown, result, report.found.errors)
+        shown = calibrated(shown, result, report.facts.errors)
         self.view = View(shown, "poses of the measurements", result_tables.warnings(result))
-        self.rows = {str(row + 1): place for place, row in enumerate(whole.tolist())}
+        self.rows = {str(row + 1): place for place, row in enumerate(complete.tolist())}
 
     @cached_property
     def _page(self) -> str:
         return rendered(
             "linked.html",
-            title=f"{self.report.found.result.nominal.name}: calibration",
+            title=f"{self.report.facts.result.nominal.name}: calibration",
             report=self.report.html(),
             view=self.view.html(),
-            verdicts=verdicts(self.report.found.result),
+            verdicts=verdicts(self.report.facts.result),
             data=json.dumps({"rows": self.rows}),
         )

@@ -131,7 +131,7 @@ class CameraResiduals(NamedTuple):
     camera: Camera
     points: Array
     """Points as seen, from the upper left corner, shape (N, 2), [px]."""
-    off: Array
+    misses: Array
     """Predicted less seen, shape (N, 2), [px]."""
     size: Array
     """The larger of the two, standardised, shape (N,); NaN where nothing checks either."""
@@ -162,8 +162,8 @@ def _point_residuals(
     """Return places, errors and sizes of a point where both of its columns were measured."""
     rows, first, second = np.intersect1d(right.rows, down.rows, return_indices=True)
     points = camera.image.at(*(np.asarray(extra[column])[rows] for column in pair))
-    off = camera.image.scale * np.stack((right.after[first], down.after[second]), axis=1)
-    return points, off, np.fmax(*np.abs((right.standardised[first], down.standardised[second])))
+    misses = camera.image.scale * np.stack((right.after[first], down.after[second]), axis=1)
+    return points, misses, np.fmax(*np.abs((right.standardised[first], down.standardised[second])))
 
 
 def images(axes: Axes, result: CalibrationResult) -> Axes:
@@ -180,24 +180,24 @@ def images(axes: Axes, result: CalibrationResult) -> Axes:
             f"{result.nominal.name}: no camera measured it: no instrument of the setup has an "
             "image; expected one with a pincal.Image as its 'image'"
         )
-    sizes = np.array([seen.camera.image.size for seen in cameras], dtype=np.float64)
+    sizes = np.array([view.camera.image.size for view in cameras], dtype=np.float64)
     widest, highest = sizes.max(axis=0)
     gap = _GAP * widest
     step = np.array([widest + gap, highest + 2 * gap])
     width, height = room(axes)
     columns = _image_columns(len(cameras), step[0] / step[1], width / height)
-    lengths = np.concatenate([np.linalg.norm(seen.off, axis=1) for seen in cameras])
+    lengths = np.concatenate([np.linalg.norm(view.misses, axis=1) for view in cameras])
     magnified = _round_below(_ARROW * widest / max(float(np.quantile(lengths, _LARGE)), 1e-12))
-    for index, (seen, size) in enumerate(zip(cameras, sizes, strict=True)):
+    for index, (view, size) in enumerate(zip(cameras, sizes, strict=True)):
         corner = step * (index % columns, index // columns)
         axes.add_patch(Rectangle(tuple(corner), *size, fill=False, ec="0.6", lw=0.8))
-        rms = float(np.sqrt((seen.off**2).sum(axis=1).mean()))
-        title = f"{clean(seen.camera.name)}: {len(seen.points)} points, {rms:.2g} px"
+        rms = float(np.sqrt((view.misses**2).sum(axis=1).mean()))
+        title = f"{clean(view.camera.name)}: {len(view.points)} points, {rms:.2g} px"
         axes.text(float(corner[0]), float(corner[1]) - 0.2 * gap, title, size=8, va="bottom")
         arrows = axes.quiver(
-            *(corner + seen.points).T,
-            *(magnified * seen.off).T,
-            np.where(np.isfinite(seen.size), seen.size, 0.0),
+            *(corner + view.points).T,
+            *(magnified * view.misses).T,
+            np.where(np.isfinite(view.size), view.size, 0.0),
             cmap="cividis_r",
             clim=(0.0, 4.0),
             angles="xy",

@@ -70,12 +70,12 @@ def legs_series(result: CalibrationResult) -> list[Series]:
 
 def observed_series(result: CalibrationResult) -> list[Series]:
     """Return the residuals of what was measured of the platform, where poses are unknowns."""
-    return [_series(one, one.sigmas) for one in result.observed]
+    return [_series(observed, observed.sigmas) for observed in result.observed]
 
 
-def _series(one: LegResult | Observed, sigma: Array) -> Series:
-    own = one.rows, one.residuals_before, one.residuals, sigma
-    return Series(one.name, one.unit, *own, isinstance(one, LegResult), one.redundancy)
+def _series(block: LegResult | Observed, sigma: Array) -> Series:
+    fields = block.rows, block.residuals_before, block.residuals, sigma
+    return Series(block.name, block.unit, *fields, isinstance(block, LegResult), block.redundancy)
 
 
 def noisy_series(result: CalibrationResult) -> list[Series]:
@@ -85,14 +85,14 @@ def noisy_series(result: CalibrationResult) -> list[Series]:
     """
     if readings_exact(result):
         return observed_series(result)
-    both = any(leg.quantity == "reading" for leg in result.legs)
-    return legs_series(result) + (observed_series(result) if both else [])
+    shared = any(leg.quantity == "reading" for leg in result.legs)
+    return legs_series(result) + (observed_series(result) if shared else [])
 
 
 def whose(series: Sequence[Series]) -> str:
     """Return what residuals are of: leg, measured quantity, or both."""
     names = {True: "leg", False: "measured quantity"}
-    return " and ".join(dict.fromkeys(names[one.of_leg] for one in series))
+    return " and ".join(dict.fromkeys(names[block.of_leg] for block in series))
 
 
 def readings_exact(result: CalibrationResult) -> bool:
@@ -104,11 +104,11 @@ def noise_said(result: CalibrationResult, sizes: Noise) -> str:
     """Return standard deviations of what was measured, each in its unit."""
     observed = result.calibration.observation
     columns = zip(observed.units, observed.measured.T, strict=True)
-    seen = {unit for unit, own in columns if own.any()}
+    measured_units = {unit for unit, values in columns if values.any()}
     return noise(
         {
-            "position": sizes.position if "m" in seen else None,
-            "orientation": sizes.orientation if "rad" in seen else None,
+            "position": sizes.position if "m" in measured_units else None,
+            "orientation": sizes.orientation if "rad" in measured_units else None,
             "reading": sizes.reading,
             "units": sorted(set(result.nominal.reading_units)),
         }
@@ -148,11 +148,11 @@ def directions(result: CalibrationResult) -> Directions:
     free = np.flatnonzero(np.isfinite(std) & (std > 0.0))
     scale = np.outer(std[free], std[free])
     values, axes = np.linalg.eigh(result.covariance[np.ix_(free, free)] / scale)
-    kept = values > RANK_TOLERANCE * values.max(initial=0.0)
-    information = (axes[:, kept] / values[kept]) @ axes[:, kept].T
+    determined = values > RANK_TOLERANCE * values.max(initial=0.0)
+    information = (axes[:, determined] / values[determined]) @ axes[:, determined].T
     lengths = np.sqrt(np.diagonal(information))
     squares, vectors = np.linalg.eigh(information / np.outer(lengths, lengths))
-    squares, vectors = squares[::-1][: kept.sum()], vectors[:, ::-1][:, : kept.sum()]
+    squares, vectors = squares[::-1][: determined.sum()], vectors[:, ::-1][:, : determined.sum()]
     singular = np.sqrt(np.maximum(squares, 0.0))
     return Directions([ids[i] for i in free], singular, vectors, std[free] / lengths)
 
@@ -161,24 +161,24 @@ def warnings(result: CalibrationResult) -> list[str]:
     """Return the warnings; one that several legs share is said once, with their names."""
     legs: dict[str, list[str]] = {}
     for text in result.warnings:
-        name, colon, rest = text.partition(": ")
-        own = bool(colon) and name in result.nominal.leg_names
-        legs.setdefault(rest if own else text, []).extend([name] if own else [])
+        name, colon, text_of_leg = text.partition(": ")
+        of_leg = bool(colon) and name in result.nominal.leg_names
+        legs.setdefault(text_of_leg if of_leg else text, []).extend([name] if of_leg else [])
     return [f"{', '.join(names)}: {text}" if names else text for text, names in legs.items()]
 
 
 def gauge(result: CalibrationResult) -> list[str]:
     """Return what was fixed by choice, lists cut where they are long (result.json has all)."""
-    return [sentence(one) for one in result.gauge]
+    return [sentence(finding) for finding in result.gauge]
 
 
 def unpromised(result: CalibrationResult) -> str:
     """Return why no limit is promised, in titles of findings; empty if one is."""
-    titles = dict.fromkeys(WORDINGS[one.code].title for one in result.contradictions)
+    titles = dict.fromkeys(WORDINGS[finding.code].title for finding in result.contradictions)
     return ", ".join(title[:1].lower() + title[1:] for title in titles)
 
 
-_MANY = 1e6  # standard errors, above which their number says nothing
+_MOST_SIGMAS = 1e6  # standard errors, above which their number says nothing
 _HEADS = ("parameter", "nominal", "identified", "± 95 %", "unit", "change", "change [σ]")
 _SIZES = ("rms before", "rms after", "σ", "unit")
 _SHIFT = "change [σ]: by how many standard errors the parameter moved"
@@ -197,14 +197,14 @@ def calibration_tables(result: CalibrationResult) -> list[Table]:
 
 def parameters_table(result: CalibrationResult) -> Table:
     """Return identified parameters with 95 % intervals and changes."""
-    given = [p.given.replace("fixed", "") for _, p in parameters(result)]
-    more = ["given"] if any(given) else []
+    sources = [p.given.replace("fixed", "") for _, p in parameters(result)]
+    source_head = ["given"] if any(sources) else []
     return Table(
         f"{result.nominal.name}: parameters, nominal and identified",
-        columns("leg", *_HEADS, *more, units=VALUES),
+        columns("leg", *_HEADS, *source_head, units=VALUES),
         [
-            (leg.name, *_cells(p), *[one] * len(more))
-            for (leg, p), one in zip(parameters(result), given, strict=True)
+            (leg.name, *_cells(p), *[source] * len(source_head))
+            for (leg, p), source in zip(parameters(result), sources, strict=True)
         ],
         "; ".join(filter(None, (f"{_SHIFT}{_chosen(result)}", result.nominal.labelled))),
         grouped=True,
@@ -240,7 +240,7 @@ def _cells(p: IdentifiedParameter) -> tuple[Value, ...]:
 
 def _moved(sigmas: float) -> str:
     """Return by how many standard errors a parameter moved, or that they are many."""
-    return f"{sigmas:+.1f}" if abs(sigmas) < _MANY else "> 1e6"
+    return f"{sigmas:+.1f}" if abs(sigmas) < _MOST_SIGMAS else "> 1e6"
 
 
 def outside_table(result: CalibrationResult) -> Table:
@@ -258,37 +258,37 @@ def outside_table(result: CalibrationResult) -> Table:
 def legs_table(result: CalibrationResult) -> Table:
     """Return residuals, rank and condition of each leg."""
     exact = readings_exact(result)
-    found = Table(
+    table = Table(
         "Legs: residuals, rank and condition",
         columns("leg", *_SIZES, "poses", "rank", "condition:.3g"),
         [
             (
                 leg.name,
-                *_sizes(one),
+                *_sizes(series),
                 leg.n_poses,
                 Cell(leg.rank, f"{leg.rank} of {len(leg.parameters)}"),
                 leg.condition,
             )
-            for leg, one in zip(result.legs, legs_series(result), strict=True)
+            for leg, series in zip(result.legs, legs_series(result), strict=True)
         ],
         f"{_SIGMA}; {_CONDITION}",
     )
     if not exact:
-        return found
-    found = found.only("leg", "poses", "rank", "condition", caption=_CONDITION)
-    return replace(found, title="Legs; readings were taken as exact")
+        return table
+    table = table.only("leg", "poses", "rank", "condition", caption=_CONDITION)
+    return replace(table, title="Legs; readings were taken as exact")
 
 
 def residuals_table(result: CalibrationResult) -> Table:
     """Return the residuals of the legs alone."""
-    found = legs_table(result).only("leg", *_SIZES, "poses", caption=_SIGMA)
-    return replace(found, title="Residuals of the legs")
+    table = legs_table(result).only("leg", *_SIZES, "poses", caption=_SIGMA)
+    return replace(table, title="Residuals of the legs")
 
 
 def rank_table(result: CalibrationResult) -> Table:
     """Return rank and condition of the legs alone."""
-    found = legs_table(result).only("leg", "rank", "condition", caption=_CONDITION)
-    return replace(found, title="Rank and condition of the legs")
+    table = legs_table(result).only("leg", "rank", "condition", caption=_CONDITION)
+    return replace(table, title="Rank and condition of the legs")
 
 
 def observed_table(result: CalibrationResult) -> Table:
@@ -296,33 +296,36 @@ def observed_table(result: CalibrationResult) -> Table:
     return Table(
         "The platform as measured, at the estimated poses",
         columns("measured", "rows", *_SIZES),
-        [(one.name, len(one.rows), *_sizes(one)) for one in observed_series(result)],
+        [(series.name, len(series.rows), *_sizes(series)) for series in observed_series(result)],
     )
 
 
-def _sizes(one: Series) -> tuple[Value, ...]:
+def _sizes(series: Series) -> tuple[Value, ...]:
     """Return root mean squares before and after, σ, and the unit."""
-    return (*(Quantity(value, one.unit, format=".4f") for value in one.rms), UnitOf(one.unit))
+    return (
+        *(Quantity(value, series.unit, format=".4f") for value in series.rms),
+        UnitOf(series.unit),
+    )
 
 
 def outliers_table(result: CalibrationResult, most: int = 20) -> Table:
     """Return the worst of the rows that do not fit."""
     every = {leg.name for leg in result.legs}
-    more = len(result.outliers) - most
+    omitted = len(result.outliers) - most
     return Table(
         f"Rows that do not fit, the worst first (robust loss: {result.loss})",
         columns("data row", "residual [σ]:.1f", "weight:.2f", "of", "what"),
         [
             (
-                one.row + 1,
-                one.sigma,
-                Cell(0.0, "rejected") if one.weight == 0.0 else one.weight,
-                "all legs" if set(one.legs) == every else ", ".join(one.legs),
-                f"{one.quantity} off by {one.off:.1f} σ",
+                outlier.row + 1,
+                outlier.sigma,
+                Cell(0.0, "rejected") if outlier.weight == 0.0 else outlier.weight,
+                "all legs" if set(outlier.legs) == every else ", ".join(outlier.legs),
+                f"{outlier.quantity} off by {outlier.off:.1f} σ",
             )
-            for one in result.outliers[:most]
+            for outlier in result.outliers[:most]
         ],
-        f"and {more} more in result.json" if more > 0 else "",
+        f"and {omitted} more in result.json" if omitted > 0 else "",
     )
 
 

@@ -78,7 +78,7 @@ class PageStyle:
     """Width of a letter of labels, [inch]."""
     line_small: float = 0.115
     """Height of a line of names along an axis, [inch]."""
-    many: int = 1500
+    raster_from: int = 1500
     """Points from which they are drawn as pixels: a vector picture stays small."""
 
 
@@ -112,11 +112,11 @@ class PictureStyle:
     """Of a figure, over what is left for the mechanism."""
     along: tuple[float, ...] = (0.5, 0.35, 0.65, 0.2, 0.8, 0.05, 0.95)
     """Where along a dimension its name is tried, by its length."""
-    away: tuple[float, ...] = (1.0, -1.0, 1.8, -1.8, 2.8, -2.8, 4.0, -4.0)
+    name_distances: tuple[float, ...] = (1.0, -1.0, 1.8, -1.8, 2.8, -2.8, 4.0, -4.0)
     """How far from it, in heights of the name."""
     arc: float = 0.055
     """Radius of the smallest angle drawn, of the scene's diagonal."""
-    beside: tuple[tuple[float, float], ...] = tuple(
+    leg_name_places: tuple[tuple[float, float], ...] = tuple(
         (far, turn) for far in (13.0, 20.0, 28.0) for turn in (0.0, 30.0, -30.0, 65.0, -65.0)
     )
     """Where a leg's name is tried: how far from its foot, [point], and turned by what, [deg]."""
@@ -139,7 +139,7 @@ class Look(NamedTuple):
 
 def look(index: int) -> Look:
     """Return the look of a leg or set by its number."""
-    return Look(*(own[index % len(own)] for own in (LEGS, MARKERS, HATCHES)))
+    return Look(*(values[index % len(values)] for values in (LEGS, MARKERS, HATCHES)))
 
 
 def dark_variables() -> str:
@@ -154,6 +154,6 @@ def other_look(index: int) -> Look:
 
 def shades(shares: Array) -> Array:
     """Return colours of errors by their places on the scale from 0 to 1, (N,) to (N, 3)."""
-    stops = np.array([[int(one[i : i + 2], 16) / 255 for i in (1, 3, 5)] for one in ERRORS])
-    at = np.linspace(0.0, 1.0, len(stops))
-    return np.stack([np.interp(shares, at, own) for own in stops.T], axis=1)
+    stops = np.array([[int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)] for colour in ERRORS])
+    places = np.linspace(0.0, 1.0, len(stops))
+    return np.stack([np.interp(shares, places, channel) for channel in stops.T], axis=1)

@@ -80,16 +80,17 @@ def method_line(result: CalibrationResult) -> str:
         return "all legs together, the poses estimated with the parameters"
     if options.method == "all-legs":
         return "all legs together, the poses taken as measured"
-    own = result.measurements.sets is not None and not options.every_pose
-    return f"each leg alone by {'the poses of its set' if own else 'all poses'}, taken as measured"
+    has_sets = result.measurements.sets is not None and not options.every_pose
+    poses = "the poses of its set" if has_sets else "all poses"
+    return f"each leg alone by {poses}, taken as measured"
 
 
 def noise_line(result: CalibrationResult) -> str:
     """Return what the noise is, or how the residuals compare with it."""
     dof, chi2 = result.degrees_of_freedom, result.reduced_chi2
     if result.noise_source in ("estimated", "repeats") and result.noise:
-        where = "the residuals" if result.noise_source == "estimated" else "repeated rows"
-        text = f"noise estimated from {where}: {noise_said(result, result.noise)}"
+        origin = "the residuals" if result.noise_source == "estimated" else "repeated rows"
+        text = f"noise estimated from {origin}: {noise_said(result, result.noise)}"
         if result.noise_source == "estimated":
             return text
         return f"{text}; {f'reduced χ² {rounded(chi2, 3)}' if dof else _NO_FREEDOM}"
@@ -130,29 +131,33 @@ def noise_sizes(result: CalibrationResult) -> str:
 
 def tolerance_lines(result: CalibrationResult) -> list[str]:
     """Return how far the machine is from its drawing, where that was found by the measurements."""
-    return [sentence(one) for one in result.findings if one.code == "tolerance-found"]
+    return [sentence(finding) for finding in result.findings if finding.code == "tolerance-found"]
 
 
 def systematic_lines(result: CalibrationResult) -> list[str]:
     """Return what is off by the same in all rows, if anything is said to be."""
     if result.systematic is None or not result.converged:
         return []
-    part, whole = (
+    part, total = (
         platform_error(
-            result.identified, one, result.poses, frames=result.frames_moved
+            result.identified, covariance, result.poses, frames=result.frames_moved
         ).where_determined[0]
-        for one in (result.systematic, result.covariance)
+        for covariance in (result.systematic, result.covariance)
     )
-    own, share = result.options.setup.systematic, (part / whole) ** 2 if whole else 0.0
-    return [systematic({"relative": own.relative, "target": own.target, "share": share})]
+    systematic_part, share = result.options.setup.systematic, (part / total) ** 2 if total else 0.0
+    return [
+        systematic(
+            {"relative": systematic_part.relative, "target": systematic_part.target, "share": share}
+        )
+    ]
 
 
 def tie_lines(result: CalibrationResult) -> list[str]:
     """Return whether ties hold."""
     return [
-        f"tie of {one.name}: {'holds' if one.holds else 'contradicted'} "
-        f"({chance(one.p_value)}, {one.restrictions} parameters fewer)"
-        for one in result.ties
+        f"tie of {tie.name}: {'holds' if tie.holds else 'contradicted'} "
+        f"({chance(tie.p_value)}, {tie.restrictions} parameters fewer)"
+        for tie in result.ties
     ]
 
 
@@ -173,7 +178,7 @@ def _platform(result: CalibrationResult, errors: WorkspaceErrors) -> str:
         return "platform: not determined anywhere, since what was held moves it at every pose"
     before = platform_size(errors.mean_before(), turning)
     text = f"platform, root mean square {errors.where}: "
-    found = ", its zeros as found," if result.begun is not result.nominal else ""
+    zeros = ", its zeros as found," if result.begun is not result.nominal else ""
     if not result.explained:
         return (
             f"{text}the calibrated model differs from the nominal one by {before}, but no accuracy "
@@ -184,12 +189,12 @@ def _platform(result: CalibrationResult, errors: WorkspaceErrors) -> str:
     after = platform_size(errors.mean_after(), turning)
     if not result.promises:
         return (
-            f"{text}the nominal model{found} was off by {before}, the calibrated one by {after} or "
+            f"{text}the nominal model{zeros} was off by {before}, the calibrated one by {after} or "
             f"more{frames}; no limit is promised: {unpromised(result)}"
         )
     limit = platform_size(errors.limit, turning)
     return (
-        f"{text}the nominal model{found} was off by {before}, the calibrated one by about "
+        f"{text}the nominal model{zeros} was off by {before}, the calibrated one by about "
         f"{after}{frames} (expected by the parameters' uncertainties; 95 of 100 such "
         f"calibrations stay below {limit}; ± of single parameters may be larger where they "
         "compensate each other)"
@@ -203,11 +208,15 @@ def platform_size(sizes: tuple[float, float], turns: bool) -> str:
 
 def check_lines(result: CalibrationResult) -> list[str]:
     """Return how held-out rows and runs compare."""
-    lines, one = [], result.validation
-    if one is not None:
-        by = f"{one.folds} folds" if one.folds > 1 else f"{one.rows} rows of the set verify"
-        lines.append(f"{held_out_line(one)} ({by})")
-        lines += missed_lines(one)
+    lines, validation = [], result.validation
+    if validation is not None:
+        rows = (
+            f"{validation.folds} folds"
+            if validation.folds > 1
+            else f"{validation.rows} rows of the set verify"
+        )
+        lines.append(f"{held_out_line(validation)} ({rows})")
+        lines += missed_lines(validation)
     if result.runs is not None:
         lines.append(
             f"{len(result.runs.runs)} runs: parameters spread {result.runs.ratio:.2f} times as "
@@ -222,34 +231,36 @@ def checks(result: CalibrationResult, notes: Sequence[str]) -> list[str]:
     return [f"{line}." for line in (*lines, *notes)]
 
 
-def held_out_line(one: Validation) -> str:
+def held_out_line(validation: Validation) -> str:
     """Return how rows that a fit has not seen compare with its own, where these fit at all."""
-    if one.fit > MISSES:
+    if validation.fit > MISSES:
         return (
-            f"held-out rows show nothing: the fit misses even its own rows by {one.fit:.3g} σ. "
-            "Look at the warnings first"
+            "held-out rows show nothing: the fit misses even its own rows by "
+            f"{validation.fit:.3g} σ. Look at the warnings first"
         )
     return (
-        f"held-out rows miss by {one.held_out:.2f} σ, those of the fit by {one.fit:.2f} σ; "
-        f"{one.expected:.2f} σ are expected held out"
+        f"held-out rows miss by {validation.held_out:.2f} σ, those of the fit by "
+        f"{validation.fit:.2f} σ; {validation.expected:.2f} σ are expected held out"
     )
 
 
-def missed_lines(one: Validation) -> list[str]:
+def missed_lines(validation: Validation) -> list[str]:
     """Return how far targets are missed at held-out rows, measuring noise included."""
-    return [missed(vars(own)) for own in one.targets] if one.fit <= MISSES else []
+    return (
+        [missed(vars(target)) for target in validation.targets] if validation.fit <= MISSES else []
+    )
 
 
 def weak_lines(pairs: Sequence[WeakPair], mechanism: Mechanism) -> list[str]:
     """Return which pairs of parameters are weakly determined; legs alike in one line."""
-    alike: dict[tuple[str, ...], list[WeakPair]] = {}
+    groups: dict[tuple[str, ...], list[WeakPair]] = {}
     for pair in pairs:
-        (leg, name), (other_leg, other) = _split(pair)
-        key = (name, other) if leg == other_leg else (pair.first, pair.second)
-        alike.setdefault(key, []).append(pair)
-    lines = [_weak_line(own, mechanism) for own in alike.values()]
-    more = len(lines) - 3
-    return lines if more <= 0 else [*lines[:3], f"{more} more such pairs (--json)"]
+        (leg, name), (other_leg, second) = _split(pair)
+        key = (name, second) if leg == other_leg else (pair.first, pair.second)
+        groups.setdefault(key, []).append(pair)
+    lines = [_weak_line(group, mechanism) for group in groups.values()]
+    omitted = len(lines) - 3
+    return lines if omitted <= 0 else [*lines[:3], f"{omitted} more such pairs (--json)"]
 
 
 def _split(pair: WeakPair) -> list[tuple[str, str]]:
@@ -259,20 +270,20 @@ def _split(pair: WeakPair) -> list[tuple[str, str]]:
 
 def _weak_line(pairs: Sequence[WeakPair], mechanism: Mechanism) -> str:
     """Return a line on a pair of parameters, of one leg or alike of several; the weakest counts."""
-    worst, both, whose = pairs[0], _split(pairs[0]), ""
+    worst, names, owner = pairs[0], _split(pairs[0]), ""
     legs = list(dict.fromkeys(_split(pair)[0][0] for pair in pairs))
     ids = [worst.first, worst.second]
-    if len(legs) > 1 and both[0][0] == both[1][0]:
-        ids = [name for _, name in both]
-        whose = " of every leg" if len(legs) == len(mechanism.legs) else f" of {', '.join(legs)}"
-    units = [mechanism.leg(leg).units[name] for leg, name in both]
+    if len(legs) > 1 and names[0][0] == names[1][0]:
+        ids = [name for _, name in names]
+        owner = " of every leg" if len(legs) == len(mechanism.legs) else f" of {', '.join(legs)}"
+    units = [mechanism.leg(leg).units[name] for leg, name in names]
     known = [
-        f"{amount(now, unit)} instead of {number(std, unit)} for {id_}"
-        for now, std, unit, id_ in zip(worst.known, worst.std, units, ids, strict=True)
-        if number(now, unit) != number(std, unit)
+        f"{amount(known_std, unit)} instead of {number(std, unit)} for {id_}"
+        for known_std, std, unit, id_ in zip(worst.known, worst.std, units, ids, strict=True)
+        if number(known_std, unit) != number(std, unit)
     ]
     return (
-        f"{ids[0]} and {ids[1]}{whose} are weakly determined together, correlation "
+        f"{ids[0]} and {ids[1]}{owner} are weakly determined together, correlation "
         f"{worst.correlation:+.3f}: if the other one were known, the standard error would be "
         f"{' and '.join(known)}"
     )
@@ -289,24 +300,24 @@ _VERDICTS = (
     "that matters little; a drift twice as large would",
     "that matters: measure in turns (pincal select writes such an order), or again in parts",
 )
-_ALONE = "with --per-leg, which takes each leg alone by the poses of its set"
+_PER_LEG = "with --per-leg, which takes each leg alone by the poses of its set"
 
 
 def forecast_lines(
-    found: Forecast, error: PlatformError, planned: int, alone: PlatformError | None
+    forecast: Forecast, error: PlatformError, planned: int, alone: PlatformError | None
 ) -> list[str]:
     """Return what a plan determines, and what error of the platform that gives.
 
     Arguments are those of ``forecast_table``.
     """
-    turning = "rad" in found.mechanism.platform.units
-    lines = [*_rank(found), *weak_lines(found.weak, found.mechanism)]
+    turning = "rad" in forecast.mechanism.platform.units
+    lines = [*_rank(forecast), *weak_lines(forecast.weak, forecast.mechanism)]
     best = f"; {_BEST}" if error.position < np.inf else ""
     lines.append(f"platform over the workspace: {_expected(error, turning)}{best}")
     if alone is not None:
-        lines.append(f"{_ALONE}: {_expected(alone, turning)}")
-    if found.poses < planned:
-        lines.append(f"{planned - found.poses} of {planned} poses are out of reach")
+        lines.append(f"{_PER_LEG}: {_expected(alone, turning)}")
+    if forecast.poses < planned:
+        lines.append(f"{planned - forecast.poses} of {planned} poses are out of reach")
     return lines
 
 
@@ -317,71 +328,79 @@ def drift_lines(drifts: Sequence[Drift]) -> list[str]:
         "the same with --per-leg",
     )
     lines = []
-    for head, one in zip(heads, drifts, strict=False):
-        if not np.isfinite(one.most):  # nothing is determined that could be off
+    for head, drift in zip(heads, drifts, strict=False):
+        if not np.isfinite(drift.most):  # nothing is determined that could be off
             continue
-        text = f"{head}: {one.worst} off by {one.most:.2g} standard errors"
-        if np.isfinite(one.share):
-            text += f", the platform by {one.share:.2g} of its expected error"
-        much = max(one.most, float(np.nan_to_num(one.share)))
-        text += f": {_VERDICTS[int(np.searchsorted(_MATTERS, much))]}"
+        text = f"{head}: {drift.worst} off by {drift.most:.2g} standard errors"
+        if np.isfinite(drift.share):
+            text += f", the platform by {drift.share:.2g} of its expected error"
+        size = max(drift.most, float(np.nan_to_num(drift.share)))
+        text += f": {_VERDICTS[int(np.searchsorted(_MATTERS, size))]}"
         lines.append(text)
     return lines
 
 
-def scale_line(one: ScaleEffect | None) -> list[str]:
+def scale_line(effect: ScaleEffect | None) -> list[str]:
     """Return what a wrong scale of the instrument would do.
 
     Nothing if no lengths are measured, or the platform is not determined in the first place.
     """
-    if one is None or not np.isfinite(one.platform.position):
+    if effect is None or not np.isfinite(effect.platform.position):
         return []
-    off = amount(one.platform.position, "m")
-    text = f"all lengths measured {1e6 * SCALE:.0f} µm/m too long: the platform off by {off}"
-    if one.seen > CLEAR:
-        return [f"{text}; residuals would show it, by {one.seen:.2g} standard deviations"]
-    known = "that is taken into what is promised" if one.said else _SAY_SCALE
-    return [f"{text}, and no residual shows it ({one.seen:.2g} standard deviations): {known}"]
+    displacement = amount(effect.platform.position, "m")
+    text = (
+        f"all lengths measured {1e6 * SCALE:.0f} µm/m too long: the platform off by {displacement}"
+    )
+    if effect.seen > CLEAR:
+        return [f"{text}; residuals would show it, by {effect.seen:.2g} standard deviations"]
+    known = "that is taken into what is promised" if effect.said else _SAY_SCALE
+    return [f"{text}, and no residual shows it ({effect.seen:.2g} standard deviations): {known}"]
 
 
-def scale_answer(one: ScaleEffect | None) -> dict[str, Any] | None:
+def scale_answer(effect: ScaleEffect | None) -> dict[str, Any] | None:
     """Return what a wrong scale of the instrument would do, as JSON."""
-    if one is None:
+    if effect is None:
         return None
     return {
         "relative": SCALE,
-        "standard_deviations": one.seen,
-        "platform": {"position": one.platform.position, "orientation": one.platform.orientation},
+        "standard_deviations": effect.seen,
+        "platform": {
+            "position": effect.platform.position,
+            "orientation": effect.platform.orientation,
+        },
     }
 
 
-def drift_answer(one: Drift) -> dict[str, Any]:
+def drift_answer(drift: Drift) -> dict[str, Any]:
     """Return what a drift over the run would do, as JSON."""
     return {
-        "parameter": one.worst if np.isfinite(one.most) else None,
-        "standard_errors": one.most,
-        "platform": {"position": one.platform.position, "orientation": one.platform.orientation},
-        "platform_share": one.share,
+        "parameter": drift.worst if np.isfinite(drift.most) else None,
+        "standard_errors": drift.most,
+        "platform": {
+            "position": drift.platform.position,
+            "orientation": drift.platform.orientation,
+        },
+        "platform_share": drift.share,
     }
 
 
-def _rank(found: Forecast) -> list[str]:
+def _rank(forecast: Forecast) -> list[str]:
     """Return what is not determined: first what is no fault of the plan, then what is."""
-    rank, count = found.rank, found.gauge.shape[1]
+    rank, count = forecast.rank, forecast.gauge.shape[1]
     start = f"rank {rank.rank} of {rank.n_params}"
     groups = [group_in_words(group) for group in rank.groups]
     lines = [start if count else f"{start}, condition {rank.condition:.3g}"]
     if count:
-        which = f" ({groups[0]})" if len(groups) == 1 else ""
+        group_name = f" ({groups[0]})" if len(groups) == 1 else ""
         lines = [
             f"{start}: {count} {'is a freedom' if count == 1 else 'are freedoms'} of frames, or of "
-            f"redundant parameters{which}, which such measurements cannot determine. Of "
+            f"redundant parameters{group_name}, which such measurements cannot determine. Of "
             "equal parameters those nearest to nominal are meant, and errors of the platform are "
             "what no motion of the base or platform frame explains"
         ]
-    if found.lost.shape[1]:
-        more = f"; and {len(groups) - LISTED} more (--json)" if len(groups) > LISTED else ""
-        lines.append(f"not determined (—): {'; '.join(groups[:LISTED])}{more}")
+    if forecast.lost.shape[1]:
+        omitted = f"; and {len(groups) - LISTED} more (--json)" if len(groups) > LISTED else ""
+        lines.append(f"not determined (—): {'; '.join(groups[:LISTED])}{omitted}")
     return lines
 
 
@@ -397,8 +416,8 @@ def _expected(error: PlatformError, turning: bool) -> str:
 
 def poses_line(accuracy: float, needed: float, alone: float | None) -> str:
     """Return how many poses an accuracy [m] takes, also with each leg alone if that is known."""
-    many = f"{needed:,.0f} poses like these" if np.isfinite(needed) else "no number of poses"
-    text = f"for {amount(accuracy, 'm', 6)}: {many}"
+    poses = f"{needed:,.0f} poses like these" if np.isfinite(needed) else "no number of poses"
+    text = f"for {amount(accuracy, 'm', 6)}: {poses}"
     text += "" if alone is None else f", {alone:,.0f} with --per-leg"
     if 1e5 < needed < np.inf:
         text += ", which nobody measures: that takes less noise, not more poses"

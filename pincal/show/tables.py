@@ -32,14 +32,14 @@ def nominal_table(mechanism: Mechanism) -> Table:
     grid: list[list[Value]] = [["parameter", *mechanism.leg_names, "unit"]]
     for name in names:
         unit = next(leg.units[name] for leg in mechanism.legs if name in leg.units)
-        given = (leg.nominal_by_name.get(name) for leg in mechanism.legs)
-        values = (None if one is None else Quantity(one, unit) for one in given)
+        nominal = (leg.nominal_by_name.get(name) for leg in mechanism.legs)
+        values = (None if value is None else Quantity(value, unit) for value in nominal)
         grid.append([name, *values, UnitOf(unit)])
     if len(mechanism.legs) > len(names):
         grid = [list(row) for row in zip(*grid, strict=True)]
     heads, *rows = grid
-    title, own = f"{mechanism.name}: nominal parameters", mechanism.labelled
-    return Table(title, columns(*map(str, heads), units=STORED), rows, own)
+    title, labels = f"{mechanism.name}: nominal parameters", mechanism.labelled
+    return Table(title, columns(*map(str, heads), units=STORED), rows, labels)
 
 
 def selection_table(selection: Selection) -> Table:
@@ -74,9 +74,15 @@ def choice_table(mechanism: Mechanism, chosen: ConfigurationChoice) -> Table:
     rank = chosen.rank
     lost = rank.n_params - rank.rank
     words = f"; {lost} directions are not observable at any candidate" if lost else ""
-    of = Cell(chosen.candidates, f"{chosen.candidates:,}")
+    candidates = Cell(chosen.candidates, f"{chosen.candidates:,}")
     determined = Cell(rank.rank, f"{rank.rank} of {rank.n_params}")
-    row = (len(chosen.plan.poses), of, chosen.efficiency, determined, ", ".join(chosen.measured))
+    row = (
+        len(chosen.plan.poses),
+        candidates,
+        chosen.efficiency,
+        determined,
+        ", ".join(chosen.measured),
+    )
     return Table(
         f"{mechanism.name}: configurations for {GOALS[chosen.goal]}{words}",
         columns("poses", "of", "efficiency:.3f", "rank", "measured"),
@@ -90,9 +96,9 @@ def accuracy_table(errors: Mapping[str, Accuracy], turns: bool) -> Table:
     rows: list[list[Value]] = []
     better: list[list[Value]] = []
     before: list[float] = []
-    for name, one in errors.items():
-        sizes = [one.position, one.worst_position, one.orientation][keep]
-        rows.append([name, *sizes, one.unreachable])
+    for name, accuracy in errors.items():
+        sizes = [accuracy.position, accuracy.worst_position, accuracy.orientation][keep]
+        rows.append([name, *sizes, accuracy.unreachable])
         ratios = [old / new for old, new in zip(before, sizes, strict=False)]
         times: list[Value] = [Cell(ratio, f"{ratio:.1f} times") for ratio in ratios]
         better += [[f"{name}: better by", *times, None]] if before else []
@@ -107,7 +113,7 @@ def accuracy_table(errors: Mapping[str, Accuracy], turns: bool) -> Table:
 
 
 def forecast_table(
-    found: Forecast,
+    forecast: Forecast,
     error: PlatformError,
     planned: int,
     alone: PlatformError | None = None,
@@ -117,7 +123,7 @@ def forecast_table(
     """Return what a plan will give: standard errors by parameter and leg, and what they mean.
 
     Args:
-        found: The forecast.
+        forecast: The forecast.
         error: Of the platform over the workspace.
         planned: Number of poses in the plan.
         alone: The same error with each leg calibrated alone, if that can be.
@@ -125,18 +131,18 @@ def forecast_table(
         scale: What a wrong scale of the instrument would do.
     """
     lines = (
-        *forecast_lines(found, error, planned, alone),
+        *forecast_lines(forecast, error, planned, alone),
         *drift_lines(drifts),
         *scale_line(scale),
     )
-    return standard_errors(found, "\n".join(lines))
+    return standard_errors(forecast, "\n".join(lines))
 
 
-def standard_errors(found: Forecast, said: str = "") -> Table:
+def standard_errors(forecast: Forecast, caption: str = "") -> Table:
     """Return the standard errors of a forecast by parameter and leg, with what is said beneath."""
-    mechanism = found.mechanism
+    mechanism = forecast.mechanism
     names = [(leg.name, name) for leg in mechanism.legs for name in leg.parameter_names]
-    errors = dict(zip(names, found.std.tolist(), strict=True))
+    errors = dict(zip(names, forecast.std.tolist(), strict=True))
     units = {name: leg.units[name] for leg in mechanism.legs for name in leg.parameter_names}
 
     def cell(leg: str, name: str, unit: str) -> Value:
@@ -145,14 +151,14 @@ def standard_errors(found: Forecast, said: str = "") -> Table:
         return Uncertainty(std, unit) if std < np.inf else Cell(std, "—")
 
     return Table(
-        f"{mechanism.name}: standard errors (1 σ) from {found.poses} poses, measured: "
-        f"{', '.join(found.measured) or 'nothing'}",
+        f"{mechanism.name}: standard errors (1 σ) from {forecast.poses} poses, measured: "
+        f"{', '.join(forecast.measured) or 'nothing'}",
         (Column("parameter"), Column("unit"), *(Column(leg) for leg in mechanism.leg_names)),
         [
             (name, UnitOf(unit), *(cell(leg, name, unit) for leg in mechanism.leg_names))
             for name, unit in units.items()
         ],
-        said,
+        caption,
     )
 
 
@@ -166,16 +172,16 @@ def workspace_table(
         inscribed: Its largest circle or ball.
         wanted: Whether one was looked for.
     """
-    asked, test = workspace.asked, workspace.test
-    name = {1: "length", 2: "area", 3: "volume"}[asked.dimension or 1]
-    how = "at most: half a cell along the edge" if isinstance(asked, Grid) else "95 %"
-    apart = f"; {workspace.apart:,} of them apart from home's" if workspace.apart else ""
+    positions, test = workspace.asked, workspace.test
+    name = {1: "length", 2: "area", 3: "volume"}[positions.dimension or 1]
+    method = "at most: half a cell along the edge" if isinstance(positions, Grid) else "95 %"
+    separate = f"; {workspace.apart:,} of them apart from home's" if workspace.apart else ""
     least, type2 = test.least, test.least.least_type2(test.mechanism)
     sides = "both sides of type 2" if type2 == -np.inf else f"type 2 ≥ {type2:.3g}"
     every = "in every one of" if test.every else "in any of"
     facts = [
-        (name, f"{workspace.size} ({how})"),
-        ("positions", f"{workspace.count:,} of {asked.size:,} count{apart}"),
+        (name, f"{workspace.size} ({method})"),
+        ("positions", f"{workspace.count:,} of {positions.size:,} count{separate}"),
         ("orientations", f"{every} {len(test.orientations):,}"),
         ("margins", f"type 1 ≥ {least.type1:.3g}, {sides}"),
         ("symmetry", _by_symmetry(workspace)),
@@ -185,9 +191,9 @@ def workspace_table(
     if inscribed is None and wanted:
         facts.append(("largest inscribed", "none: no position counts"))
     if inscribed:
-        kept = len(asked.axes) if isinstance(asked, Grid) else 3
-        centre = ", ".join(f"{v + 0.0:.4f}" for v in inscribed.centre[:kept].round(6))
-        body = "ball" if asked.dimension == 3 else "circle"
+        n_axes = len(positions.axes) if isinstance(positions, Grid) else 3
+        centre = ", ".join(f"{v + 0.0:.4f}" for v in inscribed.centre[:n_axes].round(6))
+        body = "ball" if positions.dimension == 3 else "circle"
         loose = inscribed.bound > 1.001 * inscribed.radius
         touches = f"; none is larger than {inscribed.bound:.4f} m" if loose else ""
         touches += "; it touches the edge of the grid" if inscribed.at_edge else ""
@@ -204,8 +210,8 @@ def _by_symmetry(workspace: Workspace) -> str:
     if len(workspace.elements) > 1:
         text += f", the others by {len(workspace.elements)} elements: {used}"
     if workspace.unused:
-        left = ", ".join(str(e) for e in workspace.unused)
-        text += f"; not used, or not a symmetry of these positions and orientations: {left}"
+        unused = ", ".join(str(e) for e in workspace.unused)
+        text += f"; not used, or not a symmetry of these positions and orientations: {unused}"
     return text
 
 
@@ -298,13 +304,13 @@ def group_table(group: SymmetryGroup) -> tuple[Table, Table]:
         wrap=False,
     )
     parts = group.subgroups()
-    alike = Counter((part.name, count // len(part.elements)) for part in parts)
+    kinds = Counter((part.name, count // len(part.elements)) for part in parts)
     facts = [
         ("generators", "; ".join(map(str, group.generators)) or "none"),
         *((f"orbit of {len(orbit)}", ", ".join(orbit)) for orbit in group.leg_orbits),
         *(
             (f"subgroup {name}", f"{times} of index {index}")
-            for (name, index), times in alike.items()
+            for (name, index), times in kinds.items()
         ),
     ]
     return products, Table("generators, legs, subgroups", (Column("what"), Column("is")), facts)

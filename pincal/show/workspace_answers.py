@@ -38,28 +38,28 @@ def poses_answer(mechanism: Mechanism, poses: Array) -> dict[str, Any]:
     }
 
 
-def region_answer(found: Workspace, inscribed: Inscribed | None) -> dict[str, Any]:
+def region_answer(region: Workspace, inscribed: Inscribed | None) -> dict[str, Any]:
     """Return how large a workspace is, what was asked, and by which symmetry."""
-    test = found.test
+    test = region.test
     return {
         "mechanism": test.mechanism.name,
-        "kind": found.kind,
-        "measure": found.measure,
-        "uncertainty": found.uncertainty,
-        "unit": found.unit,
-        "count": found.count,
-        "asked": found.asked.size,
-        "apart_from_home": found.apart,
-        "cut_by_the_grid": found.cut,
+        "kind": region.kind,
+        "measure": region.measure,
+        "uncertainty": region.uncertainty,
+        "unit": region.unit,
+        "count": region.count,
+        "asked": region.asked.size,
+        "apart_from_home": region.apart,
+        "cut_by_the_grid": region.cut,
         "orientations": len(test.orientations),
         "every_orientation": test.every,
         "margins": {
             "type1": test.least.type1,
             "type2": test.least.least_type2(test.mechanism),
         },
-        "computed": found.computed,
-        "elements": [str(one) for one in found.elements],
-        "unused_elements": [str(one) for one in found.unused],
+        "computed": region.computed,
+        "elements": [str(element) for element in region.elements],
+        "unused_elements": [str(element) for element in region.unused],
         "inscribed": None if inscribed is None else vars(inscribed),
     }
 
@@ -79,7 +79,7 @@ def articular_answer(
             }
             for name, readings in spaces.items()
         },
-        "permuted_readings": [vars(one) | {"element": str(one.element)} for one in checks],
+        "permuted_readings": [vars(check) | {"element": str(check.element)} for check in checks],
     }
 
 
@@ -237,10 +237,10 @@ def error_maps(
     inside = in_workspace(nominal, flat)
     if not inside.any():
         return None
-    found = errors_at(result, flat[inside])
-    both = np.full((2, len(flat), 2), np.nan)
-    both[:, inside] = found.before, found.after
-    before, after = both.reshape(2, len(heights), n, n, 2)
+    errors_inside = errors_at(result, flat[inside])
+    sizes_flat = np.full((2, len(flat), 2), np.nan)
+    sizes_flat[:, inside] = errors_inside.before, errors_inside.after
+    before, after = sizes_flat.reshape(2, len(heights), n, n, 2)
     return ErrorMaps(x, y, heights, before, after)
 
 
@@ -251,9 +251,9 @@ def workspace_errors(result: CalibrationResult) -> WorkspaceErrors:
     lies in the measured region.
     """
     try:
-        found = errors_at(result, sample_configurations(result.nominal, 1000))
-        if found.expected.within.any():
-            return found
+        sampled = errors_at(result, sample_configurations(result.nominal, 1000))
+        if sampled.expected.within.any():
+            return sampled
     except WorkspaceError:
         pass
     readings = result.measurements.readings if result.nominal.by_readings else None
@@ -280,8 +280,8 @@ def moved_apart(result: CalibrationResult, machine: Mechanism, plan: Plan) -> Ar
     Less what motions of frames explain that were fixed by choice; NaN out of reach.
     """
     moved = platform_errors(machine, result.identified, plan)
-    both = np.isfinite(moved).all(axis=1)
-    moved[both] = without_frames(
-        result.identified, plan.poses[both], moved[both, :, None], result.frames_moved
+    reached = np.isfinite(moved).all(axis=1)
+    moved[reached] = without_frames(
+        result.identified, plan.poses[reached], moved[reached, :, None], result.frames_moved
     )[:, :, 0]
     return moved

@@ -22,7 +22,7 @@ from pincal.workspace.region import Workspace
 
 #: What is dark is seen on dark ground too.
 _HALO = [withStroke(linewidth=4, foreground="white")]
-_SEEN = 0.2  # of a picture: less of it than this shows nothing
+_LEAST_SHARE = 0.2  # of a picture: less of it than this shows nothing
 
 
 def _panels(count: int, edge: float, share: bool = False) -> tuple[Figure, list[Axes]]:
@@ -39,7 +39,7 @@ def _panels(count: int, edge: float, share: bool = False) -> tuple[Figure, list[
 
 def workspace_figure(workspace: Workspace, inscribed: Inscribed | None = None) -> Figure:
     """Return a figure of a workspace seen from above, in slices of equal z in space."""
-    levels, asked = _levels(workspace), workspace.asked
+    levels, positions = _levels(workspace), workspace.asked
     figure, panels = _panels(len(levels), 4.5, share=True)
     names, bases = workspace.test.mechanism.leg_names, _bases(workspace)
     for axes, level in zip(panels, levels, strict=True):
@@ -61,9 +61,9 @@ def workspace_figure(workspace: Workspace, inscribed: Inscribed | None = None) -
     size = workspace.size
     if not workspace.count:
         size = "empty"
-    elif isinstance(asked, Grid):
-        size += f"; {len(levels)} of {asked.shape[2]} heights" if len(levels) > 1 else ""
-    elif asked.dimension == 3:
+    elif isinstance(positions, Grid):
+        size += f"; {len(levels)} of {positions.shape[2]} heights" if len(levels) > 1 else ""
+    elif positions.dimension == 3:
         size += "; samples of all heights"
     size += "" if bases else "; base points lie outside"
     name = workspace.test.mechanism.name
@@ -78,29 +78,29 @@ def _bases(workspace: Workspace) -> dict[str, Array]:
     counts = workspace.asked.at(np.flatnonzero(workspace.inside))[:, :2]
     if not len(counts):
         return bases
-    whole = np.ptp([*bases.values(), counts.min(axis=0), counts.max(axis=0)], axis=0).max()
-    return bases if np.ptp(counts, axis=0).max() > _SEEN * whole else {}
+    extent = np.ptp([*bases.values(), counts.min(axis=0), counts.max(axis=0)], axis=0).max()
+    return bases if np.ptp(counts, axis=0).max() > _LEAST_SHARE * extent else {}
 
 
 def _draw_workspace(
     axes: Axes, workspace: Workspace, level: float | None, inscribed: Inscribed | None
 ) -> None:
     """Draw positions that count, at one height in space; the fundamental domain is darker."""
-    asked, index = workspace.asked, np.flatnonzero(workspace.inside)
-    positions = asked.at(index)
+    grid, index = workspace.asked, np.flatnonzero(workspace.inside)
+    positions = grid.at(index)
     if level is not None:
-        here = np.abs(positions[:, 2] - level) <= 1e-9 * max(1.0, abs(level))
-        index, positions = index[here], positions[here]
+        at_level = np.abs(positions[:, 2] - level) <= 1e-9 * max(1.0, abs(level))
+        index, positions = index[at_level], positions[at_level]
     colours = np.where(workspace.representative(index), DOMAIN, CARRIED)
-    many = len(index) > PAGE.many  # a vector picture stays small
-    if isinstance(asked, Grid):
+    rasterized = len(index) > PAGE.raster_from  # a vector picture stays small
+    if isinstance(grid, Grid):
         cells = PolyCollection(
-            list(_cells(asked, index)), facecolors=colours, edgecolors="face", lw=0.2
+            list(_cells(grid, index)), facecolors=colours, edgecolors="face", lw=0.2
         )
-        cells.set_rasterized(many)
+        cells.set_rasterized(rasterized)
         axes.add_collection(cells)
     else:
-        axes.scatter(positions[:, 0], positions[:, 1], c=colours, s=2, lw=0, rasterized=many)
+        axes.scatter(positions[:, 0], positions[:, 1], c=colours, s=2, lw=0, rasterized=rasterized)
     if inscribed:
         x, y, z = map(float, inscribed.centre)
         height = 0.0 if level is None else z - level
@@ -170,8 +170,8 @@ def _sampled(title: str) -> str:
 
 
 def _dots(axes: Axes, x: Array, y: Array, index: int, label: str = "") -> None:
-    colour, many = look(index).colour, len(x) > PAGE.many
-    axes.plot(x, y, ".", ms=1.5, color=colour, label=label, rasterized=many)
+    colour, rasterized = look(index).colour, len(x) > PAGE.raster_from
+    axes.plot(x, y, ".", ms=1.5, color=colour, label=label, rasterized=rasterized)
 
 
 def _plane_of_equal_sums(mechanism: Mechanism, spaces: Mapping[str, Array]) -> Figure:
@@ -188,9 +188,9 @@ def _plane_of_equal_sums(mechanism: Mechanism, spaces: Mapping[str, Array]) -> F
     )
     cloud.set_box_aspect(None, zoom=0.85)
     for index, (axes, (title, readings)) in enumerate(zip(panels[1:], spaces.items(), strict=True)):
-        across, up, _ = equal_sums(readings).T
-        _dots(axes, across, up, index)
-        reach = 1.1 * float(np.abs([across, up]).max(initial=1e-9))
+        across, upward, _ = equal_sums(readings).T
+        _dots(axes, across, upward, index)
+        reach = 1.1 * float(np.abs([across, upward]).max(initial=1e-9))
         for k in range(3):
             direction = np.array([np.cos(2 * np.pi * k / 3), np.sin(2 * np.pi * k / 3)])
             axes.plot(*(np.outer([0, reach], direction).T), "-", color="0.6", lw=0.8, zorder=0)

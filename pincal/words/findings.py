@@ -7,48 +7,48 @@ from pincal.words.numbers import amount, chance, counted, listed, size
 from pincal.words.wording import P_VALUE, Wording, groups_in_words
 
 
-def _still(found: Finding) -> str:
-    each = (
+def _still(finding: Finding) -> str:
+    constant = (
         f"{name} reads the same in all rows ({value:.6g} {unit})"
-        for name, value, unit, _ in found.values["readings"]
+        for name, value, unit, _ in finding.values["readings"]
     )
-    moves = (f"{moved:.2g} {unit}" for _, _, unit, moved in found.values["readings"])
+    moves = (f"{moved:.2g} {unit}" for _, _, unit, moved in finding.values["readings"])
     return (
-        f"{', '.join(each)}, where readings of the nominal mechanism differ by "
+        f"{', '.join(constant)}, where readings of the nominal mechanism differ by "
         f"{', '.join(moves)} over these poses"
     )
 
 
-def _turns(found: Finding) -> str:
-    v, count = found.values, len(found.rows)
+def _turns(finding: Finding) -> str:
+    v, count = finding.values, len(finding.rows)
     return (
         f"{v['leg']}: {counted(count, 'reading is', 'readings are')} off by whole turns, the first "
-        f"in data row {found.rows[0] + 1}: {v['reading']:.6g} rad, where the nominal mechanism "
+        f"in data row {finding.rows[0] + 1}: {v['reading']:.6g} rad, where the nominal mechanism "
         f"reads {v['nominal']:.6g} rad"
     )
 
 
-def _bent(found: Finding) -> str:
-    each = (
+def _bent(finding: Finding) -> str:
+    bent_legs = (
         f"{leg} ({' and '.join(passive)}, in {bent} of {rows} rows)"
-        for leg, passive, bent, rows in found.values["legs"]
+        for leg, passive, bent, rows in finding.values["legs"]
     )
     return (
         "readings and poses close the legs, but these bend the other way than in mechanism.yaml's "
-        f"home: {', '.join(each)}"
+        f"home: {', '.join(bent_legs)}"
     )
 
 
-def _other_mechanism(found: Finding) -> str:
+def _other_mechanism(finding: Finding) -> str:
     return (
-        f"{found.values['leg']}: the measurements miss the nominal mechanism by "
-        f"{100 * found.values['gap']:.1f} % of a leg's length (median), and no single fault in "
+        f"{finding.values['leg']}: the measurements miss the nominal mechanism by "
+        f"{100 * finding.values['gap']:.1f} % of a leg's length (median), and no single fault in "
         "units, signs, order, zeros or frame explains it"
     )
 
 
-def _apart(found: Finding) -> str:
-    v = found.values
+def _unrelated_readings(finding: Finding) -> str:
+    v = finding.values
     return (
         f"{v['leg']}: the readings do not follow those of the nominal mechanism (machines near it "
         f"leave {100 * v['left']:.2g} % of the leg's length where readings move it by "
@@ -56,17 +56,17 @@ def _apart(found: Finding) -> str:
     )
 
 
-def _copies(found: Finding) -> str:
-    (one, other), pairs = found.values["first"], found.values["pairs"]
-    more = f" (and {pairs - 1} more such pairs)" if pairs > 1 else ""
+def _copies(finding: Finding) -> str:
+    (first, second), pairs = finding.values["first"], finding.values["pairs"]
+    further = f" (and {pairs - 1} more such pairs)" if pairs > 1 else ""
     return (
-        f"data rows {one + 1} and {other + 1} are identical in all that was measured{more}; "
+        f"data rows {first + 1} and {second + 1} are identical in all that was measured{further}; "
         "measured twice, they would differ by noise"
     )
 
 
-def _large(found: Finding) -> str:
-    v = found.values
+def _large(finding: Finding) -> str:
+    v = finding.values
     if v["what"] == "position":
         return (
             f"the noise of position is given as {v['given']:g} m, more than "
@@ -77,17 +77,17 @@ def _large(found: Finding) -> str:
     )
 
 
-def _slips(found: Finding) -> str:
-    v, others = found.values, len(found.rows) - 1
-    more = f", and {counted(others, 'more row')} so" if others else ""
+def _slips(finding: Finding) -> str:
+    v, count = finding.values, len(finding.rows) - 1
+    further = f", and {counted(count, 'more row')} so" if count else ""
     return (
         f"data row {v['worst'] + 1} misses the nominal mechanism {v['times']:.3g} times as far as "
-        f"rows usually do{more}"
+        f"rows usually do{further}"
     )
 
 
-def _one_body(found: Finding) -> str:
-    v = found.values
+def _one_body(finding: Finding) -> str:
+    v = finding.values
     return (
         f"{100 * v['share']:.0f} % of what the nominal model is off by (in squares) is one motion "
         f"of the {v['frame']}'s frame, by {size(v['shift'], v['turn'])}, and parameters that "
@@ -95,12 +95,12 @@ def _one_body(found: Finding) -> str:
     )
 
 
-def _one_body_remedy(found: Finding) -> str:
-    how = {
+def _one_body_remedy(finding: Finding) -> str:
+    question = {
         "base": "Is the tracker's frame the base's (--unknown-frame)?",
         "platform": "Is the target the platform's origin (--unknown-target)?",
-    }[found.values["remedy"]]
-    return f"{how} Else where the frame lies is taken for errors of the machine"
+    }[finding.values["remedy"]]
+    return f"{question} Else where the frame lies is taken for errors of the machine"
 
 
 FAULTS: dict[str, Wording] = {
@@ -145,7 +145,7 @@ FAULTS: dict[str, Wording] = {
             "left": "misfit that machines near the nominal one leave, in lengths of the leg",
             "stroke": "by how much readings move the leg, in its lengths",
         },
-        _apart,
+        _unrelated_readings,
         "The poses say nothing of what the readings say, in a workspace too small to see why.",
         "Check their order and signs, the signs and frame of the poses, and the mechanism",
         "error",
@@ -200,21 +200,21 @@ FAULTS: dict[str, Wording] = {
 }
 
 
-def _base(found: Finding) -> str:
-    why = (
+def _base(finding: Finding) -> str:
+    reason = (
         "the frame of the measurements is unknown"
-        if found.values["unknown_frame"]
+        if finding.values["unknown_frame"]
         else "what was measured does not fix it"
     )
-    return f"the base frame: {_freedoms(found)}, since {why}"
+    return f"the base frame: {_freedoms(finding)}, since {reason}"
 
 
-def _freedoms(found: Finding) -> str:
-    return counted(int(found.values["freedoms"]), "freedom")
+def _freedoms(finding: Finding) -> str:
+    return counted(int(finding.values["freedoms"]), "freedom")
 
 
-def _redundant(found: Finding) -> str:
-    v = found.values
+def _redundant(finding: Finding) -> str:
+    v = finding.values
     are = "parameter is" if v["count"] == 1 else "parameters are"
     return f"{v['count']} {are} redundant, whatever is measured: {groups_in_words(v['groups'])}"
 
@@ -254,37 +254,37 @@ FREEDOMS: dict[str, Wording] = {
 }
 
 
-def _outliers(found: Finding) -> str:
-    v, count = found.values, len(found.rows)
-    which = "data row" if count == 1 else "the worst data row"
+def _outliers(finding: Finding) -> str:
+    v, count = finding.values, len(finding.rows)
+    row = "data row" if count == 1 else "the worst data row"
     return (
-        f"{count} of {v['total']} rows do{'es' * (count == 1)} not fit the others, {which} "
-        f"{found.rows[0] + 1} by {v['sigma']:.1f} standard deviations ({v['quantity']} off by "
+        f"{count} of {v['total']} rows do{'es' * (count == 1)} not fit the others, {row} "
+        f"{finding.rows[0] + 1} by {v['sigma']:.1f} standard deviations ({v['quantity']} off by "
         f"{v['off']:.1f} σ)"
     )
 
 
-def _wrong_rows(found: Finding) -> str:
-    v, rows = found.values, [row + 1 for row in found.rows]
-    some = f"{counted(len(rows), 'data row')} of {v['total']}, {listed(rows[:6])}"
-    some += f" and {len(rows) - 6} more" if len(rows) > 6 else ""
-    which = f"data row {rows[0]} does" if len(rows) == 1 else f"{some}, do"
+def _wrong_rows(finding: Finding) -> str:
+    v, rows = finding.values, [row + 1 for row in finding.rows]
+    listed_rows = f"{counted(len(rows), 'data row')} of {v['total']}, {listed(rows[:6])}"
+    listed_rows += f" and {len(rows) - 6} more" if len(rows) > 6 else ""
+    subject = f"data row {rows[0]} does" if len(rows) == 1 else f"{listed_rows}, do"
     return (
-        f"{which} not fit the others, {'by' if len(rows) == 1 else 'the first by'} "
+        f"{subject} not fit the others, {'by' if len(rows) == 1 else 'the first by'} "
         f"{v['sigma']:.0f} standard deviations ({v['quantity']} off by {v['off']:.0f} σ): reduced "
         f"χ² is {v['chi2']:.3g} with {'it' if len(rows) == 1 else 'them'}, {v['without']:.3g} "
         "without, and what follows is with"
     )
 
 
-def _wrong_rows_remedy(found: Finding) -> str:
-    them = "it" if len(found.rows) == 1 else "them"
+def _wrong_rows_remedy(finding: Finding) -> str:
+    them = "it" if len(finding.rows) == 1 else "them"
     return f"Mend or remove {them}, or leave {them} out by --robust reject"
 
 
-def _outliers_remedy(found: Finding) -> str:
-    them = "it" if len(found.rows) == 1 else "them"
-    if found.values["lacking"]:
+def _outliers_remedy(finding: Finding) -> str:
+    them = "it" if len(finding.rows) == 1 else "them"
+    if finding.values["lacking"]:
         return f"First model what residuals follow: that may be why; then look at {them}"
     return f"Look at {them}, or use a robust loss (--robust reject)"
 
@@ -297,25 +297,25 @@ _TERMS = {
 }
 
 
-def _lacks(found: Finding) -> str:
-    v = found.values
-    what, cause = _TERMS[v["term"]]
+def _lacks(finding: Finding) -> str:
+    v = finding.values
+    course, cause = _TERMS[v["term"]]
     return (
-        f"{v['quantity']}: residuals follow {what} ({chance(v['p_value'])}), and the model has "
+        f"{v['quantity']}: residuals follow {course} ({chance(v['p_value'])}), and the model has "
         f"nothing for that: {cause}"
     )
 
 
-def _step(found: Finding) -> str:
-    v = found.values
+def _step(finding: Finding) -> str:
+    v = finding.values
     return (
         f"{v['quantity']} is off by {amount(v['size'], v['unit'])} from data row "
-        f"{found.rows[0] + 1} on ({chance(v['p_value'])})"
+        f"{finding.rows[0] + 1} on ({chance(v['p_value'])})"
     )
 
 
-def _moved(found: Finding) -> str:
-    v, rows = found.values, found.rows
+def _moved(finding: Finding) -> str:
+    v, rows = finding.values, finding.rows
     return (
         f"the pose {v['pose']!r}, measured {len(rows)} times: {v['quantity']} moved by "
         f"{amount(v['size'], v['unit'])} from data row {rows[0] + 1} to {rows[-1] + 1} "

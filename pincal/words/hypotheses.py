@@ -11,7 +11,7 @@ from pincal.finding import Finding
 from pincal.words.numbers import counted, percent, rounded
 from pincal.words.wording import Wording, Words
 
-_MANY = {"mm": "in mm", "m": "in metres", "deg": "in degrees", "rad": "in radians"}
+_UNIT_NAMES = {"mm": "in mm", "m": "in metres", "deg": "in degrees", "rad": "in radians"}
 _HEADER = {
     ("m", "mm"): "a metre header",
     ("m", "m"): "a mm header",
@@ -19,7 +19,7 @@ _HEADER = {
     ("rad", "rad"): "a degree header",
 }
 _AXES = {axis: f"{axis} has the other sign" for axis in "xyz"} | {
-    one + other: f"{one} and {other} are exchanged" for one, other in ("xy", "xz", "yz")
+    first + second: f"{first} and {second} are exchanged" for first, second in ("xy", "xz", "yz")
 }
 _SIGN = "Change {}, or the sensor's 'direction' in mechanism.yaml"
 _ORDER = "Correct the order of columns"
@@ -34,30 +34,30 @@ _COMMON = {
 }
 
 
-def _readings(found: Finding) -> str:
-    legs = found.values["legs"]
+def _readings(finding: Finding) -> str:
+    legs = finding.values["legs"]
     return f"the readings of {', '.join(legs)}" if legs else "the readings"
 
 
-def _units(found: Finding) -> str:
+def _units(finding: Finding) -> str:
     return " and ".join(
-        f"{_readings(found) if name == 'readings' else f'the {name}'} are {_MANY[given]} under "
-        f"{_HEADER[unit, given]}"
-        for name, unit, given in found.values["units"]
+        f"{_readings(finding) if name == 'readings' else f'the {name}'} are "
+        f"{_UNIT_NAMES[written]} under {_HEADER[unit, written]}"
+        for name, unit, written in finding.values["units"]
     )
 
 
-def _exchanged(found: Finding) -> str:
-    fits = (f"column {column} fits {leg}" for leg, column in found.values["order"])
+def _exchanged(finding: Finding) -> str:
+    fits = (f"column {column} fits {leg}" for leg, column in finding.values["order"])
     return f"legs are exchanged: {' and '.join(fits)}"
 
 
-def _scales(found: Finding) -> str:
-    sizes = {name: _times(by) for name, by, _ in found.values["factors"]}
+def _scales(finding: Finding) -> str:
+    sizes = {name: _times(factor) for name, factor, _ in finding.values["factors"]}
     if len(set(sizes.values())) == 1:
-        return f"{_readings(found)} are {next(iter(sizes.values()))}"
-    said = (f"{name} are {times}" for name, times in sizes.items())
-    return f"the readings of {', those of '.join(said)}"
+        return f"{_readings(finding)} are {next(iter(sizes.values()))}"
+    parts = (f"{name} are {times}" for name, times in sizes.items())
+    return f"the readings of {', those of '.join(parts)}"
 
 
 def _times(factor: float) -> str:
@@ -67,31 +67,33 @@ def _times(factor: float) -> str:
     return f"{times} times too {'large' if large else 'small'}"
 
 
-def _angles(found: Finding) -> str:
-    order = found.values["order"]
+def _angles(finding: Finding) -> str:
+    order = finding.values["order"]
     if len(order) == 2:
         return f"{order[0][0]} and {order[1][0]} are exchanged"
     below = (f"{name} is below {column}" for name, column in order)
     return f"columns of the orientation are exchanged: {', '.join(below)}"
 
 
-def _mirrored(found: Finding) -> str:
-    right = found.values["orientations_right"]
-    how = " and the orientations are right" if right else ", as in a left-handed frame"
-    return f"{_AXES[found.values['axis']]}{how}"
+def _mirrored(finding: Finding) -> str:
+    right = finding.values["orientations_right"]
+    addition = " and the orientations are right" if right else ", as in a left-handed frame"
+    return f"{_AXES[finding.values['axis']]}{addition}"
 
 
-def _shifted(found: Finding) -> str:
-    rows = found.values["shift"]
+def _shifted(finding: Finding) -> str:
+    rows = finding.values["shift"]
     return (
         f"the readings stand {counted(abs(rows), 'row')} {'below' if rows > 0 else 'above'} the "
         "poses they belong to"
     )
 
 
-def _zeros(found: Finding) -> str:
-    off = (f"{name} by about {by:.2g} {unit}" for name, by, unit in found.values["offsets"])
-    return f"the zeros of readings are off: {', '.join(off)}"
+def _zeros(finding: Finding) -> str:
+    parts = (
+        f"{name} by about {offset:.2g} {unit}" for name, offset, unit in finding.values["offsets"]
+    )
+    return f"the zeros of readings are off: {', '.join(parts)}"
 
 
 def _wording(title: str, says: Words, means: str, remedy: str, **values: str) -> Wording:
@@ -202,7 +204,7 @@ HYPOTHESES: dict[str, Wording] = {
 def explanation(findings: Sequence[Finding]) -> str:
     """Return one sentence for hypotheses that explain measurements alike, and their remedies."""
     first = findings[0].values
-    causes = [f"by {percent(one.values['left'])} if {cause(one)}" for one in findings]
+    causes = [f"by {percent(finding.values['left'])} if {cause(finding)}" for finding in findings]
     if first["other_side"] > 0.5:
         start = (
             f"{100 * first['other_side']:.0f} % of the poses lie on the other side of a "
@@ -215,8 +217,8 @@ def explanation(findings: Sequence[Finding]) -> str:
             f"{', '.join(first['questioned'])}: the measurements miss every mechanism near the "
             f"nominal one by {percent(first['given'])} of a leg's length (median), but only "
         )
-    codes = [one.code for one in findings]
-    codes += ["unknown-frame" for one in findings if one.values["unknown_frame"]]
+    codes = [finding.code for finding in findings]
+    codes += ["unknown-frame" for finding in findings if finding.values["unknown_frame"]]
     remedies = [str(HYPOTHESES[code].remedy) for code in dict.fromkeys(codes)]
     return f"{start}{', or '.join(causes)}. {'; or: '.join(dict.fromkeys(remedies))}"
 

@@ -9,7 +9,7 @@ from math import floor, isfinite, log10
 
 from pincal.model.units import UNITS
 
-_ASKED: ContextVar[Mapping[str, str]] = ContextVar("units asked for")  # by SI unit
+_CHOSEN_UNITS: ContextVar[Mapping[str, str]] = ContextVar("units asked for")  # by SI unit
 
 
 class Read(Mapping[str, str]):
@@ -19,7 +19,7 @@ class Read(Mapping[str, str]):
         self._usual = {"m": m, "rad": rad, "1": one}
 
     def __getitem__(self, unit: str) -> str:
-        return _ASKED.get({}).get(unit) or self._usual[unit]
+        return _CHOSEN_UNITS.get({}).get(unit) or self._usual[unit]
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._usual)
@@ -45,11 +45,11 @@ _LAST, _FINEST = 1e-6, {"1": 1e-9, "m": 1e-7, "rad": 1e-7}
 @contextmanager
 def reading_in(units: Mapping[str, str]) -> Iterator[None]:
     """Let all that is printed meanwhile be read in other units, by SI unit: ``{"m": "in"}``."""
-    token = _ASKED.set(units)
+    token = _CHOSEN_UNITS.set(units)
     try:
         yield
     finally:
-        _ASKED.reset(token)
+        _CHOSEN_UNITS.reset(token)
 
 
 def per_si(unit: str, units: Mapping[str, str] = SMALL) -> float:
@@ -147,7 +147,7 @@ def counted(count: int, one: str, many: str = "") -> str:
 def capital(text: str) -> str:
     """Return a sentence with a capital, unless it begins with a name such as ``leg_1.l``."""
     first = text.partition(" ")[0].rstrip(":,")
-    named = len(first) == 1 or any(one.isdigit() or one in "_." for one in first)
+    named = len(first) == 1 or any(letter.isdigit() or letter in "_." for letter in first)
     return text if named else f"{text[:1].upper()}{text[1:]}"
 
 
@@ -190,8 +190,8 @@ def ends(down: float, up: float, unit: str, units: Mapping[str, str] = VALUES) -
     """
     if _is_below(max(down, up), unit, units):
         return f"± {uncertainty(max(down, up), unit, units)}"
-    said = (fixed(one, min(down, up), unit, units) if isfinite(one) else "∞" for one in (down, up))
-    return " ".join(f"{sign}{one}" for sign, one in zip("-+", said, strict=True))
+    parts = (fixed(end, min(down, up), unit, units) if isfinite(end) else "∞" for end in (down, up))
+    return " ".join(f"{sign}{end}" for sign, end in zip("-+", parts, strict=True))
 
 
 def uncertainty(half: float, unit: str, units: Mapping[str, str] = VALUES) -> str:

@@ -20,17 +20,19 @@ _OPTIONS = {
 }
 
 
-def _weak(found: Finding) -> str:
-    v, count = found.values, len(found.parameters)
-    which = f"{v['parameter']} is" if count == 1 else f"{count} parameters are"
+def _weak(finding: Finding) -> str:
+    v, count = finding.values, len(finding.parameters)
+    subject = f"{v['parameter']} is" if count == 1 else f"{count} parameters are"
     worst = "known" if count == 1 else f"{v['parameter']}"
-    return f"{which} weakly determined, {worst} to ± {v['half']:.2g} {_si(v['unit'])} only".replace(
-        "  ", " "
+    return (
+        f"{subject} weakly determined, {worst} to ± {v['half']:.2g} {_si(v['unit'])} only".replace(
+            "  ", " "
+        )
     )
 
 
-def _weak_remedy(found: Finding) -> str:
-    hold = "" if found.values["held"] else ", hold it at nominal (--hold-undetermined)"
+def _weak_remedy(finding: Finding) -> str:
+    hold = "" if finding.values["held"] else ", hold it at nominal (--hold-undetermined)"
     return f"Measure poses that determine more{hold}, or say how well nominal values are known " + (
         "(--prior)"
     )
@@ -40,63 +42,65 @@ def _si(unit: str) -> str:
     return "" if unit == "1" else unit
 
 
-def _far(found: Finding) -> str:
-    v = found.values
-    by = f"{v['change']:+.3g} {_si(v['unit'])}".strip()
-    return f"{v['parameter']} moved by {by}, farther than a machine differs from its drawing"
+def _far(finding: Finding) -> str:
+    v = finding.values
+    size = f"{v['change']:+.3g} {_si(v['unit'])}".strip()
+    return f"{v['parameter']} moved by {size}, farther than a machine differs from its drawing"
 
 
-def _far_remedy(found: Finding) -> str:
+def _far_remedy(finding: Finding) -> str:
     return (
         "Check units, the order of the readings, and the frame of the measurements"
-        f"{options(found.values['options'])}"
+        f"{options(finding.values['options'])}"
     )
 
 
-def options(left: tuple[str, ...]) -> str:
+def options(codes: tuple[str, ...]) -> str:
     """Return options that were not used and may help, in brackets; empty if there are none."""
-    return f" ({'; '.join(_OPTIONS[one] for one in left)})" if left else ""
+    return f" ({'; '.join(_OPTIONS[code] for code in codes)})" if codes else ""
 
 
-def _few(found: Finding) -> str:
-    v = found.values
+def _few_poses(finding: Finding) -> str:
+    v = finding.values
     return f"{', '.join(v['legs'])}: {v['poses']} poses for {v['unknowns']} parameters"
 
 
-def _zeros(found: Finding) -> str:
-    off = [f"{id_} by {change:.3g} {_si(unit)}" for id_, change, unit in found.values["changes"]]
-    return f"zeros of readings are far from the drawing's: {listed(off)}"
+def _zeros(finding: Finding) -> str:
+    zeros = [
+        f"{id_} by {change:.3g} {_si(unit)}" for id_, change, unit in finding.values["changes"]
+    ]
+    return f"zeros of readings are far from the drawing's: {listed(zeros)}"
 
 
-def _signs(found: Finding) -> str:
-    parts = [f"{id_} from {a:.4g} to {b:.4g} m" for id_, a, b in found.values["lengths"]]
+def _signs(finding: Finding) -> str:
+    parts = [f"{id_} from {a:.4g} to {b:.4g} m" for id_, a, b in finding.values["lengths"]]
     return f"lengths changed their sign: {listed(parts)}"
 
 
-def _held(found: Finding) -> str:
-    v = found.values
+def _held(finding: Finding) -> str:
+    v = finding.values
     parts = [groups_in_words(v["groups"])] if v["groups"] else []
     parts += [f"{listed(v['weak'])} are weakly determined"] if v["weak"] else []
     return f"these measurements do not determine everything: {'; '.join(parts)}"
 
 
-def _tolerance(found: Finding) -> str:
-    v = found.values
-    what = {"m": "lengths", "rad": "angles", "1": "gains"}[v["unit"]]
+def _tolerance(finding: Finding) -> str:
+    v = finding.values
+    quantities = {"m": "lengths", "rad": "angles", "1": "gains"}[v["unit"]]
     if not isfinite(v["size"]):
-        return f"how far {what} are from the drawing is not said by {v['count']} of them"
+        return f"how far {quantities} are from the drawing is not said by {v['count']} of them"
     low, high = (amount(v[end], v["unit"]) if isfinite(v[end]) else "" for end in ("low", "high"))
     ends = f"{low} to {high}" if high else f"{low} or more"
     return (
-        f"{what} differ from the drawing by {amount(v['size'], v['unit'])}, standard deviation of "
-        f"{v['count']} (95 %: {ends})"
+        f"{quantities} differ from the drawing by {amount(v['size'], v['unit'])}, standard "
+        f"deviation of {v['count']} (95 %: {ends})"
     )
 
 
-def _tolerance_remedy(found: Finding) -> str:
-    if not isfinite(found.values["size"]):
+def _tolerance_remedy(finding: Finding) -> str:
+    if not isfinite(finding.values["size"]):
         return "They are free; give their tolerance (--tolerance, --prior), if it is known"
-    return "" if found.values["low"] else "Measurements do not separate them from the drawing"
+    return "" if finding.values["low"] else "Measurements do not separate them from the drawing"
 
 
 PARAMETERS: dict[str, Wording] = {
@@ -124,7 +128,7 @@ PARAMETERS: dict[str, Wording] = {
             "poses": "number of poses of each",
             "unknowns": "number of parameters of each",
         },
-        _few,
+        _few_poses,
         "So few equations that residuals are small whatever the machine is.",
         "Measure more: two or three times as many poses as parameters are advised",
     ),

@@ -26,8 +26,8 @@ from pincal.words.numbers import (
 from pincal.words.wording import P_VALUE, Wording
 
 
-def _noise_estimated(found: Finding) -> str:
-    return f"the noise was not given: it was estimated from the residuals, {noise(found.values)}"
+def _noise_estimated(finding: Finding) -> str:
+    return f"the noise was not given: it was estimated from the residuals, {noise(finding.values)}"
 
 
 def noise(values: Mapping[str, Any]) -> str:
@@ -62,24 +62,24 @@ def systematic(values: Mapping[str, float]) -> str:
 
 def missed(values: Mapping[str, Any]) -> str:
     """Return how far a target is missed at held-out rows: the values of a ``Missed``."""
-    unit, what = values["unit"], {"m": "position", "rad": "orientation"}[values["unit"]]
+    unit, quantity = values["unit"], {"m": "position", "rad": "orientation"}[values["unit"]]
     low, high = values["rms_ends"]
     ends = f" (95 %: {number(low, unit)} to {number(high, unit)})" if np.isfinite(high) else ""
     return (
-        f"{what} of {values['target']!r} is missed by {amount(values['rms'], unit)}{ends} held "
+        f"{quantity} of {values['target']!r} is missed by {amount(values['rms'], unit)}{ends} held "
         f"out, root mean square of {counted(values['poses'], 'pose')}, by "
         f"{number(values['mean'], unit)} on average and {number(values['largest'], unit)} at most; "
         f"by {number(values['fit'], unit)} in the fit"
     )
 
 
-def _chi2(found: Finding) -> str:
-    v = found.values
-    larger = found.code == "chi2-too-large"
-    given = "repeated rows show" if v["source"] == "repeats" else "given"
+def _chi2(finding: Finding) -> str:
+    v = finding.values
+    larger = finding.code == "chi2-too-large"
+    source = "repeated rows show" if v["source"] == "repeats" else "given"
     return (
         f"reduced χ² is {rounded(v['chi2'], 3)} where 1 is expected: the noise is "
-        f"{'larger' if larger else 'smaller'} than {given}"
+        f"{'larger' if larger else 'smaller'} than {source}"
         f"{', or the model lacks something' if larger else ''}; the uncertainties assume that noise"
     )
 
@@ -92,15 +92,15 @@ _CHI2_VALUES = {
 _GIVE_NOISE = "Give the noise (--noise-position, --noise-orientation, --noise-reading)"
 
 
-def _curved_remedy(found: Finding) -> str:
+def _curved_remedy(finding: Finding) -> str:
     measure = "Measure more poses, or with less noise"
-    if found.values.get("intervals") == "profile":
+    if finding.values.get("intervals") == "profile":
         return f"{measure}; intervals are those of the profile, platform errors are too small"
     return f"Ask for intervals by the profile of the cost (--intervals profile). {measure}"
 
 
-def _proportion(found: Finding) -> str:
-    v = found.values
+def _proportion(finding: Finding) -> str:
+    v = finding.values
     parts = (f"{100 * ratio:.0f} % of it in {name}" for name, ratio in v["ratios"].items())
     return (
         f"the noise is not in the proportion given ({chance(v['p_value'])}): residuals "
@@ -129,8 +129,8 @@ def region_words(share: float, *, sampled: bool) -> str:
     return f"over the measured region, {percent(share)} of the workspace"
 
 
-def _beyond(found: Finding) -> str:
-    v = found.values
+def _beyond(finding: Finding) -> str:
+    v = finding.values
     text = f"{percent(v['share'])} of the workspace lies outside the measured region"
     if v["undetermined"] < 1.0:
         text += f": expect {size(v['position'], v['orientation'])} there, if the model holds "
@@ -269,8 +269,8 @@ RESULTS: dict[str, Wording] = {
     "promise-leaves-out": Wording(
         "What the promise leaves out",
         {"what": f"codes of {listed(UNCOVERED)}"},
-        lambda found: (
-            f"the promise leaves out {listed(UNCOVERED[code] for code in found.values['what'])}: "
+        lambda finding: (
+            f"the promise leaves out {listed(UNCOVERED[code] for code in finding.values['what'])}: "
             "nothing was said of that"
         ),
         "Parameters take these up, so that residuals show them only if they are large.",

@@ -54,24 +54,24 @@ def finding(
     return Finding(code, wording.severity, values, places, tuple(parameters))
 
 
-def sentence(found: Finding) -> str:
+def sentence(finding: Finding) -> str:
     """Return what was found and what to do about it.
 
     It begins with a small letter, as it follows ``warning:``, and ends without a full stop.
     """
-    if found.code in HYPOTHESES:
-        return explanation([found])
-    wording = WORDINGS[found.code]
-    said, remedy = wording.said(found), wording.remedied(found)
-    return f"{said}. {remedy}" if remedy else said
+    if finding.code in HYPOTHESES:
+        return explanation([finding])
+    wording = WORDINGS[finding.code]
+    text, remedy = wording.said(finding), wording.remedied(finding)
+    return f"{text}. {remedy}" if remedy else text
 
 
-def sentences(found: Iterable[Finding], *severities: str) -> list[str]:
+def sentences(findings: Iterable[Finding], *severities: str) -> list[str]:
     """Return the sentences of findings, of some severities if they are given.
 
     Hypotheses that explain the same measurements alike are one sentence.
     """
-    chosen = [one for one in found if not severities or one.severity in severities]
-    alike = [one for one in chosen if one.code in HYPOTHESES]
-    rest = [sentence(one) for one in chosen if one.code not in HYPOTHESES]
-    return [explanation(alike), *rest] if alike else rest
+    chosen = [finding for finding in findings if not severities or finding.severity in severities]
+    hypotheses = [finding for finding in chosen if finding.code in HYPOTHESES]
+    others = [sentence(finding) for finding in chosen if finding.code not in HYPOTHESES]
+    return [explanation(hypotheses), *others] if hypotheses else others

@@ -135,7 +135,7 @@ class Column:
 def columns(*heads: str, units: Mapping[str, str] = SMALL) -> tuple[Column, ...]:
     """Return columns of heads with the format of their numbers: ``leg``, ``efficiency:.3f``."""
     parts = (head.partition(":") for head in heads)
-    return tuple(Column(name, format=own or ".4g", units=units) for name, _, own in parts)
+    return tuple(Column(name, format=digits or ".4g", units=units) for name, _, digits in parts)
 
 
 @dataclass(frozen=True)
@@ -156,9 +156,9 @@ class Table:
 
     def only(self, *names: str, caption: str = "") -> Table:
         """Return the table with some of its columns, those that it has, and another caption."""
-        kept = [i for i, column in enumerate(self.columns) if column.name in names]
-        rows = [[row[i] for i in kept] for row in self.rows]
-        columns = tuple(self.columns[i] for i in kept)
+        places = [i for i, column in enumerate(self.columns) if column.name in names]
+        rows = [[row[i] for i in places] for row in self.rows]
+        columns = tuple(self.columns[i] for i in places)
         return replace(self, columns=columns, rows=rows, caption=caption)
 
     def cells(self) -> list[list[str]]:
@@ -177,7 +177,7 @@ class Table:
         """On which side each column's cells stand: to the right if there is a number in it."""
         places = range(len(self.columns))
         number = (any(isinstance(_raw(row[i]), int | float) for row in self.rows) for i in places)
-        return tuple("right" if one else "left" for one in number)
+        return tuple("right" if numeric else "left" for numeric in number)
 
     def records(self) -> list[dict[str, Any]]:
         """Return the rows for JSON: raw values in SI by the columns' names; None if not finite."""
@@ -228,19 +228,19 @@ class Table:
         style, cells = box.SIMPLE_HEAD if self.heads else None, self.cells()
 
         def drawn(*, wrap: bool, narrow: bool = False) -> RichTable:
-            found = RichTable(box=style, pad_edge=False, show_header=self.heads)
+            table = RichTable(box=style, pad_edge=False, show_header=self.heads)
             for place, (column, side) in enumerate(zip(self.columns, self.aligned, strict=True)):
                 fold = wrap and side == "left" and not (place and self.grouped)
                 head = Text(column.head.replace(" [", "\n[") if narrow else column.head)
-                found.add_column(head, justify=side, no_wrap=not fold, overflow="fold")
+                table.add_column(head, justify=side, no_wrap=not fold, overflow="fold")
             for row, after in zip(cells, [*cells[1:], [""]], strict=False):
-                found.add_row(*map(Text, row), end_section=self.grouped and bool(after[0]))
-            return found
+                table.add_row(*map(Text, row), end_section=self.grouped and bool(after[0]))
+            return table
 
-        whole = drawn(wrap=self.wrap)
-        wide = console.measure(whole, options=options.update(max_width=_WIDE)).maximum
+        unfolded = drawn(wrap=self.wrap)
+        wide = console.measure(unfolded, options=options.update(max_width=_WIDE)).maximum
         yield Text(self.title, style="bold")
-        yield whole if wide <= options.max_width else drawn(wrap=True, narrow=True)
+        yield unfolded if wide <= options.max_width else drawn(wrap=True, narrow=True)
         if self.caption:
             yield Text(self.caption + "\n")
 
@@ -248,9 +248,9 @@ class Table:
         """Return the table as text."""
         from rich.console import Console
 
-        out = io.StringIO()
-        Console(file=out, width=120).print(self)
-        return "\n".join(line.rstrip() for line in out.getvalue().splitlines())
+        buffer = io.StringIO()
+        Console(file=buffer, width=120).print(self)
+        return "\n".join(line.rstrip() for line in buffer.getvalue().splitlines())
 
 
 def _raw(value: Value) -> float | str | None:

@@ -47,23 +47,23 @@ class Wording:
         """What to do about it in general."""
         return self.remedy if isinstance(self.remedy, str) else self.general
 
-    def said(self, found: Finding) -> str:
+    def said(self, finding: Finding) -> str:
         """Return what was found."""
-        return _with(self.says, found)
+        return _with(self.says, finding)
 
-    def remedied(self, found: Finding) -> str:
+    def remedied(self, finding: Finding) -> str:
         """Return what to do about it."""
-        return _with(self.remedy, found)
+        return _with(self.remedy, finding)
 
 
-def _with(words: Words, found: Finding) -> str:
+def _with(words: Words, finding: Finding) -> str:
     """Return words with the values of a finding."""
     if not isinstance(words, str):
-        return words(found)
-    said = {"parameters": ", ".join(found.parameters), **found.values}
-    if "p_value" in said:
-        said["chance"] = chance(said["p_value"])
-    return words.format(**said)
+        return words(finding)
+    values = {"parameters": ", ".join(finding.parameters), **finding.values}
+    if "p_value" in values:
+        values["chance"] = chance(values["p_value"])
+    return words.format(**values)
 
 
 def group_in_words(group: tuple[str, ...]) -> str:
@@ -170,23 +170,23 @@ def identified(magnify: float) -> str:
     return f"identified, errors × {magnify:g}"
 
 
-def cloud(drawn: int, given: int, group: str) -> str:
+def cloud(drawn: int, total: int, group: str) -> str:
     """Return what a cloud of positions is.
 
     Args:
         drawn: How many positions are drawn.
-        given: Of how many.
+        total: Of how many.
         group: Whose fundamental domain has the stronger colour; empty where there is none.
     """
-    count = f"{drawn:,}" + (f" of {given:,}" if given > drawn else "")
+    count = f"{drawn:,}" + (f" of {total:,}" if total > drawn else "")
     share = f"; strong colour: fundamental domain of {group}" if group else ""
     return f"workspace, {count} positions{share}"
 
 
-def misses(who: str, magnify: float, cut: int) -> str:
+def misses(machine: str, magnify: float, cut: int) -> str:
     """Return what arrows are, magnified by a factor, of which some are cut."""
-    more = f", {cut} longer than drawn" if cut else ""
-    return f"{who}, errors × {magnify:,.12g}{more}"
+    shortened = f", {cut} longer than drawn" if cut else ""
+    return f"{machine}, errors × {magnify:,.12g}{shortened}"
 
 
 def weakest(magnify: float, named: str) -> str:
@@ -194,9 +194,9 @@ def weakest(magnify: float, named: str) -> str:
     return f"weakest direction, ±{magnify:.3g} of its standard errors: {named}"
 
 
-def stands(what: str, far: float) -> str:
+def stands(name: str, far: float) -> str:
     """Return where an instrument or frame stands, its distance in [m]."""
-    return f"{what}, {far:.3g} m from the base frame"
+    return f"{name}, {far:.3g} m from the base frame"
 
 
 def unreached(magnify: float | None, problems: Sequence[str]) -> str:
@@ -206,12 +206,13 @@ def unreached(magnify: float | None, problems: Sequence[str]) -> str:
         magnify: Factor on the identified machine's errors; None of the mechanism itself.
         problems: Of each pose; empty strings where there is none.
     """
-    some = [text for text in problems if text]
-    if not some:
+    reasons = [text for text in problems if text]
+    if not reasons:
         return ""
     name = "the mechanism"
     if magnify is not None:
         name = f"the identified machine (errors × {magnify:g})"
     return (
-        f"{name} is not drawn in full at {len(some)} of {len(problems)} poses; the first: {some[0]}"
+        f"{name} is not drawn in full at {len(reasons)} of {len(problems)} poses; the first: "
+        f"{reasons[0]}"
     )

@@ -252,7 +252,7 @@ def calibrate(
         try:
             progress("sampling the workspace for the platform's errors")
             page = report(result, command=typed(), files=files, notes=notes, units=how.units or "")
-            errors = page.found.errors
+            errors = page.facts.errors
             if not how.no_report:
                 progress("drawing the report")
                 page.save(output / REPORT)

@@ -72,33 +72,35 @@ def dimensions_of(
     leg, law = closure.leg, sensor_law(closure)
     values = leg.nominal_by_name
     links = link_placements(leg, np.asarray(joints)[None])[0]
-    found: list[Dimension] = []
+    dimensions: list[Dimension] = []
     for index, joint in enumerate(leg.joints):
         parent = links[index - 1] if index else np.eye(4)
-        own = _placed(joint, values, parent, size, beside=index > 0)
-        found += [replace(one, part="leg" if index else "base") for one in own]
+        joint_dimensions = _placed(joint, values, parent, size, shifted=index > 0)
+        dimensions += [
+            replace(dimension, part="leg" if index else "base") for dimension in joint_dimensions
+        ]
         for place, sensor in enumerate(leg.sensors):
             if sensor.joint == joint.name:
                 position = float(joints[leg.active[place]])
                 start = float(law.start[place])
                 drive = _Drive(joint, parent @ joint.placement.origin(), links[:, :3, 3], size)
-                found += _read(sensor, drive, start - sensor.law(values)[1], start, position)
-    own = _placed(leg.point, values, T_base_platform, size, beside=False)
-    found += [replace(one, part="platform") for one in own]
-    return found
+                dimensions += _read(sensor, drive, start - sensor.law(values)[1], start, position)
+    joint_dimensions = _placed(leg.point, values, T_base_platform, size, shifted=False)
+    dimensions += [replace(dimension, part="platform") for dimension in joint_dimensions]
+    return dimensions
 
 
 def _placed(
-    joint: Joint, values: dict[str, float], T: Array, size: float, *, beside: bool
+    joint: Joint, values: dict[str, float], T: Array, size: float, *, shifted: bool
 ) -> Iterator[Dimension]:
     """Yield the dimensions of a joint's placement on its parent link, that at T, (4, 4)."""
     for coordinate in joint.placement.coordinates:
-        yield from _of_coordinate(coordinate, values, T, size, beside)
+        yield from _of_coordinate(coordinate, values, T, size, shifted)
         T = T @ coordinate.displacement(values)
 
 
 def _of_coordinate(
-    coordinate: Coordinate, values: dict[str, float], T: Array, size: float, beside: bool
+    coordinate: Coordinate, values: dict[str, float], T: Array, size: float, shifted: bool
 ) -> Iterator[Dimension]:
     """Yield the dimensions of a coordinate's values that are parameters."""
     reach = sum(abs(step.amount(values)) for step in coordinate.steps if step.axis in "xyz")
@@ -113,7 +115,7 @@ def _of_coordinate(
         done.add(step.value)
         if step.axis in "xyz":
             yield Dimension(
-                (step.value,), "length", np.stack((before[:3, 3], after[:3, 3])), beside=beside
+                (step.value,), "length", np.stack((before[:3, 3], after[:3, 3])), beside=shifted
             )
         else:
             yield _angle(step.value, step, values, before, radius * (1.0 + 0.35 * len(done)))
@@ -153,15 +155,15 @@ class _Drive:
             high: Where it ends.
             radius: Of an arc, in those of the smallest.
         """
-        here, axis = self.frame[:3, 3], self.frame[:3, :3] @ np.array(self.joint.axis)
+        origin, axis = self.frame[:3, 3], self.frame[:3, :3] @ np.array(self.joint.axis)
         if self.joint.kind == "prismatic":
-            ends = here + np.array([[low], [high]]) * axis
+            ends = origin + np.array([[low], [high]]) * axis
             return Dimension((), "reading", ends, beside=True)
-        arms = self.places - here
-        away = arms[np.linalg.norm(np.cross(arms, axis), axis=1) > EXACT * self.size]
-        link = away[0] - axis * (away[0] @ axis) if len(away) else self.frame[:3, 0]
+        arms = self.places - origin
+        distant = arms[np.linalg.norm(np.cross(arms, axis), axis=1) > EXACT * self.size]
+        link = distant[0] - axis * (distant[0] @ axis) if len(distant) else self.frame[:3, 0]
         arc = _turned(link / np.linalg.norm(link), axis, low - position + (high - low) * _ARC)
-        return Dimension((), "reading", here + radius * self.size * arc, here)
+        return Dimension((), "reading", origin + radius * self.size * arc, origin)
 
 
 def _read(
@@ -177,11 +179,11 @@ def _read(
         position: Where the joint is.
     """
     names = (sensor.gain,) if isinstance(sensor.gain, str) else ()
-    found = [replace(drive.line(position, start, position, 1.7), names=names)]
+    dimensions = [replace(drive.line(position, start, position, 1.7), names=names)]
     if isinstance(sensor.offset, str):
         offset = replace(drive.line(position, zero, start, 1.2), names=(sensor.offset,))
-        found.append(replace(offset, kind="offset"))
-    return found
+        dimensions.append(replace(offset, kind="offset"))
+    return dimensions
 
 
 #: Before a parameter's name in the id of its line.
@@ -211,7 +213,7 @@ def symbol(name: str, leg: str = "") -> str:
 
 def draw_dimensions(
     axes: Axes,
-    found: Sequence[tuple[str, Dimension]],
+    dimensions: Sequence[tuple[str, Dimension]],
     V: Array,
     busy: Array,
     colours: Mapping[str, str] | None = None,
@@ -220,38 +222,38 @@ def draw_dimensions(
 
     Args:
         axes: Where to draw.
-        found: Dimensions, each with the name of its leg where that is to be an index.
+        dimensions: Dimensions, each with the name of its leg where that is to be an index.
         V: What points right, up and towards the viewer, shape (3, 3), rows in the base frame.
         busy: Points that names should not hide, shape (n, 3), base frame, [m].
         colours: Of lines, by the names of parameters; all alike if not given.
     """
-    own = [_colour(one, colours or {}) for _, one in found]
+    line_colours = [_colour(dimension, colours or {}) for _, dimension in dimensions]
     point = point_of(axes)
     height = PICTURE.name * point
     hidden = busy[np.isfinite(busy).all(axis=1)] @ V[:2].T
     middle = hidden.mean(axis=0)
     lines = [
-        _drawn(axes, one, V, (height, colour), middle)
-        if one.kind != "zero"
-        else _marked(axes, one, V, colours or {})
-        for (_, one), colour in zip(found, own, strict=True)
+        _drawn(axes, dimension, V, (height, colour), middle)
+        if dimension.kind != "zero"
+        else _marked(axes, dimension, V, colours or {})
+        for (_, dimension), colour in zip(dimensions, line_colours, strict=True)
     ]
-    seen = np.concatenate([hidden, *map(_sampled, lines)])
+    visible = np.concatenate([hidden, *map(_sampled, lines)])
     boxes = [text_box(text, point) for text in axes.texts if isinstance(text, Annotation)]
-    for (leg, one), line in zip(found, lines, strict=True):
-        names = [symbol(name, leg) for name in one.names]
+    for (leg, dimension), line in zip(dimensions, lines, strict=True):
+        names = [symbol(name, leg) for name in dimension.names]
         names = [names[0], "…", names[-1]] if len(names) > _TOGETHER else names
         text = ", ".join(names)
-        if one.kind == "reading":
+        if dimension.kind == "reading":
             text = rf"$\psi$ ({text})" if text else r"$\psi$"
-        text += " = 0" * (one.kind == "zero")
+        text += " = 0" * (dimension.kind == "zero")
         half = 0.5 * height * np.array((PICTURE.letter * (_letters(text) + 0.8), 1.4))
-        where = _free(line, half, seen, boxes)
+        place = _free(line, half, visible, boxes)
         room = half + 0.3 * height  # names that touch read as one
-        boxes.append(np.stack((where - room, where + room)))
+        boxes.append(np.stack((place - room, place + room)))
         axes.text(
-            float(where[0]),
-            float(where[1]),
+            float(place[0]),
+            float(place[1]),
             text,
             size=PICTURE.name,
             color=DIMENSION,
@@ -265,9 +267,9 @@ def draw_dimensions(
 
 def point_of(axes: Axes) -> float:
     """Return what a point of the paper is in a picture, [m]; legend and values take some room."""
-    (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
+    (low_x, high_x), (low, high) = axes.get_xlim(), axes.get_ylim()
     paper = 72.0 * np.array((PICTURE.width, PICTURE.heights[1]))
-    return PICTURE.room * float(np.max(np.array((right - left, high - low)) / paper))
+    return PICTURE.room * float(np.max(np.array((high_x - low_x, high - low)) / paper))
 
 
 def _letters(text: str) -> int:
@@ -286,50 +288,52 @@ def text_box(name: Annotation, point: float) -> Array:
     return np.stack((middle - half, middle + half))
 
 
-def _colour(one: Dimension, colours: Mapping[str, str]) -> str:
+def _colour(dimension: Dimension, colours: Mapping[str, str]) -> str:
     """Return the colour of a dimension, that of its first parameter that has one."""
-    return next((colours[name] for name in one.names if name in colours), DIMENSION)
+    return next((colours[name] for name in dimension.names if name in colours), DIMENSION)
 
 
-def _drawn(axes: Axes, one: Dimension, V: Array, look: tuple[float, str], middle: Array) -> Array:
+def _drawn(
+    axes: Axes, dimension: Dimension, V: Array, look: tuple[float, str], middle: Array
+) -> Array:
     """Draw a dimension without its name; return its line as drawn, shape (n, 2).
 
     Args:
         axes: Where to draw.
-        one: The dimension.
+        dimension: The dimension.
         V: What points right, up and towards the viewer, shape (3, 3).
         look: Height of names, [m], and the line's colour.
         middle: Of the mechanism, from which lines beside links are away, shape (2,), [m].
     """
     height, colour = look
-    line = one.line @ V[:2].T
+    line = dimension.line @ V[:2].T
     thin: list[tuple[Array, str]] = []
-    if one.beside:
+    if dimension.beside:
         across = _across(line[-1] - line[0])
         across *= 1.0 if across @ (line.mean(axis=0) - middle) >= 0.0 else -1.0
         thin += [(np.stack((end, end + 1.7 * height * across)), "-") for end in line]
         line = line + 1.3 * height * across
-    if one.corner is not None:
-        corner = one.corner @ V[:2].T
+    if dimension.corner is not None:
+        corner = dimension.corner @ V[:2].T
         sides = (line[0], line[-1])
         thin += [(np.stack((corner, corner + 1.15 * (end - corner))), "--") for end in sides]
     for part, dashes in thin:
         axes.plot(*part.T, dashes, lw=0.5, color=colour, zorder=8)
     (drawn,) = axes.plot(*line.T, lw=0.8 if colour == DIMENSION else 1.4, color=colour, zorder=8)
-    if colour != DIMENSION and one.names:
-        drawn.set_gid(MARK + one.names[0])  # found by linked pages
+    if colour != DIMENSION and dimension.names:
+        drawn.set_gid(MARK + dimension.names[0])  # found by linked pages
     if np.linalg.norm(np.diff(line, axis=0), axis=1).sum() > 0.3 * height:
         _arrow(axes, line[-1], line[-2], look)
-        if one.corner is None:
+        if dimension.corner is None:
             _arrow(axes, line[0], line[1], look)
     return line
 
 
-def _marked(axes: Axes, one: Dimension, V: Array, colours: Mapping[str, str]) -> Array:
+def _marked(axes: Axes, dimension: Dimension, V: Array, colours: Mapping[str, str]) -> Array:
     """Draw where parameters are that are zero, one mark in the other; return it as a line."""
-    line = one.line @ V[:2].T
-    for rank, name in enumerate(one.names):
-        colour, size = colours.get(name, DIMENSION), 4.0 + 2.5 * (len(one.names) - 1 - rank)
+    line = dimension.line @ V[:2].T
+    for rank, name in enumerate(dimension.names):
+        colour, size = colours.get(name, DIMENSION), 4.0 + 2.5 * (len(dimension.names) - 1 - rank)
         (mark,) = axes.plot(*line[0], "D", ms=size, color=colour, mec="white", mew=0.6, zorder=8)
         if name in colours:
             mark.set_gid(MARK + name)  # found by linked pages
@@ -339,8 +343,8 @@ def _marked(axes: Axes, one: Dimension, V: Array, colours: Mapping[str, str]) ->
 def _arrow(axes: Axes, end: Array, before: Array, look: tuple[float, str]) -> None:
     """Draw the head of an arrow at a line's end, in the look of ``_drawn``."""
     height, colour = look
-    back = before - end
-    tail = end + back * min(1.0, height / max(float(np.linalg.norm(back)), 1e-300))
+    backward = before - end
+    tail = end + backward * min(1.0, height / max(float(np.linalg.norm(backward)), 1e-300))
     head = FancyArrowPatch(
         tuple(tail), tuple(end), arrowstyle="-|>", mutation_scale=6.0, lw=0.6, shrinkA=0, shrinkB=0
     )
@@ -362,22 +366,24 @@ def _sampled(line: Array) -> Array:
     return np.asarray((1.0 - part) * line[first] + part * line[first + 1])
 
 
-def _free(line: Array, half: Array, seen: Array, boxes: Sequence[Array]) -> Array:
+def _free(line: Array, half: Array, visible: Array, boxes: Sequence[Array]) -> Array:
     """Return where a name hides the least, near a line: its middle, shape (2,)."""
     places = _sampled(line)
     best, least = places[0], np.inf
     thick = 0.3 * half[1]  # links are no lines
-    for rank, (along, away) in enumerate((a, b) for a in PICTURE.along for b in PICTURE.away):
-        at = int(along * (len(places) - 1))
-        ahead = places[min(at + 1, len(places) - 1)] - places[max(at - 1, 0)]
+    for rank, (along, distance) in enumerate(
+        (a, b) for a in PICTURE.along for b in PICTURE.name_distances
+    ):
+        index = int(along * (len(places) - 1))
+        ahead = places[min(index + 1, len(places) - 1)] - places[max(index - 1, 0)]
         across = _across(ahead)
         reach = float(np.abs(across) @ half)
-        where = places[at] + away * reach * 1.1 * across
-        hidden = (np.abs(seen - where) < half + thick).all(axis=1).sum()
-        over = sum(
-            bool((where - half < box[1]).all() and (box[0] < where + half).all()) for box in boxes
+        place = places[index] + distance * reach * 1.1 * across
+        hidden = (np.abs(visible - place) < half + thick).all(axis=1).sum()
+        overlaps = sum(
+            bool((place - half < box[1]).all() and (box[0] < place + half).all()) for box in boxes
         )
-        cost = float(hidden) + 300.0 * over + 0.4 * rank
+        cost = float(hidden) + 300.0 * overlaps + 0.4 * rank
         if cost < least:
-            best, least = where, cost
+            best, least = place, cost
     return best

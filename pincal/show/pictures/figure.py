@@ -65,15 +65,19 @@ def scene_figure(scene: Scene, row: int, dimensions: Sequence[str] = ()) -> Figu
     return figure
 
 
-def _extent(scene: Scene, row: int, found: Sequence[tuple[str, Dimension]] = ()) -> Array:
+def _extent(scene: Scene, row: int, dimensions: Sequence[tuple[str, Dimension]] = ()) -> Array:
     """Return the least and largest of what is seen, right and up, shape (2, 2), [m]."""
     V = axes_of_view(scene.planar)
     tips = np.array([2 * axis.T_link_shape[:3, 3] for axis in frame_axes(scene)])
     T_base_platform = scene.body.placements[row, scene.body.part("platform/body")]
     tips = tips @ T_base_platform[:3, :3].T + T_base_platform[:3, 3]
-    points = np.concatenate((scene.points(), tips, *(one.line for _, one in found)))
-    if scene.found and scene.found.instrument:
-        ends = np.array([scene.found.instrument.at, scene.found.instrument.T_base_frame[:3, 3]])
+    points = np.concatenate(
+        (scene.points(), tips, *(dimension.line for _, dimension in dimensions))
+    )
+    if scene.overlay and scene.overlay.instrument:
+        ends = np.array(
+            [scene.overlay.instrument.position, scene.overlay.instrument.T_base_frame[:3, 3]]
+        )
         points = np.concatenate((points, ends))
     low, high = np.nanmin(points @ V[:2].T, axis=0), np.nanmax(points @ V[:2].T, axis=0)
     margin = 0.06 * float(np.max(high - low))
@@ -83,8 +87,8 @@ def _extent(scene: Scene, row: int, found: Sequence[tuple[str, Dimension]] = ())
 def draw_scene(axes: Axes, scene: Scene, row: int, dimensions: Sequence[str] = ()) -> Axes:
     """Draw a scene, the mechanism at one of its poses; all else as of a picture."""
     V = axes_of_view(scene.planar)
-    found = dimensions_at(scene, row, dimensions)
-    low, high = _extent(scene, row, found)
+    placed_dimensions = dimensions_at(scene, row, dimensions)
+    low, high = _extent(scene, row, placed_dimensions)
     edge = PICTURE.edge * float(np.linalg.norm(high - low))
     axes.add_collection(
         LineCollection(list(ground(scene) @ V[:2].T), colors=GROUND, lw=0.5, zorder=0)
@@ -92,8 +96,8 @@ def draw_scene(axes: Axes, scene: Scene, row: int, dimensions: Sequence[str] = (
     legend = [Line2D([], [], color=GROUND, lw=0.8, label=f"grid {1e3 * grid_step(scene):.6g} mm")]
     if scene.cloud:
         colours = np.where(scene.cloud.domain, DOMAIN, CARRIED)
-        at, up = (scene.cloud.positions @ V[:2].T).T
-        axes.scatter(at, up, s=1.5, c=colours.tolist(), lw=0, zorder=0.3, rasterized=True)
+        across, upward = (scene.cloud.positions @ V[:2].T).T
+        axes.scatter(across, upward, s=1.5, c=colours.tolist(), lw=0, zorder=0.3, rasterized=True)
     if len(scene.plan.poses) > 1:
         legend += _ghosts(axes, scene, V)
     frame = frame_axes(scene)
@@ -101,8 +105,8 @@ def draw_scene(axes: Axes, scene: Scene, row: int, dimensions: Sequence[str] = (
     T_base_platform = scene.body.placements[row, scene.body.part("platform/body")]
     shapes += [(shape, T_base_platform) for shape in frame]
     paint(axes, [*shapes, *placed(scene.body, row)], V, edge)
-    if scene.found and scene.found.instrument:
-        legend.append(_instrument(axes, scene, scene.found.instrument, V, edge))
+    if scene.overlay and scene.overlay.instrument:
+        legend.append(_instrument(axes, scene, scene.overlay.instrument, V, edge))
     if scene.identified:
         paint(axes, placed(scene.identified.body, row), V, edge, IDENTIFIED)
         label = f"identified, errors × {scene.identified.magnify:g}"
@@ -118,13 +122,15 @@ def draw_scene(axes: Axes, scene: Scene, row: int, dimensions: Sequence[str] = (
         handles=legend,
         loc="upper center",
         bbox_to_anchor=(0.5, 0.0),
-        ncols=int(np.clip(PICTURE.line / max(len(str(one.get_label())) for one in legend), 1, 3)),
+        ncols=int(
+            np.clip(PICTURE.line / max(len(str(handle.get_label())) for handle in legend), 1, 3)
+        ),
         frameon=False,
         handlelength=1.2,
         columnspacing=1.4,
     )
-    if found:
-        _dimension(axes, scene, row, dimensions, found, V)
+    if placed_dimensions:
+        _dimension(axes, scene, row, dimensions, placed_dimensions, V)
     return axes
 
 
@@ -132,7 +138,7 @@ def _instrument(axes: Axes, scene: Scene, instrument: Instrument, V: Array, edge
     """Draw a tracker where it stands, with its frame, and return its line of the legend."""
     size = float(np.linalg.norm(np.ptp(scene.bounds(), axis=0)))
     place = np.eye(4)
-    place[:3, 3] = instrument.at
+    place[:3, 3] = instrument.position
     shapes = [(shape, place) for shape in stand(size, scene.planar)]
     shapes += [(shape, instrument.T_base_frame) for shape in frame_axes(scene)]
     paint(axes, shapes, V, edge)
@@ -154,27 +160,31 @@ def dimensions_at(
         return []
     T_base_platform = mechanism.platform.matrices(poses)[0]
     size = PICTURE.arc * float(np.linalg.norm(np.ptp(_extent(scene, row), axis=0)))
-    found = []
+    placed_dimensions = []
     for name in legs:
         closure = nominal_legs(mechanism)[mechanism.leg_names.index(name)]
-        own = dimensions_of(closure, joints[name][0], T_base_platform, size)
+        leg_dimensions = dimensions_of(closure, joints[name][0], T_base_platform, size)
         index = name if len(legs) > 1 else ""
-        found += [(index, one) for one in own if one.extent > EXACT * size]
+        placed_dimensions += [
+            (index, dimension) for dimension in leg_dimensions if dimension.extent > EXACT * size
+        ]
         if zeros:
-            found += [(index, one) for one in _together(own, EXACT * size)]
-    return found
+            placed_dimensions += [
+                (index, dimension) for dimension in _together(leg_dimensions, EXACT * size)
+            ]
+    return placed_dimensions
 
 
 def _together(dimensions: Sequence[Dimension], least: float) -> list[Dimension]:
     """Return parameters without extent, those that are of one part and place as one."""
     places: dict[tuple[str, bytes], Dimension] = {}
-    for one in dimensions:
-        if one.extent <= least and one.names and one.kind in ("length", "angle"):
-            place = one.line[:1] if one.corner is None else one.corner[None]
-            at = (one.part, (place / least).round(-3).tobytes())
-            before = places.get(at)
-            names = (*before.names, *one.names) if before else one.names
-            places[at] = Dimension(names, "zero", np.repeat(place, 2, axis=0), part=one.part)
+    for dimension in dimensions:
+        if dimension.extent <= least and dimension.names and dimension.kind in ("length", "angle"):
+            place = dimension.line[:1] if dimension.corner is None else dimension.corner[None]
+            key = (dimension.part, (place / least).round(-3).tobytes())
+            before = places.get(key)
+            names = (*before.names, *dimension.names) if before else dimension.names
+            places[key] = Dimension(names, "zero", np.repeat(place, 2, axis=0), part=dimension.part)
     return list(places.values())
 
 
@@ -183,7 +193,7 @@ def _dimension(
     scene: Scene,
     row: int,
     legs: Sequence[str],
-    found: Sequence[tuple[str, Dimension]],
+    dimensions: Sequence[tuple[str, Dimension]],
     V: Array,
 ) -> None:
     """Draw dimensions of legs, values above: of those that are zero alone."""
@@ -199,9 +209,9 @@ def _dimension(
     links = scene.body.skeletons()[row]
     along = np.linspace(0.0, 1.0, 60)[:, None, None]
     busy = ((1.0 - along) * links[:, 0] + along * links[:, 1]).reshape(-1, 3)
-    draw_dimensions(axes, found, V, busy)
-    many = int(np.clip(PICTURE.title / longest, 1, PICTURE.values))
-    lines = [",  ".join(values[i : i + many]) for i in range(0, len(values), many)]
+    draw_dimensions(axes, dimensions, V, busy)
+    columns = int(np.clip(PICTURE.title / longest, 1, PICTURE.values))
+    lines = [",  ".join(values[i : i + columns]) for i in range(0, len(values), columns)]
     axes.set_title("\n".join(lines), size=7.5, pad=14.0, parse_math=True)
 
 
@@ -218,20 +228,20 @@ def _dot(colour: str, label: str, marker: str = "o") -> Line2D:
 
 def _short(name: str) -> str:
     """Return a name, its middle left out where there is no room for it."""
-    most = PICTURE.letters
-    return clean(name if len(name) <= most else f"{name[: most - 9]}…{name[-8:]}")
+    limit = PICTURE.letters
+    return clean(name if len(name) <= limit else f"{name[: limit - 9]}…{name[-8:]}")
 
 
 def _ghosts(axes: Axes, scene: Scene, V: Array) -> list[Line2D]:
     """Draw all poses as lines from joint to joint, by set, and return their legend."""
     faint = float(np.clip(8 / len(scene.plan.poses), 0.12, 0.5))
     legend = []
-    for (name, colour, at, lines), marker in zip(scene.by_set(), cycle(MARKERS), strict=False):
+    for (name, colour, points, lines), marker in zip(scene.by_set(), cycle(MARKERS), strict=False):
         ghosts = list(lines @ V[:2].T)
         axes.add_collection(LineCollection(ghosts, colors=colour, lw=0.7, alpha=faint, zorder=0.5))
-        axes.plot(*(at @ V[:2].T).T, marker, ms=3, color=colour, zorder=0.6)
-        whose = f" for {_short(name)}" if name not in ("", EVERY_LEG) else ""
-        legend.append(_dot(colour, f"{counted(len(at), 'pose')}{whose}", marker))
+        axes.plot(*(points @ V[:2].T).T, marker, ms=3, color=colour, zorder=0.6)
+        owner = f" for {_short(name)}" if name not in ("", EVERY_LEG) else ""
+        legend.append(_dot(colour, f"{counted(len(points), 'pose')}{owner}", marker))
     return legend
 
 
@@ -241,10 +251,10 @@ def name_axes(axes: Axes, frame: Sequence[Shape], V: Array) -> None:
         length = float(shape.size[1])
         end = 2 * V[:2] @ shape.T_link_shape[:3, 3]
         if np.linalg.norm(end) > 0.3 * length:
-            away = 4.5 * end / np.linalg.norm(end)
-            own: dict[str, Any] = {"ha": "center", "va": "center", "size": 7, "zorder": 9}
+            offset = 4.5 * end / np.linalg.norm(end)
+            style: dict[str, Any] = {"ha": "center", "va": "center", "size": 7, "zorder": 9}
             axes.annotate(
-                letter, tuple(end.tolist()), tuple(away), textcoords="offset points", **own
+                letter, tuple(end.tolist()), tuple(offset), textcoords="offset points", **style
             )
 
 
@@ -263,24 +273,24 @@ def _name_legs(axes: Axes, scene: Scene, V: Array, middle: Array, point: float) 
     outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-12)
     taken = [text_box(text, point) for text in axes.texts if isinstance(text, Annotation)]
     for leg, foot, way in zip(scene.mechanism.legs, feet, outward, strict=True):
-        for far, turn in PICTURE.beside:
+        for far, turn in PICTURE.leg_name_places:
             cos, sin = np.cos(np.radians(turn)), np.sin(np.radians(turn))
-            right, up = (np.array([[cos, -sin], [sin, cos]]) @ way).tolist()
+            right, upward = (np.array([[cos, -sin], [sin, cos]]) @ way).tolist()
             name = axes.annotate(
                 _short(leg.name),
                 (float(foot[0]), float(foot[1])),
-                xytext=(far * right, far * up),
+                xytext=(far * right, far * upward),
                 textcoords="offset points",
                 ha="center" if abs(right) < 0.4 else "left" if right > 0 else "right",
-                va="center" if abs(up) < 0.4 else "bottom" if up > 0 else "top",
+                va="center" if abs(upward) < 0.4 else "bottom" if upward > 0 else "top",
                 size=8,
             )
-            own = text_box(name, point)
-            if not any((own[0] < box[1]).all() and (box[0] < own[1]).all() for box in taken):
+            area = text_box(name, point)
+            if not any((area[0] < box[1]).all() and (box[0] < area[1]).all() for box in taken):
                 break
-            if (far, turn) != PICTURE.beside[-1]:
+            if (far, turn) != PICTURE.leg_name_places[-1]:
                 name.remove()
-        taken.append(own)
+        taken.append(area)
 
 
 _LINES = 3.0  # of names that stand outside of what is drawn
@@ -297,10 +307,10 @@ def shifts(scene: Scene, leg: str) -> dict[str, Array]:
 
 def _ends(scene: Scene, leg: str) -> tuple[Array, Array]:
     """Return where a leg stands and its platform point, shape (3,) each, base frame, [m]."""
-    own = scene.mechanism.leg(leg)
+    mechanism_leg = scene.mechanism.leg(leg)
     T = scene.body.placements[0, scene.body.part("platform/body")]
-    point = T[:3, :3] @ np.array(own.point.placement.xyz) + T[:3, 3]
-    return np.array(own.joints[0].placement.xyz), np.asarray(point)
+    point = T[:3, :3] @ np.array(mechanism_leg.point.placement.xyz) + T[:3, 3]
+    return np.array(mechanism_leg.joints[0].placement.xyz), np.asarray(point)
 
 
 def draw_leg(axes: Axes, scene: Scene, leg: str, colours: Mapping[str, str]) -> Axes:
@@ -312,15 +322,19 @@ def draw_leg(axes: Axes, scene: Scene, leg: str, colours: Mapping[str, str]) -> 
         leg: Name of the leg.
         colours: Of dimensions, by the names of parameters.
     """
-    V, apart = axes_of_view(scene.planar), shifts(scene, leg)
-    found = [
-        (index, _moved(one, apart)) for index, one in dimensions_at(scene, 0, [leg], zeros=True)
+    V, leg_shifts = axes_of_view(scene.planar), shifts(scene, leg)
+    placed_dimensions = [
+        (index, _moved(dimension, leg_shifts))
+        for index, dimension in dimensions_at(scene, 0, [leg], zeros=True)
     ]
-    faint, own = _shapes(scene, leg, apart)
+    faint, leg_shapes = _shapes(scene, leg, leg_shifts)
     frames = [(shape, np.eye(4)) for shape in frame_axes(scene)]
-    corners = [_corners(shape, place) for shape, place in (*faint, *own, *frames)]
-    seen = np.concatenate((*corners, *(one.line for _, one in found))) @ V[:2].T
-    low, high = seen.min(axis=0), seen.max(axis=0)
+    corners = [_corners(shape, place) for shape, place in (*faint, *leg_shapes, *frames)]
+    visible = (
+        np.concatenate((*corners, *(dimension.line for _, dimension in placed_dimensions)))
+        @ V[:2].T
+    )
+    low, high = visible.min(axis=0), visible.max(axis=0)
     box = axes.get_window_extent()
     across = float(np.max((high - low) / (box.width, box.height))) * axes.figure.dpi / 72.0
     margin = 0.05 * float(np.max(high - low)) + _LINES * PICTURE.name * across
@@ -329,26 +343,26 @@ def draw_leg(axes: Axes, scene: Scene, leg: str, colours: Mapping[str, str]) -> 
     axes.set_aspect("equal")
     axes.set_axis_off()
     paint(axes, faint, V, edge, GROUND)
-    paint(axes, [*frames, *own], V, edge)
+    paint(axes, [*frames, *leg_shapes], V, edge)
     name_axes(axes, frame_axes(scene), V)
-    busy = _joined(axes, scene, leg, apart, V)
-    if found:
-        draw_dimensions(axes, found, V, busy, colours)
+    busy = _joined(axes, scene, leg, leg_shifts, V)
+    if placed_dimensions:
+        draw_dimensions(axes, placed_dimensions, V, busy, colours)
     return axes
 
 
-def _moved(one: Dimension, apart: Mapping[str, Array]) -> Dimension:
-    shift = apart[one.part]
-    corner = None if one.corner is None else one.corner + shift
-    return replace(one, line=one.line + shift, corner=corner)
+def _moved(dimension: Dimension, leg_shifts: Mapping[str, Array]) -> Dimension:
+    shift = leg_shifts[dimension.part]
+    corner = None if dimension.corner is None else dimension.corner + shift
+    return replace(dimension, line=dimension.line + shift, corner=corner)
 
 
 def _shapes(
-    scene: Scene, leg: str, apart: Mapping[str, Array]
+    scene: Scene, leg: str, leg_shifts: Mapping[str, Array]
 ) -> tuple[list[tuple[Shape, Array]], list[tuple[Shape, Array]]]:
     """Return base and platform, and the leg's links, with ``T_base_part`` as drawn."""
     faint: list[tuple[Shape, Array]] = []
-    own: list[tuple[Shape, Array]] = []
+    leg_shapes: list[tuple[Shape, Array]] = []
     prefix = f"leg {scene.mechanism.leg_names.index(leg) + 1}/"
     for part, place in zip(scene.body.parts, scene.body.placements[0], strict=True):
         owner = part.path.split("/")[0]
@@ -357,9 +371,9 @@ def _shapes(
             continue
         foot = part.path == f"{prefix}base"
         moved = place.copy()
-        moved[:3, 3] += apart["base" if foot else "leg" if mine else owner]
-        (own if mine else faint).extend((shape, moved) for shape in part.shapes)
-    return faint, own
+        moved[:3, 3] += leg_shifts["base" if foot else "leg" if mine else owner]
+        (leg_shapes if mine else faint).extend((shape, moved) for shape in part.shapes)
+    return faint, leg_shapes
 
 
 def _corners(shape: Shape, place: Array) -> Array:
@@ -371,13 +385,16 @@ def _corners(shape: Shape, place: Array) -> Array:
     return T[:3, 3] + np.array([[-half], [half]]) * T[:3, 2]
 
 
-def _joined(axes: Axes, scene: Scene, leg: str, apart: Mapping[str, Array], V: Array) -> Array:
+def _joined(axes: Axes, scene: Scene, leg: str, leg_shifts: Mapping[str, Array], V: Array) -> Array:
     """Draw lines where parts were joined; return points of links that names should not hide."""
     number = scene.mechanism.leg_names.index(leg)
-    at = scene.body.placements[0, list(scene.body.chains[number]), :3, 3]
+    joints = scene.body.placements[0, list(scene.body.chains[number]), :3, 3]
     foot, point = _ends(scene, leg)
-    path = np.concatenate((at, point[None])) + apart["leg"]
-    for ends in ((foot, foot + apart["leg"]), (point + apart["leg"], point + apart["platform"])):
+    path = np.concatenate((joints, point[None])) + leg_shifts["leg"]
+    for ends in (
+        (foot, foot + leg_shifts["leg"]),
+        (point + leg_shifts["leg"], point + leg_shifts["platform"]),
+    ):
         axes.plot(*(np.array(ends) @ V[:2].T).T, ls=(0, (4, 3)), lw=0.7, color=NOMINAL, zorder=7)
     share = np.linspace(0.0, 1.0, 60)[:, None, None]
     return np.asarray(((1.0 - share) * path[:-1] + share * path[1:]).reshape(-1, 3))

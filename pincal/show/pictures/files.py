@@ -61,8 +61,8 @@ def svg_figure(name: str, draw: Callable[[], tuple[Figure, str] | None]) -> SvgF
 
 def _themed(colour: re.Match[str]) -> str:
     """Return a colour as a variable of the page, which has another one on dark ground."""
-    own = colour[0].lower()
-    return f"var(--c{own[1:]}, {own})" if own in DARK_OF else own
+    hexadecimal = colour[0].lower()
+    return f"var(--c{hexadecimal[1:]}, {hexadecimal})" if hexadecimal in DARK_OF else hexadecimal
 
 
 def _inline(svg: bytes) -> Any:
@@ -94,7 +94,7 @@ def _inline(svg: bytes) -> Any:
 
 
 #: What each format would say about its making.
-_SAID = {"svg": ("Date", "Creator"), "png": ("Software",), "pdf": ("CreationDate", "Creator")}
+_METADATA = {"svg": ("Date", "Creator"), "png": ("Software",), "pdf": ("CreationDate", "Creator")}
 _STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",  # text stays text: small, searchable, in any letters
     "font.sans-serif": ["DejaVu Sans", "Verdana"],
@@ -114,15 +114,17 @@ _STYLE: dict[Any, Any] = {
 
 
 @contextmanager
-def drawing(**more: Any) -> Iterator[None]:
+def drawing(**parameters: Any) -> Iterator[None]:
     """Draw figures for pages inside, whatever the user's own style is.
 
     Args:
-        **more: Further parameters of matplotlib, ``_`` for the point in their names.
+        **parameters: Further parameters of matplotlib, ``_`` for the point in their names.
     """
     with mpl.rc_context(), warnings.catch_warnings():
         mpl.rcdefaults()
-        mpl.rcParams.update(_STYLE | {key.replace("_", "."): own for key, own in more.items()})
+        mpl.rcParams.update(
+            _STYLE | {key.replace("_", "."): value for key, value in parameters.items()}
+        )
         # letters that matplotlib's font lacks are the browser's to draw
         warnings.filterwarnings("ignore", r"Glyph \d+ .* missing from", UserWarning)
         yield
@@ -135,7 +137,7 @@ def picture_path(path: str | Path) -> Path:
         FileError: it does not.
     """
     path = Path(path)
-    if path.suffix[1:].lower() not in _SAID:
+    if path.suffix[1:].lower() not in _METADATA:
         raise FileError(f"{path}: expected a name in .svg, .png or .pdf for a picture")
     return path
 
@@ -166,7 +168,9 @@ def figure_bytes(drawn: Figure, kind: str, *, whole: bool = False) -> bytes:
     buffer = io.BytesIO()
     closely: dict[str, Any] = {} if whole else {"bbox_inches": "tight", "pad_inches": 0.05}
     with drawing(svg_hashsalt="pincal"):
-        drawn.savefig(buffer, format=kind, dpi=150, metadata=dict.fromkeys(_SAID[kind]), **closely)
+        drawn.savefig(
+            buffer, format=kind, dpi=150, metadata=dict.fromkeys(_METADATA[kind]), **closely
+        )
     if kind != "svg":
         return buffer.getvalue()
     return re.sub(rb"(?<= )(-?\d+\.\d\d)\d+\b", rb"\1", buffer.getvalue())  # of a point

@@ -32,13 +32,13 @@ NORMAL = 1.96
 #: Of lines over a map, which is as light on dark ground: no colour that pages change there.
 _LINES = "#101010"
 #: Of a map's width, from where a line's second number has room.
-_APART = 0.45
+_NUMBER_DISTANCE = 0.45
 #: Behind numbers of lines: dark letters are read on it wherever a map is dark.
 _PLATE = {"boxstyle": "square,pad=0.1", "facecolor": "#EFEFEF", "edgecolor": "none", "alpha": 0.75}
 #: Entries of a legend from which it is set closely.
 _LONG = 8
 #: Of a figure, that its axes are wide beside a legend.
-_BESIDE = 0.75
+_AXES_SHARE = 0.75
 #: Light enough for black lines; brighter is more, in black and white too.
 _LIGHT = ListedColormap(colormaps["cividis"](np.linspace(0.35, 1.0, 128)))
 
@@ -55,7 +55,7 @@ def before_after(index: int) -> Look:
 
 def draw_map(
     axes: Axes,
-    over: tuple[Array, Array],
+    grid: tuple[Array, Array],
     values: Array,
     limits: tuple[float, float] | None = None,
     *,
@@ -65,13 +65,16 @@ def draw_map(
 
     Args:
         axes: Where to draw.
-        over: Coordinates x and y, shapes (n_x,) and (n_y,), [m].
+        grid: Coordinates x and y, shapes (n_x,) and (n_y,), [m].
         values: NaN where there is none.
         limits: Of the colours; those of the values if not given.
         decades: Whether colours follow the logarithm, so that small and large are both seen.
     """
-    (x, y), known = (per_si("m", STORED) * one for one in over), values[np.isfinite(values)]
-    half = [(own[1] - own[0]) / 2 for own in (x, y)]
+    (x, y), known = (
+        (per_si("m", STORED) * coordinate for coordinate in grid),
+        values[np.isfinite(values)],
+    )
+    half = [(cells[1] - cells[0]) / 2 for cells in (x, y)]
     extent = (x[0] - half[0], x[-1] + half[0], y[0] - half[1], y[-1] + half[1])
     low, high = limits or (known.min(), known.max())
     norm = (LogNorm if decades and low > 0.0 else Normalize)(low, high)
@@ -100,9 +103,10 @@ def _round_levels(known: Array) -> tuple[Array, int]:
 
 def _label_places(lines: QuadContourSet) -> list[tuple[float, float]]:
     """Return places for the lines' numbers: on the longest piece of each, on others with room."""
-    found: list[Array] = []
+    places: list[Array] = []
     levels = [
-        [np.asarray(one) for one in p.to_polygons(closed_only=False)] for p in lines.get_paths()
+        [np.asarray(polygon) for polygon in p.to_polygons(closed_only=False)]
+        for p in lines.get_paths()
     ]
     every = [piece for pieces in levels for piece in pieces]
     span = float(np.ptp(np.concatenate(every), axis=0).max()) if every else 0.0
@@ -110,12 +114,12 @@ def _label_places(lines: QuadContourSet) -> list[tuple[float, float]]:
         longest = max(map(len, pieces), default=0)
         for rank, piece in enumerate(sorted(pieces, key=len, reverse=True)):
             inner = piece[len(piece) // 6 : len(piece) - len(piece) // 6]  # not its ends
-            away = [np.linalg.norm(inner - one, axis=1) for one in found]
-            far = np.min(away, axis=0) if away else np.full(len(inner), np.inf)
-            place = int(np.argmax(far)) if away else len(inner) // 2
-            if rank == 0 or (2 * len(piece) > longest and far[place] > _APART * span):
-                found.append(inner[place])
-    return [(float(x), float(y)) for x, y in found]
+            distances = [np.linalg.norm(inner - polygon, axis=1) for polygon in places]
+            far = np.min(distances, axis=0) if distances else np.full(len(inner), np.inf)
+            place = int(np.argmax(far)) if distances else len(inner) // 2
+            if rank == 0 or (2 * len(piece) > longest and far[place] > _NUMBER_DISTANCE * span):
+                places.append(inner[place])
+    return [(float(x), float(y)) for x, y in places]
 
 
 def draw_mechanism(axes: Axes, mechanism: Mechanism) -> None:
@@ -139,7 +143,7 @@ def draw_mechanism(axes: Axes, mechanism: Mechanism) -> None:
 
 
 def draw_poses(
-    axes: Axes, mechanism: Mechanism, plan: Plan, seen: tuple[int, int] = (0, 1)
+    axes: Axes, mechanism: Mechanism, plan: Plan, projection: tuple[int, int] = (0, 1)
 ) -> None:
     """Draw poses of a plan by set, unfilled if no fit follows them; strokes show orientations.
 
@@ -147,7 +151,7 @@ def draw_poses(
         axes: Where to draw.
         mechanism: The mechanism.
         plan: The poses, and the sets they belong to.
-        seen: Coordinates that point right and up.
+        projection: Coordinates that point right and up.
     """
     turns = "phi" in mechanism.platform.coordinates
     scale = per_si("m", STORED)
@@ -157,18 +161,22 @@ def draw_poses(
     for index, name in enumerate(names):
         colour, marker, _ = look(index)
         colour = EVERY if name in (EVERY_LEG, VERIFY) else colour
-        if not (own := plan.poses[sets == name]).size:
+        if not (poses := plan.poses[sets == name]).size:
             continue
-        said = {EVERY_LEG: "every leg", VERIFY: "verify (not fitted)"}.get(name, f"set {name}")
-        many, at = len(own) > PAGE.many, scale * own[:, seen]
+        name_shown = {EVERY_LEG: "every leg", VERIFY: "verify (not fitted)"}.get(
+            name, f"set {name}"
+        )
+        rasterized, points = len(poses) > PAGE.raster_from, scale * poses[:, projection]
         unfilled: dict[str, Any] = (
             {"mfc": "none", "color": colour} if name == VERIFY else {"color": colour}
         )
-        axes.plot(*at.T, marker, **unfilled, ms=4, label=said, zorder=2, rasterized=many)
+        axes.plot(
+            *points.T, marker, **unfilled, ms=4, label=name_shown, zorder=2, rasterized=rasterized
+        )
         if turns:
-            end = at + size * np.stack((np.cos(own[:, 2]), np.sin(own[:, 2])), axis=1)
-            draw_strokes(axes, at, end, colors=colour, lw=0.8, zorder=2)
-    axes.set(xlabel=axis_name("xyz"[seen[0]]), ylabel=axis_name("xyz"[seen[1]]))
+            end = points + size * np.stack((np.cos(poses[:, 2]), np.sin(poses[:, 2])), axis=1)
+            draw_strokes(axes, points, end, colors=colour, lw=0.8, zorder=2)
+    axes.set(xlabel=axis_name("xyz"[projection[0]]), ylabel=axis_name("xyz"[projection[1]]))
 
 
 def draw_strokes(axes: Axes, begin: Array, end: Array, **look: Any) -> None:
@@ -180,9 +188,9 @@ def draw_strokes(axes: Axes, begin: Array, end: Array, **look: Any) -> None:
 
 def marks(index: int, *, of_leg: bool) -> dict[str, Any]:
     """Return the marker of a series of points: of a leg by its colour, of others by filling."""
-    own = look(index) if of_leg else other_look(index)
+    series_look = look(index) if of_leg else other_look(index)
     filled: dict[str, Any] = {} if of_leg or index % 2 == 0 else {"mfc": "none"}
-    return {"marker": own.marker, "color": own.colour, **filled}
+    return {"marker": series_look.marker, "color": series_look.colour, **filled}
 
 
 def draw_bars(
@@ -199,12 +207,12 @@ def draw_bars(
     """
     names = list(dict.fromkeys(name for series in values.values() for name in series))
     width = 0.8 / len(values)
-    for index, (series, own) in enumerate(values.items()):
-        places = np.array([names.index(name) for name in own])
+    for index, (series, heights) in enumerate(values.items()):
+        places = np.array([names.index(name) for name in heights])
         shift = (index - (len(values) - 1) / 2) * width
         colour, _, hatch = looks(index)
         own_look: dict[str, Any] = {"color": colour, "hatch": hatch, "edgecolor": "white"}
-        axes.bar(places + shift, list(own.values()), width, label=label(series), **own_look)
+        axes.bar(places + shift, list(heights.values()), width, label=label(series), **own_look)
     name_places(axes, names)
     return legend_beside(axes)
 
@@ -221,8 +229,8 @@ def legend_beside(axes: Axes) -> Axes:
 def levels(axes: Axes, size: float, name: str) -> None:
     """Draw lines at zero and, dashed, at a size on both sides, with a name in the legend."""
     axes.axhline(0.0, color="0.5", lw=0.8, zorder=0)
-    for level, said in ((-size, f"_{name}"), (size, name)):
-        axes.axhline(level, color="0.5", lw=0.8, ls="--", zorder=0, label=said)
+    for level, entry in ((-size, f"_{name}"), (size, name)):
+        axes.axhline(level, color="0.5", lw=0.8, ls="--", zorder=0, label=entry)
 
 
 def axis_name(axis: str) -> str:
@@ -252,7 +260,7 @@ def name_places(axes: Axes, names: Sequence[str], units: Sequence[str] = ()) -> 
     """Write names below places 0, 1, … of an axis, upright where they are many."""
     figure = axes.get_figure(root=True)
     width = min(PAGE.width, figure.get_figwidth() if figure else PAGE.width)
-    step = int(np.ceil(len(names) * PAGE.line_small / (_BESIDE * width)))  # letters stay large
+    step = int(np.ceil(len(names) * PAGE.line_small / (_AXES_SHARE * width)))  # letters stay large
     axes.set_xticks(range(0, len(names), step), _named(names, units, width)[::step])
     if _upright(names, width):
         axes.tick_params(axis="x", labelrotation=90, labelsize=7)
@@ -261,7 +269,7 @@ def name_places(axes: Axes, names: Sequence[str], units: Sequence[str] = ()) -> 
 def _upright(names: Sequence[str], width: float) -> bool:
     """Return whether names side by side would touch, in a figure of a width, [inch]."""
     side_by_side = len(names) * PAGE.small * (1 + max(map(len, names), default=0))
-    return len(names) > 2 * width or side_by_side > _BESIDE * width
+    return len(names) > 2 * width or side_by_side > _AXES_SHARE * width
 
 
 def _named(names: Sequence[str], units: Sequence[str], width: float) -> list[str]:
@@ -310,50 +318,52 @@ def paint(
         edge: Width of outlines, [m].
         colour: One for all.
     """
-    most = 1 if colour else PICTURE.pieces  # where pieces of one colour overlap they would show
+    count = 1 if colour else PICTURE.pieces  # where pieces of one colour overlap they would show
     pieces = [
         (
-            whole @ V.T,
+            outline @ V.T,
             inner @ V.T,
             np.minimum(bright * np.array(to_rgb(colour or shape.colour)), 1),
             behind,
         )
         for shape, place in shapes
-        for whole, inner, bright, behind in _pieces(
-            shape, place @ shape.T_link_shape, V, edge, most
+        for outline, inner, bright, behind in _pieces(
+            shape, place @ shape.T_link_shape, V, edge, count
         )
     ]
     pieces.sort(key=lambda piece: round(float(np.quantile(piece[0][:, 2], piece[3])), 9))
-    polygons = [_hull(points[:, :2]) for whole, inner, *_ in pieces for points in (whole, inner)]
-    colours = [c for *_, own, _ in pieces for c in (PICTURE.dark * own, own)]
+    polygons = [
+        _hull(points[:, :2]) for outline, inner, *_ in pieces for points in (outline, inner)
+    ]
+    colours = [c for *_, fill, _ in pieces for c in (PICTURE.dark * fill, fill)]
     opacity = 0.45 if colour else None
     axes.add_collection(PolyCollection(polygons, facecolors=colours, lw=0, alpha=opacity))
 
 
-def _pieces(shape: Shape, T: Array, V: Array, edge: float, most: int) -> list[_Piece]:
+def _pieces(shape: Shape, T: Array, V: Array, edge: float, limit: int) -> list[_Piece]:
     """Return the pieces of a shape, rods in so many at most."""
     if shape.points is not None:
-        whole = shape.points @ T[:3, :3].T + T[:3, 3]
-        middle = whole.mean(axis=0)
-        least = 1.0 - 2.0 * edge / float(np.linalg.norm(whole - middle, axis=1).max())
-        return [(whole, middle + max(least, 0.5) * (whole - middle), 1.0, 0.25)]
+        outline = shape.points @ T[:3, :3].T + T[:3, 3]
+        middle = outline.mean(axis=0)
+        least = 1.0 - 2.0 * edge / float(np.linalg.norm(outline - middle, axis=1).max())
+        return [(outline, middle + max(least, 0.5) * (outline - middle), 1.0, 0.25)]
     thin = min(edge, min(shape.size) / 5)
     if shape.kind == "box":
         return _faces(shape, T, V, thin)
     if shape.kind == "sphere":
-        outline = np.concatenate((_CIRCLE @ V[:2], V[2:]))
-        whole, inner = (T[:3, 3] + r * outline for r in (shape.size[0], shape.size[0] - thin))
-        return [(whole, inner, 1.0, 1.0)]
+        directions = np.concatenate((_CIRCLE @ V[:2], V[2:]))
+        outline, inner = (T[:3, 3] + r * directions for r in (shape.size[0], shape.size[0] - thin))
+        return [(outline, inner, 1.0, 1.0)]
     radius, length = shape.size
     stretch = float(np.linalg.norm(T[:3, 2]))  # of the rod of a prismatic joint
     if length * stretch < 1e-3 * edge:  # too short to be seen
         return []
-    count = int(np.clip(np.ceil(length * stretch / (PICTURE.piece * radius)), 1, most))
+    count = int(np.clip(np.ceil(length * stretch / (PICTURE.piece * radius)), 1, limit))
     cuts = np.linspace(-length / 2, length / 2, count + 1)
     thin = min(thin, length * stretch / 5)
     end = length / 2 - thin / stretch
     along = float(T[:3, 2] @ V[2]) / stretch  # cosine between the rod and the view
-    over = 2 * thin / stretch / max(np.sqrt(1.0 - along**2), 0.1)  # hides where it was cut
+    overlap = 2 * thin / stretch / max(np.sqrt(1.0 - along**2), 0.1)  # hides where it was cut
     around = _CIRCLE @ T[:3, :2].T
 
     def tube(radius: float, low: float, high: float) -> Array:
@@ -362,7 +372,7 @@ def _pieces(shape: Shape, T: Array, V: Array, edge: float, most: int) -> list[_P
     return [
         (
             tube(radius, low, high),
-            tube(radius - thin, max(low - over, -end), min(high + over, end)),
+            tube(radius - thin, max(low - overlap, -end), min(high + overlap, end)),
             1.0,
             1.0,
         )
@@ -380,9 +390,9 @@ def _faces(shape: Shape, T: Array, V: Array, thin: float) -> list[_Piece]:
         side = np.sign(towards)
         corners = _CORNERS[_CORNERS[:, axis] == side / 2]
         less = np.where(np.arange(3) == axis, 0.0, 2 * thin)
-        whole, inner = (corners * (size - cut) @ T[:3, :3].T + T[:3, 3] for cut in (0.0, less))
+        outline, inner = (corners * (size - cut) @ T[:3, :3].T + T[:3, 3] for cut in (0.0, less))
         faces.append(
-            (whole, inner, 0.8 + 0.4 * float(side * T[:3, axis] @ V.T @ _TOWARDS_LIGHT), 1.0)
+            (outline, inner, 0.8 + 0.4 * float(side * T[:3, axis] @ V.T @ _TOWARDS_LIGHT), 1.0)
         )
     return faces
 

@@ -17,7 +17,7 @@ from pincal.errors import MeasurementError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.configurations import home_of
 from pincal.model.measurements import Plan
-from pincal.show.view.scene import MAGNIFY, Found, Scene, plan_of, scene
+from pincal.show.view.scene import MAGNIFY, Overlay, Scene, plan_of, scene
 
 if TYPE_CHECKING:  # matplotlib is imported where it is needed
     from matplotlib.axes import Axes
@@ -40,8 +40,8 @@ class Picture:
         """Return the picture with the tracker of a calibration where its place is known."""
         from pincal.show.view.calibrated import instrument
 
-        found = Found(instrument=instrument(result))
-        return replace(self, scene=replace(self.scene, found=found))
+        overlay = Overlay(instrument=instrument(result))
+        return replace(self, scene=replace(self.scene, overlay=overlay))
 
     def draw(self, axes: Axes) -> Axes:
         """Draw into axes, best inside ``pincal.show.pictures.files.drawing()``."""

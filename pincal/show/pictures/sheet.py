@@ -70,9 +70,9 @@ def sheet(result: CalibrationResult, name: str = "", date: str = "") -> Figure:
     """
     mechanism = result.nominal
     leg = mechanism.leg(name or mechanism.leg_names[0]).name
-    legs = next(one for one in kinds_of_legs(result) if leg in [own.name for own in one])
+    legs = next(kind for kind in kinds_of_legs(result) if leg in [block.name for block in kind])
     blocks = [legs[i : i + _LEGS] for i in range(0, len(legs), _LEGS)]
-    lines = sum(_lines(own, mechanism) for own in blocks)
+    lines = sum(_lines(block, mechanism) for block in blocks)
     table = min(_LINE * lines / _SIZE[1], 0.7)
     with drawing():
         figure = Figure(figsize=_SIZE)
@@ -82,7 +82,7 @@ def sheet(result: CalibrationResult, name: str = "", date: str = "") -> Figure:
         figure.text(0.98, 0.975, about, size=8, ha="right")
         below = figure.add_axes((0.02, 0.06, 0.96, table))
         _table(below, result, blocks, lines)
-        keys = [Line2D([], [], color=colour, lw=3, label=said) for _, colour, said in LEVELS]
+        keys = [Line2D([], [], color=colour, lw=3, label=text) for _, colour, text in LEVELS]
         keys.append(Line2D([], [], color=INK[0], lw=3, label="held fixed"))
         figure.legend(handles=keys, loc="lower center", ncols=4, frameon=False, fontsize=7)
         doubt = f" Residuals are {result.excess:.3g} times as large: no ± can be relied on."
@@ -98,8 +98,8 @@ def sheet(result: CalibrationResult, name: str = "", date: str = "") -> Figure:
 
 def draw_dimensioned(axes: Axes, result: CalibrationResult, leg: str) -> Axes:
     """Draw a leg of the nominal mechanism with dimensions in the colours of their changes."""
-    own = next(one for one in result.legs if one.name == leg)
-    colours = {p.name: colour_of(p) for p in own.parameters}
+    leg_result = next(leg_result for leg_result in result.legs if leg_result.name == leg)
+    colours = {p.name: colour_of(p) for p in leg_result.parameters}
     mechanism = result.nominal
     return draw_leg(axes, scene(mechanism, home_of(mechanism)), leg, colours)
 
@@ -117,9 +117,9 @@ def _table(
             (0.0, "left", "parameter"),
             (_NOMINAL, "right", "nominal"),
         ]
-        head += [(at, "right", clean(leg.name)) for at, leg in zip(places, legs, strict=True)]
-        for at, side, text in head:
-            axes.text(at, line, text, size=7.5, weight="bold", ha=side, va="center")
+        head += [(place, "right", clean(leg.name)) for place, leg in zip(places, legs, strict=True)]
+        for place, side, text in head:
+            axes.text(place, line, text, size=7.5, weight="bold", ha=side, va="center")
         axes.plot((0.0, 1.0), (line + 0.55,) * 2, color=INK[0], lw=0.6)
         line += 1.1
         rows = {}
@@ -127,12 +127,12 @@ def _table(
             rows[p.name] = line
             _row(axes, line, p.name, (legs, places), result.nominal)
             line += _height(legs, p.name, result.nominal)
-        for leg, at in zip(legs, places, strict=True):
-            _links(axes, result, leg, (rows, at + 0.006))
+        for leg, place in zip(legs, places, strict=True):
+            _links(axes, result, leg, (rows, place + 0.006))
         line += 1.0
 
 
-def _alike(legs: Sequence[LegResult], name: str) -> bool:
+def _same_nominal(legs: Sequence[LegResult], name: str) -> bool:
     """Return whether a parameter has one nominal value in all legs."""
     return len({p.nominal for leg in legs for p in leg.parameters if p.name == name}) == 1
 
@@ -140,15 +140,17 @@ def _alike(legs: Sequence[LegResult], name: str) -> bool:
 def _label(mechanism: Mechanism, leg: str, name: str) -> list[str]:
     """Return the lines of a parameter's label, two at most."""
     letters = len(name) if r"\mathit" in symbol(name) else 2  # Greek ones are one letter
-    beside = " " * (letters + 4)  # the symbol, and what the column of values needs
+    indent = " " * (letters + 4)  # the symbol, and what the column of values needs
     text = clean(mechanism.label(leg, name))
-    lines = wrap(text, _LABEL, initial_indent=beside, max_lines=2, placeholder="…")
+    lines = wrap(text, _LABEL, initial_indent=indent, max_lines=2, placeholder="…")
     return [line.strip() for line in lines]
 
 
 def _height(legs: Sequence[LegResult], name: str, mechanism: Mechanism) -> float:
     """Return how many lines a parameter takes."""
-    return 1.0 if _alike(legs, name) and len(_label(mechanism, legs[0].name, name)) < 2 else 1.8
+    return (
+        1.0 if _same_nominal(legs, name) and len(_label(mechanism, legs[0].name, name)) < 2 else 1.8
+    )
 
 
 def _lines(legs: Sequence[LegResult], mechanism: Mechanism) -> float:
@@ -160,40 +162,40 @@ def _row(
     axes: Axes,
     line: float,
     name: str,
-    where: tuple[Sequence[LegResult], Sequence[float]],
+    columns: tuple[Sequence[LegResult], Sequence[float]],
     mechanism: Mechanism,
 ) -> None:
     """Write a parameter of several legs: nominal values, then identified ones at places."""
-    legs, places = where
-    own = [next(p for p in leg.parameters if p.name == name) for leg in legs]
-    first, *rest = _label(mechanism, legs[0].name, name) or [""]
-    said = symbol(name) + f"  {first}".replace("$", r"\$") * bool(first)
-    axes.text(0.0, line, said, size=7, va="center", parse_math=True)
-    for more in rest:
-        axes.text(0.027, line + 0.8, more, size=7, va="center")
-    alike = _alike(legs, name)
-    nominal = measured(own[0].nominal, 0.0, own[0].unit) if alike else "beneath"
+    legs, places = columns
+    identified = [next(p for p in leg.parameters if p.name == name) for leg in legs]
+    first, *further = _label(mechanism, legs[0].name, name) or [""]
+    text_shown = symbol(name) + f"  {first}".replace("$", r"\$") * bool(first)
+    axes.text(0.0, line, text_shown, size=7, va="center", parse_math=True)
+    for text in further:
+        axes.text(0.027, line + 0.8, text, size=7, va="center")
+    same = _same_nominal(legs, name)
+    nominal = measured(identified[0].nominal, 0.0, identified[0].unit) if same else "beneath"
     axes.text(_NOMINAL, line, minus(nominal), size=7, ha="right", va="center")
-    for p, at in zip(own, places, strict=True):
-        if not alike:
+    for p, place in zip(identified, places, strict=True):
+        if not same:
             nominal = f"nominal {minus(measured(p.nominal, 0.0, p.unit))}"
-            axes.text(at, line + 0.8, nominal, size=7, ha="right", va="center")
+            axes.text(place, line + 0.8, nominal, size=7, ha="right", va="center")
         shown = colour_of(p) if colour_of(p) != NOMINAL else "#6B6B6B"  # text needs more contrast
-        axes.text(at, line, minus(p.text), size=7, ha="right", va="center", color=shown)
+        axes.text(place, line, minus(p.text), size=7, ha="right", va="center", color=shown)
 
 
 def _links(
     axes: Axes,
     result: CalibrationResult,
     leg: LegResult,
-    where: tuple[dict[str, float], float],
+    column: tuple[dict[str, float], float],
 ) -> None:
     """Draw a bracket from one parameter of a leg to another whose error goes with its own."""
-    rows, at = where
+    rows, right = column
     ids = {p.id: p.name for p in leg.parameters}
-    both = [pair for pair in result.weak if pair.first in ids and pair.second in ids][:3]
-    for depth, pair in enumerate(both):
-        out = at + 0.004 * (depth + 1)
+    pairs = [pair for pair in result.weak if pair.first in ids and pair.second in ids][:3]
+    for depth, pair in enumerate(pairs):
+        end = right + 0.004 * (depth + 1)
         first, second = rows[ids[pair.first]], rows[ids[pair.second]]
-        x, y = (at, out, out, at), (first, first, second, second)
+        x, y = (right, end, end, right), (first, first, second, second)
         axes.plot(x, y, color=INK[0], lw=0.7, clip_on=False)

@@ -82,8 +82,8 @@ def plate(points: Array, thickness: float, colour: str = GREY) -> tuple[Shape, .
     if sizes[1] < _FLAT * sizes[0] or not sizes[0]:
         return ()
     shift = 0.5 * thickness * turned[2]
-    both = np.concatenate((points + shift, points - shift))
-    return (Shape("hull", (), np.eye(4), colour, both[ConvexHull(both).vertices]),)
+    corners = np.concatenate((points + shift, points - shift))
+    return (Shape("hull", (), np.eye(4), colour, corners[ConvexHull(corners).vertices]),)
 
 
 def base(feet: Array, home: Array, size: float) -> tuple[Shape, ...]:
@@ -130,8 +130,8 @@ def parallelogram(leg: Leg) -> int | None:
     hinge = leg.joints[place - 1] if place > 0 else None
     if hinge is None or not hinge.name.startswith(("elbow", "sway", "swing")):
         return None
-    both = leg.joints[place].kind == hinge.kind == "revolute"
-    return place if both and np.any(leg.joints[-1].placement.xyz) else None
+    revolute = leg.joints[place].kind == hinge.kind == "revolute"
+    return place if revolute and np.any(leg.joints[-1].placement.xyz) else None
 
 
 def two_rods(leg: Leg, radius: float) -> tuple[Shape, ...]:
@@ -199,12 +199,12 @@ class Body:
 
     def skeletons(self) -> Array:
         """Return segments from joint to joint and tip to platform, shape (N, n, 2, 3), [m]."""
-        at = self.placements[:, :, :3, 3]
+        positions = self.placements[:, :, :3, 3]
         platform = self.part("platform/body")
         pairs = np.array(
             [pair for c in self.chains for pair in zip(c, (*c[1:], platform), strict=True)]
         )
-        return at[:, pairs]
+        return positions[:, pairs]
 
 
 def body(
@@ -241,8 +241,8 @@ def body(
         links = link_placements(leg, joints)
         chains.append(tuple(range(len(parts), len(parts) + len(shapes))))
         pair = parallelogram(leg) if mechanism.platform.kind == "translational" else None
-        for place, own in enumerate(shapes):
-            rigid = own[:1] if place == pair else own
+        for place, link_shapes in enumerate(shapes):
+            rigid = link_shapes[:1] if place == pair else link_shapes
             add(f"leg {number}/link {place + 1}", rigid, links[:, place])
         if pair is not None:
             frame = parallel_frame(leg, links, pair)
@@ -264,8 +264,8 @@ def body(
     size = shapes[0][0].size[1]
     solid = plate(corners, 0.7 * size)
     add("platform/body", (*shapes[0][:1], *solid) if solid else shapes[0], T_base_platform)
-    for number, (point, own) in enumerate(zip(points.values(), shapes[1:], strict=True), 1):
-        add(f"platform/point {number}", own, T_base_platform @ point.placement.origin())
+    for number, (point, link_shapes) in enumerate(zip(points.values(), shapes[1:], strict=True), 1):
+        add(f"platform/point {number}", link_shapes, T_base_platform @ point.placement.origin())
     feet = np.array([leg.joints[0].placement.xyz for leg in mechanism.legs])
     home = platform.home_pose.as_matrix()[0, :3, 3]
     add("base/frame", base(feet, home, size), np.eye(4))
@@ -309,10 +309,10 @@ def _rod(axis: tuple[float, float, float], strokes: Array, inside: float) -> tup
         strokes: Shape (N,), [m].
         inside: Length of the cylinder, [m].
     """
-    _, _, (_, across, other) = np.linalg.svd([axis])
+    _, _, (_, across, normal) = np.linalg.svd([axis])
     frames = np.zeros((2, len(strokes), 4, 4))
     frames[:] = np.eye(4)
-    frames[..., :3, 0], frames[..., :3, 1] = across, other
+    frames[..., :3, 0], frames[..., :3, 1] = across, normal
     moved = np.where(np.abs(strokes) > 1e-9, strokes, np.nan)
     parts = (moved - inside * np.sign(moved), inside * np.sign(moved))
     frames[..., :3, 2] = -np.multiply.outer(np.array(parts), np.array(axis))
@@ -346,7 +346,7 @@ def _numbers(text: str) -> list[float]:
 
 METAL, JOINT = "#aab1ba", "#595959"
 #: Triangles of a link, at most about; cells along it into which corners are gathered.
-MOST, _CELLS = 3000, (60, 45, 32, 22, 15)
+MOST_FACES, _CELLS = 3000, (60, 45, 32, 22, 15)
 
 
 def with_meshes(body: Body, mechanism: Mechanism, urdf: str | Path) -> Body:
@@ -363,17 +363,17 @@ def with_meshes(body: Body, mechanism: Mechanism, urdf: str | Path) -> Body:
         MechanismError: not a well-formed URDF.
     """
     links = _links(Path(urdf))
-    parts, found = list(body.parts), 0
+    parts, count = list(body.parts), 0
     for number, (leg, chain) in enumerate(zip(mechanism.legs, body.chains, strict=True), 1):
         for place, joint in zip(chain, leg.joints, strict=True):
-            if own := links.get(joint.name):
-                parts[place] = replace(parts[place], shapes=own)
-                found += 1
+            if mesh_shapes := links.get(joint.name):
+                parts[place] = replace(parts[place], shapes=mesh_shapes)
+                count += 1
         first = leg.joints[0].name
-        if own := links.get(f"before {first}"):
+        if mesh_shapes := links.get(f"before {first}"):
             place = body.part(f"leg {number}/base")
-            parts[place] = replace(parts[place], shapes=own)
-    if not found:
+            parts[place] = replace(parts[place], shapes=mesh_shapes)
+    if not count:
         raise FileError(
             f"{urdf}: no joint of {mechanism.name!r} moves a link with a mesh; expected the URDF "
             "that the mechanism was read from"
@@ -396,40 +396,42 @@ def _links(path: Path) -> dict[str, tuple[Shape, ...]]:
         )
         for link in robot.links
     }
-    found = {joint.name: shapes.get(joint.child, ()) for joint in robot.joints}
-    return found | {f"before {joint.name}": shapes.get(joint.parent, ()) for joint in robot.joints}
+    links = {joint.name: shapes.get(joint.child, ()) for joint in robot.joints}
+    return links | {f"before {joint.name}": shapes.get(joint.parent, ()) for joint in robot.joints}
 
 
 def _mesh(path: Path, visual: Any) -> Shape:
     """Return a visual as triangles, in its link's frame."""
     import trimesh  # as yourdfpy needs it
 
-    own = visual.geometry.mesh
-    file = _found(path, own.filename)
+    source = visual.geometry.mesh
+    file = _mesh_path(path, source.filename)
     try:
         mesh: Any = trimesh.load(file, force="mesh", process=False)
     except Exception as error:  # whatever readers of meshes raise
         raise FileError(f"{file}: a mesh that cannot be read: {error}") from error
     check_mesh(file, np.asarray(getattr(mesh, "vertices", ())), len(getattr(mesh, "faces", ())))
     mesh.process()  # corners that several triangles share become one
-    scale = np.ones(3) if own.scale is None else np.broadcast_to(own.scale, 3)
+    scale = np.ones(3) if source.scale is None else np.broadcast_to(source.scale, 3)
     corners, faces = coarser(np.asarray(mesh.vertices) * scale, np.asarray(mesh.faces))
     T = np.eye(4) if visual.origin is None else np.asarray(visual.origin, dtype=np.float64)
     return Shape("mesh", (), T, METAL, corners, faces)
 
 
-def _found(path: Path, name: str) -> Path:
+def _mesh_path(path: Path, name: str) -> Path:
     """Return the file of a mesh: beside the URDF, or in a package in a folder above it."""
     bare = name.removeprefix("file://")
     if "://" not in bare:
-        there = [path.parent / bare]
+        candidates = [path.parent / bare]
     else:
-        rest = Path(bare.partition("://")[2])
-        short = Path(*rest.parts[1:])
-        there = [folder / one for folder in path.resolve().parents for one in (rest, short)]
-    for one in there:
-        if one.is_file():
-            return one
+        packaged = Path(bare.partition("://")[2])
+        short = Path(*packaged.parts[1:])
+        candidates = [
+            folder / relative for folder in path.resolve().parents for relative in (packaged, short)
+        ]
+    for candidate in candidates:
+        if candidate.is_file():
+            return candidate
     raise FileError(f"{path}: its mesh {name} is not found beside it, nor in a folder above it")
 
 
@@ -442,7 +444,7 @@ def coarser(corners: Array, faces: NDArray[np.int64]) -> tuple[Array, NDArray[np
     """
     size = float(np.ptp(corners, axis=0).max()) if len(corners) else 0.0
     for cells in _CELLS:
-        if len(faces) <= MOST or not size:
+        if len(faces) <= MOST_FACES or not size:
             break
         cell = np.floor((corners - corners.min(axis=0)) / size * cells).astype(np.int64)
         _, group = np.unique(cell, axis=0, return_inverse=True)
@@ -451,9 +453,9 @@ def coarser(corners: Array, faces: NDArray[np.int64]) -> tuple[Array, NDArray[np
         np.add.at(means, group, corners)
         means /= np.bincount(group)[:, None]
         moved = group[faces]
-        whole = (np.diff(np.sort(moved, axis=1), axis=1) > 0).all(axis=1)
-        kept = moved[whole]
-        _, first = np.unique(np.sort(kept, axis=1), axis=0, return_index=True)
-        if len(first) <= MOST or cells == _CELLS[-1]:
-            return means, kept[np.sort(first)]
+        proper = (np.diff(np.sort(moved, axis=1), axis=1) > 0).all(axis=1)
+        faces_left = moved[proper]
+        _, first = np.unique(np.sort(faces_left, axis=1), axis=0, return_index=True)
+        if len(first) <= MOST_FACES or cells == _CELLS[-1]:
+            return means, faces_left[np.sort(first)]
     return corners, faces

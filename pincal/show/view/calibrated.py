@@ -13,9 +13,9 @@ from pincal.model.setup import ORIGIN
 from pincal.show.result_tables import directions, parameters
 from pincal.show.view.scene import (
     Errors,
-    Found,
     Instrument,
     Misses,
+    Overlay,
     Scene,
     Station,
     Weakest,
@@ -44,17 +44,17 @@ def calibrated(
         errors: Over the workspace, computed if not given.
     """
     if not result.converged:
-        placed = Found(instrument=instrument(result), stations=stations(result))
-        return replace(scene, found=placed)
+        placed = Overlay(instrument=instrument(result), stations=stations(result))
+        return replace(scene, overlay=placed)
     size = float(np.linalg.norm(np.ptp(scene.bounds(), axis=0)))
-    found = Found(
+    overlay = Overlay(
         misses(result, size),
         _errors(result, workspace_errors(result) if errors is None else errors),
         weakest(scene, result, size),
         instrument(result),
         stations(result),
     )
-    return replace(scene, found=found)
+    return replace(scene, overlay=overlay)
 
 
 def misses(result: CalibrationResult, size: float) -> Misses | None:
@@ -68,7 +68,7 @@ def misses(result: CalibrationResult, size: float) -> Misses | None:
     rows = np.flatnonzero(np.isfinite(np.hstack((measured, shifts))).all(axis=1))
     if not len(rows):
         return None
-    bad = {one.row for one in result.outliers}
+    bad = {outlier.row for outlier in result.outliers}
     outlying = np.array([row in bad for row in rows.tolist()])
     lengths = np.linalg.norm(shifts[rows], axis=1)
     usual = lengths if outlying.all() else lengths[~outlying]
@@ -85,38 +85,38 @@ def _measured(result: CalibrationResult) -> tuple[Array, Array]:
     calibration, platform = result.calibration, result.nominal.platform
     twists = pose_misses(calibration, result.identified, result.outside)
     poses, lengths = np.full(twists.shape, np.nan), platform.lengths
-    whole: Mask = np.asarray(np.isfinite(result.measurements.poses).all(axis=1))
-    if whole.any():
-        poses[whole] = calibration.rows(whole).given_poses(result.outside)[0]
+    complete: Mask = np.asarray(np.isfinite(result.measurements.poses).all(axis=1))
+    if complete.any():
+        poses[complete] = calibration.rows(complete).given_poses(result.outside)[0]
     measured, shifts = np.zeros((2, len(poses), 3))
     measured[:, :lengths] = poses[:, :lengths]
     shifts[:, :lengths] = twists[:, [row < 3 for row in platform.twist_rows]]
-    seen = {one.name: one for one in result.observed}
+    observed = {block.name: block for block in result.observed}
     axes = ("x", "y", "z")[: platform.space]
-    if result.estimated_poses is None or not set(axes) <= set(seen):
+    if result.estimated_poses is None or not set(axes) <= set(observed):
         return measured, shifts
-    off = np.full((len(poses), 3), np.nan)
-    off[:, platform.space :] = 0.0
+    differences = np.full((len(poses), 3), np.nan)
+    differences[:, platform.space :] = 0.0
     for axis, name in enumerate(axes):
-        off[seen[name].rows, axis] = seen[name].residuals
+        differences[observed[name].rows, axis] = observed[name].residuals
     offset = np.array(result.options.setup.targets[ORIGIN].offset)
     if result.outside is not None:
-        off, offset = off @ result.outside.frame[:3, :3], result.outside.offsets[0]
+        differences, offset = differences @ result.outside.frame[:3, :3], result.outside.offsets[0]
     matrices = platform.matrices(result.estimated_poses)
     points = matrices[:, :3, 3] + matrices[:, :3, :3] @ offset
     missing = ~np.isfinite(shifts).all(axis=1)
-    measured[missing], shifts[missing] = (points - off)[missing], off[missing]
+    measured[missing], shifts[missing] = (points - differences)[missing], differences[missing]
     return measured, shifts
 
 
-def _errors(result: CalibrationResult, found: WorkspaceErrors) -> Errors | None:
+def _errors(result: CalibrationResult, errors: WorkspaceErrors) -> Errors | None:
     """Return errors of position over the workspace; None where none can be promised."""
-    before, after = found.before[:, 0], found.after[:, 0]
+    before, after = errors.before[:, 0], errors.after[:, 0]
     rows = np.isfinite(before) & np.isfinite(after)
     if not result.explained or not (rows & (np.fmax(before, after) > 0.0)).any():
         return None
-    at = result.nominal.platform.matrices(found.poses[rows])[:, :3, 3]
-    return Errors(at, before[rows], after[rows])
+    positions = result.nominal.platform.matrices(errors.poses[rows])[:, :3, 3]
+    return Errors(positions, before[rows], after[rows])
 
 
 def weakest(scene: Scene, result: CalibrationResult, size: float) -> Weakest | None:
@@ -129,27 +129,29 @@ def weakest(scene: Scene, result: CalibrationResult, size: float) -> Weakest | N
         result: The calibration.
         size: Of what is drawn, [m].
     """
-    found = directions(result)
-    if not len(found.values):
+    ranked = directions(result)
+    if not len(ranked.values):
         return None
     every = {p.id: p for _, p in parameters(result)}
-    weakest = found.vectors[:, -1] / found.values[-1]
-    step = dict(zip(found.ids, (weakest * found.units).tolist(), strict=True))
-    seen = max(abs(v) * (size if every[i].unit == "rad" else 1.0) for i, v in step.items())
+    weakest = ranked.vectors[:, -1] / ranked.values[-1]
+    step = dict(zip(ranked.ids, (weakest * ranked.units).tolist(), strict=True))
+    largest = max(abs(v) * (size if every[i].unit == "rad" else 1.0) for i, v in step.items())
     moved = {
         leg.name: [p.nominal + step.get(p.id, 0.0) for p in leg.parameters] for leg in result.legs
     }
-    off = scene.mechanism.with_parameters({leg: np.array(own) for leg, own in moved.items()})
+    shifted = scene.mechanism.with_parameters(
+        {leg: np.array(values) for leg, values in moved.items()}
+    )
     order = np.argsort(-np.abs(weakest), kind="stable")
-    most = [found.ids[i] for i in order[:_NAMED]]
+    names = [ranked.ids[i] for i in order[:_NAMED]]
     for share in _SHARES:  # where a machine that far off cannot be built, nearer
-        magnify = rounded_down(share * _SWING * size / max(seen, 1e-300))
+        magnify = rounded_down(share * _SWING * size / max(largest, 1e-300))
         try:
-            body = driven(scene, off, magnify).body
+            body = driven(scene, shifted, magnify).body
         except PincalError:
             continue
         if np.isfinite(body.placements).all(axis=(1, 2, 3)).mean() >= _DRAWN:
-            return Weakest(body, magnify, ", ".join(most))
+            return Weakest(body, magnify, ", ".join(names))
     return None
 
 
@@ -159,8 +161,8 @@ def instrument(result: CalibrationResult) -> Instrument | None:
     if tracker is None:
         return None
     T_base_frame = _base_frame(result)
-    at = T_base_frame[:3, :3] @ np.array(tracker.at) + T_base_frame[:3, 3]
-    return Instrument(at, T_base_frame)
+    position = T_base_frame[:3, :3] @ np.array(tracker.at) + T_base_frame[:3, 3]
+    return Instrument(position, T_base_frame)
 
 
 def stations(result: CalibrationResult) -> tuple[Station, ...]:
@@ -172,22 +174,24 @@ def stations(result: CalibrationResult) -> tuple[Station, ...]:
     Raises:
         MeasurementError: an instrument that stands at no rigid transform.
     """
-    setup, T_base_frame, found = result.options.setup, _base_frame(result), []
+    setup, T_base_frame, placed_stations = result.options.setup, _base_frame(result), []
     if setup.unknown_frame and setup.tracker is None:
-        found.append(Station(FRAME, T_base_frame))
-    for one in setup.instruments:
-        if (stand := getattr(one, "stand", None)) is None:
+        placed_stations.append(Station(FRAME, T_base_frame))
+    for device in setup.instruments:
+        if (stand := getattr(device, "stand", None)) is None:
             continue
-        values = np.array([result[parameter.id].identified for parameter in one.parameters])
+        values = np.array([result[parameter.id].identified for parameter in device.parameters])
         T = np.asarray(stand(values), dtype=np.float64)
         R = T[:3, :3]
         if T.shape != (4, 4) or not np.allclose(R @ R.T, np.eye(3), atol=1e-6):
             raise MeasurementError(
-                f"instrument {one.name!r} stands at an array of shape {T.shape}; expected "
+                f"instrument {device.name!r} stands at an array of shape {T.shape}; expected "
                 "T_frame_instrument, a rigid transform of shape (4, 4)"
             )
-        found.append(Station(one.name, T_base_frame @ T, getattr(one, "sees", None)))
-    return tuple(found)
+        placed_stations.append(
+            Station(device.name, T_base_frame @ T, getattr(device, "sees", None))
+        )
+    return tuple(placed_stations)
 
 
 def _base_frame(result: CalibrationResult) -> Array:

@@ -35,7 +35,7 @@ from pincal.show.style import (
 )
 from pincal.show.view.bodies import GREY, Body, Shape
 from pincal.show.view.scene import (
-    Found,
+    Overlay,
     Scene,
     arrows,
     axes_of_view,
@@ -61,7 +61,7 @@ with warnings.catch_warnings():
 import umsgpack
 
 #: How far sliders go: of the scene's size, and [rad].
-_MOST = {"m": 0.25, "rad": 0.5}
+_SLIDER_RANGE = {"m": 0.25, "rad": 0.5}
 #: Links and shadows on dark ground.
 SOLIDS_DARK = {GREY: "#8b929b", "#d9dce0": "#0b0d10"}
 
@@ -91,16 +91,16 @@ def page(
 def answer(scene: Scene, row: int, shift: Array) -> str:
     """Return what a page draws and writes off its poses, as JSON: see ``moved``."""
     try:
-        there = moved(scene, row, shift)
+        moved_scene = moved(scene, row, shift)
     except MechanismError as error:
         return json.dumps({"problem": str(error)})
-    values = {(row["head"], row["name"]): row["values"][0] for row in _rows(there)}
-    bodies = [there.body] + ([there.identified.body] if there.identified else [])
+    values = {(row["head"], row["name"]): row["values"][0] for row in _rows(moved_scene)}
+    bodies = [moved_scene.body] + ([moved_scene.identified.body] if moved_scene.identified else [])
     return json.dumps(
         {
             "problem": "",
-            "matrices": [_columns(one) for one in bodies],
-            "problems": [one.problems[0] for one in bodies],
+            "matrices": [_columns(drawn) for drawn in bodies],
+            "problems": [drawn.problems[0] for drawn in bodies],
             "values": [values.get((row["head"], row["name"])) for row in _rows(scene)],
         }
     )
@@ -112,8 +112,8 @@ def _data(scene: Scene, source: str) -> dict[str, Any]:
     bodies = {"mechanism": scene.body}
     if scene.identified:
         bodies["identified"] = scene.identified.body
-    if scene.found and scene.found.weakest:
-        bodies["weakest"] = scene.found.weakest.body
+    if scene.overlay and scene.overlay.weakest:
+        bodies["weakest"] = scene.overlay.weakest.body
     V, bounds = axes_of_view(scene.planar), _bounds(scene)
     corners = np.array(list(product(*bounds.T)))
     return {
@@ -154,15 +154,15 @@ def _bounds(scene: Scene) -> Array:
     The scene, the arrows of misses, and what stands no further from it than it is large.
     """
     bounds = scene.bounds()
-    if not scene.found:
+    if not scene.overlay:
         return bounds
     size = float(np.linalg.norm(np.ptp(bounds, axis=0)))
     points = [bounds]
-    if scene.found.misses:
-        points.append(tips(scene.found.misses, size))
-    stands = [one.T_base_station[:3, 3] for one in scene.found.stations]
-    if scene.found.instrument:
-        stands.append(scene.found.instrument.at)
+    if scene.overlay.misses:
+        points.append(tips(scene.overlay.misses, size))
+    stands = [station.T_base_station[:3, 3] for station in scene.overlay.stations]
+    if scene.overlay.instrument:
+        stands.append(scene.overlay.instrument.position)
     near = [p for p in stands if np.linalg.norm(p - np.clip(p, *bounds)) < size]
     every = np.concatenate([*points, np.reshape(near, (-1, 3))])
     return np.stack((every.min(axis=0), every.max(axis=0)))
@@ -204,7 +204,7 @@ def _sliders(scene: Scene) -> list[dict[str, Any]]:
             "name": name,
             "unit": POSES[unit],
             "scale": per_si(unit, POSES),
-            "most": _MOST[unit] * (size if unit == "m" else 1.0),
+            "most": _SLIDER_RANGE[unit] * (size if unit == "m" else 1.0),
             "axis": axis,
         }
         for name, unit, axis in moves
@@ -216,8 +216,8 @@ def _rows(scene: Scene) -> list[dict[str, Any]]:
     mechanism, platform = scene.mechanism, scene.mechanism.platform
     read = mechanism.reading_names, mechanism.reading_units
     groups = [(views.POSE, platform.coordinates, platform.units, POSES, scene.plan.poses)]
-    what = views.GIVEN if mechanism.by_readings else views.NOMINAL
-    groups.append((what, *read, POSES, scene.readings))
+    nominal = views.GIVEN if mechanism.by_readings else views.NOMINAL
+    groups.append((nominal, *read, POSES, scene.readings))
     if scene.plan.readings is not None and not mechanism.by_readings:
         groups.append((views.READ, *read, POSES, scene.plan.readings))
     if scene.identified:
@@ -246,9 +246,9 @@ def _layers(scene: Scene) -> list[dict[str, Any]]:
     layers += [("sets", views.SETS, True), ("ghosts", views.GHOSTS, False)]
     if cloud := scene.cloud:
         group = "" if cloud.domain.all() else cloud.group
-        layers.append(("cloud", views.cloud(len(cloud.positions), cloud.given, group), True))
-    if scene.found:
-        layers += _found(scene, scene.found)
+        layers.append(("cloud", views.cloud(len(cloud.positions), cloud.total, group), True))
+    if scene.overlay:
+        layers += _overlay_layers(scene, scene.overlay)
     layers += [("base axes", views.BASE, True), ("grid", views.GRID, True)]
     colours = {"identified": IDENTIFIED, "cloud": DOMAIN}
     colours |= {"misses": IDENTIFIED, "outlying": OUTLIER, "weakest": NOMINAL}
@@ -258,38 +258,43 @@ def _layers(scene: Scene) -> list[dict[str, Any]]:
     ]
 
 
-def _found(scene: Scene, found: Found) -> list[tuple[str, str, bool]]:
+def _overlay_layers(scene: Scene, overlay: Overlay) -> list[tuple[str, str, bool]]:
     """Return the layers of what a calibration found."""
     layers = []
-    if misses := found.misses:
+    if misses := overlay.misses:
         size = float(np.linalg.norm(np.ptp(scene.bounds(), axis=0)))
         short = cut(misses, size)
-        for path, who, own in (
+        for path, name, visible in (
             ("misses", views.MEASURED, ~misses.outlying),
             ("outlying", views.OUTLIERS, misses.outlying),
         ):
-            if own.any():
-                said = views.misses(who, misses.magnify, int((own & short).sum()))
-                layers.append((path, said, True))
-    if found.errors:
-        layers += [(f"errors/{when}", name, False) for when, name in views.BY_ERROR.items()]
-    if weakest := found.weakest:
+            if visible.any():
+                text = views.misses(name, misses.magnify, int((visible & short).sum()))
+                layers.append((path, text, True))
+    if overlay.errors:
+        layers += [(f"errors/{when}", entry, False) for when, entry in views.BY_ERROR.items()]
+    if weakest := overlay.weakest:
         layers.append(("weakest", views.weakest(weakest.magnify, weakest.named), False))
-    stands = [("instrument", views.TRACKER, found.instrument.at)] if found.instrument else []
+    stands = (
+        [("instrument", views.TRACKER, overlay.instrument.position)] if overlay.instrument else []
+    )
     stands += [
         (f"stations/{number}", station.name, station.T_base_station[:3, 3])
-        for number, station in enumerate(found.stations, 1)
+        for number, station in enumerate(overlay.stations, 1)
     ]
-    layers += [(p, views.stands(who, float(np.linalg.norm(at))), True) for p, who, at in stands]
+    layers += [
+        (p, views.stands(name, float(np.linalg.norm(position))), True)
+        for p, name, position in stands
+    ]
     return layers
 
 
 def _errors(scene: Scene) -> dict[str, Any] | None:
     """Return the scale of errors over the workspace, None if there are none."""
-    if not (scene.found and scene.found.errors):
+    if not (scene.overlay and scene.overlay.errors):
         return None
     scale, unit = per_si("m", SMALL), SMALL["m"]
-    ends = [f"{scale * one:.2g} {unit}" for one in scene.found.errors.limits]
+    ends = [f"{scale * limit:.2g} {unit}" for limit in scene.overlay.errors.limits]
     return {"colours": list(ERRORS), "ends": ends}
 
 
@@ -343,42 +348,42 @@ def commands(scene: Scene) -> list[bytes]:
     for number, (_, colour, positions, lines) in enumerate(scene.by_set(), 1):
         _dots(draw[f"sets/{number}"], positions, colour, 7)
         _lines(draw[f"ghosts/{number}"], lines, colour, opacity=0.45)
-    if scene.found:
-        _draw_found(draw, scene.found, scene)
+    if scene.overlay:
+        _draw_overlay(draw, scene.overlay, scene)
     return recorder.commands
 
 
-def _draw_found(draw: Any, found: Found, scene: Scene) -> None:
+def _draw_overlay(draw: Any, overlay: Overlay, scene: Scene) -> None:
     """Draw what a calibration found."""
     size = float(np.linalg.norm(np.ptp(scene.bounds(), axis=0)))
-    if found.misses:
-        both = (
-            ("misses", ~found.misses.outlying, IDENTIFIED),
-            ("outlying", found.misses.outlying, OUTLIER),
+    if overlay.misses:
+        layers = (
+            ("misses", ~overlay.misses.outlying, IDENTIFIED),
+            ("outlying", overlay.misses.outlying, OUTLIER),
         )
-        for path, own, colour in both:
-            if own.any():
-                corners = arrows(found.misses, own, size)
+        for path, shown, colour in layers:
+            if shown.any():
+                corners = arrows(overlay.misses, shown, size)
                 draw[path].set_object(_facets(corners), _matt(colour))
                 lift = 0.1 * size if scene.planar else 0.0  # seen from above, over the platform
                 draw[path].set_transform(np.array([*_I[:2], [0.0, 0.0, 1.0, lift], _I[3]]))
-    if found.errors:
+    if overlay.errors:
         for name in ("before", "after"):
-            colours = shades(found.errors.shares(getattr(found.errors, name)))
-            _dots(draw[f"errors/{name}"], found.errors.positions, colours, 4)
-    if found.weakest:
-        _draw_body(draw["weakest"], found.weakest.body, NOMINAL, opacity=0.6)
-    if found.instrument:
+            colours = shades(overlay.errors.shares(getattr(overlay.errors, name)))
+            _dots(draw[f"errors/{name}"], overlay.errors.positions, colours, 4)
+    if overlay.weakest:
+        _draw_body(draw["weakest"], overlay.weakest.body, NOMINAL, opacity=0.6)
+    if overlay.instrument:
         place = np.eye(4)
-        place[:3, 3] = found.instrument.at
+        place[:3, 3] = overlay.instrument.position
         for number, shape in enumerate(stand(size, scene.planar), 1):
             node = draw[f"instrument/shape {number}"]
             node.set_object(_geometry(shape), _matt(shape.colour))
             turned = shape.T_link_shape @ (_UPRIGHT if shape.kind == "cylinder" else _I)
             node.set_transform(place @ turned)
         _axes(draw["instrument/frame"], frame_axes(scene))
-        draw["instrument/frame"].set_transform(found.instrument.T_base_frame)
-    for number, station in enumerate(found.stations, 1):
+        draw["instrument/frame"].set_transform(overlay.instrument.T_base_frame)
+    for number, station in enumerate(overlay.stations, 1):
         node = draw[f"stations/{number}"]
         node.set_transform(station.T_base_station)
         _axes(node["frame"], frame_axes(scene))

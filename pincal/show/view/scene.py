@@ -55,8 +55,8 @@ class Errors:
     @property
     def limits(self) -> tuple[float, float]:
         """Ends of the scale, which is one of decades, [m]."""
-        both = np.concatenate((self.before, self.after))
-        low, high = np.quantile(both[both > 0.0], (0.01, 0.99)).tolist()
+        sizes = np.concatenate((self.before, self.after))
+        low, high = np.quantile(sizes[sizes > 0.0], (0.01, 0.99)).tolist()
         return low, max(high, low * 1.01)
 
     def shares(self, errors: Array) -> Array:
@@ -82,7 +82,7 @@ class Weakest:
 class Instrument:
     """A tracker that is known to stand somewhere."""
 
-    at: Array
+    position: Array
     """Shape (3,), base frame, [m]."""
     T_base_frame: Array
     """The frame of the measurements, shape (4, 4), [m]."""
@@ -100,7 +100,7 @@ class Station:
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class Overlay:
     """All of it; None where there is none."""
 
     misses: Misses | None = None
@@ -136,7 +136,7 @@ class Cloud:
     """Which lie in a fundamental domain, shape (N,); all where there is no symmetry."""
     group: str
     """Name of the mechanism's symmetry group."""
-    given: int
+    total: int
     """Number of positions before some were left out."""
 
 
@@ -151,7 +151,7 @@ class Scene:
     """Sensor readings, shape (N, n_legs), [rad] or [m]; NaN where not reached."""
     identified: Identified | None = None
     cloud: Cloud | None = None
-    found: Found | None = None
+    overlay: Overlay | None = None
     """What a calibration adds."""
 
     @property
@@ -168,18 +168,23 @@ class Scene:
 
     def by_set(self) -> Iterator[tuple[str, str, Array, Array]]:
         """Yield name, colour, positions (n, 3) and legs' segments (k, 2, 3) of each set, [m]."""
-        at = self.body.placements[:, self.body.part("platform/body"), :3, 3]
+        positions = self.body.placements[:, self.body.part("platform/body"), :3, 3]
         skeletons = self.body.skeletons()
         for name in dict.fromkeys(self.sets):
-            own = np.array(self.sets) == name
-            lines = skeletons[own].reshape(-1, 2, 3)
-            yield name, set_colour(self, name), at[own], lines[np.isfinite(lines).all(axis=(1, 2))]
+            in_set = np.array(self.sets) == name
+            lines = skeletons[in_set].reshape(-1, 2, 3)
+            yield (
+                name,
+                set_colour(self, name),
+                positions[in_set],
+                lines[np.isfinite(lines).all(axis=(1, 2))],
+            )
 
     def points(self) -> Array:
         """Return where parts, feet and positions are, shape (n, 3), [m]; NaN if not drawn."""
         bodies = [self.body] + ([self.identified.body] if self.identified else [])
         feet = [leg.joints[0].placement.xyz for leg in self.mechanism.legs]
-        parts = [one.placements[:, :, :3, 3].reshape(-1, 3) for one in bodies]
+        parts = [shape_body.placements[:, :, :3, 3].reshape(-1, 3) for shape_body in bodies]
         clouds = [self.cloud.positions] if self.cloud else []
         return np.concatenate((feet, *parts, *clouds))
 
@@ -189,7 +194,7 @@ class Scene:
         if self.planar:
             return 0.0
         frame = self.body.parts[self.body.part("base/frame")].shapes
-        under = [float(one.points[:, 2].min()) for one in frame if one.points is not None]
+        under = [float(shape.points[:, 2].min()) for shape in frame if shape.points is not None]
         return min([float(self.bounds()[0, 2]), *under])
 
     def bounds(self) -> Array:
@@ -217,11 +222,15 @@ def scene(
             "not whole; those that a calibration estimated can be drawn: "
             "result.estimated_poses, or poses.csv in the folder of the result"
         )
-    found = Scene(mechanism, plan, body(mechanism, plan), joints_at(mechanism, plan).readings)
+    drawn_scene = Scene(mechanism, plan, body(mechanism, plan), joints_at(mechanism, plan).readings)
     if identified is not None:
-        machine = driven(found, as_mechanism(identified), magnify)
-        found = replace(found, identified=machine)
-    return found if workspace is None else replace(found, cloud=_cloud(mechanism, workspace))
+        machine = driven(drawn_scene, as_mechanism(identified), magnify)
+        drawn_scene = replace(drawn_scene, identified=machine)
+    return (
+        drawn_scene
+        if workspace is None
+        else replace(drawn_scene, cloud=_cloud(mechanism, workspace))
+    )
 
 
 def plan_of(mechanism: Mechanism, poses: Plan | ArrayLike | RigidTransform) -> Plan:
@@ -232,28 +241,28 @@ def plan_of(mechanism: Mechanism, poses: Plan | ArrayLike | RigidTransform) -> P
     """
     if isinstance(poses, Plan):
         return poses
-    given = (
+    plan = (
         poses if isinstance(poses, RigidTransform) else numbers_of(poses, "poses", MeasurementError)
     )
-    return Plan(mechanism.platform.coordinates_of(given))
+    return Plan(mechanism.platform.coordinates_of(plan))
 
 
 def _cloud(mechanism: Mechanism, workspace: ArrayLike) -> Cloud:
     """Return the positions of a workspace, and which are of a fundamental domain."""
     lengths = mechanism.platform.units.count("m")
-    given = numbers_of(workspace, "workspace", MeasurementError)
-    if given.ndim != 2 or given.shape[1] < lengths or not np.isfinite(given).all():
+    points = numbers_of(workspace, "workspace", MeasurementError)
+    if points.ndim != 2 or points.shape[1] < lengths or not np.isfinite(points).all():
         raise MeasurementError(
             f"a workspace has shape (M, {lengths}) or more, finite positions first; got "
-            f"{given.shape}"
+            f"{points.shape}"
         )
-    rows = np.arange(len(given))
-    if len(given) > MOST_POINTS:
-        rows = np.sort(np.random.default_rng(0).choice(len(given), MOST_POINTS, replace=False))
+    rows = np.arange(len(points))
+    if len(points) > MOST_POINTS:
+        rows = np.sort(np.random.default_rng(0).choice(len(points), MOST_POINTS, replace=False))
     positions = np.zeros((len(rows), 3))
-    positions[:, :lengths] = given[rows, :lengths]
+    positions[:, :lengths] = points[rows, :lengths]
     group = symmetry_group(mechanism)
-    return Cloud(positions, in_domain(group, positions), group.name, len(given))
+    return Cloud(positions, in_domain(group, positions), group.name, len(points))
 
 
 def driven(scene: Scene, identified: Mechanism, magnify: float) -> Identified:
@@ -271,22 +280,22 @@ def driven(scene: Scene, identified: Mechanism, magnify: float) -> Identified:
         )
     if not (np.isfinite(magnify) and magnify > 0.0):
         raise MeasurementError(f"errors magnified by {magnify}; expected a factor above 0")
-    off = {
+    unreached = {
         leg.name: leg.nominal + magnify * (identified.leg(leg.name).nominal - leg.nominal)
         for leg in mechanism.legs
     }
-    machine = mechanism.with_parameters(off)
+    machine = mechanism.with_parameters(unreached)
     known = np.flatnonzero(np.isfinite(scene.readings).all(axis=1))
     solution = forward(machine, scene.readings[known], poses[known])
     reached = known[solution.converged]
-    there = Plan(solution.poses[solution.converged], readings=scene.readings[reached])
-    at = body(machine, there, scene.body.barrels)
-    placements = np.full((len(poses), *at.placements.shape[1:]), np.nan)
-    placements[reached] = at.placements
-    why = dict.fromkeys(range(len(poses)), "the nominal model does not reach this pose")
-    why |= dict(zip(known.tolist(), solution.reasons, strict=True))
-    why |= dict(zip(reached.tolist(), at.problems, strict=True))
-    everywhere = replace(at, placements=placements, problems=tuple(why.values()))
+    plan_reached = Plan(solution.poses[solution.converged], readings=scene.readings[reached])
+    drawn = body(machine, plan_reached, scene.body.barrels)
+    placements = np.full((len(poses), *drawn.placements.shape[1:]), np.nan)
+    placements[reached] = drawn.placements
+    reasons = dict.fromkeys(range(len(poses)), "the nominal model does not reach this pose")
+    reasons |= dict(zip(known.tolist(), solution.reasons, strict=True))
+    reasons |= dict(zip(reached.tolist(), drawn.problems, strict=True))
+    everywhere = replace(drawn, placements=placements, problems=tuple(reasons.values()))
     errors = platform_errors(mechanism, identified, scene.plan)
     return Identified(everywhere, identified, magnify, errors)
 
@@ -320,11 +329,11 @@ def moved(scene: Scene, row: int, shift: Array) -> Scene:
     drawn = body(mechanism, plan, scene.body.barrels)
     if drawn.problems[0]:
         raise MechanismError(drawn.problems[0])
-    there = Scene(mechanism, plan, drawn, joints_at(mechanism, plan).readings)
+    moved_scene = Scene(mechanism, plan, drawn, joints_at(mechanism, plan).readings)
     if scene.identified is None:
-        return there
-    machine = driven(there, scene.identified.mechanism, scene.identified.magnify)
-    return replace(there, identified=machine)
+        return moved_scene
+    machine = driven(moved_scene, scene.identified.mechanism, scene.identified.magnify)
+    return replace(moved_scene, identified=machine)
 
 
 def set_colour(scene: Scene, name: str) -> str:
@@ -379,9 +388,9 @@ def ground(scene: Scene) -> Array:
     begin, end = np.floor(low / step) * step, np.ceil(high / step) * step
     lines = []
     for axis in (0, 1):
-        at = np.arange(begin[axis], end[axis] + step / 2, step)
-        ends = np.zeros((len(at), 2, 3))
-        ends[:, :, axis] = at[:, None]
+        places = np.arange(begin[axis], end[axis] + step / 2, step)
+        ends = np.zeros((len(places), 2, 3))
+        ends[:, :, axis] = places[:, None]
         ends[:, :, 1 - axis] = begin[1 - axis], end[1 - axis]
         ends[:, :, 2] = scene.level
         lines.append(ends)
@@ -432,12 +441,12 @@ def _arrow(begin: Array, along: Array, length: float, half: float) -> Array:
     neck = tip - min(_HEAD * length, _SLIM * half) * along
     low, high, wide = begin + half * ring, neck + half * ring, neck + _WIDE * half * ring
     faces = []
-    for one in range(4):
-        two = (one + 1) % 4
+    for corner in range(4):
+        two = (corner + 1) % 4
         faces += [
-            (low[one], low[two], high[two]),
-            (low[one], high[two], high[one]),
-            (wide[one], wide[two], tip),
+            (low[corner], low[two], high[two]),
+            (low[corner], high[two], high[corner]),
+            (wide[corner], wide[two], tip),
         ]
     faces += [(wide[0], wide[2], wide[1]), (wide[0], wide[3], wide[2])]
     return np.array(faces)
@@ -472,6 +481,6 @@ def frustum(sees: tuple[float, float], depth: float) -> Array:
     x, y = sees
     corners = depth * np.array([[-x, -y, 1.0], [x, -y, 1.0], [x, y, 1.0], [-x, y, 1.0]])
     edges = [(np.zeros(3), corner) for corner in corners]
-    edges += [(corners[one], corners[one - 1]) for one in range(4)]
+    edges += [(corners[i], corners[i - 1]) for i in range(4)]
     edges.append((depth * np.array([0.0, -y, 1.0]), depth * np.array([0.0, -1.4 * y, 1.0])))
     return np.array(edges)

@@ -83,12 +83,12 @@ class View(Page):
 
         scene = self.scene
 
-        def asked(query: Mapping[str, list[str]]) -> str:
+        def moved_answer(query: Mapping[str, list[str]]) -> str:
             row = range(len(scene.plan.poses)).index(int(query["row"][0]))  # or a ValueError
             return answer(scene, row, np.array(query["by"][0].split(","), dtype=np.float64))
 
         text = page(scene, self._source, self._notices, served=True)
-        server = PageServer(text, asked)
+        server = PageServer(text, moved_answer)
         self._close = finalize(self, server.close)
         return server.url
 
@@ -143,12 +143,12 @@ def _some_poses(mechanism: Mechanism) -> Plan:
 
     home = home_of(mechanism)
     try:
-        more = sample_configurations(mechanism, 24)
+        sampled = sample_configurations(mechanism, 24)
     except WorkspaceError:  # none with the default margins
         return home
-    read = [plan.readings for plan in (home, more) if plan.readings is not None]
+    read = [plan.readings for plan in (home, sampled) if plan.readings is not None]
     readings = np.concatenate(read) if read else None
-    return Plan(np.concatenate((home.poses, more.poses)), readings=readings)
+    return Plan(np.concatenate((home.poses, sampled.poses)), readings=readings)
 
 
 class PageServer:
@@ -204,17 +204,17 @@ class PageServer:
         first, *headers = request.splitlines()
         method, _, target = first.partition(" ")
         host = next((line[5:].strip() for line in headers if line.lower().startswith("host:")), "")
-        asked = urlsplit(target.partition(" ")[0])
+        address = urlsplit(target.partition(" ")[0])
         if method != "GET":
             return HTTPStatus.NOT_IMPLEMENTED, "text/plain", b"only GET"
         if host not in self._hosts:
             return HTTPStatus.MISDIRECTED_REQUEST, "text/plain", b"not under this name"
-        if asked.path == "/":
+        if address.path == "/":
             return HTTPStatus.OK, "text/html", self._content
-        if asked.path != "/moved":
+        if address.path != "/moved":
             return HTTPStatus.NOT_FOUND, "text/plain", b"no such page"
         try:
-            content = self._answer(parse_qs(asked.query)).encode()
+            content = self._answer(parse_qs(address.query)).encode()
         except (ValueError, KeyError):
             return HTTPStatus.BAD_REQUEST, "text/plain", b"not a pose and how to move it"
         return HTTPStatus.OK, "application/json", content
