@@ -11,18 +11,32 @@ from pincal.design.forecast import Forecast
 from pincal.design.select import Selection
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
+from pincal.show import result_tables, summary
+from pincal.show.answers import warning_lines
+from pincal.show.pictures.files import svg_figure
+from pincal.show.pictures.picture import picture
+from pincal.show.result_tables import calibration_tables, runs_table
+from pincal.show.summary import (
+    check_lines,
+    held_out_line,
+    method_line,
+    missed_lines,
+    noise_line,
+    systematic_lines,
+    tie_lines,
+    tolerance_lines,
+    weak_lines,
+)
+from pincal.show.tables import nominal_table, selection_table, standard_errors
+from pincal.words.sentences import sentences
 from pincal.words.table import Table, columns
+from pincal.words.wording import rendered
 
 _ROWS = 12  # of a plan, in a notebook
 
 
 def mechanism_html(mechanism: Mechanism) -> str:
     """Return a mechanism: a picture and its nominal parameters."""
-    from pincal.show.pictures.files import svg_figure
-    from pincal.show.pictures.picture import picture
-    from pincal.show.tables import nominal_table
-    from pincal.words.wording import rendered
-
     caption = f"{mechanism.name} at home"
     drawn = svg_figure("figure-mechanism", lambda: (picture(mechanism).figure(), caption))
     table = nominal_table(mechanism)
@@ -31,10 +45,6 @@ def mechanism_html(mechanism: Mechanism) -> str:
 
 def result_html(result: CalibrationResult) -> str:
     """Return a calibration: what to know first, parameters, residuals."""
-    from pincal.show import result_tables, summary
-    from pincal.show.answers import warning_lines
-    from pincal.words.wording import rendered
-
     warnings = warning_lines(result)
     return rendered(
         "result.html", result=result, warnings=warnings, tables=result_tables, summary=summary
@@ -43,17 +53,11 @@ def result_html(result: CalibrationResult) -> str:
 
 def selection_html(selection: Selection) -> str:
     """Return what a selection gives each leg, and its first poses."""
-    from pincal.show.tables import selection_table
-
     return f"{selection_table(selection).__html__()}{plan_html(selection.plan)}"
 
 
 def forecast_html(forecast: Forecast) -> str:
     """Return the standard errors to expect, and what the plan determines."""
-    from pincal.show.summary import weak_lines
-    from pincal.show.tables import standard_errors
-    from pincal.words.wording import rendered
-
     words = [] if forecast.rank.complete else [f"Not determined apart: {forecast.rank.describe()}."]
     lines = [*words, *weak_lines(forecast.weak, forecast.mechanism)]
     return rendered("held.html", tables=[standard_errors(forecast)], lines=lines)
@@ -79,10 +83,6 @@ def plan_html(plan: Plan) -> str:
 
 def validation_html(validation: Validation) -> str:
     """Return how rows that a fit has not seen compare with its own."""
-    from pincal.show.summary import held_out_line, missed_lines
-    from pincal.words.sentences import sentences
-    from pincal.words.wording import rendered
-
     table = Table(
         f"{validation.rows} rows held out in {validation.folds} folds",
         columns("rows", "miss by [σ]:.3g"),
@@ -98,25 +98,11 @@ def validation_html(validation: Validation) -> str:
 
 def runs_html(runs: RunComparison) -> str:
     """Return how well runs agree, parameter by parameter."""
-    from pincal.show.result_tables import runs_table
-    from pincal.words.wording import rendered
-
     return rendered("held.html", tables=[runs_table(runs)], lines=str(runs).splitlines())
 
 
 def result_text(result: CalibrationResult) -> str:
     """Return a calibration as a page of text: how it was made, tables, what to know first."""
-    from pincal.show.answers import warning_lines
-    from pincal.show.result_tables import calibration_tables
-    from pincal.show.summary import (
-        check_lines,
-        method_line,
-        noise_line,
-        systematic_lines,
-        tie_lines,
-        tolerance_lines,
-    )
-
     parts = [f"{result.nominal.name}: {method_line(result)}; {result.message}"]
     if result.converged:
         parts += [str(table) for table in calibration_tables(result)]

@@ -318,5 +318,5 @@ def _refit(result: CalibrationResult) -> Fits:
         values = np.concatenate([leg.identified for leg in result.legs])
         matrices = result.nominal.platform.matrices(poses)
         external = result.outside or calibration.observation.external.start
-        near = Near(State(values, matrices, (None,) * len(result.legs), external))
+        near = Near(State(values, matrices, external=external))
     return fitted(calibration, near=near)

@@ -8,22 +8,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
+from pincal.calibration.result import CalibrationResult
 from pincal.errors import MeasurementError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.configurations import home_of
 from pincal.model.measurements import Plan
+from pincal.show.pictures.figure import draw_scene, scene_figure
+from pincal.show.pictures.files import figure_bytes, save_figure
+from pincal.show.view.calibrated import instrument
 from pincal.show.view.scene import MAGNIFY, Overlay, Scene, plan_of, scene
-
-if TYPE_CHECKING:  # matplotlib is imported where it is needed
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-    from pincal.calibration.result import CalibrationResult
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,21 +37,15 @@ class Picture:
 
     def with_result(self, result: CalibrationResult) -> Picture:
         """Return the picture with the tracker of a calibration where its place is known."""
-        from pincal.show.view.calibrated import instrument
-
         overlay = Overlay(instrument=instrument(result))
         return replace(self, scene=replace(self.scene, overlay=overlay))
 
     def draw(self, axes: Axes) -> Axes:
         """Draw into axes, best inside ``pincal.show.pictures.files.drawing()``."""
-        from pincal.show.pictures.figure import draw_scene
-
         return draw_scene(axes, self.scene, self.row, self.dimensions)
 
     def figure(self) -> Figure:
         """Return a figure of its own."""
-        from pincal.show.pictures.figure import scene_figure
-
         return scene_figure(self.scene, self.row, self.dimensions)
 
     def save(self, path: str | Path, *, force: bool = False) -> Path:
@@ -64,14 +57,10 @@ class Picture:
             FileError: the name ends otherwise, or the file exists and ``force`` is not set, or
                 it cannot be written.
         """
-        from pincal.show.pictures.files import save_figure
-
         return save_figure(self.figure(), path, force=force)
 
     def _repr_png_(self) -> bytes:
         """Return the picture for notebooks."""
-        from pincal.show.pictures.files import figure_bytes
-
         return figure_bytes(self.figure(), "png")
 
 
