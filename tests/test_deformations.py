@@ -15,7 +15,6 @@ from test_loads import energy, heavy
 
 import pincal
 from pincal.calibration.calibrate import prepared, started
-from pincal.calibration.calibration import Calibration
 from pincal.calibration.fits import fitted
 from pincal.calibration.terms.candidates import with_terms
 from pincal.calibration.terms.kinds import every_pair, said
@@ -151,7 +150,7 @@ def test_derivatives_are_differences(name: str, of: str) -> None:
     data = pincal.Measurements(
         poses=plan.poses, readings=readings + 1e-4, influences=plan.influences
     )
-    legs = Calibration(machine, data).leg_block([0], np.arange(len(data)))
+    legs = prepared(machine, data).leg_block([0], np.arange(len(data)))
     matrices, values, h = machine.platform.matrices(data.poses), machine.legs[0].nominal, 1e-6
 
     def demand(values: np.ndarray) -> Demand:

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pincal.calibration.calibration import Calibration
+from pincal.calibration.calibration import Calibration, located
 from pincal.calibration.covariance import (
     Confidence,
     chi2_freedoms,
@@ -23,11 +23,17 @@ from pincal.calibration.leg_result import HELD, IdentifiedParameter, LegResult, 
 from pincal.calibration.promise import excess_of
 from pincal.calibration.result import CalibrationResult
 from pincal.estimation.fit import Fit
+from pincal.estimation.linear import State
 from pincal.estimation.profile import profile
 from pincal.estimation.residuals.redundancy import LegResiduals, leg_residuals, redundancy
 from pincal.estimation.residuals.robust import Outlier, Robust
+from pincal.kinematics.closure import largest_size
+from pincal.kinematics.configurations import planned_influences
+from pincal.kinematics.influences import by_name
 from pincal.model.measurements import Noise
+from pincal.model.mechanism import Mechanism
 from pincal.model.parameter import Parameter
+from pincal.model.terms import LOAD
 from pincal.types import Array
 
 _UNMOVED = 0.1  # of a standard error: what is held and moves a value by less leaves its interval
@@ -322,3 +328,94 @@ def _merged(outliers: Sequence[Outlier]) -> tuple[Outlier, ...]:
             legs = (*worst.legs, *one.legs)
             rows[one.row] = replace(worst, legs=legs, weight=min(worst.weight, one.weight))
     return tuple(rows.values())
+
+
+def unreproduced(result: CalibrationResult, machine: Mechanism) -> float:
+    """Return how far a calibrated machine is from the fit that a result reports, over its size.
+
+    The largest difference at rows of the fit: of the residuals that the fitted parameters give from
+    those reported, and of the twists by which the machine's legs miss the poses, with what its own
+    terms follow there, from those of the fit.
+
+    Args:
+        result: A calibration that converged.
+        machine: Its calibrated mechanism, as it was saved and loaded again.
+    """
+    calibration = result.calibration
+    influences = _influences_again(calibration, machine)
+    data = replace(calibration.measurements, influences=influences)
+    again = replace(calibration, mechanism=machine, measurements=data)
+    differences = [0.0]
+    for fitted_leg, saved_leg, reported in zip(
+        _leg_misses(calibration, result, [leg.identified for leg in result.legs]),
+        _leg_misses(again, result, [leg.nominal for leg in machine.legs]),
+        result.legs,
+        strict=True,
+    ):
+        residuals, twists = fitted_leg
+        differences += np.abs(residuals.ravel() - reported.residuals).tolist()
+        differences += np.abs(twists - saved_leg[1]).ravel().tolist()
+    return float(np.max(differences) / max(1.0, largest_size(machine.legs)))  # NaN stays
+
+
+def _leg_misses(
+    calibration: Calibration, result: CalibrationResult, parameters: Sequence[Array]
+) -> list[tuple[Array, Array]]:
+    """Return residuals of each leg at its rows of a fit, and the least twists that undo them.
+
+    At the poses of the fit. The twists of the platform, shape (N, dof), are those of a leg's
+    conditions whatever their axes and scale, which go with the machine as it is drawn.
+
+    Args:
+        calibration: Rows and mechanism by which to evaluate.
+        result: Poses and rows of the fit.
+        parameters: Of each leg, shape (n_params,).
+    """
+    every_leg = range(len(result.legs))
+    if calibration.options.latent:
+        every_row = np.arange(len(calibration.measurements))
+        problems = [(calibration.latent_problem, every_row, every_leg)]
+    else:
+        poses = calibration.given_poses(result.outside)
+        problems = [
+            (*calibration.measured_problem([leg], *poses), range(leg, leg + 1)) for leg in every_leg
+        ]
+    misses = []
+    for problem, rows, legs in problems:
+        values = np.concatenate([parameters[leg] for leg in legs])
+        matrices = calibration.mechanism.platform.matrices(result.poses[rows])
+        external = result.outside or problem.observation.external.start
+        state = State(values, matrices, external=external)
+        linear = problem.evaluate(state)
+        for index, leg in enumerate(legs):
+            demand = linear.demands[index]
+            residuals = leg_residuals(problem, linear, index).value
+            used = np.searchsorted(rows, result.legs[leg].rows[:: residuals.shape[1]])
+            twists = np.linalg.pinv(demand.pose[used]) @ demand.value[used, :, None]
+            misses.append((residuals[used], twists[:, :, 0]))
+    return misses
+
+
+def _influences_again(calibration: Calibration, machine: Mechanism) -> dict[str, Array]:
+    """Return what terms follow at the rows of a calibration, as a machine works it out itself.
+
+    Sides of approach and loads, at the poses by which they were worked out before the fit, unless
+    they were measured: then they are not what the nominal mechanism says.
+    """
+    data = calibration.measurements
+    names = calibration.mechanism.followed & set(calibration.mechanism.influences)
+    if not names:
+        return dict(data.influences)
+    loads = names & {f"{LOAD}_{name}" for name in calibration.mechanism.load_names}
+    rows = located(calibration) if loads else data
+    measured = {name: v for name, v in data.influences.items() if name not in names}
+    rows = replace(rows, influences=measured)
+    before, after = (
+        by_name(one, planned_influences(one, rows)) for one in (calibration.mechanism, machine)
+    )
+    followed = {
+        name: after[name]
+        for name in names
+        if np.allclose(before[name], data.influences[name], rtol=1e-9, atol=0.0, equal_nan=True)
+    }
+    return {**data.influences, **followed}

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 import pincal.files.output as output
 from pincal import __version__
+from pincal.calibration.assemble import unreproduced
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.leg_result import IdentifiedParameter, LegResult
 from pincal.calibration.options import Options, Progress, Tolerance
@@ -26,7 +27,7 @@ from pincal.calibration.promise import most_uncertain, uncovered
 from pincal.calibration.result import CalibrationResult, Page
 from pincal.calibration.runs import RunComparison
 from pincal.calibration.validation import Validation
-from pincal.errors import MeasurementError
+from pincal.errors import MeasurementError, PincalError
 from pincal.estimation.noise import NoiseModel
 from pincal.estimation.residuals.losses import LOSSES, Loss, LossName
 from pincal.files.json_text import json_text, plain
@@ -162,6 +163,8 @@ def restored(data: dict[str, Any], nominal: Mechanism) -> CalibrationResult:
 
 
 FORMAT = 2
+REPRODUCED = 1e-9
+"""Of a machine's size, [m] and [rad]: within this its residuals, read back, are those reported."""
 RESULT, REPORT = "result.json", "report.html"
 MECHANISM, NOMINAL = "mechanism", "nominal"
 RESULT_FILES = (RESULT, "residuals.csv", "poses.csv", REPORT, MECHANISM, NOMINAL)
@@ -177,11 +180,12 @@ def save_result(
 ) -> Path:
     """Write a result folder, whole or not at all, then its report, and return it.
 
-    A fit that did not converge has no calibrated mechanism, so none is written. Arguments are
-    those of ``CalibrationResult.save``.
+    A fit that did not converge has no calibrated mechanism, so none is written. One that is written
+    reproduces the fit. Arguments are those of ``CalibrationResult.save``.
 
     Raises:
         FileError: the folder exists and ``force`` is not set, or cannot be written.
+        PincalError: the mechanism that would be written does not reproduce the fit.
     """
     with output.writing(folder, force=force, folder=RESULT_FILES) as scratch:
         (scratch / RESULT).write_text(json_text(as_json(result)) + "\n", encoding="utf-8")
@@ -190,6 +194,8 @@ def save_result(
         for name, mechanism in mechanisms.items():
             (scratch / name).mkdir()
             write_mechanism(mechanism, scratch / name)
+        if result.converged:
+            check_reproduces(result, load_mechanism(scratch / MECHANISM))
         write_table(scratch / "residuals.csv", _residuals(result))
         if result.estimated_poses is not None:
             plan = Plan(result.estimated_poses)
@@ -198,6 +204,25 @@ def save_result(
         with output.writing(Path(folder) / REPORT) as scratch:
             scratch.write_text(report.html(), encoding="utf-8")
     return Path(folder)
+
+
+def check_reproduces(result: CalibrationResult, machine: Mechanism) -> None:
+    """Raise if a calibrated machine does not give the residuals that were reported of it.
+
+    Args:
+        result: A calibration that converged.
+        machine: Its calibrated mechanism, as it was saved and loaded again.
+
+    Raises:
+        PincalError: it does not.
+    """
+    off = unreproduced(result, machine)
+    if not off <= REPRODUCED:
+        raise PincalError(
+            "the calibrated mechanism, read back, does not give the residuals of its calibration "
+            f"(off by {off:.1g} of its size). This is a fault of pincal, not of the measurements: "
+            "nothing is written; please report it with mechanism and measurements"
+        )
 
 
 def as_json(result: CalibrationResult) -> dict[str, Any]:
