@@ -17,7 +17,7 @@ from pincal.calibration.fits import fitted
 from pincal.calibration.terms.kinds import every_pair
 from pincal.calibration.terms.screen import Candidate, screen
 from pincal.estimation.residuals.courses import scores, slips
-from pincal.estimation.residuals.redundancy import Form, above, of_forms, together
+from pincal.estimation.residuals.redundancy import ResidualForm, above, of_forms, together
 from pincal.estimation.residuals.score import Residuals
 
 Array = NDArray[np.float64]
@@ -46,8 +46,8 @@ def test_equal_weights_have_the_law_of_beta() -> None:
 
 def test_what_parameters_take_up_is_not_seen() -> None:
     """Nothing is read in rounding errors: the probability is one."""
-    nothing = Form(np.array([1e-25, 1e-22]), 1e-22, 1.0)
-    something = Form(np.array([0.5, 1.0]), 6.0, 1.0)
+    nothing = ResidualForm(np.array([1e-25, 1e-22]), 1e-22, 1.0)
+    something = ResidualForm(np.array([0.5, 1.0]), 6.0, 1.0)
     chances = of_forms([nothing, something], 30.0, 30)
     assert chances[0] == 1.0
     assert chances[1] < 0.1

@@ -20,7 +20,7 @@ from measured import machine, seen_from_elsewhere
 import pincal
 from pincal.calibration.fits import fitted
 from pincal.cli.commands.plot import Kind
-from pincal.estimation.residuals.redundancy import Left, every_residual
+from pincal.estimation.residuals.redundancy import Remainders, every_residual
 from pincal.kinematics.configurations import home_of
 from pincal.show.pictures.dimensions import MARK
 from pincal.show.pictures.figure import GAP, dimensions_at, draw_leg, shifts
@@ -263,7 +263,7 @@ def test_residuals_over_workspace_and_time(result: pincal.CalibrationResult) -> 
     _, follows, (own, *_) = every_residual(fit)
     factors = np.zeros(follows.shape[:2])
     factors[:3, own] = 1.0 / leg.sigma[:3, None]
-    spread = np.sqrt(Left.of(fit, follows).of_sum(factors))
+    spread = np.sqrt(Remainders.of(fit, follows).of_sum(factors))
     assert line.get_ydata()[0] == pytest.approx(first / spread, rel=1e-6)
 
 

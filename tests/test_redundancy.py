@@ -15,7 +15,7 @@ from scipy.linalg import block_diag
 import pincal
 from pincal.calibration.fits import fitted
 from pincal.estimation.fit import Fit
-from pincal.estimation.residuals.redundancy import Left, leg_residuals
+from pincal.estimation.residuals.redundancy import Remainders, leg_residuals
 from pincal.show.result_tables import noisy_series
 
 EXACT, NOISY = pincal.Noise(1e-4, 1e-4), pincal.Noise(1e-4, 1e-4, 1e-4)
@@ -76,7 +76,7 @@ def test_what_is_left_is_that_of_the_dense_hat_matrix(case: str) -> None:
         legs = np.concatenate([leg.follows for leg in every], axis=1)
         identity = np.broadcast_to(np.eye(rows), (len(data), rows, rows))
         follows = np.concatenate((legs, identity), axis=1)
-        left, dense = Left.of(fit, follows), dense_covariance(fit, follows)
+        left, dense = Remainders.of(fit, follows), dense_covariance(fit, follows)
         own = np.diagonal(dense).reshape(left.variances.shape)
         np.testing.assert_allclose(left.variances, own, rtol=1e-3, atol=1e-6 * own.max())
         noisy = own > 1e-6 * own.max()  # exact readings close their legs

@@ -264,7 +264,9 @@ def _external(
     if values is None or outer is None or not len(outside):
         return ()
     began = found.fits[0].fit.first.state.external
-    began = replace(began, own=outside.start.own)  # of instruments, what their makers say
+    began = replace(
+        began, instruments=outside.start.instruments
+    )  # of instruments, what their makers say
     start, there = (outside.coordinates(one) for one in (began, values))
     D = outside.coordinates_by_step(values)
     freedoms = [one.min(initial=np.inf) for one in sure.of_unknowns]

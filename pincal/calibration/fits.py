@@ -18,7 +18,7 @@ from pincal.estimation.components import Beforehand, Moments, estimated_noise, w
 from pincal.estimation.linear import State
 from pincal.estimation.noise import assumed_noise
 from pincal.estimation.observability.gauge import Gauge, find_gauge
-from pincal.estimation.observability.identifiable import Held, hold_unobservable
+from pincal.estimation.observability.identifiable import HeldUnknowns, hold_unobservable
 from pincal.estimation.problem import Problem
 from pincal.estimation.residuals.losses import Loss, loss_of
 from pincal.estimation.residuals.robust import Robust, robust_fit
@@ -97,7 +97,7 @@ class Fits:
     """Gauge freedoms."""
     unknowns: Unknowns | None = None
     """Of legs and what is outside, of which the gauge speaks."""
-    held: Held | None = None
+    held: HeldUnknowns | None = None
     """What the measurements cannot observe, if that was held."""
     variances: Array | None = None
     """Covariance of the relative variances of positions, orientations and readings, if they were

@@ -23,7 +23,7 @@ from pincal.types import Array
 _STEPS = 30  # steps at most; most fits need two or three
 _SHORTEST = 1e-4  # share of a step that is still tried
 _CORRECTIONS = 4  # corrections of the readings in a step, at most
-_SAME = 1e-3  # standard deviations by which corrections may still change
+_UNCHANGED = 1e-3  # standard deviations by which corrections may still change
 
 
 def adjusted(problem: Problem, linear: Linear) -> Linear:
@@ -36,13 +36,13 @@ def adjusted(problem: Problem, linear: Linear) -> Linear:
         MeasurementError: a residual that does not exist there.
     """
     noise = np.zeros_like(problem.leg_block.sigma)
-    found = linear
+    at_adjusted = linear
     for _ in range(_CORRECTIONS):
-        before, noise = noise, _corrections(problem, found)
-        if np.abs(noise - before).max(initial=0.0) <= _SAME:
+        before, noise = noise, _corrections(problem, at_adjusted)
+        if np.abs(noise - before).max(initial=0.0) <= _UNCHANGED:
             break
-        found = _at(problem, linear, noise)
-    return found
+        at_adjusted = _at(problem, linear, noise)
+    return at_adjusted
 
 
 def _corrections(problem: Problem, linear: Linear) -> Array:
@@ -54,9 +54,9 @@ def _corrections(problem: Problem, linear: Linear) -> Array:
 def _at(problem: Problem, linear: Linear, noise: Array) -> Linear:
     """Return the conditions at readings that are corrected by so many standard deviations."""
     legs = problem.leg_block.corrected(problem.leg_block.sigma * noise)
-    there = replace(problem, leg_block=legs).evaluate(linear.state)
-    back = (there.noise_root[:, :, : noise.shape[1]] @ noise[:, :, None])[:, :, 0]
-    return replace(there, conditions=there.conditions - back)
+    corrected = replace(problem, leg_block=legs).evaluate(linear.state)
+    shift_back = (corrected.noise_root[:, :, : noise.shape[1]] @ noise[:, :, None])[:, :, 0]
+    return replace(corrected, conditions=corrected.conditions - shift_back)
 
 
 def adjusts(problem: Problem) -> bool:
@@ -65,7 +65,7 @@ def adjusts(problem: Problem) -> bool:
     return problem.weighted and problem.latent and bool(noisy)
 
 
-def last_steps(system: System, found: SolverResult) -> SolverResult:
+def last_steps(system: System, optimum: SolverResult) -> SolverResult:
     """Return the optimum with all conditions at adjusted readings, found from that without.
 
     As it is where readings are exact, residuals are not whitened, or nothing gets better. A step
@@ -73,50 +73,53 @@ def last_steps(system: System, found: SolverResult) -> SolverResult:
 
     Args:
         system: What is minimised.
-        found: Its optimum at readings as measured.
+        optimum: Its optimum at readings as measured.
     """
     problem = system.problem
-    if not (adjusts(problem) and found.converged):
-        return found
-    here = found
+    if not (adjusts(problem) and optimum.converged):
+        return optimum
+    current = optimum
     try:
         with np.errstate(all="ignore"):
-            now = adjusted(problem, here.linear)
-            normal = system.solve(now, here.weights, here.scale)
+            conditions = adjusted(problem, current.linear)
+            normal = system.solve(conditions, current.weights, current.scale)
             share, tried = 1.0, 0
             while normal.decrement > NEGLIGIBLE and tried < _STEPS and share > _SHORTEST:
                 tried += 1
-                there, trial = _stepped(system, here, normal, share)
+                reached, trial = _stepped(system, current, normal, share)
                 costs = [
-                    system.cost(one.residuals, here.weights, one.state) for one in (now, trial)
+                    system.cost(candidate.residuals, current.weights, candidate.state)
+                    for candidate in (conditions, trial)
                 ]
                 if not costs[1] < costs[0]:
                     share /= 4.0
                     continue
-                there = replace(there, costs=(*here.costs, float(costs[1])))
-                here, now, share = there, trial, min(1.0, 2.0 * share)
-                normal = system.solve(now, here.weights, here.scale)
+                reached = replace(reached, costs=(*current.costs, float(costs[1])))
+                current, conditions, share = reached, trial, min(1.0, 2.0 * share)
+                normal = system.solve(conditions, current.weights, current.scale)
     except (MeasurementError, np.linalg.LinAlgError):  # no such conditions there: as it was
-        return found
-    cost = system.cost(now.residuals, here.weights, here.linear.state)
-    dof = max(int(now.equations[here.weights > 0.0].sum()) - system.unknowns.map.shape[1], 1)
-    left = normal.decrement / (1.0 if system.known else max(float(np.sqrt(cost / dof)), 1e-300))
-    return replace(here, distance=left, converged=left <= 10.0 * NEGLIGIBLE)
+        return optimum
+    cost = system.cost(conditions.residuals, current.weights, current.linear.state)
+    dof = max(
+        int(conditions.equations[current.weights > 0.0].sum()) - system.unknowns.map.shape[1], 1
+    )
+    distance = normal.decrement / (1.0 if system.known else max(float(np.sqrt(cost / dof)), 1e-300))
+    return replace(current, distance=distance, converged=distance <= 10.0 * NEGLIGIBLE)
 
 
 def _stepped(
-    system: System, here: SolverResult, normal: NormalEquations, share: float
+    system: System, current: SolverResult, normal: NormalEquations, share: float
 ) -> tuple[SolverResult, Linear]:
     """Return where a share of a step leads, and the conditions there at adjusted readings."""
     problem = system.problem
-    state = problem.moved(here.linear, share * (system.unknowns.map @ normal.step()))
+    state = problem.moved(current.linear, share * (system.unknowns.map @ normal.step()))
     linear, count = solve_poses(problem, problem.evaluate(state))
     weights, scale = system.weights(linear)
-    there = replace(
-        here,
+    reached = replace(
+        current,
         linear=linear,
         weights=weights,
         scale=scale,
-        evaluations=here.evaluations + count + 2,
+        evaluations=current.evaluations + count + 2,
     )
-    return there, adjusted(problem, linear)
+    return reached, adjusted(problem, linear)

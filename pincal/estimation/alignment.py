@@ -7,7 +7,7 @@ found by the alignment of least absolute distances, and left out.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -22,26 +22,12 @@ from pincal.model.setup import ORIGIN
 from pincal.types import Array, Mask
 from pincal.words.numbers import amount
 
-
-@dataclass(frozen=True)
-class Alignment:
-    """When frames are aligned, and when they are refused."""
-
-    turns: int = 50
-    """Of frame and offsets in turn, at most."""
-    still: float = 1e-6
-    """Of the extent of the poses: offsets move no more."""
-    mirrored: float = 0.2
-    """Of the misfit that is left, if the mirror image of a frame explains it."""
-    misfit: float = 0.05
-    """Of the extent of the measured points, from which a mirror is suspected."""
-    refused: float = 0.3
-    """Of it, from which nothing is identified."""
-    gross: float = 10.0
-    """Times as far off as usual: a row that says nothing of where frame and target are."""
-
-
-_BY = Alignment()
+_TURNS = 50  # turns of frame and offsets, at most
+_STILL = 1e-6  # share of the poses' extent below which offsets no longer move
+_MISFIT = 0.05  # share of the measured points' extent from which a mirror is suspected
+_MIRRORED = 0.2  # share of the misfit that is left if the mirror image explains it
+_REFUSED = 0.3  # share of the extent from which nothing is identified
+_GROSS = 10.0  # times the usual miss from which a row says nothing of frame and target
 
 
 def aligned(
@@ -64,23 +50,25 @@ def aligned(
     Raises:
         MeasurementError: frames that cannot be aligned, or only mirrored.
     """
-    seen, platform = problem.observation, problem.platform
-    measured = np.stack([_positions(platform, data, target) for target in seen.setup.targets])
+    observation, platform = problem.observation, problem.platform
+    measured = np.stack(
+        [_positions(platform, data, target) for target in observation.setup.targets]
+    )
     known = placed & np.isfinite(measured).all(axis=2)
     agreeing = known & _agreeing(problem, state, measured, known)
     frame, offsets, _ = _in_turn(problem, state, measured, agreeing.astype(float))
-    if seen.external.frame_rows:
+    if observation.external.frame_rows:
         reached = (state.matrices[None, :, :3, :3] @ offsets[:, None, :, None])[..., 0]
         reached += state.matrices[:, :3, 3]
         _check_frame(reached[agreeing], measured[agreeing], frame, platform)
-    turn, turns = state.external.turn, seen.orientations
+    turn, turns = state.external.turn, observation.orientations
     turned = placed & np.isfinite(turns).all(axis=(1, 2))
-    if seen.external.turn_axes and turned.any():
+    if observation.external.turn_axes and turned.any():
         R = state.matrices[turned, :3, :3]
-        each = Rotation.from_matrix(R.transpose(0, 2, 1) @ frame[:3, :3].T @ turns[turned])
-        off = (each.mean().inv() * each).magnitude()
-        each = each[off <= np.maximum(_BY.gross * np.median(off), _BY.misfit)]
-        turn = each.mean().as_matrix()
+        rotations = Rotation.from_matrix(R.transpose(0, 2, 1) @ frame[:3, :3].T @ turns[turned])
+        angles = (rotations.mean().inv() * rotations).magnitude()
+        rotations = rotations[angles <= np.maximum(_GROSS * np.median(angles), _MISFIT)]
+        turn = rotations.mean().as_matrix()
     agrees = np.asarray(~(known & ~agreeing).any(axis=0))
     return replace(state.external, frame=frame, offsets=offsets, turn=turn), agrees
 
@@ -99,7 +87,7 @@ def _agreeing(problem: Problem, state: State, measured: Array, known: Mask) -> M
     weights = np.where(known, extent / np.maximum(far, extent), 0.0)
     missed = _in_turn(problem, state, measured, weights, absolute=True)[2]
     usual = float(np.median(missed[known]))
-    return known & (missed <= max(_BY.gross * usual, _BY.misfit * extent))
+    return known & (missed <= max(_GROSS * usual, _MISFIT * extent))
 
 
 def _in_turn(
@@ -118,9 +106,9 @@ def _in_turn(
     R, r = state.matrices[:, :3, :3], state.matrices[:, :3, 3]
     frame, offsets = state.external.frame, state.external.offsets.copy()
     unknown = {index for index, _ in external.offset_entries}
-    still = _BY.still * max(np.ptp(r), 1e-300)
+    still = _STILL * max(np.ptp(r), 1e-300)
     known = weights > 0.0
-    for _ in range(_BY.turns if unknown or absolute else 1):
+    for _ in range(_TURNS if unknown or absolute else 1):
         before = offsets.copy()
         if external.frame_rows:
             reached = r + (R @ offsets[:, None, :, None])[..., 0]
@@ -128,8 +116,8 @@ def _in_turn(
         inside = (measured - frame[:3, 3]) @ frame[:3, :3] - r
         for index in unknown:
             if (rows := known[index]).any():
-                each = (R[rows].transpose(0, 2, 1) @ inside[index, rows, :, None])[:, :, 0]
-                offsets[index] = np.average(each, axis=0, weights=weights[index, rows])
+                in_platform = (R[rows].transpose(0, 2, 1) @ inside[index, rows, :, None])[:, :, 0]
+                offsets[index] = np.average(in_platform, axis=0, weights=weights[index, rows])
         missed = np.linalg.norm(inside - (R @ offsets[:, None, :, None])[..., 0], axis=2)
         if absolute:
             usual = max(float(np.median(missed[known])), 1e-300)
@@ -150,53 +138,55 @@ def _positions(platform: Platform, data: Measurements, target: str) -> Array:
     return measured
 
 
-def _kabsch(here: Array, there: Array, weights: Array, platform: Platform) -> Array:
+def _kabsch(nominal: Array, measured: Array, weights: Array, platform: Platform) -> Array:
     """Return the rigid motion that takes points to others, homogeneous, shape (4, 4).
 
     Raises:
         MeasurementError: too few points, or points on a line.
     """
-    if not len(here):
+    if not len(nominal):
         raise MeasurementError(
             "the frame of the measurements is unknown and cannot be aligned: in no row with a "
             "measured position do the readings say where the nominal machine is. It needs as many "
             "readings as the platform has freedoms; check their units, order and signs"
         )
     least = platform.space
-    for points in (here, there):
+    for points in (nominal, measured):
         spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-        if len(here) < least or not spread[least - 2] > 1e-3 * spread[0]:
+        if len(nominal) < least or not spread[least - 2] > 1e-3 * spread[0]:
             raise MeasurementError(
-                f"the frame of the measurements is unknown and cannot be aligned: {len(here)} rows "
-                "with a position that could show it, all "
+                "the frame of the measurements is unknown and cannot be aligned: "
+                f"{len(nominal)} rows with a position that could show it, all "
                 f"{'at one place' if least == 2 else 'on a line'} or too few; measure positions "
                 "that span the workspace"
             )
-    middle_here, middle_there = (np.average(p, axis=0, weights=weights) for p in (here, there))
-    a, b = here - middle_here, there - middle_there
+    middle_here, middle_there = (
+        np.average(p, axis=0, weights=weights) for p in (nominal, measured)
+    )
+    a, b = nominal - middle_here, measured - middle_there
     frame = np.eye(4)
     frame[:3, :3], _ = _rotation(a * weights[:, None], b, platform, mirrored=False)
     frame[:3, 3] = middle_there - frame[:3, :3] @ middle_here
     return frame
 
 
-def _check_frame(here: Array, there: Array, frame: Array, platform: Platform) -> None:
+def _check_frame(nominal: Array, measured: Array, frame: Array, platform: Platform) -> None:
     """Raise if points do not fit after the best alignment.
 
     Raises:
         MeasurementError: they do not, or mirrored only.
     """
-    a, b = here - here.mean(axis=0), there - there.mean(axis=0)
+    a, b = nominal - nominal.mean(axis=0), measured - measured.mean(axis=0)
     extent = float(np.sqrt((b**2).sum(axis=1).mean()))
     misfit = float(np.sqrt(((a @ frame[:3, :3].T - b) ** 2).sum(axis=1).mean()))
     _, reflected = _rotation(a, b, platform, mirrored=True)
-    if misfit > _BY.misfit * extent and reflected < _BY.mirrored * misfit:
+    if misfit > _MISFIT * extent and reflected < _MIRRORED * misfit:
         raise MeasurementError(
             "the positions look mirrored: in a right-handed frame they miss the nominal machine's "
             f"by {amount(misfit, 'm')} (rms), with one axis reversed by {amount(reflected, 'm')}. "
             "Check the signs and the order of the tracker's axes"
         )
-    if misfit > _BY.refused * extent:
+    if misfit > _REFUSED * extent:
         raise MeasurementError(
             f"the measured positions miss the nominal machine's by {amount(misfit, 'm')} (rms) "
             f"after the best alignment, {100 * misfit / extent:.0f} % of their extent. Check the "

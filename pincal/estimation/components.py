@@ -24,23 +24,10 @@ from pincal.types import Array
 
 _P, _O, _R = range(3)  # position, orientation, reading
 
-
-@dataclass(frozen=True)
-class Steps:
-    """What is taken of variances beforehand, and how far they go at once."""
-
-    beforehand: float = 1.0
-    """Of the largest variance, each over its unit: standard deviation of the others about what is
-    assumed of them, which counts where residuals say little."""
-    most: float = 10.0
-    """Times that a variance changes at once."""
-    least: float = 1e-3
-    """Of the largest standard deviation, each over its unit: that of others that are not exact."""
-    rounding: float = 1e-10
-    """Standard deviation over the assumed one, below which residuals are rounding."""
-
-
-_BY = Steps()
+_BEFOREHAND = 1.0  # spread of variances about what is assumed of them, over the largest
+_LARGEST_STEP = 10.0  # factor by which a variance changes at once, at most
+_SMALLEST = 1e-3  # standard deviation over the largest, each over its unit, if it is not exact
+_ROUNDING = 1e-10  # standard deviation over the assumed one, below which residuals are rounding
 
 
 @dataclass(frozen=True)
@@ -84,15 +71,17 @@ class Moments:
             fits: Of groups of legs, each with its problem at the noise in question.
             reading: Standard deviation to which that of readings is relative, [rad] or [m].
         """
-        parts = tuple(_normal(one, problem, reading) for one, problem in fits)
-        F, q = (np.sum([getattr(one, name) for one in parts], axis=0) for name in ("F", "q"))
-        dof = max(sum(one.degrees_of_freedom for one, _ in fits), 1)
-        return cls(F, q, sum(one.chi2 for one in parts) / dof, parts)
+        parts = tuple(_normal(fit, problem, reading) for fit, problem in fits)
+        F, q = (
+            np.sum([getattr(equations, name) for equations in parts], axis=0) for name in ("F", "q")
+        )
+        dof = max(sum(fit.degrees_of_freedom for fit, _ in fits), 1)
+        return cls(F, q, sum(equations.chi2 for equations in parts) / dof, parts)
 
     @property
     def rounding(self) -> bool:
         """Whether the residuals are rounding errors."""
-        return not self.scale > _BY.rounding**2
+        return not self.scale > _ROUNDING**2
 
     def information(self, beforehand: Beforehand) -> tuple[Array, Array]:
         """Return what is known of the variances: Λ and Λ s, s their mean, shapes (3, 3) and (3,).
@@ -106,13 +95,13 @@ class Moments:
         """Return the likeliest variances of groups, none below zero, relative, shape (3,)."""
         information, moments = self.information(beforehand)
         size = 1.0 / np.sqrt(np.diagonal(information))
-        own, right = information * np.outer(size, size), size * moments
-        free = np.linalg.solve(own, right)
+        scaled, right = information * np.outer(size, size), size * moments
+        free = np.linalg.solve(scaled, right)
         if (free >= 0.0).all():  # as nearly always
             return np.asarray(size * free)
         from scipy.optimize import nnls  # slow to load
 
-        R = np.linalg.cholesky(own).T
+        R = np.linalg.cholesky(scaled).T
         return np.asarray(size * nnls(R, np.linalg.solve(R.T, right))[0])
 
 
@@ -151,38 +140,38 @@ class Beforehand:
             scale: χ² over degrees of freedom.
         """
         largest = self.ratio[: 3 if self.noisy else 2].max() * max(scale, 1e-300)
-        apart = np.array([[1.0, -1.0, 0.0], [0.0 if self.exact else -1.0, 0.0, 1.0]])
-        rows = apart * self.ratio / (_BY.beforehand * largest)
+        contrasts = np.array([[1.0, -1.0, 0.0], [0.0 if self.exact else -1.0, 0.0, 1.0]])
+        rows = contrasts * self.ratio / (_BEFOREHAND * largest)
         return np.asarray(rows.T @ rows)
 
 
-def freedoms(one: VarianceEquations, covariance: Array) -> Array:
+def freedoms(equations: VarianceEquations, covariance: Array) -> Array:
     """Return the degrees of freedom of the unknowns' variances (Satterthwaite 1946), shape (n,).
 
     A variance is v = Σ_g s_g v_g, v_g the part of group g: 2 v² / var(v), var(v) = vᵀ cov(s) v.
 
     Args:
-        one: Of the fit.
+        equations: Of the fit.
         covariance: Of the groups' relative variances, shape (3, 3).
     """
-    parts = np.einsum("in,gij,jn->gn", one.back, one.P, one.back)
+    parts = np.einsum("in,gij,jn->gn", equations.back, equations.P, equations.back)
     spread = np.einsum("gn,gh,hn->n", parts, covariance, parts)
-    total = (one.back**2).sum(axis=0)
+    total = (equations.back**2).sum(axis=0)
     return np.where(spread > 0.0, 2.0 * total**2 / np.where(spread > 0.0, spread, 1.0), np.inf)
 
 
-def widened(one: VarianceEquations, covariance: Array) -> Array:
+def widened(equations: VarianceEquations, covariance: Array) -> Array:
     """Return what the covariance of the unknowns lacks if the noise was estimated, shape (n, n).
 
     Weights by estimated variances spread the estimate by Λ = Σ_gh cov(s)_gh Qᵀ V_g M V_h Q, and
     the covariance at the estimate is as much too small: 2 Λ (Kenward and Roger 1997).
 
     Args:
-        one: Of the fit.
+        equations: Of the fit.
         covariance: Of the groups' relative variances, shape (3, 3).
     """
-    more = 2.0 * np.einsum("gh,ghij->ij", covariance, one.rest)
-    return np.asarray(one.back.T @ more @ one.back)
+    excess = 2.0 * np.einsum("gh,ghij->ij", covariance, equations.rest)
+    return np.asarray(equations.back.T @ excess @ equations.back)
 
 
 def estimated_noise(
@@ -197,23 +186,23 @@ def estimated_noise(
         beforehand: What was assumed of it.
     """
     variance, assumed = moments.variances(beforehand), beforehand.ratio
-    least = np.full(3, moments.scale / _BY.most)
+    least = np.full(3, moments.scale / _LARGEST_STEP)
     least[_R] *= noise.reading > 0.0  # of a size that is not known yet
-    variance = np.clip(variance, least, moments.scale * _BY.most)
-    floor = _BY.least**2 * (assumed * variance).max() / assumed
+    variance = np.clip(variance, least, moments.scale * _LARGEST_STEP)
+    floor = _SMALLEST**2 * (assumed * variance).max() / assumed
     noisy = np.array([True, True, not beforehand.exact or bool(variance[_R] > floor[_R])])
     variance = np.maximum(variance, floor)
     p, o, r = np.sqrt(np.where(noisy, variance, 0.0))
     return Noise(float(noise.position * p), float(noise.orientation * o), float(reading * r))
 
 
-def _normal(one: Fit, problem: Problem, readings: float) -> VarianceEquations:
+def _normal(fit: Fit, problem: Problem, readings: float) -> VarianceEquations:
     """Return what a fit says of the variances of groups, at a problem's noise."""
-    given = problem is one.problem
-    linear = one.last if given else problem.renoised(one.last)
-    rows = one.weights > 0.0
-    if one.system.loss is not None:
-        rows &= ~outlying(linear.squares / one.system.scale(linear) ** 2, linear.equations)
+    same_noise = problem is fit.problem
+    linear = fit.last if same_noise else problem.renoised(fit.last)
+    rows = fit.weights > 0.0
+    if fit.system.loss is not None:
+        rows &= ~outlying(linear.squares / fit.system.scale(linear) ** 2, linear.equations)
     n_readings = problem.leg_block.n_readings
     legs = problem.leg_block
     legs = replace(legs, sigma=np.full_like(legs.sigma, readings))
@@ -225,18 +214,18 @@ def _normal(one: Fit, problem: Problem, readings: float) -> VarianceEquations:
     lengths = np.array([unit == "m" for unit in units], dtype=bool)
     U = [part[rows] for part in (W[:, :, lengths], W[:, :, ~lengths], by_reading)]
     r = linear.residuals[rows]
-    held, prior = one.unknowns.prior_rows(one.system.values(one.last.state))
-    if given and (rows == one.good).all():
-        by, Q = one.orthonormal, one.Q
+    held, prior = fit.unknowns.prior_rows(fit.system.values(fit.last.state))
+    if same_noise and (rows == fit.good).all():
+        orthonormal, Q = fit.orthonormal, fit.Q
     else:
-        J = linear.jacobian[rows] @ one.unknowns.map
-        by = Orthonormal.of(J, prior)
-        Q = by(J)
-    left, held = left_over(Q, r, by(prior), held)
+        J = linear.jacobian[rows] @ fit.unknowns.map
+        orthonormal = Orthonormal.of(J, prior)
+        Q = orthonormal(J)
+    white, held = left_over(Q, r, orthonormal(prior), held)
     V = [part @ part.transpose(0, 2, 1) for part in U]
     VQ = [part @ Q for part in V]
     P = [over_rows(Q, part) for part in VQ]
-    both = list(zip(VQ, P, strict=True))
+    pairs = list(zip(VQ, P, strict=True))
     F = np.array(
         [
             [
@@ -248,8 +237,8 @@ def _normal(one: Fit, problem: Problem, readings: float) -> VarianceEquations:
             for g in range(3)
         ]
     )
-    q = np.array([float((np.einsum("nmk,nm->nk", part, left) ** 2).sum()) for part in U])
-    rest = [[over_rows(a, b) - A @ B for b, B in both] for a, A in both]
-    back = by(one.unknowns.map).T
-    chi2 = float((left**2).sum() + (held**2).sum())
-    return VarianceEquations(F, q, chi2, np.array(P), np.array(rest), back)
+    q = np.array([float((np.einsum("nmk,nm->nk", part, white) ** 2).sum()) for part in U])
+    spread = [[over_rows(a, b) - A @ B for b, B in pairs] for a, A in pairs]
+    by_unknown = orthonormal(fit.unknowns.map).T
+    chi2 = float((white**2).sum() + (held**2).sum())
+    return VarianceEquations(F, q, chi2, np.array(P), np.array(spread), by_unknown)

@@ -163,8 +163,8 @@ class Spread:
         fits = (self.noises > 0.0)[:, None, None]
         J = system.derivatives(linear)
         noise = self.noises[:, None, None] * (J.transpose(0, 2, 1) @ W)
-        both = np.concatenate((np.where(fits, noise, 0.0), self._pulled[:, :, None]), axis=2)
-        return np.asarray(-(T @ self.bread @ T.T) @ both)
+        by_noise = np.concatenate((np.where(fits, noise, 0.0), self._pulled[:, :, None]), axis=2)
+        return np.asarray(-(T @ self.bread @ T.T) @ by_noise)
 
 
 @dataclass(frozen=True)
@@ -258,7 +258,7 @@ def fit(
     start: State | None = None,
     progress: Callable[[str], None] | None = None,
     ran_away: Callable[[ObservabilityError], None] | None = None,
-    most: int | None = None,
+    max_evaluations: int | None = None,
 ) -> Fit:
     """Return the least-squares fit of a problem.
 
@@ -267,7 +267,7 @@ def fit(
         start: Where the search starts; the nominal parameters if not given.
         progress: Called with what is being done.
         ran_away: Called if the rank is lost where the search ended; may raise what says more.
-        most: Evaluations of the conditions after which to stop searching.
+        max_evaluations: Evaluations of the conditions after which to stop searching.
 
     Raises:
         ObservabilityError: parameters are not determined, or by the noise only.
@@ -282,11 +282,13 @@ def fit(
     begun = highest = system.cost_at(first)
     if start is not None:  # where the last steps ended, which the search does not know of
         highest *= 1.0 + ROWS_FOLLOW
-    near, more = near_start(system, first, progress) if start is None else (first, 0)
+    near, easy_evaluations = near_start(system, first, progress) if start is None else (first, 0)
     enough = SLOW if adjusts(problem) else 0.0  # the last steps go on from there
-    found = search(system, near, progress, highest=highest, enough=enough, most=most)
-    found = last_steps(system, found)
-    linear, weights = found.linear, found.weights
+    solution = search(
+        system, near, progress, highest=highest, enough=enough, max_evaluations=max_evaluations
+    )
+    solution = last_steps(system, solution)
+    linear, weights = solution.linear, solution.weights
     if system.known:  # where the search starts, a pose may be nearer to a singularity than it is
         check_information(problem, unknowns, (first, linear))
     try:
@@ -295,35 +297,35 @@ def fit(
         if ran_away:
             ran_away(error)
         raise
-    chi2, dof = _chi2(system, linear, weights, found.scale)
+    chi2, dof = _chi2(system, linear, weights, solution.scale)
     if dof < 1 and not system.known:
         n = unknowns.map.shape[1]
         raise ObservabilityError(
             f"{dof + n} equations for {n} parameters, and the scale of the noise is not known; "
             "measure more, or give the noise"
         )
-    spread = Spread.of(system, linear, weights, found.scale, chi2 / max(dof, 1))
+    spread = Spread.of(system, linear, weights, solution.scale, chi2 / max(dof, 1))
     covariance = spread.covariance
     if not system.known:
         size = float(np.sqrt(chi2 / dof))
-        at = (linear, size) if found.converged else (first, 1.0)
-        check_information(problem, unknowns, (at[0],), at[1])
+        judged = (linear, size) if solution.converged else (first, 1.0)
+        check_information(problem, unknowns, (judged[0],), judged[1])
         covariance = covariance * size**2
     return Fit(
         system=system,
         first=first,
         last=linear,
         weights=weights,
-        scale=found.scale,
+        scale=solution.scale,
         covariance=covariance,
         spread=spread,
         ranks=ranks,
         chi2=chi2,
         degrees_of_freedom=dof,
-        evaluations=found.evaluations + count + more,
-        converged=found.converged,
-        distance=found.distance,
-        costs=found.costs if near is first else (float(begun), *found.costs),
+        evaluations=solution.evaluations + count + easy_evaluations,
+        converged=solution.converged,
+        distance=solution.distance,
+        costs=solution.costs if near is first else (float(begun), *solution.costs),
     )
 
 
@@ -339,50 +341,50 @@ def _chi2(system: System, linear: Linear, weights: Array, scale: float) -> tuple
     With a robust loss, that of the rows that are not outliers, at their own optimum.
     """
     prior, _ = system.unknowns.prior_rows(system.values(linear.state))
-    own = _good(system, linear, weights, scale)
-    dof = int(linear.equations[own].sum()) + len(prior) - system.unknowns.map.shape[1]
+    good = _good(system, linear, weights, scale)
+    dof = int(linear.equations[good].sum()) + len(prior) - system.unknowns.map.shape[1]
     if system.loss is None and system.problem.weighted:
-        return float(weights[own] @ linear.squares[own] + prior @ prior), dof
-    triangle = system.triangle(linear, own.astype(float), white=True)
+        return float(weights[good] @ linear.squares[good] + prior @ prior), dof
+    triangle = system.triangle(linear, good.astype(float), white=True)
     return float(triangle[-1, -1] ** 2), dof  # what white residuals would be at their own optimum
 
 
-def without(system: System, kept: Mask) -> System:
+def without(system: System, rows: Mask) -> System:
     """Return the least squares of some rows."""
-    return replace(system, loss=None, kept=kept)
+    return replace(system, loss=None, kept=rows)
 
 
 _PAIRS, _CLEARLY = 3, 0.1
 
 
-def curvature(one: Fit, asked: float = 0.0) -> float:
+def curvature(fit: Fit, threshold: float = 0.0) -> float:
     """Return the relative curvature of a fit; infinite where its poses get lost so near to it.
 
     Args:
-        one: The fit.
-        asked: Where it is clear that the curvature is far below this, one pair of draws will do.
+        fit: The fit.
+        threshold: Curvature far below which one pair of draws will do.
     """
-    problem, here, some = one.problem.thinned(one.last)
-    used, n = (one.weights > 0.0)[some], len(one.covariance)
-    size = np.sqrt(np.diagonal(one.covariance))
+    problem, linear, rows = fit.problem.thinned(fit.last)
+    used, n = (fit.weights > 0.0)[rows], len(fit.covariance)
+    size = np.sqrt(np.diagonal(fit.covariance))
     size = np.where(size > 0.0, size, 1.0)  # so that draws are the same in any unit
-    values, axes = np.linalg.eigh(one.covariance / np.outer(size, size))
+    values, axes = np.linalg.eigh(fit.covariance / np.outer(size, size))
     root = size[:, None] * axes * np.sqrt(values.clip(0.0))
     steps = [root @ draw for draw in np.random.default_rng(0).standard_normal((_PAIRS, n))]
-    found = _relative(problem, here, used, steps[:1], solved=False)
-    if not found <= _CLEARLY * asked:
-        found = _relative(problem, here, used, steps, solved=True)
-    return found if np.isfinite(found) else np.inf
+    relative = _relative(problem, linear, used, steps[:1], solved=False)
+    if not relative <= _CLEARLY * threshold:
+        relative = _relative(problem, linear, used, steps, solved=True)
+    return relative if np.isfinite(relative) else np.inf
 
 
 def _relative(
-    problem: Problem, here: Linear, used: Mask, steps: list[Array], *, solved: bool
+    problem: Problem, linear: Linear, used: Mask, steps: list[Array], *, solved: bool
 ) -> float:
     """Return the bent part of steps over the straight one.
 
     Args:
         problem: The problem.
-        here: Where the steps begin.
+        linear: Where the steps begin.
         used: Rows that count, shape (N,).
         steps: Of all unknowns, shape (n,) each.
         solved: Whether poses are solved at the ends. To second order rows do not see them move.
@@ -391,11 +393,11 @@ def _relative(
     for step in steps:
         ends = []
         for sign in (1.0, -1.0):
-            end = problem.evaluate(problem.moved(here, sign * step))
+            end = problem.evaluate(problem.moved(linear, sign * step))
             if solved:
                 end, _ = solve_poses(problem, end, ~used)
-            ends.append(here.whitened(end.conditions))
-        bent += float(((0.5 * (ends[0] + ends[1]) - here.residuals)[used] ** 2).sum())
-        along = here.after(step) - here.conditions
-        straight += float((here.white(along[:, :, None])[used] ** 2).sum())
+            ends.append(linear.whitened(end.conditions))
+        bent += float(((0.5 * (ends[0] + ends[1]) - linear.residuals)[used] ** 2).sum())
+        along = linear.after(step) - linear.conditions
+        straight += float((linear.white(along[:, :, None])[used] ** 2).sum())
     return float(np.sqrt(bent / straight)) if straight > 0.0 else 0.0

@@ -114,8 +114,8 @@ class Linear:
         noise, idle = self.noise_root, ~self.active
         if idle.any():
             size = float(np.median(np.abs(noise[noise != 0.0]))) if noise.any() else 1.0
-            alone = np.where(idle[:, :, None], size * np.eye(idle.shape[1]), 0.0)
-            noise = np.concatenate((noise, alone[:, :, idle.any(axis=0)]), axis=2)
+            idle_noise = np.where(idle[:, :, None], size * np.eye(idle.shape[1]), 0.0)
+            noise = np.concatenate((noise, idle_noise[:, :, idle.any(axis=0)]), axis=2)
         try:
             return white_rows(self.by_pose, noise)
         except NoNoiseError as error:
@@ -179,9 +179,9 @@ class Orthonormal:
     """Shape (n, n)."""
 
     @classmethod
-    def of(cls, J: Array, beside: Array) -> Orthonormal:
+    def of(cls, J: Array, prior: Array) -> Orthonormal:
         """Return that of rows of poses, (N, m, n), and of others such as priors', (k, n)."""
-        flat = np.concatenate((J.reshape(-1, J.shape[2]), beside))
+        flat = np.concatenate((J.reshape(-1, J.shape[2]), prior))
         lengths = np.linalg.norm(flat, axis=0)
         return cls(lengths, np.asarray(np.linalg.qr(flat / lengths, mode="r")))
 
@@ -206,5 +206,5 @@ def left_over(Q: Array, r: Array, prior: Array, held: Array) -> tuple[Array, Arr
 
 def joined(R: Array, rows: Array) -> Array:
     """Return R of the QR of rows below the R of others, empty where there are none yet."""
-    both = np.concatenate((R, rows)) if R.size else rows
-    return np.asarray(np.linalg.qr(both, mode="r"))
+    stacked = np.concatenate((R, rows)) if R.size else rows
+    return np.asarray(np.linalg.qr(stacked, mode="r"))

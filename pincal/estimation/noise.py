@@ -75,23 +75,23 @@ def noise_model(
     freedoms: Freedoms = (np.inf, np.inf, np.inf)
     if rows or data.sigma_readings is not None:
         _check_sigmas(mechanism, data, setup)
-        source, one = "rows", Noise(_ASSUMED, _ASSUMED, 0.0)
+        source, general = "rows", Noise(_ASSUMED, _ASSUMED, 0.0)
     elif noise is None and setup.tracker is not None:
         raise MeasurementError(
             "the setup says how well the tracker measures positions; give the noise of all else "
             "that was measured, 0 for what is exact (--noise-orientation, --noise-reading)"
         )
     elif noise is not None:
-        one = noise
+        general = noise
     elif (repeated := noise_of_repeats(mechanism, data)) is not None:
-        source, (one, freedoms) = "repeats", repeated
+        source, (general, freedoms) = "repeats", repeated
     else:
-        source, one = "estimated", assumed_noise(mechanism, exact=full)
+        source, general = "estimated", assumed_noise(mechanism, exact=full)
     platform = mechanism.platform
-    poses = row_noise(platform.freedoms, platform.units, data, one, setup, platform)
-    readings = np.full(data.readings.shape, one.reading)
+    poses = row_noise(platform.freedoms, platform.units, data, general, setup, platform)
+    readings = np.full(data.readings.shape, general.reading)
     return NoiseModel(
-        one,
+        general,
         poses,
         readings if data.sigma_readings is None else data.sigma_readings,
         source,
@@ -118,12 +118,13 @@ def _check_tracker(mechanism: Mechanism, data: Measurements, setup: Setup) -> No
     Raises:
         MeasurementError: saying what to add or to leave out.
     """
-    own = [name for name in POLAR if name in data.sigma_extra]
+    polar_columns = [name for name in POLAR if name in data.sigma_extra]
     if setup.tracker is None:
-        if own:
+        if polar_columns:
             raise MeasurementError(
-                f"a column 'sigma_{own[0]}' says how well a tracker measures; say where it is "
-                "(Setup(tracker=Tracker(at=...)), or 'tracker: {at: [x, y, z]}' in the setup)"
+                f"a column 'sigma_{polar_columns[0]}' says how well a tracker measures; say "
+                "where it is (Setup(tracker=Tracker(at=...)), or 'tracker: {at: [x, y, z]}' in the "
+                "setup)"
             )
         return
     level = mechanism.platform.space == 2 and setup.tracker.at[2] == 0.0
@@ -152,18 +153,18 @@ def _check_covariances(mechanism: Mechanism, data: Measurements, setup: Setup) -
         MeasurementError: naming the pair.
     """
     names = {*mechanism.platform.freedoms, *setup.columns(mechanism)}
-    said: set[frozenset[str]] = set()
+    checked: set[frozenset[str]] = set()
     for pair, values in data.covariances.items():
-        both = frozenset(pair.split(","))
-        if not both <= names or len(both) < 2 or both in said:
+        quantities = frozenset(pair.split(","))
+        if not quantities <= names or len(quantities) < 2 or quantities in checked:
             raise MeasurementError(
                 f"covariance {pair!r}: expected two of {', '.join(sorted(names))} with a comma "
                 "between them, each pair once"
             )
-        said.add(both)
+        checked.add(quantities)
         if np.isinf(values).any():
             raise MeasurementError(f"covariance {pair!r} is infinite in a row")
-    if said and data.sigma_poses is None and not data.sigma_extra:
+    if checked and data.sigma_poses is None and not data.sigma_extra:
         raise MeasurementError(
             "the measurements have covariances, but no standard deviations beside them; add "
             "columns such as 'sigma_x'"
@@ -177,8 +178,8 @@ def _check_sigmas(mechanism: Mechanism, data: Measurements, setup: Setup) -> Non
         MeasurementError: naming the column that is missing, or a row whose standard deviation is
             too small to compute with.
     """
-    given = [v for v in (data.sigma_poses, data.sigma_readings) if v is not None]
-    sigmas = np.column_stack([*given, *data.sigma_extra.values()])
+    columns = [v for v in (data.sigma_poses, data.sigma_readings) if v is not None]
+    sigmas = np.column_stack([*columns, *data.sigma_extra.values()])
     tiny = (sigmas > 0.0) & (sigmas < SMALLEST_SIGMA)
     if tiny.any():
         raise MeasurementError(
@@ -198,10 +199,10 @@ def _check_sigmas(mechanism: Mechanism, data: Measurements, setup: Setup) -> Non
         if column.any()
     ]
     for name, values in data.extra.items():
-        own = data.sigma_extra.get(name, np.full(len(data), np.nan))
+        sigma = data.sigma_extra.get(name, np.full(len(data), np.nan))
         if setup.tracker is not None and name in setup.points(platform):
             continue
-        if (np.isfinite(values) & ~np.isfinite(own)).any():
+        if (np.isfinite(values) & ~np.isfinite(sigma)).any():
             missing.append(name)
     if missing:
         raise MeasurementError(
@@ -218,8 +219,8 @@ def noise_of_repeats(mechanism: Mechanism, data: Measurements) -> tuple[Noise, F
     readings are exact then, and poses that repeat at their resolution leave it to the residuals.
     """
     groups: dict[Hashable, list[int]] = defaultdict(list)
-    whole = np.isfinite(data.poses).all(axis=1) & np.isfinite(data.readings).all(axis=1)
-    for row in np.flatnonzero(whole):
+    complete = np.isfinite(data.poses).all(axis=1) & np.isfinite(data.readings).all(axis=1)
+    for row in np.flatnonzero(complete):
         name = None if data.places is None else data.places[row]
         if name == "":
             continue  # a place of its own
@@ -234,8 +235,8 @@ def noise_of_repeats(mechanism: Mechanism, data: Measurements) -> tuple[Noise, F
     for rows in several:
         first = np.tile(data.poses[rows[0]], (len(rows), 1))
         twists.append(platform.twists_between(first, data.poses[rows]))
-    position = _variance([one[:, ~turns] for one in twists])
-    orientation = _variance([one[:, turns] for one in twists])
+    position = _variance([twist[:, ~turns] for twist in twists])
+    orientation = _variance([twist[:, turns] for twist in twists])
     reading = _variance([data.readings[rows] for rows in several])
     if not position > 0.0 or (turns.any() and not orientation > 0.0):
         return None
@@ -247,11 +248,11 @@ def noise_of_repeats(mechanism: Mechanism, data: Measurements) -> tuple[Noise, F
 
 def _variance(groups: list[Array]) -> float:
     """Return the variance within groups of rows, each of shape (n, k); 0 if most are equal."""
-    within = np.concatenate([one - one.mean(axis=0) for one in groups])
-    rounding = ROUNDING * max(float(np.abs(one).max(initial=0.0)) for one in groups)
+    within = np.concatenate([rows - rows.mean(axis=0) for rows in groups])
+    rounding = ROUNDING * max(float(np.abs(rows).max(initial=0.0)) for rows in groups)
     if not within.size or not np.median(np.abs(within)) > rounding:
         return 0.0
-    dof = sum(len(one) - 1 for one in groups) * within.shape[1]
+    dof = sum(len(rows) - 1 for rows in groups) * within.shape[1]
     return float((within**2).sum() / dof)
 
 
@@ -269,39 +270,39 @@ class Evidence:
     """The group of each, from 0, shape (k,)."""
 
     @classmethod
-    def of(cls, one: Fit, groups: dict[str, int]) -> Evidence:
+    def of(cls, fit: Fit, groups: dict[str, int]) -> Evidence:
         """Return what a fit says of groups of its parameters.
 
         Args:
-            one: The fit; priors of these parameters do not count.
+            fit: The fit; priors of these parameters do not count.
             groups: By ids of parameters.
         """
-        labels, unknowns = one.unknowns.labels, one.unknowns
-        own = [place for place, id_ in enumerate(labels) if id_ in groups]
+        labels, unknowns = fit.unknowns.labels, fit.unknowns
+        places = [place for place, id_ in enumerate(labels) if id_ in groups]
         priors = unknowns.priors.copy()
-        priors[own] = np.inf
-        system = one.system.with_priors(priors)
-        values = system.values(one.last.state)
+        priors[places] = np.inf
+        system = fit.system.with_priors(priors)
+        values = system.values(fit.last.state)
         return cls(
-            system.triangle(one.last, one.weights) / one.noise_scale,
-            unknowns.map[own],
-            (values - unknowns.nominal)[own],
-            np.array([groups[labels[place]] for place in own], dtype=np.intp),
+            system.triangle(fit.last, fit.weights) / fit.noise_scale,
+            unknowns.map[places],
+            (values - unknowns.nominal)[places],
+            np.array([groups[labels[place]] for place in places], dtype=np.intp),
         )
 
     def counts(self, groups: int) -> Array:
         """Return how many deviations of each group are independent, shape (groups,)."""
-        own = [self.deviations[self.groups == group] for group in range(groups)]
-        return np.array([_rank(one) if len(one) else 0 for one in own], dtype=float)
+        members = [self.deviations[self.groups == group] for group in range(groups)]
+        return np.array([_rank(rows) if len(rows) else 0 for rows in members], dtype=float)
 
     def deviance(self, sizes: Array) -> float:
         """Return minus twice the log evidence of sizes τ of the groups, but for a constant."""
         n, weights = len(self.triangle) - 1, 1.0 / sizes[self.groups]
-        own = weights[:, None] * np.column_stack((self.deviations, self.offsets))
-        R = np.linalg.qr(np.concatenate((self.triangle, own)), mode="r")
+        prior = weights[:, None] * np.column_stack((self.deviations, self.offsets))
+        R = np.linalg.qr(np.concatenate((self.triangle, prior)), mode="r")
         every = np.abs(np.diagonal(R))
-        alone = np.linalg.svd(own[:, :n], compute_uv=False)[: _rank(self.deviations)]
-        return float(every[n] ** 2 + 2.0 * np.log(every[:n]).sum() - 2.0 * np.log(alone).sum())
+        prior_only = np.linalg.svd(prior[:, :n], compute_uv=False)[: _rank(self.deviations)]
+        return float(every[n] ** 2 + 2.0 * np.log(every[:n]).sum() - 2.0 * np.log(prior_only).sum())
 
 
 @dataclass(frozen=True)
@@ -347,8 +348,8 @@ def likeliest(
     """
     from scipy.optimize import brentq, minimize  # slow to load: when needed
 
-    low, high = (np.log(one) for one in within)
-    counts = np.sum([one.counts(len(start)) for one in parts], axis=0)
+    low, high = (np.log(sizes) for sizes in within)
+    counts = np.sum([evidence.counts(len(start)) for evidence in parts], axis=0)
 
     def least(begin: Array, held: int | None = None, penalty: float = 0.0) -> tuple[Array, float]:
         """Return where the deviance is least, one logarithm held, and its value there."""
@@ -357,32 +358,32 @@ def likeliest(
         def cost(values: Array) -> float:
             logs = begin.copy()
             logs[free] = values
-            own = sum(one.deviance(np.exp(logs)) for one in parts)
-            return own - 2.0 * penalty * float(values.sum())
+            deviance = sum(evidence.deviance(np.exp(logs)) for evidence in parts)
+            return deviance - 2.0 * penalty * float(values.sum())
 
         logs = begin.copy()
         if not free.any():
             return logs, cost(logs[free])
         bounds = np.column_stack((low, high))[free]
-        found = minimize(cost, logs[free], method="L-BFGS-B", bounds=bounds)
-        logs[free] = found.x
-        return logs, float(found.fun)
+        minimum = minimize(cost, logs[free], method="L-BFGS-B", bounds=bounds)
+        logs[free] = minimum.x
+        return logs, float(minimum.fun)
 
-    most, _ = least(np.clip(np.log(start), low, high), penalty=1.0)
-    best, bottom = least(most)
+    modes, _ = least(np.clip(np.log(start), low, high), penalty=1.0)
+    best, bottom = least(modes)
     ends = np.empty((len(best), 2))
     for place, middle in enumerate(best):
 
         def above(value: float, place: int = place) -> float:
-            there = best.copy()
-            there[place] = value
-            return least(there, place)[1] - bottom - rise * (1.0 + 1.0 / (3.0 * counts[place]))
+            begin = best.copy()
+            begin[place] = value
+            return least(begin, place)[1] - bottom - rise * (1.0 + 1.0 / (3.0 * counts[place]))
 
         for side, (end, open_end) in enumerate(((low[place], 0.0), (high[place], np.inf))):
             closed = end != middle and above(end) > 0.0
             between = sorted((float(end), float(middle)))
             ends[place, side] = np.exp(brentq(above, *between)) if closed else open_end
-    return Sizes(np.clip(np.exp(most), *ends.T), ends)
+    return Sizes(np.clip(np.exp(modes), *ends.T), ends)
 
 
 def _rank(T: Array) -> int:

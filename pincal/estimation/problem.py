@@ -75,16 +75,16 @@ class Problem:
         first = None if self.first is None else self.first.rows(rows)
         return Problem(self.leg_block.at(rows), self.observation.at(rows), first)
 
-    def thinned(self, linear: Linear, most: int = 2000) -> tuple[Problem, Linear, Index]:
+    def thinned(self, linear: Linear, max_poses: int = 2000) -> tuple[Problem, Linear, Index]:
         """Return the problem and its conditions at some poses, spread over all; and which.
 
         Both as they are where there are no more.
 
         Args:
             linear: The conditions of all poses.
-            most: Number of poses; enough to judge by, if not given.
+            max_poses: Number of poses; enough to judge by, if not given.
         """
-        rows = spread(len(linear.conditions), most)
+        rows = spread(len(linear.conditions), max_poses)
         if len(rows) == len(linear.conditions):
             return self, linear, rows
         part = self.at(rows)
@@ -150,13 +150,13 @@ class Problem:
         return State(parameters, matrices, linear.follow(step, twists), external)
 
 
-def spread(count: int, most: int) -> Index:
+def spread(count: int, max_rows: int) -> Index:
     """Return at most so many of rows 0 … count - 1, evenly spread."""
-    return np.arange(0, count, -(-count // most))
+    return np.arange(0, count, -(-count // max_rows))
 
 
-def _shifted(places: slice, by: int) -> slice:
-    return slice(places.start + by, places.stop + by)
+def _shifted(places: slice, offset: int) -> slice:
+    return slice(places.start + offset, places.stop + offset)
 
 
 def _side_by_side(roots: list[Array]) -> Array:

@@ -74,8 +74,8 @@ class WhiteRows:
         δx = −R⁻¹ Qᵀ (e − S Wᵀ L⁻¹Nᵀe).
         """
         noise = self.by_noise.transpose(0, 2, 1) @ self(rows)
-        left = rows - self.noise @ noise
-        return -solve(self.triangle, self.range.transpose(0, 2, 1) @ left)
+        residual = rows - self.noise @ noise
+        return -solve(self.triangle, self.range.transpose(0, 2, 1) @ residual)
 
 
 def white_rows(pose: Array, noise: Array) -> WhiteRows:
@@ -91,12 +91,12 @@ def white_rows(pose: Array, noise: Array) -> WhiteRows:
     Raises:
         NoNoiseError: more exact conditions than the pose has freedoms, at some pose.
     """
-    both = np.concatenate((pose, noise), axis=2)
-    whole = np.asarray(np.isfinite(both).all(axis=(1, 2)))
-    if not whole.all():
-        some = white_rows(pose[whole], noise[whole])
-        parts = (some.reduced, some.scale, some.range, some.triangle)
-        reduced, scale, basis, triangle = (_spread(part, whole) for part in parts)
+    columns = np.concatenate((pose, noise), axis=2)
+    finite = np.asarray(np.isfinite(columns).all(axis=(1, 2)))
+    if not finite.all():
+        rows = white_rows(pose[finite], noise[finite])
+        parts = (rows.reduced, rows.scale, rows.range, rows.triangle)
+        reduced, scale, basis, triangle = (_spread(part, finite) for part in parts)
         return WhiteRows(reduced, scale, basis, triangle, noise)
     dof = pose.shape[2]
     Q, R = _complete(pose)
@@ -104,8 +104,8 @@ def white_rows(pose: Array, noise: Array) -> WhiteRows:
     free = product(N, noise)
     L = _root(free)
     size = np.abs(np.einsum("nmm->nm", L))
-    most = product(np.abs(N), np.abs(noise)).sum(axis=2)  # of what may have cancelled
-    if not (size > ROUNDING * most).all():
+    bound = product(np.abs(N), np.abs(noise)).sum(axis=2)  # of what may have cancelled
+    if not (size > ROUNDING * bound).all():
         raise NoNoiseError
     V = L / size[:, None]  # of unit diagonal: its determinant does not underflow
     return WhiteRows(solve(V, N), size[:, :, None], Q[:, :, :dof], R[:, :dof], noise)

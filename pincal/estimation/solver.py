@@ -64,11 +64,11 @@ class Iterate:
         """Whether the next step changes the cost by less than rounding errors do."""
         return self.normal.decrement**2 <= _ROUNDING * self.cost
 
-    def limit(self, most: int | None) -> int:
+    def limit(self, max_evaluations: int | None) -> int:
         """Return how many evaluations a search may take that has come here."""
         size = self.linear.residuals.size
-        near = most is None and self.normal.decrement**2 * size <= self.cost
-        limit = most or _EVALUATIONS * (_LONGER if near else 1)
+        near = max_evaluations is None and self.normal.decrement**2 * size <= self.cost
+        limit = max_evaluations or _EVALUATIONS * (_LONGER if near else 1)
         return min(limit, _ASTRAY_EVALUATIONS) if self.cost > _FAR * size else limit
 
 
@@ -99,7 +99,7 @@ def search(
     *,
     highest: float = np.inf,
     enough: float = 0.0,
-    most: int | None = None,
+    max_evaluations: int | None = None,
 ) -> SolverResult:
     """Return the optimum near a start, or the best state on the way to it.
 
@@ -109,58 +109,58 @@ def search(
         progress: Called with what is being done.
         highest: Cost above which no step is taken, if that at the start is not lower.
         enough: Distance from the optimum in standard deviations of residuals at which to stop.
-        most: Evaluations of the conditions after which to stop; those of this module if None.
+        max_evaluations: Evaluations of the conditions after which to stop; a usual number if None.
     """
     problem, T = system.problem, system.unknowns.map
-    here, damping, growth, evaluations = Iterate.of(system, start), 0.0, 10.0, 1
-    costs, highest = [here.cost], max(here.cost, highest if np.isfinite(highest) else 0.0)
-    unused = np.zeros(len(here.weights), dtype=bool) if system.kept is None else ~system.kept
+    current, damping, growth, evaluations = Iterate.of(system, start), 0.0, 10.0, 1
+    costs, highest = [current.cost], max(current.cost, highest if np.isfinite(highest) else 0.0)
+    unused = np.zeros(len(current.weights), dtype=bool) if system.kept is None else ~system.kept
     fixed_poses, cost_when_fixed = unused, np.inf
-    while here.normal.decrement > max(
+    while current.normal.decrement > max(
         NO_STEP,
-        rounding(system, here.linear),
-        enough * np.sqrt(max(here.cost / here.linear.residuals.size, 1.0)),
+        rounding(system, current.linear),
+        enough * np.sqrt(max(current.cost / current.linear.residuals.size, 1.0)),
     ):
-        if evaluations >= here.limit(most) or damping > _DAMPING[1]:
+        if evaluations >= current.limit(max_evaluations) or damping > _DAMPING[1]:
             break
         if progress and evaluations % 5 == 0:
-            deviation = np.sqrt(here.cost / len(here.weights))
+            deviation = np.sqrt(current.cost / len(current.weights))
             progress(f"step {evaluations}: {deviation:.3g} σ a pose")
         # 1. A damped step of all unknowns; then each pose alone.
-        step = here.normal.step(damping)
+        step = current.normal.step(damping)
         if damping > 0.0:
-            step = step + _along_the_valley(system, here, step, damping)
+            step = step + _along_the_valley(system, current, step, damping)
             evaluations += 1
-        reached, count = _reached(problem, here.linear, T @ step, fixed_poses)
+        reached, count = _reached(problem, current.linear, T @ step, fixed_poses)
         evaluations += count
         trial = None if reached is None else Iterate.of(system, reached)
-        if trial is not None and _better(system, here, trial, highest):
+        if trial is not None and _better(system, current, trial, highest):
             # 2. Taken: less damping where the fall is as predicted.
-            cost = min(system.cost_in(here.linear, trial.linear, here.weights), trial.cost)
-            damping *= _change((here.cost - cost) / max(here.normal.fall(step), 1e-300))
+            cost = min(system.cost_in(current.linear, trial.linear, current.weights), trial.cost)
+            damping *= _change((current.cost - cost) / max(current.normal.fall(step), 1e-300))
             damping, growth = (damping if damping > _DAMPING[0] else 0.0), 10.0
-            at_end = here.blind and _at_end(here, trial)
-            here = trial
-            costs.append(here.cost)
-            if here.cost < 0.5 * cost_when_fixed:
+            at_end = current.blind and _at_end(current, trial)
+            current = trial
+            costs.append(current.cost)
+            if current.cost < 0.5 * cost_when_fixed:
                 fixed_poses, cost_when_fixed = unused, np.inf
             if at_end:
                 break
-        elif (astray := unsolved(problem, here.linear) & ~fixed_poses).any():
+        elif (astray := unsolved(problem, current.linear) & ~fixed_poses).any():
             # 3. Not taken: poses that find no place stay where they are from now on.
-            fixed_poses, cost_when_fixed = fixed_poses | astray, here.cost
-        elif here.blind:
+            fixed_poses, cost_when_fixed = fixed_poses | astray, current.cost
+        elif current.blind:
             break
         else:
             damping, growth = max(damping, _DAMPING[0]) * growth, 2.0 * growth
-    equations = int(here.linear.equations[here.weights > 0.0].sum())
-    unit = 1.0 if system.known else np.sqrt(here.cost / max(equations - T.shape[1], 1))
-    distance = here.normal.decrement / max(unit, 1e-300)
-    exact = here.normal.decrement <= max(NO_STEP, 10.0 * rounding(system, here.linear))
+    equations = int(current.linear.equations[current.weights > 0.0].sum())
+    unit = 1.0 if system.known else np.sqrt(current.cost / max(equations - T.shape[1], 1))
+    distance = current.normal.decrement / max(unit, 1e-300)
+    exact = current.normal.decrement <= max(NO_STEP, 10.0 * rounding(system, current.linear))
     return SolverResult(
-        here.linear,
-        here.weights,
-        here.scale,
+        current.linear,
+        current.weights,
+        current.scale,
         evaluations,
         distance,
         exact or distance <= NEGLIGIBLE,
@@ -168,27 +168,27 @@ def search(
     )
 
 
-def _better(system: System, here: Iterate, trial: Iterate, highest: float) -> bool:
+def _better(system: System, current: Iterate, trial: Iterate, highest: float) -> bool:
     """Return whether a step is taken: the cost falls, or, where it is blind, the distance does."""
-    if here.blind:
-        return trial.normal.decrement < here.normal.decrement
-    falls = system.falls(here.linear, trial.linear, here.weights, here.cost)
+    if current.blind:
+        return trial.normal.decrement < current.normal.decrement
+    falls = system.falls(current.linear, trial.linear, current.weights, current.cost)
     return falls and (system.loss is not None or trial.cost <= highest)
 
 
-def _at_end(here: Iterate, trial: Iterate) -> bool:
+def _at_end(current: Iterate, trial: Iterate) -> bool:
     """Return whether nothing but rounding is left to gain by steps that the cost is blind to."""
-    before, after = here.normal.decrement, trial.normal.decrement
+    before, after = current.normal.decrement, trial.normal.decrement
     return after > (1.0 - _STAYS) * before or (after > 0.5 * before and after <= SLOW)
 
 
-def _along_the_valley(system: System, here: Iterate, step: Array, damping: float) -> Array:
+def _along_the_valley(system: System, current: Iterate, step: Array, damping: float) -> Array:
     """Return the second-order part of a step (geodesic acceleration, Transtrum and Sethna 2012).
 
     Along a curved valley it lets steps be long that would else climb its walls. Zero where it is
     not small against the step.
     """
-    problem, T, linear, normal = system.problem, system.unknowns.map, here.linear, here.normal
+    problem, T, linear, normal = system.problem, system.unknowns.map, current.linear, current.normal
     try:
         with np.errstate(all="ignore"):
             probe = problem.evaluate(problem.moved(linear, _PROBE * (T @ step)))
@@ -198,10 +198,12 @@ def _along_the_valley(system: System, here: Iterate, step: Array, damping: float
     gradient = np.zeros_like(step)
     for poses in linear.parts():
         J = system.derivatives(linear, poses) @ T
-        bend = (slope[poses] - J @ step) * here.weights[poses, None]
+        bend = (slope[poses] - J @ step) * current.weights[poses, None]
         gradient += np.einsum("nmk,nm->k", J, bend)
     change = normal.solve(-gradient / _PROBE, damping)
-    lengths = [float(np.linalg.norm(one * normal.lengths)) for one in (change, step)]
+    lengths = [
+        float(np.linalg.norm(change_of_all * normal.lengths)) for change_of_all in (change, step)
+    ]
     small = np.isfinite(change).all() and 2.0 * lengths[0] <= _BEND * lengths[1]
     return change if small else np.zeros_like(step)
 
@@ -276,8 +278,9 @@ def solve_poses(
         worse = moving & ~(_pose_steps(trial, scale)[1] < length)
         share = np.where(worse, share / 4.0, np.minimum(1.0, 2.0 * share))
         if worse.any():
-            back = np.where(worse[:, None, None], state.matrices, trial.state.matrices)
-            trial = problem.evaluate(replace(state, matrices=back))
+            stay = worse[:, None, None]
+            matrices = np.where(stay, state.matrices, trial.state.matrices)
+            trial = problem.evaluate(replace(state, matrices=matrices))
             count += 1
         linear = trial
     return linear, count

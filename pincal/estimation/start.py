@@ -8,7 +8,7 @@ the rigid motion that takes the targets there to where they were measured.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -35,24 +35,11 @@ from pincal.words.numbers import amount
 
 _NEWTON = Newton(steps=60, small=1e-7, largest=0.2)
 
-
-@dataclass(frozen=True)
-class Starting:
-    """How a start is looked for, and when there is none."""
-
-    usual: float = 3.0
-    """Times the median gap, up to which readings leave what contradicting ones do."""
-    way: int = 5
-    """Steps from the readings at home to those measured."""
-    closes: float = 1e-3
-    """Of a leg's size, a gap that is left when readings contradict each other."""
-    tilted: float = 1e-3
-    """[rad], from which a platform is not upright."""
-    missed: float = 0.03
-    """Of the mechanism's size, median over the rows, from which nothing is identified."""
-
-
-_BY = Starting()
+_USUAL = 3.0  # times the median gap, up to which readings leave what contradicting ones do
+_DRIVE_STEPS = 5  # steps from the readings at home to those measured
+_CLOSES = 1e-3  # share of a leg's size: a gap that contradicting readings leave
+_TILTED = 1e-3  # tilt [rad] of a platform that is not upright
+_CONTRADICTS = 0.03  # share of the mechanism's size, median over rows: nothing is identified
 
 
 def align_start(
@@ -69,19 +56,19 @@ def align_start(
     Raises:
         MeasurementError: frames that cannot be aligned, or only mirrored.
     """
-    seen, platform = problem.observation, problem.platform
-    external = seen.external.start
-    outside = seen.external
-    whole = np.isfinite(data.poses).all() and len(seen.setup.targets) == 1
+    observation, platform = problem.observation, problem.platform
+    external = observation.external.start
+    outside = observation.external
+    complete = np.isfinite(data.poses).all() and len(observation.setup.targets) == 1
     redundant = mechanism.redundant
-    if not len(outside) and (whole or redundant):
+    if not len(outside) and (complete or redundant):
         state = placed(problem, data, parameters, external)
-        return state if whole else poses_at_rest(problem, state)
+        return state if complete else poses_at_rest(problem, state)
     legs = [LegClosure(leg, platform) for leg in mechanism.legs]
-    there = placed_by_arm(legs, problem.leg_block.known)
+    arm_matrices = placed_by_arm(legs, problem.leg_block.known)
     home = np.tile(platform.home_pose.as_matrix(), (len(data), 1, 1))
-    state = State(parameters, home if there is None else there, external=external)
-    for share in np.linspace(0.0, 1.0, _BY.way + 1)[1:] if there is None else ():
+    state = State(parameters, home if arm_matrices is None else arm_matrices, external=external)
+    for share in np.linspace(0.0, 1.0, _DRIVE_STEPS + 1)[1:] if arm_matrices is None else ():
         state = poses_at_rest(_driven(mechanism, problem, share), state)
     good = _well(mechanism, problem, state)
     agrees = np.ones(len(data), dtype=bool)
@@ -108,29 +95,33 @@ def instruments_started(problem: Problem, state: State) -> State:
     """
     from scipy.optimize import least_squares  # slow to load: when needed
 
-    seen = problem.observation
-    columns = [name for one in seen.setup.instruments for name in one.columns]
-    others = replace(problem, observation=seen.only([n for n in seen.names if n not in columns]))
-    if not len(state.external.own) or (others.equations < 0).any():
+    observation = problem.observation
+    columns = [name for instrument in observation.setup.instruments for name in instrument.columns]
+    without_instruments = replace(
+        problem, observation=observation.only([n for n in observation.names if n not in columns])
+    )
+    if not len(state.external.instruments) or (without_instruments.equations < 0).any():
         return state
-    matrices = poses_at_rest(others, state).matrices
-    own = seen.only(columns)
+    matrices = poses_at_rest(without_instruments, state).matrices
+    instruments = observation.only(columns)
     sigma = np.where(
-        own.measured & (problem.observation.sigma > 0.0), problem.observation.sigma, 1.0
+        instruments.measured & (problem.observation.sigma > 0.0), problem.observation.sigma, 1.0
     )
 
     def rows(values: Array) -> tuple[Array, Array]:
-        value, _, by_external = own.residuals(matrices, replace(state.external, own=values))
-        by_own = by_external[:, :, seen.external.own_columns] / sigma[:, :, None]
+        value, _, by_external = instruments.residuals(
+            matrices, replace(state.external, instruments=values)
+        )
+        by_own = by_external[:, :, observation.external.own_columns] / sigma[:, :, None]
         return (value / sigma).ravel(), by_own.reshape(-1, len(values))
 
-    found = least_squares(
+    solution = least_squares(
         lambda values: rows(values)[0],
-        state.external.own,
+        state.external.instruments,
         jac=lambda values: rows(values)[1],
         x_scale="jac",
     )
-    return replace(state, external=replace(state.external, own=found.x))
+    return replace(state, external=replace(state.external, instruments=solution.x))
 
 
 def _well(mechanism: Mechanism, problem: Problem, state: State) -> Mask:
@@ -144,14 +135,14 @@ def _well(mechanism: Mechanism, problem: Problem, state: State) -> Mask:
     ]
     redundant = mechanism.redundant  # of which the type-2 margin has no sign
     known = _leg_equations(problem) >= mechanism.platform.dof  # readings alone give the pose
-    lines = [one.constraint_by_pose for one in closures]
+    lines = [closure.constraint_by_pose for closure in closures]
     good = known & (redundant | (platform_margin(mechanism, lines) > 0.0))
     missed = np.zeros(len(good))
-    for leg, closure, own in zip(legs, closures, problem.leg_block.used.T, strict=True):
-        missed = np.fmax(missed, np.where(own, np.abs(closure.gap).max(axis=1) / leg.size, 0.0))
-        good &= ~own | (mode_sign(closure) == home_mode(leg.leg, leg.platform))
-    usual = _BY.usual * np.median(missed[known]) if redundant and known.any() else 0.0
-    return good & (missed <= max(_BY.closes, usual))
+    for leg, closure, serves in zip(legs, closures, problem.leg_block.used.T, strict=True):
+        missed = np.fmax(missed, np.where(serves, np.abs(closure.gap).max(axis=1) / leg.size, 0.0))
+        good &= ~serves | (mode_sign(closure) == home_mode(leg.leg, leg.platform))
+    usual = _USUAL * np.median(missed[known]) if redundant and known.any() else 0.0
+    return good & (missed <= max(_CLOSES, usual))
 
 
 def placed(problem: Problem, data: Measurements, parameters: Array, external: External) -> State:
@@ -166,7 +157,7 @@ def placed(problem: Problem, data: Measurements, parameters: Array, external: Ex
     platform = problem.platform
     partly = np.where(np.isfinite(data.poses), data.poses, platform.home)
     if "tilt" in platform.coordinates:  # upright, tilt has no direction in which to grow
-        partly[:, platform.coordinates.index("tilt")] += _BY.tilted
+        partly[:, platform.coordinates.index("tilt")] += _TILTED
     matrices = platform.matrices(partly).copy()
     turns = problem.observation.orientations
     known = np.isfinite(turns).all(axis=(1, 2))
@@ -176,8 +167,8 @@ def placed(problem: Problem, data: Measurements, parameters: Array, external: Ex
     measured[:, : platform.lengths] = data.poses[:, : platform.lengths]
     if platform.space == 2:
         measured[:, 2] = 0.0
-    there = (measured - external.frame[:3, 3]) @ F - matrices[:, :3, :3] @ external.offsets[0]
-    matrices[:, :3, 3] = np.where(np.isfinite(there), there, matrices[:, :3, 3])
+    positions = (measured - external.frame[:3, 3]) @ F - matrices[:, :3, :3] @ external.offsets[0]
+    matrices[:, :3, 3] = np.where(np.isfinite(positions), positions, matrices[:, :3, 3])
     return State(parameters, matrices, external=external)
 
 
@@ -266,7 +257,7 @@ def check_start(problem: Problem, state: State) -> None:
     lengths = [unit == "m" for unit in problem.observation.units]
     missed = linear.conditions[:, [*range(n_legs), *(n_legs + np.flatnonzero(lengths))]]
     worst = float(np.median(np.linalg.norm(missed, axis=1)))
-    if worst > _BY.missed * size:
+    if worst > _CONTRADICTS * size:
         raise MeasurementError(
             f"readings and measured positions contradict each other by {amount(worst, 'm')} in the "
             f"nominal mechanism (median over the rows, {100 * worst / size:.0f} % of a leg's "
@@ -284,8 +275,8 @@ def left_out(setup: Setup) -> str:
             setup.targets[ORIGIN].unknown
         ),
     }
-    left = "; ".join(words for words, said in options.items() if not said)
-    return f" ({left})" if left else ""
+    missing = "; ".join(words for words, chosen in options.items() if not chosen)
+    return f" ({missing})" if missing else ""
 
 
 _UNEVEN = 100.0  # ratio of noise up to which valleys are wide enough
@@ -319,7 +310,9 @@ def near_start(
     begin, solved = solve_poses(easier, easier.evaluate(start))
     taking_part = sound if system.kept is None else system.kept & sound
     easy = replace(system, problem=easier, kept=taking_part[rows], loss=None)
-    easy_result = search(easy, begin, progress, enough=_EASY_NEAR, most=_EASY_EVALUATIONS)
+    easy_result = search(
+        easy, begin, progress, enough=_EASY_NEAR, max_evaluations=_EASY_EVALUATIONS
+    )
     state, evaluations = easy_result.linear.state, solved + easy_result.evaluations
     if len(rows) < count:
         state = replace(problem.start(state.parameters), external=state.external)
@@ -343,26 +336,28 @@ def _evened(problem: Problem, linear: Linear) -> Problem | None:
     """
     if not problem.latent or any(leg.is_arm for leg in problem.legs):
         return None
-    legs, seen = problem.leg_block, problem.observation
-    lengths = np.array([unit == "m" for unit in seen.units], dtype=bool)
+    legs, observation = problem.leg_block, problem.observation
+    lengths = np.array([unit == "m" for unit in observation.units], dtype=bool)
     size = max(leg.size for leg in problem.legs)
     of_legs = np.linalg.norm(linear.noise_root[:, : legs.n_rows], axis=2)
-    observed = (seen.sigma * np.where(lengths, 1.0, size))[seen.measured]
+    observed = (observation.sigma * np.where(lengths, 1.0, size))[observation.measured]
     noisy = [values[values > 0.0] for values in (observed, of_legs) if (values > 0.0).any()]
     if not noisy:
         return None
     typical = float(np.median(noisy[0]))
-    sigma = np.maximum(seen.sigma, np.where(lengths, typical, typical / size))
-    slopes = [np.median(np.linalg.norm(one.reading, axis=1), axis=0) for one in linear.demands]
+    sigma = np.maximum(observation.sigma, np.where(lengths, typical, typical / size))
+    slopes = [
+        np.median(np.linalg.norm(demand.reading, axis=1), axis=0) for demand in linear.demands
+    ]
     floors = typical / np.maximum(np.concatenate(slopes), 1e-300)
     readings = np.maximum(legs.sigma, np.where(np.isfinite(floors), floors, 0.0))
-    even = (sigma <= _UNEVEN * seen.sigma) | ~seen.measured
+    even = (sigma <= _UNEVEN * observation.sigma) | ~observation.measured
     if even.all() and (readings <= _UNEVEN * legs.sigma).all():
         return None
     return replace(
         problem,
         leg_block=replace(legs, sigma=readings),
-        observation=seen.with_noise(RowNoise(sigma, seen.noise.correlation)),
+        observation=observation.with_noise(RowNoise(sigma, observation.noise.correlation)),
     )
 
 

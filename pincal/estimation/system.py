@@ -37,18 +37,18 @@ class System:
 
     def weights(self, linear: Linear) -> tuple[Array, float]:
         """Return the weight of each row, shape (N,), and the scale of the noise."""
-        kept = np.ones(len(linear.conditions)) if self.kept is None else self.kept.astype(float)
+        weights = np.ones(len(linear.conditions)) if self.kept is None else self.kept.astype(float)
         if self.loss is None:
-            return kept, 1.0
+            return weights, 1.0
         scale = self.held_scale or max(self.scale(linear), 1.0 if self.known else 1e-300)
-        return kept * self.loss.weights(linear.squares / scale**2, linear.equations), scale
+        return weights * self.loss.weights(linear.squares / scale**2, linear.equations), scale
 
     def scale(self, linear: Linear) -> float:
         """Return the scale of the noise by the rows in the middle."""
-        own = np.ones(len(linear.conditions), dtype=bool) if self.kept is None else self.kept
-        equations = linear.equations[own]
+        rows = np.ones(len(linear.conditions), dtype=bool) if self.kept is None else self.kept
+        equations = linear.equations[rows]
         share = 1.0 - self.unknowns.map.shape[1] / max(int(equations.sum()), 1)
-        return robust_scale(linear.squares[own], equations, max(share, 0.1))
+        return robust_scale(linear.squares[rows], equations, max(share, 0.1))
 
     def residuals(self, linear: Linear) -> Array:
         """Return what is minimised, shape (N, m)."""
@@ -102,28 +102,28 @@ class System:
         """Return what is minimised at conditions, in their own weights."""
         return self.cost(self.residuals(linear), self.weights(linear)[0], linear.state)
 
-    def residuals_in(self, here: Linear, other: Linear) -> Array:
+    def residuals_in(self, frame: Linear, linear: Linear) -> Array:
         """Return what is minimised at another state, in the rows of this one, shape (N, m)."""
         if self.problem.weighted:
-            return here.whitened(other.conditions)
-        return other.conditions / self.unit
+            return frame.whitened(linear.conditions)
+        return linear.conditions / self.unit
 
-    def cost_in(self, here: Linear, trial: Linear, weights: Array) -> float:
+    def cost_in(self, frame: Linear, trial: Linear, weights: Array) -> float:
         """Return the cost at a trial, in the rows and weights of another state."""
-        return self.cost(self.residuals_in(here, trial), weights, trial.state)
+        return self.cost(self.residuals_in(frame, trial), weights, trial.state)
 
-    def falls(self, here: Linear, trial: Linear, weights: Array, cost: float) -> bool:
+    def falls(self, start: Linear, trial: Linear, weights: Array, cost: float) -> bool:
         """Return whether a step is a good one.
 
         In the weights of its beginning: what a loss minimises lies below (majorisation). Far from
         the optimum, where rows turn with the state, in the rows of its end; near it, in those of
         its beginning.
         """
-        own = self.cost(self.residuals(trial), weights, trial.state)
-        if own < cost:
+        trial_cost = self.cost(self.residuals(trial), weights, trial.state)
+        if trial_cost < cost:
             return True
-        near = own <= (1.0 + ROWS_FOLLOW) * cost
-        return near and self.cost_in(here, trial, weights) <= cost
+        near = trial_cost <= (1.0 + ROWS_FOLLOW) * cost
+        return near and self.cost_in(start, trial, weights) <= cost
 
     def solve(self, linear: Linear, weights: Array, scale: float) -> NormalEquations:
         """Return the normal equations in square-root form, a loss with its curvature."""

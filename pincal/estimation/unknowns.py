@@ -18,7 +18,9 @@ from pincal.model.leg import Leg
 from pincal.types import Array
 
 _SMALLEST_PRIOR = 1e-15  # [m], [rad] or [1], below which rounding is larger
-_ALIKE = 0.1  # by which nominal values may differ that are said to be one, relative or [m], [rad]
+_TIED_WITHIN = (
+    0.1  # by which nominal values may differ that are said to be one, relative or [m], [rad]
+)
 
 
 @dataclass(frozen=True)
@@ -122,10 +124,12 @@ def unknowns(
                 f"{name!r} cannot be tied; give the name of a parameter that several legs have, "
                 "such as 'l'"
             )
-        if both := bound & set(places):
-            raise MeasurementError(f"{pairs[both.pop()][1]!r} is both fixed and tied; choose one")
+        if fixed_too := bound & set(places):
+            raise MeasurementError(
+                f"{pairs[fixed_too.pop()][1]!r} is both fixed and tied; choose one"
+            )
         bound |= set(places)
-        if np.ptp(nominal[places]) > _ALIKE * max(1.0, float(np.abs(nominal[places]).max())):
+        if np.ptp(nominal[places]) > _TIED_WITHIN * max(1.0, float(np.abs(nominal[places]).max())):
             raise MeasurementError(
                 f"{name!r} cannot be tied: its nominal values differ from leg to leg by up to "
                 f"{np.ptp(nominal[places]):.3g}"
@@ -157,8 +161,8 @@ def unknowns(
         priors=sigmas,
         nominal=nominal,
         free_labels=tuple(
-            labels[own[0]] + (f" (tied to {len(own) - 1} more)" if len(own) > 1 else "")
-            for own in members
+            labels[rows[0]] + (f" (tied to {len(rows) - 1} more)" if len(rows) > 1 else "")
+            for rows in members
         ),
     )
 
@@ -167,15 +171,15 @@ def _labels(pairs: Iterable[tuple[str, str]]) -> tuple[str, ...]:
     return tuple(f"{owner}.{name}" for owner, name in pairs)
 
 
-def _places(pairs: list[tuple[str, str]], said: str) -> list[int]:
+def _places(pairs: list[tuple[str, str]], wanted_name: str) -> list[int]:
     """Return the places of the parameters that a name means."""
-    leg, _, name = said.rpartition(".")
+    leg, _, name = wanted_name.rpartition(".")
     places = [i for i, pair in enumerate(pairs) if pair[1] == name and leg in ("", pair[0])]
     if not places:
         known = dict.fromkeys(name for _, name in pairs)
         legs = dict.fromkeys(leg for leg, _ in pairs)
         raise MeasurementError(
-            f"no parameter {said!r}; expected one of {', '.join(known)}, or of one leg as "
+            f"no parameter {wanted_name!r}; expected one of {', '.join(known)}, or of one leg as "
             f"'{next(iter(legs))}.{next(iter(known))}'"
         )
     return places

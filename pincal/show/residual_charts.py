@@ -15,7 +15,7 @@ from pincal.calibration.fits import Fits, Near, fitted
 from pincal.calibration.result import CalibrationResult
 from pincal.errors import MeasurementError
 from pincal.estimation.linear import State
-from pincal.estimation.residuals.redundancy import Left, every_residual
+from pincal.estimation.residuals.redundancy import Remainders, every_residual
 from pincal.model.setup import Camera
 from pincal.show.pictures.parts import (
     NORMAL,
@@ -269,7 +269,7 @@ def _name_undrawn(axes: Axes, result: CalibrationResult) -> None:
 class _ResidualKind(NamedTuple):
     """What a fit leaves of the residuals of a leg, or of a measured quantity."""
 
-    projection: Left
+    projection: Remainders
     rows: Index
     """Rows of the measurements, ascending, shape (N,)."""
     scale: float
@@ -298,7 +298,7 @@ def _residual_kinds(result: CalibrationResult) -> dict[tuple[bool, str], _Residu
     for robust in _refit(result).fits:
         fit, problem = robust.fit, robust.fit.problem
         _, follows, columns = every_residual(fit)
-        projection = Left.of(fit, follows)
+        projection = Remainders.of(fit, follows)
         named = [
             ((True, leg.name), column) for leg, column in zip(problem.legs, columns, strict=False)
         ]

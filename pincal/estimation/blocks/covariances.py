@@ -67,15 +67,15 @@ def row_noise(
     """
     general = [noise.position if unit == "m" else noise.orientation for unit in units]
     sigma = np.tile(general, (len(data), 1)).astype(float)
-    own = {name: v for name, v in data.sigma_extra.items() if name not in setup.polar}
+    sigmas = {name: v for name, v in data.sigma_extra.items() if name not in setup.polar}
     turns = [name for name in platform.coordinates[platform.lengths :] if name in names]
     if data.sigma_poses is not None and platform.turns == 3:  # single angles: as whole turns have
         middle = np.sqrt((data.sigma_poses[:, platform.lengths :] ** 2).mean(axis=1))
-        own |= {name: middle for name in (*turns, *SINGLE_ANGLES) if name not in own}
+        sigmas |= {name: middle for name in (*turns, *SINGLE_ANGLES) if name not in sigmas}
     if data.sigma_poses is not None:
-        own |= dict(zip(platform.freedoms, data.sigma_poses.T, strict=True))
+        sigmas |= dict(zip(platform.freedoms, data.sigma_poses.T, strict=True))
     place = {name: column for column, name in enumerate(names)}
-    for name, values in own.items():
+    for name, values in sigmas.items():
         if name in place:
             column = sigma[:, place[name]]
             column[:] = np.where(np.isfinite(values), values, column)
@@ -86,14 +86,14 @@ def row_noise(
         for columns, points in _targets(place, data, setup, platform):
             _check_level(setup.tracker, points)
             block = _of_tracker(setup.tracker, points, data)[:, : len(columns), : len(columns)]
-            some = np.isfinite(block).all(axis=(1, 2))
-            rows = np.flatnonzero(some)
+            finite = np.isfinite(block).all(axis=(1, 2))
+            rows = np.flatnonzero(finite)
             covariance[np.ix_(rows, columns, columns)] = block[rows]
     for pair, values in data.covariances.items():
         first, second = pair.split(",")
         if first in place and second in place:
-            beside = (own.get(name, np.full(len(data), np.nan)) for name in (first, second))
-            known = np.isfinite([values, *beside]).all(axis=0)
+            pair_sigmas = (sigmas.get(name, np.full(len(data), np.nan)) for name in (first, second))
+            known = np.isfinite([values, *pair_sigmas]).all(axis=0)
             for i, j in ((place[first], place[second]), (place[second], place[first])):
                 covariance[known, i, j] = values[known]
     return _rooted(covariance, data)
@@ -107,7 +107,7 @@ def _targets(
     Raises:
         MeasurementError: a point that was measured in part.
     """
-    found = []
+    targets = []
     for target in setup.targets:
         axes = "xyz"[: platform.space]
         names = [axis if target == ORIGIN else f"{target}_{axis}" for axis in axes]
@@ -123,8 +123,8 @@ def _targets(
                 "some not; a tracker measures all of them (or give 'sigma_x' and the like instead "
                 "of the tracker)"
             )
-        found.append((np.array([place[name] for name in names]), points))
-    return found
+        targets.append((np.array([place[name] for name in names]), points))
+    return targets
 
 
 def _check_level(tracker: Tracker, points: Array) -> None:
@@ -163,8 +163,8 @@ def _rooted(covariance: Array, data: Measurements) -> RowNoise:
     exact = np.where(sigma > 0.0, 0.0, 1.0)
     values, axes = np.linalg.eigh(correlation + exact[:, :, None] * np.eye(sigma.shape[1]))
     low = values.min(axis=1, initial=0.0)
-    beside = np.abs(covariance).sum(axis=2) > np.diagonal(covariance, axis1=1, axis2=2)
-    low = np.where((beside & (sigma == 0.0)).any(axis=1), -1.0, low)  # what is exact has none
+    correlated = np.abs(covariance).sum(axis=2) > np.diagonal(covariance, axis1=1, axis2=2)
+    low = np.where((correlated & (sigma == 0.0)).any(axis=1), -1.0, low)  # what is exact has none
     if (low < -(ROUNDING**0.5)).any():
         row = int(np.argmin(low))
         raise MeasurementError(

@@ -28,7 +28,7 @@ class External:
     """Positions of the targets in the platform frame, shape (n_targets, 3), [m]."""
     turn: Array = field(default_factory=lambda: np.eye(3))
     """R_platform_target of the measured orientation, shape (3, 3)."""
-    own: Array = field(default_factory=lambda: np.zeros(0))
+    instruments: Array = field(default_factory=lambda: np.zeros(0))
     """Parameters of the instruments, in their order, shape (n_own,)."""
 
 
@@ -70,12 +70,14 @@ class ExternalUnknowns:
             len, (self.frame_rows, self.offset_entries, self.turn_axes)
         )
         self.turn_columns = slice(n_frame + n_offsets, n_frame + n_offsets + n_turns)
-        own = [parameter for one in setup.instruments for parameter in one.parameters]
-        self.own_columns = slice(len(self.names), len(self.names) + len(own))
+        parameters = [
+            parameter for instrument in setup.instruments for parameter in instrument.parameters
+        ]
+        self.own_columns = slice(len(self.names), len(self.names) + len(parameters))
         """Parameters of the instruments among the unknowns."""
-        self.names += tuple(one.id for one in own)
-        self.units += tuple(one.unit for one in own)
-        self._nominal = np.array([one.nominal for one in own], dtype=float)
+        self.names += tuple(parameter.id for parameter in parameters)
+        self.units += tuple(parameter.unit for parameter in parameters)
+        self._nominal = np.array([parameter.nominal for parameter in parameters], dtype=float)
 
     def __len__(self) -> int:
         return len(self.names)
@@ -102,7 +104,7 @@ class ExternalUnknowns:
             frame=frame,
             offsets=offsets,
             turn=Rotation.from_rotvec(turn).as_matrix() @ values.turn,
-            own=values.own + step[self.own_columns],
+            instruments=values.instruments + step[self.own_columns],
         )
 
     def coordinates(self, values: External) -> Array:
@@ -113,7 +115,7 @@ class ExternalUnknowns:
         turn = Rotation.from_matrix(values.turn).as_rotvec()
         offsets = [values.offsets[entry] for entry in self.offset_entries]
         angles = turn[list(self.turn_axes)]
-        return np.array([*twist[list(self.frame_rows)], *offsets, *angles, *values.own])
+        return np.array([*twist[list(self.frame_rows)], *offsets, *angles, *values.instruments])
 
     def coordinates_by_step(self, values: External) -> Array:
         """Return the derivative of the coordinates by steps, shape (n, n): see ``moved``."""

@@ -163,7 +163,7 @@ class LegBlock:
         evaluated = self._predicted if self.kind == "joint" else self._closed
         of_legs, joints, follow = evaluated(state)
         active = self.active[:, :, None]
-        by_pose = np.concatenate([one.pose for one in of_legs], axis=1)
+        by_pose = np.concatenate([leg_demand.pose for leg_demand in of_legs], axis=1)
         by_parameter = []
         for leg_demand, rows, columns, used in zip(
             of_legs, self.leg_rows, self.columns, self.used.T, strict=True
@@ -172,7 +172,11 @@ class LegBlock:
             values = values if used.all() else np.where(used[:, None, None], values, 0.0)
             by_parameter.append((rows, columns, values))
         return LegBlockRows(
-            np.where(self.active, np.concatenate([one.value for one in of_legs], axis=1), 0.0),
+            np.where(
+                self.active,
+                np.concatenate([leg_demand.value for leg_demand in of_legs], axis=1),
+                0.0,
+            ),
             np.where(active, by_pose, 0.0)[:, :, : None if self.pose_roots is None else 0],
             tuple(by_parameter),
             self.noise_root(of_legs),
@@ -184,8 +188,8 @@ class LegBlock:
     def noise_root(self, of_legs: Sequence[Demand]) -> Array:
         """Return S of what the legs demand, shape (N, n_rows, n_readings [+ dof])."""
         roots = self.pose_roots
-        more = 0 if roots is None else roots.shape[2]
-        noise = np.zeros((*self.active.shape, self.n_readings + more))
+        n_pose_columns = 0 if roots is None else roots.shape[2]
+        noise = np.zeros((*self.active.shape, self.n_readings + n_pose_columns))
         for leg_demand, rows, columns in zip(
             of_legs, self.leg_rows, self.reading_columns, strict=True
         ):
@@ -232,19 +236,19 @@ class LegBlock:
         """Return what the legs demand where they close best, their joints, and how these follow."""
         closures, matrices = self._closures(state.parameters), state.matrices
         before = state.joints or (None,) * len(closures)
-        alike, joints, of_legs = [], dict[int, Array](), dict[int, Demand]()
+        groups, joints, of_legs = [], dict[int, Array](), dict[int, Demand]()
         for places in self._alike:
             legs, known = [closures[i] for i in places], [self.known[i] for i in places]
             near = [before[i] for i in places]
             closed, nearest = nearest_closure(legs, repeated(matrices, len(legs)), known, near)
             nearest = nearest.reshape(len(legs), len(matrices), nearest.shape[1])
-            alike.append((places, legs, known, closed, nearest))
+            groups.append((places, legs, known, closed, nearest))
             joints |= zip(places, nearest, strict=True)
             of_legs |= zip(places, demands(legs, closed, known), strict=True)
 
         def follow(step: Array, twists: Array) -> tuple[Array, ...]:
             moved = dict[int, Array]()
-            for places, legs, known, closed, nearest in alike:
+            for places, legs, known, closed, nearest in groups:
                 positions = nearest.reshape(-1, nearest.shape[2]).copy()
                 steps = [step[self.columns[i]] for i in places]
                 positions[:, legs[0].leg.passive] += followed(legs, closed, known, steps, twists)

@@ -238,7 +238,7 @@ class Observation:
             value[:, : self._values.shape[1]] += self._values
             errors.append(setup.systematic.relative * np.where(lengths, value, 0.0)[:, :, None])
         if setup.systematic.target:
-            free = {name: replace(one, unknown=True) for name, one in setup.targets.items()}
+            free = {name: replace(target, unknown=True) for name, target in setup.targets.items()}
             unknowns = ExternalUnknowns(self.platform, replace(setup, targets=free), False)
             first = len(unknowns.frame_rows)
             known = [
@@ -367,7 +367,9 @@ class Observation:
         for instrument in self.setup.instruments:
             last_row, last = first_row + len(instrument.columns), first + len(instrument.parameters)
             measured = self._instrument_values[:, first_row:last_row]
-            condition = instrument.condition(frame @ matrices, external.own[first:last], measured)
+            condition = instrument.condition(
+                frame @ matrices, external.instruments[first:last], measured
+            )
             condition = checked(condition, instrument, count)
             by_external = np.zeros((*condition.value.shape, len(unknowns)))
             by_external[:, :, : len(unknowns.frame_rows)] = (condition.by_pose @ by_frame)[
@@ -389,13 +391,13 @@ def _columns(values: Sequence[Array], count: int) -> Array:
     return np.column_stack([np.empty((count, 0)), *values])
 
 
-def _angles(single: dict[str, Array], data: Measurements, apart: Mask) -> tuple[Array, Mask]:
+def _angles(single: dict[str, Array], data: Measurements, independent: Mask) -> tuple[Array, Mask]:
     """Return single angles, zero where not measured, and which have the noise of a turn.
 
     Those of rows apart, or with a standard deviation of their own, have not.
     """
     angles = np.reshape([*single.values()], (len(single), len(data))).T
-    parts = np.isfinite(angles) & ~apart[:, None]
+    parts = np.isfinite(angles) & ~independent[:, None]
     for place, name in enumerate(single):
         parts[:, place] &= ~np.isfinite(data.sigma_extra.get(name, np.nan))
     parts &= parts.sum(axis=1, keepdims=True) <= 3
@@ -412,8 +414,8 @@ def _orientations(platform: Platform, data: Measurements) -> Array:
     turns = np.full((len(data), 3, 3), np.nan)
     rad = [i for i, unit in enumerate(platform.units) if unit == "rad"]
     if rad:
-        whole = np.isfinite(data.poses[:, rad]).all(axis=1)
-        full = np.zeros((int(whole.sum()), platform.dof))
-        full[:, rad] = data.poses[whole][:, rad]
-        turns[whole] = platform.matrices(full)[:, :3, :3]
+        complete = np.isfinite(data.poses[:, rad]).all(axis=1)
+        full = np.zeros((int(complete.sum()), platform.dof))
+        full[:, rad] = data.poses[complete][:, rad]
+        turns[complete] = platform.matrices(full)[:, :3, :3]
     return turns

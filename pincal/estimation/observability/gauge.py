@@ -69,13 +69,13 @@ def unexplained(platform: Platform, twists: Array, motions: Array, size: float) 
     scale = np.array([1.0 if unit == "m" else size for unit in platform.units])[:, None]
     count = twists.shape[0] * twists.shape[1]
     flat = (motions * scale).reshape(count, motions.shape[2])
-    wanted = (twists * scale).reshape(count, twists.shape[2])
+    targets = (twists * scale).reshape(count, twists.shape[2])
     if not flat.size:
         return twists
     lengths = np.linalg.norm(flat, axis=0)
     U, s, _ = np.linalg.svd(flat / np.where(lengths > 0.0, lengths, 1.0), full_matrices=False)
     U = U[:, s > RANK_TOLERANCE * s[0]]
-    return (wanted - U @ (U.T @ wanted)).reshape(twists.shape) / scale
+    return (targets - U @ (U.T @ targets)).reshape(twists.shape) / scale
 
 
 def reach(gain: Array, directions: Array) -> Array:
@@ -146,10 +146,14 @@ def split_frames(
         )
     matrices, gain = matrices[held], gain[held]
     moved = gain @ directions
-    left = unexplained(platform, moved, frame_motions(platform, matrices), size)
+    residual = unexplained(platform, moved, frame_motions(platform, matrices), size)
     scale = np.maximum(np.linalg.norm(moved, axis=(0, 1)), _STILL * reach(gain, directions))
     scale[scale == 0.0] = 1.0
-    flat = (left / scale).reshape(-1, left.shape[2]) if left.size else np.zeros((1, left.shape[2]))
+    flat = (
+        (residual / scale).reshape(-1, residual.shape[2])
+        if residual.size
+        else np.zeros((1, residual.shape[2]))
+    )
     flat = np.linalg.qr(flat, mode="r")  # the same singular values and axes, quicker
     _, s, axes = np.linalg.svd(flat, full_matrices=True)
     only = np.ones(directions.shape[1], dtype=bool)
@@ -206,13 +210,13 @@ def find_gauge(mechanism: Mechanism, problem: Problem, unknowns: Unknowns) -> Ga
             f"{_undetermined(mechanism, J, unknowns, moved, inside.shape[1], follows)}"
         )
     n_still = still(gain, moved) if len(lost) else 0
-    found = _freedoms(len(lost) - n_still, mechanism, unknowns, directions @ T.T)
+    findings = _freedoms(len(lost) - n_still, mechanism, unknowns, directions @ T.T)
     if n_still:
         groups = identifiability(gain.reshape(-1, n_legs), unknowns.labels[:n_legs]).groups
-        found.append(finding("redundant-parameters", count=n_still, groups=groups))
+        findings.append(finding("redundant-parameters", count=n_still, groups=groups))
     frames = frames_moved(mechanism.platform, generic.matrices, gain, moved)
     nearest = (directions @ T.T * _weights(mechanism, problem)) @ T
-    return Gauge(directions, nearest, tuple(found), moved if found else None, frames)
+    return Gauge(directions, nearest, tuple(findings), moved if findings else None, frames)
 
 
 def _undetermined(
@@ -252,8 +256,10 @@ def _undetermined(
                 "a distance"
             )
     groups = identifiability(J, unknowns.free_labels).groups
-    where = {label: index for index, label in enumerate(unknowns.free_labels)}
-    needed = [one for one in groups if _apart(gain[:, [where[name] for name in one]])] or groups
+    places = {label: index for index, label in enumerate(unknowns.free_labels)}
+    needed = [
+        group for group in groups if _apart(gain[:, [places[name] for name in group]])
+    ] or groups
     words = groups_in_words(tuple(needed), most=len(needed))
     return (
         f"{words}. Measure more of the platform, or fix one of them, or make it a constant in "
@@ -289,9 +295,9 @@ def _freedoms(
     n_base = int(np.linalg.matrix_rank(directions[:, frame], tol=1e-6)) if frame.any() else 0
     if "rad" not in mechanism.platform.units:  # a point has no frame of its own
         return [finding("gauge-base-frame", freedoms=count, unknown_frame=n_base > 0)]
-    found = []
+    findings = []
     if n_base:
-        found.append(finding("gauge-base-frame", freedoms=n_base, unknown_frame=True))
+        findings.append(finding("gauge-base-frame", freedoms=n_base, unknown_frame=True))
     if count > n_base:
-        found.append(finding("gauge-platform-frame", freedoms=count - n_base))
-    return found
+        findings.append(finding("gauge-platform-frame", freedoms=count - n_base))
+    return findings

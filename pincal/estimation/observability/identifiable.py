@@ -34,20 +34,9 @@ from pincal.types import Array
 from pincal.words.numbers import listed
 from pincal.words.wording import NAMED
 
-
-@dataclass(frozen=True)
-class Judgement:
-    """What is undetermined by measured poses."""
-
-    clearly: float = 3.0
-    """Times what noise makes of information: less is none."""
-    poses: int = 500
-    """Enough to judge by: both grow alike with the number of poses."""
-    takes_part: float = 0.1
-    """Of the largest entry of a direction: parameters with more are named."""
-
-
-_BY = Judgement()
+_CLEARLY = 3.0  # times what noise makes of information: less is none
+_ENOUGH_POSES = 500  # poses to judge by: both grow alike with their number
+_TAKES_PART = 0.1  # share of a direction's largest entry, from which a parameter is named
 NOT_THIS_MACHINE = (
     "They are hardly this machine's: check signs, units, the order of the readings, the frame of "
     "the poses, and rows that are far off (--robust cauchy)"
@@ -77,24 +66,24 @@ def check_rank(
         )
     J = linear.triangle
     _, prior = unknowns.prior_rows(unknowns.start)
-    all_ = identifiability(np.concatenate((J @ unknowns.map, prior)), unknowns.free_labels)
-    if ended and not all_.complete:
+    total = identifiability(np.concatenate((J @ unknowns.map, prior)), unknowns.free_labels)
+    if ended and not total.complete:
         raise ObservabilityError(
             "the search ran away: the measurements determine the parameters at their nominal "
-            f"values, but not where it ended ({all_.describe()}). {NOT_THIS_MACHINE}"
+            f"values, but not where it ended ({total.describe()}). {NOT_THIS_MACHINE}"
         )
-    if not all_.complete:
+    if not total.complete:
         raise ObservabilityError(
-            f"the measured poses leave parameters undetermined: {all_.describe()} "
-            f"(rank {all_.rank} of {all_.n_params}). Measure poses that separate them, fix "
+            f"the measured poses leave parameters undetermined: {total.describe()} "
+            f"(rank {total.rank} of {total.n_params}). Measure poses that separate them, fix "
             "one of them, make it a constant in mechanism.yaml, or hold it as near to nominal as "
             "can be (--hold-undetermined; leave out --per-leg)"
         )
-    own = (
+    by_leg = (
         identifiability(J[:, columns], leg.parameter_names)
         for leg, columns in zip(problem.legs, problem.leg_block.columns, strict=True)
     )
-    return [(one.rank, one.condition) for one in own]
+    return [(leg.rank, leg.condition) for leg in by_leg]
 
 
 def check_information(
@@ -126,18 +115,20 @@ def check_information(
 
 def _by_noise_only(problem: Problem, unknowns: Unknowns, linear: Linear, scale: float) -> Array:
     """Return directions in parameter space that noise observes as well as poses, shape (k, n)."""
-    part, linear, _ = problem.thinned(linear, _BY.poses)
+    part, linear, _ = problem.thinned(linear, _ENOUGH_POSES)
     state = linear.state
     matrices = problem.platform.displaced(state.matrices, _pose_draws(part, linear))
     drawn = part.evaluate(replace(state, matrices=matrices)).noise_by_parameter
-    here, T = linear.noise_by_parameter, unknowns.map
+    start, T = linear.noise_by_parameter, unknowns.map
     _, prior = unknowns.prior_rows(unknowns.start)
-    own = np.concatenate((linear.triangle @ T, prior))  # that of the rows here: W Wᵀ = 1
-    difference = ((drawn - here) @ T).reshape(-1, T.shape[1])
-    lengths = np.linalg.norm(own, axis=0)
-    _, information, directions = np.linalg.svd(own / lengths, full_matrices=False)
+    information_rows = np.concatenate(
+        (linear.triangle @ T, prior)
+    )  # that of the rows here: W Wᵀ = 1
+    difference = ((drawn - start) @ T).reshape(-1, T.shape[1])
+    lengths = np.linalg.norm(information_rows, axis=0)
+    _, information, directions = np.linalg.svd(information_rows / lengths, full_matrices=False)
     made = scale * np.linalg.norm(difference / lengths @ directions.T, axis=0)
-    return np.asarray(directions[information < _BY.clearly * made])
+    return np.asarray(directions[information < _CLEARLY * made])
 
 
 def _pose_draws(problem: Problem, linear: Linear) -> Array:
@@ -156,12 +147,12 @@ def taking_part(names: Sequence[str], directions: Array) -> tuple[str, ...]:
     """Return which unknowns take part in directions, rows of shape (k, n)."""
     size = np.abs(directions).max(axis=0)
     return tuple(
-        name for name, part in zip(names, size, strict=True) if part > _BY.takes_part * size.max()
+        name for name, part in zip(names, size, strict=True) if part > _TAKES_PART * size.max()
     )
 
 
 @dataclass(frozen=True)
-class Held:
+class HeldUnknowns:
     """What measurements cannot observe and was held as near to nominal as can be."""
 
     unknowns: Unknowns
@@ -174,7 +165,7 @@ class Held:
     """Ids of those that are weakly determined."""
 
 
-def hold_unobservable(mechanism: Mechanism, problem: Problem, unknowns: Unknowns) -> Held:
+def hold_unobservable(mechanism: Mechanism, problem: Problem, unknowns: Unknowns) -> HeldUnknowns:
     """Return the unknowns less what the measurements leave unobservable.
 
     Of all parameters that fit as well, those nearest to the nominal ones, each change measured by
@@ -196,7 +187,7 @@ def hold_unobservable(mechanism: Mechanism, problem: Problem, unknowns: Unknowns
     directions = directions / np.abs(directions / plausible[:, None]).max(axis=0, initial=0.0)
     groups = identifiability(J, unknowns.free_labels).groups if len(lost) else ()
     names = taking_part(held.free_labels, weak) if len(weak) else ()
-    return Held(held.held(weak / scale) if len(weak) else held, directions, groups, names)
+    return HeldUnknowns(held.held(weak / scale) if len(weak) else held, directions, groups, names)
 
 
 def weakly_determined(
@@ -290,15 +281,15 @@ def check_covariance(
     anything = (2.0 * std > limit / DIFFER) & (moved > limit)
     if anything.any() if converged else far.any():
         ids = [f"{leg.name}.{name}" for leg in problem.legs for name in leg.parameter_names]
-        raise _weak([one for one, weak in zip(ids, far, strict=True) if weak])
+        raise _weak([parameter for parameter, weak in zip(ids, far, strict=True) if weak])
 
 
 def _weak(ids: Sequence[str]) -> ObservabilityError:
-    alone, more = len(ids) == 1, len(ids) - NAMED
-    named = listed([*ids[:NAMED], f"{more} more parameters"] if more > 1 else ids)
-    them = "it" if alone else "them"
+    single, hidden = len(ids) == 1, len(ids) - NAMED
+    named = listed([*ids[:NAMED], f"{hidden} more parameters"] if hidden > 1 else ids)
+    them = "it" if single else "them"
     return ObservabilityError(
-        f"{named} {'is' if alone else 'are'} weakly determined by the measured poses: noise moves "
+        f"{named} {'is' if single else 'are'} weakly determined by the measured poses: noise moves "
         f"{them} farther than machines differ from their drawings. Measure poses that differ more "
         f"(in orientation above all), hold {them} as near to nominal as can be "
         "(--hold-undetermined), or say how well nominal values are known (--prior)"
@@ -348,12 +339,12 @@ def weak_pairs(
     directions = np.zeros((len(std), 0)) if gauge is None else gauge
     directions = directions[:, directions.any(axis=0)]  # the others move no parameter
 
-    names = [one.partition(".") for one in ids]
+    names = [parameter.partition(".") for parameter in ids]
 
-    def known(place: int, other: int) -> float:
-        whole = names[place][0] == names[other][0]
-        rows = [i for i, one in enumerate(names) if whole and one[2] == names[other][2]]
-        return _known(covariance, directions, place, [i for i in rows or [other] if finite[i]])
+    def known(place: int, second: int) -> float:
+        same_leg = names[place][0] == names[second][0]
+        rows = [i for i, parts in enumerate(names) if same_leg and parts[2] == names[second][2]]
+        return _known(covariance, directions, place, [i for i in rows or [second] if finite[i]])
 
     pairs = [
         WeakPair(
@@ -369,12 +360,12 @@ def weak_pairs(
     return tuple(sorted(weak, key=lambda pair: -pair.gain))
 
 
-def _known(covariance: Array, gauge: Array, place: int, others: Sequence[int]) -> float:
+def _known(covariance: Array, gauge: Array, place: int, fixed: Sequence[int]) -> float:
     """Return the standard error of one parameter if others were known, frames still unknown."""
-    moved = gauge[list(others)] / np.linalg.norm(gauge, axis=0)
+    moved = gauge[list(fixed)] / np.linalg.norm(gauge, axis=0)
     axes, size, _ = np.linalg.svd(moved)
-    fixed = axes[:, int((size > RANK_TOLERANCE).sum()) :].T  # combinations that no frame can move
-    across = fixed @ covariance[list(others)]
-    inner = across[:, list(others)] @ fixed.T
+    unmoved = axes[:, int((size > RANK_TOLERANCE).sum()) :].T  # combinations no frame can move
+    across = unmoved @ covariance[list(fixed)]
+    inner = across[:, list(fixed)] @ unmoved.T
     gained = across[:, place] @ np.linalg.pinv(inner, hermitian=True) @ across[:, place]
     return float(np.sqrt(max(covariance[place, place] - gained, 0.0)))

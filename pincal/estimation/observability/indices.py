@@ -84,8 +84,8 @@ def r_diagonal(C: Array) -> Array:
     """
     R = np.linalg.qr(C, mode="r")
     diagonal = np.zeros(C.shape[1])
-    found = np.abs(np.diagonal(R))
-    diagonal[: len(found)] = found
+    entries = np.abs(np.diagonal(R))
+    diagonal[: len(entries)] = entries
     return diagonal
 
 
@@ -139,8 +139,8 @@ def identifiability(C: Array, names: Sequence[str]) -> Identifiability:
     if not n:
         return Identifiability(0, 0, 1.0, ())
     lengths = np.linalg.norm(C, axis=0)
-    seen = lengths > ROUNDING * lengths.max(initial=0.0)
-    scaled = np.where(seen, C / np.where(seen, lengths, 1.0), 0.0)
+    nonzero = lengths > ROUNDING * lengths.max(initial=0.0)
+    scaled = np.where(nonzero, C / np.where(nonzero, lengths, 1.0), 0.0)
     if not len(C):
         return Identifiability(0, n, np.inf, tuple((name,) for name in names))
     s = np.linalg.svd(scaled, compute_uv=False)
@@ -148,10 +148,10 @@ def identifiability(C: Array, names: Sequence[str]) -> Identifiability:
     if rank == n:
         return Identifiability(rank, n, float(s[0] / s[-1]), ())
     _, R, order = qr(scaled, mode="economic", pivoting=True)
-    kept, lost = order[:rank], order[rank:]
+    pivots, lost = order[:rank], order[rank:]
     weights = np.linalg.solve(R[:rank, :rank], R[:rank, rank:])  # lost columns from the kept
     members = [
-        sorted({int(index), *kept[np.abs(column) > NEGLIGIBLE].tolist()})
+        sorted({int(index), *pivots[np.abs(column) > NEGLIGIBLE].tolist()})
         for column, index in zip(weights.T, lost, strict=True)
     ]
     members.sort(key=lambda group: (len(group), group))  # that of the pivots follows rounding
@@ -183,8 +183,8 @@ class Derivatives:
         Rows of priors are below those of the measurements.
         """
         T = unknowns.map
-        more = T.shape[0] - self.leg_parameter.shape[2]
-        legs = np.pad(self.leg_parameter, ((0, 0), (0, 0), (0, more)))
+        n_external = T.shape[0] - self.leg_parameter.shape[2]
+        legs = np.pad(self.leg_parameter, ((0, 0), (0, 0), (0, n_external)))
         parameter = np.concatenate((legs, self.seen_parameter), axis=1)
         pose = np.concatenate((self.leg_pose, self.seen_pose), axis=1)
         Q = np.linalg.qr(pose, mode="complete")[0]
@@ -217,8 +217,8 @@ def derivatives_near(
         influences={name: values[chosen] for name, values in problem.leg_block.influences.items()},
     )
     values = (start.parameters[columns] for columns in problem.leg_block.columns)
-    at = mechanism.with_parameters(dict(zip(mechanism.leg_names, values, strict=True)))
-    legs = legs_at(at, nearby(at, planned, GENERIC, size) if generic else planned)
+    started = mechanism.with_parameters(dict(zip(mechanism.leg_names, values, strict=True)))
+    legs = legs_at(started, nearby(started, planned, GENERIC, size) if generic else planned)
     matrices = platform.matrices(legs.poses)
     rows = chosen[np.flatnonzero(legs.reached) % len(chosen)]
     observation = problem.observation.anywhere() if generic else problem.observation

@@ -19,7 +19,7 @@ import numpy as np
 from pincal.estimation.fit import Fit
 from pincal.estimation.problem import Problem
 from pincal.estimation.residuals.losses import CLEAR, FALSE_ALARM
-from pincal.estimation.residuals.redundancy import Form, of_forms
+from pincal.estimation.residuals.redundancy import ResidualForm, of_forms
 from pincal.estimation.residuals.score import Error, Residuals
 from pincal.kinematics.influences import sides
 from pincal.model.setup import ORIGIN
@@ -28,7 +28,7 @@ from pincal.types import Array, Index
 _HARMONICS = (1, 2, 3)
 ALL, FRAME, LENGTHS = "readings", "positions", "lengths"
 """All readings; all positions, in a frame that moves; all lengths, which grow."""
-_OWN = ("angle", "order", "approach")  # courses of which motors differ in amplitude
+_PER_READING = ("angle", "order", "approach")  # courses of which motors differ in amplitude
 _OF_READING = ("angle", "approach")  # courses that each reading has its own of
 
 
@@ -63,7 +63,7 @@ class _Asked:
 
     left: Residuals
     kinds: list[tuple[str, str]] = field(default_factory=list)
-    forms: list[Form] = field(default_factory=list)
+    forms: list[ResidualForm] = field(default_factory=list)
 
     def add(
         self, quantity: str, term: str, *errors: tuple[Error, Array], common: bool = False
@@ -79,65 +79,67 @@ class _Asked:
             yield Score(quantity, term, p_value)
 
 
-def scores(one: Fit, again: Mapping[str, Index] | None = None) -> list[Score]:
+def scores(fit: Fit, repeated: Mapping[str, Index] | None = None) -> list[Score]:
     """Return the score tests of a fit, none of them independent of the others.
 
     Args:
-        one: The fit.
-        again: Rows of poses that were measured again and again, among those of the fit: whether
+        fit: The fit.
+        repeated: Rows of poses that were measured again and again, among those of the fit: whether
             what was measured there moved with time.
     """
-    if not one.problem.weighted or one.degrees_of_freedom < 2 or not one.chi2 > 0.0:
+    if not fit.problem.weighted or fit.degrees_of_freedom < 2 or not fit.chi2 > 0.0:
         return []
-    left, problem = Residuals.of(one), one.problem
-    white = dict(errors_of(one, left.used))
-    asked, errors = _Asked(left), {name: left.error(w) for name, w in white.items()}
+    residuals, problem = Residuals.of(fit), fit.problem
+    white = dict(errors_of(fit, residuals.used))
+    tests, errors = _Asked(residuals), {name: residuals.error(w) for name, w in white.items()}
     readings = list(problem.quantities)[: problem.leg_block.n_readings]
-    time = np.linspace(-1.0, 1.0, len(left.used))[:, None]
-    pose = _of_pose(one, left.used)
+    time = np.linspace(-1.0, 1.0, len(residuals.used))[:, None]
+    pose = _of_pose(fit, residuals.used)
     every: dict[str, list[tuple[Error, Array]]] = {}
     for column, (name, error) in enumerate(errors.items()):
         courses = {"order": time}
         if name in readings:
-            courses |= {"angle": _of_value(one, column, left.used), "pose": pose}
-            courses |= {"approach": _side(one, column, left.used)}
+            courses |= {"angle": _of_value(fit, column, residuals.used), "pose": pose}
+            courses |= {"approach": _side(fit, column, residuals.used)}
         for term, b in courses.items():
-            asked.add(name, term, (error, b))
+            tests.add(name, term, (error, b))
             if name in readings and len(readings) > 1:
                 every.setdefault(term, []).append((error, b))
     for term, several in every.items():
         for width in dict.fromkeys(b.shape[1] for _, b in several):  # [rad] and [m] differ
-            alike = [(error, b) for error, b in several if b.shape[1] == width]
+            same_width = [(error, b) for error, b in several if b.shape[1] == width]
             if term not in _OF_READING:  # one course for all
-                alike = [(reduce(add, (error for error, _ in alike)), alike[0][1])]
-            asked.add(ALL, term, *alike, common=True)
-    for term in _OWN:
+                same_width = [(reduce(add, (error for error, _ in same_width)), same_width[0][1])]
+            tests.add(ALL, term, *same_width, common=True)
+    for term in _PER_READING:
         if term in every:
-            asked.add(ALL, term, *every[term])
+            tests.add(ALL, term, *every[term])
     moved, axes = of_frame(problem, white)
     if len(axes) > 1:
-        each = (left.error(moved[:, :, axis]) for axis in range(len(axes)))
-        asked.add(FRAME, "order", *((error, time) for error in each))
-    asked.add(LENGTHS, "order", (left.error(_grown(one, left.used)), time))
-    found = [*asked.scores()]
+        axis_errors = (residuals.error(moved[:, :, axis]) for axis in range(len(axes)))
+        tests.add(FRAME, "order", *((error, time) for error in axis_errors))
+    tests.add(LENGTHS, "order", (residuals.error(_grown(fit, residuals.used)), time))
+    results = [*tests.scores()]
     for name, error in errors.items():
-        found.append(Score(name, "step", *left.step(error)))
-        found += _again(left, name, error, again or {})
-    return found
+        results.append(Score(name, "step", *residuals.step(error)))
+        results += _again(residuals, name, error, repeated or {})
+    return results
 
 
-def _again(left: Residuals, name: str, error: Error, again: Mapping[str, Index]) -> Iterator[Score]:
+def _again(
+    residuals: Residuals, name: str, error: Error, repeated: Mapping[str, Index]
+) -> Iterator[Score]:
     """Yield whether a quantity moved with time, at each pose that was measured again."""
-    for place, rows in again.items():
-        since = _since(left.used, rows)
-        form = left.form((error, since[:, None]))
-        p_value = float(of_forms([form], left.chi2, left.degrees_of_freedom)[0])
-        yield Score(name, "again", p_value, size=left.size(error, since), place=place)
+    for place, rows in repeated.items():
+        since = _since(residuals.used, rows)
+        form = residuals.form((error, since[:, None]))
+        p_value = float(of_forms([form], residuals.chi2, residuals.degrees_of_freedom)[0])
+        yield Score(name, "again", p_value, size=residuals.size(error, since), place=place)
 
 
-def errors_of(one: Fit, used: Index) -> Iterator[tuple[str, Array]]:
+def errors_of(fit: Fit, used: Index) -> Iterator[tuple[str, Array]]:
     """Yield each measured quantity and the white rows of its unit error, shape (n_used, m)."""
-    problem, linear, legs = one.problem, one.last, one.problem.leg_block
+    problem, linear, legs = fit.problem, fit.last, fit.problem.leg_block
     names, k = iter(problem.quantities), linear.conditions.shape[1]
     for demand, rows, serves in zip(linear.demands, legs.leg_rows, legs.used.T, strict=True):
         for by_reading in np.where(serves[:, None, None], demand.reading, 0.0).transpose(2, 0, 1):
@@ -162,7 +164,7 @@ def of_frame(problem: Problem, errors: Mapping[str, Array]) -> tuple[Array, tupl
     moved = np.sum(every, axis=0)
     known = moved.any(axis=(0, 1))
     axes = "xyz"[: problem.platform.space]
-    return moved[:, :, known], tuple(one for one, is_ in zip(axes, known, strict=True) if is_)
+    return moved[:, :, known], tuple(axis for axis, is_ in zip(axes, known, strict=True) if is_)
 
 
 def of_target(problem: Problem, errors: Mapping[str, Array], target: str) -> Array:
@@ -175,31 +177,31 @@ def of_target(problem: Problem, errors: Mapping[str, Array], target: str) -> Arr
 
 def _since(used: Index, rows: Index) -> Array:
     """Return the time at rows of one pose about its mean, 1 from first to last; 0 at others."""
-    own = np.flatnonzero(np.isin(used, rows))
+    places = np.flatnonzero(np.isin(used, rows))
     when = np.zeros(len(used))
-    if len(own) > 1:
-        when[own] = (used[own] - used[own].mean()) / np.ptp(used[own])
+    if len(places) > 1:
+        when[places] = (used[places] - used[places].mean()) / np.ptp(used[places])
     return when
 
 
-def _grown(one: Fit, used: Index) -> Array:
+def _grown(fit: Fit, used: Index) -> Array:
     """Return the white rows of legs whose lengths all grow by one part, shape (n_used, m)."""
-    J, lengths = one.last.jacobian[used], np.zeros(len(one.unknowns.names))
-    for leg, columns in zip(one.problem.legs, one.problem.leg_block.columns, strict=True):
-        own = {name for name, unit in leg.units.items() if unit == "m"} - leg.amplitudes
-        long = np.array([name in own for name in leg.parameter_names])
-        lengths[columns] = long * one.parameters[columns]
+    J, lengths = fit.last.jacobian[used], np.zeros(len(fit.unknowns.names))
+    for leg, columns in zip(fit.problem.legs, fit.problem.leg_block.columns, strict=True):
+        lengths_of_leg = {name for name, unit in leg.units.items() if unit == "m"} - leg.amplitudes
+        long = np.array([name in lengths_of_leg for name in leg.parameter_names])
+        lengths[columns] = long * fit.parameters[columns]
     return np.asarray(J @ lengths)
 
 
-def _of_value(one: Fit, column: int, used: Index) -> Array:
+def _of_value(fit: Fit, column: int, used: Index) -> Array:
     """Return by what an error of a reading may follow its own value, shape (n_used, f)."""
-    problem = one.problem
+    problem = fit.problem
     reading = problem.leg_block.readings[used, column]
     leg = next(
         i
-        for i, own in enumerate(problem.leg_block.reading_columns)
-        if own.start <= column < own.stop
+        for i, columns in enumerate(problem.leg_block.reading_columns)
+        if columns.start <= column < columns.stop
     )
     unit = problem.legs[leg].reading_units[column - problem.leg_block.reading_columns[leg].start]
     if unit == "rad":
@@ -209,22 +211,22 @@ def _of_value(one: Fit, column: int, used: Index) -> Array:
     return np.stack([along**2, along**3], axis=1)
 
 
-def _of_pose(one: Fit, used: Index) -> Array:
+def _of_pose(fit: Fit, used: Index) -> Array:
     """Return by what an error may follow the pose, to second order, shape (n_used, f)."""
-    poses = one.problem.platform.from_matrices(one.last.state.matrices[used])
+    poses = fit.problem.platform.from_matrices(fit.last.state.matrices[used])
     scale = np.ptp(poses, axis=0)
     x = (poses - poses.mean(axis=0)) / np.where(scale > 0.0, scale, 1.0)
     i, j = np.triu_indices(x.shape[1])
     return np.concatenate((x, x[:, i] * x[:, j]), axis=1)
 
 
-def _side(one: Fit, column: int, used: Index) -> Array:
+def _side(fit: Fit, column: int, used: Index) -> Array:
     """Return from which side a reading was come to, shape (n_used, 1)."""
-    return np.nan_to_num(sides(one.problem.leg_block.readings[:, column])[used])[:, None]
+    return np.nan_to_num(sides(fit.problem.leg_block.readings[:, column])[used])[:, None]
 
 
 What = Literal["frame", "target", "orientation", "reading"]
-_MOST = 3
+_MAX_SLIPS = 3
 
 
 @dataclass(frozen=True)
@@ -259,65 +261,67 @@ class _Trial:
     """Of the error with its course, shape (n_used, m, f)."""
 
 
-def slips(one: Fit) -> list[Slip]:
+def slips(fit: Fit) -> list[Slip]:
     """Return what slipped or drifted, the clearest first; empty if nothing did."""
-    if not one.problem.weighted or one.degrees_of_freedom < 2 or not one.chi2 > 0.0:
+    if not fit.problem.weighted or fit.degrees_of_freedom < 2 or not fit.chi2 > 0.0:
         return []
-    left, found = Residuals.of(one), list[Slip]()
-    candidates = list(_candidates(one, left.used))
-    while len(found) < _MOST:
-        tried = [trial for own in candidates for trial in _tried(left, *own)]
+    residuals, clearest = Residuals.of(fit), list[Slip]()
+    candidates = list(_candidates(fit, residuals.used))
+    while len(clearest) < _MAX_SLIPS:
+        tried = [trial for candidate in candidates for trial in _tried(residuals, *candidate)]
         tried = sorted(tried, key=lambda trial: (trial.slip.p_value, -trial.inside))
         if not tried or tried[0].slip.p_value * len(tried) >= FALSE_ALARM:
             break
         first = tried[0]
-        free = max(left.degrees_of_freedom - len(first.slip.size), 1)
-        clear = CLEAR**2 * (left.chi2 - first.inside) / free  # by what is left, as F tests have it
-        alike = tuple(
-            (other.slip.what, other.slip.name)
-            for other in tried[1:]
-            if other.slip.steady == first.slip.steady and first.inside - other.inside < clear
-            if other.slip.unit == first.slip.unit and len(other.slip.size) == len(first.slip.size)
+        free = max(residuals.degrees_of_freedom - len(first.slip.size), 1)
+        clear = (
+            CLEAR**2 * (residuals.chi2 - first.inside) / free
+        )  # by what is left, as F tests have it
+        indistinct = tuple(
+            (trial.slip.what, trial.slip.name)
+            for trial in tried[1:]
+            if trial.slip.steady == first.slip.steady and first.inside - trial.inside < clear
+            if trial.slip.unit == first.slip.unit and len(trial.slip.size) == len(first.slip.size)
         )
         chance = first.slip.p_value * len(tried)
-        found.append(replace(first.slip, p_value=chance, or_else=alike))
-        left = left.without(first.white)
-    return found
+        clearest.append(replace(first.slip, p_value=chance, or_else=indistinct))
+        residuals = residuals.without(first.white)
+    return clearest
 
 
-def _tried(left: Residuals, slip: Slip, W: Array) -> Iterator[_Trial]:
+def _tried(residuals: Residuals, slip: Slip, W: Array) -> Iterator[_Trial]:
     """Yield a slip at its clearest row, and a steady drift of the same quantities."""
-    change = left.change(W)
-    course = (left.used >= change.row).astype(float)
+    change = residuals.change(W)
+    course = (residuals.used >= change.row).astype(float)
     after = replace(slip, row=change.row, size=change.size, p_value=change.p_value)
     yield _Trial(after, change.inside, W * course[:, None, None])
-    time = (left.used - left.used[0]) / max(float(np.ptp(left.used)), 1.0)
-    drift = left.amplitudes(W * time[:, None, None])
+    time = (residuals.used - residuals.used[0]) / max(float(np.ptp(residuals.used)), 1.0)
+    drift = residuals.amplitudes(W * time[:, None, None])
     if drift.rank == W.shape[2]:
         steady = replace(slip, size=-drift.values, steady=True, p_value=drift.p_value)
         yield _Trial(steady, drift.inside, W * time[:, None, None])
 
 
-def _slip(what: What, name: str, axes: tuple[str, ...], unit: str) -> Slip:
-    return Slip(what, name, 0, np.zeros(len(axes)), axes, unit, steady=False, p_value=1.0)
+def _slip(kind: What, name: str, axes: tuple[str, ...], unit: str) -> Slip:
+    return Slip(kind, name, 0, np.zeros(len(axes)), axes, unit, steady=False, p_value=1.0)
 
 
-def _candidates(one: Fit, used: Index) -> Iterator[tuple[Slip, Array]]:
+def _candidates(fit: Fit, used: Index) -> Iterator[tuple[Slip, Array]]:
     """Yield what may slip, and the white rows of its unit errors, shape (n_used, m, f)."""
-    problem, platform = one.problem, one.problem.platform
-    errors = dict(errors_of(one, used))
+    problem, platform = fit.problem, fit.problem.platform
+    errors = dict(errors_of(fit, used))
     names = [name for leg in problem.legs for name in leg.reading_names]
     units = [unit for leg in problem.legs for unit in leg.reading_units]
     for name, unit, w in zip(names, units, errors.values(), strict=False):
         yield _slip("reading", name, ("",), unit), w[:, :, None]
     if not problem.latent:
         return
-    seen, state, axes = problem.observation, one.last.state, "xyz"[: platform.space]
+    observation, state, axes = problem.observation, fit.last.state, "xyz"[: platform.space]
     turns = (state.external.frame[:3, :3] @ state.matrices[used, :3, :3])[:, :, : len(axes)]
-    for target in seen.setup.targets:
-        there = of_target(problem, errors, target)
-        if there.any():
-            turned = np.einsum("nma,nab->nmb", there, turns[:, : len(axes)])
+    for target in observation.setup.targets:
+        white = of_target(problem, errors, target)
+        if white.any():
+            turned = np.einsum("nma,nab->nmb", white, turns[:, : len(axes)])
             yield _slip("target", target, tuple(axes), "m"), turned
     moved, known = of_frame(problem, errors)
     if known:

@@ -73,8 +73,8 @@ class Loss:
             equations: How many equations each row gives, shape (N,) or (1,).
         """
         u, h = np.sqrt(squares) / self.constant(equations), _STEP
-        less, more = (np.exp(step) * self.weigh(u * np.exp(step)) for step in (-h, h))
-        return np.asarray((more - less) / (2.0 * np.sinh(h)))
+        less, upper = (np.exp(step) * self.weigh(u * np.exp(step)) for step in (-h, h))
+        return np.asarray((upper - less) / (2.0 * np.sinh(h)))
 
     def bend(self, squares: Array, equations: Index) -> Array:
         """Return the curvature along the residuals over the weight, shape (N,).
@@ -132,9 +132,9 @@ def suspected(squares: Array, equations: Index) -> Mask:
     p = chdtrc(np.maximum(equations, 1), squares)
     order = np.argsort(p)
     clear = p[order] <= FALSE_ALARM / (len(p) - np.arange(len(p)))
-    found = np.zeros(len(p), dtype=bool)
-    found[order[: len(p) if clear.all() else int(np.argmin(clear))]] = True
-    return found
+    outliers = np.zeros(len(p), dtype=bool)
+    outliers[order[: len(p) if clear.all() else int(np.argmin(clear))]] = True
+    return outliers
 
 
 def robust_scale(squares: Array, equations: Index, share: float) -> float:
@@ -150,21 +150,21 @@ def robust_scale(squares: Array, equations: Index, share: float) -> float:
     return float(np.sqrt(np.median(ratio) / share)) if counts.any() else 1.0
 
 
-def loss_of(given: LossName | Loss) -> Loss | None:
+def loss_of(loss: LossName | Loss) -> Loss | None:
     """Return a loss by its name, or one of one's own; none for ``"none"``.
 
     Raises:
         MeasurementError: no such loss.
     """
-    if isinstance(given, Loss):
-        return given
-    if given == "none":
+    if isinstance(loss, Loss):
+        return loss
+    if loss == "none":
         return None
-    if given not in LOSSES:
+    if loss not in LOSSES:
         raise MeasurementError(
-            f"unknown loss {given!r}; expected one of none, {', '.join(LOSSES)}, or a pincal.Loss"
+            f"unknown loss {loss!r}; expected one of none, {', '.join(LOSSES)}, or a pincal.Loss"
         )
-    return LOSSES[given]
+    return LOSSES[loss]
 
 
 def _quantile(probability: Array | float, equations: Index | int) -> Array:

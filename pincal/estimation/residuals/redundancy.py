@@ -49,27 +49,27 @@ def leg_residuals(problem: Problem, linear: Linear, index: int) -> LegResiduals:
     that was measured (to first order), where it was.
     """
     demand = linear.demands[index]
-    own = problem.leg_block.reading_columns[index]
+    columns = problem.leg_block.reading_columns[index]
     unit = " or ".join(dict.fromkeys(problem.legs[index].reading_units))
-    by_reading = demand.reading * problem.leg_block.sigma[:, None, own]
+    by_reading = demand.reading * problem.leg_block.sigma[:, None, columns]
     rows, (count, k) = problem.leg_block.leg_rows[index], demand.value.shape
     follows = np.zeros((count, k, linear.conditions.shape[1]))
     follows[:, :, rows] = np.eye(k)
     if problem.leg_block.pose_roots is not None:
         noise = np.concatenate((by_reading, demand.pose @ problem.leg_block.pose_roots), axis=2)
-        what = ("m", "closure") if problem.weighted else (unit, "reading")
-        return LegResiduals(demand.value, np.linalg.norm(noise, axis=2), *what, follows)
-    if problem.leg_block.sigma[:, own].any() and k == 1:
-        sigma = problem.leg_block.sigma[:, own]  # of as many readings as there are
+        unit_and_kind = ("m", "closure") if problem.weighted else (unit, "reading")
+        return LegResiduals(demand.value, np.linalg.norm(noise, axis=2), *unit_and_kind, follows)
+    if problem.leg_block.sigma[:, columns].any() and k == 1:
+        sigma = problem.leg_block.sigma[:, columns]  # of as many readings as there are
         follows = np.repeat(follows, sigma.shape[1], axis=1)
         follows[:, :, rows] = -least_squares(demand.reading, np.ones((count, 1, 1)))
         value = demand.as_joint().value
         return LegResiduals(value, sigma, unit, "reading", follows)
     n_legs = problem.leg_block.n_rows
     h, B = linear.conditions[:, n_legs:], linear.by_pose[:, n_legs:]
-    whole = problem.observation.measured.sum(axis=1) >= problem.platform.dof
-    back = np.where(whole[:, None, None], np.linalg.pinv(B, rcond=1e-9), 0.0)
-    moved = demand.pose @ back  # from what was measured to the estimated pose
+    complete = problem.observation.measured.sum(axis=1) >= problem.platform.dof
+    pose_by_measured = np.where(complete[:, None, None], np.linalg.pinv(B, rcond=1e-9), 0.0)
+    moved = demand.pose @ pose_by_measured  # from what was measured to the estimated pose
     noise = np.concatenate((by_reading, moved @ problem.observation.noise.roots), axis=2)
     value = demand.value - (moved @ h[:, :, None])[:, :, 0]
     follows[:, :, n_legs:] = -moved
@@ -77,7 +77,7 @@ def leg_residuals(problem: Problem, linear: Linear, index: int) -> LegResiduals:
 
 
 @dataclass(frozen=True)
-class Left:
+class Remainders:
     """What a fit leaves of q quantities at each of N poses, c e of the conditions there."""
 
     noise: Array
@@ -90,7 +90,7 @@ class Left:
     """Covariance of R δz, shape (n, n): 1 of least squares."""
 
     @classmethod
-    def of(cls, fit: Fit, follows: Array) -> Left:
+    def of(cls, fit: Fit, follows: Array) -> Remainders:
         """Return what a fit leaves of quantities.
 
         Args:
@@ -98,9 +98,13 @@ class Left:
             follows: c, derivatives of the quantities by the conditions, shape (N, q, k).
         """
         system, linear, spread = fit.system, fit.last, fit.spread
-        into, parts = system.unknowns.map @ spread.root, []
+        by_free, parts = system.unknowns.map @ spread.root, []
         for poses in linear.parts():
-            J, c, S = system.derivatives(linear, poses) @ into, follows[poses], linear.white.noise
+            J, c, S = (
+                system.derivatives(linear, poses) @ by_free,
+                follows[poses],
+                linear.white.noise,
+            )
             noise = through = product(c, S[poses])
             if system.problem.weighted:
                 W = linear.white.by_noise[poses]
@@ -108,28 +112,28 @@ class Left:
             else:
                 c = c * system.unit
                 through = product(noise, S[poses].transpose(0, 2, 1)) / system.unit
-            given = spread.slopes[poses, None, None] * product(through, J)
-            parts.append((noise, product(c, J), given))
-        noise, taken, given = (np.concatenate(one) for one in zip(*parts, strict=True))
-        return cls(noise, taken, given, spread.meat_in_root)
+            gained = spread.slopes[poses, None, None] * product(through, J)
+            parts.append((noise, product(c, J), gained))
+        noise, taken, gained = (np.concatenate(chunk) for chunk in zip(*parts, strict=True))
+        return cls(noise, taken, gained, spread.meat_in_root)
 
     @property
     def variances(self) -> Array:
         """Of each, shape (N, q), in squares of its unit, the noise as modelled."""
-        alone = (self.noise**2).sum(axis=2)
+        variance = (self.noise**2).sum(axis=2)
         mixed = (self.taken * self.given).sum(axis=2)
-        return np.asarray(alone - 2.0 * mixed + (self.taken @ self.estimate * self.taken).sum(2))
+        return np.asarray(variance - 2.0 * mixed + (self.taken @ self.estimate * self.taken).sum(2))
 
-    def part(self, columns: slice) -> Left:
+    def part(self, columns: slice) -> Remainders:
         """Return what is left of some of the quantities."""
-        noise, taken, given = (one[:, columns] for one in (self.noise, self.taken, self.given))
-        return Left(noise, taken, given, self.estimate)
+        noise, taken, gained = (rows[:, columns] for rows in (self.noise, self.taken, self.given))
+        return Remainders(noise, taken, gained, self.estimate)
 
     def of_sum(self, factors: Array) -> float:
         """Return the variance of a sum of the quantities times factors, shape (N, q)."""
         noise = np.einsum("nq,nqs->ns", factors, self.noise)
-        taken, given = (np.einsum("nq,nqk->k", factors, one) for one in (self.taken, self.given))
-        return float((noise**2).sum() - 2.0 * taken @ given + taken @ self.estimate @ taken)
+        taken, gained = (np.einsum("nq,nqk->k", factors, rows) for rows in (self.taken, self.given))
+        return float((noise**2).sum() - 2.0 * taken @ gained + taken @ self.estimate @ taken)
 
 
 def every_residual(fit: Fit) -> tuple[list[LegResiduals], Array, list[slice]]:
@@ -142,10 +146,10 @@ def every_residual(fit: Fit) -> tuple[list[LegResiduals], Array, list[slice]]:
     problem, linear = fit.problem, fit.last
     legs = [leg_residuals(problem, linear, index) for index in range(len(problem.legs))]
     n_legs, (count, k) = problem.leg_block.n_rows, linear.conditions.shape
-    seen = np.broadcast_to(np.eye(k)[n_legs:], (count, k - n_legs, k))
-    parts = [*(leg.follows for leg in legs), seen]
-    ends = np.cumsum([one.shape[1] for one in parts]).tolist()
-    columns = [slice(end - one.shape[1], end) for one, end in zip(parts, ends, strict=True)]
+    observed = np.broadcast_to(np.eye(k)[n_legs:], (count, k - n_legs, k))
+    parts = [*(leg.follows for leg in legs), observed]
+    ends = np.cumsum([rows.shape[1] for rows in parts]).tolist()
+    columns = [slice(end - rows.shape[1], end) for rows, end in zip(parts, ends, strict=True)]
     return legs, np.concatenate(parts, axis=1), columns
 
 
@@ -156,12 +160,12 @@ def redundancy(fit: Fit) -> tuple[list[LegResiduals], list[Array]]:
     noise.
     """
     legs, follows, columns = every_residual(fit)
-    left = Left.of(fit, follows).variances
+    variances = Remainders.of(fit, follows).variances
     measured = columns[-1].stop - columns[-1].start
     sigmas = [*(leg.sigma for leg in legs), fit.problem.observation.sigma[:, :measured]]
     return legs, [
-        np.maximum(left[:, own], 0.0) / np.where(sigma > 0.0, sigma, np.inf) ** 2
-        for own, sigma in zip(columns, sigmas, strict=True)
+        np.maximum(variances[:, place], 0.0) / np.where(sigma > 0.0, sigma, np.inf) ** 2
+        for place, sigma in zip(columns, sigmas, strict=True)
     ]
 
 
@@ -169,7 +173,7 @@ _HALVINGS = int(np.ceil(-np.log2(ROUNDING)))  # of the interval in which a saddl
 
 
 @dataclass(frozen=True)
-class Form:
+class ResidualForm:
     """What residuals say of errors: how much of them could be seen, and what is."""
 
     weights: Array
@@ -185,7 +189,7 @@ class Form:
         return bool(self.weights[-1] > NEGLIGIBLE**2 * self.length > 0.0)
 
 
-def of_forms(forms: Sequence[Form], chi2: float, degrees_of_freedom: int) -> Array:
+def of_forms(forms: Sequence[ResidualForm], chi2: float, degrees_of_freedom: int) -> Array:
     """Return the probability of so much along errors, or more, of each form; 1 if nothing is seen.
 
     Args:
@@ -193,17 +197,19 @@ def of_forms(forms: Sequence[Form], chi2: float, degrees_of_freedom: int) -> Arr
         chi2: Of all residuals.
         degrees_of_freedom: Of them.
     """
-    found = np.ones(len(forms))
-    known = [i for i, one in enumerate(forms) if one.seen and len(one.weights) < degrees_of_freedom]
+    probabilities = np.ones(len(forms))
+    known = [
+        i for i, form in enumerate(forms) if form.seen and len(form.weights) < degrees_of_freedom
+    ]
     if not known or not chi2 > 0.0:
-        return found
+        return probabilities
     weights = np.zeros((len(known), max(len(forms[i].weights) for i in known)))
     for row, i in zip(weights, known, strict=True):
-        own = forms[i].weights
-        row[: len(own)] = own.clip(0.0) / own[-1]
+        eigenvalues = forms[i].weights
+        row[: len(eigenvalues)] = eigenvalues.clip(0.0) / eigenvalues[-1]
     shares = np.array([forms[i].inside / forms[i].weights[-1] for i in known]) / chi2
-    found[known] = above(weights, shares.clip(0.0, 1.0), degrees_of_freedom)
-    return found
+    probabilities[known] = above(weights, shares.clip(0.0, 1.0), degrees_of_freedom)
+    return probabilities
 
 
 def above(weights: Array, shares: Array, degrees_of_freedom: int) -> Array:
@@ -216,27 +222,27 @@ def above(weights: Array, shares: Array, degrees_of_freedom: int) -> Array:
         shares: t, 0 to 1, shape (M,).
         degrees_of_freedom: More than k.
     """
-    rest = degrees_of_freedom - weights.shape[1]
-    alone = (weights > RANK_TOLERANCE).sum(axis=1) == 1
+    n_other = degrees_of_freedom - weights.shape[1]
+    single = (weights > RANK_TOLERANCE).sum(axis=1) == 1
     t = np.clip(shares, RANK_TOLERANCE, 1.0 - RANK_TOLERANCE)[:, None]
     c = np.concatenate((weights - t, -t), axis=1)
-    count = np.append(np.ones(weights.shape[1]), rest)
+    count = np.append(np.ones(weights.shape[1]), n_other)
     low, high = -0.5 / t, 0.5 / (1.0 - t)
     for _ in range(_HALVINGS):
-        at = 0.5 * (low + high)
-        rising = (count * c / (1.0 - 2.0 * at * c)).sum(axis=1, keepdims=True) > 0.0
-        low, high = np.where(rising, low, at), np.where(rising, at, high)
-    at = 0.5 * (low + high)
-    left = 1.0 - 2.0 * at * c
-    K = -0.5 * (count * np.log(left)).sum(axis=1)
-    bend = 2.0 * (count * (c / left) ** 2).sum(axis=1)
-    w, v = np.sign(at[:, 0]) * np.sqrt((-2.0 * K).clip(0.0)), at[:, 0] * np.sqrt(bend)
+        saddle = 0.5 * (low + high)
+        rising = (count * c / (1.0 - 2.0 * saddle * c)).sum(axis=1, keepdims=True) > 0.0
+        low, high = np.where(rising, low, saddle), np.where(rising, saddle, high)
+    saddle = 0.5 * (low + high)
+    factors = 1.0 - 2.0 * saddle * c
+    K = -0.5 * (count * np.log(factors)).sum(axis=1)
+    bend = 2.0 * (count * (c / factors) ** 2).sum(axis=1)
+    w, v = np.sign(saddle[:, 0]) * np.sqrt((-2.0 * K).clip(0.0)), saddle[:, 0] * np.sqrt(bend)
     flat = np.abs(w) < UNLIKELY  # so near to the mean it is a half
     w, v = np.where(flat, 1.0, w), np.where(flat, 1.0, v)
-    found = np.where(flat, 0.5, ndtr(-(w + np.log(v / w) / w)))
+    tail = np.where(flat, 0.5, ndtr(-(w + np.log(v / w) / w)))
     free = degrees_of_freedom - 1
     exact = fdtrc(1, free, free * t[:, 0] / (1.0 - t[:, 0]))  # of one square
-    return np.where(alone, exact, found)
+    return np.where(single, exact, tail)
 
 
 def together(p_values: Array, weights: Array) -> float:

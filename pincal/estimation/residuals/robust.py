@@ -24,22 +24,10 @@ from pincal.types import Index, Mask
 _LEAST = float(np.finfo(float).tiny)  # of probabilities that can be held
 Progress = Callable[[str], None]
 
-
-@dataclass(frozen=True)
-class Refits:
-    """How often a robust fit is made again, and of which rows."""
-
-    rounds: int = 10
-    """Of leaving rows out."""
-    most: int = 200
-    """Evaluations of the fit without a loss, of which only the shift is said."""
-    good: float = 10.0
-    """Reduced χ² up to which a fit says something about its poses."""
-    linear: float = 0.1
-    """Of the machine's size, or [rad], up to which noise acts linearly."""
-
-
-_BY = Refits()
+_ROUNDS = 10  # rounds of leaving rows out
+_EVALUATIONS = 200  # evaluations of the fit without a loss, of which only the shift is said
+_GOOD = 10.0  # reduced χ² up to which a fit says something about its poses
+_LINEAR = 0.1  # share of the machine's size, or [rad], up to which noise acts linearly
 
 
 @dataclass(frozen=True)
@@ -106,55 +94,59 @@ def robust_fit(
         MeasurementError: residuals that do not exist, or have no noise.
     """
     try:
-        found = _fitted(system, rows, loss, partial(fit, start=start, progress=progress))
+        robust = _fitted(system, rows, loss, partial(fit, start=start, progress=progress))
     except ObservabilityError as error:
         check_weakly_determined(mechanism, system.problem, system.unknowns, error)
         raise
-    fit_is_good = found.fit.chi2 <= _BY.good * max(found.fit.degrees_of_freedom, 1)
+    fit_is_good = robust.fit.chi2 <= _GOOD * max(robust.fit.degrees_of_freedom, 1)
     if fit_is_good or not system.known:
-        one = found.fit
+        failed_fit = robust.fit
         check_covariance(
-            mechanism, one.problem, one.parameters, one.covariance, converged=one.converged
+            mechanism,
+            failed_fit.problem,
+            failed_fit.parameters,
+            failed_fit.covariance,
+            converged=failed_fit.converged,
         )
-    return found
+    return robust
 
 
 def _fitted(system: System, rows: Index, loss: Loss | None, search: Callable[..., Fit]) -> Robust:
     if loss is None:
-        one = search(system)
-        found = _outliers(one, one.noise_scale, rows, system.kept, _seen_scale(one))
-        return Robust(one, rows, found, None)
+        optimum = search(system)
+        outliers = _outliers(optimum, optimum.noise_scale, rows, system.kept, _seen_scale(optimum))
+        return Robust(optimum, rows, outliers, None)
     rejecting = loss.name == "reject"
     coarse = search(replace(system, loss=LOSSES["cauchy"]))
     fine = LOSSES["tukey"] if rejecting else loss
-    kept = _near(system.problem, coarse.last)
-    kept = kept if system.kept is None else kept & system.kept
-    fine_system = replace(system, loss=fine, held_scale=coarse.scale, kept=kept)
-    one = search(fine_system, start=coarse.last.state)
-    scale = one.scale
+    near = _near(system.problem, coarse.last)
+    near = near if system.kept is None else near & system.kept
+    fine_system = replace(system, loss=fine, held_scale=coarse.scale, kept=near)
+    optimum = search(fine_system, start=coarse.last.state)
+    scale = optimum.scale
     if rejecting:
-        one = _without_outliers(one, search)
+        optimum = _without_outliers(optimum, search)
     try:
-        plain = search(system, start=one.last.state, most=_BY.most)
+        plain = search(system, start=optimum.last.state, max_evaluations=_EVALUATIONS)
     except (PincalError, np.linalg.LinAlgError):
         plain = None
     return Robust(
-        replace(one, first=coarse.first, costs=coarse.costs),
+        replace(optimum, first=coarse.first, costs=coarse.costs),
         rows,
-        _outliers(one, scale, rows, system.kept),
+        _outliers(optimum, scale, rows, system.kept),
         plain if plain is not None and plain.converged else None,
     )
 
 
-def _seen_scale(one: Fit) -> float:
+def _seen_scale(fit: Fit) -> float:
     """Return the scale of the noise by which rows are judged: that given, or most rows' if larger.
 
     Where every row misses by more than the noise given explains, that noise is wrong, and no row.
     """
-    linear = one.last
-    share = one.degrees_of_freedom / max(int(linear.equations.sum()), 1)
-    seen = robust_scale(linear.squares, linear.equations, share) if share > 0.0 else 0.0
-    return max(one.noise_scale, seen)
+    linear = fit.last
+    share = fit.degrees_of_freedom / max(int(linear.equations.sum()), 1)
+    scale = robust_scale(linear.squares, linear.equations, share) if share > 0.0 else 0.0
+    return max(fit.noise_scale, scale)
 
 
 def _near(problem: Problem, linear: Linear) -> Mask:
@@ -164,64 +156,64 @@ def _near(problem: Problem, linear: Linear) -> Mask:
     its size; neither has derivatives that say anything, and no loss bounds what they weigh.
     """
     moved = (linear.white.noise @ linear.noise[:, :, None])[:, :, 0]
-    far = {"m": _BY.linear * largest_size(problem.legs), "rad": _BY.linear}
-    seen = problem.observation.units if problem.latent else ()
-    units = [*["m"] * problem.leg_block.n_rows, *seen]
+    far = {"m": _LINEAR * largest_size(problem.legs), "rad": _LINEAR}
+    observed_units = problem.observation.units if problem.latent else ()
+    units = [*["m"] * problem.leg_block.n_rows, *observed_units]
     near = np.abs(moved) <= [far.get(unit, np.inf) for unit in units]
     return ~unsolved(problem, linear) & near.all(axis=1)
 
 
 def _without_outliers(robust: Fit, search: Callable[..., Fit]) -> Fit:
     """Return the least-squares fit of the rows that fit each other."""
-    one, kept = robust, np.ones(len(robust.weights), dtype=bool)
-    counts = kept if robust.system.kept is None else robust.system.kept
-    for _ in range(_BY.rounds):
-        linear = one.last
-        now = counts & ~outlying(linear.squares / robust.scale**2, linear.equations)
-        if one is not robust and (now == kept).all():
+    current, rows = robust, np.ones(len(robust.weights), dtype=bool)
+    counts = rows if robust.system.kept is None else robust.system.kept
+    for _ in range(_ROUNDS):
+        linear = current.last
+        inliers = counts & ~outlying(linear.squares / robust.scale**2, linear.equations)
+        if current is not robust and (inliers == rows).all():
             break
-        kept = now
-        one = search(without(robust.system, kept), start=one.last.state)
-    return one
+        rows = inliers
+        current = search(without(robust.system, rows), start=current.last.state)
+    return current
 
 
 def _outliers(
-    one: Fit, scale: float, rows: Index, counts: Mask | None, judged: float = 0.0
+    fit: Fit, scale: float, rows: Index, counts: Mask | None, judged: float = 0.0
 ) -> tuple[Outlier, ...]:
     """Return the rows that do not fit, the worst first.
 
     Args:
-        one: The fit.
+        fit: The fit.
         scale: Of the noise.
         rows: Rows of the measurements.
         counts: Which of them a fit may follow, shape (N,); all if not given. Others, such as those
             for verification, are judged elsewhere.
         judged: Scale by which rows in use are judged, if larger.
     """
-    linear = one.last
-    if not (one.converged and scale > 0.0):
+    linear = fit.last
+    if not (fit.converged and scale > 0.0):
         return ()
     equations = np.maximum(linear.equations, 1)
     relative = linear.squares / scale**2
-    left_out = outlying(relative, equations) & (one.weights == 0.0)
+    left_out = outlying(relative, equations) & (fit.weights == 0.0)
     far = np.where(linear.equations > 0, linear.squares / max(scale, judged) ** 2, 0.0)
     listed = (left_out | suspected(far, equations)) & (linear.equations > 0)
     listed = np.flatnonzero(listed if counts is None else listed & counts)
-    legs = tuple(leg.name for leg in one.problem.legs)
-    noise = np.abs(linear.noise[:, : len(one.problem.quantities)]) / scale
+    legs = tuple(leg.name for leg in fit.problem.legs)
+    noise = np.abs(linear.noise[:, : len(fit.problem.quantities)]) / scale
     worst = noise.argmax(axis=1)
-    found = [
+    outliers = [
         Outlier(
             row=int(rows[i]),
             legs=legs,
             sigma=_as_one(float(relative[i]), int(equations[i])),
-            weight=float(one.weights[i]),
-            quantity=tuple(one.problem.quantities)[worst[i]],
+            weight=float(fit.weights[i]),
+            quantity=tuple(fit.problem.quantities)[worst[i]],
             off=float(noise[i, worst[i]]),
         )
         for i in listed
     ]
-    return tuple(sorted(found, key=lambda o: -o.sigma))
+    return tuple(sorted(outliers, key=lambda o: -o.sigma))
 
 
 def _as_one(squares: float, equations: int) -> float:

@@ -16,7 +16,7 @@ from scipy.special import fdtrc
 from pincal.estimation.fit import Fit
 from pincal.estimation.linear import left_over
 from pincal.estimation.observability.indices import RANK_TOLERANCE
-from pincal.estimation.residuals.redundancy import Form
+from pincal.estimation.residuals.redundancy import ResidualForm
 from pincal.kinematics.batches import over_rows
 from pincal.types import Array, Index
 
@@ -64,9 +64,11 @@ class Error:
     along: Array
     """wᵀ M r of each row, shape (n_used,)."""
 
-    def __add__(self, other: Error) -> Error:
+    def __add__(self, second: Error) -> Error:
         """Return both errors at once."""
-        return Error(self.white + other.white, self.taken + other.taken, self.along + other.along)
+        return Error(
+            self.white + second.white, self.taken + second.taken, self.along + second.along
+        )
 
 
 @dataclass(frozen=True)
@@ -86,14 +88,14 @@ class Residuals:
     degrees_of_freedom: int
 
     @classmethod
-    def of(cls, one: Fit) -> Residuals:
+    def of(cls, fit: Fit) -> Residuals:
         """Return those of a fit."""
-        used, Q, r = np.flatnonzero(one.good), one.Q, one.last.residuals[one.good]
-        held, rows = one.unknowns.prior_rows(one.system.values(one.last.state))
-        prior = one.orthonormal(rows)
-        left, beside = left_over(Q, r, prior, held)
-        chi2 = float((left**2).sum() + (beside**2).sum())
-        return cls(used, left, Q, prior, beside, chi2, one.degrees_of_freedom)
+        used, Q, r = np.flatnonzero(fit.good), fit.Q, fit.last.residuals[fit.good]
+        held, rows = fit.unknowns.prior_rows(fit.system.values(fit.last.state))
+        prior = fit.orthonormal(rows)
+        projected, projected_prior = left_over(Q, r, prior, held)
+        chi2 = float((projected**2).sum() + (projected_prior**2).sum())
+        return cls(used, projected, Q, prior, projected_prior, chi2, fit.degrees_of_freedom)
 
     def error(self, w: Array) -> Error:
         """Return an error of white rows of shape (n_used, m)."""
@@ -106,7 +108,7 @@ class Residuals:
         ratio = inside / rank / (np.maximum(self.chi2 - inside, 1e-300) / free)
         return np.asarray(fdtrc(rank, free, ratio))
 
-    def form(self, *errors: tuple[Error, Array], common: bool = False) -> Form:
+    def form(self, *errors: tuple[Error, Array], common: bool = False) -> ResidualForm:
         """Return what residuals say of errors with amplitudes as large as each other.
 
         White rows and courses are never multiplied out: W_n = w_n b_nᵀ, so WᵀW = Σ |w_n|² b_n b_nᵀ.
@@ -119,20 +121,18 @@ class Residuals:
         squares = W @ W.transpose(0, 2, 1)
         B = np.concatenate([b for _, b in errors], axis=1)
         owner = np.repeat(np.arange(len(errors)), [b.shape[1] for _, b in errors])
-        whole = np.concatenate(
-            [b.T @ (squares[:, k, owner] * B) for k, (_, b) in enumerate(errors)]
-        )
+        gram = np.concatenate([b.T @ (squares[:, k, owner] * B) for k, (_, b) in enumerate(errors)])
         hidden = np.concatenate([error.taken.T @ b for error, b in errors], axis=1)
         inside = np.concatenate([error.along @ b for error, b in errors])
         if common:
             k = len(errors)
-            whole = whole.reshape(k, -1, k, whole.shape[1] // k).sum(axis=(0, 2))
+            gram = gram.reshape(k, -1, k, gram.shape[1] // k).sum(axis=(0, 2))
             hidden, inside = (
                 hidden.reshape(len(hidden), k, -1).sum(axis=1),
                 inside.reshape(k, -1).sum(axis=0),
             )
-        values = np.asarray(np.linalg.eigvalsh(whole - hidden.T @ hidden), np.float64)
-        return Form(values, float(inside @ inside), float(np.trace(whole)))
+        values = np.asarray(np.linalg.eigvalsh(gram - hidden.T @ hidden), np.float64)
+        return ResidualForm(values, float(inside @ inside), float(np.trace(gram)))
 
     def amplitudes(self, W: Array) -> Amplitudes:
         """Return the amplitudes that residuals ask for along the white rows of terms.
@@ -143,31 +143,31 @@ class Residuals:
         lengths = np.linalg.norm(W, axis=(0, 1))
         lengths = np.where(lengths > 0.0, lengths, 1.0)
         U, s, V = np.linalg.svd(self._seen(W / lengths), full_matrices=False)
-        kept = s > RANK_TOLERANCE
-        rank = int(kept.sum())
+        resolved = s > RANK_TOLERANCE
+        rank = int(resolved.sum())
         if not 0 < rank < self.degrees_of_freedom:
             none = np.full(W.shape[2], np.inf)
             return Amplitudes(np.zeros(W.shape[2]), none, 0.0, 0, 0.0, 1.0)
-        along = U[:, kept].T @ self._whole
+        along = U[:, resolved].T @ self._whole
         inside = float(along @ along)
-        rest = max(self.chi2 - inside, 1e-300) / (self.degrees_of_freedom - rank)
-        back = V[kept].T / s[kept] / lengths[:, None]
-        taken = (V[~kept] ** 2).sum(axis=0) > RANK_TOLERANCE  # along what geometry takes up
-        std = np.where(taken, np.inf, np.sqrt(rest * (back**2).sum(axis=1)))
+        noise = max(self.chi2 - inside, 1e-300) / (self.degrees_of_freedom - rank)
+        by_direction = V[resolved].T / s[resolved] / lengths[:, None]
+        taken = (V[~resolved] ** 2).sum(axis=0) > RANK_TOLERANCE  # along what geometry takes up
+        std = np.where(taken, np.inf, np.sqrt(noise * (by_direction**2).sum(axis=1)))
         p_value = float(self.chance(inside, rank))
-        return Amplitudes(-back @ along, std, inside / rank / rest, rank, inside, p_value)
+        return Amplitudes(-by_direction @ along, std, inside / rank / noise, rank, inside, p_value)
 
     def size(self, error: Error, course: Array) -> float:
         """Return how large an error of some course is, shape (n_used,)."""
         taken = course @ error.taken
-        seen = float(course**2 @ (error.white**2).sum(axis=1) - taken @ taken)
-        return float(course @ error.along) / seen if seen > 0.0 else 0.0
+        information = float(course**2 @ (error.white**2).sum(axis=1) - taken @ taken)
+        return float(course @ error.along) / information if information > 0.0 else 0.0
 
     def step(self, error: Error) -> tuple[float, int, float]:
         """Return the probability of the clearest step anywhere, its first row and its size."""
-        own = (error.white**2).sum(axis=1)[:, None, None]
-        found = self._change(own, error.taken[:, :, None], error.along[:, None])
-        return found.p_value, found.row, float(found.size[0])
+        squares = (error.white**2).sum(axis=1)[:, None, None]
+        change = self._change(squares, error.taken[:, :, None], error.along[:, None])
+        return change.p_value, change.row, float(change.size[0])
 
     def change(self, W: Array) -> Change:
         """Return the clearest step of several errors at once, from one row on.
@@ -179,13 +179,15 @@ class Residuals:
         taken = self.Q.transpose(0, 2, 1) @ W
         return self._change(transposed @ W, taken, (transposed @ self.left[:, :, None])[:, :, 0])
 
-    def _change(self, own: Array, by: Array, along: Array) -> Change:
+    def _change(self, gram: Array, taken_up: Array, along: Array) -> Change:
         """Return the clearest step by WᵀW, QᵀW and Wᵀ M r of each row."""
-        f = own.shape[2]
+        f = gram.shape[2]
         none = Change(1.0, 0, np.zeros(f), 0.0)
-        if len(own) < 2 or self.degrees_of_freedom <= f:
+        if len(gram) < 2 or self.degrees_of_freedom <= f:
             return none
-        after, squares, taken = (np.cumsum(one[::-1], axis=0)[::-1][1:] for one in (along, own, by))
+        after, squares, taken = (
+            np.cumsum(rows[::-1], axis=0)[::-1][1:] for rows in (along, gram, taken_up)
+        )
         lengths = squares - taken.transpose(0, 2, 1) @ taken
         least = RANK_TOLERANCE * max(float(np.trace(squares[0])), 1e-300)
         known = np.linalg.eigvalsh(lengths)[:, 0] > least
@@ -207,12 +209,13 @@ class Residuals:
             self._seen(W / np.where(lengths > 0.0, lengths, 1.0)), full_matrices=False
         )
         U = U[:, s > RANK_TOLERANCE]  # that parameters do not take up
-        whole, size = self._whole - U @ (U.T @ self._whole), self.left.size
-        left, beside = whole[:size].reshape(self.left.shape), whole[size:]
+        projected, size = self._whole - U @ (U.T @ self._whole), self.left.size
+        rows, prior_rows = projected[:size].reshape(self.left.shape), projected[size:]
         Q = np.concatenate((self.Q, U[:size].reshape(*self.left.shape, -1)), axis=2)
         prior = np.concatenate((self.prior, U[size:]), axis=1)
         free = self.degrees_of_freedom - U.shape[1]
-        return Residuals(self.used, left, Q, prior, beside, float((whole**2).sum()), free)
+        chi2 = float((projected**2).sum())
+        return Residuals(self.used, rows, Q, prior, prior_rows, chi2, free)
 
     @property
     def _whole(self) -> Array:
