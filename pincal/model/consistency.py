@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from itertools import chain
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pincal.errors import MechanismError
-from pincal.model.checks import LARGEST
+from pincal.model.checks import EXACT, LARGEST
 from pincal.model.orientation import SINGLE_ANGLES, WAYS
-from pincal.model.placement import Placement
 from pincal.model.sensor import check_terms
-from pincal.types import Array
 
 if TYPE_CHECKING:
-    from pincal.model.leg import Leg
+    from pincal.model.leg import Joint, Leg
     from pincal.model.mechanism import Mechanism
 
 #: Columns of tables that mean something else than a reading.
@@ -37,11 +36,8 @@ def identifiers(names: Iterable[str]) -> tuple[str, ...]:
         plain = re.sub(r"\W", "_", plain)[:50]
         if not re.match("[A-Za-z_]", plain) or plain in RESERVED or plain.startswith("sigma_"):
             plain = f"joint_{plain}"
-        count, unlike = 1, plain
-        while unlike in taken:
-            count += 1
-            unlike = f"{plain}_{count}"
-        taken.append(unlike)
+        candidates = (f"{plain}_{count}" for count in range(2, len(taken) + 2))
+        taken.append(next(name for name in (plain, *candidates) if name not in taken))
     return tuple(taken)
 
 
@@ -49,141 +45,179 @@ def check_leg(leg: Leg) -> None:
     """Raise if joints, sensors, parameters and terms of a leg do not go together.
 
     Raises:
-        MechanismError: what is wrong.
+        MechanismError: the first fault.
     """
+    for fault in _joint_faults(leg):
+        raise MechanismError(f"{leg.name}: {fault}")
+    check_terms(leg, leg.placed)
+    for fault in _parameter_faults(leg):
+        raise MechanismError(f"{leg.name}: {fault}")
+    for joint in (*leg.joints, leg.point):
+        joint.placement.rest(leg.nominal_by_name, f"{leg.name}, joint {joint.name!r}")
+
+
+def _joint_faults(leg: Leg) -> Iterator[str]:
+    """Yield what is wrong with joints, and with which of them the sensors read."""
     for joint in leg.moving:
         finite = np.isfinite([joint.lower, joint.upper])
-        unbounded = joint.kind == "revolute" and not finite.any()
+        unbounded = joint.turns and not finite.any()
         if not (joint.lower < joint.upper and (finite.all() or unbounded)):
-            raise MechanismError(
-                f"{leg.name}: joint {joint.name!r} has limits {joint.lower:g} to "
-                f"{joint.upper:g}; expected finite ones, lower below upper"
+            yield (
+                f"joint {joint.name!r} has limits {joint.lower:g} to {joint.upper:g}; expected "
+                "finite ones, lower below upper"
             )
     names = [joint.name for joint in leg.joints]
     if len(set(names)) != len(names):
-        raise MechanismError(f"{leg.name}: joint names repeat: {names}")
-    read = [sensor.joint for sensor in leg.sensors]
-    if wrong := [name for name in read if name not in {j.name for j in leg.moving}]:
-        raise MechanismError(
-            f"{leg.name}: active joint {wrong[0]!r} is not a moving joint of the "
-            f"leg; it has {', '.join(j.name for j in leg.moving)}"
-        )
+        yield f"joint names repeat: {names}"
+    moving, read = [joint.name for joint in leg.moving], [sensor.joint for sensor in leg.sensors]
+    for name in read:
+        if name not in moving:
+            yield (
+                f"active joint {name!r} is not a moving joint of the leg; it has "
+                f"{', '.join(moving)}"
+            )
     if not read or len(set(read)) != len(read):
-        raise MechanismError(
-            f"{leg.name}: its sensors read {', '.join(read) or 'nothing'}; expected one "
-            "sensor or more, each of another joint"
+        yield (
+            f"its sensors read {', '.join(read) or 'nothing'}; expected one sensor or more, each "
+            "of another joint"
         )
-    check_terms(leg, leg.placed)
-    used = set(leg.units)
-    declared = [name for name, _ in leg.parameters]
+
+
+def _parameter_faults(leg: Leg) -> Iterator[str]:
+    """Yield what is wrong with a leg's parameters: their names, their values, and gains."""
+    used, declared = set(leg.units), leg.parameter_names
     if len(set(declared)) != len(declared):
-        raise MechanismError(f"{leg.name}: parameter names repeat: {declared}")
-    if missing := used - set(declared):
-        raise MechanismError(
-            f"{leg.name}: parameter {sorted(missing)[0]!r} is used in a placement or the "
-            "sensor but has no nominal value under 'parameters'"
+        yield f"parameter names repeat: {list(declared)}"
+    for name in sorted(used.difference(declared)):
+        yield (
+            f"parameter {name!r} is used in a placement or the sensor but has no nominal value "
+            "under 'parameters'"
         )
-    if unused := set(declared) - used:
-        raise MechanismError(
-            f"{leg.name}: parameter {sorted(unused)[0]!r} is used by no placement and not "
-            "by the sensor; name it in one of them or remove it"
+    for name in sorted(set(declared) - used):
+        yield (
+            f"parameter {name!r} is used by no placement and not by the sensor; name it in one of "
+            "them or remove it"
         )
-    if not all(np.isfinite(value) for _, value in leg.parameters):
-        raise MechanismError(f"{leg.name}: a nominal parameter is not a finite number")
+    if not np.isfinite(leg.nominal).all():
+        yield "a nominal parameter is not a finite number"
     for sensor in leg.sensors:
         gain, _ = sensor.constants(leg.nominal_by_name)
         if not 1.0 / LARGEST <= abs(gain) <= LARGEST:
-            raise MechanismError(
-                f"{leg.name}: the sensor's gain is {gain:g}; expected one that is neither "
-                f"zero nor more than {LARGEST:g} times too small or large"
+            yield (
+                f"the sensor's gain is {gain:g}; expected one that is neither zero nor more than "
+                f"{LARGEST:g} times too small or large"
             )
-    for joint in (*leg.joints, leg.point):
-        joint.placement.rest(leg.nominal_by_name, f"{leg.name}, joint {joint.name!r}")
 
 
 def check_mechanism(mechanism: Mechanism) -> None:
     """Raise if the legs, their names and what weighs on them do not go together.
 
     Raises:
-        MechanismError: what is wrong.
+        MechanismError: the first fault.
     """
-    where = f"mechanism {mechanism.name!r}"
-    names = [leg.name for leg in mechanism.legs]
+    faults = (_leg_name_faults, _column_faults, _load_faults, _reading_faults, _leg_faults)
+    for fault in chain.from_iterable(of_topic(mechanism) for of_topic in faults):
+        raise MechanismError(fault)
+
+
+def _leg_name_faults(mechanism: Mechanism) -> Iterator[str]:
+    """Yield what is wrong with the names of the mechanism and its legs."""
+    names = mechanism.leg_names
     if not names:
-        raise MechanismError(f"{where} has no legs")
+        yield f"mechanism {mechanism.name!r} has no legs"
     if len(set(names)) != len(names):
-        raise MechanismError(f"{where}: leg names repeat: {names}")
+        yield f"mechanism {mechanism.name!r}: leg names repeat: {list(names)}"
     if not (mechanism.name and mechanism.name.isprintable() and len(mechanism.name) <= 100):
-        raise MechanismError(f"{mechanism.name[:100]!r} is no name for a mechanism")
+        yield f"{mechanism.name[:100]!r} is no name for a mechanism"
+
+
+def _column_faults(mechanism: Mechanism) -> Iterator[str]:
+    """Yield which readings and influences cannot head columns of a table."""
     readings = mechanism.reading_names
-    if taken := [name for name in readings if name in RESERVED or name.startswith("sigma_")]:
-        raise MechanismError(
-            f"{where}: a reading named {taken[0]!r} cannot be distinguished "
-            f"from that column of a pose; rename its joint or leg ({taken[0]}_joint, say)"
-        )
-    if taken := [name for name in mechanism.influences if name in RESERVED or name in readings]:
-        raise MechanismError(
-            f"{where}: a term depends on {taken[0]!r}, which is another column "
-            "of tables; name the influence otherwise"
-        )
-    if odd := [name for name in mechanism.influences if not _is_column(name)]:
-        raise MechanismError(
-            f"{where}: a term depends on {odd[0]!r}, which heads no column of a table; expected a "
-            "name such as temperature: no brackets, no blanks around it, not sigma_… or cov_…"
-        )
-    known = {one.id for one in mechanism.parameters}
-    drawn = () if mechanism.load is None else mechanism.load.drawn
-    if odd := [name for name, _ in drawn if name not in known]:
-        raise MechanismError(f"{where}: the load's drawing has {odd[0]!r}, which is no parameter")
+    for name in readings:
+        if name in RESERVED or name.startswith("sigma_"):
+            yield (
+                f"mechanism {mechanism.name!r}: a reading named {name!r} cannot be distinguished "
+                f"from that column of a pose; rename its joint or leg ({name}_joint, say)"
+            )
+    for name in mechanism.influences:
+        if name in RESERVED or name in readings:
+            yield (
+                f"mechanism {mechanism.name!r}: a term depends on {name!r}, which is another "
+                "column of tables; name the influence otherwise"
+            )
+    for name in mechanism.influences:
+        bracketed = name != name.strip() or not name or set("[]") & set(name)
+        if bracketed or name.startswith(("sigma_", "cov_")):
+            yield (
+                f"mechanism {mechanism.name!r}: a term depends on {name!r}, which heads no column "
+                "of a table; expected a name such as temperature: no brackets, no blanks around "
+                "it, not sigma_… or cov_…"
+            )
+
+
+def _load_faults(mechanism: Mechanism) -> Iterator[str]:
+    """Yield what is wrong with what weighs on the mechanism."""
+    ids = {parameter.id for parameter in mechanism.parameters}
+    for name, _ in () if mechanism.load is None else mechanism.load.drawn:
+        if name not in ids:
+            yield (
+                f"mechanism {mechanism.name!r}: the load's drawing has {name!r}, which is no "
+                "parameter"
+            )
     if mechanism.load is None and mechanism.loaded:
-        raise MechanismError(
-            f"{where}: a term depends on a load, but what "
-            "weighs on the mechanism is not said; give 'load' (mass, centre, gravity)"
+        yield (
+            f"mechanism {mechanism.name!r}: a term depends on a load, but what weighs on the "
+            "mechanism is not said; give 'load' (mass, centre, gravity)"
         )
+
+
+def _reading_faults(mechanism: Mechanism) -> Iterator[str]:
+    """Yield whether readings, or a leg and the platform, share a name."""
+    readings = mechanism.reading_names
     if len(set(readings)) != len(readings):
-        raise MechanismError(
-            f"{where}: names of readings repeat: {', '.join(readings)}; a "
+        yield (
+            f"mechanism {mechanism.name!r}: names of readings repeat: {', '.join(readings)}; a "
             "leg's only sensor is named after the leg, several ones after their joints"
         )
-    if "platform" in names:
-        raise MechanismError("'platform' names the platform's file; name the leg otherwise")
-    points: dict[str, tuple[str, Placement]] = {}
+    if "platform" in mechanism.leg_names:
+        yield "'platform' names the platform's file; name the leg otherwise"
+
+
+def _leg_faults(mechanism: Mechanism) -> Iterator[str]:
+    """Yield which legs share a point that is not one, demand nothing, or leave the plane."""
+    points: dict[str, Leg] = {}
     for leg in mechanism.legs:
-        other, placement = points.setdefault(leg.point.name, (leg.name, leg.point.placement))
-        if other != leg.name and (placement != leg.point.placement or placement.parameter_units):
-            raise MechanismError(
-                f"{other} and {leg.name} share the platform point {leg.point.name!r}, so it "
-                "must be the same for both and have no parameters; give each leg its own point"
+        sharing, placement = points.setdefault(leg.point.name, leg), leg.point.placement
+        if sharing is not leg and (
+            placement != sharing.point.placement or placement.parameter_units
+        ):
+            yield (
+                f"{sharing.name} and {leg.name} share the platform point {leg.point.name!r}, so "
+                "it must be the same for both and have no parameters; give each leg its own point"
             )
     for leg in mechanism.legs:
         rows, passive = len(mechanism.platform.closing(leg.closes)), len(leg.passive)
         if passive >= rows:
-            raise MechanismError(
+            yield (
                 f"{leg.name} has {passive} passive joints for {rows} rows of its closure: it "
                 "demands nothing of the platform; read another of its joints, or leave it out"
             )
-    planar = mechanism.platform.space == 2
-    for leg in mechanism.legs if planar else ():
+    for leg in mechanism.legs if mechanism.platform.space == 2 else ():
         for joint in leg.joints:
-            _check_planar(leg.name, joint.name, joint.kind, joint.placement.origin(), joint.axis)
+            if _leaves_plane(joint):
+                yield (
+                    f"{leg.name}: joint {joint.name!r} leaves the plane; in a planar mechanism "
+                    "revolute axes are parallel to z, prismatic axes perpendicular to it, and "
+                    "frames turn about z only"
+                )
 
 
-def _is_column(name: str) -> bool:
-    """Return whether a table may have a column of an influence quantity by this name."""
-    plain = name == name.strip() != "" and not set("[]") & set(name)
-    return plain and not name.startswith(("sigma_", "cov_"))
-
-
-def _check_planar(
-    leg: str, joint: str, kind: str, origin: Array, axis: tuple[float, float, float]
-) -> None:
-    """Raise if a joint would move the leg out of the x-y plane of the base."""
-    out_of_plane = abs(abs(origin[2, 2]) - 1.0) > 1e-9
-    along_z = abs(abs(axis[2]) - 1.0) < 1e-9
-    in_plane = abs(axis[2]) < 1e-9
-    wrong_axis = (kind == "revolute" and not along_z) or (kind == "prismatic" and not in_plane)
-    if out_of_plane or wrong_axis:
-        raise MechanismError(
-            f"{leg}: joint {joint!r} leaves the plane; in a planar mechanism revolute axes are "
-            "parallel to z, prismatic axes perpendicular to it, and frames turn about z only"
-        )
+def _leaves_plane(joint: Joint) -> bool:
+    """Return whether a joint would move the leg out of the x-y plane of the base."""
+    if abs(abs(joint.placement.origin()[2, 2]) - 1.0) > EXACT:
+        return True
+    height = abs(joint.axis[2])
+    if joint.kind == "fixed":
+        return False
+    return not (abs(height - 1.0) < EXACT if joint.turns else height < EXACT)

@@ -86,51 +86,61 @@ def _move_point(
     first = _frame_size(coordinates)
     frame = Placement(coordinates[:first]).displacement(old)
     G = np.linalg.inv(frame) @ by.matrix @ frame if first else by.matrix
-    vector = np.zeros(3)
+    moved = _moved_vector(coordinates[first:], G, old, where)
+    if np.abs(G[:2, 2]).max() > 0.0 or np.abs(G[2, :2]).max() > 0.0 or G[:3, 3].any():
+        turn = None
+    else:  # azimuths follow exactly, also of points on the axis
+        turn = (float(np.arctan2(G[1, 0], G[0, 0])), 1.0 if np.linalg.det(G[:2, :2]) > 0 else -1.0)
+    result, components = list(coordinates[:first]), set()
     for c in coordinates[first:]:
+        before = [old[v] if isinstance(v, str) else v for v in c.values]
+        if c.kind in ("x", "y", "z"):
+            after = [float(moved["xyz".index(c.kind)])]
+        elif turn is not None:
+            after = [*before[:-1], wrapped(turn[0] + turn[1] * before[-1])]
+            if c.kind == "spherical" and G[2, 2] < 0.0:
+                after[1] = np.pi - after[1]
+        elif c.turns:
+            raise SymmetryError(f"{where} turns more than the coordinate {c.kind!r} can say")
+        else:
+            after = _polar(np.sign(before[0]) or 1.0, moved, spherical=c.kind == "spherical")
+        components |= set(_GIVES.get(c.kind, ""))
+        result.append(
+            Coordinate(c.kind, tuple(_set(v, a, new) for v, a in zip(c.values, after, strict=True)))
+        )
+    needed = {letter for letter, component in zip("xyz", moved, strict=True) if component != 0.0}
+    if coordinates[first:] and (missing := sorted(needed - components)):
+        raise SymmetryError(f"{where} needs a coordinate {missing[0]!r} there")
+    return tuple(result)
+
+
+def _moved_vector(
+    coordinates: tuple[Coordinate, ...], G: Array, values: dict[str, float], where: str
+) -> Array:
+    """Return where the isometry G, shape (4, 4), takes the point that coordinates give, (3,)."""
+    vector = np.zeros(3)
+    for c in coordinates:
         if c.turns and not (c.kind == "rz" and c is coordinates[-1]):
             raise SymmetryError(
                 f"{where} cannot carry a placement on the base with a rotation ({c.kind}); "
                 "give the point by polar, spherical or x, y, z, and a turn about z last, by rz"
             )
         if not c.turns:
-            vector += Placement((c,)).displacement(old)[:3, 3]
+            vector += Placement((c,)).displacement(values)[:3, 3]
     size = float(np.abs(vector).max(initial=0.0))
     moved = G[:3, :3] @ vector + (G[:3, 3] if size else 0.0)  # corrections stay zero
     moved[np.abs(moved) <= ROUNDING * (size + np.abs(G[:3, 3]).max())] = 0.0
-    if np.abs(G[:2, 2]).max() > 0.0 or np.abs(G[2, :2]).max() > 0.0 or G[:3, 3].any():
-        turn = None
-    else:  # azimuths follow exactly, also of points on the axis
-        turn = (float(np.arctan2(G[1, 0], G[0, 0])), 1.0 if np.linalg.det(G[:2, :2]) > 0 else -1.0)
-    result, given = list(coordinates[:first]), set()
-    for c in coordinates[first:]:
-        before = [old[v] if isinstance(v, str) else v for v in c.values]
-        if c.kind in ("x", "y", "z"):
-            after = [float(moved["xyz".index(c.kind)])]
-            given.add(c.kind)
-        elif turn is not None:
-            after = [*before[:-1], wrapped(turn[0] + turn[1] * before[-1])]
-            if c.kind == "spherical" and G[2, 2] < 0.0:
-                after[1] = np.pi - after[1]
-            given |= set(_GIVES.get(c.kind, ""))
-        elif c.turns:
-            raise SymmetryError(f"{where} turns more than the coordinate {c.kind!r} can say")
-        else:
-            side = np.sign(before[0]) or 1.0
-            across = side * moved
-            radius = np.linalg.norm(moved[: 3 if c.kind == "spherical" else 2])
-            azimuth = float(np.arctan2(across[1], across[0]))
-            polar = float(np.arctan2(np.hypot(across[0], across[1]), across[2]))
-            after = [float(side * radius), *([polar] if len(before) == 3 else []), azimuth]
-            given |= set(_GIVES[c.kind])
-        result.append(
-            Coordinate(c.kind, tuple(_set(v, a, new) for v, a in zip(c.values, after, strict=True)))
-        )
-    if coordinates[first:]:
-        for letter, component in zip("xyz", moved, strict=True):
-            if component != 0.0 and letter not in given:
-                raise SymmetryError(f"{where} needs a coordinate {letter!r} there")
-    return tuple(result)
+    return moved
+
+
+def _polar(side: float, point: Array, spherical: bool) -> list[float]:
+    """Return radius, angle from z if spherical, and azimuth of a point; the radius has a sign."""
+    x, y, z = side * point
+    azimuth = float(np.arctan2(y, x))
+    if not spherical:
+        return [float(side * np.hypot(x, y)), azimuth]
+    radius = float(side * np.linalg.norm(point))
+    return [radius, float(np.arctan2(np.hypot(x, y), z)), azimuth]
 
 
 def _frame_size(coordinates: tuple[Coordinate, ...]) -> int:

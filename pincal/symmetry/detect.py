@@ -190,20 +190,26 @@ def symmetry_group(
 def _group(mechanism: Mechanism, tolerance: float, readings: bool) -> SymmetryGroup:
     """Return the symmetry group of a mechanism, found once."""
     fits = Fits(mechanism, readings)
-    left = [(e, p) for e in suggested(mechanism) if (p := fits.permutation(e, tolerance))]
-    left = [left[i] for i in distinct([e for e, _ in left], [p for _, p in left])]
+    permuted = {e: fits.permutation(e, tolerance) for e in suggested(mechanism)}
+    elements = [element for element, permutation in permuted.items() if permutation]
+    permutations = [permuted[element] for element in elements]
+    chosen = distinct(elements, permutations)
     while True:
-        table = product_table([e for e, _ in left], [p for _, p in left])
-        left = [left[i] for i in largest_closed(table)]
-        elements = exact([e for e, _ in left], fits.centres, fits.points.size)
-        found = [fits.permutation(element, tolerance) for element in elements]
-        if all(found) and (product_table(elements, found) >= 0).all():
+        elements, permutations = [elements[i] for i in chosen], [permutations[i] for i in chosen]
+        closed = largest_closed(product_table(elements, permutations))
+        elements = exact([elements[i] for i in closed], fits.centres, fits.points.size)
+        permutations = [fits.permutation(element, tolerance) for element in elements]
+        chosen = [i for i, permutation in enumerate(permutations) if permutation]  # the identity
+        closes = len(chosen) == len(elements)
+        if closes and (product_table(elements, permutations) >= 0).all():
             break
-        left = [(e, p) for e, p in zip(elements, found, strict=True) if p]  # the identity always
-    order = sorted(range(len(elements)), key=lambda i: place_of(elements[i]))
-    permutations = tuple(found[i] or () for i in order)
+    order = sorted(chosen, key=lambda i: place_of(elements[i]))
     return SymmetryGroup(
-        mechanism, tuple(elements[i] for i in order), permutations, tolerance, readings
+        mechanism,
+        tuple(elements[i] for i in order),
+        tuple(permutations[i] for i in order),
+        tolerance,
+        readings,
     )
 
 

@@ -12,7 +12,7 @@ from pincal.kinematics.closed_forms import is_line, reach_of
 from pincal.kinematics.closing import home_mode
 from pincal.kinematics.closure import LegClosure
 from pincal.model.checks import ALIKE
-from pincal.model.leg import Joint, Leg
+from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Platform
 from pincal.symmetry.elements import Element, Isometry, wrapped
@@ -71,17 +71,18 @@ class Traits:
         return Traits(self.mode * (sign if square else 1.0), barred)
 
 
-def differences(carried: Leg, leg: Leg, own: Traits, its: Traits) -> Iterator[Difference]:
+def differences(
+    carried: Leg, leg: Leg, carried_traits: Traits, traits: Traits
+) -> Iterator[Difference]:
     """Yield every quantity in which a carried leg and another one differ, and by how much.
 
     Args:
         carried: The carried leg.
         leg: The other one.
-        own: Traits of the carried leg.
-        its: Of the other one.
+        carried_traits: Traits of the carried leg.
+        traits: Traits of the other one.
     """
-    kinds = [[joint.kind for joint in one.joints] for one in (carried, leg)]
-    if kinds[0] != kinds[1]:
+    if [joint.kind for joint in carried.joints] != [joint.kind for joint in leg.joints]:
         yield Difference("sequence of joints", None)
         return
     if carried.parameter_names != leg.parameter_names:
@@ -89,18 +90,13 @@ def differences(carried: Leg, leg: Leg, own: Traits, its: Traits) -> Iterator[Di
         return
     for name, a, b in zip(leg.parameter_names, carried.nominal, leg.nominal, strict=True):
         unit = leg.units[name]
-        off = abs(wrapped(a - b)) if unit == "rad" else abs(float(a - b))
-        yield Difference(f"parameter {name!r}", off, unit)
-    barred = _barred_apart(own.barred, its.barred)
-    meets = (leg.joints[-1], leg.point) if leg.closes == "point" else ()  # points have no axes
-    both = zip((*carried.joints, carried.point), (*leg.joints, leg.point), strict=True)
-    for a, b in both:
-        pointlike = b.kind == "fixed" and any(b is one for one in meets)
-        yield from _places_differ(a, b, not pointlike and barred is None)
-    if barred is not None:
-        seen = barred if np.isfinite(barred) else None
-        yield Difference(f"orientation of joint {leg.moving[0].name!r}", seen, "rad")
-    elif own.mode != its.mode:
+        yield Difference(f"parameter {name!r}", _deviation(float(a - b), unit), unit)
+    line_turn = _line_turn(carried_traits.barred, traits.barred)
+    yield from _places_differ(carried, leg, oriented=line_turn is None)
+    if line_turn is not None:
+        turn = line_turn if np.isfinite(line_turn) else None
+        yield Difference(f"orientation of joint {leg.moving[0].name!r}", turn, "rad")
+    elif carried_traits.mode != traits.mode:
         yield Difference("working mode (the side on which the leg bends)", None)
     if carried.active != leg.active or carried.closes != leg.closes:
         yield Difference("active joint" if carried.active != leg.active else "end", None)
@@ -108,26 +104,31 @@ def differences(carried: Leg, leg: Leg, own: Traits, its: Traits) -> Iterator[Di
     for index in range(len(leg.sensors)):
         yield from _sensors_differ(carried, leg, index)
     for a, b in zip(carried.moving, leg.moving, strict=True):
-        if (a.limited or b.limited) and (a.kind == "prismatic" or barred is None):
-            ends: list[float] = [abs(a.lower - b.lower), abs(a.upper - b.upper)]
-            if a.turns and np.isfinite(ends).all():
-                ends = [abs(wrapped(end)) for end in ends]
-            off = max(ends)
+        if (a.limited or b.limited) and (a.kind == "prismatic" or line_turn is None):
             unit = "rad" if a.turns else "m"
-            yield Difference(f"limits of joint {b.name!r}", off if np.isfinite(off) else None, unit)
+            ends = [_deviation(a.lower - b.lower, unit), _deviation(a.upper - b.upper, unit)]
+            largest = max(ends) if np.isfinite(ends).all() else None
+            yield Difference(f"limits of joint {b.name!r}", largest, unit)
 
 
-def _places_differ(a: Joint, b: Joint, oriented: bool) -> Iterator[Difference]:
-    """Yield by how much two joints' places differ, and if wanted their orientations."""
-    shift = float(np.linalg.norm(np.subtract(a.placement.xyz, b.placement.xyz)))
-    yield Difference(f"position of joint {b.name!r}", shift, "m")
-    if oriented:
-        turn = a.placement.origin()[:3, :3].T @ b.placement.origin()[:3, :3]
-        sine = float(np.linalg.norm(turn - np.eye(3))) / 8**0.5
-        off = 2.0 * float(np.arcsin(min(1.0, sine)))
-        if a.kind != "fixed":
-            off = max(off, float(np.linalg.norm(np.subtract(a.axis, b.axis))))
-        yield Difference(f"orientation of joint {b.name!r}", off, "rad")
+def _deviation(value: float, unit: str) -> float:
+    """Return how large a difference is, of angles without full turns."""
+    return abs(wrapped(value)) if unit == "rad" and np.isfinite(value) else abs(value)
+
+
+def _places_differ(carried: Leg, leg: Leg, oriented: bool) -> Iterator[Difference]:
+    """Yield by how much the places of two legs' joints differ, and if wanted their orientations."""
+    points = (leg.joints[-1], leg.point) if leg.closes == "point" else ()  # they have no axes
+    for a, b in zip((*carried.joints, carried.point), (*leg.joints, leg.point), strict=True):
+        shift = float(np.linalg.norm(np.subtract(a.placement.xyz, b.placement.xyz)))
+        yield Difference(f"position of joint {b.name!r}", shift, "m")
+        if oriented and not (b.kind == "fixed" and any(b is point for point in points)):
+            turn = a.placement.origin()[:3, :3].T @ b.placement.origin()[:3, :3]
+            sine = float(np.linalg.norm(turn - np.eye(3))) / 8**0.5
+            angle = 2.0 * float(np.arcsin(min(1.0, sine)))
+            if a.kind != "fixed":
+                angle = max(angle, float(np.linalg.norm(np.subtract(a.axis, b.axis))))
+            yield Difference(f"orientation of joint {b.name!r}", angle, "rad")
 
 
 def _sensors_differ(carried: Leg, leg: Leg, index: int) -> Iterator[Difference]:
@@ -135,32 +136,30 @@ def _sensors_differ(carried: Leg, leg: Leg, index: int) -> Iterator[Difference]:
     a, b = carried.sensors[index], leg.sensors[index]
     unit = leg.reading_units[index]
 
-    def of(quantity: str, deviation: float | None, unit: str = "1") -> Difference:
-        return Difference(quantity, deviation, unit, of_sensor=True)
+    def sensor(quantity: str, deviation: float | None, unit: str = "1") -> Difference:
+        return Difference(f"{quantity} of the sensor", deviation, unit, of_sensor=True)
 
-    if [one.basis for one in a.terms] != [one.basis for one in b.terms]:
-        yield of("terms of the sensor", None)
+    if [term.basis for term in a.terms] != [term.basis for term in b.terms]:
+        yield sensor("terms", None)
         return
-    for one, its in zip(a.terms, b.terms, strict=True):
-        values = carried.nominal_by_name[one.parameter], leg.nominal_by_name[its.parameter]
-        yield of("terms of the sensor", abs(values[0] - values[1]), unit)
+    for first, second in zip(a.terms, b.terms, strict=True):
+        amplitude = carried.nominal_by_name[first.parameter]
+        yield sensor("terms", abs(amplitude - leg.nominal_by_name[second.parameter]), unit)
     if (a.form, a.direction) != (b.form, b.direction):
-        yield of("form or direction of the sensor", None)
+        yield sensor("form or direction", None)
         return
-    gains, offsets = zip(
-        a.constants(carried.nominal_by_name), b.constants(leg.nominal_by_name), strict=True
-    )
-    yield of("gain of the sensor", abs(gains[0] - gains[1]))
+    gain, offset = a.constants(carried.nominal_by_name)
+    other_gain, other_offset = b.constants(leg.nominal_by_name)
+    yield sensor("gain", abs(gain - other_gain))
     if a.homed != b.homed:
-        yield of("zero of the sensor", None)
+        yield sensor("zero", None)
         return
-    zeros = [0.0 if isinstance(one.zero, str) else one.zero for one in (a, b)]
-    for what, (own, other) in (("offset", offsets), ("zero", zeros)):
-        off = abs(wrapped(own - other) if unit == "rad" else own - other)
-        yield of(f"{what} of the sensor", off, unit)
+    yield sensor("offset", _deviation(offset - other_offset, unit), unit)
+    if not (isinstance(a.zero, str) or isinstance(b.zero, str)):
+        yield sensor("zero", _deviation(a.zero - b.zero, unit), unit)
 
 
-def _barred_apart(first: Array | None, second: Array | None) -> float | None:
+def _line_turn(first: Array | None, second: Array | None) -> float | None:
     """Return how far apart are the directions that two legs bar which are lines, [rad].
 
     Such a leg is the same however its universal joint is turned about it. None if the legs are no

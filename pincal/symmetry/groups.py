@@ -152,30 +152,40 @@ def group_name(elements: Sequence[Element]) -> str:
     Others have the names of Schoenflies, such as D2h of a box.
     """
     order = len(elements)
-    proper = [e for e in elements if not e.reflection]
-    orders = [_order(e) for e in proper]
+    rotations = [e for e in elements if not e.reflection]
+    orders = [_order(e) for e in rotations]
     n = max(orders)
-    main = _axis(proper[orders.index(n)].base.Q) if n > 1 else np.zeros(3)
-    mirrors = [e.base.Q for e in elements if e.reflection and abs(np.trace(e.base.Q) - 1.0) < 1e-6]
-    if order == 2 and mirrors:
-        return "D2"
-    inversion = any(np.trace(e.base.Q) < -3.0 + 1e-6 for e in elements)
-    if len(proper) > 1 and sum(o == n for o in orders) > n and n > 2:  # several axes
-        kind = {12: "T", 24: "O", 60: "I"}.get(len(proper), "G")
-        if order == len(proper):
+    traces = np.array([np.trace(e.base.Q) for e in elements if e.reflection])
+    if n > 2 and orders.count(n) > n:  # several main axes
+        kind = {12: "T", 24: "O", 60: "I"}.get(len(rotations), "G")
+        if order == len(rotations):
             return kind
-        return kind + ("d" if kind == "T" and not inversion else "h")
-    if order == len(proper):
+        inversion = bool((traces < -3.0 + 1e-6).any())
+        return f"{kind}d" if kind == "T" and not inversion else f"{kind}h"
+    if order == len(rotations):
         return f"C{n}" if order == n else f"D{n} of half-turns"
-    if len(proper) == 1:
-        return "Ci"
-    across = any(abs(abs(_normal(Q) @ main) - 1.0) < 1e-6 for Q in mirrors)
-    if len(proper) == n:  # one axis
-        if across:
-            return f"C{n}h"
-        through = [Q for Q in mirrors if abs(_normal(Q) @ main) < 1e-6]
-        return f"D{2 * n}" if len(through) == n else f"S{2 * n}"
-    return f"D{n}{'h' if across else 'd'}"
+    if n == 1:
+        return "D2" if abs(traces[0] - 1.0) < 1e-6 else "Ci"
+    axis = _axis(rotations[orders.index(n)].base.Q)
+    reflections = [e.base.Q for e in elements if e.reflection]
+    mirrors = [Q for Q, trace in zip(reflections, traces, strict=True) if abs(trace - 1.0) < 1e-6]
+    return _name_about_axis(n, len(rotations), np.array([abs(_axis(-Q) @ axis) for Q in mirrors]))
+
+
+def _name_about_axis(n: int, n_rotations: int, mirrors: Array) -> str:
+    """Return the name of a group with reflections and one main axis, of order n.
+
+    Args:
+        n: Order of the rotations about the main axis.
+        n_rotations: Number of all rotations.
+        mirrors: Cosine between the main axis and the normal of each mirror, 0 or more.
+    """
+    across = bool((np.abs(mirrors - 1.0) < 1e-6).any())
+    if n_rotations > n:
+        return f"D{n}h" if across else f"D{n}d"
+    if across:
+        return f"C{n}h"
+    return f"D{2 * n}" if np.count_nonzero(mirrors < 1e-6) == n else f"S{2 * n}"
 
 
 def _order(element: Element) -> int:
@@ -192,11 +202,6 @@ def _axis(Q: Array) -> Array:
     """Return the unit axis of a rotation that is not the identity, shape (3,)."""
     values, vectors = np.linalg.eigh((Q + Q.T) / 2)
     return np.asarray(vectors[:, int(np.argmax(values))])
-
-
-def _normal(Q: Array) -> Array:
-    """Return the unit normal of a mirror, shape (3,)."""
-    return _axis(-Q)
 
 
 def place_of(element: Element) -> tuple[bool, bool, float]:
