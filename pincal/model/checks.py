@@ -32,19 +32,19 @@ def described(value: object) -> str:
 
 
 def array_of(
-    values: Any, shape: tuple[int | str, ...], what: str, error_type: type[PincalError]
+    values: Any, shape: tuple[int | str, ...], name: str, error_type: type[PincalError]
 ) -> Array:
     """Return values as an array of float64, always a copy, which its owner may change.
 
     Args:
         values: An array, or lists of numbers.
         shape: Expected, numbers where the size is known, letters where it is free.
-        what: The thing's name, which heads the message.
+        name: The thing's name, which heads the message.
         error_type: Raised if it is no array of numbers, or of another shape.
     """
-    wanted = "(" + ", ".join(map(str, shape)) + (",)" if len(shape) == 1 else ")")
+    expected = "(" + ", ".join(map(str, shape)) + (",)" if len(shape) == 1 else ")")
     if isinstance(values, str | bytes | Mapping) or values is None:
-        raise error_type(f"{what}: expected an array of shape {wanted}; got {described(values)}")
+        raise error_type(f"{name}: expected an array of shape {expected}; got {described(values)}")
     try:
         array = np.asarray(values)
         if array.dtype.kind not in "fiub":
@@ -52,43 +52,44 @@ def array_of(
         array = array.astype(np.float64)
     except (TypeError, ValueError) as fault:
         raise error_type(
-            f"{what}: expected numbers, shape {wanted}; got {described(values)}"
+            f"{name}: expected numbers, shape {expected}; got {described(values)}"
         ) from fault
     if array.ndim != len(shape) or any(
-        isinstance(size, int) and size != own for size, own in zip(shape, array.shape, strict=True)
+        isinstance(size, int) and size != given_size
+        for size, given_size in zip(shape, array.shape, strict=True)
     ):
-        raise error_type(f"{what}: expected shape {wanted}; got shape {array.shape}")
+        raise error_type(f"{name}: expected shape {expected}; got shape {array.shape}")
     return array
 
 
-def names_of(values: Any, count: int, what: str, error_type: type[PincalError]) -> tuple[str, ...]:
+def names_of(values: Any, count: int, label: str, error_type: type[PincalError]) -> tuple[str, ...]:
     """Return names, one a row, as a tuple.
 
     Raises:
         PincalError: of the given type: no names, or not one a row.
     """
     if isinstance(values, str) or not isinstance(values, Iterable):
-        raise error_type(f"{what}: expected {count} names, one a row; got {described(values)}")
+        raise error_type(f"{label}: expected {count} names, one a row; got {described(values)}")
     names = tuple(values)
     if wrong := [name for name in names if not isinstance(name, str)]:
-        raise error_type(f"{what}: expected names; got {described(wrong[0])} among them")
+        raise error_type(f"{label}: expected names; got {described(wrong[0])} among them")
     if len(names) != count:
-        raise error_type(f"{what}: expected {count} names, one a row; got {len(names)}")
+        raise error_type(f"{label}: expected {count} names, one a row; got {len(names)}")
     return names
 
 
-def number_of(value: Any, what: str, error_type: type[PincalError]) -> float:
+def number_of(value: Any, name: str, error_type: type[PincalError]) -> float:
     """Return a number as float.
 
     Raises:
         PincalError: of the given type: something else.
     """
     if isinstance(value, bool) or not isinstance(value, Real):
-        raise error_type(f"{what}: expected a number; got {described(value)}")
+        raise error_type(f"{name}: expected a number; got {described(value)}")
     return float(value)
 
 
-def numbers_of(values: Any, what: str, error_type: type[PincalError]) -> Array:
+def numbers_of(values: Any, name: str, error_type: type[PincalError]) -> Array:
     """Return values as an array of float64, of whatever shape.
 
     Raises:
@@ -97,15 +98,15 @@ def numbers_of(values: Any, what: str, error_type: type[PincalError]) -> Array:
     try:
         return np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError) as fault:
-        raise error_type(f"{what}: expected numbers; got {described(values)}") from fault
+        raise error_type(f"{name}: expected numbers; got {described(values)}") from fault
 
 
-def count_of(value: Any, what: str, error_type: type[PincalError], least: int | None = None) -> int:
+def count_of(value: Any, name: str, error_type: type[PincalError], least: int | None = None) -> int:
     """Return a whole number.
 
     Args:
         value: What was given.
-        what: What it is, for messages.
+        name: What it is, for messages.
         error_type: Of the error.
         least: The least that it may be.
 
@@ -113,9 +114,9 @@ def count_of(value: Any, what: str, error_type: type[PincalError], least: int | 
         PincalError: of the given type: it is something else, or less.
     """
     if isinstance(value, bool) or not isinstance(value, Integral):
-        raise error_type(f"{what}: expected a whole number; got {described(value)}")
+        raise error_type(f"{name}: expected a whole number; got {described(value)}")
     if least is not None and value < least:
-        raise error_type(f"{what} is {value}; expected {least} or more")
+        raise error_type(f"{name} is {value}; expected {least} or more")
     return int(value)
 
 
@@ -134,7 +135,7 @@ def generator_of(seed: Any, error_type: type[PincalError]) -> np.random.Generato
 
 
 def must_be(
-    value: Any, kind: type | tuple[type, ...], what: str, error_type: type[PincalError]
+    value: Any, kind: type | tuple[type, ...], name: str, error_type: type[PincalError]
 ) -> Any:
     """Return a value that is of a kind; ``what`` may say more of what is expected.
 
@@ -143,8 +144,8 @@ def must_be(
     """
     if not isinstance(value, kind):
         kinds = kind if isinstance(kind, tuple) else (kind,)
-        expected = " or ".join(f"a {one.__name__}" for one in kinds)
-        raise error_type(f"{what}: expected {expected}; got {described(value)}")
+        expected = " or ".join(f"a {accepted.__name__}" for accepted in kinds)
+        raise error_type(f"{name}: expected {expected}; got {described(value)}")
     return value
 
 
@@ -156,8 +157,8 @@ def sine_and_cosine(angles: Array) -> tuple[Array, Array]:
     """
     t = np.tan(0.5 * angles)
     square = t * t
-    over = 1.0 / (1.0 + square)
-    return 2.0 * t * over, (1.0 - square) * over
+    factor = 1.0 / (1.0 + square)
+    return 2.0 * t * factor, (1.0 - square) * factor
 
 
 def wrapped(angles: Array) -> Array:

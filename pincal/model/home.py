@@ -55,10 +55,10 @@ def check_home(leg: Leg, platform: Platform) -> None:
         MechanismError: it does not close within a tenth of its size; of an angle of more
             than a full turn it asks whether it is degrees.
     """
-    gap, turn = _apart(leg, platform)
+    gap, turn = _gap_and_turn(leg, platform)
     if max(gap, leg.size * turn) <= ROUGH * leg.size:
         return
-    said = (
+    gap_text = (
         f"its tip is {gap:.2g} m from the platform's point {leg.point.name!r}, the leg is "
         f"{leg.size:.2g} m long; expected a tenth of that at most"
         if gap >= leg.size * turn
@@ -74,24 +74,24 @@ def check_home(leg: Leg, platform: Platform) -> None:
         if unit == "rad"
     }
     large = {name: value for name, value in angles.items() if abs(value) > 2 * np.pi}
-    asked = "".join(
+    question = "".join(
         f". {name} is {value:g} at home: radians are expected; is this degrees "
         f"({np.radians(value):.6g} rad)?"
         for name, value in list(large.items())[:1]
     )
     raise MechanismError(
-        f"{leg.name} does not close at home: {said}. Correct 'home' of {leg.name} or of the "
-        f"platform{asked}"
+        f"{leg.name} does not close at home: {gap_text}. Correct 'home' of {leg.name} or of the "
+        f"platform{question}"
     )
 
 
 def home_gap(leg: Leg, platform: Platform) -> float:
     """Return by how much a leg is open at home, [m]; a turn of its frame counts times its size."""
-    gap, turn = _apart(leg, platform)
+    gap, turn = _gap_and_turn(leg, platform)
     return max(gap, leg.size * turn)
 
 
-def _apart(leg: Leg, platform: Platform) -> tuple[float, float]:
+def _gap_and_turn(leg: Leg, platform: Platform) -> tuple[float, float]:
     """Return how far a leg's tip is from where it closes at home, [m], and turned, [rad].
 
     A leg that closes a point may be turned.

@@ -42,14 +42,12 @@ class Joint:
     """Of that mass, in the joint's own frame, [m]."""
 
     def __repr__(self) -> str:
-        axis = f" {'about' if self.turns else 'along'} {triple(self.axis)}"
-        moves = (
-            axis * (self.kind != "fixed"),
-            f"from {self.lower:.4g} to {self.upper:.4g}, home {self.home:.4g}",
-        )
         place = f"at {self.placement!r}" if self.placement != Placement() else ""
-        own = moves[1] if self.kind != "fixed" else ""
-        return one_line("Joint", repr(self.name), self.kind + moves[0], own, place)
+        if self.kind == "fixed":
+            return one_line("Joint", repr(self.name), self.kind, place)
+        motion = f"{self.kind} {'about' if self.turns else 'along'} {triple(self.axis)}"
+        limits = f"from {self.lower:.4g} to {self.upper:.4g}, home {self.home:.4g}"
+        return one_line("Joint", repr(self.name), motion, limits, place)
 
     @property
     def limited(self) -> bool:
@@ -187,9 +185,9 @@ class Leg:
     def influences(self) -> tuple[str, ...]:
         """Columns of the influence quantities on which terms depend, those of sensors first."""
         named = zip(self.sensors, self.reading_names, strict=True)
-        found = [term.column(name) for sensor, name in named for term in sensor.terms]
-        found += [term.column(f"{self.name}.{name}") for name, term in self.terms]
-        return tuple(dict.fromkeys(name for name in found if name))
+        columns = [term.column(name) for sensor, name in named for term in sensor.terms]
+        columns += [term.column(f"{self.name}.{name}") for name, term in self.terms]
+        return tuple(dict.fromkeys(name for name in columns if name))
 
     @cached_property
     def deformed(self) -> tuple[str, ...]:
@@ -204,23 +202,27 @@ class Leg:
     @cached_property
     def at_reference(self) -> Leg:
         """The leg without terms that depend on influences, which are zero at their reference."""
-        return self._with_terms([tuple(t for t in one.terms if not t.of) for one in self.sensors])
+        return self._with_terms(
+            [tuple(t for t in sensor.terms if not t.of) for sensor in self.sensors]
+        )
 
     @cached_property
     def amplitudes(self) -> frozenset[str]:
         """Names of the parameters that are amplitudes of terms."""
         of_sensors = [term for sensor in self.sensors for term in sensor.terms]
-        return frozenset(term.parameter for term in (*of_sensors, *(one for _, one in self.terms)))
+        return frozenset(
+            term.parameter for term in (*of_sensors, *(term for _, term in self.terms))
+        )
 
     def _with_terms(self, terms: Sequence[tuple[Term, ...]]) -> Leg:
         """Return the leg with these of its terms, for each sensor, none of parameters."""
         pairs = zip(self.sensors, terms, strict=True)
-        sensors = tuple(replace(sensor, terms=own) for sensor, own in pairs)
-        kept = set(self.placed)
-        kept |= {str(one) for sensor in sensors for one in (sensor.gain, sensor.offset)}
-        kept |= {term.parameter for own in terms for term in own}
-        own = tuple((name, value) for name, value in self.parameters if name in kept)
-        return replace(self, sensors=sensors, parameters=own, terms=())
+        sensors = tuple(replace(sensor, terms=of_sensor) for sensor, of_sensor in pairs)
+        used = set(self.placed)
+        used |= {str(name) for sensor in sensors for name in (sensor.gain, sensor.offset)}
+        used |= {term.parameter for sensor in sensors for term in sensor.terms}
+        parameters = tuple((name, value) for name, value in self.parameters if name in used)
+        return replace(self, sensors=sensors, parameters=parameters, terms=())
 
     @cached_property
     def home(self) -> Array:
@@ -232,12 +234,12 @@ class Leg:
 
     @cached_property
     def _hash(self) -> int:
-        own = (self.name, self.joints, self.sensors, self.parameters, self.point, self.terms)
-        return hash(own)
+        identity = (self.name, self.joints, self.sensors, self.parameters, self.point, self.terms)
+        return hash(identity)
 
     def __getstate__(self) -> dict[str, Any]:
         """Return what is pickled: hashes of strings are each process's own."""
-        return {name: own for name, own in self.__dict__.items() if name != "_hash"}
+        return {name: value for name, value in self.__dict__.items() if name != "_hash"}
 
     @cached_property
     def size(self) -> float:
@@ -282,17 +284,17 @@ class Leg:
                     f"{self.name} has no parameter {sorted(unknown)[0]!r}; it has "
                     f"{', '.join(self.parameter_names)}"
                 )
-            given = dict(values)
+            changes = dict(values)
         else:
             must_be(values, (Sequence, np.ndarray), f"parameters of {self.name}", MechanismError)
             if len(values) != len(self.parameters):
                 raise MechanismError(
                     f"{self.name} has {len(self.parameters)} parameters, got {len(values)} values"
                 )
-            given = dict(zip(self.parameter_names, values, strict=True))
+            changes = dict(zip(self.parameter_names, values, strict=True))
         new = self.nominal_by_name | {
             name: number_of(value, f"{self.name}.{name}", MechanismError)
-            for name, value in given.items()
+            for name, value in changes.items()
         }
         old = self.nominal_by_name
         if new == old:

@@ -36,8 +36,8 @@ class Noise:
     """Of each sensor reading, [rad] or [m]."""
 
     def __post_init__(self) -> None:
-        for name, given in vars(self).items():
-            value = number_of(given, f"the noise of {name}", MeasurementError)
+        for name, entry in vars(self).items():
+            value = number_of(entry, f"the noise of {name}", MeasurementError)
             object.__setattr__(self, name, value)
             if not (value == 0.0 or SMALLEST_SIGMA <= value <= LARGEST):
                 raise MeasurementError(
@@ -101,12 +101,12 @@ class Plan:
         """
         count = len(self.poses)
         for name, shape in arrays.items():
-            if (given := getattr(self, name)) is not None:
-                array = array_of(given, (count, *shape), name, MeasurementError)
+            if (values := getattr(self, name)) is not None:
+                array = array_of(values, (count, *shape), name, MeasurementError)
                 object.__setattr__(self, name, array)
         for name in names:
-            if (given := getattr(self, name)) is not None:
-                one_a_row = names_of(given, count, name, MeasurementError)
+            if (values := getattr(self, name)) is not None:
+                one_a_row = names_of(values, count, name, MeasurementError)
                 object.__setattr__(self, name, one_a_row)
 
     @staticmethod
@@ -198,14 +198,16 @@ class Plan:
         """Return some rows, by index or mask."""
         index = np.arange(len(self))[chosen]
 
-        def some(values: Any) -> Any:
+        def selected(values: Any) -> Any:
             if isinstance(values, Mapping):
                 return {name: column[index] for name, column in values.items()}
             if isinstance(values, tuple):
                 return tuple(values[i] for i in index)
             return values[index] if isinstance(values, np.ndarray) else values
 
-        return replace(self, **{one.name: some(getattr(self, one.name)) for one in fields(self)})
+        return replace(
+            self, **{column.name: selected(getattr(self, column.name)) for column in fields(self)}
+        )
 
     @property
     def serving(self) -> tuple[str, ...]:
@@ -217,7 +219,7 @@ class Plan:
         """Which rows no fit follows, ``set`` being ``verify``, shape (N,)."""
         if self.sets is None:
             return np.zeros(len(self.poses), dtype=bool)
-        return np.array([one == VERIFY for one in self.sets], dtype=bool)
+        return np.array([set_name == VERIFY for set_name in self.sets], dtype=bool)
 
     def serves(self, leg: str) -> Mask:
         """Return which poses were chosen for a leg, shape (N,)."""

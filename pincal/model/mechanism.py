@@ -92,13 +92,13 @@ class Mechanism:
     @cached_property
     def loaded(self) -> tuple[str, ...]:
         """Those of the influences that are loads."""
-        own = {f"{LOAD}_{name}" for name in self.load_names}
-        return tuple(name for name in self.influences if name in own)
+        load_columns = {f"{LOAD}_{name}" for name in self.load_names}
+        return tuple(name for name in self.influences if name in load_columns)
 
     @cached_property
     def followed(self) -> frozenset[str]:
         """Columns that follow from the rows where they are not given: sides of approach, loads."""
-        joints = {f"{of}_{name}" for of in OF_JOINTS for name in self.reading_names}
+        joints = {f"{kind}_{name}" for kind in OF_JOINTS for name in self.reading_names}
         return frozenset(joints | {f"{LOAD}_{name}" for name in self.load_names})
 
     @cached_property
@@ -128,8 +128,12 @@ class Mechanism:
         Returns:
             Shape (N, n_active [+ n_influences of the leg]).
         """
-        own = readings[:, self.reading_columns[leg]]
-        return own if influences is None else np.hstack((own, self.influences_at(leg, influences)))
+        leg_readings = readings[:, self.reading_columns[leg]]
+        return (
+            leg_readings
+            if influences is None
+            else np.hstack((leg_readings, self.influences_at(leg, influences)))
+        )
 
     def influences_at(self, leg: int, influences: Array) -> Array:
         """Return the influences of one leg among those of all, shape (N, n_influences of it)."""
@@ -140,7 +144,7 @@ class Mechanism:
         """Encoder counts of one rad or m, by the readings whose sensors say it."""
         every = [sensor.counts_per_unit for leg in self.legs for sensor in leg.sensors]
         pairs = zip(self.reading_names, every, strict=True)
-        return {name: by for name, by in pairs if by is not None}
+        return {name: per_unit for name, per_unit in pairs if per_unit is not None}
 
     def with_counts(self, counts: Mapping[str, float]) -> Mechanism:
         """Return the mechanism whose readings come in encoder counts, in tables that say so.
@@ -160,8 +164,10 @@ class Mechanism:
         legs = []
         for leg in self.legs:
             named = zip(leg.sensors, leg.reading_names, strict=True)
-            own = (replace(s, counts_per_unit=counts.get(n, s.counts_per_unit)) for s, n in named)
-            legs.append(replace(leg, sensors=tuple(own)))
+            sensors = (
+                replace(s, counts_per_unit=counts.get(n, s.counts_per_unit)) for s, n in named
+            )
+            legs.append(replace(leg, sensors=tuple(sensors)))
         return replace(self, legs=tuple(legs)) if counts else self
 
     @cached_property
@@ -228,16 +234,18 @@ class Mechanism:
             else:
                 ids[str(key)] = value
         for key, value in ids.items():
-            one = self.parameters[key]
-            own = new.setdefault(one.owner, {})
-            if not isinstance(own, Mapping):
-                raise MechanismError(f"{key!r} is given by its id and among all of {one.owner}")
-            new[one.owner] = {**own, one.name: value}
+            parameter = self.parameters[key]
+            leg_values = new.setdefault(parameter.owner, {})
+            if not isinstance(leg_values, Mapping):
+                raise MechanismError(
+                    f"{key!r} is given by its id and among all of {parameter.owner}"
+                )
+            new[parameter.owner] = {**leg_values, parameter.name: value}
         legs = (leg.with_parameters(new[leg.name]) if leg.name in new else leg for leg in self.legs)
         load = self.load
         if load is not None and self.loaded and not load.drawn:
-            own = tuple((p.id, p.nominal) for p in self.parameters if p.id not in self.amplitudes)
-            load = replace(load, drawn=own)
+            drawn = tuple((p.id, p.nominal) for p in self.parameters if p.id not in self.amplitudes)
+            load = replace(load, drawn=drawn)
         return replace(self, legs=tuple(legs), load=load)
 
     @cached_property
@@ -252,8 +260,8 @@ class Mechanism:
     @property
     def used_labels(self) -> dict[str, str]:
         """Labels of parameters that there are, by name or id."""
-        own = {key for one in self.parameters for key in (one.name, one.id)}
-        return {key: text for key, text in self.labels if key in own}
+        keys = {key for parameter in self.parameters for key in (parameter.name, parameter.id)}
+        return {key: text for key, text in self.labels if key in keys}
 
     @property
     def labelled(self) -> str:

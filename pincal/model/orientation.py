@@ -43,10 +43,11 @@ def rotation_of(way: str, values: Array) -> Rotation:
         return Rotation.from_rotvec(values)
     if way == "zyx":
         return Rotation.from_euler("ZYX", values)
-    off = np.abs(np.linalg.norm(values, axis=1) - 1.0)
-    if (off > _UNIT_NORM).any():
+    error = np.abs(np.linalg.norm(values, axis=1) - 1.0)
+    if (error > _UNIT_NORM).any():
         raise MeasurementError(
-            f"row {int(np.argmax(off)) + 1}: the quaternion's length misses 1 by {off.max():.2g}; "
+            f"row {int(np.argmax(error)) + 1}: the quaternion's length misses 1 by "
+            f"{error.max():.2g}; "
             "expected qw, qx, qy, qz of length 1"
         )
     return Rotation.from_quat(values, scalar_first=True)
@@ -58,9 +59,9 @@ def tilted(values: Array) -> Array:
     (x, y, z, w), (a, b, c, _) = quaternions, 2.0 * quaternions
     R = np.empty((3, 3, len(x)))
     R[0, 0], R[1, 1], R[2, 2] = 1.0 - y * b - z * c, 1.0 - x * a - z * c, 1.0 - x * a - y * b
-    for i, j, both, own in ((0, 1, x * b, w * c), (2, 0, x * c, w * b), (1, 2, y * c, w * a)):
-        np.subtract(both, own, out=R[i, j])
-        np.add(both, own, out=R[j, i])
+    for i, j, symmetric, skew in ((0, 1, x * b, w * c), (2, 0, x * c, w * b), (1, 2, y * c, w * a)):
+        np.subtract(symmetric, skew, out=R[i, j])
+        np.add(symmetric, skew, out=R[j, i])
     return R
 
 

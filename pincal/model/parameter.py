@@ -43,7 +43,7 @@ class Parameters(tuple[Parameter, ...]):
 
     @cached_property
     def _by_id(self) -> dict[str, Parameter]:
-        return {one.id: one for one in self}
+        return {parameter.id: parameter for parameter in self}
 
     @property
     def ids(self) -> tuple[str, ...]:
@@ -53,7 +53,7 @@ class Parameters(tuple[Parameter, ...]):
     @cached_property
     def values(self) -> Array:
         """Nominal values, shape (n_params,), SI units; not writable."""
-        values = np.array([one.nominal for one in self], dtype=np.float64)
+        values = np.array([parameter.nominal for parameter in self], dtype=np.float64)
         values.setflags(write=False)
         return values
 
@@ -67,8 +67,8 @@ class Parameters(tuple[Parameter, ...]):
             if key not in self._by_id:
                 raise MechanismError(unknown_id(key, self.ids))
             return self._by_id[key]
-        found = super().__getitem__(key)
-        return Parameters(found) if isinstance(key, slice) else found
+        selected = super().__getitem__(key)
+        return Parameters(selected) if isinstance(key, slice) else selected
 
     def __contains__(self, key: object) -> bool:
         return key in self._by_id if isinstance(key, str) else super().__contains__(key)
@@ -82,40 +82,43 @@ class Parameters(tuple[Parameter, ...]):
         return "\n".join(line.rstrip() for line in lines)
 
 
-def labels_of(given: object, name: str) -> tuple[tuple[str, str], ...]:
+def labels_of(labels: object, name: str) -> tuple[tuple[str, str], ...]:
     """Return what parameters of a mechanism are called for people, as pairs of key and text.
 
     Raises:
         MechanismError: something else, or a text that cannot be shown in a line.
     """
-    where = f"mechanism {name!r}: labels"
+    context = f"mechanism {name!r}: labels"
     try:
-        found: dict[object, object] = dict(given)  # type: ignore[call-overload]
+        texts: dict[object, object] = dict(labels)  # type: ignore[call-overload]
     except (TypeError, ValueError) as error:
         raise MechanismError(
-            f"{where} are {str(given)[:80]}; expected texts by parameter's name or id, such as "
+            f"{context} are {str(labels)[:80]}; expected texts by parameter's name or id, such as "
             "{'l': 'crank'}"
         ) from error
-    for key, text in found.items():
+    for key, text in texts.items():
         if not (isinstance(text, str) and text.isprintable() and 0 < len(text) <= LONGEST_LABEL):
             raise MechanismError(
-                f"{where}: that of {str(key)[:80]!r} is {str(text)[:80]!r}; expected a few words, "
+                f"{context}: that of {str(key)[:80]!r} is {str(text)[:80]!r}; expected a few "
+                "words, "
                 f"{LONGEST_LABEL} letters at most"
             )
-    return tuple((str(key), str(text)) for key, text in found.items())
+    return tuple((str(key), str(text)) for key, text in texts.items())
 
 
-def listed(names: Iterable[str], most: int = 6) -> str:
+def listed(names: Iterable[str], limit: int = 6) -> str:
     """Return names joined by commas, those in the middle left out if there are many."""
     names = tuple(names)
-    if len(names) > most:
-        names = (*names[: most - 2], "…", *names[-1:])
+    if len(names) > limit:
+        names = (*names[: limit - 2], "…", *names[-1:])
     return ", ".join(names)
 
 
 def unknown_id(key: str, ids: tuple[str, ...]) -> str:
     """Return one sentence on an id that no parameter has, with those that may be meant."""
     near = get_close_matches(key, ids, 3)
-    near = near or [one for one in ids if one.partition(".")[2] == key][:3]
+    near = (
+        near or [parameter_id for parameter_id in ids if parameter_id.partition(".")[2] == key][:3]
+    )
     meant = f"did you mean {' or '.join(map(repr, near))}?" if near else f"ids are {listed(ids)}"
     return f"no parameter {key!r}; {meant}"

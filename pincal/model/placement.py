@@ -158,8 +158,10 @@ class Placement:
         Raises:
             MechanismError: an unknown kind, or another number of values than it takes.
         """
-        own = {k: v if isinstance(v, tuple | list) else (v,) for k, v in coordinates.items()}
-        steps = tuple(Coordinate(kind, tuple(values)) for kind, values in own.items())
+        values_by_kind = {
+            k: v if isinstance(v, tuple | list) else (v,) for k, v in coordinates.items()
+        }
+        steps = tuple(Coordinate(kind, tuple(values)) for kind, values in values_by_kind.items())
         return cls(steps).at(parameters, np.eye(4))
 
     def __repr__(self) -> str:
@@ -207,7 +209,7 @@ class Placement:
         matrix[:3, 3] = self.xyz
         return matrix
 
-    def rest(self, parameters: Mapping[str, float], where: str) -> Array:
+    def rest(self, parameters: Mapping[str, float], context: str) -> Array:
         """Return the constant displacement after the coordinates, shape (4, 4), read only.
 
         Coordinates whose nominal values are all zero are corrections to the URDF
@@ -217,9 +219,9 @@ class Placement:
             MechanismError: coordinates and URDF origin disagree.
         """
         names = [step.value for step in self.steps if isinstance(step.value, str)]
-        return _rest(self, tuple((name, parameters[name]) for name in names), where)
+        return _rest(self, tuple((name, parameters[name]) for name in names), context)
 
-    def moved(self, old: Mapping[str, float], new: Mapping[str, float], where: str) -> Placement:
+    def moved(self, old: Mapping[str, float], new: Mapping[str, float], context: str) -> Placement:
         """Return the placement at new parameter values; its constant part stays.
 
         Raises:
@@ -227,46 +229,47 @@ class Placement:
         """
         if not self.coordinates:
             return self
-        return self.at(new, self.rest(old, where))
+        return self.at(new, self.rest(old, context))
 
-    def at(self, parameters: Mapping[str, float], rest: Array) -> Placement:
+    def at(self, parameters: Mapping[str, float], constant: Array) -> Placement:
         """Return the placement whose origin is ``displacement(parameters) @ rest``.
 
         The place of the rest becomes coordinates of its own: corrections that are zero no more
         would otherwise have to give the whole position.
         """
-        origin = self.displacement(parameters) @ rest
+        origin = self.displacement(parameters) @ constant
         rpy, coordinates = self.rpy, self.coordinates
         if coordinates and any(step.amount(parameters) for step in self.steps):
-            parts = zip("xyz", _floats(rest[:3, 3]), strict=True)
+            parts = zip("xyz", _floats(constant[:3, 3]), strict=True)
             coordinates += tuple(Coordinate(axis, (value,)) for axis, value in parts if value)
-        if self.turns or not np.array_equal(rest[:3, :3], self.origin()[:3, :3]):
+        if self.turns or not np.array_equal(constant[:3, :3], self.origin()[:3, :3]):
             rpy = _roll_pitch_yaw(origin[:3, :3])
         return replace(self, coordinates=coordinates, xyz=_floats(origin[:3, 3]), rpy=rpy)
 
 
 @lru_cache(maxsize=4096)  # a leg's chains ask for it, and so does the check of the leg
-def _rest(placement: Placement, values: tuple[tuple[str, float], ...], where: str) -> Array:
+def _rest(placement: Placement, values: tuple[tuple[str, float], ...], context: str) -> Array:
     """Return what ``Placement.rest`` says, of the values that it uses."""
-    rest, parameters = placement.origin(), dict(values)
-    rest.flags.writeable = False
+    constant, parameters = placement.origin(), dict(values)
+    constant.flags.writeable = False
     if not placement.coordinates:
-        return rest
-    origin, displacement = rest, placement.displacement(parameters)
-    rest = np.linalg.inv(displacement) @ origin
-    rest[:3, :3] = _without_rounding(rest[:3, :3]) if placement.turns else origin[:3, :3]
+        return constant
+    origin, displacement = constant, placement.displacement(parameters)
+    constant = np.linalg.inv(displacement) @ origin
+    constant[:3, :3] = _without_rounding(constant[:3, :3]) if placement.turns else origin[:3, :3]
     if any(step.amount(parameters) for step in placement.steps):  # no mere corrections
         expected = displacement[:3, 3]
         scale = float(np.abs(np.stack((placement.xyz, expected))).max())
-        if float(np.abs(rest[:3, 3]).max()) > EXACT * scale:
+        if float(np.abs(constant[:3, 3]).max()) > EXACT * scale:
             raise MechanismError(
-                f"{where}: the URDF origin is at {_numbers(placement.xyz)} m, but its coordinates "
+                f"{context}: the URDF origin is at {_numbers(placement.xyz)} m, but its "
+                "coordinates "
                 f"and nominal parameters put it at {_numbers(expected)} m. Make them agree, or "
                 "write a constant part as a number, for example '- z: 0.3'."
             )
-        rest[:3, 3] = 0.0
-    rest.flags.writeable = False
-    return rest
+        constant[:3, 3] = 0.0
+    constant.flags.writeable = False
+    return constant
 
 
 def _without_rounding(rotation: Array) -> Array:
@@ -274,8 +277,8 @@ def _without_rounding(rotation: Array) -> Array:
 
     A leg whose joints turn by parameters then has the same constant parts at all their values.
     """
-    whole = np.round(rotation)
-    return np.where(np.abs(rotation - whole) < 1e-15, whole, rotation)
+    rounded = np.round(rotation)
+    return np.where(np.abs(rotation - rounded) < 1e-15, rounded, rotation)
 
 
 def placement_of(matrix: Array) -> Placement:

@@ -39,24 +39,25 @@ class PlatformKind:
         must_be(self.name, str, "the name of a platform kind", MechanismError)
         if not (self.name and self.name.isprintable() and len(self.name) <= 64):
             raise MechanismError(f"{self.name[:64]!r} is no name for a platform kind")
-        what = f"freedoms of a {self.name!r} platform"
-        count = len(must_be(self.freedoms, Sequence, what, MechanismError))
-        freedoms = names_of(self.freedoms, count, what, MechanismError)
+        label = f"freedoms of a {self.name!r} platform"
+        count = len(must_be(self.freedoms, Sequence, label, MechanismError))
+        freedoms = names_of(self.freedoms, count, label, MechanismError)
         object.__setattr__(self, "freedoms", freedoms)
         ordered = tuple(name for name in TWIST if name in freedoms)
         if freedoms != ordered or not freedoms:
             raise MechanismError(
-                f"{what}: {', '.join(freedoms) or 'none'}; expected some of {', '.join(TWIST)}, "
+                f"{label}: {', '.join(freedoms) or 'none'}; expected some of {', '.join(TWIST)}, "
                 "in this order"
             )
         if freedoms[: self.lengths] != TWIST[: self.lengths]:
             raise MechanismError(
-                f"{what}: {', '.join(freedoms)}; a platform moves along x, along x and y, or along "
+                f"{label}: {', '.join(freedoms)}; a platform moves along x, along x and y, or "
+                "along "
                 "x, y and z: choose the base's axes so"
             )
         if len(freedoms) - self.lengths == 2:
             raise MechanismError(
-                f"{what}: {', '.join(freedoms)}; turns about two axes are turns about a third as "
+                f"{label}: {', '.join(freedoms)}; turns about two axes are turns about a third as "
                 "well: give all three, the legs hold what the platform does not do"
             )
 
@@ -141,10 +142,10 @@ class PoseMatrices:
 
     def __getitem__(self, rows: Rows) -> Array:
         """Return ``T_base_platform`` of some, shape (s, 4, 4)."""
-        some = self.poses[rows]
-        if not isinstance(some, RigidTransform):
-            return self.form.matrices(some)
-        entries = some.as_matrix().transpose(1, 2, 0)
+        poses = self.poses[rows]
+        if not isinstance(poses, RigidTransform):
+            return self.form.matrices(poses)
+        entries = poses.as_matrix().transpose(1, 2, 0)
         return np.ascontiguousarray(entries).transpose(2, 0, 1)  # memory runs along the poses
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -49,16 +49,16 @@ class PlacedTerm:
 
 def add_terms(terms: Iterable[PlacedTerm], known: Array, to: Array) -> None:
     """Add a b of terms whose columns are known, shape (N, n_columns), to targets (N, n)."""
-    for one in terms:
-        if one.column < known.shape[1]:
-            to[:, one.target] += one.amplitude * one.basis(known)
+    for term in terms:
+        if term.column < known.shape[1]:
+            to[:, term.target] += term.amplitude * term.basis(known)
 
 
 def add_bases(terms: Iterable[PlacedTerm], known: Array, to: Array) -> None:
     """Add b, derivatives by amplitudes, likewise: to targets by parameters (N, n, n_params)."""
-    for one in terms:
-        if one.column < known.shape[1]:
-            to[:, one.target, one.parameter] += one.basis(known)
+    for term in terms:
+        if term.column < known.shape[1]:
+            to[:, term.target, term.parameter] += term.basis(known)
 
 
 @dataclass(frozen=True)
@@ -115,18 +115,18 @@ class SensorLaw:
         if not self.terms:
             return self.slope
         slopes = np.tile(self.slope, (len(known), 1))
-        for one in self.terms:
-            if one.column < len(self.slope):
-                by = one.term.slope_of(known[:, one.column])
-                slopes[:, one.target] += one.amplitude * by
+        for placed in self.terms:
+            if placed.column < len(self.slope):
+                slope = placed.term.slope_of(known[:, placed.column])
+                slopes[:, placed.target] += placed.amplitude * slope
         return slopes
 
     @cached_property
     def parameter_places(self) -> Index:
         """Which of the leg's parameters change positions, in order, shape (k,)."""
-        by = np.concatenate((self.slope_by_parameter, self.start_by_parameter)).any(axis=0)
-        amplitudes = np.array([one.parameter for one in self.terms], dtype=np.intp)
-        return np.union1d(np.flatnonzero(by), amplitudes)
+        linear = np.concatenate((self.slope_by_parameter, self.start_by_parameter)).any(axis=0)
+        amplitudes = np.array([term.parameter for term in self.terms], dtype=np.intp)
+        return np.union1d(np.flatnonzero(linear), amplitudes)
 
     def by_parameter(self, known: Array) -> Array:
         """Return ∂q/∂φ by ``parameter_places``, shape (N, n_active, k).
@@ -134,18 +134,18 @@ class SensorLaw:
         Args:
             known: Readings, and behind them influences, shape (N, n_active [+ n_influences]).
         """
-        readings, own = known.T[: len(self.slope), None], self.parameter_places
-        by_slope, by_start = self.slope_by_parameter[:, own], self.start_by_parameter[:, own]
-        found = (by_slope[:, :, None] * readings + by_start[:, :, None]).transpose(2, 0, 1)
-        add_bases(self._own_terms, known, found)
-        return found
+        readings, places = known.T[: len(self.slope), None], self.parameter_places
+        by_slope, by_start = self.slope_by_parameter[:, places], self.start_by_parameter[:, places]
+        derivatives = (by_slope[:, :, None] * readings + by_start[:, :, None]).transpose(2, 0, 1)
+        add_bases(self._own_terms, known, derivatives)
+        return derivatives
 
     @cached_property
     def _own_terms(self) -> tuple[PlacedTerm, ...]:
         """The terms, their parameters counted among ``parameter_places``."""
-        places = np.searchsorted(self.parameter_places, [one.parameter for one in self.terms])
+        places = np.searchsorted(self.parameter_places, [term.parameter for term in self.terms])
         pairs = zip(self.terms, places.tolist(), strict=True)
-        return tuple(replace(one, parameter=place) for one, place in pairs)
+        return tuple(replace(term, parameter=place) for term, place in pairs)
 
 
 @dataclass(frozen=True)
@@ -175,10 +175,11 @@ class Sensor:
     """Encoder counts of one rad or m of the reading, above 0; None if it is not read in counts."""
 
     def __post_init__(self) -> None:
-        by = self.counts_per_unit
-        if by is not None and not 1.0 / LARGEST <= by <= LARGEST:
+        counts = self.counts_per_unit
+        if counts is not None and not 1.0 / LARGEST <= counts <= LARGEST:
             raise MechanismError(
-                f"sensor of {self.joint!r}: {by!r} counts of one unit; expected a number above 0 "
+                f"sensor of {self.joint!r}: {counts!r} counts of one unit; expected a number "
+                "above 0 "
                 "(which way it counts is the direction)"
             )
 
@@ -204,7 +205,8 @@ class Sensor:
             parameters: Values of the leg's parameters by name, in order.
         """
         gain, offset = self.constants(parameters)
-        by_gain, by_offset = (_unit(tuple(parameters), one) for one in (self.gain, self.offset))
+        by_gain = np.array([float(name == self.gain) for name in parameters])
+        by_offset = np.array([float(name == self.offset) for name in parameters])
         if self.form == "joint":
             slope, start = gain, offset
             slopes, starts = self.direction * by_gain, by_offset
@@ -213,12 +215,6 @@ class Sensor:
             slopes = -self.direction * slope**2 * by_gain
             starts = -slope * by_offset + offset * self.direction * slope**2 * by_gain
         return slope, start, slopes, starts
-
-
-@lru_cache(maxsize=256)
-def _unit(names: tuple[str, ...], own: str | float) -> Array:
-    """Return 1 where a parameter's name is one's own, else 0, shape (n_params,)."""
-    return np.array([float(name == own) for name in names])
 
 
 def sensor_laws(
@@ -242,7 +238,7 @@ def sensor_laws(
         np.array, zip(*(sensor.law(parameters) for sensor in sensors), strict=True)
     )
     homed = np.array([sensor.homed for sensor in sensors])
-    zeros = np.array([0.0 if isinstance(one.zero, str) else one.zero for one in sensors])
+    zeros = np.array([0.0 if isinstance(sensor.zero, str) else sensor.zero for sensor in sensors])
     place = {name: index for index, name in enumerate(parameters)}
     terms = tuple(
         PlacedTerm(
@@ -297,15 +293,15 @@ class Deformations:
         Args:
             influences: Of the leg, shape (N, n_influences); zero where NaN, or none are given.
         """
-        by = np.zeros((len(influences), len(self.parameters)))
-        add_terms(self.terms, influences, by)
-        return by
+        deformations = np.zeros((len(influences), len(self.parameters)))
+        add_terms(self.terms, influences, deformations)
+        return deformations
 
     def by_parameter(self, influences: Array) -> Array:
         """Return ∂ε/∂φ, shape (N, n_deformed, n_params): that of an amplitude is its b."""
-        found = np.zeros((len(influences), len(self.parameters), self.n_parameters))
-        add_bases(self.terms, influences, found)
-        return found
+        derivatives = np.zeros((len(influences), len(self.parameters), self.n_parameters))
+        add_bases(self.terms, influences, derivatives)
+        return derivatives
 
 
 def check_terms(leg: Leg, placed: Mapping[str, str]) -> None:
@@ -320,40 +316,47 @@ def check_terms(leg: Leg, placed: Mapping[str, str]) -> None:
             of approach; an amplitude that is a parameter of a placement or sensor itself, or that
             terms of different units share.
     """
-    of_sensors = {one for s in leg.sensors for one in (s.gain, s.offset) if isinstance(one, str)}
+    of_sensors = {
+        constant
+        for s in leg.sensors
+        for constant in (s.gain, s.offset)
+        if isinstance(constant, str)
+    }
     for name, term in leg.terms:
-        where = f"{leg.name}: term {term.parameter!r} of parameter {name!r}"
+        context = f"{leg.name}: term {term.parameter!r} of parameter {name!r}"
         if name in of_sensors and name not in placed:
             raise MechanismError(
-                f"{where}: that is the sensor's, whose position terms are added to as it is; give "
+                f"{context}: that is the sensor's, whose position terms are added to as it is; "
+                "give "
                 "the term to the sensor (sensors: terms)"
             )
         if name not in placed:
             raise MechanismError(
-                f"{where}: no placement has such a parameter; expected one of "
+                f"{context}: no placement has such a parameter; expected one of "
                 f"{', '.join(placed) or 'none'}"
             )
         if not term.of:
             raise MechanismError(
-                f"{where} depends on a reading; a parameter's depends on an influence: of a "
+                f"{context} depends on a reading; a parameter's depends on an influence: of a "
                 "column such as 'temperature', or of 'load'"
             )
         if term.of == APPROACH:
             raise MechanismError(
-                f"{where} depends on the side of approach, which is a joint's; give the term to a "
+                f"{context} depends on the side of approach, which is a joint's; give the term "
+                "to a "
                 "sensor, or name a column of your own"
             )
     units: dict[str, str] = {}
     for owner, term, unit in _amplitudes(leg, placed):
-        where = f"{leg.name}: term {term.parameter!r} of {owner}"
+        context = f"{leg.name}: term {term.parameter!r} of {owner}"
         if term.parameter in placed or term.parameter in of_sensors:
             raise MechanismError(
-                f"{where}: its amplitude is also a parameter of a placement or sensor; name the "
+                f"{context}: its amplitude is also a parameter of a placement or sensor; name the "
                 "amplitude otherwise"
             )
         if units.setdefault(term.parameter, unit) != unit:
             raise MechanismError(
-                f"{where}: its amplitude, [{unit}], is also that of another term, "
+                f"{context}: its amplitude, [{unit}], is also that of another term, "
                 f"[{units[term.parameter]}]; name one of them otherwise"
             )
 
@@ -384,12 +387,14 @@ def turning(law: SensorLaw, low: Array, high: Array) -> Array:
     """
     first, last = np.sort([(end - law.start) / law.slope for end in (low, high)], axis=0)
     waves = [
-        (last - first)[one.target] * one.term.basis.rate / (2.0 * np.pi)
-        for one in law.terms
-        if isinstance(one.term.basis, Harmonic)
+        (last - first)[placed.target] * placed.term.basis.rate / (2.0 * np.pi)
+        for placed in law.terms
+        if isinstance(placed.term.basis, Harmonic)
     ]
     count = int(max([_POINTS, *(_OF_A_PERIOD * wave for wave in waves)]))
     count = min(count, 500 * _POINTS)  # shorter waves are met at other phases, period by period
     readings = np.linspace(first, last, count + 1)
-    back = np.broadcast_to(law.slopes(readings), readings.shape) * np.sign(law.slope) <= 0.0
-    return np.where(back.any(axis=0), readings[back.argmax(axis=0), np.arange(len(first))], np.nan)
+    reversed_ = np.broadcast_to(law.slopes(readings), readings.shape) * np.sign(law.slope) <= 0.0
+    return np.where(
+        reversed_.any(axis=0), readings[reversed_.argmax(axis=0), np.arange(len(first))], np.nan
+    )

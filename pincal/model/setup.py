@@ -84,25 +84,27 @@ class Instrument(Protocol):
         """
 
 
-def checked(condition: Condition, one: Instrument, count: int) -> Condition:
+def checked(condition: Condition, instrument: Instrument, count: int) -> Condition:
     """Return a condition of N poses that has the shapes it should have.
 
     Raises:
         MeasurementError: another shape, or something else than a condition.
     """
-    r, p = len(one.columns), len(one.parameters)
+    r, p = len(instrument.columns), len(instrument.parameters)
     if not isinstance(condition, Condition):
         raise MeasurementError(
-            f"instrument {one.name!r} gave {type(condition).__name__}; expected a pincal.Condition"
+            f"instrument {instrument.name!r} gave {type(condition).__name__}; expected a "
+            "pincal.Condition"
         )
     for name, shape in (
         ("value", (count, r)),
         ("by_pose", (count, r, 6)),
         ("by_parameter", (count, r, p)),
     ):
-        if (given := np.shape(getattr(condition, name))) != shape:
+        if (shape_given := np.shape(getattr(condition, name))) != shape:
             raise MeasurementError(
-                f"{name} of instrument {one.name!r} has shape {given}; expected {shape}"
+                f"{name} of instrument {instrument.name!r} has shape {shape_given}; expected "
+                f"{shape}"
             )
     return condition
 
@@ -133,8 +135,8 @@ class Image:
         size = must_be(self.size, (tuple, list), "size of an image", MeasurementError)
         if len(size) != 2:
             raise MeasurementError(f"size of an image is {size!r}; expected width and height in px")
-        for one in size:
-            count_of(one, "size of an image [px]", MeasurementError, 1)
+        for pixels in size:
+            count_of(pixels, "size of an image [px]", MeasurementError, 1)
         if not number_of(self.scale, "scale of an image", MeasurementError) > 0.0:
             raise MeasurementError(f"scale of an image is {self.scale:g}; expected more than 0")
         for name, columns in must_be(
@@ -189,11 +191,6 @@ class Tracker:
         object.__setattr__(self, "at", tuple(at.tolist()))
         _check_sizes(self, tuple(POLAR), "noise of the tracker's")
 
-    @property
-    def has_noise(self) -> bool:
-        """Whether it has noise without columns of it."""
-        return any((self.range, self.azimuth, self.elevation))
-
     def by_polar(self, points: Array) -> Array:
         """Return how points move by range [1], azimuth and elevation [m/rad], shape (N, 3, 3).
 
@@ -203,8 +200,11 @@ class Tracker:
         x, y, z = ray = (points - self.at).T
         level = np.hypot(x, y)
         length = np.hypot(level, z)
-        away = np.where(level > 0.0, level, 1.0)
-        c, s = np.where(level > 0.0, x / away, 1.0), np.where(level > 0.0, y / away, 0.0)
+        safe_level = np.where(level > 0.0, level, 1.0)
+        c, s = (
+            np.where(level > 0.0, x / safe_level, 1.0),
+            np.where(level > 0.0, y / safe_level, 0.0),
+        )
         along = np.where(length > 0.0, ray / np.where(length > 0.0, length, 1.0), 0.0)
         return np.stack(
             (along.T, np.column_stack((-y, x, 0 * z)), np.column_stack((-z * c, -z * s, level))),
@@ -243,17 +243,17 @@ class Systematic:
         return hypot(self.scale, self.temperature * self.expansion)
 
 
-def _check_sizes(one: object, names: Iterable[str], what: str) -> None:
+def _check_sizes(owner: object, names: Iterable[str], label: str) -> None:
     """Make fields numbers of 0 or more.
 
     Raises:
         MeasurementError: something else.
     """
     for name in names:
-        value = number_of(getattr(one, name), f"the {what} {name}", MeasurementError)
-        object.__setattr__(one, name, value)
+        value = number_of(getattr(owner, name), f"the {label} {name}", MeasurementError)
+        object.__setattr__(owner, name, value)
         if not 0.0 <= value < np.inf:
-            raise MeasurementError(f"the {what} {name} is {value:g}; expected 0 or more")
+            raise MeasurementError(f"the {label} {name} is {value:g}; expected 0 or more")
 
 
 Point = tuple[float, float, float]
@@ -261,8 +261,8 @@ _FAR = 3.0  # times the longest leg: no target is that far from its platform
 ORIGIN = "platform"  # the target whose position is x, y, z
 
 
-def _point(values: Any, what: str) -> Point:
-    x, y, z = array_of(values, (3,), what, MeasurementError).tolist()
+def _point(values: Any, label: str) -> Point:
+    x, y, z = array_of(values, (3,), label, MeasurementError).tolist()
     return x, y, z
 
 
@@ -316,14 +316,14 @@ class Setup:
         kinds: dict[str, type] = {"targets": Target, "distances": Distance}
         for field_name, kind in kinds.items():
             named = must_be(getattr(self, field_name), Mapping, field_name, MeasurementError)
-            for name, one in named.items():
+            for name, entry in named.items():
                 must_be(name, str, f"a name in {field_name}", MeasurementError)
-                must_be(one, kind, f"{field_name}, {name!r}", MeasurementError)
+                must_be(entry, kind, f"{field_name}, {name!r}", MeasurementError)
         object.__setattr__(self, "targets", {ORIGIN: Target(), **self.targets})
-        for column, one in self.distances.items():
-            if one.target not in self.targets:
+        for column, entry in self.distances.items():
+            if entry.target not in self.targets:
                 raise MeasurementError(
-                    f"distance {column!r} is to a target {one.target!r}; expected one of "
+                    f"distance {column!r} is to a target {entry.target!r}; expected one of "
                     f"{', '.join(self.targets)}"
                 )
         object.__setattr__(self, "instruments", tuple(self.instruments))
@@ -349,32 +349,35 @@ class Setup:
             MeasurementError: saying which.
         """
         names = {"tracker", "target", *self.targets}
-        for one in self.instruments:
-            must_be(one, Instrument, "an instrument", MeasurementError)
-            if one.name in names or not one.name.isidentifier():
+        for instrument in self.instruments:
+            must_be(instrument, Instrument, "an instrument", MeasurementError)
+            if instrument.name in names or not instrument.name.isidentifier():
                 raise MeasurementError(
-                    f"an instrument is named {one.name!r}; expected a word that no target and no "
+                    f"an instrument is named {instrument.name!r}; expected a word that no "
+                    "target and no "
                     "other instrument has"
                 )
-            names.add(one.name)
-            for column, unit in one.columns.items():
+            names.add(instrument.name)
+            for column, unit in instrument.columns.items():
                 if unit not in ("m", "rad"):
                     raise MeasurementError(
-                        f"column {column!r} of instrument {one.name!r} is in {unit!r}; expected m "
+                        f"column {column!r} of instrument {instrument.name!r} is in {unit!r}; "
+                        "expected m "
                         "or rad"
                     )
-            if isinstance(one, Camera):
-                seen = {c for pair in one.image.points.values() for c in pair}
-                if unknown := sorted(seen - set(one.columns)):
+            if isinstance(instrument, Camera):
+                image_columns = {c for pair in instrument.image.points.values() for c in pair}
+                if unknown := sorted(image_columns - set(instrument.columns)):
                     raise MeasurementError(
-                        f"the image of instrument {one.name!r} has a column {unknown[0]!r}; "
-                        f"expected its own: {listed(one.columns)}"
+                        f"the image of instrument {instrument.name!r} has a column {unknown[0]!r}; "
+                        f"expected its own: {listed(instrument.columns)}"
                     )
-            for parameter in one.parameters:
-                if parameter.owner != one.name:
+            for parameter in instrument.parameters:
+                if parameter.owner != instrument.name:
                     raise MeasurementError(
-                        f"parameter {parameter.id!r} is of instrument {one.name!r}; expected "
-                        f"'{one.name}.{parameter.name}'"
+                        f"parameter {parameter.id!r} is of instrument {instrument.name!r}; "
+                        "expected "
+                        f"'{instrument.name}.{parameter.name}'"
                     )
 
     def __repr__(self) -> str:
@@ -384,7 +387,7 @@ class Setup:
             "unknown frame" if self.unknown_frame else "base frame",
             f"targets {listed(targets)}" if targets else "",
             f"distances {listed(self.distances)}" if self.distances else "",
-            f"instruments {listed(one.name for one in self.instruments)}"
+            f"instruments {listed(instrument.name for instrument in self.instruments)}"
             if self.instruments
             else "",
             "" if self.tracker is None else "tracker",
@@ -406,9 +409,9 @@ class Setup:
     def required(self) -> dict[str, str]:
         """Columns that measurements must have, and whose they are."""
         return dict.fromkeys(self.distances, "a distance that the setup names") | {
-            column: f"which instrument {one.name!r} reads"
-            for one in self.instruments
-            for column in one.columns
+            column: f"which instrument {instrument.name!r} reads"
+            for instrument in self.instruments
+            for column in instrument.columns
         }
 
     def points(self, platform: Platform) -> dict[str, str]:
@@ -433,9 +436,9 @@ class Setup:
         points = self.points(mechanism.platform)
         columns = points | dict.fromkeys(self.distances, "m")
         taken_twice = set(points) & set(self.distances)
-        for one in self.instruments:
-            taken_twice |= set(columns) & set(one.columns)
-            columns |= one.columns
+        for instrument in self.instruments:
+            taken_twice |= set(columns) & set(instrument.columns)
+            columns |= instrument.columns
         platform = mechanism.platform
         taken = {
             *mechanism.leg_names,
@@ -445,7 +448,9 @@ class Setup:
             "set",
             "run",
         }
-        if owners := {one.name for one in self.instruments} & set(mechanism.leg_names):
+        if owners := {instrument.name for instrument in self.instruments} & set(
+            mechanism.leg_names
+        ):
             raise MeasurementError(
                 f"an instrument is named {sorted(owners)[0]!r}, as a leg of {mechanism.name!r}; "
                 "choose another name"
@@ -453,9 +458,9 @@ class Setup:
         taken |= {"pose", "rx", "ry", "rz", *(n for names, _ in WAYS.values() for n in names)}
         taken |= {name for name in columns if name.startswith("sigma_")} | set(self.polar)
         taken |= taken_twice
-        if both := taken & set(columns):
+        if ambiguous := taken & set(columns):
             raise MeasurementError(
-                f"the setup names a column {sorted(both)[0]!r}, which means something else in "
+                f"the setup names a column {sorted(ambiguous)[0]!r}, which means something else in "
                 "measurements; choose another name"
             )
         return columns

@@ -182,9 +182,9 @@ class Share:
         return np.full_like(value, 1.0 / self.per)
 
 
-def _positive(what: str, value: float) -> None:
+def _positive(name: str, value: float) -> None:
     if not 0.0 < value < np.inf:
-        raise MechanismError(f"{what} is {value!r}; expected a number above 0")
+        raise MechanismError(f"{name} is {value!r}; expected a number above 0")
 
 
 FORMS = (Harmonic, Power, Knot, Share)
@@ -225,8 +225,8 @@ class Term:
         """db/dψ."""
         if self.slope is not None:
             return self.slope
-        found: Callable[[Array], Array] = self.basis.slope  # type: ignore[attr-defined]
-        return found
+        slope: Callable[[Array], Array] = self.basis.slope  # type: ignore[attr-defined]
+        return slope
 
     def column(self, owner: str) -> str:
         """Return the influence's column; empty if it is the reading.

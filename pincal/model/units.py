@@ -49,11 +49,11 @@ class Units:
     """To what values are written, in SI, but for standard deviations; 0 is to the last bit."""
 
     @classmethod
-    def of(cls, said: str, counts: Mapping[str, float], readings: Iterable[str] = ()) -> Units:
+    def of(cls, text: str, counts: Mapping[str, float], readings: Iterable[str] = ()) -> Units:
         """Return the units that a list such as ``mm,deg,counts`` names.
 
         Args:
-            said: Units with commas between them; numbers end where those of ``WRITTEN`` do.
+            text: Units with commas between them; numbers end where those of ``WRITTEN`` do.
             counts: Encoder counts of one rad or m, by reading.
             readings: Names of all readings, each of which needs its counts.
 
@@ -61,21 +61,23 @@ class Units:
             MeasurementError: an unknown unit, two of one dimension, or counts that are not known.
         """
         names: dict[str, str] = {}
-        listed = [one.strip() for one in said.split(",") if one.strip()]
+        listed = [name.strip() for name in text.split(",") if name.strip()]
         for unit in listed:
             if unit == COUNTS:
                 lacking = [name for name in readings if name not in counts]
                 if lacking:
                     raise MeasurementError(
-                        f"--units {said}: how many counts one rad or m of {', '.join(lacking)} has "
+                        f"--units {text}: how many counts one rad or m of {', '.join(lacking)} has "
                         f"is not said: give it by {scale_said(lacking[0], 'rad')}"
                     )
                 continue
             dimension = UNITS.get(unit, ("1", 1.0))[0]
             if dimension == "1" or dimension in names:
-                known = [one for one, (kind, _) in UNITS.items() if kind != "1" and one.isascii()]
+                known = [
+                    name for name, (kind, _) in UNITS.items() if kind != "1" and name.isascii()
+                ]
                 raise MeasurementError(
-                    f"--units {said}: {unit!r} is {'unknown' if dimension == '1' else 'a second'} "
+                    f"--units {text}: {unit!r} is {'unknown' if dimension == '1' else 'a second'} "
                     f"unit; expected one of lengths and one of angles, such as mm,deg "
                     f"({', '.join(known)}, {COUNTS})"
                 )
@@ -89,12 +91,19 @@ class Units:
     def _column(
         self, column: tuple[str, Iterable[float] | Iterable[str]]
     ) -> tuple[str, Iterable[float] | Iterable[str]]:
-        name, bracket, rest = column[0].partition(" [")
-        unit = rest.removesuffix("]")
-        own, by = self.names.get(unit, unit), self.counts.get(name.removeprefix("sigma_"))
-        if not bracket or (own == unit and by is None and not self.last):
+        name, bracket, bracketed = column[0].partition(" [")
+        unit = bracketed.removesuffix("]")
+        written_unit, per_unit = (
+            self.names.get(unit, unit),
+            self.counts.get(name.removeprefix("sigma_")),
+        )
+        if not bracket or (written_unit == unit and per_unit is None and not self.last):
             return column
-        scale, shown = (by, COUNTS) if by else (1.0 / UNITS.get(own, ("", 1.0))[1], own)
+        scale, shown = (
+            (per_unit, COUNTS)
+            if per_unit
+            else (1.0 / UNITS.get(written_unit, ("", 1.0))[1], written_unit)
+        )
         values = np.asarray(column[1], dtype=np.float64) * scale
         if self.last and not name.startswith(("sigma_", "cov_")):  # these may be as small
             values = values.round(max(0, round(-np.log10(self.last * scale)))) + 0.0  # no -0.0
@@ -112,18 +121,18 @@ WRITTEN = Units(last=1e-12)
 """As commands write what was computed: to a picometre or picoradian, far below any noise."""
 
 
-def counts_of(said: Iterable[str], readings: Mapping[str, str]) -> dict[str, float]:
+def counts_of(texts: Iterable[str], readings: Mapping[str, str]) -> dict[str, float]:
     """Return encoder counts of one rad or m by reading, of texts such as ``leg_1=4096/turn``.
 
     Args:
-        said: Each a reading's name, ``=``, a number, ``/`` and a unit; without a name, of all.
+        texts: Each a reading's name, ``=``, a number, ``/`` and a unit; without a name, of all.
         readings: Unit of each reading, by name.
 
     Raises:
         MeasurementError: something else, an unknown reading, or one that is said twice.
     """
-    found: dict[str, float] = {}
-    for text in said:
+    counts: dict[str, float] = {}
+    for text in texts:
         name, equals, scale = (part.strip() for part in text.rpartition("="))
         number, _, unit = (part.strip() for part in scale.partition("/"))
         names = [name] if equals else list(readings)
@@ -137,19 +146,19 @@ def counts_of(said: Iterable[str], readings: Mapping[str, str]) -> dict[str, flo
                 f"--counts {text}: expected a reading, how many counts, and of what, such as "
                 f"{next(iter(readings))}=4096/turn; the sign is the sensor's direction"
             )
-        for one in names:
-            if one not in readings:
+        for reading in names:
+            if reading not in readings:
                 raise MeasurementError(
-                    f"--counts {text}: no reading {one!r}; there are {', '.join(readings)}"
+                    f"--counts {text}: no reading {reading!r}; there are {', '.join(readings)}"
                 )
-            if readings[one] != dimension:
+            if readings[reading] != dimension:
                 raise MeasurementError(
-                    f"--counts {text}: {one} is read in {readings[one]}, not in {unit}"
+                    f"--counts {text}: {reading} is read in {readings[reading]}, not in {unit}"
                 )
-            if one in found:
-                raise MeasurementError(f"--counts: {one} is said twice; leave out one of them")
-            found[one] = per
-    return found
+            if reading in counts:
+                raise MeasurementError(f"--counts: {reading} is said twice; leave out one of them")
+            counts[reading] = per
+    return counts
 
 
 def scale_of(per: float, dimension: str) -> str:

@@ -40,18 +40,22 @@ class Break:
 
 def no_symmetries(breaks: Sequence[Break]) -> list[str]:
     """Return sentences that say what keeps elements out of a group, one for each reason."""
-    alike: dict[str, list[Break]] = {}
-    for one in breaks:
-        by = "" if one.deviation is None else f", by {amount(one.deviation, one.unit, 4, POSES)}"
-        alike.setdefault(f"{one.quantity}{by}", []).append(one)
-    found = []
-    for reason, own in alike.items():
-        elements = listed(dict.fromkeys(str(one.element) for one in own))
-        legs = list(dict.fromkeys(one.leg for one in own))
+    by_reason: dict[str, list[Break]] = {}
+    for broken in breaks:
+        amount_text = (
+            ""
+            if broken.deviation is None
+            else f", by {amount(broken.deviation, broken.unit, 4, POSES)}"
+        )
+        by_reason.setdefault(f"{broken.quantity}{amount_text}", []).append(broken)
+    sentences = []
+    for reason, breaks_alike in by_reason.items():
+        elements = listed(dict.fromkeys(str(broken.element) for broken in breaks_alike))
+        legs = list(dict.fromkeys(broken.leg for broken in breaks_alike))
         differ = f"differ{'s' * (len(legs) == 1)} from what is carried there in {reason}"
-        why = HOME_MOVES if own[0].quantity == HOME else f"{listed(legs)} {differ}"
-        found.append(f"{elements}: {why}")
-    return found
+        why = HOME_MOVES if breaks_alike[0].quantity == HOME else f"{listed(legs)} {differ}"
+        sentences.append(f"{elements}: {why}")
+    return sentences
 
 
 def breaks_of(
@@ -68,16 +72,16 @@ def breaks_of(
     fits = Fits(mechanism, readings)
     meant = _meant(fits, suggested(mechanism))
     legs = [canonical(leg) for leg in mechanism.legs]
-    found = []
+    broken_elements = []
     for element in sorted(meant, key=place_of):
-        if any(np.abs(element.matrix - own.matrix).max() < NEARLY for own in group):
+        if any(np.abs(element.matrix - member.matrix).max() < NEARLY for member in group):
             continue
         turned_over = fits.points.mechanism.platform.space == 3 and element.matrix[2, 2] < 0.0
         if turned_over and fits.home_moves(element) > NEARLY * fits.points.size:
             continue  # a machine upside down is not what was meant
         if broken := _first_break(fits, legs, element, tolerance):
-            found.append(broken)
-    return tuple(found)
+            broken_elements.append(broken)
+    return tuple(broken_elements)
 
 
 def _meant(fits: Fits, elements: Sequence[Element]) -> list[Element]:
@@ -92,13 +96,13 @@ def _meant(fits: Fits, elements: Sequence[Element]) -> list[Element]:
     closed = [elements[i] for i in largest_closed(product_table(elements, labels))]
     fitted = exact(closed, fits.centres, fits.points.size)
     drawn = [_about_z(element) for element in fitted]
-    if all(one is not None for one in drawn):
-        off = [
-            max(fits.points.distances(e).min(axis=1).max() for e in some if e is not None)
-            for some in (drawn, fitted)
+    if all(element is not None for element in drawn):
+        errors = [
+            max(fits.points.distances(e).min(axis=1).max() for e in version if e is not None)
+            for version in (drawn, fitted)
         ]
-        if off[0] <= len(fits.legs) * off[1] + 1e-9:
-            return [one for one in drawn if one is not None]
+        if errors[0] <= len(fits.legs) * errors[1] + 1e-9:
+            return [element for element in drawn if element is not None]
     return fitted
 
 
@@ -108,7 +112,10 @@ def _about_z(element: Element) -> Element | None:
     side = np.sign(np.linalg.det(Q[:2, :2]))
     turn = Element(float(np.arctan2(Q[1, 0], Q[0, 0])), bool(side < 0.0)).matrix.copy()
     turn[2, 2] = np.sign(Q[2, 2])
-    if max(np.linalg.norm(turn - by.Q) for by in (element.base, element.platform)) > NEARLY:
+    if (
+        max(np.linalg.norm(turn - isometry.Q) for isometry in (element.base, element.platform))
+        > NEARLY
+    ):
         return None
     near = Isometry.of(turn, np.zeros(3))
     return Element.of(near, near)
@@ -117,15 +124,19 @@ def _about_z(element: Element) -> Element | None:
 def _first_break(fits: Fits, legs: list[Leg], element: Element, tolerance: float) -> Break | None:
     """Return what breaks an element first, by the names of parameters where they can say it."""
     moved = fits.home_moves(element)
-    apart = fits.points.distances(element)
+    distances = fits.points.distances(element)
     for index, leg in enumerate(legs):
         homed = fits.readings and any(sensor.homed for sensor in leg.sensors)
         if homed and moved > tolerance * max(1.0, fits.points.size):
             return Break(element, leg.name, HOME)
-        near = [i for i in np.argsort(apart[index]) if apart[index, i] <= apart[index].min() + 1e-6]
+        near = [
+            i
+            for i in np.argsort(distances[index])
+            if distances[index, i] <= distances[index].min() + 1e-6
+        ]
         first: Break | None = None
-        for other in near:
-            broken = _leg_break(fits, (leg, legs[other]), index, int(other), tolerance, element)
+        for image in near:
+            broken = _leg_break(fits, (leg, legs[image]), index, int(image), tolerance, element)
             if broken is None:
                 first = None
                 break
@@ -139,21 +150,27 @@ def _leg_break(
     fits: Fits,
     legs: tuple[Leg, Leg],
     index: int,
-    other: int,
+    image: int,
     tolerance: float,
     element: Element,
 ) -> Break | None:
     """Return the first quantity in which a carried leg differs from another one."""
     size = fits.points.size
-    pairs = [(fits.legs[index], fits.legs[other])]
+    pairs = [(fits.legs[index], fits.legs[image])]
     try:
         named = carry(legs[0], element, legs[0].name, legs[0].point.name)
         pairs = [(named, legs[1])]
     except SymmetryError:  # its coordinates cannot say it
         pairs = [(carry(pairs[0][0], element, "leg", "point"), pairs[0][1])]
-    own = fits.carried_traits(index, element)
+    traits = fits.carried_traits(index, element)
     for carried, leg in pairs:
-        for one in fits.differences(carried, leg, own, other):
-            if one.exceeds(tolerance, size):
-                return Break(element, legs[1].name, one.quantity, one.deviation, one.unit)
+        for difference in fits.differences(carried, leg, traits, image):
+            if difference.exceeds(tolerance, size):
+                return Break(
+                    element,
+                    legs[1].name,
+                    difference.quantity,
+                    difference.deviation,
+                    difference.unit,
+                )
     return None

@@ -34,37 +34,37 @@ _GIVES = {"x": "x", "y": "y", "z": "z", "polar": "xy", "spherical": "xyz"}
 
 def on_body(
     p: Placement,
-    by: Isometry,
-    rest: Array,
-    kept: bool,
+    isometry: Isometry,
+    constant: Array,
+    keeps_turn: bool,
     values: tuple[dict[str, float], dict[str, float]],
-    where: str,
+    context: str,
 ) -> Placement:
     """Return a placement on base or platform after the body's isometry.
 
     Args:
         p: The placement.
-        by: The isometry.
-        rest: Its constant part, shape (4, 4).
-        kept: Whether the frame's orientation is to stay as it is.
+        isometry: The isometry.
+        constant: Its constant part, shape (4, 4).
+        keeps_turn: Whether the frame's orientation is to stay as it is.
         values: Parameters before, and those after, which are set.
-        where: What is said where it cannot be expressed.
+        context: What is said where it cannot be expressed.
     """
     old, new = values
-    mirrored = np.linalg.det(by.Q) < 0.0
-    moved = by.matrix @ p.displacement(old) @ rest
+    mirrored = np.linalg.det(isometry.Q) < 0.0
+    moved = isometry.matrix @ p.displacement(old) @ constant
     if mirrored:
         moved[:3, :3] = moved[:3, :3] @ LOCAL_MIRROR
-    coordinates = _move_point(p.coordinates, by, old, new, where)
+    coordinates = _move_point(p.coordinates, isometry, old, new, context)
     result = Placement(coordinates)
-    whole = np.linalg.inv(result.displacement(new)) @ moved
+    residual = np.linalg.inv(result.displacement(new)) @ moved
     if not p.turns:  # exact
-        whole[:3, :3] = moved[:3, :3]
-    if kept:
-        whole[:3, :3] = rest[:3, :3]
-    if p.coordinates and not rest[:3, 3].any() and not _all_zero(coordinates, new):
-        whole[:3, 3] = 0.0
-    return result.at(new, whole)
+        residual[:3, :3] = moved[:3, :3]
+    if keeps_turn:
+        residual[:3, :3] = constant[:3, :3]
+    if p.coordinates and not constant[:3, 3].any() and not _all_zero(coordinates, new):
+        residual[:3, 3] = 0.0
+    return result.at(new, residual)
 
 
 def _all_zero(coordinates: tuple[Coordinate, ...], values: dict[str, float]) -> bool:
@@ -74,10 +74,10 @@ def _all_zero(coordinates: tuple[Coordinate, ...], values: dict[str, float]) -> 
 
 def _move_point(
     coordinates: tuple[Coordinate, ...],
-    by: Isometry,
+    isometry: Isometry,
     old: dict[str, float],
     new: dict[str, float],
-    where: str,
+    context: str,
 ) -> tuple[Coordinate, ...]:
     """Return the coordinates of a point on base or platform after the body's isometry.
 
@@ -85,8 +85,8 @@ def _move_point(
     """
     first = _frame_size(coordinates)
     frame = Placement(coordinates[:first]).displacement(old)
-    G = np.linalg.inv(frame) @ by.matrix @ frame if first else by.matrix
-    moved = _moved_vector(coordinates[first:], G, old, where)
+    G = np.linalg.inv(frame) @ isometry.matrix @ frame if first else isometry.matrix
+    moved = _moved_vector(coordinates[first:], G, old, context)
     if np.abs(G[:2, 2]).max() > 0.0 or np.abs(G[2, :2]).max() > 0.0 or G[:3, 3].any():
         turn = None
     else:  # azimuths follow exactly, also of points on the axis
@@ -101,7 +101,7 @@ def _move_point(
             if c.kind == "spherical" and G[2, 2] < 0.0:
                 after[1] = np.pi - after[1]
         elif c.turns:
-            raise SymmetryError(f"{where} turns more than the coordinate {c.kind!r} can say")
+            raise SymmetryError(f"{context} turns more than the coordinate {c.kind!r} can say")
         else:
             after = _polar(np.sign(before[0]) or 1.0, moved, spherical=c.kind == "spherical")
         components |= set(_GIVES.get(c.kind, ""))
@@ -110,19 +110,19 @@ def _move_point(
         )
     needed = {letter for letter, component in zip("xyz", moved, strict=True) if component != 0.0}
     if coordinates[first:] and (missing := sorted(needed - components)):
-        raise SymmetryError(f"{where} needs a coordinate {missing[0]!r} there")
+        raise SymmetryError(f"{context} needs a coordinate {missing[0]!r} there")
     return tuple(result)
 
 
 def _moved_vector(
-    coordinates: tuple[Coordinate, ...], G: Array, values: dict[str, float], where: str
+    coordinates: tuple[Coordinate, ...], G: Array, values: dict[str, float], context: str
 ) -> Array:
     """Return where the isometry G, shape (4, 4), takes the point that coordinates give, (3,)."""
     vector = np.zeros(3)
     for c in coordinates:
         if c.turns and not (c.kind == "rz" and c is coordinates[-1]):
             raise SymmetryError(
-                f"{where} cannot carry a placement on the base with a rotation ({c.kind}); "
+                f"{context} cannot carry a placement on the base with a rotation ({c.kind}); "
                 "give the point by polar, spherical or x, y, z, and a turn about z last, by rz"
             )
         if not c.turns:
@@ -154,11 +154,11 @@ def _frame_size(coordinates: tuple[Coordinate, ...]) -> int:
 
 def mirror_coordinate(c: Coordinate, old: dict[str, float], new: dict[str, float]) -> Coordinate:
     """Return a coordinate inside the leg after the local mirror."""
-    *kept, last = c.values
+    *leading, last = c.values
     if _SIGNS.get(c.kind, -1) > 0:  # polar and spherical: the azimuth turns over
         return c
     value = old[last] if isinstance(last, str) else last
-    return Coordinate(c.kind, (*kept, _set(last, -value, new)))
+    return Coordinate(c.kind, (*leading, _set(last, -value, new)))
 
 
 def _set(value: Value, target: float, new: dict[str, float]) -> Value:
@@ -193,20 +193,24 @@ def _moved(leg: Leg, element: Element, name: str, point: str) -> Leg:
     local = LOCAL_MIRROR if element.reflection else np.eye(3)
     joints = []
     for index, joint in enumerate((*leg.joints, leg.point)):
-        where = f"{leg.name}, joint {joint.name!r}"
+        context = f"{leg.name}, joint {joint.name!r}"
         p = joint.placement
-        rest = p.rest(old, where).copy()
+        constant = p.rest(old, context).copy()
         if index == 0 or joint is leg.point:
-            by = element.platform if joint is leg.point else element.base
-            kept = joint is leg.point and leg.closes == "point"  # a point's frame has no meaning
-            placement = on_body(p, by, rest, kept, (old, new), f"{where}: the {element}")
+            isometry = element.platform if joint is leg.point else element.base
+            keeps_turn = (
+                joint is leg.point and leg.closes == "point"
+            )  # a point's frame has no meaning
+            placement = on_body(
+                p, isometry, constant, keeps_turn, (old, new), f"{context}: the {element}"
+            )
         else:
             coordinates = p.coordinates
             if element.reflection:
                 coordinates = tuple(mirror_coordinate(c, old, new) for c in coordinates)
-            rest[:3, :3] = local @ rest[:3, :3] @ local
-            rest[:3, 3] = local @ rest[:3, 3]
-            placement = Placement(coordinates).at(new, rest)
+            constant[:3, :3] = local @ constant[:3, :3] @ local
+            constant[:3, 3] = local @ constant[:3, 3]
+            placement = Placement(coordinates).at(new, constant)
         axis = local @ np.array(joint.axis)
         if joint.kind == "revolute":
             axis = axis * (-1.0 if element.reflection else 1.0)
@@ -230,11 +234,14 @@ def _turned_terms(leg: Leg, element: Element, moved: Leg) -> Leg:
     for place, name in enumerate(names):
         if name not in leg.deformed:
             continue
-        other = leg.with_parameters({name: leg.nominal_by_name[name] + _STEP})
-        there = _moved(other, element, moved.name, moved.point.name).nominal_by_name
-        change = np.array([there[own] for own in names]) - base
-        turned = [wrapped(float(one)) for one in change]
-        change = np.where([leg.placed[own] == "rad" for own in names], turned, change) / _STEP
+        varied = leg.with_parameters({name: leg.nominal_by_name[name] + _STEP})
+        values_after = _moved(varied, element, moved.name, moved.point.name).nominal_by_name
+        change = np.array([values_after[parameter] for parameter in names]) - base
+        turned = [wrapped(float(value)) for value in change]
+        change = (
+            np.where([leg.placed[parameter] == "rad" for parameter in names], turned, change)
+            / _STEP
+        )
         sides[name] = float(np.round(change[place]))
         change[place] -= sides[name]
         if abs(sides[name]) != 1.0 or np.abs(change).max() > ALIKE:
@@ -304,7 +311,9 @@ def _flip_axis(leg: Leg, index: int) -> Leg:
         offset = sensor.offset
         if sensor.form == "joint":
             offset = _changed(offset, parameters, lambda value: -value)
-        for amplitude in {one.parameter for one in sensor.terms if one.of != LOAD}:  # turns itself
+        for amplitude in {
+            term.parameter for term in sensor.terms if term.of != LOAD
+        }:  # turns itself
             parameters[amplitude] = 0.0 - parameters[amplitude]
         zero = sensor.zero if isinstance(sensor.zero, str) else 0.0 - sensor.zero
         sensor = replace(sensor, direction=-sensor.direction, zero=zero, offset=offset)
@@ -314,14 +323,14 @@ def _flip_axis(leg: Leg, index: int) -> Leg:
 def _absorb_turn(leg: Leg, index: int) -> Leg:
     joint = leg.joints[index]
     sensor = _sensor_of(leg, joint)
-    rest = joint.placement.rest(leg.nominal_by_name, leg.name).copy()
+    constant = joint.placement.rest(leg.nominal_by_name, leg.name).copy()
     axis = np.array(joint.axis)
-    if joint.kind != "revolute" or not np.allclose(rest[:3, :3] @ axis, axis, atol=1e-12):
+    if joint.kind != "revolute" or not np.allclose(constant[:3, :3] @ axis, axis, atol=1e-12):
         return leg
-    turn = float(Rotation.from_matrix(rest[:3, :3]).as_rotvec() @ axis)
+    turn = float(Rotation.from_matrix(constant[:3, :3]).as_rotvec() @ axis)
     if abs(turn) < 1e-15:
         return leg
-    rest[:3, :3] = np.eye(3)
+    constant[:3, :3] = np.eye(3)
     parameters = leg.nominal_by_name
     if sensor is None or isinstance(sensor.zero, str):  # home turns along
         turn = wrapped(joint.home + turn) - joint.home
@@ -337,7 +346,7 @@ def _absorb_turn(leg: Leg, index: int) -> Leg:
     limited = joint.upper - joint.lower < 2 * np.pi
     turned = replace(
         joint,
-        placement=joint.placement.at(parameters, rest),
+        placement=joint.placement.at(parameters, constant),
         home=joint.home + turn,
         lower=joint.lower + turn if limited else joint.lower,
         upper=joint.upper + turn if limited else joint.upper,
@@ -355,8 +364,8 @@ def _with(
 ) -> Leg:
     joints = (*leg.joints[:index], joint, *leg.joints[index + 1 :])
     sensors = tuple(
-        changed if changed is not None and one.joint == changed.joint else one
-        for one in leg.sensors
+        changed if changed is not None and sensor.joint == changed.joint else sensor
+        for sensor in leg.sensors
     )
     return replace(leg, joints=joints, sensors=sensors, parameters=tuple(parameters.items()))
 

@@ -75,7 +75,7 @@ class SymmetryGroup:
 
         The index of one is the number of elements over the number of its own.
         """
-        return tuple(self.part(sorted(one)) for one in reversed(subgroups(self.table)))
+        return tuple(self.part(sorted(indices)) for indices in reversed(subgroups(self.table)))
 
     def part(self, indices: Sequence[int]) -> SymmetryGroup:
         """Return the group of some elements, by index; they are closed."""
@@ -102,18 +102,18 @@ class SymmetryGroup:
         """
         names = self.mechanism.leg_names
         first = names.index(leg) if leg is not None else 0
-        found: dict[int, Element] = {}
+        carrier_by_leg: dict[int, Element] = {}
         for element, permutation in zip(self.elements, self.permutations, strict=True):
-            found.setdefault(permutation[first], element)
+            carrier_by_leg.setdefault(permutation[first], element)
         for index, name in enumerate(names):
-            if leg is None and index not in found:
+            if leg is None and index not in carrier_by_leg:
                 broken = "; ".join(no_symmetries(self.breaks))
                 raise SymmetryError(
                     f"no symmetry of {self.mechanism.name!r} carries leg 1 onto {name}"
                     f"{broken and f' ({broken})'}. "
                     "Choose poses for each leg on its own (--independent)"
                 )
-        return tuple(found[index] for index in sorted(found))
+        return tuple(carrier_by_leg[index] for index in sorted(carrier_by_leg))
 
     def orbit(self, poses: Poses) -> Array:
         """Return the poses onto which each pose is carried, shape (n_elements, N, dof).
@@ -150,7 +150,9 @@ class SymmetryGroup:
     def __str__(self) -> str:
         """Return a page: the elements, and what breaks the others."""
         lines = [f"{self.name}: {', '.join(str(e) for e in self.elements)}"]
-        return "\n".join(lines + [f"  no symmetry: {one}" for one in no_symmetries(self.breaks)])
+        return "\n".join(
+            lines + [f"  no symmetry: {sentence}" for sentence in no_symmetries(self.breaks)]
+        )
 
 
 __all__ = ["NearestGroup", "SymmetryGroup", "nearest_group", "symmetry_group"]
@@ -222,8 +224,12 @@ def nearest_group(mechanism: GivenMechanism) -> NearestGroup:
     mechanism = as_mechanism(mechanism)
     group = _group(mechanism, NEARLY, False)
     fits = Fits(mechanism, False)
-    each = [fits.measured(e, p) for e, p in zip(group.elements, group.permutations, strict=True)]
-    return NearestGroup(group, max(m for m, _ in each), max(r for _, r in each), tuple(each))
+    deviations = [
+        fits.measured(e, p) for e, p in zip(group.elements, group.permutations, strict=True)
+    ]
+    return NearestGroup(
+        group, max(m for m, _ in deviations), max(r for _, r in deviations), tuple(deviations)
+    )
 
 
 def in_domain(group: SymmetryGroup, positions: Array) -> Mask:
@@ -246,8 +252,8 @@ def in_domain(group: SymmetryGroup, positions: Array) -> Mask:
     ring = centre + size * np.stack(
         (np.cos(angles), np.sin(angles), 0.1 * np.sin(angles + 1.0)), axis=1
     )
-    away = [np.linalg.norm(move(ring) - ring, axis=1) for move in moves[1:]]
-    least = np.min(away, axis=0, initial=4.0 * size) / size
+    displacements = [np.linalg.norm(move(ring) - ring, axis=1) for move in moves[1:]]
+    least = np.min(displacements, axis=0, initial=4.0 * size) / size
     point = ring[np.argmax(least.round(6))]  # in the middle of a sector
     distances = np.stack([np.linalg.norm(move(points) - point, axis=1) for move in moves])
     return np.asarray(distances[0] <= distances.min(axis=0) + SAME * size)

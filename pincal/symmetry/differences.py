@@ -169,8 +169,8 @@ def _line_turn(first: Array | None, second: Array | None) -> float | None:
         return None
     if len(first) != len(second):
         return float("inf")
-    apart = np.linalg.norm(first[:, None] - second, axis=2)
-    return float(apart.min(axis=1).max()) if len(first) else 0.0
+    distances = np.linalg.norm(first[:, None] - second, axis=2)
+    return float(distances.min(axis=1).max()) if len(first) else 0.0
 
 
 @dataclass(frozen=True)
@@ -197,18 +197,18 @@ class Points:
     @cached_property
     def size(self) -> float:
         """Scale of the mechanism, wherever its frames are, [m]."""
-        there = self.platform @ self.home[:3, :3].T + self.home[:3, 3]
+        platform_at_home = self.platform @ self.home[:3, :3].T + self.home[:3, 3]
         spread = np.linalg.norm(self.base - self.base.mean(axis=0), axis=1).max()
-        return float(max(spread, np.linalg.norm(there - self.base, axis=1).max())) or 1.0
+        return float(max(spread, np.linalg.norm(platform_at_home - self.base, axis=1).max())) or 1.0
 
     @cached_property
     def spreads(self) -> tuple[float, float]:
         """Largest distance of base points from their centre, and of platform points, [m]."""
-        found = [
+        radii = [
             float(np.linalg.norm(points - points.mean(axis=0), axis=1).max())
             for points in (self.base, self.platform)
         ]
-        base, platform = (spread if spread > ALIKE * self.size else 0.0 for spread in found)
+        base, platform = (spread if spread > ALIKE * self.size else 0.0 for spread in radii)
         return base or self.size, platform or base or self.size
 
     @cached_property
@@ -216,11 +216,11 @@ class Points:
         """Points of base and platform if each fixes its own isometry; None if not."""
         if not self.mechanism.platform.turns:
             return None
-        both = (self.base, self.platform)
-        return both if all(self._rank(points) >= self._wanted for points in both) else None
+        bodies = (self.base, self.platform)
+        return bodies if all(self._rank(points) >= self._least_rank for points in bodies) else None
 
     @property
-    def _wanted(self) -> int:
+    def _least_rank(self) -> int:
         """Independent directions that fix an isometry, given whether it reflects."""
         return self.mechanism.platform.space - 1
 
@@ -233,16 +233,16 @@ class Points:
         """
         legs = np.arange(len(self.base))
         if not self.mechanism.platform.turns:
-            base, platform = (one - one.mean(axis=0) for one in (self.base, self.platform))
+            base, platform = (body - body.mean(axis=0) for body in (self.base, self.platform))
             points = np.concatenate((base, platform, -base, -platform))  # about their centres
             owners = np.tile(legs, 4)
-            if self._rank(points) >= self._wanted:
+            if self._rank(points) >= self._least_rank:
                 return points, owners
-        there = self.platform @ self.home[:3, :3].T + self.home[:3, 3]
-        points, owners = np.concatenate((self.base, there)), np.concatenate((legs, legs))
-        for more in (self.home[:3, 3], self.base.mean(axis=0) + self.size * np.eye(3)[2]):
-            if self._rank(points) < self._wanted:
-                points, owners = np.vstack((points, more)), np.append(owners, -1)
+        platform_at_home = self.platform @ self.home[:3, :3].T + self.home[:3, 3]
+        points, owners = np.concatenate((self.base, platform_at_home)), np.concatenate((legs, legs))
+        for anchor in (self.home[:3, 3], self.base.mean(axis=0) + self.size * np.eye(3)[2]):
+            if self._rank(points) < self._least_rank:
+                points, owners = np.vstack((points, anchor)), np.append(owners, -1)
         return points, owners
 
     def fitted(self, images: Sequence[int], legs: Sequence[int], sign: float) -> Element | None:
@@ -258,23 +258,25 @@ class Points:
         """
         space = self.mechanism.platform.space
         to = dict(zip(legs, images, strict=True))
-        own, its = list(legs), list(images)
+        sources, its = list(legs), list(images)
         if self._free:
-            pairs = [(points[own], points[its]) for points in self._free]
-            if any(self._rank(first) < self._wanted for first, _ in pairs):
+            pairs = [(points[sources], points[its]) for points in self._free]
+            if any(self._rank(first) < self._least_rank for first, _ in pairs):
                 return None
             base, platform = (_procrustes(a, b, sign, space) for a, b in pairs)
             return Element.of(base, platform)
         points, owners = self._joined
         rows = [i for i, owner in enumerate(owners) if owner < 0 or owner in to]
-        of = [i if owners[i] < 0 else self._row(i, to[int(owners[i])]) for i in rows]
-        if self._rank(points[rows]) < self._wanted:
+        targets = [i if owners[i] < 0 else self._row(i, to[int(owners[i])]) for i in rows]
+        if self._rank(points[rows]) < self._least_rank:
             return None
-        base = _procrustes(points[rows], points[of], sign, space)
+        base = _procrustes(points[rows], points[targets], sign, space)
         if self.mechanism.platform.turns:
-            back = np.linalg.inv(self.home)
-            return Element.of(base, Isometry.of(back @ base.matrix @ self.home))
-        return Element.of(*(_shifted(base.Q, p[own], p[its]) for p in (self.base, self.platform)))
+            home_inverse = np.linalg.inv(self.home)
+            return Element.of(base, Isometry.of(home_inverse @ base.matrix @ self.home))
+        return Element.of(
+            *(_shifted(base.Q, p[sources], p[its]) for p in (self.base, self.platform))
+        )
 
     def _rank(self, points: Array) -> int:
         """Return how many directions points span, seen from their centre."""
@@ -288,11 +290,11 @@ class Points:
 
     def distances(self, element: Element) -> Array:
         """Return how far carried legs' points are from others, over the spreads, shape (n, n)."""
-        both = ((self.base, element.base), (self.platform, element.platform))
+        bodies = ((self.base, element.base), (self.platform, element.platform))
         return np.maximum(
             *(
-                np.linalg.norm(by(points)[:, None] - points, axis=2) / spread
-                for (points, by), spread in zip(both, self.spreads, strict=True)
+                np.linalg.norm(isometry(points)[:, None] - points, axis=2) / spread
+                for (points, isometry), spread in zip(bodies, self.spreads, strict=True)
             )
         )
 
@@ -304,9 +306,9 @@ class Points:
         twists[:, : platform.lengths] *= self.size
         matrices = platform.displaced(platform.home_pose[[0, 0, 0]].as_matrix(), twists)
         carried = element.matrices(matrices)
-        again = platform.matrices(platform.from_matrices(carried)) - carried
-        again[:, :3, 3] /= self.size
-        return bool(np.abs(again).max() <= ALIKE)
+        deviation = platform.matrices(platform.from_matrices(carried)) - carried
+        deviation[:, :3, 3] /= self.size
+        return bool(np.abs(deviation).max() <= ALIKE)
 
 
 def candidates(points: Points, nearly: float) -> list[Element]:
@@ -318,7 +320,7 @@ def candidates(points: Points, nearly: float) -> list[Element]:
     """
     from scipy.optimize import linear_sum_assignment  # slow to load: when needed
 
-    legs, found = _references(points), [Element(0.0)]
+    legs, elements = _references(points), [Element(0.0)]
     for images in _images(points, legs, nearly):
         for sign in (1.0, -1.0):
             first = points.fitted(images, legs, sign)
@@ -330,9 +332,9 @@ def candidates(points: Points, nearly: float) -> list[Element]:
             near = points.distances(element) <= nearly
             if not (near.any(axis=0).all() and near.any(axis=1).all()):
                 continue
-            if not any(_alike(element, other) for other in found):
-                found.append(element)
-    return [element for element in found if points.keeps_freedoms(element)]
+            if not any(_nearly_equal(element, known) for known in elements):
+                elements.append(element)
+    return [element for element in elements if points.keeps_freedoms(element)]
 
 
 def _references(points: Points) -> list[int]:
@@ -340,17 +342,17 @@ def _references(points: Points) -> list[int]:
     places = np.hstack((points.base / points.spreads[0], points.platform / points.spreads[1]))
     legs = [0]
     while len(legs) < len(places) and points.fitted(legs, legs, 1.0) is None:
-        away = np.linalg.norm(places[:, None] - places[legs], axis=2).min(axis=1)
-        rest = [i for i in range(len(places)) if i not in legs]
-        legs.append(max(rest, key=lambda i: (away[i], -i)))
+        distances = np.linalg.norm(places[:, None] - places[legs], axis=2).min(axis=1)
+        remaining = [i for i in range(len(places)) if i not in legs]
+        legs.append(max(remaining, key=lambda i: (distances[i], -i)))
     return legs
 
 
 def _images(points: Points, legs: list[int], nearly: float) -> Iterator[list[int]]:
     """Yield where some legs may go: distances between them stay."""
-    apart = [
-        np.linalg.norm(one[:, None] - one, axis=2) / spread
-        for one, spread in zip((points.base, points.platform), points.spreads, strict=True)
+    distances = [
+        np.linalg.norm(body[:, None] - body, axis=2) / spread
+        for body, spread in zip((points.base, points.platform), points.spreads, strict=True)
     ]
 
     def extend(images: list[int]) -> Iterator[list[int]]:
@@ -360,22 +362,22 @@ def _images(points: Points, legs: list[int], nearly: float) -> Iterator[list[int
         new = legs[len(images)]
         for image in range(len(points.base)):
             if image not in images and all(
-                abs(d[new, own] - d[image, other]) <= 2.0 * nearly
-                for d in apart
-                for own, other in zip(legs, images, strict=False)
+                abs(d[new, leg] - d[image, leg_image]) <= 2.0 * nearly
+                for d in distances
+                for leg, leg_image in zip(legs, images, strict=False)
             ):
                 yield from extend([*images, image])
 
     return extend([])
 
 
-def _alike(first: Element, second: Element) -> bool:
+def _nearly_equal(first: Element, second: Element) -> bool:
     """Return whether two elements are the same but for how they were fitted."""
-    off = (
+    deviations = (
         np.linalg.norm(a.Q - b.Q)
         for a, b in ((first.base, second.base), (first.platform, second.platform))
     )
-    return bool(max(off) <= 1e-3)
+    return bool(max(deviations) <= 1e-3)
 
 
 def _procrustes(first: Array, second: Array, sign: float, space: int) -> Isometry:

@@ -60,18 +60,18 @@ class Isometry:
         """Return where points go, shape (N, 3), [m]."""
         return points @ self.Q.T + self.t
 
-    def after(self, other: Isometry) -> Isometry:
+    def after(self, first: Isometry) -> Isometry:
         """Return the composition: first ``other``, then this one."""
-        return Isometry.of(self.Q @ other.Q, self.Q @ other.t + self.t)
+        return Isometry.of(self.Q @ first.Q, self.Q @ first.t + self.t)
 
     def inverse(self) -> Isometry:
         """Return the isometry that undoes this one."""
         return Isometry.of(self.Q.T, -self.Q.T @ self.t)
 
-    def equals(self, other: Isometry, within: float = SAME) -> bool:
+    def equals(self, second: Isometry, within: float = SAME) -> bool:
         """Return whether two isometries are the same but for errors within a part of their size."""
         size = max(1.0, float(np.abs(self.t).max()))
-        turned, moved = np.abs(self.Q - other.Q).max(), np.abs(self.t - other.t).max()
+        turned, moved = np.abs(self.Q - second.Q).max(), np.abs(self.t - second.t).max()
         return bool(turned <= within and moved <= within * size)
 
 
@@ -116,10 +116,10 @@ class Element:
             )
         angle = float(np.arctan2(base.Q[1, 0], base.Q[0, 0]))
         plain = _about_z(angle, reflection)
-        if all(plain.equals(one, ROUNDING) for one in (base, platform)):
+        if all(plain.equals(isometry, ROUNDING) for isometry in (base, platform)):
             return cls(angle, reflection)
-        own = Rotation.from_matrix(-base.Q if reflection else base.Q).magnitude()
-        return cls(float(own), reflection, base, platform)
+        magnitude = Rotation.from_matrix(-base.Q if reflection else base.Q).magnitude()
+        return cls(float(magnitude), reflection, base, platform)
 
     @staticmethod
     def rotations(n: int) -> tuple[Element, ...]:
@@ -137,17 +137,17 @@ class Element:
         """Orthogonal matrix Q of the base's isometry, shape (3, 3)."""
         return self.base.Q
 
-    def after(self, other: Element) -> Element:
+    def after(self, first: Element) -> Element:
         """Return the composition: first ``other``, then this one."""
-        return Element.of(self.base.after(other.base), self.platform.after(other.platform))
+        return Element.of(self.base.after(first.base), self.platform.after(first.platform))
 
     def inverse(self) -> Element:
         """Return the element that undoes this one."""
         return Element.of(self.base.inverse(), self.platform.inverse())
 
-    def equals(self, other: Element) -> bool:
+    def equals(self, second: Element) -> bool:
         """Return whether two elements are the same but for rounding errors."""
-        return self.base.equals(other.base) and self.platform.equals(other.platform)
+        return self.base.equals(second.base) and self.platform.equals(second.platform)
 
     @property
     def is_identity(self) -> bool:
@@ -156,11 +156,13 @@ class Element:
 
     def matrices(self, matrices: Array) -> Array:
         """Return where poses ``T_base_platform``, shape (N, 4, 4), go: G_base T G_platform⁻¹."""
-        moved = self._both @ matrices.reshape(-1, 16).T  # memory runs along the poses, see batches
+        moved = (
+            self._entries_map @ matrices.reshape(-1, 16).T
+        )  # memory runs along the poses, see batches
         return np.asarray(moved.T.reshape(matrices.shape))
 
     @cached_property
-    def _both(self) -> Array:
+    def _entries_map(self) -> Array:
         """The map of a pose's entries, row by row: one product for all, shape (16, 16)."""
         return np.asarray(np.kron(self.base.matrix, self.platform.inverse().matrix.T), float)
 
@@ -226,8 +228,8 @@ def _about_z(angle: float, reflection: bool) -> Isometry:
 
 def _sign(axis: Array) -> float:
     """Return the sign of an axis' last component that is not zero: a way to write it."""
-    some = axis[np.abs(axis) > SAME]
-    return float(np.sign(some[-1])) if len(some) else 1.0
+    nonzero = axis[np.abs(axis) > SAME]
+    return float(np.sign(nonzero[-1])) if len(nonzero) else 1.0
 
 
 def _degrees(angle: float, period: float) -> str:

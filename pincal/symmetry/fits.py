@@ -57,37 +57,39 @@ class Fits:
         if self._homed and self.home_moves(element) > tolerance * max(1.0, self.points.size):
             return ()
         fits = np.zeros((count, count), dtype=bool)
-        apart = self.points.distances(element)
+        distances = self.points.distances(element)
         for index, leg in enumerate(self.legs):
             carried = carry(leg, element, leg.name, leg.point.name)
-            own = self.carried_traits(index, element)
-            for other in np.flatnonzero(apart[index] <= 2.0 * NEARLY):
-                fits[index, other] = not any(
+            traits = self.carried_traits(index, element)
+            for image in np.flatnonzero(distances[index] <= 2.0 * NEARLY):
+                fits[index, image] = not any(
                     d.exceeds(tolerance, self.points.size)
-                    for d in self.differences(carried, self.legs[other], own, int(other))
+                    for d in self.differences(carried, self.legs[image], traits, int(image))
                 )
             if not fits[index].any():
                 return ()
-        rows, to = linear_sum_assignment(np.where(fits, apart, 1e6))
+        rows, to = linear_sum_assignment(np.where(fits, distances, 1e6))
         return tuple(to.tolist()) if fits[rows, to].all() else ()
 
     def measured(self, element: Element, permutation: Permutation) -> tuple[float, float]:
         """Return the largest deviation of carried legs in [m] and in [rad]."""
         worst = {"m": 0.0, "rad": 0.0, "1": 0.0}
-        for index, (leg, other) in enumerate(zip(self.legs, permutation, strict=True)):
+        for index, (leg, image) in enumerate(zip(self.legs, permutation, strict=True)):
             carried = carry(leg, element, leg.name, leg.point.name)
-            for one in self.differences(
-                carried, self.legs[other], self.carried_traits(index, element), other
+            for difference in self.differences(
+                carried, self.legs[image], self.carried_traits(index, element), image
             ):
-                worst[one.unit] = max(worst[one.unit], one.deviation or 0.0)
+                worst[difference.unit] = max(worst[difference.unit], difference.deviation or 0.0)
         return worst["m"], worst["rad"]
 
     def carried_traits(self, index: int, element: Element) -> Traits:
         """Return the traits of a leg, by index, carried by an element."""
         return self.traits[index].carried(self.legs[index], element, self.mechanism.platform)
 
-    def differences(self, carried: Leg, leg: Leg, own: Traits, other: int) -> Iterator[Difference]:
+    def differences(
+        self, carried: Leg, leg: Leg, carried_traits: Traits, image: int
+    ) -> Iterator[Difference]:
         """Yield in what a carried leg differs from another one, given by its index too."""
-        for one in differences(carried, leg, own, self.traits[other]):
-            if self.readings or not one.of_sensor:
-                yield one
+        for difference in differences(carried, leg, carried_traits, self.traits[image]):
+            if self.readings or not difference.of_sensor:
+                yield difference

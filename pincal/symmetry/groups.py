@@ -32,13 +32,13 @@ def product_table(elements: Sequence[Element], labels: Sequence[object] | None =
     table = np.full((count, count), -1, dtype=np.intp)
     for a in range(count):
         products = turns[a] @ turns
-        apart = np.linalg.norm(products[:, None] - turns, axis=(3, 4)).max(axis=2)
+        distances = np.linalg.norm(products[:, None] - turns, axis=(3, 4)).max(axis=2)
         for b in range(count):
-            near = apart[b]
+            near = distances[b]
             if labels is not None:
                 first, second = labels[b], labels[a]
-                both = tuple(second[i] for i in first)  # type: ignore[index, attr-defined]
-                near = np.where([label == both for label in labels], near, np.inf)
+                composed = tuple(second[i] for i in first)  # type: ignore[index, attr-defined]
+                near = np.where([label == composed for label in labels], near, np.inf)
             best = int(np.argmin(near))
             table[a, b] = best if near[best] <= _NEAREST else -1
     return table
@@ -52,38 +52,38 @@ def distinct(elements: Sequence[Element], labels: Sequence[object]) -> list[int]
         labels: As in ``product_table``.
     """
     turns = np.array([np.stack((e.base.Q, e.platform.Q)) for e in elements])
-    kept: list[int] = []
+    chosen: list[int] = []
     for index, label in enumerate(labels):
-        same = [i for i in kept if labels[i] == label]
-        apart = np.linalg.norm(turns[same] - turns[index], axis=(2, 3)).max(axis=1)
-        if not (apart <= _NEAREST).any():
-            kept.append(index)
-    return kept
+        alike_labels = [i for i in chosen if labels[i] == label]
+        distances = np.linalg.norm(turns[alike_labels] - turns[index], axis=(2, 3)).max(axis=1)
+        if not (distances <= _NEAREST).any():
+            chosen.append(index)
+    return chosen
 
 
 def generated(table: Table, seeds: Iterable[int]) -> frozenset[int] | None:
     """Return the indices that some elements generate, or None if a product is missing."""
-    found = list(dict.fromkeys((0, *seeds)))
-    for a in found:
-        for b in tuple(found):
+    members = list(dict.fromkeys((0, *seeds)))
+    for a in members:
+        for b in tuple(members):
             for product in (int(table[a, b]), int(table[b, a])):
                 if product < 0:
                     return None
-                if product not in found:
-                    found.append(product)
-    return frozenset(found)
+                if product not in members:
+                    members.append(product)
+    return frozenset(members)
 
 
 def subgroups(table: Table) -> list[frozenset[int]]:
     """Return all closed subsets, the smallest first: joins of what single elements generate."""
     single = [generated(table, [a]) for a in range(len(table))]
-    found = {one for one in single if one is not None}
-    fresh = set(found)
+    closed = {subset for subset in single if subset is not None}
+    fresh = set(closed)
     while fresh:
         joined = {generated(table, a | b) for a in fresh for b in single if b and not b <= a}
-        fresh = {one for one in joined if one is not None} - found
-        found |= fresh
-    return sorted(found, key=lambda one: (len(one), sorted(one)))
+        fresh = {subset for subset in joined if subset is not None} - closed
+        closed |= fresh
+    return sorted(closed, key=lambda subset: (len(subset), sorted(subset)))
 
 
 def largest_closed(table: Table) -> list[int]:
@@ -94,13 +94,13 @@ def largest_closed(table: Table) -> list[int]:
 
 def generators(table: Table) -> list[int]:
     """Return a few elements whose products are all of a group."""
-    found: list[int] = []
+    seeds: list[int] = []
     reached = frozenset({0})
     while len(reached) < len(table):
-        larger = {a: generated(table, [*found, a]) or reached for a in range(len(table))}
+        larger = {a: generated(table, [*seeds, a]) or reached for a in range(len(table))}
         best = max(larger, key=lambda a: (len(larger[a]), -a))
-        found, reached = [*found, best], larger[best]
-    return found
+        seeds, reached = [*seeds, best], larger[best]
+    return seeds
 
 
 def exact(elements: Sequence[Element], centres: tuple[Array, Array], size: float) -> list[Element]:
@@ -123,14 +123,14 @@ def _exact_part(
     isometries: Sequence[Isometry], table: Table, centre: Array, size: float
 ) -> list[Isometry]:
     """Return isometries of one body made exact: Q by averaging Q(gh) Q(h)ᵀ, t by a fixed point."""
-    turns = np.array([one.Q for one in isometries])
+    turns = np.array([isometry.Q for isometry in isometries])
     for _ in range(_ROUNDS):
         mean = np.einsum("ghij,hkj->gik", turns[table], turns) / len(turns)
         U, _, Vt = np.linalg.svd(mean)
         turns = U @ Vt
     turns[0] = np.eye(3)
     for _ in range(2):
-        centre = np.mean([one(centre) for one in isometries], axis=0)
+        centre = np.mean([isometry(centre) for isometry in isometries], axis=0)
     centre = centre - (turns @ centre).mean(axis=0)  # less what no element moves
     if np.linalg.norm(centre) <= SAME * size:
         centre = np.zeros(3)
