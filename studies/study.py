@@ -66,7 +66,8 @@ class Study:
         """Add a figure."""
         self.figures[name] = figure
         text = " ".join(caption.split())
-        self.parts.append(f"![{text}](figures/{name}.png)\n\n*{text}*")
+        label = text.partition(":")[0]
+        self.parts.append(f"![{label}](figures/{name}.png)\n\n*{text}*")
 
     def claims(self, *rows: tuple[str, str, str, str]) -> None:
         """Add what the paper says, what was measured, and whether they agree or why not."""
