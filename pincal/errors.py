@@ -7,6 +7,9 @@
 class PincalError(Exception):
     """Root of every error raised on purpose; its text says what, where, expected, what to do.
 
+    Causes: those of its kinds. Raised itself it is a fault of pincal, found before anything was
+    written.
+
     What to do: read the message. ``except pincal.PincalError`` catches all of them.
 
     Example:
