@@ -18,7 +18,7 @@ LINES = {
     "architectures": 745,
     "calibration": 7_400,
     "cli": 3_950,
-    "design": 3_400,
+    "design": 2_860,
     "estimation": 6_650,
     "files": 3_180,
     "formats": 3_545,

@@ -1,356 +1,221 @@
-"""Exchange of candidates: one of a set is swapped for another, the swap that gains most, till none.
+"""Exchange of candidates: one of a set is swapped for another as long as that gains something.
 
-Fedorov (1972); of robot poses Sun and Hollerbach (2008). Candidates contribute one row or several,
-and any criterion says what adding or dropping one changes. What the swaps of a set would gain at
-most is one product of matrices for all pairs (``criteria``), and is what they gain where candidates
-have one row. All starts are swapped at once. The criteria are concave in M, so that a swap gains
-less than it does to first order: a candidate that promises less than the least of a set does not
-improve it, and no swap is overlooked by leaving it out.
+Fedorov (1972); of robot poses Sun and Hollerbach (2008). A criterion is concave in M, so that a
+swap gains less than its gradients differ: swaps are ranked by that, the most promising tried
+exactly, and no swap is overlooked by leaving out those that promise nothing. All starts are
+swapped at once.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from pincal.design.certificate import continuous_design
 from pincal.design.criteria import (
+    Candidates,
     Criterion,
     Determinant,
-    Held,
     Parts,
-    Rows,
-    grams,
-    most_of,
-    squares,
+    as_candidates,
+    gradient,
+    inverse_roots,
+    largest,
 )
 from pincal.errors import ObservabilityError
-from pincal.kinematics.batches import chunks, solve
+from pincal.kinematics.batches import chunks
 from pincal.model.checks import ROUNDING
 from pincal.types import Array, Index
 
+_POOL = 200  # candidates that swaps come from, at least; by as many the pool grows
+_POOL_PER_CHOSEN = 4  # candidates in the pool for each of a set, at least
+_RANDOM = 50  # further candidates in the pool, drawn from all
+_TRIED = 8  # weakest members that are swapped for as many of the strongest candidates
+_CHUNK = 4096  # swaps that are tried together
+_SWAPS = 1000  # swaps of a set between two looks at all candidates, at most
+_LOOKS = 100  # looks at all candidates, at most
 
-@dataclass(frozen=True)
-class Effort:
-    """How far exchanges of candidates go."""
-
-    exchanges: int
-    """Between two looks at all candidates, at most."""
-    pool: int
-    """Candidates that are looked at between two looks at all, and by which they grow."""
-    times: int = 4
-    """Of those in a set, at least."""
-    others: int = 0
-    """Any others that are looked at from the first."""
-    rounds: int = 1
-    """Looks at all, at most."""
-    tolerance: float = 0.0
-    """Of the bound on det^(1/n), where it ends."""
-    at_once: int = 1
-    """Of the best sets, those that are exchanged against all candidates."""
-    out: int = 24
-    """Of a set, those that it would miss least, which are swapped."""
-    few: int = 100
-    """Swaps of candidates of several rows whose gains are looked at together."""
-    weighted: tuple[float, float] = (0.95, 0.3)
-    """Share of weights by which starts are drawn, of the first and the last of them; the rest is
-    the same for all candidates."""
+_GAIN = 1e-9  # least gain of a swap
+_WEIGHTED = (0.95, 0.7)  # share of priority by which the first and the last start are drawn
 
 
-_STEEP = 300.0  # slopes of sets that lack rank; those of their own are no more than their rows
-_LEAST = 1e-15  # of 1, that a set keeps of a direction which only one of it determines
-_EFFORT = Effort(exchanges=1000, pool=200, others=50, rounds=100, tolerance=1e-9, at_once=2)
+def best_choice(
+    rows: Candidates | Parts,
+    count: int,
+    rng: np.random.Generator,
+    starts: int,
+    criterion: Criterion | None = None,
+    factors: Parts | None = None,
+) -> tuple[Index, float]:
+    """Return the best choice of candidates, and its efficiency against the bound on any choice.
+
+    Args:
+        rows: Rows that each candidate contributes, of each part of the parameters, shape (M, r, n);
+            together of rank n.
+        count: Size of the choice, without repetition.
+        rng: Source of the random starts.
+        starts: Number of starts.
+        criterion: Criterion to maximise; log det if not given.
+        factors: See ``continuous_design``.
+
+    Raises:
+        ObservabilityError: the candidates leave a parameter undetermined, or are too few.
+    """
+    design = continuous_design(rows, criterion, factors)
+    chosen, value = exchange(rows, count, design.priority, rng, starts, criterion)
+    return chosen, design.efficiency(value, count)
 
 
 def exchange(
-    given: Rows | Parts,
+    rows: Candidates | Parts,
     count: int,
     priority: Array,
     rng: np.random.Generator,
     starts: int,
     criterion: Criterion | None = None,
 ) -> tuple[Index, float]:
-    """Return the best set of candidates found from several starts, and its value.
+    """Return the best set of candidates from several starts, and its value.
 
     The first start rounds the continuous design, the others are drawn by its weights. Swaps run in
-    a pool; the best sets are then exchanged against all candidates, the pool growing by those that
-    would improve them, until none does.
+    a pool, which then grows by those of all candidates that would improve the best set to first
+    order; the next starts are this set and others near it. It ends when none is better.
 
     Args:
-        given: Rows of candidates; or those that each contributes, of each part of the parameters,
-            shape (M, r, n); together of rank n.
+        rows: Rows that each candidate contributes, of each part of the parameters, shape (M, r, n);
+            together of rank n.
         count: Size of the set, without repetition.
-        priority: By which candidates come first into the pool, shape (M,): the continuous design;
-            −∞ for those that do not count.
+        priority: Order in which candidates come into the pool, the largest first, shape (M,).
         rng: Source of the random starts.
         starts: Number of starts.
-        criterion: What is made large; log det if not given.
+        criterion: Criterion to maximise; log det if not given.
 
     Raises:
         ObservabilityError: fewer candidates than the set is to have.
     """
-    rows = Held(given) if isinstance(given, tuple) else given
-    return _Exchange(rows, count, priority, rng, criterion or Determinant()).best(starts)
-
-
-class _Exchange:
-    """Candidates that are looked at, the pool, and the sets among them."""
-
-    def __init__(
-        self,
-        rows: Rows,
-        count: int,
-        priority: Array,
-        rng: np.random.Generator,
-        criterion: Criterion,
-    ) -> None:
-        """Fill the pool: see ``exchange``.
-
-        Raises:
-            ObservabilityError: fewer candidates than the set is to have.
-        """
-        self.all_rows, self.count, self.rng = rows, count, rng
-        self.places = places = np.flatnonzero(np.isfinite(priority))
-        if len(places) < count:
-            raise ObservabilityError(
-                f"{len(places)} of {rows.total} candidates are in reach, no two of them alike; "
-                f"{count} are to be chosen"
-            )
-        self.size = size = max(_EFFORT.pool, _EFFORT.times * count)
-        first = places[most_of(priority[places], size)]
-        others = places[rng.integers(len(places), size=_EFFORT.others)]
-        self.pool = np.union1d(first, others)
-        self.priority = priority[self.pool]
-        self.rows = rows(self.pool)
-        self.scales = tuple(
-            np.linalg.norm(one.reshape(-1, one.shape[2]), axis=0) for one in self.rows
+    candidates, criterion = as_candidates(rows), criterion or Determinant()
+    if len(candidates) < count:
+        raise ObservabilityError(
+            f"{len(candidates)} candidates are in reach, no two of them alike; {count} are to be "
+            "chosen"
         )
-        self.rows, self.widths = self._scaled(self.rows), tuple(one.shape[1] for one in self.rows)
-        self.grams = tuple(grams(one) for one in self.rows)
-        self.criterion, self.lacking = criterion.scaled(self.scales)
-
-    def _scaled(self, rows: Parts) -> Parts:
-        return tuple(one / scale for one, scale in zip(rows, self.scales, strict=True))
-
-    def best(self, starts: int) -> tuple[Index, float]:
-        """Return the best set found, places of candidates, and its value."""
-        sets, best = self._starts(starts), -np.inf
-        for _ in range(_EFFORT.rounds):
-            sets = np.unique(np.sort(self._swapped(sets), axis=1), axis=0)
-            chosen = [
-                tuple(part[one].reshape(-1, part.shape[2]) for part in self.rows) for one in sets
-            ]
-            values = np.array([self.criterion.value(one) for one in chosen])
-            order = np.argsort(-values, kind="stable")[: _EFFORT.at_once]
-            sets, values = sets[order], values[order]
-            if not values[0] > best + _EFFORT.tolerance:
-                break
-            best = values[0]
-            self._grow(sets)
-        return np.sort(self.pool[sets[0]]), float(values[0]) + self.lacking
-
-    def _starts(self, starts: int) -> Index:
-        """Return the first sets, shape (starts, count): the foremost, and some drawn."""
-        weights = np.maximum(self.priority, 0.0)
-        share = np.linspace(*_EFFORT.weighted, starts)[:, None]
-        even = 1.0 / len(weights)
-        chances = share * weights / max(weights.sum(), ROUNDING) + (1.0 - share) * even
-        keys = np.log(chances) + self.rng.gumbel(size=(starts, len(weights)))
-        keys[0] = self.priority
-        return np.argsort(-keys, axis=1, kind="stable")[:, : self.count]
-
-    def _grow(self, sets: Index) -> None:
-        """Add the candidates to the pool that would improve sets most, to first order."""
-        pairs = zip(self.criterion.turns(_inverses(self.rows, sets)), self.scales, strict=True)
-        turns = tuple(turn / scale[:, None] for turn, scale in pairs)
-        more = []
-        for index, own in enumerate(sets):
-            by = tuple(one[index] for one in turns)
-            gain = squares(self.all_rows, self.places, by)
-            least = gain[np.searchsorted(self.places, self.pool[own])].min()
-            better = np.flatnonzero(gain > least)
-            more.append(self.places[better[most_of(gain[better], self.size)]])
-        others = np.setdiff1d(np.concatenate(more), self.pool)
-        rows = self._scaled(self.all_rows(others))
-        self.pool = np.concatenate((self.pool, others))
-        self.rows = tuple(np.concatenate(pair) for pair in zip(self.rows, rows, strict=True))
-        self.grams = tuple(
-            np.concatenate((one, grams(more)), axis=1)
-            for one, more in zip(self.grams, rows, strict=True)
+    size = max(_POOL, _POOL_PER_CHOSEN * count)
+    drawn = rng.integers(len(candidates), size=_RANDOM)
+    pool = np.union1d(largest(priority, size), drawn)
+    raw = candidates[pool]
+    scales = tuple(1.0 / np.linalg.norm(part, axis=(0, 1)) for part in raw)
+    scaled = criterion.transformed(tuple(map(np.diag, scales)))
+    best, best_value, near = np.arange(0), -np.inf, priority[pool]
+    for _ in range(_LOOKS):
+        parts = tuple(part * scale for part, scale in zip(raw, scales, strict=True))
+        sets = np.sort(_swapped(parts, _starts(near, count, rng, starts), scaled), axis=1)
+        values = [criterion.value(tuple(part[members] for part in raw)) for members in sets]
+        first = int(np.argmax(values))
+        if not values[first] > best_value + _GAIN:
+            break
+        best, best_value = sets[first], values[first]
+        turns = tuple(
+            scale[:, None] * (root @ scaled.direction(root))[0]
+            for root, scale in zip(_roots(parts, best[None]), scales, strict=True)
         )
+        slopes = gradient(candidates, turns)
+        better = np.flatnonzero(slopes > slopes[pool[best]].min())
+        joining = np.setdiff1d(better[largest(slopes[better], size)], pool)
+        pool = np.concatenate((pool, joining))
+        raw = tuple(map(np.concatenate, zip(raw, candidates[joining], strict=True)))
+        near = np.isin(np.arange(len(pool)), best).astype(float)
+    return np.sort(pool[best]), best_value
 
-    def _swapped(self, sets: Index) -> Index:
-        """Return sets, shape (S, count), that no swap of one of each for another one improves.
 
-        Where a set without one of it lacks rank, gains are those beside a ridge: some may be
-        missed.
-        """
-        sets = sets.copy()
-        active = np.arange(len(sets) if self.count < len(self.pool) else 0)
-        for _ in range(_EFFORT.exchanges):
-            if not len(active):
+def _starts(priority: Array, count: int, rng: np.random.Generator, starts: int) -> Index:
+    """Return the candidates of highest priority, and sets drawn by it, shape (starts, count)."""
+    weights = np.maximum(priority, 0.0)
+    share = np.linspace(*_WEIGHTED, starts)[:, None]
+    chances = share * weights / weights.sum() + (1.0 - share) / len(weights)
+    keys = np.log(chances) + rng.gumbel(size=(starts, len(weights)))
+    keys[0] = priority
+    return np.argsort(-keys, axis=1, kind="stable")[:, :count]
+
+
+def _roots(rows: Parts, sets: Index) -> Parts:
+    """Return R of M⁻¹ = R Rᵀ of sets (S, count), with a ridge: a random start may lack rank."""
+    stacks = (part[sets].reshape(len(sets), -1, part.shape[2]) for part in rows)
+    return tuple(
+        inverse_roots(stack.swapaxes(1, 2) @ stack + ROUNDING * np.eye(stack.shape[2]))
+        for stack in stacks
+    )
+
+
+def _swapped(rows: Parts, sets: Index, criterion: Criterion) -> Index:
+    """Return sets, shape (S, count), that no swap of one of each for another one improves.
+
+    Swaps of a set that lacks rank are judged beside a ridge.
+    """
+    sets, total = sets.copy(), len(rows[0])
+
+    def improved(active: Index, tried: int) -> Index:
+        """Swap in some sets, and return those that it improves."""
+        leaving, coming, gain = _best_swaps(rows, sets[active], criterion, tried)
+        better = gain > _GAIN
+        sets[active[better], leaving[better]] = coming[better]
+        return active[better]
+
+    active = np.arange(len(sets) if sets.shape[1] < total else 0)
+    for _ in range(_SWAPS):
+        if not len(active):
+            break
+        promising = active
+        for _ in range(_SWAPS):
+            promising = improved(promising, _TRIED)
+            if not len(promising):
                 break
-            out, into, gain = self._best_swap(sets[active])
-            gains = gain > _EFFORT.tolerance
-            active = active[gains]
-            sets[active, out[gains]] = into[gains]
-        return sets
-
-    def _best_swap(self, sets: Index) -> tuple[Index, Index, Array]:
-        """Return where in each set a candidate goes, which one comes, and what that gains, (S,)."""
-        each, inverse = np.arange(len(sets))[:, None], _inverses(self.rows, sets)
-        loss = self.criterion.change(tuple(one[sets] for one in self.rows), inverse, -1.0)
-        out = np.argsort(-loss, axis=1, kind="stable")[:, : _EFFORT.out]
-        loss, gone = loss[each, out], sets[each, out]
-        less = _without(inverse, self.rows, gone)
-        factor = self.criterion.most(self.grams, less, self.widths).reshape(*out.shape, -1)
-        factor[each[:, :, None], np.arange(out.shape[1])[:, None], sets[:, None]] = 0.0
-        factor *= np.exp(loss)[:, :, None]
-        if set(self.widths) == {1}:
-            flat = factor.reshape(len(sets), -1)
-            place = flat.argmax(axis=1)
-            gain = np.log(np.maximum(flat[each[:, 0], place], ROUNDING))
-        else:
-            slope = np.exp(self.criterion.slope(self.grams, inverse).clip(0.0, _STEEP))
-            first = slope[:, None] / slope[each, gone][:, :, None]
-            place, gain = self._best_of(np.minimum(factor, first, out=factor), less, loss)
-        which, into = np.divmod(place, len(self.pool))
-        return out[each[:, 0], which], into, gain
-
-    def _best_of(self, most: Array, less: Parts, loss: Array) -> tuple[Index, Array]:
-        """Return of each set the swap that gains most, (S,), and the gain: those that may, tried.
-
-        Args:
-            most: exp of what swaps gain at most, shape (S, k, P); overwritten.
-            less: M⁻¹ of the set without each, shape (S k, n, n).
-            loss: What leaving each out changes, shape (S, k).
-        """
-        each, total = np.arange(len(most)), len(self.pool)
-        into = most.argmax(axis=2)  # for each that goes the one that promises most
-        gains = self._gains(np.arange(loss.size), into.ravel(), less).reshape(loss.shape) + loss
-        which = gains.argmax(axis=1)
-        place, best = which * total + into[each, which], gains[each, which]
-        np.put_along_axis(most, into[:, :, None], 0.0, axis=2)
-        flat = most.reshape(len(most), -1)
-        for one in np.flatnonzero(flat.max(axis=1) > np.exp(best)):
-            left = np.flatnonzero(flat[one] > np.exp(best[one]))
-            left = left[np.argsort(-flat[one, left], kind="stable")]
-            for some in (left[part] for part in chunks(len(left), _EFFORT.few)):
-                if flat[one, some[0]] <= np.exp(best[one]):
-                    break
-                which, into = np.divmod(some, total)
-                gain = self._gains(one * loss.shape[1] + which, into, less) + loss[one, which]
-                top = int(gain.argmax())
-                if gain[top] > best[one]:
-                    place[one], best[one] = some[top], gain[top]
-        return place, best
-
-    def _gains(self, which: Index, into: Index, inverse: Parts) -> Array:
-        """Return what candidates change, each added to a choice of its own, shape (m,)."""
-        rows = tuple(one[into][:, None] for one in self.rows)
-        return self.criterion.change(rows, tuple(one[which] for one in inverse), 1.0)[:, 0]
+        _, first = np.unique(np.sort(sets[active], axis=1), axis=0, return_index=True)
+        active = improved(active[first], total)
+    return sets
 
 
-def _inverses(rows: Parts, sets: Index) -> Parts:
-    """Return (Σ Aᵀ A)⁻¹ of sets (S, n, n), with a ridge: a random start may lack rank."""
-    found = []
-    for one in rows:
-        flat = one[sets].reshape(len(sets), -1, one.shape[2])
-        M = flat.swapaxes(1, 2) @ flat
-        _diagonal(M)[:] += ROUNDING
-        found.append(np.asarray(np.linalg.inv(M), np.float64))
-    return tuple(found)
+def _best_swaps(
+    rows: Parts, sets: Index, criterion: Criterion, tried: int
+) -> tuple[Index, Index, Array]:
+    """Return where in each set a candidate leaves, which one comes, and what that gains, (S,)."""
+    index, roots = np.arange(len(sets)), _roots(rows, sets)
+    W = tuple(part @ root[:, None] for part, root in zip(rows, roots, strict=True))
+    V = tuple(
+        part @ criterion.direction(root)[:, None] for part, root in zip(W, roots, strict=True)
+    )
+    slopes = np.sum([(part * part).sum(axis=(2, 3)) for part in V], axis=0)
+    inside = np.take_along_axis(slopes, sets, axis=1)
+    np.put_along_axis(slopes, sets, -np.inf, axis=1)
+    weakest = np.argsort(inside, axis=1)[:, :tried]
+    strongest = np.argsort(-slopes, axis=1)[:, :tried]
+    lost = np.take_along_axis(inside, weakest, axis=1)[:, :, None]
+    promise = np.take_along_axis(slopes, strongest, axis=1)[:, None] - lost
+    owner, i, j = np.nonzero(promise > _GAIN)
+    pairs = np.column_stack((sets[owner, weakest[owner, i]], strongest[owner, j]))
+    gain = np.full(promise.shape, -np.inf)
+    gain[owner, i, j] = _gains(W, V, owner, pairs, criterion)
+    i, j = np.divmod(gain.reshape(len(sets), -1).argmax(axis=1), promise.shape[2])
+    return weakest[index, i], strongest[index, j], gain[index, i, j]
 
 
-def _without(inverse: Parts, rows: Parts, gone: Index) -> Parts:
-    """Return (M − Aᵀ A)⁻¹ of sets and candidates that go (S, k), shape (S k, n, n) (Woodbury)."""
-    found = []
-    for one, candidates in zip(inverse, rows, strict=True):
-        A = candidates[gone]
-        (count, k, r, n), by = A.shape, one[:, None]
-        product = A @ by
-        middle = -(product @ A.swapaxes(2, 3)).reshape(-1, r, r)
-        _diagonal(middle)[:] += 1.0 + _LEAST
-        product = product.reshape(-1, r, n)
-        less = product.swapaxes(1, 2) @ solve(middle, product)
-        found.append((by + less.reshape(count, k, n, n)).reshape(-1, n, n))
-    return tuple(found)
-
-
-def _diagonal(matrices: Array) -> Array:
-    """Return the diagonals of matrices (S, n, n) that lie together in memory, a view, (S, n)."""
-    return matrices.reshape(len(matrices), -1)[:, :: matrices.shape[2] + 1]
-
-
-_EFFORT_accuracy_bound = Effort(exchanges=100, pool=400, rounds=40, tolerance=1e-2)
-
-
-@dataclass(frozen=True)
-class AccurateDesign:
-    """Weights on candidates, near the L-optimal ones, and the bound that they prove."""
-
-    weights: Array
-    """Shape (M,), sum 1."""
-    least: float
-    """Lower bound of tr L M⁻¹ of any weights."""
-
-    def efficiency(self, variance: float, count: int) -> float:
-        """Return the bound over tr L M⁻¹ of a set of so many candidates, at most 1."""
-        return self.least / count / variance
-
-
-def accurate_design(blocks: Array, C: Array) -> AccurateDesign:
-    """Return a nearly L-optimal continuous design and its bound.
-
-    Multiplicative steps wⱼ ← wⱼ √(ψⱼ / Φ) (Fellman 1974) in a pool that grows by the candidates
-    that would improve it most.
+def _gains(W: Parts, V: Parts, owners: Index, pairs: Index, criterion: Criterion) -> Array:
+    """Return what swaps gain exactly, shape (m,).
 
     Args:
-        blocks: Rows that each candidate contributes, shape (M, r, n); together of rank n.
-        C: L = C Cᵀ, shape (n, q).
+        W: Rows of candidates times the root R of the inverse of each set, shape (S, P, r, n).
+        V: W times the criterion's direction, shape (S, P, r, k).
+        owners: Sets in which to swap, shape (m,).
+        pairs: Candidates that leave and that come, shape (m, 2).
+        criterion: The criterion.
     """
-    count, r, n = blocks.shape
-    factor = np.asarray(np.linalg.qr(blocks.reshape(-1, n), mode="r"))  # M(1 / count) becomes 1
-    rows = np.linalg.solve(factor.T, blocks.reshape(-1, n).T).T.reshape(count, r, n)
-    C = np.linalg.solve(factor.T, C)
-
-    def share(pool: Index, weights: Array) -> Array:
-        """Return ψⱼ / Φ of all candidates at weights of some, and Φ behind."""
-        used = rows[pool].reshape(-1, n)
-        M = (used * np.repeat(weights, r)[:, None]).T @ used
-        half = np.linalg.solve(M, C)
-        psi = ((rows.reshape(-1, n) @ half) ** 2).sum(axis=1).reshape(count, r).sum(axis=1)
-        total = float((half * C).sum())
-        return np.append(psi / total, total)
-
-    pool, weights = np.arange(count), np.full(count, 1.0 / count)
-    least = 0.0
-    for _ in range(_EFFORT_accuracy_bound.rounds):
-        psi = share(pool, weights)
-        least = max(least, psi[-1] / psi[:-1].max())
-        if psi[:-1].max() <= 1.0 + _EFFORT_accuracy_bound.tolerance:
-            break
-        every = np.zeros(count)
-        every[pool] = weights
-        first = len(pool) == count > _EFFORT_accuracy_bound.pool
-        heavy = np.flatnonzero(every > (np.inf if first else 1e-3 / n))
-        more = np.argsort(-psi[:-1], kind="stable")[: _EFFORT_accuracy_bound.pool if first else 50]
-        pool = np.union1d(heavy, more)
-        weights = np.maximum(every[pool], _EFFORT_accuracy_bound.tolerance / len(pool))
-        weights = _multiplied(rows[pool], C, weights / weights.sum())
-    found = np.zeros(count)
-    found[pool] = weights
-    return AccurateDesign(found, least)
-
-
-def _multiplied(rows: Array, C: Array, weights: Array) -> Array:
-    """Return weights after multiplicative steps, shape (M,)."""
-    n = rows.shape[2]
-    flat = rows.reshape(-1, n)
-    for _ in range(_EFFORT_accuracy_bound.exchanges):
-        M = (flat * np.repeat(weights, rows.shape[1])[:, None]).T @ flat
-        half = np.linalg.solve(M, C)
-        psi = ((flat @ half) ** 2).sum(axis=1).reshape(len(rows), -1).sum(axis=1)
-        weights = weights * np.sqrt(psi / (half * C).sum())
-        weights = weights / weights.sum()
-    return np.asarray(weights)
+    total = np.zeros(len(owners))
+    for chunk in chunks(len(owners), _CHUNK):
+        owner, pair = owners[chunk, None], pairs[chunk]
+        for W_part, V_part in zip(W, V, strict=True):
+            r = W_part.shape[2]
+            w, v = (
+                part[owner, pair].reshape(len(pair), 2 * r, part.shape[3])
+                for part in (W_part, V_part)
+            )
+            K = w @ w.swapaxes(1, 2)
+            Q = v @ v.swapaxes(1, 2) if criterion.order else K
+            total[chunk] += criterion.change(K, Q, np.repeat((-1.0, 1.0), r))
+    return total

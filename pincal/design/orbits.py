@@ -18,6 +18,7 @@ from scipy.spatial import KDTree
 from pincal.design.information import leg_rows
 from pincal.errors import SymmetryError
 from pincal.files.read import as_noise
+from pincal.kinematics.batches import chunks
 from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.derivatives import Demand, leg_demands_at
 from pincal.kinematics.singularity import margins
@@ -45,11 +46,7 @@ def places_of(platform: Platform, poses: Poses, readings: Array | None = None) -
     Raises:
         MechanismError: a pose of a wrong shape, or not finite.
     """
-    return places_at(platform.matrices(poses), readings)
-
-
-def places_at(matrices: Array, readings: Array | None = None) -> Array:
-    """Return where poses as matrices, shape (N, 4, 4), are: see ``places_of``."""
+    matrices = platform.matrices(poses)
     parts = [matrices[:, :3, 3], matrices[:, :3, :3].reshape(-1, 9)]
     parts += [] if readings is None else list(readings.T[:, :, None])
     sizes = [np.abs(part).max(initial=0.0) for part in parts]
@@ -72,31 +69,31 @@ def distinct(platform: Platform, poses: Poses, readings: Array | None = None) ->
         MechanismError: a pose of a wrong shape, or not finite.
     """
     places = places_of(platform, poses, readings)
-    alike = perhaps_alike(places)
-    places, others = places[alike], np.flatnonzero(~alike)
-    kept = np.sort(np.unique(places, axis=0, return_index=True)[1])
-    while len(kept) > 1:  # of a pair of nearest neighbours the later one goes
-        distance, other = KDTree(places[kept]).query(places[kept], k=2, p=np.inf)
-        own = np.arange(len(kept))
-        nearest = np.where(other[:, 0] == own, 1, 0)
-        copies = (distance[own, nearest] <= ALIKE) & (other[own, nearest] < own)
+    near = perhaps_alike(places)
+    places = places[near]
+    originals = np.sort(np.unique(places, axis=0, return_index=True)[1])
+    while len(originals) > 1:  # of a pair of nearest neighbours the later one goes
+        distance, neighbour = KDTree(places[originals]).query(places[originals], k=2, p=np.inf)
+        index = np.arange(len(originals))
+        nearest = np.where(neighbour[:, 0] == index, 1, 0)
+        copies = (distance[index, nearest] <= ALIKE) & (neighbour[index, nearest] < index)
         if not copies.any():
             break
-        kept = kept[~copies]
-    return np.sort(np.concatenate((others, np.flatnonzero(alike)[kept])))
+        originals = originals[~copies]
+    return np.sort(np.concatenate((np.flatnonzero(~near), np.flatnonzero(near)[originals])))
 
 
 def perhaps_alike(places: Array) -> Mask:
     """Return which places may be copies: they lie together along every line, shape (N,)."""
-    alike = np.ones(len(places), dtype=bool)
+    near = np.ones(len(places), dtype=bool)
     for line in np.random.default_rng(0).uniform(-1.0, 1.0, (_LINES, places.shape[1])):
-        along = places[alike] @ line
+        along = places[near] @ line
         order = np.argsort(along)
         together = np.diff(along[order]) <= ALIKE * np.abs(line).sum()
-        own = np.zeros(len(along), dtype=bool)
-        own[order[:-1][together]] = own[order[1:][together]] = True
-        alike[alike] = own
-    return alike
+        near_along = np.zeros(len(along), dtype=bool)
+        near_along[order[:-1][together]] = near_along[order[1:][together]] = True
+        near[near] = near_along
+    return near
 
 
 _MAPPED = 1e-5  # part of rows that a change of parameters may leave: a group found within 1e-6
@@ -107,11 +104,11 @@ class LegOrbit:
     """Legs that a group carries onto each other."""
 
     legs: tuple[str, ...]
-    """The reference leg first."""
+    """Names of the legs, the reference leg first."""
     carriers: tuple[Element, ...]
-    """An element that carries the reference leg onto each."""
-    alike: tuple[bool, ...]
-    """Whether whitened rows of each map too: what is chosen for the reference leg is as good."""
+    """Elements that carry the reference leg onto each."""
+    equivalent: tuple[bool, ...]
+    """Whether whitened rows of each map too, so that the reference leg's choice is as good."""
 
 
 @lru_cache(maxsize=64)
@@ -129,14 +126,14 @@ def selection_group(mechanism: Mechanism) -> SymmetryGroup:
     images = np.concatenate([element.poses(platform, home) for element in group.elements])
     with np.errstate(invalid="ignore"):
         across = margins(mechanism, images).type2 < 0.0
-    kept = group.part([i for i, crosses in enumerate(across) if not crosses])
-    if len(mechanism.legs) > 1 and len(kept.leg_orbits) == len(mechanism.legs):
+    drivable = group.part([i for i, crosses in enumerate(across) if not crosses])
+    if len(mechanism.legs) > 1 and len(drivable.leg_orbits) == len(mechanism.legs):
         group.carriers()  # says what breaks it
-        kept.carriers()
-    return kept
+        drivable.carriers()
+    return drivable
 
 
-def leg_orbits(
+def orbits_of_legs(
     group: SymmetryGroup, poses: Array, noise: Noise | None = None
 ) -> tuple[LegOrbit, ...]:
     """Return the orbits of legs whose parameters map too.
@@ -150,24 +147,24 @@ def leg_orbits(
         SymmetryError: legs of one orbit have other parameters.
         MeasurementError: a residual has no noise.
     """
-    found, mechanism = [], group.mechanism
+    orbits, mechanism = [], group.mechanism
     matrices, noise = mechanism.platform.matrices(poses), as_noise(noise)
     nominal = dict(zip(mechanism.leg_names, nominal_legs(mechanism), strict=True))
     for legs in group.leg_orbits:
-        carriers, alike, first = group.carriers(legs[0]), [True], legs[0]
+        carriers, whitened_map = group.carriers(legs[0]), [True]
         closures = [nominal[name] for name in legs]
         demands = leg_demands_at(closures, [element.matrices(matrices) for element in carriers])
-        (own, white), *others = (_rows(demand, mechanism, noise) for demand in demands)
-        for name, element, (its, its_white) in zip(legs[1:], carriers[1:], others, strict=True):
-            if not maps(own, its):
+        (rows, white), *images = (_rows(demand, mechanism, noise) for demand in demands)
+        for name, element, image in zip(legs[1:], carriers[1:], images, strict=True):
+            if not maps(rows, image[0]):
                 raise SymmetryError(
-                    f"{element} carries {first} onto {name}, but not the parameters of one to "
+                    f"{element} carries {legs[0]} onto {name}, but not the parameters of one to "
                     "those of the other: their columns span other spaces. Give both the same set "
                     "of parameters, or choose poses for each leg on its own (--independent)"
                 )
-            alike.append(maps(white, its_white))
-        found.append(LegOrbit(legs, carriers, tuple(alike)))
-    return tuple(found)
+            whitened_map.append(maps(white, image[1]))
+        orbits.append(LegOrbit(legs, carriers, tuple(whitened_map)))
+    return tuple(orbits)
 
 
 def maps(first: Array, second: Array) -> bool:
@@ -177,22 +174,22 @@ def maps(first: Array, second: Array) -> bool:
     scale = np.linalg.norm(first, axis=0)
     scale[scale == 0.0] = 1.0
     M = np.linalg.lstsq(first / scale, second, rcond=1e-12)[0]
-    off = np.linalg.norm(second - (first / scale) @ M, axis=0)
-    return bool((off <= _MAPPED * np.linalg.norm(second, axis=0)).all())
+    misfit = np.linalg.norm(second - (first / scale) @ M, axis=0)
+    return bool((misfit <= _MAPPED * np.linalg.norm(second, axis=0)).all())
 
 
 def _rows(demand: Demand, mechanism: Mechanism, noise: Noise) -> tuple[Array, Array]:
     """Return rows of a leg by readings, and whitened ones, shape (N k, n) each."""
-    both = demand.as_joint().parameter, leg_rows(demand, mechanism, noise)
-    by_reading, white = (rows.reshape(-1, rows.shape[2]) for rows in both)
-    return by_reading, white
+    by_reading, white = demand.as_joint().parameter, leg_rows(demand, mechanism, noise)
+    n = white.shape[2]
+    return by_reading.reshape(-1, n), white.reshape(-1, n)
 
 
 def smallest(group: SymmetryGroup) -> tuple[Element, ...]:
     """Return the elements of the smallest subgroup with the same orbits of legs."""
-    same = [part for part in group.subgroups() if part.leg_orbits == group.leg_orbits]
+    sufficient = [part for part in group.subgroups() if part.leg_orbits == group.leg_orbits]
     return min(
-        same, key=lambda part: (len(part.elements), sum(e.reflection for e in part.elements))
+        sufficient, key=lambda part: (len(part.elements), sum(e.reflection for e in part.elements))
     ).elements
 
 
@@ -215,51 +212,44 @@ def orbit_of(elements: Sequence[Element], matrices: Array) -> tuple[Array, Mask]
     """
     if len(elements) == 1:
         return matrices[None], np.ones((1, len(matrices)), dtype=bool)
-    found = np.empty((len(elements), 4, 4, len(matrices))).transpose(0, 3, 1, 2)
-    for images, element in zip(found, elements, strict=True):
-        images[:] = element.matrices(matrices)
-    size = float(np.ptp(found[..., :3, 3], axis=(0, 1)).max())
+    images = np.empty((len(elements), 4, 4, len(matrices))).transpose(0, 3, 1, 2)
+    for image, element in zip(images, elements, strict=True):
+        image[:] = element.matrices(matrices)
+    size = float(np.ptp(images[..., :3, 3], axis=(0, 1)).max())
     within = ALIKE * np.array((1.0, 1.0, 1.0, size or 1.0))
-    own = np.ones(found.shape[:2], dtype=bool)
-    for later in range(1, len(found)):  # some element leaves a pose where it is, or none does
-        own[later] = ~_together(found[later], found[0], within)
-    fixed = np.flatnonzero(~own.all(axis=0))
-    for later in range(2, len(found) if len(fixed) else 0):
+    first = np.ones(images.shape[:2], dtype=bool)
+    for later in range(1, len(images)):  # some element leaves a pose where it is, or none does
+        first[later] = ~_coincide(images[later], images[0], within)
+    fixed = np.flatnonzero(~first.all(axis=0))
+    for later in range(2, len(images) if len(fixed) else 0):
         for earlier in range(1, later):
-            own[later, fixed] &= ~_together(found[later, fixed], found[earlier, fixed], within)
-    return found, own
+            first[later, fixed] &= ~_coincide(images[later, fixed], images[earlier, fixed], within)
+    return images, first
 
 
-def _together(first: Array, second: Array, within: Array) -> Mask:
-    """Return which poses, shape (M, 4, 4), are the same within something by column, shape (M,)."""
-    same = np.abs(first[:, 0, 3] - second[:, 0, 3]) <= within[3]
-    some = np.flatnonzero(same)
-    same[some] = (np.abs(first[some, :3] - second[some, :3]) <= within).all(axis=(1, 2))
-    return same
+def _coincide(first: Array, second: Array, within: Array) -> Mask:
+    """Return which poses, shape (M, 4, 4), agree within something by column, shape (M,)."""
+    agree = np.abs(first[:, 0, 3] - second[:, 0, 3]) <= within[3]
+    rows = np.flatnonzero(agree)
+    agree[rows] = (np.abs(first[rows, :3] - second[rows, :3]) <= within).all(axis=(1, 2))
+    return agree
 
 
-def repeated(images: Array) -> Mask:
-    """Return which poses are an image of an earlier one, shape (M,), of images (E, M, 4, 4)."""
-    places = _places(images)
-    count, poses, width = places.shape
-    alike = perhaps_alike(places.reshape(-1, width)).reshape(count, poses)
-    found, first = np.zeros(poses, dtype=bool), np.flatnonzero(alike[0])
-    if not len(first):
-        return found
-    tree = KDTree(places[0, first])
-    for image, where in zip(places, alike, strict=True):
-        rows = np.flatnonzero(where)
-        near = tree.query_ball_point(image[rows], ALIKE, p=np.inf)
-        found[rows] |= [
-            first[min(some)] < row if some else False for some, row in zip(near, rows, strict=True)
-        ]
-    return found
+def representatives(elements: Sequence[Element], matrices: Array) -> Array:
+    """Return of each pose's orbit the image that is farthest along a line, shape (M, 4, 4).
 
+    Poses of one orbit have the same representative.
 
-def _places(images: Array) -> Array:
-    """Return where images, shape (E, M, 4, 4), are, shape (E, M, k): see ``places_of``."""
-    places = places_at(images.reshape(-1, 4, 4))
-    return places.reshape(*images.shape[:2], -1)
+    Args:
+        elements: Elements of a group, the identity first.
+        matrices: Poses ``T_base_platform``, shape (M, 4, 4).
+    """
+    line, chosen = np.random.default_rng(0).uniform(-1.0, 1.0, (3, 4)), np.empty(matrices.shape)
+    for chunk in chunks(len(matrices)):
+        images = np.stack([element.matrices(matrices[chunk]) for element in elements])
+        along = np.einsum("emij,ij->em", images[:, :, :3], line)
+        chosen[chunk] = images[along.argmax(axis=0), np.arange(along.shape[1])]
+    return chosen
 
 
 def merged(mechanism: Mechanism, poses: Array, legs: Sequence[str]) -> Plan:
@@ -271,13 +261,14 @@ def merged(mechanism: Mechanism, poses: Array, legs: Sequence[str]) -> Plan:
         legs: For which leg each was chosen, length N.
     """
     places = places_of(mechanism.platform, poses)
-    alike: dict[int, list[int]] = {}
-    for first, second in KDTree(places).query_pairs(ALIKE, p=np.inf):
-        alike.setdefault(max(first, second), []).append(min(first, second))
-    wanted: dict[int, list[str]] = {}  # by the row that is kept
+    earlier: dict[int, list[int]] = {}
+    for pair in KDTree(places).query_pairs(ALIKE, p=np.inf):
+        earlier.setdefault(max(pair), []).append(min(pair))
+    legs_of_row: dict[int, list[str]] = {}  # by the first row of each pose
     for row, leg in enumerate(legs):
-        same = [other for other in sorted(alike.get(row, ())) if other in wanted]
-        wanted.setdefault(same[0] if same else row, []).append(leg)
+        copies = [copy for copy in sorted(earlier.get(row, ())) if copy in legs_of_row]
+        legs_of_row.setdefault(copies[0] if copies else row, []).append(leg)
     every = len(mechanism.legs)
-    sets = tuple(EVERY_LEG if len(one) == every > 1 else "+".join(one) for one in wanted.values())
-    return Plan(poses[list(wanted)], sets)
+    served = legs_of_row.values()
+    sets = tuple(EVERY_LEG if len(names) == every > 1 else "+".join(names) for names in served)
+    return Plan(poses[list(legs_of_row)], sets)

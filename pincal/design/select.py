@@ -18,12 +18,18 @@ import numpy as np
 
 from pincal.attached import attached
 from pincal.blas import on_one_thread
-from pincal.design.orbits import leg_orbits, merged, multiplicities, selection_group, smallest
+from pincal.design.orbits import (
+    merged,
+    multiplicities,
+    orbit_of,
+    orbits_of_legs,
+    selection_group,
+    smallest,
+)
 from pincal.design.search import Search, SelectionOptions
 from pincal.errors import MeasurementError, ObservabilityError
 from pincal.estimation.observability.indices import Indices, identifiability, indices, r_diagonal
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
-from pincal.files.read import as_noise
 from pincal.kinematics.closure import largest_size, nominal_legs
 from pincal.kinematics.configurations import as_plan, joints_at
 from pincal.kinematics.derivatives import leg_demands_at
@@ -37,7 +43,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 
-_SOME = 64  # candidates on which it is looked at whether rows map
+_SAMPLE = 64  # candidates on which it is looked at whether rows map
 Protocol = Literal["independent", "symmetric", "orbits", "common"]
 
 
@@ -75,9 +81,9 @@ class Selection:
     protocol: Protocol
     legs: tuple[LegDesign, ...]
     candidates: int
-    """Poses that were chosen from, copies counted; reach is asked in full only where it fails."""
+    """Number of poses that all legs reach, copies counted."""
     unreachable: int
-    """Candidate poses that were found out of reach of a leg, and left out."""
+    """Number of candidate poses out of reach of a leg, which were left out."""
 
     @property
     def efficiency(self) -> float:
@@ -120,8 +126,8 @@ class Selection:
         """Return what each leg gets, and the first poses, for notebooks."""
 
     def __repr__(self) -> str:
-        what = f"{self.protocol}, {len(self.plan.poses)} poses of {self.candidates}"
-        return f"Selection({what}, efficiency {self.efficiency:.3f})"
+        size = f"{len(self.plan.poses)} poses of {self.candidates}"
+        return f"Selection({self.protocol}, {size}, efficiency {self.efficiency:.3f})"
 
     def __str__(self) -> str:
         rows = [
@@ -168,59 +174,65 @@ def select_poses(
         known = ", ".join(get_args(Protocol))
         raise MeasurementError(f"no protocol {described(protocol)}; expected one of {known}")
     _refuse_ranks(mechanism)
-    search = Search(mechanism, candidates, SelectionOptions(**options))
+    search = Search(mechanism, candidates, count, SelectionOptions(**options))
     names = references = mechanism.leg_names
     if protocol == "independent":
-        parts = [search.own(name, count) for name in names]
-        poses = np.concatenate([search.candidates[chosen] for chosen, _ in parts])
+        choices = [_for_leg(search, name) for name in names]
         sets = tuple(name for name in names for _ in range(count))
-        plan, efficiencies = Plan(poses, sets), [efficiency for _, efficiency in parts]
+        plan = Plan(np.concatenate([poses for poses, _ in choices]), sets)
+        efficiencies = [efficiency for _, efficiency in choices]
     elif protocol == "common":
-        chosen, efficiency = search.common(count)
-        plan = Plan(search.candidates[chosen], (EVERY_LEG,) * count)
-        efficiencies = [efficiency] * len(names)
+        search.options.say("choosing common poses")
+        poses, efficiency = search.choose(names)
+        plan, efficiencies = Plan(poses, (EVERY_LEG,) * count), [efficiency] * len(names)
     else:
-        plan, efficiencies, references = _by_symmetry(search, count, orbits=protocol == "orbits")
+        plan, efficiencies, references = _by_symmetry(search, orbits=protocol == "orbits")
     legs = _leg_designs(mechanism, plan, efficiencies, references)
-    return Selection(plan, protocol, legs, search.usable, search.unreachable)
+    return Selection(plan, protocol, legs, search.in_reach, search.unreachable)
 
 
-def _by_symmetry(
-    search: Search, count: int, *, orbits: bool
-) -> tuple[Plan, list[float], tuple[str, ...]]:
+def _for_leg(search: Search, leg: str) -> tuple[Array, float]:
+    """Return the best poses for one leg, and their efficiency."""
+    search.options.say(f"choosing poses for {leg}")
+    return search.choose([leg])
+
+
+def _by_symmetry(search: Search, *, orbits: bool) -> tuple[Plan, list[float], tuple[str, ...]]:
     """Return poses mapped by the mechanism's group, and each leg's efficiency and reference leg.
 
     Args:
         search: The search.
-        count: Poses for each leg, or number of orbits.
         orbits: Whether every pose is to serve every leg.
 
     Raises:
         SymmetryError: the group carries no leg onto another one, or not its parameters.
     """
-    mechanism = search.mechanism
-    group, platform = selection_group(mechanism), mechanism.platform
-    found = leg_orbits(group, search.some(_SOME), as_noise(search.options.noise))
-    first = {leg: orbit.legs[0] for orbit in found for leg in orbit.legs}
+    mechanism, platform = search.mechanism, search.mechanism.platform
+    group = selection_group(mechanism)
+    spread = search.poses[:: max(1, len(search.poses) // _SAMPLE)][:_SAMPLE]
+    leg_orbits = orbits_of_legs(group, spread, search.noise)
+    first = {leg: orbit.legs[0] for orbit in leg_orbits for leg in orbit.legs}
     references = tuple(first[name] for name in mechanism.leg_names)
     if orbits:
-        legs = [
-            name
-            for orbit, times in zip(found, multiplicities(found), strict=True)
-            for name in orbit.legs[:1] * times
-        ]
-        poses, efficiency = search.orbits(legs, count, smallest(group))
+        search.options.say("choosing orbits")
+        times = multiplicities(leg_orbits)
+        legs = np.repeat([orbit.legs[0] for orbit in leg_orbits], times).tolist()
+        elements = smallest(group)
+        chosen, efficiency = search.choose(legs, elements)
+        matrices, first_images = orbit_of(elements, platform.matrices(chosen))
+        poses = platform.from_matrices(matrices[first_images])
         return Plan(poses, (EVERY_LEG,) * len(poses)), [efficiency] * len(first), references
-    parts, wanted, efficiencies = [], [], {}
-
-    for orbit in found:
-        chosen, efficiency = search.own(orbit.legs[0], count)
-        matrices = platform.matrices(search.candidates[chosen])
-        for leg, element, alike in zip(orbit.legs, orbit.carriers, orbit.alike, strict=True):
-            parts.append(element.matrices(matrices))
-            wanted += [leg] * count
-            efficiencies[leg] = efficiency if alike else search.efficiency(leg, element, chosen)
-    plan = merged(mechanism, platform.from_matrices(np.concatenate(parts)), wanted)
+    images, serving, efficiencies = [], [], {}
+    for orbit in leg_orbits:
+        chosen, efficiency = _for_leg(search, orbit.legs[0])
+        carried = zip(orbit.legs, orbit.carriers, orbit.equivalent, strict=True)
+        for leg, element, equivalent in carried:
+            images.append(element.poses(platform, chosen))
+            serving += [leg] * len(chosen)
+            efficiencies[leg] = (
+                efficiency if equivalent else search.efficiency(leg, element, chosen)
+            )
+    plan = merged(mechanism, np.concatenate(images), serving)
     return plan, [efficiencies[name] for name in mechanism.leg_names], references
 
 
@@ -247,12 +259,12 @@ def _leg_designs(
     """Return what a plan gives each leg, whose efficiency and reference leg are known."""
     matrices, legs = mechanism.platform.matrices(plan.poses), nominal_legs(mechanism)
     served = [matrices[plan.serves(name)] for name in mechanism.leg_names]
-    demands, found = leg_demands_at(legs, served), []
+    demands, designs = leg_demands_at(legs, served), []
     parts = zip(mechanism.legs, demands, efficiencies, references, strict=True)
     for leg, demand, efficiency, reference in parts:
         C = demand.as_joint().parameter.reshape(-1, len(leg.parameters))
         names = [f"{leg.name}.{name}" for name in leg.parameter_names]
-        found.append(
+        designs.append(
             LegDesign(
                 leg.name,
                 len(demand.value),
@@ -263,7 +275,7 @@ def _leg_designs(
                 reference,
             )
         )
-    return tuple(found)
+    return tuple(designs)
 
 
 REFERENCE = "reference"
@@ -278,9 +290,9 @@ def in_turns(plan: Plan, seed: int = 0) -> Plan:
     sets = np.array(plan.serving)
     when = np.empty(len(plan))
     for name in np.unique(sets):
-        own = np.flatnonzero(sets == name)
-        order = np.random.default_rng(seed).permutation(len(own))
-        when[own[order]] = (np.arange(len(own)) + 0.5) / len(own)
+        rows = np.flatnonzero(sets == name)
+        order = np.random.default_rng(seed).permutation(len(rows))
+        when[rows[order]] = (np.arange(len(rows)) + 0.5) / len(rows)
     return plan.rows(np.argsort(when, kind="stable"))
 
 
@@ -303,22 +315,22 @@ def with_reference(mechanism: Mechanism, plan: Plan, every: int) -> Plan:
     size = largest_size(mechanism.legs)
     per = np.array([1.0 / size if unit == "m" else 1.0 for unit in platform.units])
     fitted = np.flatnonzero(~plan.verifying)
-    away = [
-        (platform.twists_between(np.tile(plan.poses[row], (len(fitted), 1)), plan.poses[fitted]))
+    twists = (
+        platform.twists_between(np.tile(plan.poses[row], (len(fitted), 1)), plan.poses[fitted])
         for row in fitted
-    ]
-    middle = int(fitted[np.argmin([((per * one) ** 2).sum() for one in away])])
+    )
+    middle = int(fitted[np.argmin([((per * twist) ** 2).sum() for twist in twists])])
     order: list[int] = []
     for begin in range(0, count, every):
         order += [middle, *range(begin, min(begin + every, count))]
     order.append(middle)
-    found = plan.rows(np.array(order))
-    sets = list(found.serving)
+    ordered = plan.rows(np.array(order))
+    sets = list(ordered.serving)
     for row in (*range(0, len(order) - 1, every + 1), -1):
         sets[row] = EVERY_LEG
-    own = found.places or ("",) * len(order)
-    places = tuple(REFERENCE if row == middle else own[i] for i, row in enumerate(order))
-    return replace(found, sets=tuple(sets), places=places)
+    names = ordered.places or ("",) * len(order)
+    places = tuple(REFERENCE if row == middle else names[i] for i, row in enumerate(order))
+    return replace(ordered, sets=tuple(sets), places=places)
 
 
 def with_verification(
@@ -337,11 +349,11 @@ def with_verification(
         ObservabilityError: fewer are in reach.
     """
     offered = as_plan(mechanism, offered)
-    taken = {one.tobytes() for one in plan.poses}
-    free = np.array([one.tobytes() not in taken for one in offered.poses], dtype=bool)
-    some = np.random.default_rng(seed).permutation(np.flatnonzero(free))
-    reached = joints_at(mechanism, offered.rows(some)).reached.all(axis=1)
-    chosen = offered.rows(some[reached][:count])
+    taken = {pose.tobytes() for pose in plan.poses}
+    free = np.array([pose.tobytes() not in taken for pose in offered.poses], dtype=bool)
+    rows = np.random.default_rng(seed).permutation(np.flatnonzero(free))
+    reached = joints_at(mechanism, offered.rows(rows)).reached.all(axis=1)
+    chosen = offered.rows(rows[reached][:count])
     if len(chosen) < count:
         raise ObservabilityError(
             f"{len(chosen)} poses are left to verify with, of {count} that were asked for; offer "

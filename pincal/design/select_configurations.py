@@ -15,10 +15,12 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from pincal.blas import on_one_thread
+from pincal.design.criteria import MeanVariance
+from pincal.design.exchange import best_choice
 from pincal.design.information import apart_from_frames, information_rows, null_directions
 from pincal.design.orbits import distinct
 from pincal.design.platform_error import without_frames
-from pincal.design.search import SelectionOptions, accurate, d_optimal
+from pincal.design.search import SelectionOptions
 from pincal.errors import MeasurementError, ObservabilityError
 from pincal.estimation.observability.indices import (
     NEGLIGIBLE,
@@ -56,8 +58,8 @@ class ConfigurationChoice:
     """What they are best for."""
 
     def __repr__(self) -> str:
-        count, of = len(self.plan.poses), self.candidates
-        return f"ConfigurationChoice({count} poses of {of}, efficiency {self.efficiency:.3f})"
+        size = f"{len(self.plan.poses)} poses of {self.candidates}"
+        return f"ConfigurationChoice({size}, efficiency {self.efficiency:.3f})"
 
     def __str__(self) -> str:
         return f"{self!r}\nmeasured: {', '.join(self.measured)}; {self.rank}"
@@ -95,50 +97,46 @@ def select_configurations(
     """
     mechanism = as_mechanism(mechanism).at_reference
     count_of(count, "count", MeasurementError, 1)
-    how = SelectionOptions(**options)
+    search = SelectionOptions(**options)
     if goal not in get_args(Goal):
         raise MeasurementError(f"no goal {goal!r}; expected one of {', '.join(get_args(Goal))}")
     plan = as_plan(mechanism, candidates)
-    own = distinct(mechanism.platform, plan.poses, plan.readings)
-    plan = Plan(plan.poses[own], readings=None if plan.readings is None else plan.readings[own])
-    how.say("looking at candidates")
+    originals = distinct(mechanism.platform, plan.poses, plan.readings)
+    plan = Plan(plan.poses, readings=plan.readings).rows(originals)
+    search.say("looking at candidates")
     legs = legs_at(mechanism, plan)
     if not len(legs.poses):
         check_reached(mechanism, plan, "the candidates")
     if len(legs.poses) < count:
         raise ObservabilityError(
-            f"{mechanism.name!r} reaches {len(legs.poses)} of {len(own)} candidates, of which no "
+            f"{mechanism.name!r} reaches {len(legs.poses)} of {len(plan)} candidates, of which no "
             f"two are alike; {count} are to be chosen. Give more candidates"
         )
-    known = information_rows(mechanism, legs, as_noise(how.noise), measured, as_setup(setup))
-    rows, names, kept = known.rows, known.unknowns, known.measured
-    flat = rows.reshape(-1, rows.shape[2])
-    found = identifiability(flat, names)
-    lengths, _, axes = scaled_axes(flat)
-    blocks = (rows / lengths) @ axes[: found.rank].T
-    if count * blocks.shape[1] < found.rank:
+    known = information_rows(mechanism, legs, as_noise(search.noise), measured, as_setup(setup))
+    flat = known.rows.reshape(-1, known.rows.shape[2])
+    identifiable = identifiability(flat, known.unknowns)
+    rank, (lengths, _, axes) = identifiable.rank, scaled_axes(flat)
+    blocks = (known.rows / lengths) @ axes[:rank].T
+    if count * blocks.shape[1] < rank:
         raise ObservabilityError(
             f"{count} of {len(blocks)} configurations give {count * blocks.shape[1]} equations for "
-            f"{found.rank} unknowns that can be identified; choose at least "
-            f"{-(-found.rank // blocks.shape[1])}, better two or three times as many"
+            f"{rank} unknowns that can be identified; choose at least "
+            f"{-(-rank // blocks.shape[1])}, better two or three times as many"
         )
-    how.say("choosing configurations")
-    rng = np.random.default_rng(how.seed)
+    search.say("choosing configurations")
+    rng, criterion = np.random.default_rng(search.seed), None
     if goal == "platform":
-        lost = null_directions(lengths, axes, found.rank)[: legs.gain.shape[2]]
+        n = legs.gain.shape[2]
+        lost = null_directions(lengths, axes, rank)[:n]
         rows = _platform_rows(mechanism, legs, apart_from_frames(mechanism, legs, lost)[2])
-        seen = rows / lengths[: rows.shape[1]] @ axes[: found.rank, : rows.shape[1]].T
-        chosen, efficiency = accurate(blocks, _root(seen.T @ seen), count, rng, how.starts)
-    else:
-        chosen, efficiency = d_optimal((blocks,), count, rng, how.starts)
+        moved = rows / lengths[:n] @ axes[:rank, :n].T
+        criterion = MeanVariance(_root(moved.T @ moved))
+    chosen, efficiency = best_choice((blocks,), count, rng, search.starts, criterion)
     return ConfigurationChoice(
-        Plan(
-            legs.poses[chosen],
-            readings=None if legs.readings is None else legs.readings[chosen],
-        ),
+        Plan(legs.poses, readings=legs.readings).rows(chosen),
         efficiency,
-        found,
-        kept,
+        identifiable,
+        known.measured,
         len(blocks),
         goal,
     )
@@ -160,5 +158,5 @@ def _platform_rows(mechanism: Mechanism, legs: Legs, frames: Array) -> Array:
 def _root(gram: Array) -> Array:
     """Return C of C Cᵀ = Gram, shape (n, rank)."""
     values, axes = np.linalg.eigh(gram)
-    kept = values > NEGLIGIBLE**2 * values.max()
-    return np.asarray(axes[:, kept] * np.sqrt(values[kept]))
+    moving = values > NEGLIGIBLE**2 * values.max()
+    return np.asarray(axes[:, moving] * np.sqrt(values[moving]))

@@ -17,7 +17,8 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from pincal.calibration.result import CalibrationResult
-from pincal.design.exchange import accurate_design
+from pincal.design.certificate import continuous_design
+from pincal.design.criteria import MeanVariance
 from pincal.design.information import information_rows
 from pincal.design.platform_error import without_frames
 from pincal.errors import MeasurementError, WorkspaceError
@@ -195,7 +196,8 @@ def by_poses(axes: Axes, result: CalibrationResult) -> Axes:
             "legs alone, a loss), so what fewer rows would give is not drawn"
         )
     scale = per_si("m")
-    least = np.sqrt(accurate_design(rows, C).least / counts)
+    bound = continuous_design((rows,), MeanVariance(C)).bound
+    least = np.sqrt(np.exp(-bound) / counts)
     first = numbers[0] - 1
     axes.loglog(
         numbers, scale * np.array(errors), "o-", color=IDENTIFIED, ms=4, label="first n rows"
