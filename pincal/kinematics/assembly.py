@@ -83,7 +83,7 @@ def _closed(
     ends = np.cumsum([free.dof, *(len(leg.moving) for leg in legs)])[:-1]
     gap = np.inf
     for _ in range(_NEWTON.steps):
-        parts = [one.evaluate(q, pose) for one, q in zip(closures, joints, strict=True)]
+        parts = [closure.evaluate(q, pose) for closure, q in zip(closures, joints, strict=True)]
         gaps = np.concatenate([part.gap[0] for part in parts])
         gap = float(np.abs(gaps).max())
         by_pose = np.concatenate([part.pose[0] for part in parts])
@@ -126,20 +126,20 @@ def opening(legs: Sequence[Leg], kind: str | PlatformKind) -> float:
     closures = [LegClosure(leg, free) for leg in legs]
     joints = [leg.home[None] for leg in legs]
     pose = _fitted(closures, joints, free)
-    gaps = [one.evaluate(q, pose).gap[0] for one, q in zip(closures, joints, strict=True)]
+    gaps = [closure.evaluate(q, pose).gap[0] for closure, q in zip(closures, joints, strict=True)]
     ends = np.array([gap[: free.space] for gap in gaps])
-    apart = np.linalg.norm(ends[:, None] - ends, axis=2).max()
-    return float(max(apart, *(np.linalg.norm(gap[free.space :]) for gap in gaps)))
+    widest = np.linalg.norm(ends[:, None] - ends, axis=2).max()
+    return float(max(widest, *(np.linalg.norm(gap[free.space :]) for gap in gaps)))
 
 
 def _fitted(closures: Sequence[LegClosure], joints: Sequence[Array], platform: Platform) -> Array:
     """Return the pose in which the platform's points are nearest to the tips, shape (1, 4, 4)."""
-    for one, q in zip(closures, joints, strict=True):
-        if one.leg.closes == "frame":
-            return one.frame(q)
+    for closure, q in zip(closures, joints, strict=True):
+        if closure.leg.closes == "frame":
+            return closure.frame(q)
     matrix = np.eye(4)
-    tips = np.concatenate([one.tips(q) for one, q in zip(closures, joints, strict=True)])
-    points = np.concatenate([one.targets(np.eye(4)[None]) for one in closures])
+    tips = np.concatenate([closure.tips(q) for closure, q in zip(closures, joints, strict=True)])
+    points = np.concatenate([closure.targets(np.eye(4)[None]) for closure in closures])
     if platform.space == 2:
         tips[:, 2] = points[:, 2] = 0.0
     if "rad" in platform.units and len(closures) > 1:
@@ -184,17 +184,17 @@ def independent(
     if slack > _DEPENDS:
         values = np.linalg.svd(columns / np.sqrt(len(columns)), compute_uv=False)
         least = cut_in_gap(values, slack)
-    kept: list[str] = []
+    names: list[str] = []
     basis: list[Array] = []
     for name, column in zip(order, columns.T, strict=True):
-        rest = column.copy()
+        remainder = column.copy()
         for _ in range(2):  # twice is enough: Gram-Schmidt's rounding errors are gone
             for q in basis:
-                rest -= (q @ rest) * q
-        if np.linalg.norm(rest) > least * np.sqrt(len(column)):
-            basis.append(rest / np.linalg.norm(rest))
-            kept.append(name)
-    return tuple(kept)
+                remainder -= (q @ remainder) * q
+        if np.linalg.norm(remainder) > least * np.sqrt(len(column)):
+            basis.append(remainder / np.linalg.norm(remainder))
+            names.append(name)
+    return tuple(names)
 
 
 def _turned_at_random(closure: LegClosure, joints: Array, rng: np.random.Generator) -> Array:

@@ -106,9 +106,9 @@ def left_null(matrix: Array) -> Array:
         with np.errstate(divide="ignore", invalid="ignore"):
             return (normal / lengths(normal)[:, None])[:, :, None]
     q, _ = np.linalg.qr(matrix, mode="complete")
-    both = np.concatenate((matrix, q[:, :, p:]), axis=2)
+    square = np.concatenate((matrix, q[:, :, p:]), axis=2)
     with np.errstate(invalid="ignore"):
-        q[np.linalg.det(both) < 0.0, :, -1] *= -1.0
+        q[np.linalg.det(square) < 0.0, :, -1] *= -1.0
     return q[:, :, p:]
 
 
@@ -125,10 +125,10 @@ def lengths(vectors: Array) -> Array:
 def block_diagonal(parts: Sequence[Array]) -> Array:
     """Return matrices of shape (N, k, n) along a diagonal, shape (N, Σk, Σn)."""
     rows, columns = (np.cumsum([0, *(part.shape[axis] for part in parts)]) for axis in (1, 2))
-    out = np.zeros((len(parts[0]), rows[-1], columns[-1]))
+    diagonal = np.zeros((len(parts[0]), rows[-1], columns[-1]))
     for part, row, column in zip(parts, rows, columns, strict=False):
-        out[:, row : row + part.shape[1], column : column + part.shape[2]] = part
-    return out
+        diagonal[:, row : row + part.shape[1], column : column + part.shape[2]] = part
+    return diagonal
 
 
 def applied(matrices: Array, vectors: Array) -> Array:
@@ -150,11 +150,11 @@ def applied(matrices: Array, vectors: Array) -> Array:
 def cross(a: Array, b: Array) -> Array:
     """Return a × b for shapes (N, 3); NumPy's own is several times slower."""
     (x, y, z), (u, v, w) = a.T, b.T
-    found = np.empty((3, *np.broadcast_shapes(x.shape, u.shape)))
-    np.subtract(y * w, z * v, out=found[0])
-    np.subtract(z * u, x * w, out=found[1])
-    np.subtract(x * v, y * u, out=found[2])
-    return found.T
+    products = np.empty((3, *np.broadcast_shapes(x.shape, u.shape)))
+    np.subtract(y * w, z * v, out=products[0])
+    np.subtract(z * u, x * w, out=products[1])
+    np.subtract(x * v, y * u, out=products[2])
+    return products.T
 
 
 def point_velocity(arm: Array, twist_rows: tuple[int, ...]) -> Array:

@@ -58,7 +58,7 @@ class Chain:
         s = self.still.width
 
         @lru_cache(maxsize=8)  # the same parameters are asked for several times in turn
-        def found(parameters: bytes) -> tuple[Array, Base | None]:
+        def beginning(parameters: bytes) -> tuple[Array, Base | None]:
             values = self.from_parameters @ np.frombuffer(parameters)
             if not s and not self.first:
                 return values, None
@@ -68,7 +68,7 @@ class Chain:
             )
             return values[s:], Base(base.placement * first, base.twists)
 
-        return found
+        return beginning
 
     @cached_property
     def entries(self) -> list[tuple[int, int, float]]:
@@ -108,8 +108,11 @@ def motion(chains: Sequence[Chain], parameters: Sequence[Array], joints: Array) 
         joints: Of each N rows below those of the one before, shape (L N, n_joints …): see
             ``Chain.motion``.
     """
-    begun = [one.begun(own.tobytes()) for one, own in zip(chains, parameters, strict=True)]
-    values = np.stack([own for own, _ in begun])
+    begun = [
+        chain.begun(values_of_leg.tobytes())
+        for chain, values_of_leg in zip(chains, parameters, strict=True)
+    ]
+    values = np.stack([values_of_leg for values_of_leg, _ in begun])
     q = np.empty((len(chains), len(joints) // len(chains), values.shape[1]))
     q[:] = values[:, None]
     moving = joints.reshape(*q.shape[:2], joints.shape[1])
@@ -140,20 +143,48 @@ def point_chain(leg: Leg) -> Chain:
 
 
 def _chain(leg: Leg, joints: Sequence[Joint], spatial: bool, copies: int | None = None) -> Chain:
+    """Return the chain of some joints of a leg, which stands still up to what moves first."""
+    elements, by_parameter, by_joint, tip = _elements(leg, joints)
+    deformed = [leg.parameter_names.index(name) for name in leg.deformed]
+    moves = by_joint.any(axis=1) | by_parameter[:, deformed].any(axis=1)
+    first = int(next(iter(np.flatnonzero(moves)), 0))
+    still, moving = elements[:first], elements[first:]
+    beginning = moving[0].placement if moving else ()
+    if beginning:
+        moving = (replace(moving[0], placement=()), *moving[1:])
+    return Chain(
+        Forest(still, (), spatial=True, copies=1),
+        beginning,
+        forest(moving, tip, spatial=spatial, copies=copies),
+        by_parameter,
+        by_joint,
+        tuple(deformed),
+    )
+
+
+def _elements(
+    leg: Leg, joints: Sequence[Joint]
+) -> tuple[tuple[Elementary, ...], Array, Array, tuple[float, ...]]:
+    """Return elementary joints, how they follow parameters and leg joints, and the tip behind them.
+
+    Shapes (n, n_params) and (n, n_joints).
+    """
     names = list(leg.parameter_names)
-    deformed = [names.index(name) for name in leg.deformed]
     moving = [joint.name for joint in joints if joint.kind != "fixed"]
     elements: list[Elementary] = []
-    rows: list[tuple[Array, Array]] = []
+    by_parameter: list[Array] = []
+    by_joint: list[Array] = []
     pending = np.eye(4)  # constant placement in front of the next elementary joint
 
     def add(element: Elementary, parameter: Array, joint: Array) -> None:
         nonlocal pending
         if elements and not element.placement and element == replace(elements[-1], placement=()):
-            rows[-1] = (rows[-1][0] + parameter, rows[-1][1] + joint)  # same axis: one joint
+            by_parameter[-1] = by_parameter[-1] + parameter  # same axis: one joint
+            by_joint[-1] = by_joint[-1] + joint
         else:
             elements.append(element)
-            rows.append((parameter, joint))
+            by_parameter.append(parameter)
+            by_joint.append(joint)
         pending = np.eye(4)
 
     for joint in joints:
@@ -163,25 +194,17 @@ def _chain(leg: Leg, joints: Sequence[Joint], spatial: bool, copies: int | None 
                 add(Elementary(step.axis, _key(pending)), entry, np.zeros(len(moving)))
             else:
                 pending = pending @ step.matrix({})
-        where = f"{leg.name}, joint {joint.name!r}"
-        pending = pending @ joint.placement.rest(leg.nominal_by_name, where)
+        context = f"{leg.name}, joint {joint.name!r}"
+        pending = pending @ joint.placement.rest(leg.nominal_by_name, context)
         if joint.kind != "fixed":
             entry = np.eye(len(moving))[moving.index(joint.name)]
             element, sign = _motion(joint, _key(pending))
             add(element, np.zeros(len(names)), sign * entry)
-    moved = [i for i, (by, entry) in enumerate(rows) if entry.any() or by[deformed].any()]
-    first = moved[0] if moved else 0
-    begins = elements[first].placement if elements else ()
-    moving_ones = tuple(elements[first:])
-    if begins:
-        moving_ones = (replace(elements[first], placement=()), *moving_ones[1:])
-    return Chain(
-        Forest(tuple(elements[:first]), (), spatial=True, copies=1),
-        begins,
-        forest(moving_ones, _key(pending), spatial=spatial, copies=copies),
-        np.array([parameter for parameter, _ in rows]).reshape(len(rows), len(names)),
-        np.array([entry for _, entry in rows]).reshape(len(rows), len(moving)),
-        tuple(deformed),
+    return (
+        tuple(elements),
+        np.array(by_parameter).reshape(len(elements), len(names)),
+        np.array(by_joint).reshape(len(elements), len(moving)),
+        _key(pending),
     )
 
 
@@ -226,17 +249,17 @@ def platform_point(leg: Leg, parameters: Array) -> PlatformPoint:
 
 
 @lru_cache(maxsize=1024)
-def _point(leg: Leg, own: bytes) -> PlatformPoint:
+def _point(leg: Leg, placing: bytes) -> PlatformPoint:
     chain, parameters = point_chain(leg), np.zeros(len(leg.parameters))
-    parameters[chain.moving] = np.frombuffer(own)
-    many = _of(leg, chain.motion(parameters, np.zeros((1, 0))))
+    parameters[chain.moving] = np.frombuffer(placing)
+    point = _placed_point(leg, chain.motion(parameters, np.zeros((1, 0))))
     return PlatformPoint(
-        many.parameters,
-        many.place[:, :, 0],
-        many.arm[:, :, 0],
-        many.speeds[:, :, 0],
-        many.turn[0],
-        many.turning[0],
+        point.parameters,
+        point.place[:, :, 0],
+        point.arm[:, :, 0],
+        point.speeds[:, :, 0],
+        point.turn[0],
+        point.turning[0],
     )
 
 
@@ -251,33 +274,33 @@ def alike_points(points: Sequence[PlatformPoint], count: int) -> PlatformPoint:
 
     return replace(
         points[0],
-        place=rows([one.place for one in points]),
-        arm=rows([one.arm for one in points]),
-        speeds=rows([one.speeds for one in points]),
+        place=rows([point.place for point in points]),
+        arm=rows([point.arm for point in points]),
+        speeds=rows([point.speeds for point in points]),
     )
 
 
-def deformed_point(leg: Leg, parameters: Array, by: Array) -> PlatformPoint:
+def deformed_point(leg: Leg, parameters: Array, deformations: Array) -> PlatformPoint:
     """Return a leg's platform point in N rows, where its parameters deform.
 
     Args:
         leg: The leg.
         parameters: Values of all its parameters, shape (n_params,).
-        by: How far those that deform do, shape (N, n_deformed), [m] or [rad].
+        deformations: How far those that deform do, shape (N, n_deformed), [m] or [rad].
     """
     places = [leg.parameter_names.index(name) for name in leg.deformed]
     if not point_chain(leg).from_parameters[:, places].any():
         return platform_point(leg, parameters)
-    return _of(leg, point_chain(leg).motion(parameters, by))
+    return _placed_point(leg, point_chain(leg).motion(parameters, deformations))
 
 
-def _of(leg: Leg, motion: Motion) -> PlatformPoint:
+def _placed_point(leg: Leg, motion: Motion) -> PlatformPoint:
     """Return the point of N rows."""
-    own = point_chain(leg).moving
-    tips, twists = motion.tips[:, None], motion.twists()[:, own]
-    zero = np.zeros((1, len(own), tips.shape[2]))
+    placing = point_chain(leg).moving
+    tips, twists = motion.tips[:, None], motion.twists()[:, placing]
+    zero = np.zeros((1, len(placing), tips.shape[2]))
     return PlatformPoint(
-        own,
+        placing,
         np.concatenate((tips, np.ones_like(tips[:1]))),
         np.concatenate((tips, np.zeros_like(tips[:1]))),
         np.concatenate((twists[:3], zero)),

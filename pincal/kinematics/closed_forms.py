@@ -103,12 +103,12 @@ class Pointing:
 
     def angles(self, vectors: Array) -> list[Array]:
         """Return the joint's angles when it points along vectors (N, 3), one or two, (N,) each."""
-        across, up = self.side * (vectors @ self.e2), self.side * (vectors @ self.e3)
-        q1 = np.arctan2(-across, up)
+        across, height = self.side * (vectors @ self.e2), self.side * (vectors @ self.e3)
+        q1 = np.arctan2(-across, height)
         if not self.universal:
             return [q1]
-        beside = self.side * np.sqrt(across * across + up * up)
-        return [q1, np.arctan2(vectors @ self.e1, beside) - self.delta]
+        level = self.side * np.sqrt(across * across + height * height)
+        return [q1, np.arctan2(vectors @ self.e1, level) - self.delta]
 
 
 def pointing_slide(closure: LegClosure, targets: Array) -> tuple[Array, Mask]:
@@ -158,7 +158,7 @@ def driven_rod(closure: LegClosure, targets: Array) -> tuple[Array, Mask]:
     """
     leg, rod = closure.leg, rod_geometry(closure)
     arm = _in_space(closure, targets - rod.centre)
-    out, on, up = rod.frame.T @ arm.T
+    radial, on, height = rod.frame.T @ arm.T
     with np.errstate(all="ignore"):
         if leg.moving[0].kind == "prismatic":
             square = on**2 - np.einsum("ni,ni->n", arm, arm) + rod.length**2
@@ -166,20 +166,23 @@ def driven_rod(closure: LegClosure, targets: Array) -> tuple[Array, Mask]:
             drive = on - rod.mode * np.sqrt(np.clip(square, 0.0, None))
             to_tip = arm - drive[:, None] * rod.frame[:, 1]
         else:
-            flat = out * out + on * on
+            flat = radial * radial + on * on
             far = np.sqrt(flat)
-            apart = np.where(far > 0.0, far, 1.0)  # at O, any angle
-            cos = (flat + up * up + rod.radius**2 - rod.length**2) / (2 * rod.radius * far)
+            safe_distance = np.where(far > 0.0, far, 1.0)  # at O, any angle
+            cos = (flat + height * height + rod.radius**2 - rod.length**2) / (2 * rod.radius * far)
             cos = np.where(np.isnan(cos), 0.0, cos)
             possible = np.abs(cos) <= 1.0
             cos = np.clip(cos, -1.0, 1.0)
             sin = rod.mode * np.sqrt((1 - cos) * (1 + cos))
-            out, on = out / apart, on / apart  # the target's way, turned to the drive's: no sines
-            c, s = cos * out + sin * on, cos * on - sin * out
+            radial, on = (
+                radial / safe_distance,
+                on / safe_distance,
+            )  # the target's way, turned to the drive's: no sines
+            c, s = cos * radial + sin * on, cos * on - sin * radial
             drive = leg.home[0] + wrapped(np.arctan2(s, c) - leg.home[0])
             # turned back to where the drive is at zero
-            back = np.stack((far * cos - rod.radius, far * sin, up))
-            to_tip = (rod.frame @ back).T
+            elbow = np.stack((far * cos - rod.radius, far * sin, height))
+            to_tip = (rod.frame @ elbow).T
     angles = rod.pointing.angles(to_tip)
     turns = [home + wrapped(q - home) for q, home in zip(angles, leg.home[1:], strict=True)]
     return np.stack((drive, *turns)).T, possible
@@ -223,12 +226,12 @@ def rod_geometry(closure: LegClosure) -> RodGeometry:
         speed = speed - np.cross(axis, pointing.arm)
         radius = float(np.linalg.norm(speed))
         speed = speed / radius
-    out = np.cross(speed, axis)
-    frame = np.stack((out, speed, axis), axis=1)
+    radial = np.cross(speed, axis)
+    frame = np.stack((radial, speed, axis), axis=1)
     at_home = _arm(home)  # drive and rod as they are there
     grip = at_home @ (home[:3, 0] - np.cross(home[3:, 0], at_home))
     mode = float(np.sign(grip)) or 1.0
-    return RodGeometry(point - radius * out, radius, frame, pointing, mode)
+    return RodGeometry(point - radius * radial, radius, frame, pointing, mode)
 
 
 def _pointing(closure: LegClosure, axes: Array, arm: Array, first: int) -> Pointing:

@@ -170,8 +170,8 @@ def close(
     homes = np.repeat([leg.leg.home for leg in legs], count, axis=0)
     if near is None:
         starts = [start_joints(leg, matrices[r]) for leg, r in zip(legs, rows_of_leg, strict=True)]
-        start, attempts = stacked([joints for joints, _ in starts]), _ATTEMPTS
-        possible = stacked([possible for _, possible in starts])
+        near_legs, possible_of_legs = zip(*starts, strict=True)
+        start, possible, attempts = stacked(near_legs), stacked(possible_of_legs), _ATTEMPTS
     else:
         possible = np.asarray(np.isfinite(near).all(axis=1))
         start, attempts = np.where(possible[:, None], near, homes), 1
@@ -350,10 +350,10 @@ def close_legs(
     """
     groups = []
     for places in grouped([leg.form for leg in legs], len(matrices)):
-        alike = [legs[place] for place in places]
+        group_legs = [legs[place] for place in places]
         deforming = None if influences is None else influences[places[0]]  # what deforms is alone
         start = None if near is None else stacked([near[place] for place in places])
-        closed = close(alike, repeated(matrices, len(alike)), deforming, start)
+        closed = close(group_legs, repeated(matrices, len(group_legs)), deforming, start)
         groups.append((places, closed))
     return groups
 

@@ -95,7 +95,7 @@ class Closure:
     @cached_property
     def by_joints(self) -> Array:
         """∂c/∂(θ, p) of all joints in order, shape (N, m, n_joints)."""
-        return self._rows(self.motion.some(slice(len(self.leg.leg.moving))))
+        return self._rows(self.motion.twists_at_tip(slice(len(self.leg.leg.moving))))
 
     @cached_property
     def active(self) -> Array:
@@ -110,7 +110,7 @@ class Closure:
     @cached_property
     def parameter(self) -> Array:
         """∂c/∂φ at fixed joints, shape (N, m, n_params)."""
-        rows = self._rows(self.motion.some(slice(len(self.leg.leg.moving), None)))
+        rows = self._rows(self.motion.twists_at_tip(slice(len(self.leg.leg.moving), None)))
         if len(placing := self.point.parameters):
             m = self.leg.platform.space
             rows[:, :m, placing] -= applied(self.matrices, self.point.speeds)[:m].transpose(2, 0, 1)
@@ -167,8 +167,8 @@ class Closure:
             if len(placing):
                 row[placing] -= _power_in_platform(self.matrices, self.point.speeds, y[:m])
                 if self.turn_error is not None:
-                    back = (turning @ self._by_platform_turn) @ self.matrices[:, :3, :3]
-                    row[placing] -= (back @ self.point.turning)[:, 0].T
+                    turned = (turning @ self._by_platform_turn) @ self.matrices[:, :3, :3]
+                    row[placing] -= (turned @ self.point.turning)[:, 0].T
         return power.transpose(2, 0, 1)
 
     @cached_property
@@ -222,7 +222,7 @@ class Closure:
 
     def passive_turning(self) -> Array:
         """Return how passive joints turn the tip, (1 or 3, n_passive, N): across z, or all."""
-        return self.motion.some(list(self.leg.leg.passive))[len(self.motion.tips) :]
+        return self.motion.twists_at_tip(list(self.leg.leg.passive))[len(self.motion.tips) :]
 
     @cached_property
     def _by_tip_turn(self) -> Array:
@@ -271,8 +271,8 @@ class LegClosure:
         self._hash = hash(self._key)
         self._point = platform_point(leg, self.parameters)
 
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, LegClosure) and self._key == other._key
+    def __eq__(self, closure: object) -> bool:
+        return isinstance(closure, LegClosure) and self._key == closure._key
 
     def __hash__(self) -> int:
         return self._hash
@@ -317,13 +317,17 @@ class LegClosure:
         if not self.leg.deformed:
             return joints
         none = np.empty((len(joints), 0))
-        by = self.deformations(none if influences is None else influences)
-        return np.concatenate((joints, by), axis=1)
+        deformations = self.deformations(none if influences is None else influences)
+        return np.concatenate((joints, deformations), axis=1)
 
     def point_at(self, joints: Array) -> PlatformPoint:
         """Return the platform point at joint positions, with deformations or without."""
-        by = joints[:, len(self.leg.moving) :]
-        return self._point if not by.shape[1] else deformed_point(self.leg, self.parameters, by)
+        deformations = joints[:, len(self.leg.moving) :]
+        return (
+            self._point
+            if not deformations.shape[1]
+            else deformed_point(self.leg, self.parameters, deformations)
+        )
 
     def tips(self, joints: Array) -> Array:
         """Return the tips of the leg in the base frame, shape (N, 3), [m]."""
@@ -352,10 +356,10 @@ class LegClosure:
 
         One that deforms, or closes a frame, is like no other: its rows are those of one leg.
         """
-        leg, own = self.leg, point_chain(self.leg).moving
+        leg, placing = self.leg, point_chain(self.leg).moving
         if leg.deformed or self.turns:
             return (object(),)
-        sizes = (len(leg.parameters), len(leg.sensors), *own.tolist())
+        sizes = (len(leg.parameters), len(leg.sensors), *placing.tolist())
         return (*self.chain.form, self.platform, *sizes, *leg.active, "passive", *leg.passive)
 
     def frame(self, joints: Array, gap: Array | None = None) -> Array:
@@ -393,8 +397,8 @@ def evaluate(legs: Sequence[LegClosure], joints: Array, matrices: Array) -> Clos
 
 def rows_of_each(count: int, rows: int) -> list[slice]:
     """Return the rows of each of so many alike legs."""
-    own = rows // count
-    return [slice(leg * own, (leg + 1) * own) for leg in range(count)]
+    per_leg = rows // count
+    return [slice(leg * per_leg, (leg + 1) * per_leg) for leg in range(count)]
 
 
 def _padded(rows: Array) -> Array:

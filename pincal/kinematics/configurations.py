@@ -75,8 +75,8 @@ def planned_influences(mechanism: Mechanism, plan: Plan) -> Array | None:
     readings = plan.readings
     if readings is None and mechanism.followed & set(mechanism.influences):
         readings = inverse(mechanism, plan.poses, influences_of(mechanism, plan)).readings
-    found = influences_of(mechanism, plan, readings)
-    return found if readings is None else with_loads(mechanism, found, readings, plan.poses)
+    columns = influences_of(mechanism, plan, readings)
+    return columns if readings is None else with_loads(mechanism, columns, readings, plan.poses)
 
 
 def home_of(mechanism: Mechanism) -> Plan:
@@ -108,9 +108,9 @@ def joints_at(mechanism: Mechanism, planned: Plan | Array) -> InverseSolution:
     influences = influences_of(mechanism, plan)
     for index, leg in enumerate(nominal_legs(mechanism)):
         known = mechanism.known(index, plan.readings, influences)
-        closed, found = nearest_closure((leg,), matrices, (known,))
+        closed, positions = nearest_closure((leg,), matrices, (known,))
         near = np.abs(closed.gap).max(axis=1) <= _CLOSES * leg.size
-        joints[leg.leg.name] = np.where(near[:, None], found[:, : len(leg.leg.moving)], np.nan)
+        joints[leg.leg.name] = np.where(near[:, None], positions[:, : len(leg.leg.moving)], np.nan)
         reached.append(near)
     every = np.stack(reached, axis=1)
     return InverseSolution(joints, plan.readings, every, mechanism.leg_names)
@@ -124,22 +124,22 @@ def legs_at(mechanism: Mechanism, planned: Plan | Array) -> Legs:
     """
     plan = as_plan(mechanism, planned)
     poses, readings = plan.poses, plan.readings
-    found = np.ones(len(poses), dtype=bool)
+    solved = np.ones(len(poses), dtype=bool)
     if mechanism.by_readings and readings is None:  # those with which some configuration is there
-        there = inverse(mechanism, poses)
-        found = np.asarray(there.reached.all(axis=1))
-        poses, readings = poses[found], there.readings[found]
+        inverted = inverse(mechanism, poses)
+        solved = np.asarray(inverted.reached.all(axis=1))
+        poses, readings = poses[solved], inverted.readings[solved]
     elif readings is not None:
         solution = forward(mechanism, readings, poses, influences_of(mechanism, plan))
-        found = solution.converged
-        poses, readings = solution.poses[found], readings[found]
-    demands = leg_demands(mechanism, replace(plan.rows(found), poses=poses, readings=readings))
+        solved = solution.converged
+        poses, readings = solution.poses[solved], readings[solved]
+    demands = leg_demands(mechanism, replace(plan.rows(solved), poses=poses, readings=readings))
     pose = np.concatenate([row.pose for row in demands], axis=1)
     parameter = block_diagonal([row.parameter for row in demands])
     reading = block_diagonal([row.reading for row in demands])
     ok = np.isfinite(pose).all(axis=(1, 2)) & np.isfinite(parameter).all(axis=(1, 2))
-    reached = np.zeros(len(found), dtype=bool)
-    reached[np.flatnonzero(found)[ok]] = True
+    reached = np.zeros(len(solved), dtype=bool)
+    reached[np.flatnonzero(solved)[ok]] = True
     return Legs(
         poses[ok],
         None if readings is None else readings[ok],
@@ -155,7 +155,9 @@ def leg_demands(mechanism: Mechanism, plan: Plan) -> list[Demand]:
     columns, legs = planned_influences(mechanism, plan), nominal_legs(mechanism)
     readings = influences = None
     if plan.readings is not None:
-        readings = [plan.readings[:, own] for own in mechanism.reading_columns]
+        readings = [
+            plan.readings[:, columns_of_leg] for columns_of_leg in mechanism.reading_columns
+        ]
     if columns is not None:
         influences = [mechanism.influences_at(index, columns) for index in range(len(legs))]
     placed = mechanism.platform.matrices(plan.poses)
@@ -196,8 +198,8 @@ def check_reached(mechanism: Mechanism, planned: Plan | Array, name: str = "the 
     reasons = command(mechanism, planned)[2]
     if all(reasons):
         first = planned.place(0) if isinstance(planned, Plan) else "row 1"
-        why = f": {first} is {reasons[0]}" if reasons else ", it is empty"
-        raise MeasurementError(f"no pose of {name} is in reach of {mechanism.name!r}{why}")
+        explanation = f": {first} is {reasons[0]}" if reasons else ", it is empty"
+        raise MeasurementError(f"no pose of {name} is in reach of {mechanism.name!r}{explanation}")
 
 
 def nearby(

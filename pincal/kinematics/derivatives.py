@@ -72,12 +72,12 @@ def demands(legs: Sequence[LegClosure], closure: Closure, known: Sequence[Array]
     """
     value, rows_of_leg = closure.constraint, rows_of_each(len(legs), len(closure.gap))
     by_parameter, pose = closure.constraint_by_parameter, closure.constraint_by_pose
-    drive, found = closure.drive, []
+    drive, leg_demands = closure.drive, []
     for rows, leg, leg_known in zip(rows_of_leg, legs, known, strict=True):
         reading = drive[rows] * sensor_law(leg).slopes(leg_known)[..., None, :]
         parameter = _by_parameter(leg, by_parameter[rows], drive[rows], leg_known)
-        found.append(Demand(value[rows], parameter, pose[rows], reading))
-    return found
+        leg_demands.append(Demand(value[rows], parameter, pose[rows], reading))
+    return leg_demands
 
 
 def _by_parameter(leg: LegClosure, rows: Array, drive: Array, known: Array) -> Array:
@@ -85,12 +85,12 @@ def _by_parameter(leg: LegClosure, rows: Array, drive: Array, known: Array) -> A
 
     A deformation is added to its parameter, so ∂e/∂a = ∂e/∂p · b.
     """
-    law, found = sensor_law(leg), rows.copy("K")
-    found[:, :, law.parameter_places] += product(drive, law.by_parameter(known))
+    law, derivatives = sensor_law(leg), rows.copy("K")
+    derivatives[:, :, law.parameter_places] += product(drive, law.by_parameter(known))
     if leg.leg.deformed:
-        by = leg.deformations.by_parameter(known[:, len(leg.leg.sensors) :])
-        found += rows[:, :, leg.deformations.parameters] @ by
-    return found
+        deforming = leg.deformations.by_parameter(known[:, len(leg.leg.sensors) :])
+        derivatives += rows[:, :, leg.deformations.parameters] @ deforming
+    return derivatives
 
 
 def _closed(
@@ -105,16 +105,16 @@ def _closed(
     one before.
     """
     rows = rows_of_each(len(legs), len(matrices))
-    more = influences or [np.zeros((len(matrices[own]), 0)) for own in rows]
+    leg_influences = influences or [np.zeros((len(matrices[leg_rows]), 0)) for leg_rows in rows]
     if readings is not None:
-        known = [np.hstack(pair) for pair in zip(readings, more, strict=True)]
+        known = [np.hstack(pair) for pair in zip(readings, leg_influences, strict=True)]
         closure, _ = nearest_closure(legs, matrices, known)
         return closure, known, np.ones(len(matrices), dtype=bool)
-    closed = close(legs, matrices, more[0])  # one that deforms is alone
+    closed = close(legs, matrices, leg_influences[0])  # one that deforms is alone
     known = []
-    for leg, own, said in zip(legs, rows, more, strict=True):
-        psi = sensor_law(leg).reading(closed.joints[own][:, leg.leg.active], said)
-        known.append(np.hstack((psi, said)))
+    for leg, leg_rows, at_rows in zip(legs, rows, leg_influences, strict=True):
+        psi = sensor_law(leg).reading(closed.joints[leg_rows][:, leg.leg.active], at_rows)
+        known.append(np.hstack((psi, at_rows)))
     return closed.closure, known, closed.reached
 
 
@@ -132,13 +132,17 @@ def leg_demands_at(
         readings: Of each leg, shape (N, n_active); those of inverse kinematics if not given.
         influences: Of each leg, shape (N, n_influences); at their reference if not given.
     """
-    forms = [(leg.form, len(at)) for leg, at in zip(legs, placed, strict=True)]
-    found: dict[int, Demand] = {}
+    forms = [(leg.form, len(poses)) for leg, poses in zip(legs, placed, strict=True)]
+    demand_of: dict[int, Demand] = {}
     for places in grouped(forms, max(map(len, placed))):
-        given = ([one[i] for i in places] if one else None for one in (readings, influences))
-        own = _demands_of([legs[i] for i in places], [placed[i] for i in places], *given)
-        found |= zip(places, own, strict=True)
-    return [found[place] for place in range(len(legs))]
+        columns = (
+            [values[i] for i in places] if values else None for values in (readings, influences)
+        )
+        group_demands = _demands_of(
+            [legs[i] for i in places], [placed[i] for i in places], *columns
+        )
+        demand_of |= zip(places, group_demands, strict=True)
+    return [demand_of[place] for place in range(len(legs))]
 
 
 def _demands_of(
@@ -149,23 +153,26 @@ def _demands_of(
 ) -> list[Demand]:
     """Return what alike legs demand at as many poses each: see ``leg_demands_at``."""
     count = len(placed[0])
-    whole: list[Demand] = []
+    complete: list[Demand] = []
     for rows in chunks(count) if count else [slice(0)]:
-        there = stacked([one[rows] for one in placed])
-        given = ([one[rows] for one in own] if own else None for own in (readings, influences))
-        closure, known, reached = _closed(legs, there, *given)
+        matrices = stacked([leg_part[rows] for leg_part in placed])
+        columns = (
+            [leg_part[rows] for leg_part in leg_rows] if leg_rows else None
+            for leg_rows in (readings, influences)
+        )
+        closure, known, reached = _closed(legs, matrices, *columns)
         parts = demands(legs, closure, known)
-        for one, own in zip(parts, rows_of_each(len(legs), len(there)), strict=True):
-            if not reached[own].all():
-                for values in vars(one).values():
-                    values[~reached[own]] = np.nan
+        for leg_part, leg_rows in zip(parts, rows_of_each(len(legs), len(matrices)), strict=True):
+            if not reached[leg_rows].all():
+                for values in vars(leg_part).values():
+                    values[~reached[leg_rows]] = np.nan
         if len(parts[0].value) == count:
             return parts
-        whole = whole or [_room(one, count) for one in parts]
-        for one, part in zip(whole, parts, strict=True):
-            for target, values in zip(vars(one).values(), vars(part).values(), strict=True):
+        complete = complete or [_room(leg_part, count) for leg_part in parts]
+        for leg_part, part in zip(complete, parts, strict=True):
+            for target, values in zip(vars(leg_part).values(), vars(part).values(), strict=True):
                 target[rows] = values
-    return whole
+    return complete
 
 
 def _room(part: Demand, count: int) -> Demand:

@@ -87,11 +87,11 @@ class Forest:
                     f"{copy}_{index}",
                 )
         self._data = self._model.createData()
-        each = max(self.width, 1)
+        per_copy = max(self.width, 1)
         # Pinocchio's own memory: where copies begin, and what each call writes again
-        self._roots = placements_in(self._model.jointPlacements)[1::each]
+        self._roots = placements_in(self._model.jointPlacements)[1::per_copy]
         self._columns = _bytes(self._data.J.T)
-        self._ends = placements_in(self._data.oMi)[self.width :: each]
+        self._ends = placements_in(self._data.oMi)[self.width :: per_copy]
         self._turn = Lock()  # Pinocchio's data are one thread's at a time
         self._first = chain[0].pinocchio_placement() if chain else pin.SE3.Identity()
         self._base: Base | None = None  # where the copies begin now
@@ -122,15 +122,15 @@ class Forest:
         rows = [0, 1, 2, 3, 4, 5] if self.spatial else [0, 1, 5]  # across z the others are zero
         with self._turn:
             columns, ends = self._evaluated(configurations, bases)
-        kept = np.empty((len(rows), n, legs, count))
-        for target, row in zip(kept, rows, strict=True):
+        twists = np.empty((len(rows), n, legs, count))
+        for target, row in zip(twists, rows, strict=True):
             target[:] = columns[:, :, :n, row].transpose(2, 0, 1)
         tips, turns = self._tips(ends.reshape(legs * count, 12))
         begun = None
         if any(base is not None and base.twists.any() for base in bases):
             still = np.zeros((6, len(rates)))
             begun = np.stack([still if base is None else base.twists for base in bases])[:, rows]
-        return Motion(tips, turns, kept.reshape(len(rows), n, legs * count), rates, begun)
+        return Motion(tips, turns, twists.reshape(len(rows), n, legs * count), rates, begun)
 
     def _evaluated(
         self, configurations: Array, bases: Sequence[Base | None]
@@ -146,12 +146,14 @@ class Forest:
         columns = np.empty((legs, blocks, size, 6))
         ends = np.empty((legs * blocks, self.copies, 12))
         evaluate, model, data = pin.computeJointJacobians, self._model, self._data
-        to_columns, each = _bytes(columns), len(self._columns)
+        to_columns, bytes_per_block = _bytes(columns), len(self._columns)
         for leg, base in enumerate(bases):
             self._begin_at(base)
             for block, q in enumerate(padded[leg].reshape(blocks, size), leg * blocks):
                 evaluate(model, data, q)
-                to_columns[block * each : (block + 1) * each] = self._columns  # as they lie
+                to_columns[block * bytes_per_block : (block + 1) * bytes_per_block] = (
+                    self._columns
+                )  # as they lie
                 ends[block] = self._ends
         every = blocks * self.copies
         return (
@@ -200,20 +202,20 @@ class Motion:
     """Twists at the base's origin by what moves where each chain begins, (L, 3 or 6, k)."""
 
     @cached_property
-    def whole(self) -> Array:
+    def all_twists(self) -> Array:
         """Twists at the tip in all motions, linear first, shape (3 or 6, k, N)."""
-        return self.some(slice(None))
+        return self.twists_at_tip(slice(None))
 
-    def some(self, which: slice | list[int]) -> Array:
+    def twists_at_tip(self, motions: slice | list[int]) -> Array:
         """Return twists at the tip in some motions, linear first, shape (3 or 6, s, N)."""
-        rates = self.rates[which]
+        rates = self.rates[motions]
         twists = np.empty((len(self.columns), len(rates), self.columns.shape[2]))
         for twist, row in zip(twists, self.columns, strict=True):
             np.matmul(rates, row, out=twist)
-        if self.begun is not None and (begun := self.begun[:, :, which]).any():
-            own = twists.reshape(*twists.shape[:2], len(begun), -1)
-            own += begun.transpose(1, 2, 0)[..., None]
-        return _at(self.tips, twists)
+        if self.begun is not None and (begun := self.begun[:, :, motions]).any():
+            by_chain = twists.reshape(*twists.shape[:2], len(begun), -1)
+            by_chain += begun.transpose(1, 2, 0)[..., None]
+        return _at_tips(self.tips, twists)
 
     def power(self, force: Array, moment: Array | None, after: int) -> Array:
         """Return the power of wrenches on the tip in all motions after the first, shape (k', N).
@@ -230,8 +232,8 @@ class Motion:
         power = self.rates[after:] @ np.einsum("rjn,rn->jn", self.columns, wrench)
         if self.begun is not None:
             legs = len(self.begun)
-            own = wrench.reshape(len(wrench), legs, -1).swapaxes(0, 1)
-            begun = self.begun[:, :, after:].swapaxes(1, 2) @ own
+            by_chain = wrench.reshape(len(wrench), legs, -1).swapaxes(0, 1)
+            begun = self.begun[:, :, after:].swapaxes(1, 2) @ by_chain
             by_leg = power.reshape(len(power), legs, -1)
             by_leg += begun.swapaxes(0, 1)
         return np.asarray(power)
@@ -239,18 +241,18 @@ class Motion:
     @property
     def linear(self) -> Array:
         """Velocities of the tip, shape (2 or 3, k, N), [m] a unit."""
-        return self.whole[: len(self.tips)]
+        return self.all_twists[: len(self.tips)]
 
     @property
     def angular(self) -> Array:
         """How the tip turns, shape (1 or 3, k, N), [rad] a unit."""
-        return self.whole[len(self.tips) :]
+        return self.all_twists[len(self.tips) :]
 
-    def twists(self, which: slice | list[int] = slice(None)) -> Array:
+    def twists(self, motions: slice | list[int] = slice(None)) -> Array:
         """Return twists at the tip in space, linear first: of all motions, (6, k, N), or some."""
-        found, m = self.some(which), len(self.tips)
-        full = np.zeros((6, *found.shape[1:]))
-        full[:m], full[6 - (len(found) - m) :] = found[:m], found[m:]
+        rows, m = self.twists_at_tip(motions), len(self.tips)
+        full = np.zeros((6, *rows.shape[1:]))
+        full[:m], full[6 - (len(rows) - m) :] = rows[:m], rows[m:]
         return full
 
 
@@ -261,7 +263,7 @@ def moments(arms: Array, force: Array) -> Array:
     return cross(arms.T, force.T).T
 
 
-def _at(tips: Array, twists: Array) -> Array:
+def _at_tips(tips: Array, twists: Array) -> Array:
     """Return twists (3 or 6, k, N) at the base's origin as twists at tips, in place."""
     if len(tips) == 2:
         twists[0] -= twists[2] * tips[1]
@@ -285,7 +287,7 @@ def placements_in(memory: pin.StdVec_SE3) -> Array:
     """
     first, last, size = memory[0].rotation, memory[-1], memory[0].rotation.itemsize
     begin, end, position = (
-        one.__array_interface__["data"][0] for one in (first, last.rotation, last.translation)
+        array.__array_interface__["data"][0] for array in (first, last.rotation, last.translation)
     )
     if end - begin != 12 * size * (len(memory) - 1) or position - end != 9 * size:
         raise TypeError(f"pin {pin.__version__} keeps placements in another way")

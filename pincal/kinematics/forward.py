@@ -71,12 +71,12 @@ class MovingLegs:
     def in_mode(self, matrices: Array, rows: Index) -> Closure:
         """Return their closures at rows; lines that a step turned over are put back in mode."""
         closure = self.closed(matrices[rows], self.joints[:, rows])
-        left = ~in_home_modes(self.legs, closure).reshape(len(self.legs), -1)
-        turned = [i for i, leg in enumerate(self.legs) if left[i].any() and is_line(leg)]
+        turned_over = ~in_home_modes(self.legs, closure).reshape(len(self.legs), -1)
+        turned = [i for i, leg in enumerate(self.legs) if turned_over[i].any() and is_line(leg)]
         for i in turned:
-            own, passive = rows[left[i]], self.legs[i].leg.passive
-            there = start_joints(self.legs[i], matrices[own])[0]
-            self.joints[i, own[:, None], passive] = there[:, passive]
+            lost, passive = rows[turned_over[i]], self.legs[i].leg.passive
+            started = start_joints(self.legs[i], matrices[lost])[0]
+            self.joints[i, lost[:, None], passive] = started[:, passive]
         return self.closed(matrices[rows], self.joints[:, rows]) if turned else closure
 
     def follow(self, closure: Closure, rows: Index, twists: Array) -> Array:
@@ -94,8 +94,8 @@ class MovingLegs:
         """
         count = len(self.legs)
         moved = product(closure.constraint_by_pose, np.tile(twists, (count, 1))[:, :, None])
-        left = product(closure.normal, closure.constraint[:, :, None] + moved)[:, :, 0]
-        gaps = np.abs(closure.gap - left).max(axis=1).reshape(count, -1)
+        contradiction = product(closure.normal, closure.constraint[:, :, None] + moved)[:, :, 0]
+        gaps = np.abs(closure.gap - contradiction).max(axis=1).reshape(count, -1)
         return np.asarray((gaps / np.array([[leg.size] for leg in self.legs])).max(axis=0))
 
     def all_in_mode(self, closure: Closure) -> Mask:
@@ -116,10 +116,10 @@ def moving_legs(
     """
     groups = []
     for places in grouped([leg.form for leg in legs], len(matrices)):
-        own = [legs[place] for place in places]
-        said = [known[place] for place in places]
-        near = zip(own, _joints_near(own, matrices), said, strict=True)
-        groups.append(MovingLegs(places, own, np.stack([driven(*one) for one in near])))
+        group_legs = [legs[place] for place in places]
+        group_known = [known[place] for place in places]
+        near = zip(group_legs, _joints_near(group_legs, matrices), group_known, strict=True)
+        groups.append(MovingLegs(places, group_legs, np.stack([driven(*start) for start in near])))
     return groups
 
 
@@ -129,12 +129,14 @@ def _joints_near(legs: Sequence[LegClosure], matrices: Array) -> Array:
     if not leg.leg.passive:  # all are read
         return np.empty((len(legs), count, len(leg.leg.moving)))
     if len(leg.leg.moving) < len(leg.platform.closing(leg.leg.closes)):  # few poses close it
-        return np.stack([start_joints(one, matrices)[0] for one in legs])
+        return np.stack([start_joints(closure, matrices)[0] for closure in legs])
     closed = close(legs, repeated(matrices, len(legs)))
     joints = closed.joints.reshape(len(legs), count, -1)
-    for own, one, reached in zip(joints, legs, np.split(closed.reached, len(legs)), strict=True):
+    for leg_joints, closure, reached in zip(
+        joints, legs, np.split(closed.reached, len(legs)), strict=True
+    ):
         if not reached.all():
-            own[~reached] = start_joints(one, matrices[~reached])[0]
+            leg_joints[~reached] = start_joints(closure, matrices[~reached])[0]
     return joints
 
 
@@ -164,13 +166,15 @@ class ForwardSolution:
 
     def __repr__(self) -> str:
         """Return the solution in a line."""
-        found = int(np.count_nonzero(self.converged))
-        return f"ForwardSolution: {found} of {len(self.poses)} poses, {self.iterations} iterations"
+        converged = int(np.count_nonzero(self.converged))
+        return (
+            f"ForwardSolution: {converged} of {len(self.poses)} poses, {self.iterations} iterations"
+        )
 
     def __str__(self) -> str:
         """Return a page: why poses were not found, and how many of them."""
         counts = Counter(reason for reason in self.reasons if reason)
-        return "\n".join([repr(self), *(f"  {n}: {why}" for why, n in counts.most_common())])
+        return "\n".join([repr(self), *(f"  {n}: {reason}" for reason, n in counts.most_common())])
 
 
 @on_one_thread
@@ -217,28 +221,28 @@ def forward(
     if len(transforms) != len(readings):
         raise MechanismError(f"{len(readings)} readings, but {len(transforms)} guesses")
     columns = influence_columns(mechanism, influences, len(readings))
-    found = _forward(mechanism, readings, transforms, columns)
+    solution = _forward(mechanism, readings, transforms, columns)
     if guess is None:
-        found = _from_elsewhere(mechanism, readings, columns, found)
+        solution = _from_elsewhere(mechanism, readings, columns, solution)
     if columns is None or not needs_loads(mechanism, columns):
-        return found
+        return solution
     start = platform.from_matrices(transforms.as_matrix())
     for _ in range(LOADS.steps):  # loads follow from the pose, and move it little
-        ok, before = found.converged, found.poses
+        ok, before = solution.converged, solution.poses
         loaded, near = columns.copy(), np.where(ok[:, None], before, start)
         loaded[ok] = with_loads(mechanism, columns[ok], readings[ok], before[ok])
-        found = _forward(mechanism, readings, platform.transforms(near), loaded)
-        change = np.abs(found.poses - before)[ok & found.converged].max(initial=0.0)
+        solution = _forward(mechanism, readings, platform.transforms(near), loaded)
+        change = np.abs(solution.poses - before)[ok & solution.converged].max(initial=0.0)
         if change <= LOADS.small * max(1.0, largest_size(mechanism.legs)):
             break
-    return found
+    return solution
 
 
 def _from_elsewhere(
-    mechanism: Mechanism, readings: Array, columns: Array | None, found: ForwardSolution
+    mechanism: Mechanism, readings: Array, columns: Array | None, solution: ForwardSolution
 ) -> ForwardSolution:
     """Return forward kinematics with rows searched again that were not found from home."""
-    reasons = np.array(found.reasons, dtype=object)
+    reasons = np.array(solution.reasons, dtype=object)
     for place in range(_STARTS):
         lost = np.flatnonzero(reasons != "")
         if not len(lost):
@@ -246,9 +250,13 @@ def _from_elsewhere(
         known, poses = _around_home(mechanism)
         near = mechanism.platform.transforms(poses[_nearest(known, readings[lost], place)])
         influences = None if columns is None else columns[lost]
-        again = _forward(mechanism, readings[lost], near, influences)
-        found.poses[lost], found.gap[lost], reasons[lost] = again.poses, again.gap, again.reasons
-    return replace(found, converged=reasons == "", reasons=tuple(reasons))
+        retried = _forward(mechanism, readings[lost], near, influences)
+        solution.poses[lost], solution.gap[lost], reasons[lost] = (
+            retried.poses,
+            retried.gap,
+            retried.reasons,
+        )
+    return replace(solution, converged=reasons == "", reasons=tuple(reasons))
 
 
 def _nearest(known: Array, readings: Array, place: int) -> Index:
@@ -281,15 +289,15 @@ def _around_home(mechanism: Mechanism) -> tuple[Array, Array]:
 
 def reading_range(mechanism: Mechanism) -> tuple[Array, Array, Array]:
     """Return least and largest readings of the active joints' limits, and home's, (n,) each."""
-    least, most, home = [], [], []
+    least, largest, home = [], [], []
     for closure in nominal_legs(mechanism):
         leg = closure.leg
         joints = np.array([*joint_range(leg), leg.home])[:, leg.active]
         read = sensor_law(closure).reading(joints)
         least.append(read[:2].min(axis=0))
-        most.append(read[:2].max(axis=0))
+        largest.append(read[:2].max(axis=0))
         home.append(read[2])
-    return np.concatenate(least), np.concatenate(most), np.concatenate(home)
+    return np.concatenate(least), np.concatenate(largest), np.concatenate(home)
 
 
 def _forward(
@@ -303,12 +311,12 @@ def _forward(
     reasons: list[str] = []
     iterations = 0
     for rows in chunks(len(readings)):
-        own = [one[rows] for one in known]
-        matrices, why, apart, steps = _solve(mechanism, legs, own, guess[rows])
-        found = np.array([not reason for reason in why], dtype=bool)
-        poses[rows][found] = platform.from_matrices(matrices[found])
-        gap[rows][found] = apart[found]
-        reasons += why
+        chunk = [columns_of_leg[rows] for columns_of_leg in known]
+        matrices, chunk_reasons, chunk_gaps, steps = _solve(mechanism, legs, chunk, guess[rows])
+        solved = np.array([not reason for reason in chunk_reasons], dtype=bool)
+        poses[rows][solved] = platform.from_matrices(matrices[solved])
+        gap[rows][solved] = chunk_gaps[solved]
+        reasons += chunk_reasons
         iterations = max(iterations, steps)
     converged = np.array([not reason for reason in reasons], dtype=bool)
     return ForwardSolution(poses, converged, gap, iterations, tuple(reasons))
@@ -337,19 +345,19 @@ def with_loads(
     by_leg = [drawing.known(index, readings[known]) for index in range(len(legs))]
     matrices = placed_by_arm(legs, by_leg)
     if matrices is None:
-        there = np.full((len(readings), drawing.platform.dof), np.nan)
-        there = there if poses is None else poses.copy()
-        lost = known & ~np.isfinite(there).all(axis=1)
+        coordinates = np.full((len(readings), drawing.platform.dof), np.nan)
+        coordinates = coordinates if poses is None else poses.copy()
+        lost = known & ~np.isfinite(coordinates).all(axis=1)
         if lost.any():
-            there[lost] = _reached(drawing, readings[lost])
-        matrices = drawing.platform.matrices(there[known])
+            coordinates[lost] = _reached(drawing, readings[lost])
+        matrices = drawing.platform.matrices(coordinates[known])
     loads = gravity_loads(drawing, readings[known], matrices)
-    found = influences.copy()
+    completed = influences.copy()
     for name in mechanism.loaded:
         column = mechanism.influences.index(name)
-        own, at = found[known, column], loads[name.removeprefix(f"{LOAD}_")]
-        found[known, column] = np.where(np.isnan(own), at, own)
-    return found
+        column_values, computed = completed[known, column], loads[name.removeprefix(f"{LOAD}_")]
+        completed[known, column] = np.where(np.isnan(column_values), computed, column_values)
+    return completed
 
 
 def needs_loads(mechanism: Mechanism, influences: Array) -> bool:
@@ -387,15 +395,15 @@ def _solve(
     while open_.any() and steps < _NEWTON.steps:
         steps += 1
         rows = np.flatnonzero(open_)
-        closures = [one.in_mode(matrices, rows) for one in groups]
+        closures = [group.in_mode(matrices, rows) for group in groups]
         twist = _platform_step(groups, closures)
         linear, angular = _split(mechanism, twist)
         length = np.maximum(np.linalg.norm(linear, axis=1) / size, np.linalg.norm(angular, axis=1))
         with np.errstate(divide="ignore", invalid="ignore"):
             shorten = np.minimum(1.0, _NEWTON.largest / length)[:, None]
         moved = length
-        for one, closure in zip(groups, closures, strict=True):
-            moved = np.maximum(moved, one.follow(closure, rows, shorten * twist))
+        for group, closure in zip(groups, closures, strict=True):
+            moved = np.maximum(moved, group.follow(closure, rows, shorten * twist))
         finite = np.isfinite(moved)
         good = rows[finite]
         matrices[good, :3, 3] += (shorten * linear)[finite]
@@ -411,9 +419,9 @@ def placed_by_arm(legs: Sequence[LegClosure], known: Sequence[Array]) -> Array |
     None if there is no such leg, or it ends in a point. Known are, leg by leg, readings and
     influences.
     """
-    for leg, own in zip(legs, known, strict=True):
+    for leg, leg_known in zip(legs, known, strict=True):
         if leg.leg.is_arm:
-            return arm_poses(leg, own)
+            return arm_poses(leg, leg_known)
     return None
 
 
@@ -437,17 +445,17 @@ def _reasons(
 ) -> tuple[list[str], Array]:
     """Return why each row has no pose, an empty string where it has one, and the legs' gaps."""
     finite: Mask = np.asarray(np.isfinite(matrices).all(axis=(1, 2)))
-    for one in groups:
-        finite = np.asarray(finite & np.isfinite(one.joints).all(axis=(0, 2)))
+    for group in groups:
+        finite = np.asarray(finite & np.isfinite(group.joints).all(axis=(0, 2)))
     closures = []
-    for one in groups:
-        homes = np.stack([leg.deformed(leg.leg.home[None]) for leg in one.legs])
-        closures.append(one.closed(matrices, np.where(finite[:, None], one.joints, homes)))
+    for group in groups:
+        homes = np.stack([leg.deformed(leg.leg.home[None]) for leg in group.legs])
+        closures.append(group.closed(matrices, np.where(finite[:, None], group.joints, homes)))
     closes, in_mode = finite & ~open_, np.ones(len(finite), dtype=bool)
     twist = _platform_step(groups, closures)
-    for one, closure in zip(groups, closures, strict=True):
-        closes &= one.closable(closure, twist) <= _NEWTON.closed
-        in_mode &= one.all_in_mode(closure)
+    for group, closure in zip(groups, closures, strict=True):
+        closes &= group.closable(closure, twist) <= _NEWTON.closed
+        in_mode &= group.all_in_mode(closure)
     closed = [(legs.places, closure) for legs, closure in zip(groups, closures, strict=True)]
     lines = by_leg(closed, lambda legs: legs.constraint_by_pose)
     in_mode &= platform_margin(mechanism, lines) > 0.0

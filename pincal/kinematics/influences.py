@@ -26,24 +26,26 @@ _STILL = 1e-3  # of the range of a reading: it has not moved
 Influences = Mapping[str, Array | float] | Array
 
 
-def influence_columns(mechanism: Mechanism, given: Influences | None, count: int) -> Array | None:
+def influence_columns(
+    mechanism: Mechanism, measured: Influences | None, count: int
+) -> Array | None:
     """Return the columns of a mechanism's influences, shape (N, n_influences).
 
     NaN, at its reference, where nothing is given; None if no term depends on any.
 
     Args:
         mechanism: The mechanism.
-        given: By column, a number for all rows or one for each, shape (N,); or all columns.
+        measured: By column, a number for all rows or one for each, shape (N,); or all columns.
         count: Number of rows N.
 
     Raises:
         MeasurementError: a column on which nothing depends, or of a wrong shape.
     """
-    if isinstance(given, np.ndarray):
+    if isinstance(measured, np.ndarray):
         shape = (count, len(mechanism.influences))
-        return array_of(given, shape, "influences", MeasurementError)
-    given = given or {}
-    if unknown := [name for name in given if name not in mechanism.influences]:
+        return array_of(measured, shape, "influences", MeasurementError)
+    measured = measured or {}
+    if unknown := [name for name in measured if name not in mechanism.influences]:
         known = ", ".join(mechanism.influences) or "none"
         raise MeasurementError(
             f"no term of {mechanism.name!r} depends on {unknown[0]!r}; its influences: {known}"
@@ -52,8 +54,8 @@ def influence_columns(mechanism: Mechanism, given: Influences | None, count: int
         return None
     columns = np.full((count, len(mechanism.influences)), np.nan)
     for place, name in enumerate(mechanism.influences):
-        if name in given:
-            values = np.asarray(given[name])
+        if name in measured:
+            values = np.asarray(measured[name])
             values = np.full(count, values) if values.ndim == 0 else values
             columns[:, place] = array_of(values, (count,), f"influence {name!r}", MeasurementError)
     if np.isinf(columns).any():
@@ -72,22 +74,22 @@ def influences_of(mechanism: Mechanism, plan: Plan, readings: Array | None = Non
     Returns:
         Shape (N, n_influences); None if no term depends on any.
     """
-    own = own_influences(mechanism, plan.influences)
-    columns = influence_columns(mechanism, own, len(plan))
+    measured = own_influences(mechanism, plan.influences)
+    columns = influence_columns(mechanism, measured, len(plan))
     readings = plan.readings if readings is None else readings
     if columns is None or readings is None:
         return columns
     runs = plan.runs if isinstance(plan, Measurements) else None
     for place, name in enumerate(mechanism.reading_names):
         column = f"{APPROACH}_{name}"
-        if column in mechanism.influences and column not in own:
+        if column in mechanism.influences and column not in measured:
             columns[:, mechanism.influences.index(column)] = sides(readings[:, place], runs)
     return columns
 
 
-def own_influences(mechanism: Mechanism, given: Mapping[str, Array]) -> dict[str, Array]:
+def own_influences(mechanism: Mechanism, columns: Mapping[str, Array]) -> dict[str, Array]:
     """Return those of given columns on which terms of a mechanism depend."""
-    return {name: given[name] for name in mechanism.influences if name in given}
+    return {name: columns[name] for name in mechanism.influences if name in columns}
 
 
 def by_name(mechanism: Mechanism, columns: Array | None) -> dict[str, Array]:
@@ -105,18 +107,18 @@ def sides(readings: Array, runs: Sequence[str] | None = None) -> Array:
         readings: In order of time, shape (N,).
         runs: Run of each row, if there were several.
     """
-    found = np.full(len(readings), np.nan)
+    sides_of_rows = np.full(len(readings), np.nan)
     read = np.flatnonzero(np.isfinite(readings))
     if not len(read):
-        return found
+        return sides_of_rows
     noise = _STILL * float(np.ptp(readings[read]))
     begins = [0]
     if runs is not None:
         names = np.array(runs)[read]
         begins += (1 + np.flatnonzero(names[1:] != names[:-1])).tolist()
     for rows in np.split(read, begins[1:]):
-        found[rows] = _sides_of_run(readings[rows].tolist(), noise)
-    return found
+        sides_of_rows[rows] = _sides_of_run(readings[rows].tolist(), noise)
+    return sides_of_rows
 
 
 def _sides_of_run(readings: Sequence[float], noise: float) -> list[float]:
@@ -124,15 +126,15 @@ def _sides_of_run(readings: Sequence[float], noise: float) -> list[float]:
 
     However finely rows follow a motion, it has the same sides.
     """
-    side, turned, found = np.nan, readings[0], []
+    side, turned, sides_of_run = np.nan, readings[0], []
     for reading in readings:
         moved = reading - turned
         if abs(moved) > noise and not moved * side > 0.0:
             side = float(np.sign(moved))
         if moved * side > 0.0:
             turned = reading  # the farthest so far
-        found.append(side)
-    return found
+        sides_of_run.append(side)
+    return sides_of_run
 
 
 def gravity_loads(mechanism: Mechanism, readings: Array, matrices: Array) -> dict[str, Array]:
@@ -150,18 +152,18 @@ def gravity_loads(mechanism: Mechanism, readings: Array, matrices: Array) -> dic
     load = mechanism.load or Load()
     gravity = np.array(load.gravity)
     legs = [
-        _held(own, matrices, mechanism.known(index, readings), gravity)
-        for index, own in enumerate(nominal_legs(mechanism))
+        _held(held, matrices, mechanism.known(index, readings), gravity)
+        for index, held in enumerate(nominal_legs(mechanism))
     ]
-    found: dict[str, Array] = {}
+    of_joints: dict[str, Array] = {}
     of_parameters: dict[str, Array] = {}
     forces = _carrying(legs, _weight(mechanism, load, matrices))
-    for leg, own, mu in zip(mechanism.legs, legs, forces, strict=True):
-        found |= zip(leg.reading_names, (own.joints + _along(own.drive, mu)).T, strict=True)
+    for leg, held, mu in zip(mechanism.legs, legs, forces, strict=True):
+        of_joints |= zip(leg.reading_names, (held.joints + _along(held.drive, mu)).T, strict=True)
         ids = (f"{leg.name}.{name}" for name in leg.parameter_names)
-        by_parameter = own.parameters + _along(own.parameter, mu)
+        by_parameter = held.parameters + _along(held.parameter, mu)
         of_parameters |= zip(ids, by_parameter.T, strict=True)
-    return found | of_parameters
+    return of_joints | of_parameters
 
 
 @dataclass(frozen=True)
@@ -212,16 +214,16 @@ def _carrying(legs: Sequence[_Held], weight: Array) -> list[Array]:
         legs: The legs.
         weight: What the platform loses in height with each freedom, times weight, shape (N, dof).
     """
-    left = weight + sum(one.platform for one in legs)
-    lines = np.concatenate([one.pose for one in legs], axis=1)
-    mu = -least_squares(lines.transpose(0, 2, 1), left[:, :, None])
+    carried = weight + sum(held.platform for held in legs)
+    lines = np.concatenate([held.pose for held in legs], axis=1)
+    mu = -least_squares(lines.transpose(0, 2, 1), carried[:, :, None])
     if lines.shape[1] > lines.shape[2]:
-        drive = block_diagonal([one.drive for one in legs]).transpose(0, 2, 1)
+        drive = block_diagonal([held.drive for held in legs]).transpose(0, 2, 1)
         inner = left_null(lines)
-        joints = np.concatenate([one.joints for one in legs], axis=1)
+        joints = np.concatenate([held.joints for held in legs], axis=1)
         joints = joints[:, :, None] + product(drive, mu)
         mu = mu - product(inner, least_squares(product(drive, inner), joints))
-    ends = np.cumsum([one.pose.shape[1] for one in legs])[:-1]
+    ends = np.cumsum([held.pose.shape[1] for held in legs])[:-1]
     return np.split(mu[:, :, 0], ends, axis=1)
 
 
@@ -244,12 +246,12 @@ def _links(leg: LegClosure, joints: Array, gravity: Array) -> Array:
     Shape (N, n_joints + n_params).
     """
     n, moving = len(leg.leg.moving), 0
-    found = np.zeros((len(joints), n + len(leg.parameters)))
+    lost_height = np.zeros((len(joints), n + len(leg.parameters)))
     for index, joint in enumerate(leg.leg.joints):
         moving += joint.kind != "fixed"
         if joint.mass:
             motion = body_chain(leg.leg, index).motion(leg.parameters, joints[:, :moving])
             lost = joint.mass * np.einsum("x,xjn->nj", gravity, motion.linear)
-            found[:, :moving] += lost[:, :moving]
-            found[:, n:] += lost[:, moving:]
-    return found
+            lost_height[:, :moving] += lost[:, :moving]
+            lost_height[:, n:] += lost[:, moving:]
+    return lost_height

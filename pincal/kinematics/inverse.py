@@ -49,15 +49,17 @@ class InverseSolution:
     def __repr__(self) -> str:
         """Return the solution in a line."""
         count, legs = self.reached.shape
-        found = int(np.count_nonzero(self.reached.all(axis=1)))
-        return f"InverseSolution: {found} of {count} poses reached by all {legs} legs"
+        reached_rows = int(np.count_nonzero(self.reached.all(axis=1)))
+        return f"InverseSolution: {reached_rows} of {count} poses reached by all {legs} legs"
 
     def __str__(self) -> str:
         """Return a page: the poses that are out of reach, the first ones at least."""
         missed = np.flatnonzero(~self.reached.all(axis=1))
         lines = [f"  pose {row + 1}: {self.reason(row)}" for row in missed[:ROWS]]
-        more = len(missed) - len(lines)
-        return "\n".join([repr(self), *lines, *([f"  and {more} more"] if more > 0 else [])])
+        unlisted = len(missed) - len(lines)
+        return "\n".join(
+            [repr(self), *lines, *([f"  and {unlisted} more"] if unlisted > 0 else [])]
+        )
 
 
 @on_one_thread
@@ -96,19 +98,19 @@ def inverse(
             )
             for leg in mechanism.legs
         }
-    found = _inverse(mechanism, placed, columns, near)
+    solution = _inverse(mechanism, placed, columns, near)
     if columns is None or not needs_loads(mechanism, columns):
-        return found
-    reached = np.asarray(found.reached.all(axis=1))
+        return solution
+    reached = np.asarray(solution.reached.all(axis=1))
     poses = mechanism.platform.from_matrices(placed[reached])
     for _ in range(LOADS.steps):  # loads follow from joints, and bend them little
-        loaded, before = columns.copy(), found.readings[reached]
+        loaded, before = columns.copy(), solution.readings[reached]
         loaded[reached] = with_loads(mechanism, columns[reached], before, poses)
-        found = _inverse(mechanism, placed, loaded, near)
-        change = np.abs(found.readings[reached] - before).max(initial=0.0)
+        solution = _inverse(mechanism, placed, loaded, near)
+        change = np.abs(solution.readings[reached] - before).max(initial=0.0)
         if change <= LOADS.small * max(1.0, largest_size(mechanism.legs)):
             break
-    return found
+    return solution
 
 
 def _inverse(
@@ -124,19 +126,21 @@ def _inverse(
     readings = np.empty((count, len(mechanism.reading_names)))
     reached = np.empty((count, len(mechanism.legs)), dtype=bool)
     for rows, closed in close_chunks(mechanism, placed, columns, near):
-        found = zip(
+        legs_closed = zip(
             mechanism.legs,
             laws,
-            by_leg(closed, lambda one: one.joints),
-            by_leg(closed, lambda one: one.reached),
+            by_leg(closed, lambda group: group.joints),
+            by_leg(closed, lambda group: group.reached),
             strict=True,
         )
-        for index, (leg, law, there, ends) in enumerate(found):
-            joints[leg.name][rows] = there
-            own = None if columns is None else mechanism.influences_at(index, columns[rows])
-            at = law.reading(there[:, leg.active], own)
-            readings[rows, mechanism.reading_columns[index]] = at
-            reached[rows, index] = ends & np.isfinite(at).all(axis=1)
+        for index, (leg, law, positions, ends) in enumerate(legs_closed):
+            joints[leg.name][rows] = positions
+            leg_influences = (
+                None if columns is None else mechanism.influences_at(index, columns[rows])
+            )
+            leg_readings = law.reading(positions[:, leg.active], leg_influences)
+            readings[rows, mechanism.reading_columns[index]] = leg_readings
+            reached[rows, index] = ends & np.isfinite(leg_readings).all(axis=1)
     return InverseSolution(joints, readings, reached, mechanism.leg_names)
 
 
@@ -151,11 +155,11 @@ def beyond_limits(leg: Leg, joints: Array) -> Mask:
 
 def outside_limits(mechanism: Mechanism, solution: InverseSolution) -> list[tuple[str, ...]]:
     """Return the joints of each pose that are outside their limits, as ``leg_1 slide``."""
-    found: list[list[str]] = [[] for _ in solution.reached]
+    names: list[list[str]] = [[] for _ in solution.reached]
     for leg in mechanism.legs:
         for row, place in np.argwhere(beyond_limits(leg, solution.joints[leg.name])):
-            found[row].append(f"{leg.name} {leg.moving[place].name}")
-    return [tuple(one) for one in found]
+            names[row].append(f"{leg.name} {leg.moving[place].name}")
+    return [tuple(pose_names) for pose_names in names]
 
 
 def reached(mechanism: Mechanism, poses: Poses) -> Mask:
@@ -172,11 +176,11 @@ def reached(mechanism: Mechanism, poses: Poses) -> Mask:
     """
     placed = mechanism.platform.placed(poses)
     legs = nominal_legs(mechanism)
-    found = np.empty((len(placed), len(legs)), dtype=bool)
+    in_reach = np.empty((len(placed), len(legs)), dtype=bool)
     for rows, matrices in matrix_chunks(placed):
         for index, leg in enumerate(legs):
             solved = closed_form(leg) is not None
-            found[rows, index] = (
+            in_reach[rows, index] = (
                 start_joints(leg, matrices)[1] if solved else close((leg,), matrices).reached
             )
-    return found
+    return in_reach

@@ -25,7 +25,7 @@ def nearest_closure(
     matrices: Array,
     known: Sequence[Array],
     joints: Sequence[Array | None] | None = None,
-    by: Newton = NEWTON,
+    newton: Newton = NEWTON,
 ) -> tuple[Closure, Array]:
     """Return the closure of alike legs at poses and readings, |c| least, and the joints there.
 
@@ -39,7 +39,7 @@ def nearest_closure(
             [+ n_influences]).
         joints: Of each leg where the search for passive joints starts, shape (N, n_joints
             [+ n_deformed]); near those that close it if not given.
-        by: When the search ends.
+        newton: When the search ends.
     """
     starts = []
     for rows, leg, leg_known, near in zip(
@@ -57,16 +57,16 @@ def nearest_closure(
         else:
             start = np.empty((len(leg_known), n))
         starts.append(driven(leg, start, leg_known))
-    return _nearest(legs, matrices, stacked(starts), by)
+    return _nearest(legs, matrices, stacked(starts), newton)
 
 
 def _nearest(
-    legs: Sequence[LegClosure], matrices: Array, joints: Array, by: Newton
+    legs: Sequence[LegClosure], matrices: Array, joints: Array, newton: Newton
 ) -> tuple[Closure, Array]:
     """Return nearest closures and joints, from a start, shape (L N, n_joints …), overwritten."""
     leg, scales = legs[0].leg, _scales(legs, len(joints))
-    sizes = np.repeat([one.size for one in legs], len(joints) // len(legs))
-    for _ in range(by.steps):
+    sizes = np.repeat([closure.size for closure in legs], len(joints) // len(legs))
+    for _ in range(newton.steps):
         closed = evaluate(legs, joints, matrices)
         step = closed.passive_step()
         if leg.passive and closed.gap.shape[1] <= 3:  # of points
@@ -74,7 +74,7 @@ def _nearest(
             if far.any():
                 step[far] = _curved_step(closed, far)
         joints[:, leg.passive] += step
-        if np.abs(step / scales).max(initial=0.0) <= by.small:
+        if np.abs(step / scales).max(initial=0.0) <= newton.small:
             break
     return closed, joints
 
@@ -103,13 +103,15 @@ def followed(
     change = np.empty_like(closed.gap)
     driven_by = np.empty((len(change), len(legs[0].leg.active)))
     parts = zip(legs, known, parameters, strict=True)
-    for rows, (leg, own, delta) in zip(rows_of_each(len(legs), len(change)), parts, strict=True):
+    for rows, (leg, leg_known, delta) in zip(
+        rows_of_each(len(legs), len(change)), parts, strict=True
+    ):
         law = sensor_law(leg)
-        driven_by[rows] = law.by_parameter(own) @ delta[law.parameter_places]
+        driven_by[rows] = law.by_parameter(leg_known) @ delta[law.parameter_places]
         by_parameter = closed.parameter[rows]
         change[rows] = by_parameter @ delta
         if leg.leg.deformed:
-            rates = leg.deformations.by_parameter(own[:, len(leg.leg.sensors) :]) @ delta
+            rates = leg.deformations.by_parameter(leg_known[:, len(leg.leg.sensors) :]) @ delta
             deforming = by_parameter[:, :, leg.deformations.parameters]
             change[rows] += product(deforming, rates[:, :, None])[:, :, 0]
     change += product(closed.active, driven_by[:, :, None])[:, :, 0]
@@ -123,7 +125,7 @@ def followed(
 
 def _scales(legs: Sequence[LegClosure], rows: int) -> Array:
     """Return what steps of passive joints are measured by, each leg's own, (rows, n_passive)."""
-    return np.repeat([one.leg.passive_scales for one in legs], rows // len(legs), axis=0)
+    return np.repeat([closure.leg.passive_scales for closure in legs], rows // len(legs), axis=0)
 
 
 def _curved_step(closed: Closure, rows: Mask) -> Array:
@@ -136,8 +138,8 @@ def _curved_step(closed: Closure, rows: Mask) -> Array:
     gap, J = closed.gap[rows], closed.passive[rows]
     n, m = len(gap), gap.shape[1]
     turning, space = np.zeros((3, J.shape[2], n)), np.zeros((n, 3, J.shape[2] + 1))
-    own = closed.passive_turning()[:, :, rows]
-    turning[3 - len(own) :] = own
+    rates = closed.passive_turning()[:, :, rows]
+    turning[3 - len(rates) :] = rates
     space[:, :m, :-1], space[:, :m, -1] = J, gap
     v, c = space[:, :, :-1], space[:, :, -1]
     (x, y, z), (u, w, t) = c.T, turning

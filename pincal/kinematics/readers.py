@@ -132,29 +132,28 @@ def free_of_collision(
     shapes.addAllCollisionPairs()
     for pair in list(shapes.collisionPairs):
         ends = (shapes.geometryObjects[i].parentJoint for i in (pair.first, pair.second))
-        if _apart(model, *ends) < _CLOSE:
+        if _joints_between(model, *ends) < _CLOSE:
             shapes.removeCollisionPair(pair)
-    data, found = model.createData(), shapes.createData()
-    rest = pin.neutral(model)
+    data, neutral_q = model.createData(), pin.neutral(model)
     if neutral:
-        pin.computeCollisions(model, data, shapes, found, rest, False)
-        touching = [
-            pair
-            for pair, result in zip(
-                list(shapes.collisionPairs), found.collisionResults, strict=True
-            )
-            if result.isCollision()
-        ]
-        for pair in touching:
-            shapes.removeCollisionPair(pair)
-        found = shapes.createData()
+        _remove_touching(model, shapes, neutral_q)
+    collisions = shapes.createData()
     free = np.empty(len(positions), dtype=bool)
     for row, values in enumerate(np.asarray(positions, dtype=np.float64)):
-        q = rest.copy()
+        q = neutral_q.copy()
         for (index, width), value in zip(entries, values, strict=True):
             q[index : index + width] = value if width == 1 else (np.cos(value), np.sin(value))
-        free[row] = not pin.computeCollisions(model, data, shapes, found, q, True)
+        free[row] = not pin.computeCollisions(model, data, shapes, collisions, q, True)
     return free
+
+
+def _remove_touching(model: pin.Model, shapes: pin.GeometryModel, q: Array) -> None:
+    """Remove the pairs that collide at a configuration from those that are compared."""
+    collisions = shapes.createData()
+    pin.computeCollisions(model, model.createData(), shapes, collisions, q, False)
+    pairs = zip(list(shapes.collisionPairs), collisions.collisionResults, strict=True)
+    for pair in [pair for pair, result in pairs if result.isCollision()]:
+        shapes.removeCollisionPair(pair)
 
 
 def _check_meshes(shapes: pin.GeometryModel) -> None:
@@ -196,15 +195,15 @@ def _entry(model: pin.Model, name: str, path: Path) -> tuple[int, int]:
     return joint.idx_q, joint.nq
 
 
-def _apart(model: pin.Model, first: int, second: int) -> int:
+def _joints_between(model: pin.Model, first: int, second: int) -> int:
     """Return how many joints lie between two bodies, given by the joints that carry them."""
 
-    def up(joint: int) -> list[int]:
+    def ancestors(joint: int) -> list[int]:
         chain = [joint]
         while chain[-1]:
             chain.append(model.parents[chain[-1]])
         return chain
 
-    a, b = up(first), up(second)
+    a, b = ancestors(first), ancestors(second)
     common = next(joint for joint in a if joint in b)
     return a.index(common) + b.index(common)

@@ -51,9 +51,9 @@ def margins(mechanism: GivenMechanism, poses: Poses) -> SingularityMargins:
     type1 = np.empty((len(placed), len(mechanism.legs)))
     type2 = np.empty(len(placed))
     for rows, closed in close_chunks(mechanism, placed):
-        reached = np.stack(by_leg(closed, lambda one: one.reached), axis=1)
+        reached = np.stack(by_leg(closed, lambda group: group.reached), axis=1)
         type1[rows] = np.where(reached, drive_margins(closed), np.nan)
-        lines = by_leg(closed, lambda one: one.closure.constraint_by_pose)
+        lines = by_leg(closed, lambda group: group.closure.constraint_by_pose)
         signed = platform_margin(mechanism, lines)
         type2[rows] = np.where(reached.all(axis=1), signed, np.nan)
     return SingularityMargins(type1, type2)
@@ -65,7 +65,7 @@ def drive_margins(closed: Sequence[tuple[list[int], ClosedLegs]]) -> Array:
     Of several drives, the least singular value of their columns, each of unit speed at its best.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.stack(by_leg(closed, lambda one: _grip(one.closure)), axis=1)
+        return np.stack(by_leg(closed, lambda group: _grip(group.closure)), axis=1)
 
 
 def _grip(closure: Closure) -> Array:

@@ -87,23 +87,10 @@ def _move_point(
     frame = Placement(coordinates[:first]).displacement(old)
     G = np.linalg.inv(frame) @ isometry.matrix @ frame if first else isometry.matrix
     moved = _moved_vector(coordinates[first:], G, old, context)
-    if np.abs(G[:2, 2]).max() > 0.0 or np.abs(G[2, :2]).max() > 0.0 or G[:3, 3].any():
-        turn = None
-    else:  # azimuths follow exactly, also of points on the axis
-        turn = (float(np.arctan2(G[1, 0], G[0, 0])), 1.0 if np.linalg.det(G[:2, :2]) > 0 else -1.0)
     result, components = list(coordinates[:first]), set()
     for c in coordinates[first:]:
         before = [old[v] if isinstance(v, str) else v for v in c.values]
-        if c.kind in ("x", "y", "z"):
-            after = [float(moved["xyz".index(c.kind)])]
-        elif turn is not None:
-            after = [*before[:-1], wrapped(turn[0] + turn[1] * before[-1])]
-            if c.kind == "spherical" and G[2, 2] < 0.0:
-                after[1] = np.pi - after[1]
-        elif c.turns:
-            raise SymmetryError(f"{context} turns more than the coordinate {c.kind!r} can say")
-        else:
-            after = _polar(np.sign(before[0]) or 1.0, moved, spherical=c.kind == "spherical")
+        after = _moved_values(c, before, moved, G, context)
         components |= set(_GIVES.get(c.kind, ""))
         result.append(
             Coordinate(c.kind, tuple(_set(v, a, new) for v, a in zip(c.values, after, strict=True)))
@@ -112,6 +99,24 @@ def _move_point(
     if coordinates[first:] and (missing := sorted(needed - components)):
         raise SymmetryError(f"{context} needs a coordinate {missing[0]!r} there")
     return tuple(result)
+
+
+def _moved_values(
+    c: Coordinate, values: list[float], point: Array, G: Array, context: str
+) -> list[float]:
+    """Return the values of a coordinate that G, shape (4, 4), took, with the point, elsewhere."""
+    if c.kind in ("x", "y", "z"):
+        return [float(point["xyz".index(c.kind)])]
+    if not (G[:2, 2].any() or G[2, :2].any() or G[:3, 3].any()):
+        # azimuths follow exactly, also of points on the axis
+        turn, side = float(np.arctan2(G[1, 0], G[0, 0])), np.sign(np.linalg.det(G[:2, :2]))
+        moved = [*values[:-1], wrapped(turn + float(side) * values[-1])]
+        if c.kind == "spherical" and G[2, 2] < 0.0:
+            moved[1] = np.pi - moved[1]
+        return moved
+    if c.turns:
+        raise SymmetryError(f"{context} turns more than the coordinate {c.kind!r} can say")
+    return _polar(np.sign(values[0]) or 1.0, point, spherical=c.kind == "spherical")
 
 
 def _moved_vector(

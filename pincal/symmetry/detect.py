@@ -205,14 +205,8 @@ def _group(mechanism: Mechanism, tolerance: float, readings: bool) -> SymmetryGr
         closes = len(chosen) == len(elements)
         if closes and (product_table(elements, permutations) >= 0).all():
             break
-    order = sorted(chosen, key=lambda i: place_of(elements[i]))
-    return SymmetryGroup(
-        mechanism,
-        tuple(elements[i] for i in order),
-        tuple(permutations[i] for i in order),
-        tolerance,
-        readings,
-    )
+    group = SymmetryGroup(mechanism, tuple(elements), tuple(permutations), tolerance, readings)
+    return group.part(sorted(chosen, key=lambda i: place_of(elements[i])))
 
 
 def nearest_group(mechanism: GivenMechanism) -> NearestGroup:

@@ -103,12 +103,7 @@ def differences(
         return
     for index in range(len(leg.sensors)):
         yield from _sensors_differ(carried, leg, index)
-    for a, b in zip(carried.moving, leg.moving, strict=True):
-        if (a.limited or b.limited) and (a.kind == "prismatic" or line_turn is None):
-            unit = "rad" if a.turns else "m"
-            ends = [_deviation(a.lower - b.lower, unit), _deviation(a.upper - b.upper, unit)]
-            largest = max(ends) if np.isfinite(ends).all() else None
-            yield Difference(f"limits of joint {b.name!r}", largest, unit)
+    yield from _limits_differ(carried, leg, slides_only=line_turn is not None)
 
 
 def _deviation(value: float, unit: str) -> float:
@@ -157,6 +152,16 @@ def _sensors_differ(carried: Leg, leg: Leg, index: int) -> Iterator[Difference]:
     yield sensor("offset", _deviation(offset - other_offset, unit), unit)
     if not (isinstance(a.zero, str) or isinstance(b.zero, str)):
         yield sensor("zero", _deviation(a.zero - b.zero, unit), unit)
+
+
+def _limits_differ(carried: Leg, leg: Leg, slides_only: bool) -> Iterator[Difference]:
+    """Yield by how much the limits of two legs' joints differ."""
+    for a, b in zip(carried.moving, leg.moving, strict=True):
+        if (a.limited or b.limited) and not (slides_only and a.turns):
+            unit = "rad" if a.turns else "m"
+            ends = [_deviation(a.lower - b.lower, unit), _deviation(a.upper - b.upper, unit)]
+            largest = max(ends) if np.isfinite(ends).all() else None
+            yield Difference(f"limits of joint {b.name!r}", largest, unit)
 
 
 def _line_turn(first: Array | None, second: Array | None) -> float | None:

@@ -153,9 +153,10 @@ def group_name(elements: Sequence[Element]) -> str:
     """
     order = len(elements)
     rotations = [e for e in elements if not e.reflection]
-    orders = [_order(e) for e in rotations]
+    orders = list(map(_order, rotations))
     n = max(orders)
-    traces = np.array([np.trace(e.base.Q) for e in elements if e.reflection])
+    reflections = np.array([e.base.Q for e in elements if e.reflection]).reshape(-1, 3, 3)
+    traces = np.trace(reflections, axis1=1, axis2=2)
     if n > 2 and orders.count(n) > n:  # several main axes
         kind = {12: "T", 24: "O", 60: "I"}.get(len(rotations), "G")
         if order == len(rotations):
@@ -164,11 +165,10 @@ def group_name(elements: Sequence[Element]) -> str:
         return f"{kind}d" if kind == "T" and not inversion else f"{kind}h"
     if order == len(rotations):
         return f"C{n}" if order == n else f"D{n} of half-turns"
+    mirrors = reflections[np.abs(traces - 1.0) < 1e-6]
     if n == 1:
-        return "D2" if abs(traces[0] - 1.0) < 1e-6 else "Ci"
+        return "D2" if len(mirrors) else "Ci"
     axis = _axis(rotations[orders.index(n)].base.Q)
-    reflections = [e.base.Q for e in elements if e.reflection]
-    mirrors = [Q for Q, trace in zip(reflections, traces, strict=True) if abs(trace - 1.0) < 1e-6]
     return _name_about_axis(n, len(rotations), np.array([abs(_axis(-Q) @ axis) for Q in mirrors]))
 
 

@@ -399,7 +399,7 @@ def _fitted(
         return whole.reshape(len(sets), count, *whole.shape[1:])
 
     with np.errstate(all="ignore"):  # units may be far off
-        closed, _ = nearest_closure(called, matrices, known, by=_SEARCH)
+        closed, _ = nearest_closure(called, matrices, known, newton=_SEARCH)
         missed = np.nan_to_num(np.linalg.norm(closed.constraint, axis=1), nan=np.inf)
         rows = demands(called, closed, known)
         sizes = np.array([one.size for one in own])
