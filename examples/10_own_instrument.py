@@ -24,7 +24,7 @@ class DialGauge:
         pincal.Parameter("plate", "b", "1", 0.0),
     )
 
-    def condition(self, poses, values, measured):
+    def evaluate(self, poses, values, measured):
         """Return predicted less measured, by the platform's twist, by the parameters."""
         height, a, b = values
         x, y, z = poses[:, :3, 3].T
@@ -40,7 +40,7 @@ plan = pincal.Plan(robot.platform.home + spread * draw.uniform(-1.0, 1.0, (60, 6
 data = pincal.simulate(robot, truth, plan, pincal.Noise(0.0, 0.0)).measurements
 plate, gauge = np.array([0.005, 2e-3, -1e-3]), DialGauge()
 poses = robot.platform.transforms(data.poses).as_matrix()
-read = gauge.condition(poses, plate, np.zeros((len(poses), 1))).value[:, 0]
+read = gauge.evaluate(poses, plate, np.zeros((len(poses), 1))).value[:, 0]
 seen = robot.platform.moved(data.poses, 1e-4 * draw.standard_normal(data.poses.shape))
 camera = replace(data, poses=seen, sigma_poses=np.full(seen.shape, 1e-4))
 noisy, sigma = read + 1e-6 * draw.standard_normal(len(read)), np.full(len(read), 1e-6)

@@ -25,7 +25,7 @@ class Camera:
         self.parameters = tuple(pincal.Parameter(name, n, unit, v) for n, unit, v in unknowns)
         self.image = pincal.Image((1600, 1200), pairs, scale=1500.0)
 
-    def condition(self, poses, values, measured):
+    def evaluate(self, poses, values, measured):
         """Return predicted less measured, by the platform's twist, by place and focal length."""
         arms = MARKS @ poses[:, :3, :3].transpose(0, 2, 1)  # (N, marks, 3)
         p = (arms + poses[:, None, :3, 3] - values[:3]) @ self.R.T
@@ -47,7 +47,7 @@ data, extra = pincal.simulate(robot, truth, plan, pincal.Noise(0.0, 0.0)).measur
 for one in (front, side):
     values = np.add([p.nominal for p in one.parameters], (0.02, -0.03, 0.01, 0.004))
     poses = robot.platform.transforms(data.poses).as_matrix()
-    seen = one.condition(poses, values, 0.2 / 1500 * draw.standard_normal((50, 6))).value
+    seen = one.evaluate(poses, values, 0.2 / 1500 * draw.standard_normal((50, 6))).value
     extra |= dict(zip(one.columns, seen.T, strict=True))
 extra["side_b_u"][8] += 3.0 / 1500  # something else that looked like it
 sigma = {column: np.full(50, 0.2 / 1500) for column in extra}

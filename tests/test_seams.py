@@ -40,7 +40,7 @@ class Station:
     columns: Mapping[str, str] = field(default_factory=lambda: {"range": "m", "bearing": "rad"})
     parameters: tuple[pincal.Parameter, ...] = _own(("x", "m", -0.5), ("zero", "rad", 0.0))
 
-    def condition(self, poses: Array, values: Array, measured: Array) -> pincal.Condition:
+    def evaluate(self, poses: Array, values: Array, measured: Array) -> pincal.Condition:
         """Return range and bearing less what was read."""
         ray = poses[:, :3, 3] - (values[0], -0.7, 0.3)
         length, flat = np.linalg.norm(ray, axis=1), np.hypot(ray[:, 0], ray[:, 1])
@@ -69,7 +69,7 @@ def _measured(
         matrices = frame @ matrices
         data = replace(data, poses=robot.platform.from_matrices(matrices))
     nothing = np.zeros((len(data), 2))
-    read = Station().condition(matrices, np.array([-0.48, 0.02]), nothing).value
+    read = Station().evaluate(matrices, np.array([-0.48, 0.02]), nothing).value
     extra = dict(zip(Station().columns, read.T, strict=True))
     return robot, truth, replace(data, extra=extra)
 

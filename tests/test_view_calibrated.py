@@ -213,7 +213,7 @@ class Camera:
             for axis, value in zip("xyz", at.tolist(), strict=True)
         )
 
-    def condition(
+    def evaluate(
         self, poses: np.ndarray, values: np.ndarray, measured: np.ndarray
     ) -> pincal.Condition:
         """Return the tangents of the ray less those seen; it looks up along z."""
@@ -241,7 +241,7 @@ def seen_by_a_camera() -> tuple[pincal.CalibrationResult, np.ndarray]:
     data = pincal.simulate(mechanism, truth, plan, pincal.Noise(1e-5, 1e-5), 3).measurements
     at = np.array([0.2, -0.1, -1.0])
     poses = mechanism.platform.matrices(data.poses)
-    read = Camera(at).condition(poses, at, np.zeros((30, 2))).value
+    read = Camera(at).evaluate(poses, at, np.zeros((30, 2))).value
     noise = {"u": np.full(30, 1e-6), "v": np.full(30, 1e-6)}
     both = replace(
         data,

@@ -55,7 +55,7 @@ class Spread:
         if system.loss is None:
             none = np.zeros_like(weights)
             return cls(system, linear, weights, none, weights, none)
-        counts = np.ones(len(weights), bool) if system.kept is None else system.kept
+        counts = system.in_use(linear)
         squares, equations, unit = (
             linear.squares / scale**2,
             linear.equations,

@@ -218,15 +218,7 @@ def noise_of_repeats(mechanism: Mechanism, data: Measurements) -> tuple[Noise, F
     readings are equal to the last digit. Values that are equal say nothing about their noise:
     readings are exact then, and poses that repeat at their resolution leave it to the residuals.
     """
-    groups: dict[Hashable, list[int]] = defaultdict(list)
-    complete = np.isfinite(data.poses).all(axis=1) & np.isfinite(data.readings).all(axis=1)
-    for row in np.flatnonzero(complete):
-        name = None if data.places is None else data.places[row]
-        if name == "":
-            continue  # a place of its own
-        run = None if data.runs is None else data.runs[row]
-        groups[run, data.readings[row].tobytes() if name is None else name].append(int(row))
-    several = [np.array(rows) for rows in groups.values() if len(rows) > 1]
+    several = _repeated_rows(data)
     dof = sum(len(rows) - 1 for rows in several)
     if dof < _ENOUGH:
         return None
@@ -244,6 +236,17 @@ def noise_of_repeats(mechanism: Mechanism, data: Measurements) -> tuple[Noise, F
     counts = ((~turns).sum(), turns.sum(), data.readings.shape[1] if reading else 0)
     p, o, r = (float(dof * n) if n else np.inf for n in counts)
     return noise, (p, o, r)
+
+
+def _repeated_rows(data: Measurements) -> list[Index]:
+    """Return rows that repeat each other, measured in full."""
+    groups: dict[Hashable, list[int]] = defaultdict(list)
+    complete = np.isfinite(data.poses).all(axis=1) & np.isfinite(data.readings).all(axis=1)
+    for row in np.flatnonzero(complete):
+        name = data.readings[row].tobytes() if data.places is None else data.places[row]
+        if name:  # a row without a name is a place of its own
+            groups[None if data.runs is None else data.runs[row], name].append(int(row))
+    return [np.array(rows) for rows in groups.values() if len(rows) > 1]
 
 
 def _variance(groups: list[Array]) -> float:

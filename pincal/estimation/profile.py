@@ -131,9 +131,7 @@ def _cost(system: System, linear: Linear) -> float:
     """Return what a fit minimises: with a loss, the integral of its weights."""
     problem = system.problem
     conditions = adjusted(problem, linear) if adjusts(problem) else linear
-    weights = (
-        np.ones(len(conditions.residuals)) if system.kept is None else system.kept.astype(float)
-    )
+    weights = system.in_use(conditions).astype(float)
     if system.loss is None or system.held_scale is None:
         return system.cost(system.residuals(conditions), weights, conditions.state)
     squares = conditions.squares / system.held_scale**2

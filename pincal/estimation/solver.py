@@ -8,7 +8,7 @@ solved again wherever a step left them more than first order away.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -97,7 +97,7 @@ def search(
     start: Linear,
     progress: Callable[[str], None] | None = None,
     *,
-    highest: float = np.inf,
+    highest: float = 0.0,
     enough: float = 0.0,
     max_evaluations: int | None = None,
 ) -> SolverResult:
@@ -111,29 +111,21 @@ def search(
         enough: Distance from the optimum in standard deviations of residuals at which to stop.
         max_evaluations: Evaluations of the conditions after which to stop; a usual number if None.
     """
-    problem, T = system.problem, system.unknowns.map
     current, damping, growth, evaluations = Iterate.of(system, start), 0.0, 10.0, 1
-    costs, highest = [current.cost], max(current.cost, highest if np.isfinite(highest) else 0.0)
-    unused = np.zeros(len(current.weights), dtype=bool) if system.kept is None else ~system.kept
+    costs, highest = [current.cost], max(current.cost, highest)
+    unused = ~system.in_use(start)
     fixed_poses, cost_when_fixed = unused, np.inf
-    while current.normal.decrement > max(
-        NO_STEP,
-        rounding(system, current.linear),
-        enough * np.sqrt(max(current.cost / current.linear.residuals.size, 1.0)),
-    ):
+    while current.normal.decrement > _tolerance(system, current, enough):
         if evaluations >= current.limit(max_evaluations) or damping > _DAMPING[1]:
             break
-        if progress and evaluations % 5 == 0:
-            deviation = np.sqrt(current.cost / len(current.weights))
-            progress(f"step {evaluations}: {deviation:.3g} σ a pose")
+        _report(progress, current, evaluations)
         # 1. A damped step of all unknowns; then each pose alone.
         step = current.normal.step(damping)
         if damping > 0.0:
             step = step + _along_the_valley(system, current, step, damping)
             evaluations += 1
-        reached, count = _reached(problem, current.linear, T @ step, fixed_poses)
+        trial, count = _reached(system, current.linear, system.unknowns.map @ step, fixed_poses)
         evaluations += count
-        trial = None if reached is None else Iterate.of(system, reached)
         if trial is not None and _better(system, current, trial, highest):
             # 2. Taken: less damping where the fall is as predicted.
             cost = min(system.cost_in(current.linear, trial.linear, current.weights), trial.cost)
@@ -146,21 +138,42 @@ def search(
                 fixed_poses, cost_when_fixed = unused, np.inf
             if at_end:
                 break
-        elif (astray := unsolved(problem, current.linear) & ~fixed_poses).any():
+        elif (astray := unsolved(system.problem, current.linear) & ~fixed_poses).any():
             # 3. Not taken: poses that find no place stay where they are from now on.
             fixed_poses, cost_when_fixed = fixed_poses | astray, current.cost
         elif current.blind:
             break
         else:
             damping, growth = max(damping, _DAMPING[0]) * growth, 2.0 * growth
-    equations = int(current.linear.equations[current.weights > 0.0].sum())
-    unit = 1.0 if system.known else np.sqrt(current.cost / max(equations - T.shape[1], 1))
-    distance = current.normal.decrement / max(unit, 1e-300)
-    exact = current.normal.decrement <= max(NO_STEP, 10.0 * rounding(system, current.linear))
+    return _result(system, current, evaluations, costs)
+
+
+def _tolerance(system: System, current: Iterate, enough: float) -> float:
+    """Return the distance from the optimum at which a search ends."""
+    deviation = np.sqrt(max(current.cost / current.linear.residuals.size, 1.0))
+    return max(NO_STEP, rounding(system, current.linear), enough * float(deviation))
+
+
+def _report(progress: Callable[[str], None] | None, current: Iterate, evaluations: int) -> None:
+    """Say how far a search is, now and then."""
+    if progress and evaluations % 5 == 0:
+        deviation = np.sqrt(current.cost / len(current.weights))
+        progress(f"step {evaluations}: {deviation:.3g} σ a pose")
+
+
+def _result(
+    system: System, last: Iterate, evaluations: int, costs: Sequence[float]
+) -> SolverResult:
+    """Return what a search came to."""
+    equations = int(last.linear.equations[last.weights > 0.0].sum())
+    freedoms = max(equations - system.unknowns.map.shape[1], 1)
+    unit = 1.0 if system.known else np.sqrt(last.cost / freedoms)
+    distance = last.normal.decrement / max(unit, 1e-300)
+    exact = last.normal.decrement <= max(NO_STEP, 10.0 * rounding(system, last.linear))
     return SolverResult(
-        current.linear,
-        current.weights,
-        current.scale,
+        last.linear,
+        last.weights,
+        last.scale,
         evaluations,
         distance,
         exact or distance <= NEGLIGIBLE,
@@ -216,24 +229,24 @@ def _change(gain: float) -> float:
 
 
 def _reached(
-    problem: Problem, linear: Linear, step: Array, fixed_poses: Mask
-) -> tuple[Linear | None, int]:
-    """Return the conditions after a step, poses solved, and the evaluations that it took.
+    system: System, linear: Linear, step: Array, fixed_poses: Mask
+) -> tuple[Iterate | None, int]:
+    """Return where a step of all unknowns leads, poses solved, and the evaluations that it took.
 
-    None where they do not exist. Fixed poses stay where they are.
+    None where conditions do not exist. Fixed poses stay where they are.
     """
+    problem = system.problem
     try:
         with np.errstate(all="ignore"):
             state = problem.moved(linear, step)
-            if fixed_poses.any():
-                fixed = fixed_poses[:, None, None]
-                matrices = np.where(fixed, linear.state.matrices, state.matrices)
-                state = replace(state, matrices=matrices)
+            fixed = fixed_poses[:, None, None]
+            matrices = np.where(fixed, linear.state.matrices, state.matrices)
+            state = replace(state, matrices=matrices)
             trial, count = solve_poses(problem, problem.evaluate(state), fixed_poses)
             finite = np.isfinite(trial.residuals).all() and trial.finite
     except (MeasurementError, np.linalg.LinAlgError):
         return None, 1
-    return (trial if finite else None), 1 + count
+    return (Iterate.of(system, trial) if finite else None), 1 + count
 
 
 def rounding(system: System, linear: Linear) -> float:

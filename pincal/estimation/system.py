@@ -35,9 +35,13 @@ class System:
         """Return the system with other standard deviations of nominal values, shape (n,)."""
         return replace(self, unknowns=replace(self.unknowns, priors=priors))
 
+    def in_use(self, linear: Linear) -> Mask:
+        """Return which rows take part, shape (N,)."""
+        return np.ones(len(linear.conditions), dtype=bool) if self.kept is None else self.kept
+
     def weights(self, linear: Linear) -> tuple[Array, float]:
         """Return the weight of each row, shape (N,), and the scale of the noise."""
-        weights = np.ones(len(linear.conditions)) if self.kept is None else self.kept.astype(float)
+        weights = self.in_use(linear).astype(float)
         if self.loss is None:
             return weights, 1.0
         scale = self.held_scale or max(self.scale(linear), 1.0 if self.known else 1e-300)
@@ -45,7 +49,7 @@ class System:
 
     def scale(self, linear: Linear) -> float:
         """Return the scale of the noise by the rows in the middle."""
-        rows = np.ones(len(linear.conditions), dtype=bool) if self.kept is None else self.kept
+        rows = self.in_use(linear)
         equations = linear.equations[rows]
         share = 1.0 - self.unknowns.map.shape[1] / max(int(equations.sum()), 1)
         return robust_scale(linear.squares[rows], equations, max(share, 0.1))

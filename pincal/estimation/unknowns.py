@@ -118,33 +118,17 @@ def unknowns(
     held = {i for name in fixed for i in _places(pairs, name)}
     columns, bound = [], set(held)
     for name in tied:
-        places = _places(pairs, name)
-        if len(places) < 2 or "." in name:
-            raise MeasurementError(
-                f"{name!r} cannot be tied; give the name of a parameter that several legs have, "
-                "such as 'l'"
-            )
+        places = _tied_places(pairs, name, nominal)
         if fixed_too := bound & set(places):
-            raise MeasurementError(
-                f"{pairs[fixed_too.pop()][1]!r} is both fixed and tied; choose one"
-            )
+            message = f"{pairs[fixed_too.pop()][1]!r} is both fixed and tied; choose one"
+            raise MeasurementError(message)
         bound |= set(places)
-        if np.ptp(nominal[places]) > _TIED_WITHIN * max(1.0, float(np.abs(nominal[places]).max())):
-            raise MeasurementError(
-                f"{name!r} cannot be tied: its nominal values differ from leg to leg by up to "
-                f"{np.ptp(nominal[places]):.3g}"
-            )
         start[places] = nominal[places].mean()
         columns.append(np.isin(np.arange(n), places).astype(float))
     single = [i for i in range(n) if i not in bound]
     sigmas = np.full(n, np.inf)
     for name, sigma in (priors or {}).items():
-        if not _SMALLEST_PRIOR <= sigma < np.inf:
-            raise MeasurementError(
-                f"the prior of {name!r} is {sigma:g}; expected a standard deviation above 0, at "
-                f"least {_SMALLEST_PRIOR:g} (for a parameter that is known exactly, fix it)"
-            )
-        sigmas[_places(pairs, name)] = sigma
+        sigmas[_places(pairs, name)] = _checked_prior(name, sigma)
     sigmas[list(held)] = np.inf
     if len(held) == len(pairs):
         raise MeasurementError("every parameter is fixed; leave one of them to be identified")
@@ -165,6 +149,32 @@ def unknowns(
             for rows in members
         ),
     )
+
+
+def _tied_places(pairs: list[tuple[str, str]], name: str, nominal: Array) -> list[int]:
+    """Return the places of parameters that are tied, of which several legs must have one alike."""
+    places = _places(pairs, name)
+    if len(places) < 2 or "." in name:
+        raise MeasurementError(
+            f"{name!r} cannot be tied; give the name of a parameter that several legs have, "
+            "such as 'l'"
+        )
+    if np.ptp(nominal[places]) > _TIED_WITHIN * max(1.0, float(np.abs(nominal[places]).max())):
+        raise MeasurementError(
+            f"{name!r} cannot be tied: its nominal values differ from leg to leg by up to "
+            f"{np.ptp(nominal[places]):.3g}"
+        )
+    return places
+
+
+def _checked_prior(name: str, sigma: float) -> float:
+    """Return the standard deviation of a prior, which must be large enough to compute with."""
+    if not _SMALLEST_PRIOR <= sigma < np.inf:
+        raise MeasurementError(
+            f"the prior of {name!r} is {sigma:g}; expected a standard deviation above 0, at "
+            f"least {_SMALLEST_PRIOR:g} (for a parameter that is known exactly, fix it)"
+        )
+    return sigma
 
 
 def _labels(pairs: Iterable[tuple[str, str]]) -> tuple[str, ...]:

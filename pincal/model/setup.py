@@ -53,7 +53,7 @@ class Instrument(Protocol):
         ...     name, columns = "table", {"gauge": "m"}
         ...     parameters = (pincal.Parameter("table", "z", "m", 0.0),)
         ...
-        ...     def condition(self, poses, values, measured):
+        ...     def evaluate(self, poses, values, measured):
         ...         by_twist = np.tile([0.0, 0, 1, 0, 0, 0], (len(poses), 1, 1))
         ...         by_own = -np.ones((len(poses), 1, 1))
         ...         height = poses[:, 2, 3:]
@@ -74,8 +74,8 @@ class Instrument(Protocol):
     def parameters(self) -> tuple[Parameter, ...]:
         """Its unknowns; the search starts at their nominal values."""
 
-    def condition(self, poses: Array, values: Array, measured: Array) -> Condition:
-        """Return what it demands.
+    def evaluate(self, poses: Array, values: Array, measured: Array) -> Condition:
+        """Return its residuals and their derivatives.
 
         Args:
             poses: T_frame_platform, in the frame of the measurements, shape (N, 4, 4).

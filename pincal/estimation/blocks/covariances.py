@@ -65,38 +65,49 @@ def row_noise(
     Raises:
         MeasurementError: covariances that no errors have; a tracker and points measured in part.
     """
-    general = [noise.position if unit == "m" else noise.orientation for unit in units]
-    sigma = np.tile(general, (len(data), 1)).astype(float)
-    sigmas = {name: v for name, v in data.sigma_extra.items() if name not in setup.polar}
-    turns = [name for name in platform.coordinates[platform.lengths :] if name in names]
-    if data.sigma_poses is not None and platform.turns == 3:  # single angles: as whole turns have
-        middle = np.sqrt((data.sigma_poses[:, platform.lengths :] ** 2).mean(axis=1))
-        sigmas |= {name: middle for name in (*turns, *SINGLE_ANGLES) if name not in sigmas}
-    if data.sigma_poses is not None:
-        sigmas |= dict(zip(platform.freedoms, data.sigma_poses.T, strict=True))
-    place = {name: column for column, name in enumerate(names)}
-    for name, values in sigmas.items():
-        if name in place:
-            column = sigma[:, place[name]]
-            column[:] = np.where(np.isfinite(values), values, column)
+    sigmas = _sigmas_by_name(names, data, setup, platform)
+    sigma = np.empty((len(data), len(names)))
+    for column, (name, unit) in enumerate(zip(names, units, strict=True)):
+        values = sigmas.get(name, np.full(len(data), np.nan))
+        general = noise.position if unit == "m" else noise.orientation
+        sigma[:, column] = np.where(np.isfinite(values), values, general)
     if setup.tracker is None and not data.covariances:
         return RowNoise(sigma)
+    place = {name: column for column, name in enumerate(names)}
     covariance = sigma[:, :, None] ** 2 * np.eye(len(names))
     if setup.tracker is not None:
         for columns, points in _targets(place, data, setup, platform):
             _check_level(setup.tracker, points)
             block = _of_tracker(setup.tracker, points, data)[:, : len(columns), : len(columns)]
-            finite = np.isfinite(block).all(axis=(1, 2))
-            rows = np.flatnonzero(finite)
+            rows = np.flatnonzero(np.isfinite(block).all(axis=(1, 2)))
             covariance[np.ix_(rows, columns, columns)] = block[rows]
     for pair, values in data.covariances.items():
         first, second = pair.split(",")
-        if first in place and second in place:
-            pair_sigmas = (sigmas.get(name, np.full(len(data), np.nan)) for name in (first, second))
-            known = np.isfinite([values, *pair_sigmas]).all(axis=0)
-            for i, j in ((place[first], place[second]), (place[second], place[first])):
-                covariance[known, i, j] = values[known]
+        if not {first, second} <= set(place):
+            continue
+        pair_sigmas = (sigmas.get(name, np.full(len(data), np.nan)) for name in (first, second))
+        known = np.isfinite([values, *pair_sigmas]).all(axis=0)
+        covariance[known, place[first], place[second]] = values[known]
+        covariance[known, place[second], place[first]] = values[known]
     return _rooted(covariance, data)
+
+
+def _sigmas_by_name(
+    names: Sequence[str], data: Measurements, setup: Setup, platform: Platform
+) -> dict[str, Array]:
+    """Return standard deviations of single rows by quantity, each of shape (N,), NaN for none.
+
+    Single angles of a spatial platform have the mean of those of its turns.
+    """
+    sigmas = {name: v for name, v in data.sigma_extra.items() if name not in setup.polar}
+    if data.sigma_poses is None:
+        return sigmas
+    by_freedom = dict(zip(platform.freedoms, data.sigma_poses.T, strict=True))
+    if platform.turns < 3:
+        return sigmas | by_freedom
+    turns = [name for name in platform.coordinates[platform.lengths :] if name in names]
+    middle = np.sqrt((data.sigma_poses[:, platform.lengths :] ** 2).mean(axis=1))
+    return dict.fromkeys((*turns, *SINGLE_ANGLES), middle) | sigmas | by_freedom
 
 
 def _targets(

@@ -367,7 +367,7 @@ class Observation:
         for instrument in self.setup.instruments:
             last_row, last = first_row + len(instrument.columns), first + len(instrument.parameters)
             measured = self._instrument_values[:, first_row:last_row]
-            condition = instrument.condition(
+            condition = instrument.evaluate(
                 frame @ matrices, external.instruments[first:last], measured
             )
             condition = checked(condition, instrument, count)

@@ -237,24 +237,14 @@ def _undetermined(
             "all of them, as readings that are no more than the platform's freedoms fit any "
             "machine. Measure the platform, or a part of its pose, or distances"
         )
-    parameters = [(leg, name) for leg in mechanism.legs for name in leg.parameter_names]
-    units = np.array([leg.units[name] for leg, name in parameters])
-    nominal = np.concatenate([leg.nominal for leg in mechanism.legs])
-    Q = np.linalg.qr(lost / np.linalg.norm(lost, axis=0))[0]
-    for sign in (1.0, -1.0):
-        grown = np.where(units == "m", nominal, np.where(units == "1", sign * nominal, 0.0))
-        if count == 1 and np.linalg.norm(grown - Q @ (Q.T @ grown)) < NEGLIGIBLE * np.linalg.norm(
-            grown
-        ):
-            gains = dict.fromkeys(
-                name for (_, name), unit in zip(parameters, units, strict=True) if unit == "1"
-            )
-            return (
-                "the scale. Lengths alone do not fix it where the gains of their sensors "
-                f"({', '.join(gains)}) are free: a machine twice as large reads the same. Fix the "
-                f"gains ({' '.join(f'--fix {name}' for name in gains)}), or measure a position or "
-                "a distance"
-            )
+    gains = _scale_gains(mechanism, lost) if count == 1 else None
+    if gains is not None:
+        return (
+            "the scale. Lengths alone do not fix it where the gains of their sensors "
+            f"({', '.join(gains)}) are free: a machine twice as large reads the same. Fix the "
+            f"gains ({' '.join(f'--fix {name}' for name in gains)}), or measure a position or "
+            "a distance"
+        )
     groups = identifiability(J, unknowns.free_labels).groups
     places = {label: index for index, label in enumerate(unknowns.free_labels)}
     needed = [
@@ -265,6 +255,25 @@ def _undetermined(
         f"{words}. Measure more of the platform, or fix one of them, or make it a constant in "
         "mechanism.yaml"
     )
+
+
+def _scale_gains(mechanism: Mechanism, lost: Array) -> tuple[str, ...] | None:
+    """Return names of gains if they grow or shrink with all lengths along directions lost, or None.
+
+    Args:
+        mechanism: The mechanism.
+        lost: Directions of the legs' parameters, columns of shape (n_params, n_lost).
+    """
+    parameters = [(leg, name) for leg in mechanism.legs for name in leg.parameter_names]
+    units = np.array([leg.units[name] for leg, name in parameters])
+    nominal = np.concatenate([leg.nominal for leg in mechanism.legs])
+    Q = np.linalg.qr(lost / np.linalg.norm(lost, axis=0))[0]
+    for sign in (1.0, -1.0):
+        grown = np.where(units == "m", nominal, np.where(units == "1", sign * nominal, 0.0))
+        if np.linalg.norm(grown - Q @ (Q.T @ grown)) < NEGLIGIBLE * np.linalg.norm(grown):
+            pairs = zip(parameters, units, strict=True)
+            return tuple(dict.fromkeys(name for (_, name), unit in pairs if unit == "1"))
+    return None
 
 
 def _apart(columns: Array) -> bool:

@@ -8,7 +8,7 @@ probability that so much is found anywhere if nothing is there.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import reduce
 from operator import add
@@ -58,10 +58,10 @@ class Score:
 
 
 @dataclass
-class _Asked:
+class _Tests:
     """Tests of one fit: what is asked, and what residuals say of it."""
 
-    left: Residuals
+    residuals: Residuals
     kinds: list[tuple[str, str]] = field(default_factory=list)
     forms: list[ResidualForm] = field(default_factory=list)
 
@@ -70,32 +70,32 @@ class _Asked:
     ) -> None:
         """Ask for errors with courses of shape (n_used, f), of one amplitude or each its own."""
         self.kinds.append((quantity, term))
-        self.forms.append(self.left.form(*errors, common=common))
+        self.forms.append(self.residuals.form(*errors, common=common))
 
     def scores(self) -> Iterator[Score]:
         """Yield the answers."""
-        chances = of_forms(self.forms, self.left.chi2, self.left.degrees_of_freedom)
+        chances = of_forms(self.forms, self.residuals.chi2, self.residuals.degrees_of_freedom)
         for (quantity, term), p_value in zip(self.kinds, chances.tolist(), strict=True):
             yield Score(quantity, term, p_value)
 
 
-def scores(fit: Fit, repeated: Mapping[str, Index] | None = None) -> list[Score]:
+def scores(fit: Fit, again: Mapping[str, Index] | None = None) -> list[Score]:
     """Return the score tests of a fit, none of them independent of the others.
 
     Args:
         fit: The fit.
-        repeated: Rows of poses that were measured again and again, among those of the fit: whether
+        again: Rows of poses that were measured again and again, among those of the fit: whether
             what was measured there moved with time.
     """
-    if not fit.problem.weighted or fit.degrees_of_freedom < 2 or not fit.chi2 > 0.0:
+    if not _testable(fit):
         return []
     residuals, problem = Residuals.of(fit), fit.problem
     white = dict(errors_of(fit, residuals.used))
-    tests, errors = _Asked(residuals), {name: residuals.error(w) for name, w in white.items()}
-    readings = list(problem.quantities)[: problem.leg_block.n_readings]
+    tests, errors = _Tests(residuals), {name: residuals.error(w) for name, w in white.items()}
     time = np.linspace(-1.0, 1.0, len(residuals.used))[:, None]
+    readings = list(errors)[: problem.leg_block.n_readings]
     pose = _of_pose(fit, residuals.used)
-    every: dict[str, list[tuple[Error, Array]]] = {}
+    by_course: dict[str, list[tuple[Error, Array]]] = {}
     for column, (name, error) in enumerate(errors.items()):
         courses = {"order": time}
         if name in readings:
@@ -103,17 +103,10 @@ def scores(fit: Fit, repeated: Mapping[str, Index] | None = None) -> list[Score]
             courses |= {"approach": _side(fit, column, residuals.used)}
         for term, b in courses.items():
             tests.add(name, term, (error, b))
-            if name in readings and len(readings) > 1:
-                every.setdefault(term, []).append((error, b))
-    for term, several in every.items():
-        for width in dict.fromkeys(b.shape[1] for _, b in several):  # [rad] and [m] differ
-            same_width = [(error, b) for error, b in several if b.shape[1] == width]
-            if term not in _OF_READING:  # one course for all
-                same_width = [(reduce(add, (error for error, _ in same_width)), same_width[0][1])]
-            tests.add(ALL, term, *same_width, common=True)
-    for term in _PER_READING:
-        if term in every:
-            tests.add(ALL, term, *every[term])
+            if name in readings:
+                by_course.setdefault(term, []).append((error, b))
+    if len(readings) > 1:
+        _test_all_readings(tests, by_course)
     moved, axes = of_frame(problem, white)
     if len(axes) > 1:
         axis_errors = (residuals.error(moved[:, :, axis]) for axis in range(len(axes)))
@@ -122,8 +115,27 @@ def scores(fit: Fit, repeated: Mapping[str, Index] | None = None) -> list[Score]
     results = [*tests.scores()]
     for name, error in errors.items():
         results.append(Score(name, "step", *residuals.step(error)))
-        results += _again(residuals, name, error, repeated or {})
+        results += _again(residuals, name, error, again or {})
     return results
+
+
+def _testable(fit: Fit) -> bool:
+    """Return whether residuals of a fit are white and say something."""
+    return fit.problem.weighted and fit.degrees_of_freedom >= 2 and fit.chi2 > 0.0
+
+
+def _test_all_readings(
+    tests: _Tests, by_course: Mapping[str, Sequence[tuple[Error, Array]]]
+) -> None:
+    """Ask for errors of all readings at once, by the courses of each: alike, or each its own."""
+    for term, errors in by_course.items():
+        for width in dict.fromkeys(b.shape[1] for _, b in errors):  # [rad] and [m] differ
+            same_width = [(error, b) for error, b in errors if b.shape[1] == width]
+            if term not in _OF_READING:  # one course for all
+                same_width = [(reduce(add, (error for error, _ in same_width)), same_width[0][1])]
+            tests.add(ALL, term, *same_width, common=True)
+    for term in _PER_READING:
+        tests.add(ALL, term, *by_course[term])
 
 
 def _again(
@@ -263,7 +275,7 @@ class _Trial:
 
 def slips(fit: Fit) -> list[Slip]:
     """Return what slipped or drifted, the clearest first; empty if nothing did."""
-    if not fit.problem.weighted or fit.degrees_of_freedom < 2 or not fit.chi2 > 0.0:
+    if not _testable(fit):
         return []
     residuals, clearest = Residuals.of(fit), list[Slip]()
     candidates = list(_candidates(fit, residuals.used))
@@ -274,9 +286,8 @@ def slips(fit: Fit) -> list[Slip]:
             break
         first = tried[0]
         free = max(residuals.degrees_of_freedom - len(first.slip.size), 1)
-        clear = (
-            CLEAR**2 * (residuals.chi2 - first.inside) / free
-        )  # by what is left, as F tests have it
+        # by what is left, as F tests have it
+        clear = CLEAR**2 * (residuals.chi2 - first.inside) / free
         indistinct = tuple(
             (trial.slip.what, trial.slip.name)
             for trial in tried[1:]
@@ -310,9 +321,9 @@ def _candidates(fit: Fit, used: Index) -> Iterator[tuple[Slip, Array]]:
     """Yield what may slip, and the white rows of its unit errors, shape (n_used, m, f)."""
     problem, platform = fit.problem, fit.problem.platform
     errors = dict(errors_of(fit, used))
-    names = [name for leg in problem.legs for name in leg.reading_names]
-    units = [unit for leg in problem.legs for unit in leg.reading_units]
-    for name, unit, w in zip(names, units, errors.values(), strict=False):
+    legs, readings = problem.leg_block, list(errors.values())[: problem.leg_block.n_readings]
+    names = (name for leg in legs.legs for name in leg.reading_names)
+    for name, unit, w in zip(names, problem.quantities.values(), readings, strict=False):
         yield _slip("reading", name, ("",), unit), w[:, :, None]
     if not problem.latent:
         return
