@@ -29,7 +29,7 @@ import cramer_rao
 
 import pincal
 from pincal.calibration.covariance import unseen
-from pincal.calibration.terms.choice import RULES
+from pincal.calibration.terms.choice import LEVEL
 from pincal.design.platform_error import platform_error
 from pincal.design.select import in_turns
 
@@ -311,7 +311,7 @@ def first_named(found: pincal.Explanation) -> list[str]:
         every = ((one.what, one.name), *one.or_else)
         return [f"drift of {what} {name}".strip() for what, name in every]
     first = found.choice.candidates[0]
-    return [f"{first.reading} {first.kind}"] if first.corrected < RULES.level else []
+    return [f"{first.reading} {first.kind}"] if first.corrected < LEVEL else []
 
 
 # Lines

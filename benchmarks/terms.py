@@ -42,7 +42,7 @@ from pincal.calibration.calibrate import prepared, started
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.fits import fitted
 from pincal.calibration.terms.candidates import tied_by, with_terms
-from pincal.calibration.terms.choice import RULES
+from pincal.calibration.terms.choice import LEVEL
 from pincal.calibration.terms.kinds import GROWTH, ORDER, Kind, every_pair, lengths
 from pincal.calibration.terms.screen import Candidate, Trial, screened, trials
 from pincal.estimation.residuals.score import Residuals
@@ -291,7 +291,7 @@ def table(name: str, sets: int, cases: Sequence[tuple[str, ...]]) -> Iterator[st
     drawn_in, false = dict.fromkeys(cases, 0), 0
     for seed in range(sets):
         _, parts = screened_machine(name, seed)
-        false += Seen(parts).first.corrected < RULES.level
+        false += Seen(parts).first.corrected < LEVEL
         seen = seen_in(parts)
         for said in cases:
             draw = np.random.default_rng((seed, cases.index(said)))
@@ -316,7 +316,7 @@ def table(name: str, sets: int, cases: Sequence[tuple[str, ...]]) -> Iterator[st
 def judged(order: Sequence[Seen], pairs: Sequence[Pair], size: float) -> tuple[float, ...]:
     """Return whether terms are named: first, by the judge, among (how many places), explained."""
     among = met([c for one in order for c in one.alike], pairs)
-    clear = all(one.first.corrected < RULES.level for one in order)
+    clear = all(one.first.corrected < LEVEL for one in order)
     return (
         met([one.first for one in order], pairs),
         met([order[0].likeliest(size)], pairs),

@@ -39,48 +39,50 @@ from pincal.types import Array
 _UNMOVED = 0.1  # of a standard error: what is held and moves a value by less leaves its interval
 
 
-def assemble(found: Fits, without_ties: Fits | None) -> CalibrationResult:
+def assemble(fits_of_all: Fits, without_ties: Fits | None) -> CalibrationResult:
     """Return the result of all legs from one fit of all, or one fit each.
 
     Args:
-        found: The fits.
+        fits_of_all: The fits.
         without_ties: The fits without ties, if there were any.
     """
-    calibration, gauge, held = found.calibration, found.gauge, found.held
+    calibration, gauge, held = fits_of_all.calibration, fits_of_all.gauge, fits_of_all.held
     mechanism = calibration.mechanism
-    fits = [one.fit for one in found.fits]
-    covariance, outer = covariances(found)
-    sure = confidence(found)
-    dof = sum(one.degrees_of_freedom for one in fits)
-    chi2 = float(sum(one.chi2 for one in fits) / dof) if dof > 0 else np.nan
-    free = float(dof) if found.latent else chi2_freedoms(found.fits)
+    fits = [robust.fit for robust in fits_of_all.fits]
+    covariance, outer = covariances(fits_of_all)
+    sure = confidence(fits_of_all)
+    dof = sum(fit.degrees_of_freedom for fit in fits)
+    chi2 = float(sum(fit.chi2 for fit in fits) / dof) if dof > 0 else np.nan
+    free = float(dof) if fits_of_all.latent else chi2_freedoms(fits_of_all.fits)
     p_value = exceeded(chi2, free, sure.of_chi2) if calibration.noise.known else 1.0
-    by = excess_of(chi2, p_value)
-    covariance, outer = by**2 * covariance, None if outer is None else by**2 * outer
-    G = systematic(found)
+    excess = excess_of(chi2, p_value)
+    covariance, outer = excess**2 * covariance, None if outer is None else excess**2 * outer
+    G = systematic(fits_of_all)
     n = len(covariance)
-    off = G[:n] @ G[:n].T
+    systematic_part = G[:n] @ G[:n].T
     sizes = [len(leg.parameters) for leg in mechanism.legs]
     lost = np.zeros((n + len(G[n:]), 0)) if held is None else held.directions
-    errors = determined(np.sqrt(np.stack((np.diagonal(covariance), np.diagonal(off)))), lost[:n])
+    errors = determined(
+        np.sqrt(np.stack((np.diagonal(covariance), np.diagonal(systematic_part)))), lost[:n]
+    )
     parts = np.split(errors, np.cumsum(sizes)[:-1], axis=1)
     std = dict(zip(mechanism.leg_names, parts, strict=True))
-    covariance = covariance + off
-    left = [redundancy(one.fit) for one in found.fits]
+    covariance = covariance + systematic_part
+    redundancies = [redundancy(robust.fit) for robust in fits_of_all.fits]
     by_name = {
         leg.name: leg
-        for one, freedoms, own in zip(found.fits, sure.of_unknowns, left, strict=True)
+        for one, freedoms, own in zip(fits_of_all.fits, sure.of_unknowns, redundancies, strict=True)
         for leg in _leg_results(calibration, one, std, quantiles(freedoms), *own)
     }
     legs = tuple(by_name[name] for name in mechanism.leg_names)
-    shifts = [one.shift for one in found.fits]
+    shifts = [robust.shift for robust in fits_of_all.fits]
     return CalibrationResult(
         calibration=calibration,
         identified=mechanism.with_parameters({leg.name: leg.identified for leg in legs}),
         legs=legs,
-        external=_external(found, outer, G[n:], lost[n:], sure),
+        external=_external(fits_of_all, outer, G[n:], lost[n:], sure),
         covariance=covariance,
-        systematic=off if G.size else None,
+        systematic=systematic_part if G.size else None,
         noise=_noise(calibration, chi2),
         noise_source=calibration.noise.source,
         degrees_of_freedom=dof,
@@ -88,23 +90,23 @@ def assemble(found: Fits, without_ties: Fits | None) -> CalibrationResult:
         chi2_p_value=p_value,
         chi2_freedoms=free,
         noise_freedoms=sure.least,
-        evaluations=sum(one.evaluations for one in fits),
-        left=max(one.distance for one in fits),
-        converged=all(one.converged for one in fits),
+        evaluations=sum(fit.evaluations for fit in fits),
+        left=max(fit.distance for fit in fits),
+        converged=all(fit.converged for fit in fits),
         costs=tuple(
-            tuple(cost / max(one.degrees_of_freedom, 1) for cost in one.costs) for one in fits
+            tuple(cost / max(fit.degrees_of_freedom, 1) for cost in fit.costs) for fit in fits
         ),
-        outliers=_merged([outlier for one in found.fits for outlier in one.outliers]),
+        outliers=_merged([outlier for robust in fits_of_all.fits for outlier in robust.outliers]),
         shift=None if None in shifts else max(s for s in shifts if s is not None),
         gauge=() if gauge is None else gauge.found,
         gauge_directions=None if gauge is None else gauge.of_legs,
         frames_moved=None if gauge is None else gauge.frames,
         undetermined_directions=lost[:n] if lost.shape[1] else None,
         ties=() if without_ties is None else tie_tests(without_ties),
-        observed=_observed(found, left[0][1][-1]) if found.latent else (),
-        outside=found.external if len(calibration.observation.external) else None,
+        observed=_observed(fits_of_all, redundancies[0][1][-1]) if fits_of_all.latent else (),
+        outside=fits_of_all.external if len(calibration.observation.external) else None,
         estimated_poses=mechanism.platform.from_matrices(fits[0].last.state.matrices)
-        if found.latent
+        if fits_of_all.latent
         else None,
     )
 
@@ -132,7 +134,7 @@ def _noise(calibration: Calibration, chi2: float) -> Noise | None:
 
 
 def _ends(
-    calibration: Calibration, one: Fit, rows: Array, std: Array, quantile: Array | float
+    calibration: Calibration, fit: Fit, rows: Array, std: Array, quantile: Array | float
 ) -> Array:
     """Return the ends of intervals less the estimates, shape (k, 2).
 
@@ -141,69 +143,69 @@ def _ends(
 
     Args:
         calibration: What was calibrated.
-        one: The fit that holds the quantities.
+        fit: The fit that holds the quantities.
         rows: Derivatives of the quantities by its unknowns, shape (k, n).
         std: Standard errors by noise, and by what is off in all rows, shape (2, k).
         quantile: How many of them half an interval is, shape (k,).
     """
-    halves, more = quantile * std
+    halves, systematic_halves = quantile * std
     closed = np.isfinite(halves)
     ends = np.stack((-halves, halves), axis=1)
-    if calibration.options.intervals == "profile" and one.converged:
+    if calibration.options.intervals == "profile" and fit.converged:
         calibration.options.report("fitting again along the parameters, for their intervals")
-        ends[closed] = profile(one, rows[closed], halves[closed])
-    return np.asarray(np.array([-1.0, 1.0]) * np.hypot(ends, more[:, None]))
+        ends[closed] = profile(fit, rows[closed], halves[closed])
+    return np.asarray(np.array([-1.0, 1.0]) * np.hypot(ends, systematic_halves[:, None]))
 
 
 def _identified(
-    one: Parameter, value: float, std: float, ends: Array, given: str = ""
+    parameter: Parameter, value: float, std: float, ends: Array, given: str = ""
 ) -> IdentifiedParameter:
     """Return a parameter with its 95 % interval, whose ends less the value have shape (2,)."""
     return IdentifiedParameter(
-        owner=one.owner,
-        name=one.name,
-        unit=one.unit,
-        nominal=one.nominal,
+        owner=parameter.owner,
+        name=parameter.name,
+        unit=parameter.unit,
+        nominal=parameter.nominal,
         identified=float(value),
         std=float(std),
         low=float(value + ends[0]),
         high=float(value + ends[1]),
         given=given,
-        label=one.label,
+        label=parameter.label,
     )
 
 
 def _leg_results(
     calibration: Calibration,
-    one: Robust,
+    robust: Robust,
     std: dict[str, Array],
     quantile: Array,
     residuals: Sequence[LegResiduals],
-    left: Sequence[Array],
+    redundancies: Sequence[Array],
 ) -> list[LegResult]:
     """Return the results of the legs of a fit.
 
     Args:
         calibration: What was calibrated.
-        one: The fit.
+        robust: The fit.
         std: Standard errors by noise, and by what is off in all rows, shape (2, n) of each leg.
         quantile: How many of them half an interval is, of the fit's unknowns, shape (n,).
         residuals: Of the legs.
-        left: Redundancies of these, (N, k) each.
+        redundancies: Redundancies of these, (N, k) each.
     """
-    found, problem = one.fit, one.fit.problem
+    fit, problem = robust.fit, robust.fit.problem
     nominal, results = calibration.mechanism.parameters, []
     errors = np.concatenate([std[leg.name] for leg in problem.legs], axis=1)
     n = errors.shape[1]
-    ends = _ends(calibration, found, np.eye(n, len(quantile)), errors, quantile[:n])
+    ends = _ends(calibration, fit, np.eye(n, len(quantile)), errors, quantile[:n])
     for index, (leg, columns) in enumerate(
         zip(problem.legs, problem.leg_block.columns, strict=True)
     ):
-        own = problem.leg_block.used[:, index] & (found.weights > 0.0)
-        before = leg_residuals(problem, found.first, index)
+        counted = problem.leg_block.used[:, index] & (fit.weights > 0.0)
+        before = leg_residuals(problem, fit.first, index)
         after = residuals[index]
-        rank, condition = found.ranks[index]
-        values = after.value[own]
+        rank, condition = fit.ranks[index]
+        values = after.value[counted]
         parameters = [nominal[f"{leg.name}.{name}"] for name in leg.parameter_names]
         results.append(
             LegResult(
@@ -212,7 +214,7 @@ def _leg_results(
                     _identified(p, value, error, own_ends, _given(calibration, p, error))
                     for p, value, error, own_ends in zip(
                         parameters,
-                        found.parameters[columns],
+                        fit.parameters[columns],
                         np.hypot(*std[leg.name]),
                         ends[columns],
                         strict=True,
@@ -220,26 +222,28 @@ def _leg_results(
                 ),
                 rank=rank,
                 condition=condition,
-                rms_before=_rms(before.value[own]),
+                rms_before=_rms(before.value[counted]),
                 rms_after=_rms(values),
                 unit=after.unit,
                 n_residuals=values.size,
-                sigma=after.sigma[own].ravel(),
-                rows=np.repeat(one.rows[own], values.shape[1]),
-                residuals_before=before.value[own].ravel(),
+                sigma=after.sigma[counted].ravel(),
+                rows=np.repeat(robust.rows[counted], values.shape[1]),
+                residuals_before=before.value[counted].ravel(),
                 residuals=values.ravel(),
                 quantity=after.quantity,
-                redundancy=left[index][own].ravel(),
+                redundancy=redundancies[index][counted].ravel(),
             )
         )
     return results
 
 
-def _given(calibration: Calibration, one: Parameter, std: float) -> str:
+def _given(calibration: Calibration, parameter: Parameter, std: float) -> str:
     """Return what was given of a parameter beforehand, or that it was held nearest to nominal."""
     options = calibration.options
-    said = {"fixed": options.fixed, "tied": options.tied, "prior": calibration.priors}
-    kinds = [kind for kind, names in said.items() if {one.name, one.id} & set(names)]
+    names_by_kind = {"fixed": options.fixed, "tied": options.tied, "prior": calibration.priors}
+    kinds = [
+        kind for kind, names in names_by_kind.items() if {parameter.name, parameter.id} & set(names)
+    ]
     kinds += [] if np.isfinite(std) else [HELD]
     return "fixed" if "fixed" in kinds else ", ".join(kinds)
 
@@ -249,41 +253,42 @@ def _rms(values: Array) -> float:
 
 
 def _external(
-    found: Fits, outer: Array | None, off: Array, lost: Array, sure: Confidence
+    fits: Fits, outer: Array | None, systematic_rows: Array, lost: Array, sure: Confidence
 ) -> tuple[IdentifiedParameter, ...]:
     """Return frame and targets with their intervals, and where the search for them began.
 
     Args:
-        found: The fits.
+        fits: The fits.
         outer: Covariance of their steps by noise, shape (n, n); None if there are none.
-        off: How they follow what is off by the same in all rows, shape (n, q).
+        systematic_rows: How they follow what is off by the same in all rows, shape (n, q).
         lost: Directions of them that were held, shape (n, n_lost).
         sure: How well the noise is known.
     """
-    outside, values = found.calibration.observation.external, found.external
+    outside, values = fits.calibration.observation.external, fits.external
     if values is None or outer is None or not len(outside):
         return ()
-    began = found.fits[0].fit.first.state.external
-    began = replace(
-        began, instruments=outside.start.instruments
-    )  # of instruments, what their makers say
-    start, there = (outside.coordinates(one) for one in (began, values))
+    began = fits.fits[0].fit.first.state.external
+    # of instruments, what their makers say
+    began = replace(began, instruments=outside.start.instruments)
+    start, estimates = (outside.coordinates(external) for external in (began, values))
     D = outside.coordinates_by_step(values)
-    freedoms = [one.min(initial=np.inf) for one in sure.of_unknowns]
+    freedoms = [freedoms.min(initial=np.inf) for freedoms in sure.of_unknowns]
     quantile = float(quantiles(np.array(min(freedoms))))
-    std = np.stack((np.sqrt(np.diagonal(D @ outer @ D.T)), np.linalg.norm(D @ off, axis=1)))
+    std = np.stack(
+        (np.sqrt(np.diagonal(D @ outer @ D.T)), np.linalg.norm(D @ systematic_rows, axis=1))
+    )
     std = determined(std, D @ lost)
-    one = found.fits[0].fit
+    one = fits.fits[0].fit
     rows = np.zeros((len(D), len(one.covariance)))
-    if found.latent:
+    if fits.latent:
         rows[:, -len(D) :] = D
-    ends = _ends(found.calibration, one, rows, std, quantile)
+    ends = _ends(fits.calibration, one, rows, std, quantile)
     return tuple(
         _identified(
             _outside(id_, unit, first), value, error, own_ends, "" if np.isfinite(error) else HELD
         )
         for id_, unit, first, value, error, own_ends in zip(
-            outside.names, outside.units, start, there, np.hypot(*std), ends, strict=True
+            outside.names, outside.units, start, estimates, np.hypot(*std), ends, strict=True
         )
     )
 
@@ -293,29 +298,29 @@ def _outside(id_: str, unit: str, nominal: float) -> Parameter:
     return Parameter(owner, name, unit, float(nominal))
 
 
-def _observed(found: Fits, left: Array) -> tuple[Observed, ...]:
+def _observed(fits: Fits, redundancies: Array) -> tuple[Observed, ...]:
     """Return how the measured quantities of the platform fit; left: redundancies, (N, r)."""
-    fit = found.fits[0].fit
-    problem, seen = fit.problem, fit.problem.observation
+    fit = fits.fits[0].fit
+    problem, observation = fit.problem, fit.problem.observation
     n_legs = problem.leg_block.n_rows
     before, values = (linear.conditions[:, n_legs:] for linear in (fit.first, fit.last))
     results = []
-    for column, (name, unit) in enumerate(zip(seen.names, seen.units, strict=True)):
-        own = seen.measured[:, column] & (fit.weights > 0.0)
-        if own.any():
-            sigmas = fit.noise_scale * problem.observation.sigma[own, column]
+    for column, (name, unit) in enumerate(zip(observation.names, observation.units, strict=True)):
+        counted = observation.measured[:, column] & (fit.weights > 0.0)
+        if counted.any():
+            sigmas = fit.noise_scale * problem.observation.sigma[counted, column]
             results.append(
                 Observed(
                     name=name,
                     unit=unit,
-                    count=int(own.sum()),
-                    rms=_rms(values[own, column]),
+                    count=int(counted.sum()),
+                    rms=_rms(values[counted, column]),
                     sigma=_rms(sigmas),
-                    rows=np.flatnonzero(own),
+                    rows=np.flatnonzero(counted),
                     sigmas=sigmas,
-                    residuals_before=before[own, column],
-                    residuals=values[own, column],
-                    redundancy=left[own, column],
+                    residuals_before=before[counted, column],
+                    residuals=values[counted, column],
+                    redundancy=redundancies[counted, column],
                 )
             )
     return tuple(results)
@@ -324,11 +329,11 @@ def _observed(found: Fits, left: Array) -> tuple[Observed, ...]:
 def _merged(outliers: Sequence[Outlier]) -> tuple[Outlier, ...]:
     """Return outliers of all fits, one for each row, the worst first."""
     rows: dict[int, Outlier] = {}
-    for one in sorted(outliers, key=lambda o: -o.sigma):
-        worst = rows.setdefault(one.row, one)
-        if worst is not one:
-            legs = (*worst.legs, *one.legs)
-            rows[one.row] = replace(worst, legs=legs, weight=min(worst.weight, one.weight))
+    for outlier in sorted(outliers, key=lambda o: -o.sigma):
+        worst = rows.setdefault(outlier.row, outlier)
+        if worst is not outlier:
+            legs = (*worst.legs, *outlier.legs)
+            rows[outlier.row] = replace(worst, legs=legs, weight=min(worst.weight, outlier.weight))
     return tuple(rows.values())
 
 
@@ -413,7 +418,8 @@ def _influences_again(calibration: Calibration, machine: Mechanism) -> dict[str,
     measured = {name: v for name, v in data.influences.items() if name not in names}
     rows = replace(rows, influences=measured)
     before, after = (
-        by_name(one, planned_influences(one, rows)) for one in (calibration.mechanism, machine)
+        by_name(mechanism, planned_influences(mechanism, rows))
+        for mechanism in (calibration.mechanism, machine)
     )
     followed = {
         name: after[name]

@@ -251,7 +251,8 @@ def explain_failure(calibration: Calibration, frame: External | None) -> tuple[F
     faults = explain_misfit(calibration.mechanism, calibration.measurements, setup, frame)
     if calibration.start is None:
         return faults
-    return tuple(one for one in faults if one.code != "reading-offset")  # the search started there
+    # the search started where the offsets are right
+    return tuple(fault for fault in faults if fault.code != "reading-offset")
 
 
 def explain_result(result: CalibrationResult, frame: External | None) -> tuple[Finding, ...]:
@@ -306,8 +307,8 @@ def calibrate_runs(calibration: Calibration) -> RunComparison:
     of_rows = np.array(calibration.measurements.runs)
     results = []
     for name in names:
-        alone = calibration.rows(of_rows == name).with_options(intervals="wald")
-        result, _ = run(alone)
+        run_alone = calibration.rows(of_rows == name).with_options(intervals="wald")
+        result, _ = run(run_alone)
         if not result.converged:
             raise MeasurementError(f"run {name!r}: {result.message}")
         results.append(result)

@@ -148,16 +148,16 @@ class Calibration:
         first: at a sensor's resolution they say no more than one of them.
         """
         data = self.measurements
-        found = ~data.verifying
+        counted = ~data.verifying
         if data.places is None:
-            return found
+            return counted
         measured = np.column_stack([data.poses, data.readings, *data.extra.values()])
         runs = data.runs or ("",) * len(data)
         seen: set[tuple[str, str, bytes]] = set()
         for row, key in enumerate(zip(data.places, runs, map(bytes, measured), strict=True)):
-            found[row] &= not key[0] or key not in seen
+            counted[row] &= not key[0] or key not in seen
             seen.add(key)
-        return found
+        return counted
 
     def leg_block(
         self,

@@ -35,20 +35,20 @@ def all_legs(mechanism: Mechanism, fits: Sequence[Robust]) -> Array:
     covariance = np.zeros((n, n))
     parts = []
     for robust in fits:
-        one = robust.fit
-        places = _places(mechanism, one.problem.legs)
-        covariance[np.ix_(places, places)] = one.covariance[: len(places), : len(places)]
-        last = one.problem.leg_block.n_readings
+        fit = robust.fit
+        places = _places(mechanism, fit.problem.legs)
+        covariance[np.ix_(places, places)] = fit.covariance[: len(places), : len(places)]
+        last = fit.problem.leg_block.n_readings
         columns = [*range(last, last + mechanism.platform.dof), -1]  # the pose's noise, an outlier
-        by_pose = one.influence[:, : len(places), columns]
+        by_pose = fit.influence[:, : len(places), columns]
         parts.append((places, robust.rows, by_pose))
     for index, (places, rows, K) in enumerate(parts):
-        for others, their_rows, L in parts[:index]:
+        for their_places, their_rows, L in parts[:index]:
             shared, mine, theirs = np.intersect1d(rows, their_rows, return_indices=True)
             if len(shared):
                 cross = np.einsum("npd,nqd->pq", K[mine], L[theirs])
-                covariance[np.ix_(places, others)] = cross
-                covariance[np.ix_(others, places)] = cross.T
+                covariance[np.ix_(places, their_places)] = cross
+                covariance[np.ix_(their_places, places)] = cross.T
     return covariance
 
 
@@ -69,21 +69,21 @@ def chi2_freedoms(fits: Sequence[Robust]) -> float:
     """
     parts, total = [], 0
     for robust in fits:
-        one = robust.fit
-        used = np.flatnonzero(one.good)
-        last = one.problem.leg_block.n_readings
-        W = one.last.white.by_noise[used, :, last : last + one.problem.platform.dof]
-        parts.append((robust.rows[used], one.Q, W))
-        total += one.degrees_of_freedom
+        fit = robust.fit
+        used = np.flatnonzero(fit.good)
+        last = fit.problem.leg_block.n_readings
+        W = fit.last.white.by_noise[used, :, last : last + fit.problem.platform.dof]
+        parts.append((robust.rows[used], fit.Q, W))
+        total += fit.degrees_of_freedom
     shared = 0.0
     for index, (rows, Q, W) in enumerate(parts):
-        for others, P, V in parts[:index]:
-            _, mine, theirs = np.intersect1d(rows, others, return_indices=True)
+        for their_rows, P, V in parts[:index]:
+            _, mine, theirs = np.intersect1d(rows, their_rows, return_indices=True)
             A = W[mine] @ V[theirs].transpose(0, 2, 1)
             AP = A @ P[theirs]
             QA = A.transpose(0, 2, 1) @ Q[mine]
-            both = over_rows(Q[mine], AP)
-            shared += (A**2).sum() - (AP**2).sum() - (QA**2).sum() + (both**2).sum()
+            product = over_rows(Q[mine], AP)
+            shared += (A**2).sum() - (AP**2).sum() - (QA**2).sum() + (product**2).sum()
     return total**2 / (total + 2.0 * shared) if total else 0.0
 
 
@@ -112,55 +112,55 @@ def _nearest(gauge: Gauge, unknowns: Unknowns, n: int) -> Array:
     return np.concatenate((np.eye(n) - follows[:n], -follows[n:]))
 
 
-def systematic(found: Fits) -> Array:
+def systematic(fits: Fits) -> Array:
     """Return how all parameters, then frames, follow what is off in all rows, shape (n, q).
 
     Columns are for one standard uncertainty each (see ``Observation.systematic``); none where
     nothing is uncertain so.
     """
-    calibration, mechanism = found.calibration, found.calibration.mechanism
-    seen, n = calibration.observation, len(mechanism.parameters)
+    calibration, mechanism = fits.calibration, fits.calibration.mechanism
+    observation, n = calibration.observation, len(mechanism.parameters)
     if calibration.options.setup.systematic == Systematic():
-        return np.zeros((n + len(seen.external), 0))
-    if found.latent:
-        fit = found.fits[0].fit
-        own = seen.systematic(fit.last.state.matrices, fit.last.state.external)
+        return np.zeros((n + len(observation.external), 0))
+    if fits.latent:
+        fit = fits.fits[0].fit
+        own = observation.systematic(fit.last.state.matrices, fit.last.state.external)
         errors = np.zeros((*fit.last.conditions.shape, own.shape[2]))
         errors[:, errors.shape[1] - own.shape[1] :] = own
         return fit.spread.response(errors)
-    external = found.external or seen.external.start
-    poses, _ = calibration.given_poses(found.external)
+    external = fits.external or observation.external.start
+    poses, _ = calibration.given_poses(fits.external)
     matrices = mechanism.platform.matrices(poses)
-    own = seen.systematic(matrices, external)
-    rows = [seen.names.index(name) for name in mechanism.platform.freedoms]
-    by_twist = seen.residuals(matrices, external)[1][:, rows]
+    own = observation.systematic(matrices, external)
+    rows = [observation.names.index(name) for name in mechanism.platform.freedoms]
+    by_twist = observation.residuals(matrices, external)[1][:, rows]
     twists = -np.linalg.solve(by_twist, own[:, rows])  # where what is measured takes the poses
     follows = np.zeros((n, own.shape[2]))
-    for robust in found.fits:
-        one = robust.fit
-        places = _places(mechanism, one.problem.legs)
-        moved = [demand.pose @ twists[robust.rows] for demand in one.last.demands]
-        errors = np.zeros((*one.last.conditions.shape, own.shape[2]))
-        block = one.problem.leg_block
+    for robust in fits.fits:
+        one_fit = robust.fit
+        places = _places(mechanism, one_fit.problem.legs)
+        moved = [demand.pose @ twists[robust.rows] for demand in one_fit.last.demands]
+        errors = np.zeros((*one_fit.last.conditions.shape, own.shape[2]))
+        block = one_fit.problem.leg_block
         for leg, error, used in zip(block.leg_rows, moved, block.used.T, strict=True):
             errors[used, leg] = error[used]
-        follows[places] = one.spread.response(errors)[: len(places)]
-    if found.gauge is None or found.unknowns is None:
+        follows[places] = one_fit.spread.response(errors)[: len(places)]
+    if fits.gauge is None or fits.unknowns is None:
         return follows
-    return _nearest(found.gauge, found.unknowns, n) @ follows
+    return _nearest(fits.gauge, fits.unknowns, n) @ follows
 
 
-def covariances(found: Fits) -> tuple[Array, Array | None]:
+def covariances(fits: Fits) -> tuple[Array, Array | None]:
     """Return the covariance of all legs' parameters, and of the external unknowns' steps."""
-    mechanism = found.calibration.mechanism
+    mechanism = fits.calibration.mechanism
     n = len(mechanism.parameters)
-    if found.latent:
-        full = found.fits[0].fit.covariance
+    if fits.latent:
+        full = fits.fits[0].fit.covariance
         return full[:n, :n], full[n:, n:]
-    covariance = all_legs(mechanism, found.fits)
-    if found.gauge is None or found.unknowns is None:
+    covariance = all_legs(mechanism, fits.fits)
+    if fits.gauge is None or fits.unknowns is None:
         return covariance, None
-    return moved_along_gauge(covariance, found.gauge, found.unknowns)
+    return moved_along_gauge(covariance, fits.gauge, fits.unknowns)
 
 
 @dataclass(frozen=True)
@@ -175,7 +175,9 @@ class Confidence:
     @property
     def least(self) -> float | None:
         """The fewest of all; None if the noise is known."""
-        fewest = min((float(one.min(initial=np.inf)) for one in self.of_unknowns), default=np.inf)
+        fewest = min(
+            (float(freedoms.min(initial=np.inf)) for freedoms in self.of_unknowns), default=np.inf
+        )
         return fewest if np.isfinite(fewest) else None
 
 
@@ -185,9 +187,9 @@ def confidence(found: Fits) -> Confidence:
     Noise of repeated rows: as many degrees of freedom as these have. Estimated noise: by the
     covariance of the variance components; of a fit with its own scale, its own.
     """
-    calibration, fits = found.calibration, [one.fit for one in found.fits]
+    calibration, fits = found.calibration, [robust.fit for robust in found.fits]
     model = calibration.noise
-    sizes = [len(one.covariance) for one in fits]
+    sizes = [len(fit.covariance) for fit in fits]
     if not model.known and not (found.latent and found.variances is not None):
         own = [
             np.full(n, float(one.degrees_of_freedom)) for n, one in zip(sizes, fits, strict=True)
@@ -196,7 +198,7 @@ def confidence(found: Fits) -> Confidence:
     if model.source != "repeats" and model.known:
         return Confidence(tuple(np.full(n, np.inf) for n in sizes), np.inf)
     unit = model.noise.reading or assumed_noise(calibration.mechanism, exact=False).reading
-    moments = Moments.of([(one, one.problem) for one in fits], unit)
+    moments = Moments.of([(fit, fit.problem) for fit in fits], unit)
     spread, of_chi2 = found.variances, np.inf
     if spread is None:
         freedom = np.array(model.freedoms)
@@ -204,7 +206,7 @@ def confidence(found: Fits) -> Confidence:
         some = np.isfinite(freedom)
         shares = np.where(some, moments.F[:, some].sum(axis=1), 0.0)
         of_chi2 = float(shares.sum() ** 2 / (shares**2 / freedom).sum())
-    return Confidence(tuple(freedoms(one, spread) for one in moments.parts), of_chi2)
+    return Confidence(tuple(freedoms(group, spread) for group in moments.parts), of_chi2)
 
 
 def quantiles(degrees_of_freedom: Array) -> Array:
@@ -268,7 +270,7 @@ def tie_tests(free: Fits) -> tuple[TieTest, ...]:
         R = axes[:, int((size > RANK_TOLERANCE).sum()) :].T @ R
     if not len(R):
         return ()
-    off = R @ values
-    statistic = float(off @ np.linalg.solve(R @ covariance @ R.T, off)) / len(R)
+    differences = R @ values
+    statistic = float(differences @ np.linalg.solve(R @ covariance @ R.T, differences)) / len(R)
     p = exceeded(statistic, len(R), confidence(free).least or np.inf)
     return (TieTest(", ".join(calibration.options.tied), len(R), statistic, p),)

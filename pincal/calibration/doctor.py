@@ -51,12 +51,14 @@ class Remedy:
     @property
     def outlying(self) -> bool:
         """Whether rows that take part do not fit the others."""
-        return self.result is not None and any(one.weight > 0.0 for one in self.result.outliers)
+        return self.result is not None and any(
+            outlier.weight > 0.0 for outlier in self.result.outliers
+        )
 
     @property
     def mends(self) -> bool:
         """Whether the measurements themselves were put right: options do not do it."""
-        return any(one.code != "unknown-frame" for one in self.findings)
+        return any(remark.code != "unknown-frame" for remark in self.findings)
 
 
 def remedies(calibration: Calibration) -> Iterator[Remedy]:
@@ -68,10 +70,12 @@ def remedies(calibration: Calibration) -> Iterator[Remedy]:
     Args:
         calibration: Measurements and options as the user has them.
     """
-    for alike in _stages(calibration):
-        found = [one for findings, given in alike for one in _attempts(findings, given)]
-        yield from found
-        if any(one.works for one in found):
+    for alternatives in _stages(calibration):
+        tried = [
+            remedy for findings, given in alternatives for remedy in _attempts(findings, given)
+        ]
+        yield from tried
+        if any(one.works for one in tried):
             return
 
 
@@ -102,21 +106,23 @@ def _stages(
 
 def _explained(calibration: Calibration) -> list[tuple[tuple[Finding, ...], Calibration]]:
     """Return calibrations with each fault put right that explains the misfit."""
-    alike: list[tuple[tuple[Finding, ...], Calibration]] = []
+    alternatives: list[tuple[tuple[Finding, ...], Calibration]] = []
     setup = calibration.options.setup
-    for found, one in hypotheses_of(calibration.mechanism, calibration.measurements, setup):
-        mended = replace(calibration, measurements=_put_right(calibration, one))
-        framed = replace(setup, unknown_frame=setup.unknown_frame or one.free)
-        alike.append(((found,), mended.with_options(setup=framed)))
-    return alike
+    for fault, judged in hypotheses_of(calibration.mechanism, calibration.measurements, setup):
+        mended = replace(calibration, measurements=_put_right(calibration, judged))
+        framed = replace(setup, unknown_frame=setup.unknown_frame or judged.free)
+        alternatives.append(((fault,), mended.with_options(setup=framed)))
+    return alternatives
 
 
 def _wider(setup: Setup) -> list[Setup]:
     """Return setups in which less is known of where frame and target are, the nearest first."""
     origin = replace(setup.targets[ORIGIN], unknown=True)
     framed = replace(setup, unknown_frame=True)
-    both = replace(framed, targets={**setup.targets, ORIGIN: origin})
-    return [wider for wider, known in ((framed, setup), (both, framed)) if wider != known]
+    framed_and_placed = replace(framed, targets={**setup.targets, ORIGIN: origin})
+    return [
+        wider for wider, known in ((framed, setup), (framed_and_placed, framed)) if wider != known
+    ]
 
 
 @on_one_thread
@@ -139,7 +145,9 @@ def _attempt(findings: tuple[Finding, ...], calibration: Calibration) -> Remedy:
 
 def _left_out(result: CalibrationResult) -> float:
     """Return the share of the rows that were left out."""
-    return sum(one.weight == 0.0 for one in result.outliers) / max(len(result.measurements), 1)
+    return sum(outlier.weight == 0.0 for outlier in result.outliers) / max(
+        len(result.measurements), 1
+    )
 
 
 def _put_right(calibration: Calibration, judged: Judged) -> Measurements:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -29,24 +29,11 @@ from pincal.model.setup import ORIGIN, Setup
 from pincal.types import Index
 from pincal.words.sentences import finding
 
-
-@dataclass(frozen=True)
-class Questions:
-    """From where something is said."""
-
-    much: float = 0.1
-    """Share of rows that do not fit, from which the noise or the model is questioned."""
-    curved: float = 0.5
-    """Curved part over the straight one, at one standard error (Bates and Watts 1980)."""
-    few: float = 1.5
-    """Residuals a parameter, below which more poses are advised."""
-    again: int = 4
-    """Times that a pose was measured, from which one asks whether it moved."""
-    through: float = 0.5
-    """Share of the run over which it was."""
-
-
-QUESTIONS = Questions()
+_MANY = 0.1  # share of rows that do not fit, from which the noise or the model is questioned
+_CURVED = 0.5  # curved part over the straight one, at one standard error (Bates and Watts 1980)
+_FEW = 1.5  # residuals a parameter, below which more poses are advised
+_REPEATS = 4  # times that a pose was measured, from which one asks whether it moved
+_SPREAD = 0.5  # share of the run over which these must lie
 
 
 def findings_of(result: CalibrationResult, fits: Fits | None = None) -> tuple[Finding, ...]:
@@ -61,7 +48,9 @@ def findings_of(result: CalibrationResult, fits: Fits | None = None) -> tuple[Fi
     if held is not None and (held.groups or held.weak):
         found.append(finding("undetermined-held", groups=held.groups, weak=held.weak))
     found += _zeros(result)
-    found += [finding("tolerance-found", **vars(one)) for one in result.calibration.tolerances]
+    found += [
+        finding("tolerance-found", **vars(tolerance)) for tolerance in result.calibration.tolerances
+    ]
     lacks: list[Finding] = []
     noise, far = _noise(result), [*_far(result), *_signs(result)]
     if fits is not None and rounding(fits):
@@ -120,8 +109,8 @@ def blame_wrong_rows(
     total = len(result.measurements)
     least = -ndtri(FALSE_ALARM / (2.0 * total))  # Bonferroni: one sound set in a hundred has any
     rejected = [row for row in robust.outliers if row.weight == 0.0 and row.sigma > least]
-    few = 0 < len(rejected) <= QUESTIONS.much * total
-    if not (few and robust.converged and robust.excess == 1.0):
+    are_few = 0 < len(rejected) <= _MANY * total
+    if not (are_few and robust.converged and robust.excess == 1.0):
         return findings, result.outliers
     worst = rejected[0]
     wrong_rows = finding(
@@ -134,15 +123,15 @@ def blame_wrong_rows(
         quantity=worst.quantity,
         off=worst.off,
     )
-    without_rows = [one for one in findings_of(robust, fits) if one.code in _FOLLOW]
-    others = [one for one in findings if one.code not in _FOLLOW]
+    without_rows = [remark for remark in findings_of(robust, fits) if remark.code in _FOLLOW]
+    unrelated = [remark for remark in findings if remark.code not in _FOLLOW]
     outliers = tuple(replace(outlier, weight=1.0) for outlier in rejected)  # they took part
-    return (wrong_rows, *without_rows, *others), outliers
+    return (wrong_rows, *without_rows, *unrelated), outliers
 
 
 def rounding(fits: Fits) -> bool:
     """Return whether residuals are rounding errors, in which nothing can be read."""
-    mechanism, every = fits.calibration.mechanism, [one.fit for one in fits.fits]
+    mechanism, every = fits.calibration.mechanism, [robust.fit for robust in fits.fits]
     size = largest_size(mechanism.legs)
     parts = [one.last.conditions[one.good] for one in every]
     return all(np.abs(one).max(initial=0.0) <= 10.0 * ROUNDING * max(1.0, size) for one in parts)
@@ -161,24 +150,28 @@ def _zeros(result: CalibrationResult) -> list[Finding]:
 def _signs(result: CalibrationResult) -> list[Finding]:
     """Return that lengths changed their sign: a mirror image fits, or the drawing does not."""
     least = DIFFER * largest_size(result.nominal.legs)
-    found = [
+    flipped = [
         p
         for leg in result.legs
         for p in leg.parameters
         if p.unit == "m" and p.nominal * p.identified < 0.0
         if min(abs(p.nominal), abs(p.change) - 2.0 * p.std) > least
     ]
-    if not found:
+    if not flipped:
         return []
-    values = tuple((p.id, p.nominal, p.identified) for p in found)
-    return [finding("sign-changed", parameters=[p.id for p in found], lengths=values)]
+    values = tuple((p.id, p.nominal, p.identified) for p in flipped)
+    return [finding("sign-changed", parameters=[p.id for p in flipped], lengths=values)]
 
 
 def _noise(result: CalibrationResult) -> list[Finding]:
     dof, chi2, noise = result.degrees_of_freedom, result.reduced_chi2, result.noise
     if result.noise_source == "estimated":
-        seen = result.calibration.observation
-        units = {unit for unit, own in zip(seen.units, seen.measured.T, strict=True) if own.any()}
+        observation = result.calibration.observation
+        units = {
+            unit
+            for unit, measured in zip(observation.units, observation.measured.T, strict=True)
+            if measured.any()
+        }
         return [
             finding(
                 "noise-estimated",
@@ -204,16 +197,16 @@ def _proportion(fits: Fits) -> list[Finding]:
     if not noise.known or any(robust.fit.system.loss is not None for robust in fits.fits):
         return []
     unit = noise.noise.reading or assumed_noise(fits.calibration.mechanism, exact=False).reading
-    moments = Moments.of([(one.fit, one.fit.problem) for one in fits.fits], unit)
-    readings = any(one.fit.problem.leg_block.sigma.any() for one in fits.fits)
-    asked = np.array([True, True, readings and noise.source != "rows"])
-    groups = np.flatnonzero(asked & (np.diagonal(moments.F) > 0.0))
+    moments = Moments.of([(robust.fit, robust.fit.problem) for robust in fits.fits], unit)
+    readings = any(robust.fit.problem.leg_block.sigma.any() for robust in fits.fits)
+    testable = np.array([True, True, readings and noise.source != "rows"])
+    groups = np.flatnonzero(testable & (np.diagonal(moments.F) > 0.0))
     F = moments.F[np.ix_(groups, groups)]
     variances, spread = np.linalg.pinv(F) @ moments.q[groups], 2.0 * np.linalg.pinv(F)
     spread += np.diag([2.0 / noise.freedoms[group] for group in groups])
-    off = variances - 1.0
-    p_value = float(chdtrc(len(groups), off @ np.linalg.pinv(spread) @ off))
-    if p_value >= FALSE_ALARM or len(groups) < 2 or not off.max() > 0.0:
+    excesses = variances - 1.0
+    p_value = float(chdtrc(len(groups), excesses @ np.linalg.pinv(spread) @ excesses))
+    if p_value >= FALSE_ALARM or len(groups) < 2 or not excesses.max() > 0.0:
         return []
     names = ("positions", "orientations", "readings")
     ratios = {names[g]: float(np.sqrt(max(v, 0.0))) for g, v in zip(groups, variances, strict=True)}
@@ -250,11 +243,11 @@ def lacking(fits: Fits) -> list[Finding]:
 def _again(data: Measurements, rows: Index) -> dict[str, Index]:
     """Return which rows of a fit are of poses that were measured again through the run."""
     names = np.array(data.places or ("",) * len(data))[rows]
-    found = {str(name): np.flatnonzero(names == name) for name in np.unique(names) if name}
+    rows_by_name = {str(name): np.flatnonzero(names == name) for name in np.unique(names) if name}
     return {
-        name: own
-        for name, own in found.items()
-        if len(own) >= QUESTIONS.again and np.ptp(own) >= QUESTIONS.through * len(names)
+        name: at_pose
+        for name, at_pose in rows_by_name.items()
+        if len(at_pose) >= _REPEATS and np.ptp(at_pose) >= _SPREAD * len(names)
     }
 
 
@@ -278,44 +271,42 @@ def _lacks(p_value: float, worst: Score, robust: Robust, _: Measurements) -> Fin
 
 def _curved(fits: Fits) -> list[Finding]:
     """Return a finding if intervals of a linearised problem mean little."""
-    own = (one.fit for one in fits.fits if one.fit.problem.weighted)
-    most = max((curvature(one, QUESTIONS.curved) for one in own), default=0.0)
+    weighted_fits = (robust.fit for robust in fits.fits if robust.fit.problem.weighted)
+    largest = max((curvature(one, _CURVED) for one in weighted_fits), default=0.0)
     intervals = fits.calibration.options.intervals
-    return (
-        [finding("curved", curvature=most, intervals=intervals)] if most > QUESTIONS.curved else []
-    )
+    return [finding("curved", curvature=largest, intervals=intervals)] if largest > _CURVED else []
 
 
 def _open(result: CalibrationResult) -> list[Finding]:
     """Return a finding if the cost does not rise enough along some parameters."""
-    found = [*(p for leg in result.legs for p in leg.parameters), *result.external]
-    ids = [p.id for p in found if np.isfinite(p.std) and not np.isfinite(p.half)]
+    parameters = [*(p for leg in result.legs for p in leg.parameters), *result.external]
+    ids = [p.id for p in parameters if np.isfinite(p.std) and not np.isfinite(p.half)]
     return [finding("interval-open", parameters=ids)] if ids else []
 
 
 def _far(result: CalibrationResult) -> list[Finding]:
     """Return findings if parameters moved farther than those of one machine differ, or might."""
     options = result.options
-    found = [p for leg in result.legs for p in leg.parameters]
+    parameters = [p for leg in result.legs for p in leg.parameters]
     plausible = plausible_changes(result.nominal)
-    std, half = (np.array(v) for v in zip(*((p.std, p.half) for p in found), strict=True))
+    std, half = (np.array(v) for v in zip(*((p.std, p.half) for p in parameters), strict=True))
     std = np.where(np.isfinite(std), std, 0.0)  # what was held no noise has moved
     std, half = std / result.excess, half / result.excess  # by poses and noise, not by misfit
     if (weak := np.flatnonzero(std > plausible)).size:
-        worst = found[int(np.argmax(std / plausible))]
+        worst = parameters[int(np.argmax(std / plausible))]
         return [
             finding(
                 "weakly-determined",
-                parameters=[found[i].id for i in weak],
+                parameters=[parameters[i].id for i in weak],
                 parameter=worst.id,
                 half=worst.half,
                 unit=worst.unit,
                 held=options.hold_undetermined,
             )
         ]
-    moved = np.array([p.change for p in found]) - result.calibration.shift
+    moved = np.array([p.change for p in parameters]) - result.calibration.shift
     surely = (np.abs(moved) - half) / plausible  # more than its uncertainty
-    far = found[int(np.argmax(surely))]
+    far = parameters[int(np.argmax(surely))]
     if surely.max() <= 1.0 or options.rough:
         return []
     return [
@@ -336,14 +327,14 @@ def unused_options(setup: Setup) -> tuple[str, ...]:
         "unknown-frame": setup.unknown_frame,
         "unknown-target": setup.targets[ORIGIN].unknown,
     }
-    return tuple(name for name, said in used.items() if not said)
+    return tuple(name for name, is_used in used.items() if not is_used)
 
 
 def _rows(result: CalibrationResult, *, lacking: bool) -> list[Finding]:
     """Return which rows do not fit, and whether residuals follow something besides."""
     outliers, total = result.outliers, len(result.measurements)
-    rows = [one.row for one in outliers]
-    if len(outliers) > QUESTIONS.much * total:
+    rows = [outlier.row for outlier in outliers]
+    if len(outliers) > _MANY * total:
         return [finding("many-outliers", rows, share=len(outliers) / total)]
     if not outliers or result.loss != "none":
         return []
@@ -353,13 +344,13 @@ def _rows(result: CalibrationResult, *, lacking: bool) -> list[Finding]:
 
 
 def _legs(result: CalibrationResult) -> list[Finding]:
-    found = [
-        finding("tie-contradicted", name=one.name, p_value=one.p_value)
-        for one in result.ties
-        if not one.holds
+    ties = [
+        finding("tie-contradicted", name=tie.name, p_value=tie.p_value)
+        for tie in result.ties
+        if not tie.holds
     ]
-    return found + [
+    return ties + [
         finding("few-poses", legs=(leg.name,), poses=leg.n_poses, unknowns=len(leg.parameters))
         for leg in result.legs
-        if leg.n_residuals < QUESTIONS.few * len(leg.parameters)
+        if leg.n_residuals < _FEW * len(leg.parameters)
     ]

@@ -62,26 +62,14 @@ def _said(problem: Problem) -> tuple[list[bool], dict[str, bool]]:
     known = {
         name: bool(np.isfinite(own).any()) for name, own in problem.leg_block.influences.items()
     }
-    return [bool(own.any()) for own in problem.observation.measured.T], known
+    return [bool(column.any()) for column in problem.observation.measured.T], known
 
 
-@dataclass(frozen=True)
-class Repeats:
-    """How often fits are repeated, and when they need not be."""
-
-    rounds: int = 20
-    """Of noise, or of frames, in turn with the legs."""
-    refits: int = 5
-    """With noise that was estimated."""
-    still: float = 1e-10
-    """Of the machine's size, and [rad]: the frame moves no more."""
-    off: float = 5e-3
-    """Of the scale of the noise that was estimated."""
-    alike: float = 1e-3
-    """Relative change of a standard deviation, below which noise is estimated."""
-
-
-BY = Repeats()
+ROUNDS = 20  # of noise, or of frames, in turn with the legs
+_REFITS = 5  # with noise that was estimated
+_STILL = 1e-10  # of the machine's size, and [rad]: the frame moves no more
+_SCALE_OFF = 5e-3  # of the scale of the noise that was estimated: fitted once more
+SETTLED = 1e-3  # relative change of a standard deviation, below which it is estimated
 
 
 @dataclass(frozen=True)
@@ -110,14 +98,14 @@ class Fits:
 
     def parameters(self, mechanism: Mechanism) -> dict[str, Array]:
         """Return identified parameters by leg, each of shape (n_params,)."""
-        found = {
-            leg.name: one.fit.parameters[columns]
-            for one in self.fits
+        by_leg = {
+            leg.name: robust.fit.parameters[columns]
+            for robust in self.fits
             for leg, columns in zip(
-                one.fit.problem.legs, one.fit.problem.leg_block.columns, strict=True
+                robust.fit.problem.legs, robust.fit.problem.leg_block.columns, strict=True
             )
         }
-        return {name: found[name] for name in mechanism.leg_names}
+        return {name: by_leg[name] for name in mechanism.leg_names}
 
 
 def fitted(calibration: Calibration, *, tied: bool = True, near: Near | None = None) -> Fits:
@@ -145,7 +133,7 @@ def fitted(calibration: Calibration, *, tied: bool = True, near: Near | None = N
         return one
     unit = noise.reading or assumed_noise(calibration.mechanism, exact=False).reading
     found = noise  # before it is scaled
-    for _ in range(BY.refits):
+    for _ in range(_REFITS):
         if not _sound(one):
             break
         then = _noise_of(one, noise, unit)
@@ -154,34 +142,34 @@ def fitted(calibration: Calibration, *, tied: bool = True, near: Near | None = N
         noise, found, unit = then, then, then.reading or unit
         one = search(calibration.with_noise(noise), tied, one)
         scale = float(np.mean([robust.fit.noise_scale for robust in one.fits]))
-        if abs(scale - 1.0) > BY.off and scale > 0.0:  # a group at its floor leaves that to all
+        if abs(scale - 1.0) > _SCALE_OFF and scale > 0.0:  # a group at its floor leaves that to all
             noise = Noise(*(scale * value for value in vars(noise).values()))
             one = search(calibration.with_noise(noise), tied, one)
     return _with_variances(one, noise, unit)
 
 
-def _sound(one: Fits) -> bool:
+def _sound(fits_of_all: Fits) -> bool:
     """Return whether the residuals of fits say something about the noise."""
-    fits = [robust.fit for robust in one.fits]
+    fits = [robust.fit for robust in fits_of_all.fits]
     return all(fit.converged and fit.degrees_of_freedom > 0 for fit in fits)
 
 
-def _with_variances(one: Fits, noise: Noise, unit: float) -> Fits:
+def _with_variances(fits_of_all: Fits, noise: Noise, unit: float) -> Fits:
     """Return fits at noise that was estimated, with what that adds to their covariances."""
-    if not _sound(one):
-        return one
-    pairs = [(robust.fit, robust.fit.problem) for robust in one.fits]
+    if not _sound(fits_of_all):
+        return fits_of_all
+    pairs = [(robust.fit, robust.fit.problem) for robust in fits_of_all.fits]
     moments = Moments.of(pairs, noise.reading or unit)
     if moments.rounding:
-        return one
-    information, _ = moments.information(_beforehand(one.calibration, noise))
+        return fits_of_all
+    information, _ = moments.information(_beforehand(fits_of_all.calibration, noise))
     variances: Array = np.asarray(np.linalg.inv(information))
     fits = []
-    for robust, part in zip(one.fits, moments.parts, strict=True):
-        more = robust.fit.noise_scale**2 * widened(part, variances)
-        fit = replace(robust.fit, covariance=robust.fit.covariance + more)
+    for robust, part in zip(fits_of_all.fits, moments.parts, strict=True):
+        widening = robust.fit.noise_scale**2 * widened(part, variances)
+        fit = replace(robust.fit, covariance=robust.fit.covariance + widening)
         fits.append(replace(robust, fit=fit))
-    return replace(one, fits=fits, variances=variances)
+    return replace(fits_of_all, fits=fits, variances=variances)
 
 
 def _beforehand(calibration: Calibration, noise: Noise) -> Beforehand:
@@ -191,42 +179,44 @@ def _beforehand(calibration: Calibration, noise: Noise) -> Beforehand:
     return Beforehand.of(noise, assumed_noise(mechanism, exact=False), exact=exact)
 
 
-def _noise_of(one: Fits, noise: Noise, unit: float) -> Noise:
+def _noise_of(fits_of_all: Fits, noise: Noise, unit: float) -> Noise:
     """Return the noise that the residuals of fits show.
 
     Args:
-        one: The fits.
+        fits_of_all: The fits.
         noise: At which they were made.
         unit: Standard deviation of readings to try where they were exact.
     """
-    fits, calibration = [robust.fit for robust in one.fits], one.calibration
-    for _ in range(BY.rounds):
-        problems = _problems(calibration.with_noise(noise), one)
+    fits, calibration = [robust.fit for robust in fits_of_all.fits], fits_of_all.calibration
+    for _ in range(ROUNDS):
+        problems = _problems(calibration.with_noise(noise), fits_of_all)
         moments = Moments.of(list(zip(fits, problems, strict=True)), noise.reading or unit)
         if moments.rounding:
             return noise
         before = _beforehand(calibration, noise)
-        then = estimated_noise(moments, noise, noise.reading or unit, before)
-        if _alike(noise, then):
+        estimate = estimated_noise(moments, noise, noise.reading or unit, before)
+        if _alike(noise, estimate):
             break
-        noise = then
+        noise = estimate
     return noise
 
 
-def _alike(noise: Noise, then: Noise) -> bool:
-    changes = zip(vars(noise).values(), vars(then).values(), strict=True)
-    return all(abs(a - b) <= BY.alike * max(a, b) for a, b in changes)
+def _alike(noise: Noise, estimate: Noise) -> bool:
+    changes = zip(vars(noise).values(), vars(estimate).values(), strict=True)
+    return all(abs(a - b) <= SETTLED * max(a, b) for a, b in changes)
 
 
-def _problems(calibration: Calibration, one: Fits) -> list[Problem]:
+def _problems(calibration: Calibration, fits_of_all: Fits) -> list[Problem]:
     """Return the problems of fits at a calibration's noise."""
-    if one.latent:
+    if fits_of_all.latent:
         return [calibration.latent_problem]
     plain = calibration.options.setup.plain
-    given = calibration.given_poses(None if plain else one.external)
+    measured_poses = calibration.given_poses(None if plain else fits_of_all.external)
     names = list(calibration.mechanism.leg_names)
-    groups = [[names.index(leg.name) for leg in robust.fit.problem.legs] for robust in one.fits]
-    return [calibration.measured_problem(group, *given)[0] for group in groups]
+    groups = [
+        [names.index(leg.name) for leg in robust.fit.problem.legs] for robust in fits_of_all.fits
+    ]
+    return [calibration.measured_problem(group, *measured_poses)[0] for group in groups]
 
 
 def _loss(calibration: Calibration) -> Loss | None:
@@ -303,10 +293,10 @@ def _measured(calibration: Calibration, tied: bool, before: Fits | None) -> Fits
     external = first if before is None or before.external is None else before.external
     size = largest_size(calibration.mechanism.legs)
     units = np.array([size if u == "m" else 1.0 for u in problem.observation.external.units])
-    for _ in range(BY.rounds):
+    for _ in range(ROUNDS):
         fits = _fit_groups(calibration, groups, unknowns, external)
         step = _toward_nominal(gauge, problem, unknowns, fits, external)
-        if np.abs(step / units).max(initial=0.0) <= BY.still:
+        if np.abs(step / units).max(initial=0.0) <= _STILL:
             return Fits(calibration, fits, external, gauge, unknowns)
         external = problem.observation.external.moved(external, step)
     raise MeasurementError(
@@ -346,8 +336,8 @@ def _groups(calibration: Calibration) -> list[list[int]]:
     together = [
         i for i, leg in enumerate(legs) if any(name in leg.parameter_names for name in options.tied)
     ]
-    alone = [[i] for i in range(len(legs)) if i not in together]
-    return [together, *alone] if together else alone
+    single_legs = [[i] for i in range(len(legs)) if i not in together]
+    return [together, *single_legs] if together else single_legs
 
 
 def _toward_nominal(
@@ -358,15 +348,15 @@ def _toward_nominal(
     if problem.first is None:
         raise TypeError("the problem has no start")
     values = unknowns.start.copy()
-    for one in fits:
+    for robust in fits:
         for leg, columns in zip(
-            one.fit.problem.legs, one.fit.problem.leg_block.columns, strict=True
+            robust.fit.problem.legs, robust.fit.problem.leg_block.columns, strict=True
         ):
             place = [leg.name for leg in problem.legs].index(leg.name)
-            values[problem.leg_block.columns[place]] = one.fit.parameters[columns]
+            values[problem.leg_block.columns[place]] = robust.fit.parameters[columns]
     outside = problem.observation.external
     values[n:] = outside.coordinates(external) - outside.coordinates(problem.first.external)
-    off = np.linalg.lstsq(unknowns.map, values - unknowns.start, rcond=None)[0]
+    deviations = np.linalg.lstsq(unknowns.map, values - unknowns.start, rcond=None)[0]
     along = gauge.constraints @ gauge.directions.T
-    amounts = -np.linalg.solve(along, gauge.constraints @ off)
+    amounts = -np.linalg.solve(along, gauge.constraints @ deviations)
     return np.asarray((unknowns.map @ (gauge.directions.T @ amounts))[n:])

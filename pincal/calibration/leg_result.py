@@ -110,7 +110,7 @@ class LegResult:
 
     @property
     def _fell(self) -> str:
-        before, after = (shown_in(one, self.unit) for one in (self.rms_before, self.rms_after))
+        before, after = (shown_in(rms, self.unit) for rms in (self.rms_before, self.rms_after))
         return f"{before:.3g} → {after:.3g} {SMALL[self.unit]}"
 
     @property

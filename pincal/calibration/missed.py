@@ -56,30 +56,32 @@ class Missed:
 Misses = dict[tuple[str, str], Array]
 
 
-def misses_of(calibration: Calibration, found: Fits) -> Misses:
+def misses_of(calibration: Calibration, fits: Fits) -> Misses:
     """Return by how much targets are missed, by target and unit, each of shape (N,).
 
     NaN where a target was not measured, a reading is missing, or no pose belongs to the readings.
 
     Args:
         calibration: What was measured.
-        found: The fits that predict it.
+        fits: The fits that predict it.
     """
-    seen, data = calibration.observation, calibration.measurements
-    machine = calibration.mechanism.with_parameters(found.parameters(calibration.mechanism))
+    observation, data = calibration.observation, calibration.measurements
+    machine = calibration.mechanism.with_parameters(fits.parameters(calibration.mechanism))
     platform, setup = machine.platform, calibration.options.setup
-    external = found.external or seen.external.start
-    whole = np.isfinite(data.readings).all(axis=1) & seen.measured.any(axis=1)
-    rows = np.flatnonzero(whole)
+    external = fits.external or observation.external.start
+    complete = np.isfinite(data.readings).all(axis=1) & observation.measured.any(axis=1)
+    rows = np.flatnonzero(complete)
     influences = None if calibration.influences is None else calibration.influences[rows]
     guess = None  # measured in another frame
-    if found.external is None or setup.plain:
+    if fits.external is None or setup.plain:
         guess = np.where(np.isfinite(data.poses[rows]), data.poses[rows], platform.home)
-    there = forward(machine, data.readings[rows], guess, influences)
-    rows, poses = rows[there.converged], there.poses[there.converged]
-    at = seen.at(rows)
-    off = np.where(at.measured, at.residuals(platform.matrices(poses), external)[0], np.nan)
-    names = list(seen.names)
+    solution = forward(machine, data.readings[rows], guess, influences)
+    rows, poses = rows[solution.converged], solution.poses[solution.converged]
+    observed = observation.at(rows)
+    errors = np.where(
+        observed.measured, observed.residuals(platform.matrices(poses), external)[0], np.nan
+    )
+    names = list(observation.names)
     columns = {
         (target, "m"): [
             names.index(name)
@@ -92,25 +94,25 @@ def misses_of(calibration: Calibration, found: Fits) -> Misses:
     columns[ORIGIN, "rad"] = [names.index(name) for name, unit in turns if unit == "rad"]
     found_: Misses = {}
     for key, own in columns.items():
-        known = np.isfinite(off[:, own]).any(axis=1)
+        known = np.isfinite(errors[:, own]).any(axis=1)
         if known.any():
             values = np.full(len(data), np.nan)
-            values[rows[known]] = np.sqrt(np.nansum(off[known][:, own] ** 2, axis=1))
+            values[rows[known]] = np.sqrt(np.nansum(errors[known][:, own] ** 2, axis=1))
             found_[key] = values
     return found_
 
 
 def per_row(misses: Misses, count: int) -> Array:
     """Return sizes of misses of position [m], of all targets, and orientation [rad], (N, 2)."""
-    found = np.full((count, 2), np.nan)
+    sizes = np.full((count, 2), np.nan)
     for column, unit in enumerate(("m", "rad")):
-        own = [values for (_, of), values in misses.items() if of == unit]
-        if own:
-            known = np.isfinite(own)
-            squares = np.where(known, np.square(own), 0.0).sum(axis=0)
+        of_unit = [values for (_, own_unit), values in misses.items() if own_unit == unit]
+        if of_unit:
+            known = np.isfinite(of_unit)
+            squares = np.where(known, np.square(of_unit), 0.0).sum(axis=0)
             times = known.sum(axis=0)
-            found[times > 0, column] = np.sqrt(squares[times > 0] / times[times > 0])
-    return found
+            sizes[times > 0, column] = np.sqrt(squares[times > 0] / times[times > 0])
+    return sizes
 
 
 def missed(fitted: Misses, unseen: Sequence[tuple[Calibration, Misses]]) -> tuple[Missed, ...]:
@@ -121,7 +123,7 @@ def missed(fitted: Misses, unseen: Sequence[tuple[Calibration, Misses]]) -> tupl
         unseen: Of each fold, its rows and misses there.
     """
     answers = []
-    for (target, unit), seen in fitted.items():
+    for (target, unit), fitted_values in fitted.items():
         parts = [one[target, unit] for _, one in unseen if (target, unit) in one]
         places = [
             place
@@ -133,14 +135,14 @@ def missed(fitted: Misses, unseen: Sequence[tuple[Calibration, Misses]]) -> tupl
             continue
         values = np.concatenate(parts)
         known = np.isfinite(values)
-        values, own = values[known], np.array(places)[known]
-        mean_ends, rms_ends, poses = _ends(values, own)
+        values, poses_of_rows = values[known], np.array(places)[known]
+        mean_ends, rms_ends, poses = _ends(values, poses_of_rows)
         answers.append(
             Missed(
                 target=target,
                 unit=unit,
                 poses=poses,
-                fit=float(np.sqrt(np.nanmean(seen**2))),
+                fit=float(np.sqrt(np.nanmean(fitted_values**2))),
                 mean=float(values.mean()),
                 rms=float(np.sqrt((values**2).mean())),
                 largest=float(values.max()),
@@ -183,9 +185,9 @@ def _ends(
 
 def _times(drawn: Index) -> Array:
     """Return how often each of n poses was drawn, by draws of n: shape (draws, n) both."""
-    many, n = drawn.shape
-    places = drawn + n * np.arange(many)[:, None]
-    return np.bincount(places.ravel(), minlength=many * n).reshape(many, n).astype(float)
+    draws, n = drawn.shape
+    places = drawn + n * np.arange(draws)[:, None]
+    return np.bincount(places.ravel(), minlength=draws * n).reshape(draws, n).astype(float)
 
 
 @dataclass(frozen=True)
@@ -215,10 +217,10 @@ class Predicted:
         )
 
 
-def predictions(found: Fits, unseen: Calibration) -> list[tuple[Fit, Linear]]:
+def predictions(fits_of_all: Fits, unseen: Calibration) -> list[tuple[Fit, Linear]]:
     """Return fits with their residuals and derivatives at rows that they have not seen."""
-    fits = [robust.fit for robust in found.fits]
-    if found.latent:
+    fits = [robust.fit for robust in fits_of_all.fits]
+    if fits_of_all.latent:
         (one,) = fits
         problem = unseen.latent_problem
         external = one.last.state.external
@@ -226,11 +228,11 @@ def predictions(found: Fits, unseen: Calibration) -> list[tuple[Fit, Linear]]:
         linear = problem.evaluate(poses_at_rest(problem, state))
         return [(one, solve_poses(problem, linear)[0])]
     names = list(unseen.mechanism.leg_names)
-    given = unseen.given_poses(found.external)
+    measured_poses = unseen.given_poses(fits_of_all.external)
     pairs = []
     for one in fits:
         group = [names.index(leg.name) for leg in one.problem.legs]
-        problem, _ = unseen.measured_problem(group, *given)
+        problem, _ = unseen.measured_problem(group, *measured_poses)
         pairs.append((one, problem.evaluate(problem.start(one.parameters))))
     return pairs
 
@@ -257,7 +259,7 @@ def least_of_folds(least: float, fits: Sequence[Robust], groups: Index, *, known
     random = np.random.default_rng(0)
     parts = [_drawn(robust.fit, groups[robust.rows], count, random) for robust in fits]
     inside, own, equations = (np.sum(one, axis=0) for one in zip(*parts, strict=True))
-    dof = sum(one.fit.degrees_of_freedom for one in fits)
+    dof = sum(robust.fit.degrees_of_freedom for robust in fits)
     if known:
         unlikely = inside >= chdtri(equations, least)
     else:  # of a share x of all, or more: the chance that 1 − x follows a beta distribution
@@ -269,31 +271,31 @@ def least_of_folds(least: float, fits: Sequence[Robust], groups: Index, *, known
 
 
 def _drawn(
-    one: Fit, folds: Index, count: int, random: np.random.Generator
+    fit: Fit, folds: Index, count: int, random: np.random.Generator
 ) -> tuple[Array, Array, Array]:
     """Return drawn statistics and squared residuals of folds, (draws, count), their equations."""
-    weights = (one.weights > 0.0)[:, None, None]
-    J = np.where(weights, one.last.jacobian @ one.unknowns.map, 0.0)
-    _, prior = one.unknowns.prior_rows(one.unknowns.start)
-    by = Orthonormal.of(J, prior)
-    Q = by(J).transpose(0, 2, 1)
-    roots, kept = [], []  # draws need no more than single precision
+    weights = (fit.weights > 0.0)[:, None, None]
+    J = np.where(weights, fit.last.jacobian @ fit.unknowns.map, 0.0)
+    _, prior = fit.unknowns.prior_rows(fit.unknowns.start)
+    orthonormal = Orthonormal.of(J, prior)
+    Q = orthonormal(J).transpose(0, 2, 1)
+    roots, equations = [], []  # draws need no more than single precision
     for fold in range(count):
         part = Q[folds == fold]
         share, V = np.linalg.eigh(np.einsum("nim,njm->ij", part, part))
         has = share > _RANK
         root = np.sqrt(share[has])[:, None] * V[:, has].T
         roots.append((root.astype(np.float32), (1.0 - share[has]).astype(np.float32)))
-        kept.append(int(one.last.equations[folds == fold][weights[folds == fold, 0, 0]].sum()))
+        equations.append(int(fit.last.equations[folds == fold][weights[folds == fold, 0, 0]].sum()))
     drawn = [random.standard_normal((DRAWS, len(left)), np.float32) for _, left in roots]
     taken = sum(u @ root for u, (root, _) in zip(drawn, roots, strict=True))
     if len(prior):
-        held = by(prior).astype(np.float32)
+        held = orthonormal(prior).astype(np.float32)
         taken = taken + random.standard_normal((DRAWS, len(prior)), np.float32) @ held
-    inside, own = np.empty((DRAWS, count)), np.empty((DRAWS, count))
+    inside, squared = np.empty((DRAWS, count)), np.empty((DRAWS, count))
     for fold, (u, (root, left)) in enumerate(zip(drawn, roots, strict=True)):
         squares = np.square(u - taken @ root.T)
-        rest = random.chisquare(max(kept[fold] - len(left), 1e-9), DRAWS)
+        rest = random.chisquare(max(equations[fold] - len(left), 1e-9), DRAWS)
         inside[:, fold] = squares @ (1.0 / np.maximum(left, _RANK)) + rest
-        own[:, fold] = squares.sum(axis=1) + rest
-    return inside, own, np.array(kept, dtype=float)
+        squared[:, fold] = squares.sum(axis=1) + rest
+    return inside, squared, np.array(equations, dtype=float)

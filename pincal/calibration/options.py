@@ -32,13 +32,13 @@ def folds_of(data: Measurements, folds: int, by: By = "turn") -> Index:
         names = tuple(dict.fromkeys(data.runs or ()))
         if len(names) < 2:
             raise MeasurementError("runs are left out by a column 'run' with at least two in it")
-        return np.array([names.index(one) for one in data.runs or ()])
+        return np.array([names.index(run) for run in data.runs or ()])
     places = clusters(data)
     sets = data.sets or ("",) * len(data)
     groups: dict[str, dict[str, list[int]]] = {}
     for row, (chosen, place) in enumerate(zip(sets, places, strict=True)):
         groups.setdefault(chosen, {}).setdefault(place, []).append(row)
-    most = max(len(one) for one in groups.values())
+    most = max(len(poses) for poses in groups.values())
     if not 2 <= folds <= most:
         raise MeasurementError(
             f"{folds} folds of {most} poses; expected at least two folds, and no more than there "
@@ -202,7 +202,7 @@ class Options:
         Raises:
             MeasurementError: unknown options or values.
         """
-        known = {one.name: one for one in fields(cls)}
+        known = {option.name: option for option in fields(cls)}
         if unknown := [name for name in given if name not in known]:
             raise MeasurementError(f"no option {unknown[0]!r}; expected some of {', '.join(known)}")
         given = {name: value for name, value in given.items() if value is not None}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -50,19 +50,9 @@ CONTRADICT = frozenset(
 )
 
 
-@dataclass(frozen=True)
-class Limits:
-    """Up to where uncertainties mean something."""
-
-    promised: float = 3.0
-    """Times the noise given, up to which residuals may be noise that is larger."""
-    missed: float = 0.01
-    """Standard deviations, below which a leg misses nothing."""
-    fell: float = 0.5
-    """Of the residuals: less must be left of them if anything was corrected."""
-
-
-_UP_TO = Limits()
+_PROMISED = 3.0  # times the noise given, up to which residuals may be noise that is larger
+_MISSED = 0.01  # standard deviations, below which a leg misses nothing
+_FELL = 0.5  # share of the residuals that may be left if anything was corrected
 
 
 def excess_of(chi2: float, p_value: float) -> float:
@@ -72,7 +62,7 @@ def excess_of(chi2: float, p_value: float) -> float:
 
 def explained(result: CalibrationResult) -> bool:
     """Return whether residuals fell, and so near to the noise that uncertainties mean anything."""
-    return result.excess <= _UP_TO.promised and corrects(result)
+    return result.excess <= _PROMISED and corrects(result)
 
 
 def contradictions(result: CalibrationResult) -> tuple[Finding, ...]:
@@ -80,11 +70,13 @@ def contradictions(result: CalibrationResult) -> tuple[Finding, ...]:
 
     Terms that these measurements chose are made to fit them: only held-out rows can vouch for them.
     """
-    found = list(result.findings)
-    for more in (result.validation, result.runs):
-        found += [one for one in (() if more is None else more.findings) if one not in found]
+    remarks = list(result.findings)
+    for check in (result.validation, result.runs):
+        remarks += [
+            remark for remark in (() if check is None else check.findings) if remark not in remarks
+        ]
     vouched = {"terms-chosen"} if result.validation is not None else set()
-    return tuple(one for one in found if one.code in CONTRADICT - vouched)
+    return tuple(one for one in remarks if one.code in CONTRADICT - vouched)
 
 
 def whitened(parts: Sequence[LegResult | Observed]) -> tuple[Array, Array]:
@@ -101,9 +93,9 @@ def whitened(parts: Sequence[LegResult | Observed]) -> tuple[Array, Array]:
 def corrects(result: CalibrationResult) -> bool:
     """Return whether residuals fell by half at least, in standard deviations, or are noise."""
     legs = whitened(result.legs)
-    shown = legs if np.abs(legs[0]).max(initial=0.0) > _UP_TO.missed else result.whitened
-    before, after = ((one**2).sum() for one in shown)
-    return result.excess == 1.0 or bool(after <= _UP_TO.fell**2 * before)
+    shown = legs if np.abs(legs[0]).max(initial=0.0) > _MISSED else result.whitened
+    before, after = ((residuals**2).sum() for residuals in shown)
+    return result.excess == 1.0 or bool(after <= _FELL**2 * before)
 
 
 def expected_error(result: CalibrationResult, poses: Plan | Array) -> PlatformError:
@@ -121,8 +113,9 @@ def expected_error(result: CalibrationResult, poses: Plan | Array) -> PlatformEr
 
 def _outside(result: CalibrationResult, error: PlatformError) -> Array:
     """Return how many times as uncertain as any measured pose others are, shape (N,)."""
-    most = most_uncertain(result)
-    known = np.where(most == 0.0, np.inf, np.nan_to_num(most))  # what does not turn is nowhere off
+    largest = most_uncertain(result)
+    # what does not turn is nowhere off
+    known = np.where(largest == 0.0, np.inf, np.nan_to_num(largest))
     with np.errstate(divide="ignore", invalid="ignore"):
         ratios = error.sizes / known
     return np.asarray(np.where(np.isinf(error.sizes), np.inf, ratios).max(axis=1) * (1.0 - _SAME))
@@ -134,7 +127,7 @@ def most_uncertain(result: CalibrationResult) -> Array:
     They bound the measured region, shape (2,); NaN where no measured pose is determined.
     """
     measured = _at_measured(result).sizes.copy()
-    measured[[one.row for one in result.outliers if one.weight == 0.0]] = np.nan
+    measured[[outlier.row for outlier in result.outliers if outlier.weight == 0.0]] = np.nan
     measured = measured[np.isfinite(measured).all(axis=1)]
     return np.asarray(measured.max(axis=0) if len(measured) else np.full(2, np.nan))
 
@@ -164,7 +157,7 @@ def uncovered(result: CalibrationResult) -> tuple[str, ...]:
 
 def _by_covariance(result: CalibrationResult, poses: Plan | Array) -> PlatformError:
     lost = result.undetermined_directions
-    found = platform_error(
+    error = platform_error(
         result.identified,
         result.covariance,
         poses,
@@ -172,7 +165,7 @@ def _by_covariance(result: CalibrationResult, poses: Plan | Array) -> PlatformEr
         result.frames_moved,
         result.noise_freedoms,
     )
-    return replace(found, unseen=unseen(result.reduced_chi2, result.chi2_freedoms))
+    return replace(error, unseen=unseen(result.reduced_chi2, result.chi2_freedoms))
 
 
 def _at_measured(result: CalibrationResult) -> PlatformError:
@@ -191,11 +184,11 @@ def misses(result: CalibrationResult) -> tuple[float, float]:
     """Return by how much the platform misses poses that were measured in full, [m] and [rad]."""
     held = result.validation
     if held is not None and (held.position or held.orientation):
-        both = held.position, held.orientation
-        position, orientation = (np.nan if one is None else one[1] for one in both)
+        held_out = held.position, held.orientation
+        position, orientation = (np.nan if one is None else one[1] for one in held_out)
         return position, orientation
     twists = pose_misses(result.calibration, result.identified, result.outside)
-    twists[[one.row for one in result.outliers if one.weight == 0.0]] = np.nan
+    twists[[outlier.row for outlier in result.outliers if outlier.weight == 0.0]] = np.nan
     twists = twists[np.isfinite(twists).all(axis=1)]
     if not len(twists):
         return np.nan, np.nan
@@ -214,11 +207,11 @@ def pose_misses(calibration: Calibration, machine: Mechanism, external: External
     """
     setup, data = calibration.options.setup, calibration.measurements
     twists = np.full(data.poses.shape, np.nan)
-    whole: Mask = np.asarray(np.isfinite(data.poses).all(axis=1))
-    if whole.any() and not setup.distances and len(setup.targets) <= 1:
-        poses, _ = calibration.rows(whole).given_poses(external)
-        own = data.rows(whole)
-        known = {name: own.influences[name] for name in machine.influences}
-        there = Plan(poses, readings=own.readings, influences=known)
-        twists[whole] = closing_twists(machine, there)
+    complete: Mask = np.asarray(np.isfinite(data.poses).all(axis=1))
+    if complete.any() and not setup.distances and len(setup.targets) <= 1:
+        poses, _ = calibration.rows(complete).given_poses(external)
+        rows = data.rows(complete)
+        known = {name: rows.influences[name] for name in machine.influences}
+        plan = Plan(poses, readings=rows.readings, influences=known)
+        twists[complete] = closing_twists(machine, plan)
     return twists

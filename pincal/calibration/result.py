@@ -175,8 +175,8 @@ class CalibrationResult:
         Raises:
             MechanismError: no parameter has this id; the message names those alike.
         """
-        found: IdentifiedParameter = self.parameters[key]
-        return found
+        parameter: IdentifiedParameter = self.parameters[key]
+        return parameter
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -254,7 +254,7 @@ class CalibrationResult:
     @property
     def moves_frames(self) -> bool:
         """Whether a choice named in ``gauge`` moves the base or the platform frame."""
-        return any(one.code.startswith("gauge-") for one in self.gauge)
+        return any(freedom.code.startswith("gauge-") for freedom in self.gauge)
 
     def expected_error(self, poses: Plan | Array | None = None) -> PlatformError:
         """Return the platform error to expect of the calibrated mechanism.
@@ -299,7 +299,7 @@ class CalibrationResult:
         findings = self.findings
         for check in checks.values():
             codes = {finding.code for finding in findings}
-            findings += tuple(one for one in check.findings if one.code not in codes)
+            findings += tuple(remark for remark in check.findings if remark.code not in codes)
         changes: dict[str, Any] = {"findings": findings, **checks}
         return replace(self, **changes)
 

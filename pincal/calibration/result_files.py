@@ -53,7 +53,9 @@ def _is_array(kind: Any) -> bool:
 def _plain(array: NDArray[Any]) -> Any:
     """Return an array as its type, shape and numbers; those that are none as strings."""
     flat = array.ravel().tolist()
-    numbers = [one if one == one and abs(one) < np.inf else str(one) for one in flat]
+    numbers = [
+        number if number == number and abs(number) < np.inf else str(number) for number in flat
+    ]
     return {"type": array.dtype.str, "shape": list(array.shape), "values": numbers}
 
 
@@ -80,20 +82,22 @@ def _loss(name: str, _: Any) -> LossName | Loss:
 
 
 def _converter() -> BaseConverter:
-    found = Converter(forbid_extra_keys=True)
-    found.register_unstructure_hook_func(_is_array, _plain)
-    found.register_unstructure_hook(np.ndarray, _plain)
-    found.register_structure_hook_func(_is_array, _array)
-    found.register_unstructure_hook(float, lambda x: x if abs(x) < np.inf else str(x))
-    found.register_structure_hook(float, _number)
-    found.register_structure_hook_func(lambda kind: kind == LossName | Loss, _loss)
-    found.register_structure_hook_func(
-        lambda kind: kind == Tolerance, lambda data, _: found.structure(data, dict[str, float])
+    converter = Converter(forbid_extra_keys=True)
+    converter.register_unstructure_hook_func(_is_array, _plain)
+    converter.register_unstructure_hook(np.ndarray, _plain)
+    converter.register_structure_hook_func(_is_array, _array)
+    converter.register_unstructure_hook(float, lambda x: x if abs(x) < np.inf else str(x))
+    converter.register_structure_hook(float, _number)
+    converter.register_structure_hook_func(lambda kind: kind == LossName | Loss, _loss)
+    converter.register_structure_hook_func(
+        lambda kind: kind == Tolerance, lambda data, _: converter.structure(data, dict[str, float])
     )
-    found.register_structure_hook_func(lambda kind: kind == Progress, lambda *_: None)
-    found.register_structure_hook_func(lambda kind: kind == tuple[Instrument, ...], lambda *_: ())
-    found.register_structure_hook_func(lambda kind: kind is Any, lambda data, _: _frozen(data))
-    return found
+    converter.register_structure_hook_func(lambda kind: kind == Progress, lambda *_: None)
+    converter.register_structure_hook_func(
+        lambda kind: kind == tuple[Instrument, ...], lambda *_: ()
+    )
+    converter.register_structure_hook_func(lambda kind: kind is Any, lambda data, _: _frozen(data))
+    return converter
 
 
 def _frozen(data: Any) -> Any:
@@ -117,9 +121,9 @@ def stored(result: CalibrationResult) -> dict[str, Any]:
     Raises:
         MeasurementError: instruments of one's own, which are code, not data.
     """
-    if own := [one.name for one in result.options.setup.instruments]:
+    if custom := [instrument.name for instrument in result.options.setup.instruments]:
         raise MeasurementError(
-            f"instrument {own[0]!r} is code, which a result's folder does not hold; save the "
+            f"instrument {custom[0]!r} is code, which a result's folder does not hold; save the "
             "calibrated mechanism (result.identified.save) and the report"
         )
     options = replace(result.options, progress=None, loss="none")
@@ -129,9 +133,9 @@ def stored(result: CalibrationResult) -> dict[str, Any]:
         "start": _CONVERTER.unstructure(result.calibration.start),
         "noise_model": _CONVERTER.unstructure(result.calibration.noise),
         **{
-            one.name: _CONVERTER.unstructure(getattr(result, one.name))
-            for one in fields(CalibrationResult)
-            if one.name not in _APART
+            part.name: _CONVERTER.unstructure(getattr(result, part.name))
+            for part in fields(CalibrationResult)
+            if part.name not in _APART
         },
     }
 
@@ -150,16 +154,20 @@ def restored(data: dict[str, Any], nominal: Mechanism) -> CalibrationResult:
         start=_kept(data, "start", Array),
         known_noise=_kept(data, "noise_model", NoiseModel),
     )
-    found = {
+    fields_found = {
         name: _CONVERTER.structure(data[name], kind)
         for name, kind in _HINTS.items()
         if name not in _APART and name in data
     }
-    known = [(one.id, one.unit) for one in nominal.parameters]
-    if known != [(one.id, one.unit) for leg in found["legs"] for one in leg.parameters]:
+    known = [(parameter.id, parameter.unit) for parameter in nominal.parameters]
+    if known != [
+        (parameter.id, parameter.unit)
+        for leg in fields_found["legs"]
+        for parameter in leg.parameters
+    ]:
         raise ValueError("parameters of another mechanism than the nominal one")
-    values = {leg.name: leg.identified for leg in found["legs"]}
-    return CalibrationResult(calibration, nominal.with_parameters(values), **found)
+    values = {leg.name: leg.identified for leg in fields_found["legs"]}
+    return CalibrationResult(calibration, nominal.with_parameters(values), **fields_found)
 
 
 FORMAT = 2
@@ -216,18 +224,18 @@ def check_reproduces(result: CalibrationResult, machine: Mechanism) -> None:
     Raises:
         PincalError: it does not.
     """
-    off = unreproduced(result, machine)
-    if not off <= REPRODUCED:
+    ratio = unreproduced(result, machine)
+    if not ratio <= REPRODUCED:
         raise PincalError(
             "the calibrated mechanism, read back, does not give the residuals of its calibration "
-            f"(off by {off:.1g} of its size). This is a fault of pincal, not of the measurements: "
-            "nothing is written; please report it with mechanism and measurements"
+            f"(off by {ratio:.1g} of its size). This is a fault of pincal, not of the "
+            "measurements: nothing is written; please report it with mechanism and measurements"
         )
 
 
 def as_json(result: CalibrationResult) -> dict[str, Any]:
     """Return a result as plain data for JSON; numbers that do not exist are null."""
-    found = {
+    contents = {
         "pincal_result": FORMAT,
         "pincal": __version__,
         "mechanism": result.nominal.name,
@@ -244,23 +252,23 @@ def as_json(result: CalibrationResult) -> dict[str, Any]:
         "promised": result.promises,
         "promise_leaves_out": list(uncovered(result)),
         "measured_region": most_uncertain(result),
-        "contradicted_by": [one.code for one in result.contradictions],
+        "contradicted_by": [remark.code for remark in result.contradictions],
         "noise": {"source": result.noise_source, **(vars(result.noise) if result.noise else {})},
         "warnings": list(result.warnings),
         "findings": [
-            vars(one) | {"rows": [row + 1 for row in one.rows], "sentence": sentence(one)}
-            for one in result.findings
+            vars(remark) | {"rows": [row + 1 for row in remark.rows], "sentence": sentence(remark)}
+            for remark in result.findings
         ],
         "loss": result.loss,
-        "outliers": [vars(one) | {"row": one.row + 1} for one in result.outliers],
+        "outliers": [vars(outlier) | {"row": outlier.row + 1} for outlier in result.outliers],
         "shift_without_loss": result.shift,
         "external": [_parameter(p) for p in result.external],
-        "gauge": [sentence(one) for one in result.gauge],
-        "ties": [vars(one) | {"holds": one.holds} for one in result.ties],
+        "gauge": [sentence(freedom) for freedom in result.gauge],
+        "ties": [vars(tie) | {"holds": tie.holds} for tie in result.ties],
         "observed": [
-            {"name": one.name, "unit": one.unit, "count": one.count}
-            | {"rms": one.rms, "sigma": one.sigma}
-            for one in result.observed
+            {"name": observed.name, "unit": observed.unit, "count": observed.count}
+            | {"rms": observed.rms, "sigma": observed.sigma}
+            for observed in result.observed
         ],
         "weakly_determined": result.weak,
         "validation": result.validation,
@@ -269,7 +277,7 @@ def as_json(result: CalibrationResult) -> dict[str, Any]:
         "covariance": result.parameter_covariance,
         "data": stored(result),
     }
-    return dict(plain(found))
+    return dict(plain(contents))
 
 
 def _residuals(result: CalibrationResult) -> dict[str, list[str]]:
@@ -284,9 +292,9 @@ def _residuals(result: CalibrationResult) -> dict[str, list[str]]:
         if row[2] > 0.0 or not result.observed
     ]
     parts += [
-        ("", one.name, one.unit, *row)
-        for one in result.observed
-        for row in zip(one.rows, one.residuals, one.sigmas, strict=True)
+        ("", observed.name, observed.unit, *row)
+        for observed in result.observed
+        for row in zip(observed.rows, observed.residuals, observed.sigmas, strict=True)
     ]
     return {
         "leg": [leg for leg, *_ in parts],
@@ -351,12 +359,12 @@ def _finite(text: str) -> float:
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found: dict[str, Any] = {}
+    pairs_by_name: dict[str, Any] = {}
     for name, value in pairs:
-        if name in found:
+        if name in pairs_by_name:
             raise ValueError(f"{name[:40]!r} appears twice")
-        found[name] = value
-    return found
+        pairs_by_name[name] = value
+    return pairs_by_name
 
 
 def read_result(folder: str | Path) -> dict[str, Any]:
@@ -388,8 +396,8 @@ def load_result(folder: str | Path) -> CalibrationResult:
             not hold all.
         MechanismError: a nominal mechanism that cannot be loaded.
     """
-    found = read_result(folder)
-    if "data" not in found:
+    contents = read_result(folder)
+    if "data" not in contents:
         raise MeasurementError(
             f"{folder}: a result of version 0.1, which does not hold all that it was made from; "
             "calibrate again, or read it with pincal.calibration.result_files.read_result"
@@ -397,7 +405,7 @@ def load_result(folder: str | Path) -> CalibrationResult:
     nominal = load_mechanism(Path(folder) / NOMINAL)
     try:
         with warnings.catch_warnings(action="error"):
-            result = restored(found["data"], nominal)
+            result = restored(contents["data"], nominal)
             as_json(result)
             str(result)  # all that is said of it can be said
     except Exception as error:  # what was saved raises nothing

@@ -68,7 +68,7 @@ class RunComparison:
             f"({chance(self.p_value)})",
             f"{self.names[first]} most: spread {spread}, predicted {predicted}",
         ]
-        return "\n".join([*lines, *(f"warning: {one}" for one in sentences(self.findings))])
+        return "\n".join([*lines, *(f"warning: {text}" for text in sentences(self.findings))])
 
     @property
     def agree(self) -> bool:
@@ -104,9 +104,11 @@ def runs_compared(names: tuple[str, ...], results: Sequence[CalibrationResult]) 
         results: Their results.
     """
     parameters = [parameter for leg in results[0].legs for parameter in leg.parameters]
-    values = np.array([np.concatenate([leg.identified for leg in one.legs]) for one in results])
-    C = np.array([one.covariance for one in results])
-    freedoms = sum(one.noise_freedoms or np.inf for one in results)
+    values = np.array(
+        [np.concatenate([leg.identified for leg in result.legs]) for result in results]
+    )
+    C = np.array([result.covariance for result in results])
+    freedoms = sum(result.noise_freedoms or np.inf for result in results)
     scale = np.sqrt(np.einsum("rii->ri", C).mean(axis=0))
     scale[scale == 0.0] = 1.0
     weights = np.linalg.pinv(C / np.outer(scale, scale), rcond=1e-12, hermitian=True)
@@ -114,8 +116,8 @@ def runs_compared(names: tuple[str, ...], results: Sequence[CalibrationResult]) 
     mean = np.linalg.pinv(weights.sum(axis=0), rcond=1e-12, hermitian=True) @ np.einsum(
         "rij,rj->i", weights, relative
     )
-    off = relative - mean
-    statistic = float(np.einsum("ri,rij,rj->", off, weights, off))
+    deviations = relative - mean
+    statistic = float(np.einsum("ri,rij,rj->", deviations, weights, deviations))
     rank = int(np.linalg.matrix_rank(weights.sum(axis=0), hermitian=True))
     dof = rank * (len(names) - 1)
     return RunComparison(

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from pincal.calibration.calibration import Calibration
-from pincal.calibration.fits import BY, Fits, fitted
+from pincal.calibration.fits import ROUNDS, SETTLED, Fits, fitted
 from pincal.calibration.options import AUTO
 from pincal.design.platform_error import CONFIDENCE
 from pincal.errors import MeasurementError
@@ -39,35 +39,35 @@ def with_found_tolerance(calibration: Calibration) -> Calibration:
     units = _units(calibration)
     size = largest_size(calibration.mechanism.legs)
     far = {unit: DIFFER * (size if unit == "m" else 1.0) for unit in units}
-    asked = [unit for unit, ids in units.items() if len(ids) > 2]  # one or two say nothing
-    groups = {id_: place for place, unit in enumerate(asked) for id_ in units[unit]}
-    ends = np.array([far[unit] for unit in asked])
+    sought_units = [unit for unit, ids in units.items() if len(ids) > 2]  # one or two say nothing
+    groups = {id_: place for place, unit in enumerate(sought_units) for id_ in units[unit]}
+    ends = np.array([far[unit] for unit in sought_units])
     sizes = ends
-    calibration = calibration.with_options(tolerance=dict(zip(asked, sizes, strict=True)))
+    calibration = calibration.with_options(tolerance=dict(zip(sought_units, sizes, strict=True)))
     answer = None
-    for _ in range(BY.rounds if asked else 0):
+    for _ in range(ROUNDS if sought_units else 0):
         calibration.options.report("finding how far the machine is from its drawing")
-        parts = [Evidence.of(one.fit, groups) for one in fitted(calibration).fits]
+        parts = [Evidence.of(robust.fit, groups) for robust in fitted(calibration).fits]
         rise = float(chdtri(1, 1.0 - CONFIDENCE))
         answer = likeliest(parts, sizes, (ALIKE * ends, ends), rise)
         moved = np.abs(np.log(answer.most / sizes)).max()
         sizes = answer.most
-        known = {unit: float(one) for unit, one in zip(asked, sizes, strict=True)}
+        known = {unit: float(one) for unit, one in zip(sought_units, sizes, strict=True)}
         calibration = calibration.with_options(tolerance=known)
-        if moved <= BY.alike:
+        if moved <= SETTLED:
             break
-    found = []
+    tolerances = []
     for unit, ids in units.items():
-        place = asked.index(unit) if unit in asked else None
+        place = sought_units.index(unit) if unit in sought_units else None
         if place is None or answer is None:
-            found.append(FoundTolerance(unit, np.inf, 0.0, np.inf, len(ids)))
+            tolerances.append(FoundTolerance(unit, np.inf, 0.0, np.inf, len(ids)))
             continue
         low, high = answer.ends[place].tolist()
-        found.append(FoundTolerance(unit, float(sizes[place]), low, high, len(ids)))
-    return replace(calibration, tolerances=tuple(found))
+        tolerances.append(FoundTolerance(unit, float(sizes[place]), low, high, len(ids)))
+    return replace(calibration, tolerances=tuple(tolerances))
 
 
-def with_unsure_tolerances(found: Fits) -> Fits:
+def with_unsure_tolerances(fits_of_all: Fits) -> Fits:
     """Return fits with what uncertain tolerances add to their covariances.
 
     By how far the estimate follows the logarithm of each, to first order: ∂φ/∂ log τ² =
@@ -75,30 +75,34 @@ def with_unsure_tolerances(found: Fits) -> Fits:
     measurements determine of k of them is worth k − tr C / τ² (D. J. C. MacKay 1992), and log τ²
     is known as if so many were seen.
     """
-    mechanism, fits = found.calibration.mechanism, []
-    units = {one.id: one.unit for one in mechanism.parameters}
-    for robust in found.fits:
+    mechanism, fits = fits_of_all.calibration.mechanism, []
+    units = {parameter.id: parameter.unit for parameter in mechanism.parameters}
+    for robust in fits_of_all.fits:
         fit = robust.fit
         unknowns, covariance = fit.unknowns, fit.covariance
         values = fit.system.values(fit.last.state) - unknowns.nominal
-        for one in found.calibration.tolerances:
-            alike = np.array([units.get(id_) == one.unit for id_ in unknowns.labels])
-            own = alike & (unknowns.priors == one.size)  # others have one of their own
-            pull = np.where(own, values / one.size**2, 0.0)
-            seen = own.sum() - np.diagonal(fit.covariance)[own].sum() / one.size**2
-            unsure = np.sqrt(2.0 / max(seen, 0.5))  # of the logarithm; at most a factor of e²
-            by = unsure / fit.noise_scale**2 * (fit.covariance @ pull)
-            covariance = covariance + np.outer(by, by)
+        for tolerance in fits_of_all.calibration.tolerances:
+            of_unit = np.array([units.get(id_) == tolerance.unit for id_ in unknowns.labels])
+            tolerated = of_unit & (
+                unknowns.priors == tolerance.size
+            )  # others have one of their own
+            pull = np.where(tolerated, values / tolerance.size**2, 0.0)
+            determined = (
+                tolerated.sum() - np.diagonal(fit.covariance)[tolerated].sum() / tolerance.size**2
+            )
+            unsure = np.sqrt(2.0 / max(determined, 0.5))  # of the logarithm; at most a factor of e²
+            follows = unsure / fit.noise_scale**2 * (fit.covariance @ pull)
+            covariance = covariance + np.outer(follows, follows)
         fits.append(replace(robust, fit=replace(fit, covariance=covariance)))
-    return replace(found, fits=fits)
+    return replace(fits_of_all, fits=fits)
 
 
 def _units(calibration: Calibration) -> dict[str, list[str]]:
     """Return ids of the parameters whose tolerance is to be found, by unit."""
-    found: dict[str, list[str]] = {}
+    ids_by_unit: dict[str, list[str]] = {}
     free = calibration.unknowns()
     moved = dict(zip(free.labels, free.map.any(axis=1) & ~np.isfinite(free.priors), strict=True))
-    for one in calibration.mechanism.parameters:
-        if moved[one.id] and one.id not in calibration.mechanism.amplitudes:
-            found.setdefault(one.unit, []).append(one.id)
-    return found
+    for parameter in calibration.mechanism.parameters:
+        if moved[parameter.id] and parameter.id not in calibration.mechanism.amplitudes:
+            ids_by_unit.setdefault(parameter.unit, []).append(parameter.id)
+    return ids_by_unit

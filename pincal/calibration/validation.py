@@ -82,8 +82,8 @@ class Validation:
             f"rows of the fit miss by {self.fit:.2f} σ, held-out rows by {self.held_out:.2f} σ, "
             f"{self.expected:.2f} σ are expected ({chance(self.p_value)})",
         ]
-        lines += [missed_in_words(vars(one)) for one in self.targets]
-        return "\n".join([*lines, *(f"warning: {one}" for one in sentences(self.findings))])
+        lines += [missed_in_words(vars(target)) for target in self.targets]
+        return "\n".join([*lines, *(f"warning: {text}" for text in sentences(self.findings))])
 
 
 @on_one_thread
@@ -101,41 +101,41 @@ def held_out(
     whole = _converged(calibration, "the fit of all rows") if whole is None else whole
     calibration = whole.calibration
     if calibration.options.loss != "none":
-        out = [outlier.row for one in whole.fits for outlier in one.outliers]
-        kept = ~np.isin(np.arange(len(calibration.measurements)), out)
-        calibration = calibration.rows(kept).with_options(loss="none")
+        outlying = [outlier.row for robust in whole.fits for outlier in robust.outliers]
+        fitting_rows = ~np.isin(np.arange(len(calibration.measurements)), outlying)
+        calibration = calibration.rows(fitting_rows).with_options(loss="none")
         whole = _converged(calibration, "the fit of the rows that fit")
         calibration = whole.calibration
     groups = folds_of(calibration.measurements, folds, by)
     every = bool((groups >= 0).all())  # rows to verify with are in no fit
-    total = sum(one.fit.chi2 for one in whole.fits) if every else None
+    total = sum(robust.fit.chi2 for robust in whole.fits) if every else None
     count = int(groups.max()) + 1
     parts: list[Predicted] = []
     misses: list[tuple[Calibration, Misses]] = []
     chances = []
     for fold in range(count):
         calibration.options.report(f"held-out rows, fold {fold + 1} of {count}")
-        others = groups != fold
-        seen = calibration.rows(others).at_this_noise()
-        near = Near.of(whole, others) if whole.latent else None
-        found = _converged(seen, f"fold {fold + 1} of {count}", near)
+        seen_rows = groups != fold
+        seen_rows_alone = calibration.rows(seen_rows).at_this_noise()
+        near = Near.of(whole, seen_rows) if whole.latent else None
+        fold_fits = _converged(seen_rows_alone, f"fold {fold + 1} of {count}", near)
         unseen = calibration.rows(groups == fold)
-        own = [Predicted.of(one, linear) for one, linear in predictions(found, unseen)]
-        chances.append(_chance(found, own, total))
+        own = [Predicted.of(one, linear) for one, linear in predictions(fold_fits, unseen)]
+        chances.append(_chance(fold_fits, own, total))
         parts += own
-        misses.append((unseen, misses_of(unseen, found)))
+        misses.append((unseen, misses_of(unseen, fold_fits)))
     equations = sum(one.equations for one in parts)
-    dof = sum(one.fit.degrees_of_freedom for one in whole.fits)
-    fit = sum(one.fit.chi2 for one in whole.fits) / max(dof, 1)
+    dof = sum(robust.fit.degrees_of_freedom for robust in whole.fits)
+    fit = sum(robust.fit.chi2 for robust in whole.fits) / max(dof, 1)
     unit = 1.0 if calibration.noise.known else max(fit, 1e-300)  # noise that was estimated
     growth = sum(one.unknown for one in parts) / equations
     held = np.sqrt(sum(one.squares for one in parts) / equations / unit)
     expected = np.sqrt(fit / unit * (1.0 + growth))
     p_value = least_of_folds(min(chances), whole.fits, groups, known=calibration.noise.known)
     readable = not rounding(whole)
-    more = lacking(whole) if readable else []
+    remarks = lacking(whole) if readable else []
     if readable and p_value < UNLIKELY and np.sqrt(fit / unit) <= MISSES:
-        more.append(
+        remarks.append(
             finding(
                 "held-out-worse", held_out=float(held), expected=float(expected), p_value=p_value
             )
@@ -150,7 +150,7 @@ def held_out(
         p_value=p_value,
         position=_both(targets, "m"),
         orientation=_both(targets, "rad"),
-        findings=tuple(more),
+        findings=tuple(remarks),
         targets=targets,
     )
 
@@ -161,15 +161,15 @@ def _converged(calibration: Calibration, what: str, near: Near | None = None) ->
     Raises:
         MeasurementError: they do not converge.
     """
-    found = fitted(calibration, near=near)
-    if not all(one.fit.converged for one in found.fits):
+    fits = fitted(calibration, near=near)
+    if not all(robust.fit.converged for robust in fits.fits):
         raise MeasurementError(
             f"{what} does not converge; measure more poses, or give a better nominal mechanism"
         )
-    return found
+    return fits
 
 
-def _chance(found: Fits, parts: Sequence[Predicted], total: float | None) -> float:
+def _chance(fits_of_all: Fits, parts: Sequence[Predicted], total: float | None) -> float:
     """Return the probability that rows miss a fit so far, or farther, if the model is right.
 
     χ² of all rows is larger than that of the rows seen by a χ² of its own, independent of theirs;
@@ -177,29 +177,29 @@ def _chance(found: Fits, parts: Sequence[Predicted], total: float | None) -> flo
     Σ rᵀ (1 + J C Jᵀ)⁻¹ r, which curvature spoils where a region is left out.
 
     Args:
-        found: The fits of the rows seen.
+        fits_of_all: The fits of the rows seen.
         parts: What they predict of the others.
         total: χ² of all rows at this noise; by the first order if not given.
     """
     equations = sum(one.equations for one in parts)
-    fits = [one.fit for one in found.fits]
-    dof = sum(one.degrees_of_freedom for one in fits)
-    share = 1.0 if found.latent else chi2_freedoms(found.fits) / max(dof, 1)
-    seen = sum(one.chi2 for one in fits)
-    inside = sum(one.statistic for one in parts) if total is None else max(total - seen, 0.0)
-    ratio, own = inside / equations, seen / max(dof, 1)
-    if found.calibration.noise.known:
-        known = confidence(found).of_chi2
-        if exceeded(own, share * dof, known) >= UNEXPLAINED:  # else the noise is not as given
+    fits = [robust.fit for robust in fits_of_all.fits]
+    dof = sum(fit.degrees_of_freedom for fit in fits)
+    share = 1.0 if fits_of_all.latent else chi2_freedoms(fits_of_all.fits) / max(dof, 1)
+    chi2_seen = sum(fit.chi2 for fit in fits)
+    inside = sum(one.statistic for one in parts) if total is None else max(total - chi2_seen, 0.0)
+    ratio, own_ratio = inside / equations, chi2_seen / max(dof, 1)
+    if fits_of_all.calibration.noise.known:
+        known = confidence(fits_of_all).of_chi2
+        if exceeded(own_ratio, share * dof, known) >= UNEXPLAINED:  # else the noise is not as given
             return exceeded(ratio, share * equations, known)
-    if not own > 0.0:
+    if not own_ratio > 0.0:
         return 1.0
-    return exceeded(ratio / own, share * equations, share * dof)
+    return exceeded(ratio / own_ratio, share * equations, share * dof)
 
 
 def _both(targets: Sequence[Missed], unit: str) -> tuple[float, float] | None:
     """Return root mean square misses of all targets, in the fit and held out; None without any."""
-    own = [one for one in targets if one.unit == unit]
+    own = [target for target in targets if target.unit == unit]
     if not own:
         return None
     fit, held = np.sqrt(np.mean([(one.fit**2, one.rms**2) for one in own], axis=0)).tolist()

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pincal.calibration.terms.choice import RULES
+from pincal.calibration.terms.choice import LEVEL
 from pincal.calibration.terms.explain import Explanation
 from pincal.calibration.terms.kinds import GROWTH, ORDER, parts_of, term_said
 from pincal.calibration.terms.screen import Bound, Candidate
@@ -124,7 +124,7 @@ def _known(explanation: Explanation, name: str) -> bool:
 def explanation_lines(explanation: Explanation) -> list[str]:
     """Return what is seen, and the verdict."""
     tried = explanation.choice.candidates
-    visible = [item for item in tried if item.corrected < RULES.level]
+    visible = [item for item in tried if item.corrected < LEVEL]
     lines = slip_lines(explanation)
     lines += _seen_lines(explanation, visible)
     if not visible:

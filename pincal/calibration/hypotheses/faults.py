@@ -72,7 +72,7 @@ def single_faults(sample: Sample) -> Iterator[Hypothesis]:
     mechanism = sample.mechanism
     yield Hypothesis("sign-of-readings", _scaled_readings(-1.0), by_leg=True)
     yield from _of_one_leg(mechanism)
-    yield from (one for one in _units(sample) if one.faults == 1)
+    yield from (hypothesis for hypothesis in _units(sample) if hypothesis.faults == 1)
     yield from mirrored(sample)
     if sample.oriented and "rad" in mechanism.platform.units:
         yield from _angles(sample)
@@ -85,7 +85,7 @@ def single_faults(sample: Sample) -> Iterator[Hypothesis]:
 
 def several_units(sample: Sample) -> Iterator[Hypothesis]:
     """Yield units that are wrong in several kinds of columns at once."""
-    yield from (one for one in _units(sample) if one.faults > 1)
+    yield from (hypothesis for hypothesis in _units(sample) if hypothesis.faults > 1)
 
 
 def zeros(offsets: Array) -> Hypothesis:
@@ -144,14 +144,14 @@ def offsets_of(sample: Sample, matrices: Array) -> Array:
     Medians; angles without whole turns.
     """
     nominal = inverse(sample.mechanism, sample.mechanism.platform.from_matrices(matrices)).readings
-    off = sample.readings - nominal
+    differences = sample.readings - nominal
     for column, unit in enumerate(sample.mechanism.reading_units):
-        known = off[np.isfinite(off[:, column]), column]
+        known = differences[np.isfinite(differences[:, column]), column]
         if unit == "rad" and len(known):
             middle = np.angle(np.exp(1j * known).mean())
             known = middle + np.angle(np.exp(1j * (known - middle)))
-        off[:, column] = np.median(known) if len(known) else 0.0
-    return off[0]
+        differences[:, column] = np.median(known) if len(known) else 0.0
+    return differences[0]
 
 
 def _scaled_readings(factors: Array | float) -> Callable[[Sample], tuple[Array, Array]]:
@@ -199,8 +199,8 @@ def _inverted(whole: bool, sample: Sample) -> tuple[Array, Array]:
     """Return the orientations, or whole poses, of the base seen from the platform."""
     matrices = sample.matrices()
     turns, r = matrices[:, :3, :3].transpose(0, 2, 1), matrices[:, :3, 3]
-    back = -(turns @ r[:, :, None])[:, :, 0]
-    return sample.moved(back if whole else r, turns), sample.readings
+    inverted = -(turns @ r[:, :, None])[:, :, 0]
+    return sample.moved(inverted if whole else r, turns), sample.readings
 
 
 def _angles(sample: Sample) -> Iterator[Hypothesis]:
@@ -229,10 +229,10 @@ def _turned(way: str, order: Index, signs: Array, sample: Sample) -> tuple[Array
 
 def _shifted(shift: int, sample: Sample) -> tuple[Array, Array]:
     """Return the readings that stand some rows below, or above, the poses."""
-    there = sample.rows + shift
-    inside = (there >= 0) & (there < len(sample.log))
+    shifted_rows = sample.rows + shift
+    inside = (shifted_rows >= 0) & (shifted_rows < len(sample.log))
     right = np.full(sample.readings.shape, np.nan)
-    right[inside] = sample.log[there[inside]]
+    right[inside] = sample.log[shifted_rows[inside]]
     return sample.poses, right
 
 
@@ -243,7 +243,7 @@ def _units(sample: Sample) -> Iterator[Hypothesis]:
     kinds = [("positions", "m", coordinates)]
     kinds += [("orientations", "rad", coordinates)] if sample.oriented else []
     kinds += [("readings", "m", columns), ("readings", "rad", columns)]
-    kinds = [one for one in kinds if one[1] in one[2]]
+    kinds = [kind for kind in kinds if kind[1] in kind[2]]
     for choice in product(*([None, *UNITS[unit].items()] for _, unit, _ in kinds)):
         wrong = [(kind, how) for kind, how in zip(kinds, choice, strict=True) if how]
         scales = np.ones(len(coordinates)), np.ones(len(columns))
@@ -300,7 +300,7 @@ def _best_order(sample: Sample) -> list[int]:
         return float(np.clip(fit.near, RULE.questioned * fit.stroke, 1.0)) if fit.rows > 1 else 1.0
 
     rows = [LegMeasurements(i, matrices, sample.readings[:, [j]]) for i in every for j in every]
-    costs = [cost(one) for one in leg_fits(sample.mechanism, rows)]
+    costs = [cost(leg_fit) for leg_fit in leg_fits(sample.mechanism, rows)]
     table = np.reshape(costs, (len(every), len(every)))
     stays = 1e-9 * np.eye(len(every))
     return [int(j) for j in linear_sum_assignment(np.nan_to_num(table, nan=1.0) - stays)[1]]
@@ -333,12 +333,14 @@ def zeros_measured(calibration: Calibration) -> Array | None:
     sample = sample_of(mechanism, calibration.measurements, calibration.options.setup)
     if sample is None or mechanism.by_readings or sample.free or not sample.oriented:
         return None
-    (there,) = placed([sample])
-    if there is None:
+    (poses_and_rows,) = placed([sample])
+    if poses_and_rows is None:
         return None
-    offsets = offsets_of(sample, there[0])
-    own = [index for index, _ in _zeros(calibration)]
-    return _started(calibration, np.where(np.isin(np.arange(len(offsets)), own), offsets, 0.0))
+    offsets = offsets_of(sample, poses_and_rows[0])
+    identified = [index for index, _ in _zeros(calibration)]
+    return _started(
+        calibration, np.where(np.isin(np.arange(len(offsets)), identified), offsets, 0.0)
+    )
 
 
 def _started(calibration: Calibration, offsets: Array) -> Array | None:

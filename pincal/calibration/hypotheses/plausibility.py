@@ -44,8 +44,8 @@ def check_plausible(mechanism: Mechanism, data: Measurements, setup: Setup | Non
     Raises:
         MeasurementError: they do not fit; the message says what would explain it.
     """
-    if found := implausible(mechanism, data, setup):
-        raise MeasurementError(said(found))
+    if faults := implausible(mechanism, data, setup):
+        raise MeasurementError(said(faults))
 
 
 def implausible(
@@ -58,10 +58,10 @@ def implausible(
     sample = sample_of(mechanism, data, setup or Setup())
     if sample is None or not sample.oriented:
         return ()
-    if found := _still(sample):
-        return found
-    found, given = _explained(sample)
-    return found or _strange(sample, given)
+    if faults := _still(sample):
+        return faults
+    faults, as_measured = _explained(sample)
+    return faults or _strange(sample, as_measured)
 
 
 def explain_misfit(
@@ -85,10 +85,10 @@ def explain_misfit(
     sample = sample_of(mechanism, data, setup)
     if sample is None:
         return ()
-    if found := _still(sample):
-        return found
-    found, given = _explained(sample)
-    return found or _slips(sample, given)
+    if faults := _still(sample):
+        return faults
+    faults, as_measured = _explained(sample)
+    return faults or _slips(sample, as_measured)
 
 
 def hypotheses_of(
@@ -98,8 +98,8 @@ def hypotheses_of(
     sample = sample_of(mechanism, data, setup or Setup())
     if sample is None:
         return []
-    explaining, given = _explaining(sample)
-    return list(zip(as_findings(mechanism, given, explaining), explaining, strict=True))
+    explaining, as_measured = _explaining(sample)
+    return list(zip(as_findings(mechanism, as_measured, explaining), explaining, strict=True))
 
 
 def said(findings: tuple[Finding, ...]) -> str:
@@ -109,21 +109,21 @@ def said(findings: tuple[Finding, ...]) -> str:
 
 def _explained(sample: Sample) -> tuple[tuple[Finding, ...], Judged]:
     """Return hypotheses that explain measurements that do not fit, and how these fit as given."""
-    explaining, given = _explaining(sample)
-    return as_findings(sample.mechanism, given, explaining), given
+    explaining, as_measured = _explaining(sample)
+    return as_findings(sample.mechanism, as_measured, explaining), as_measured
 
 
 def _explaining(sample: Sample) -> tuple[list[Judged], Judged]:
     """Return what explains measurements that do not fit, and how these fit as given."""
-    mechanism, given = sample.mechanism, judge(sample)[0]
-    given = replace(given, elsewhere=other_side(mechanism, given.matrices))
-    if given.fits and not given.questioned and given.elsewhere <= 0.5:
-        return [], given
-    if slips := _slips(sample, given):  # few rows may be all that is wrong
-        (others,) = judge(sample.part(np.flatnonzero(~np.isin(sample.rows, slips[0].rows))))
-        if others.fits and not others.questioned:
-            return [], given
-    return explanations(sample, given), given
+    mechanism, as_measured = sample.mechanism, judge(sample)[0]
+    as_measured = replace(as_measured, elsewhere=other_side(mechanism, as_measured.matrices))
+    if as_measured.fits and not as_measured.questioned and as_measured.elsewhere <= 0.5:
+        return [], as_measured
+    if slips := _slips(sample, as_measured):  # few rows may be all that is wrong
+        (without_slips,) = judge(sample.part(np.flatnonzero(~np.isin(sample.rows, slips[0].rows))))
+        if without_slips.fits and not without_slips.questioned:
+            return [], as_measured
+    return explanations(sample, as_measured), as_measured
 
 
 def _strange(sample: Sample, given: Judged) -> tuple[Finding, ...]:
@@ -211,7 +211,7 @@ def _slips(sample: Sample, given: Judged) -> tuple[Finding, ...]:
     """
     if not sample.oriented or given.rows is None:
         return ()
-    judged = [one.left for one in given.fits if one.rows > 1]
+    judged = [leg_fit.left for leg_fit in given.fits if leg_fit.rows > 1]
     if not judged:
         return ()
     left = np.array(judged)
@@ -241,17 +241,21 @@ def check_copies(data: Measurements, *, every_pose: bool = False) -> None:
     copies = []
     for row in range(len(data)):
         served = "" if data.sets is None or every_pose else data.sets[row]
-        other = first.setdefault((served, data.readings[row].tobytes()), row)
-        if other == row:
+        first_row = first.setdefault((served, data.readings[row].tobytes()), row)
+        if first_row == row:
             continue
-        if not np.array_equal(measured[other], measured[row], equal_nan=True):
+        if not np.array_equal(measured[first_row], measured[row], equal_nan=True):
             return
-        if data.places is None or not data.places[row] or data.places[row] != data.places[other]:
-            copies.append((other, row))
+        if (
+            data.places is None
+            or not data.places[row]
+            or data.places[row] != data.places[first_row]
+        ):
+            copies.append((first_row, row))
     if copies:
         rows = tuple(sorted({row for pair in copies for row in pair}))
-        found = finding("rows-copied", rows, first=copies[0], pairs=len(copies))
-        raise MeasurementError(sentence(found))
+        copied = finding("rows-copied", rows, first=copies[0], pairs=len(copies))
+        raise MeasurementError(sentence(copied))
 
 
 def check_noise(mechanism: Mechanism, noise: Noise) -> None:

@@ -60,12 +60,12 @@ class Judged:
     @property
     def misfits(self) -> Array:
         """Of each leg with rows, 0 of the others, shape (n_legs,)."""
-        return np.array([one.misfit if one.rows > 1 else 0.0 for one in self.fits])
+        return np.array([leg_fit.misfit if leg_fit.rows > 1 else 0.0 for leg_fit in self.fits])
 
     @property
     def misfit(self) -> float:
         """Mean over the legs that have rows; 1 where nothing fits, or on the other side."""
-        judged = [one.misfit for one in self.fits if one.rows > 1]
+        judged = [leg_fit.misfit for leg_fit in self.fits if leg_fit.rows > 1]
         mean = float(np.mean(judged)) if judged else 1.0
         return max(mean, 1.0) if self.elsewhere > 0.5 else mean
 
@@ -119,11 +119,13 @@ def explanations(sample: Sample, given: Judged) -> list[Judged]:
         given: How they fit as they are.
     """
     for stage in _stages(sample, given):
-        found = [one for one in stage if explains(one, given)]
+        found = [judged for judged in stage if explains(judged, given)]
         if found:
             best = min(one.misfit for one in found)
             equal = [one for one in found if one.misfit <= RULE.equal * best]
-            here = [one for one in equal if other_side(sample.mechanism, one.matrices) <= 0.5]
+            here = [
+                judged for judged in equal if other_side(sample.mechanism, judged.matrices) <= 0.5
+            ]
             return here or ([] if given.elsewhere > 0.5 else equal)
     return []
 
@@ -144,7 +146,10 @@ def _stages(sample: Sample, given: Judged) -> Iterator[list[Judged]]:
         yield _zeros(sample, given)
     yield _judged(sample, given, several_units(sample))
     if alone and not given.plausible:
-        second = (replace(one, faults=one.faults + 1) for one in single_faults(framed))
+        second = (
+            replace(hypothesis, faults=hypothesis.faults + 1)
+            for hypothesis in single_faults(framed)
+        )
         yield _judged(framed, given, second)
 
 
@@ -227,14 +232,14 @@ def _zeros(sample: Sample, given: Judged) -> list[Judged]:
     for _ in range(RULE.times):
         grid = best + np.linspace(-1, 1, RULE.zeros + 1)[1:, None] * reach
         tried = [zeros(off * unit) for offs in grid for off, unit in zip(offs, units, strict=True)]
-        costs = np.reshape([one.misfit for one in judge(few, tried)], grid.shape)
+        costs = np.reshape([judged.misfit for judged in judge(few, tried)], grid.shape)
         among = costs <= equal * costs.min(axis=0)
         best = (grid * among).sum(axis=0) / among.sum(axis=0)
         reach, equal = (
             2 * reach / RULE.zeros,
             RULE.equal,
         )  # where no measurement says more, the middle
-    offsets = [replace(zeros(off), by_leg=False) for off in best[:, None] * units]
+    offsets = [replace(zeros(offsets), by_leg=False) for offsets in best[:, None] * units]
     return _likely(sample, [(one, (index,)) for index, one in enumerate(offsets)])
 
 

@@ -172,9 +172,9 @@ def placed(samples: Sequence[Sample]) -> list[tuple[Array, Rows] | None]:
         samples: The same rows of the same measurements, put right in several ways.
     """
     if not samples[0].free and samples[0].oriented:
-        seen = [(one, one.matrices()) for one in samples]
+        seen = [(sample, sample.matrices()) for sample in samples]
         return [(_on_platform(T, _target(one)), np.arange(len(T))) for one, T in seen]
-    known = [np.flatnonzero(np.isfinite(one.readings).all(axis=1)) for one in samples]
+    known = [np.flatnonzero(np.isfinite(sample.readings).all(axis=1)) for sample in samples]
     readings = np.concatenate([one.readings[own] for one, own in zip(samples, known, strict=True)])
     distinct, index = np.unique(readings, axis=0, return_inverse=True)
     with np.errstate(all="ignore"):

@@ -56,7 +56,7 @@ def with_terms(
         MeasurementError: an unknown place, a kind that it cannot have, or a column that was not
             measured.
     """
-    parts = {pair: [(one, pair[1]) for one in parts_of(pair[0], mechanism)] for pair in kinds}
+    parts = {pair: [(place, pair[1]) for place in parts_of(pair[0], mechanism)] for pair in kinds}
     pairs = list(dict.fromkeys(one for own in parts.values() for one in own))
     wanted: dict[str, list[Kind]] = {}
     for place, kind in pairs:
@@ -147,7 +147,7 @@ def extended(calibration: Calibration, pairs: Sequence[tuple[str, Kind]]) -> Cal
     if names := [place for place, kind in pairs if kind.name == GRAVITY and place in idle]:
         _log.info("gravity: %s: loaded by no more than rounding or a lean: no term", listed(names))
     mechanism, ids = with_terms(calibration.mechanism, data, pairs)
-    tied = [one for one in tied_by(ids) if one not in calibration.options.tied]
+    tied = [name for name in tied_by(ids) if name not in calibration.options.tied]
     options = replace(calibration.options, tied=(*calibration.options.tied, *tied))
     return with_followed_influences(replace(calibration, mechanism=mechanism, options=options))
 
@@ -230,12 +230,12 @@ def _of_influence(stem: str, owner: str, kind: Kind, measurements: Measurements)
 
 def _in_proportion(term: Term, leg: Leg) -> dict[str, Term]:
     """Return a term by each length of a leg, in proportion to it: a share of all lengths."""
-    basis, found = term.basis, {}
+    basis, by_length = term.basis, {}
     for name, unit in leg.placed.items():
         value = leg.nominal_by_name[name]
         if isinstance(basis, Share) and unit == "m" and value:
-            found[name] = replace(term, basis=replace(basis, per=basis.per / value), unit="1")
-    return found
+            by_length[name] = replace(term, basis=replace(basis, per=basis.per / value), unit="1")
+    return by_length
 
 
 def _label(term: Term, unit: str) -> str:
@@ -277,7 +277,11 @@ def with_influences(
         )
     names = {APPROACH: mechanism.reading_names, LOAD: mechanism.load_names}
     given = measurements.influences
-    own = sorted(of for of in asked_for if any(f"{of}_{one}" not in given for one in names[of]))
+    own = sorted(
+        influence
+        for influence in asked_for
+        if any(f"{influence}_{one}" not in given for one in names[influence])
+    )
     if not own:
         return measurements
     drawing = mechanism.drawing
@@ -293,11 +297,13 @@ def with_columns(calibration: Calibration, kinds: Iterable[Kind]) -> Measurement
     Loads are those where the platform is, wherever it was measured from. Errors are those of
     ``with_influences`` and ``located``.
     """
-    asked, data, mechanism = list(kinds), calibration.measurements, calibration.mechanism
+    every_kind, data, mechanism = list(kinds), calibration.measurements, calibration.mechanism
     missing = {f"{LOAD}_{name}" for name in mechanism.load_names} - set(data.influences)
-    weigh = missing and mechanism.load is not None and any(one.name == GRAVITY for one in asked)
-    found = with_influences(mechanism, located(calibration) if weigh else data, asked)
-    return replace(data, influences=found.influences)
+    weigh = (
+        missing and mechanism.load is not None and any(one.name == GRAVITY for one in every_kind)
+    )
+    completed = with_influences(mechanism, located(calibration) if weigh else data, every_kind)
+    return replace(data, influences=completed.influences)
 
 
 def idle_places(mechanism: Mechanism, measurements: Measurements) -> set[str]:
@@ -308,7 +314,7 @@ def idle_places(mechanism: Mechanism, measurements: Measurements) -> set[str]:
     """
     size = largest_size(mechanism.legs)
     units = dict(zip(mechanism.reading_names, mechanism.reading_units, strict=True))
-    units |= {one.id: one.unit for one in mechanism.parameters}
+    units |= {parameter.id: parameter.unit for parameter in mechanism.parameters}
     loads = {}
     for name, values in measurements.influences.items():
         owner = name.removeprefix(f"{LOAD}_")
@@ -322,12 +328,17 @@ def idle_places(mechanism: Mechanism, measurements: Measurements) -> set[str]:
 def _with_each(leg: Leg, influences: Sequence[str]) -> Leg:
     """Return a leg whose every joint, length and angle follows influences of its own."""
     sensors = tuple(
-        replace(one, terms=tuple(Term(f"{of}_{i}", Share(), of=of) for of in influences))
+        replace(
+            one,
+            terms=tuple(
+                Term(f"{influence}_{i}", Share(), of=influence) for influence in influences
+            ),
+        )
         for i, one in enumerate(leg.sensors)
     )
     placed = leg.placed if LOAD in influences else ()
     terms = tuple((name, Term(f"{LOAD}_{name}", Share(), of=LOAD)) for name in placed)
-    every = [*(one for sensor in sensors for one in sensor.terms), *(one for _, one in terms)]
+    every = [*(term for sensor in sensors for term in sensor.terms), *(one for _, one in terms)]
     more = tuple((one.parameter, 0.0) for one in every)
     return replace(leg, sensors=sensors, terms=terms, parameters=(*leg.parameters, *more))
 

@@ -30,19 +30,10 @@ TROUBLE = (PincalError, np.linalg.LinAlgError)
 """What rows that do not determine a model raise."""
 
 
-@dataclass(frozen=True)
-class Rules:
-    """When terms are tried, and how many."""
-
-    level: float = 0.01
-    """Probability by chance, of all tests of a screen, below which a term is tried."""
-    most: int = 8
-    """Terms one after the other."""
-    pinned: float = 1e-12
-    """How well a parameter that is as drawn is known, [m], [rad] or [1]."""
-
-
-RULES = Rules()
+LEVEL = 0.01
+"""Probability by chance, of all tests of a screen, below which a term is tried."""
+_MOST_TERMS = 8  # one after the other
+_PINNED = 1e-12  # how well a parameter that is as drawn is known, [m], [rad] or [1]
 
 
 @dataclass(frozen=True)
@@ -59,13 +50,13 @@ class Step:
     def parameters(self) -> int:
         """Free parameters: not those that are as drawn."""
         unknowns = [robust.fit.unknowns for robust in self.found.fits]
-        return sum(one.map.shape[1] - int((one.priors <= RULES.pinned).sum()) for one in unknowns)
+        return sum(one.map.shape[1] - int((one.priors <= _PINNED).sum()) for one in unknowns)
 
     @property
     def equations(self) -> int:
         """Residuals that the fits follow."""
         fits = [robust.fit for robust in self.found.fits]
-        return int(sum(one.last.equations[one.weights > 0.0].sum() for one in fits))
+        return int(sum(fit.last.equations[fit.weights > 0.0].sum() for fit in fits))
 
     @property
     def chi2(self) -> float:
@@ -77,7 +68,7 @@ def grown(
     calibration: Calibration,
     screened: Sequence[Candidate],
     pairs: Sequence[tuple[str, Kind]],
-    most: int = RULES.most,
+    most: int = _MOST_TERMS,
 ) -> list[Step]:
     """Return models that grow by the likeliest term each time, until none is likely.
 
@@ -90,17 +81,17 @@ def grown(
     steps: list[Step] = []
     added: tuple[tuple[str, Kind], ...] = ()
     while len(steps) < most:
-        likely = [one for one in screened if one.corrected < RULES.level and one.kind.name != ORDER]
+        likely = [one for one in screened if one.corrected < LEVEL and one.kind.name != ORDER]
         if not likely:
             break
         added = (*added, (likely[0].reading, likely[0].kind))
-        more = replace(extended(calibration, added), start=None)
+        larger = replace(extended(calibration, added), start=None)
         try:
-            found = _identified(more)
+            fits = _identified(larger)
         except TROUBLE:  # what the rows do not determine
             break
-        steps.append(Step(added, likely[0].corrected, more, found))
-        screened = screen(found, pairs)
+        steps.append(Step(added, likely[0].corrected, larger, fits))
+        screened = screen(fits, pairs)
     return steps
 
 
@@ -142,10 +133,10 @@ def _identified(calibration: Calibration) -> Fits:
     Raises:
         PincalError, LinAlgError: rows that do not determine the model, or a search without end.
     """
-    found = fitted(calibration)
-    if not all(robust.fit.converged for robust in found.fits):
+    fits = fitted(calibration)
+    if not all(robust.fit.converged for robust in fits.fits):
         raise MeasurementError("the search does not converge")
-    return found
+    return fits
 
 
 def squares(seen: Fits, unseen: Calibration) -> Array:
@@ -238,41 +229,45 @@ def choose(calibration: Calibration, pairs: Sequence[tuple[str, Kind]]) -> Choic
         )
     data = with_columns(calibration, [kind for _, kind in pairs])
     calibration = replace(calibration, measurements=data)
-    kept = np.flatnonzero(~data.verifying)
-    if len(kept) < len(data):
-        calibration = calibration.rows(kept)
+    choosing_rows = np.flatnonzero(~data.verifying)
+    if len(choosing_rows) < len(data):
+        calibration = calibration.rows(choosing_rows)
         data = calibration.measurements
-    found = fitted(calibration)
-    first = found.calibration.at_this_noise()
-    screened = tuple(screen(found, pairs))
-    pinned = dict.fromkeys((one.id for one in calibration.mechanism.parameters), RULES.pinned)
+    fits = fitted(calibration)
+    first = fits.calibration.at_this_noise()
+    screened = tuple(screen(fits, pairs))
+    pinned = dict.fromkeys(
+        (parameter.id for parameter in calibration.mechanism.parameters), _PINNED
+    )
     drawn = first.with_options(priors=pinned)
-    tried = [Step((), 1.0, drawn, fitted(drawn)), Step((), 1.0, first, found)]
+    tried = [Step((), 1.0, drawn, fitted(drawn)), Step((), 1.0, first, fits)]
     tried += grown(first, screened, pairs)
-    slipped = tuple(replace(one, row=int(kept[one.row])) for one in _slips(tried[1:]))
-    beside = (slipped, bounds(found.calibration, screened))
+    slipped = tuple(replace(slip, row=int(choosing_rows[slip.row])) for slip in _slips(tried[1:]))
+    slips_and_bounds = (slipped, bounds(fits.calibration, screened))
     groups = folds_of(data, calibration.options.folds, "turn")
     lost = []
     squares = np.full((len(tried), len(data), 2), np.nan)
     misses = np.full((len(tried), len(data), 2), np.nan)
     for fold in range(int(groups.max()) + 1):
         first.options.report(f"models on held-out rows, fold {fold + 1} of {groups.max() + 1}")
-        out = np.flatnonzero(groups == fold)
-        seen = [one.rows(groups != fold).at_this_noise() for one in (drawn, first)]
+        held_rows = np.flatnonzero(groups == fold)
+        seen_rows = [
+            calibration.rows(groups != fold).at_this_noise() for calibration in (drawn, first)
+        ]
         try:
-            parts = held_out(first.rows(out), seen, pairs, len(tried) - 2)
+            parts = held_out(first.rows(held_rows), seen_rows, pairs, len(tried) - 2)
         except TROUBLE as error:
             lost.append((fold, str(error)))
             continue
         for place in range(len(tried)):  # a path that ended stays where it is
-            squares[place, out], misses[place, out] = parts[min(place, len(parts) - 1)]
+            squares[place, held_rows], misses[place, held_rows] = parts[min(place, len(parts) - 1)]
     known = np.isfinite(squares[0, :, 0])
     if not known.any():
         models = tuple(_model(one, index, np.nan, 0.0, misses) for index, one in enumerate(tried))
-        return Choice(models, 1, screened, first, *beside, tuple(lost))
+        return Choice(models, 1, screened, first, *slips_and_bounds, tuple(lost))
     models, chosen = _compared(tried, squares[:, known], misses[:, known], data.rows(known))
     own = tried[max(chosen, 1)].calibration
-    return Choice(models, chosen, screened, own, *beside, tuple(lost))
+    return Choice(models, chosen, screened, own, *slips_and_bounds, tuple(lost))
 
 
 def _slips(steps: Sequence[Step]) -> list[Slip]:
@@ -284,17 +279,19 @@ def _slips(steps: Sequence[Step]) -> list[Slip]:
     Args:
         steps: The geometry, and models that grow by the likeliest term each time.
     """
-    found: list[Slip] = []
+    slipped: list[Slip] = []
     for index, step in enumerate(steps):
-        if index and not (found and step.chance < found[0].p_value):
+        if index and not (slipped and step.chance < slipped[0].p_value):
             break
-        found = [
-            replace(one, row=int(robust.rows[one.row]))
+        slipped = [
+            replace(slip, row=int(robust.rows[slip.row]))
             for robust in step.found.fits
-            for one in slips(robust.fit)
+            for slip in slips(robust.fit)
         ]
-    given = steps[0].found.calibration.options.noise is not None  # or estimated with slips in it
-    return found if given else found[:1]
+    noise_given = (
+        steps[0].found.calibration.options.noise is not None
+    )  # or estimated with slips in it
+    return slipped if noise_given else slipped[:1]
 
 
 def _compared(
@@ -311,7 +308,9 @@ def _compared(
     """
     _, cluster = np.unique(clusters(data), return_inverse=True)
     count = float(squares[0, :, 1].sum())
-    sums = np.stack([np.bincount(cluster, weights=one[:, 0]) for one in squares])
+    sums = np.stack(
+        [np.bincount(cluster, weights=squares_of_model[:, 0]) for squares_of_model in squares]
+    )
     means = sums.sum(axis=1) / count
     best = int(np.argmin(means))
     several = sums.shape[1] > 1
@@ -334,7 +333,7 @@ def _model(one: Step, index: int, mean: float, wide: float, misses: Array) -> Mo
         wide: Standard error of how much larger that is than the best model's.
         misses: By how much targets are missed there, shape (n_models, N, 2), [m] and [rad].
     """
-    position, orientation = (_root_mean_square(own) for own in misses[index].T)
+    position, orientation = (_root_mean_square(column) for column in misses[index].T)
     outside = bool(one.calibration.observation.external.names)
     names = (ALIGNED if outside else DRAWN, GEOMETRY)
     return Model(

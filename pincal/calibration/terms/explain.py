@@ -55,7 +55,7 @@ class Explanation:
     @property
     def terms(self) -> tuple[str, ...]:
         """The terms that pay, as options say them: ``leg_2=harmonics:1``, ``leg_1.l=warm``."""
-        return tuple(term_said(*one) for one in self.choice.model.added)
+        return tuple(term_said(*term) for term in self.choice.model.added)
 
     @attached
     def __str__(self) -> str:
@@ -93,10 +93,10 @@ def explain(
 @on_one_thread
 def explained(calibration: Calibration) -> Explanation:
     """Return what ``explain`` does, of a calibration to be done; its terms are those to try."""
-    asked = calibration.options.terms
+    tried = calibration.options.terms
     plain = replace(calibration, options=replace(calibration.options, terms=()))
-    named = said([one for one in asked if one != AUTO], plain.mechanism)
-    every = every_pair(plain.mechanism, plain.measurements) if AUTO in asked else []
+    named = said([one for one in tried if one != AUTO], plain.mechanism)
+    every = every_pair(plain.mechanism, plain.measurements) if AUTO in tried else []
     pairs = list(dict.fromkeys((*named, *every)))
     result, _ = run(plain)
     return Explanation(result, choose(started(plain), pairs))

@@ -52,7 +52,7 @@ class Kind:
         name, colon, numbers = (part.strip() for part in said.partition(":"))
         usual = _NUMBERS.get(name, ())
         try:
-            given = tuple(float(one) for one in numbers.split(",")) if colon else usual
+            given = tuple(float(number) for number in numbers.split(",")) if colon else usual
         except ValueError:
             given = (np.nan,)
         known = {HARMONICS: _is_order, POLYNOMIAL: _is_power}.get(name, lambda _: False)
@@ -67,7 +67,7 @@ class Kind:
     def __str__(self) -> str:
         if self.numbers == _NUMBERS.get(self.name, ()):
             return self.name
-        return f"{self.name}:{','.join(f'{one:g}' for one in self.numbers)}"
+        return f"{self.name}:{','.join(f'{number:g}' for number in self.numbers)}"
 
 
 def _is_order(number: float) -> bool:
@@ -102,7 +102,7 @@ def every_pair(mechanism: Mechanism, measurements: Measurements) -> list[tuple[s
     long = lengths(mechanism)
     for kind in kinds:
         if kind.name == GRAVITY:
-            pairs += [(one, kind) for one in _with_names(_of_links(mechanism))]
+            pairs += [(place, kind) for place in _with_names(_of_links(mechanism))]
         elif kind.name not in _KINDS:
             pairs += [(one, kind) for one in [GROWTH] * (len(long) > 1) + _with_names(long)]
     return pairs
@@ -110,7 +110,7 @@ def every_pair(mechanism: Mechanism, measurements: Measurements) -> list[tuple[s
 
 def _with_names(ids: Sequence[str]) -> list[str]:
     """Return ids, and the names that several of them share."""
-    names = [one.rpartition(".")[2] for one in ids]
+    names = [id_.rpartition(".")[2] for id_ in ids]
     return [*ids, *(name for name in dict.fromkeys(names) if names.count(name) > 1)]
 
 
@@ -120,12 +120,12 @@ def parts_of(place: str, mechanism: Mechanism) -> list[str]:
         return list(mechanism.reading_names)
     if place in (*mechanism.load_names, GROWTH):
         return [place]
-    return [one for one in mechanism.load_names if one.rpartition(".")[2] == place] or [place]
+    return [name for name in mechanism.load_names if name.rpartition(".")[2] == place] or [place]
 
 
 def lengths(mechanism: Mechanism) -> list[str]:
     """Return the ids of the lengths of a mechanism, those that are not zero."""
-    own = (one for one in mechanism.parameters if one.id in mechanism.load_names)
+    own = (parameter for parameter in mechanism.parameters if parameter.id in mechanism.load_names)
     return [one.id for one in own if one.unit == "m" and one.nominal]
 
 

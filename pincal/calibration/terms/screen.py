@@ -89,9 +89,9 @@ def screen(found: Fits, pairs: Sequence[tuple[str, Kind]]) -> list[Candidate]:
 def screened(parts: Sequence[tuple[Residuals, Sequence[Trial]]]) -> list[Candidate]:
     """Return what residuals say of the terms that are tried on them."""
     tried = [
-        (part, _candidate(residuals, one), one.rows)
+        (part, _candidate(residuals, term), term.rows)
         for part, (residuals, terms) in enumerate(parts)
-        for one in terms
+        for term in terms
     ]
     tried.sort(key=lambda one: (one[1].p_value, -one[1].share))
     found = _corrected([candidate for _, candidate, _ in tried])
@@ -142,7 +142,7 @@ def trials(found: Fits, pairs: Sequence[tuple[str, Kind]]) -> list[tuple[Residua
     data = replace(data, influences={**order, **data.influences})
     mechanism, ids = with_terms(calibration.mechanism, data, pairs)
     asked = Calibration(mechanism, data, calibration.options, known_noise=calibration.noise)
-    units = {one.id: one.unit for one in mechanism.parameters}
+    units = {parameter.id: parameter.unit for parameter in mechanism.parameters}
     parts = []
     for robust in found.fits:
         if not robust.fit.problem.weighted:
