@@ -22,10 +22,10 @@ LINES = {
     "estimation": 6_650,
     "files": 3_180,
     "formats": 3_545,
-    "kinematics": 4_440,
+    "kinematics": 4_250,
     "model": 3_750,
     "show": 7_165,
-    "symmetry": 1_900,
+    "symmetry": 1_865,
     "words": 2_100,
     "workspace": 2_300,
 }

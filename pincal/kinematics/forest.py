@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from threading import Lock
 
 import numpy as np
@@ -201,11 +201,6 @@ class Motion:
     begun: Array | None
     """Twists at the base's origin by what moves where each chain begins, (L, 3 or 6, k)."""
 
-    @cached_property
-    def all_twists(self) -> Array:
-        """Twists at the tip in all motions, linear first, shape (3 or 6, k, N)."""
-        return self.twists_at_tip(slice(None))
-
     def twists_at_tip(self, motions: slice | list[int]) -> Array:
         """Return twists at the tip in some motions, linear first, shape (3 or 6, s, N)."""
         rates = self.rates[motions]
@@ -237,16 +232,6 @@ class Motion:
             by_leg = power.reshape(len(power), legs, -1)
             by_leg += begun.swapaxes(0, 1)
         return np.asarray(power)
-
-    @property
-    def linear(self) -> Array:
-        """Velocities of the tip, shape (2 or 3, k, N), [m] a unit."""
-        return self.all_twists[: len(self.tips)]
-
-    @property
-    def angular(self) -> Array:
-        """How the tip turns, shape (1 or 3, k, N), [rad] a unit."""
-        return self.all_twists[len(self.tips) :]
 
     def twists(self, motions: slice | list[int] = slice(None)) -> Array:
         """Return twists at the tip in space, linear first: of all motions, (6, k, N), or some."""

@@ -1,7 +1,7 @@
 """Terms of sensors and parameters: known functions of what a row says, times unknown amplitudes.
 
 What is not geometry lives in the joint's reading: q = k ψ + γ + Σ a_j b_j; and a parameter is a
-joint, so it may be p + Σ a_j b_j (``deformations.py``). Each b_j is a number for each row,
+joint, so it may be p + Σ a_j b_j (``Deformations``). Each b_j is a number for each row,
 of its reading or of an influence quantity beside it (temperature, time, side of approach, load),
 scaled so that its amplitude is in the joint's own unit. Linear in the unknowns.
 """
