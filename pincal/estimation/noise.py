@@ -59,21 +59,10 @@ def noise_model(
     """
     _check_tracker(mechanism, data, setup)
     _check_covariances(mechanism, data, setup)
-    rows = data.sigma_poses is not None or bool(data.sigma_extra)
-    full = bool(np.isfinite(data.poses).all())
-    if data.sigma_readings is not None and full and not rows:
-        raise MeasurementError(
-            "the measurements give standard deviations of readings but none of poses; add columns "
-            + ", ".join(f"'sigma_{name}'" for name in mechanism.platform.coordinates)
-        )
-    if (rows or data.sigma_readings is not None) and noise is not None:
-        raise MeasurementError(
-            "the measurements have columns of standard deviations, and the noise is given as "
-            "well; leave out one of them"
-        )
+    full, rows = bool(np.isfinite(data.poses).all()), _has_sigmas(mechanism, data, noise)
     source: Source = "given"
     freedoms: Freedoms = (np.inf, np.inf, np.inf)
-    if rows or data.sigma_readings is not None:
+    if rows:
         _check_sigmas(mechanism, data, setup)
         source, general = "rows", Noise(_ASSUMED, _ASSUMED, 0.0)
     elif noise is None and setup.tracker is not None:
@@ -110,6 +99,27 @@ def assumed_noise(mechanism: Mechanism, *, exact: bool) -> Noise:
     metric = "m" in mechanism.reading_units
     reading = 0.0 if exact and not mechanism.redundant else _ASSUMED * (size if metric else 1.0)
     return Noise(_ASSUMED * size, _ASSUMED, reading)
+
+
+def _has_sigmas(mechanism: Mechanism, data: Measurements, noise: Noise | None) -> bool:
+    """Return whether rows have standard deviations of their own.
+
+    Raises:
+        MeasurementError: noise is given as well, or only readings have them.
+    """
+    rows = data.sigma_poses is not None or bool(data.sigma_extra)
+    full = bool(np.isfinite(data.poses).all())
+    if data.sigma_readings is not None and full and not rows:
+        raise MeasurementError(
+            "the measurements give standard deviations of readings but none of poses; add columns "
+            + ", ".join(f"'sigma_{name}'" for name in mechanism.platform.coordinates)
+        )
+    if (rows or data.sigma_readings is not None) and noise is not None:
+        raise MeasurementError(
+            "the measurements have columns of standard deviations, and the noise is given as "
+            "well; leave out one of them"
+        )
+    return rows or data.sigma_readings is not None
 
 
 def _check_tracker(mechanism: Mechanism, data: Measurements, setup: Setup) -> None:

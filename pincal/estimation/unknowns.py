@@ -125,29 +125,23 @@ def unknowns(
         bound |= set(places)
         start[places] = nominal[places].mean()
         columns.append(np.isin(np.arange(n), places).astype(float))
-    single = [i for i in range(n) if i not in bound]
-    sigmas = np.full(n, np.inf)
-    for name, sigma in (priors or {}).items():
-        sigmas[_places(pairs, name)] = _checked_prior(name, sigma)
+    single = np.setdiff1d(np.arange(n), list(bound))
+    sigmas = _prior_sigmas(pairs, priors or {}, n)
     sigmas[list(held)] = np.inf
     if len(held) == len(pairs):
         raise MeasurementError("every parameter is fixed; leave one of them to be identified")
     T = np.concatenate([np.array(columns).reshape(-1, n), np.eye(n)[single]]).T
     order = np.argsort([np.flatnonzero(column)[0] for column in T.T], kind="stable")
     T = T[:, order]
-    labels = (*_labels(pairs), *external)
-    members = [np.flatnonzero(column) for column in T.T]
+    owners_and_names = [*pairs, *(id_.split(".") for id_ in external)]
     return Unknowns(
-        owners=(*(leg for leg, _ in pairs), *(id_.split(".")[0] for id_ in external)),
-        names=(*(name for _, name in pairs), *(id_.split(".")[1] for id_ in external)),
+        owners=tuple(owner for owner, _ in owners_and_names),
+        names=tuple(name for _, name in owners_and_names),
         start=start,
         map=T,
         priors=sigmas,
         nominal=nominal,
-        free_labels=tuple(
-            labels[rows[0]] + (f" (tied to {len(rows) - 1} more)" if len(rows) > 1 else "")
-            for rows in members
-        ),
+        free_labels=_free_labels((*_labels(pairs), *external), T),
     )
 
 
@@ -167,14 +161,26 @@ def _tied_places(pairs: list[tuple[str, str]], name: str, nominal: Array) -> lis
     return places
 
 
-def _checked_prior(name: str, sigma: float) -> float:
-    """Return the standard deviation of a prior, which must be large enough to compute with."""
-    if not _SMALLEST_PRIOR <= sigma < np.inf:
-        raise MeasurementError(
-            f"the prior of {name!r} is {sigma:g}; expected a standard deviation above 0, at "
-            f"least {_SMALLEST_PRIOR:g} (for a parameter that is known exactly, fix it)"
-        )
-    return sigma
+def _prior_sigmas(pairs: list[tuple[str, str]], priors: Mapping[str, float], count: int) -> Array:
+    """Return standard deviations of nominal values, infinite where there is none, (count,)."""
+    sigmas = np.full(count, np.inf)
+    for name, sigma in priors.items():
+        if not _SMALLEST_PRIOR <= sigma < np.inf:
+            raise MeasurementError(
+                f"the prior of {name!r} is {sigma:g}; expected a standard deviation above 0, at "
+                f"least {_SMALLEST_PRIOR:g} (for a parameter that is known exactly, fix it)"
+            )
+        sigmas[_places(pairs, name)] = sigma
+    return sigmas
+
+
+def _free_labels(labels: Sequence[str], T: Array) -> tuple[str, ...]:
+    """Return ids of free parameters, the columns of T: those of the first that follow each."""
+    members = [np.flatnonzero(column) for column in T.T]
+    return tuple(
+        labels[rows[0]] + (f" (tied to {len(rows) - 1} more)" if len(rows) > 1 else "")
+        for rows in members
+    )
 
 
 def _labels(pairs: Iterable[tuple[str, str]]) -> tuple[str, ...]:

@@ -43,29 +43,19 @@ class ExternalUnknowns:
             setup: How it is measured.
             oriented: Whether orientations are measured.
         """
-        plane = platform.space == 2
         self.setup = setup
-        self.frame_rows = ((0, 1, 5) if plane else tuple(range(6))) if setup.unknown_frame else ()
-        axes = range(platform.space)
+        rows = (0, 1, 5) if platform.space == 2 else (0, 1, 2, 3, 4, 5)
+        turned = oriented and setup.targets[ORIGIN].unknown
+        self.frame_rows = rows if setup.unknown_frame else ()
         self.offset_entries = tuple(
             (index, axis)
             for index, target in enumerate(setup.targets.values())
-            for axis in axes
-            if target.unknown
+            for axis in range(platform.space * target.unknown)
         )
-        turned = oriented and setup.targets[ORIGIN].unknown
-        self.turn_axes = ((2,) if plane else (0, 1, 2)) if turned else ()
-        targets = list(setup.targets)
-        twists = ("x", "y", "z", "rx", "ry", "rz")
-        self.names = (
-            *(f"tracker.{twists[row]}" for row in self.frame_rows),
-            *(f"{owner(targets[index])}.{'xyz'[axis]}" for index, axis in self.offset_entries),
-            *(f"{owner(ORIGIN)}.{twists[3 + axis]}" for axis in self.turn_axes),
-        )
+        self.turn_axes = tuple(row - 3 for row in rows[platform.space :]) if turned else ()
+        self.names = self._geometric_names()
         """Ids of the unknowns."""
-        self.units = tuple(
-            "rad" if name.split(".")[1].startswith("r") else "m" for name in self.names
-        )
+        self.units = tuple("rad" if name[-2] == "r" else "m" for name in self.names)
         n_frame, n_offsets, n_turns = map(
             len, (self.frame_rows, self.offset_entries, self.turn_axes)
         )
@@ -78,6 +68,15 @@ class ExternalUnknowns:
         self.names += tuple(parameter.id for parameter in parameters)
         self.units += tuple(parameter.unit for parameter in parameters)
         self._nominal = np.array([parameter.nominal for parameter in parameters], dtype=float)
+
+    def _geometric_names(self) -> tuple[str, ...]:
+        """Return ids of the unknowns of frame and targets."""
+        targets, twists = list(self.setup.targets), ("x", "y", "z", "rx", "ry", "rz")
+        return (
+            *(f"tracker.{twists[row]}" for row in self.frame_rows),
+            *(f"{owner(targets[index])}.{'xyz'[axis]}" for index, axis in self.offset_entries),
+            *(f"{owner(ORIGIN)}.{twists[3 + axis]}" for axis in self.turn_axes),
+        )
 
     def __len__(self) -> int:
         return len(self.names)

@@ -117,11 +117,7 @@ class Observation:
         self.orientations = _orientations(platform, data)
         """Measured orientations, shape (N, 3, 3); NaN where not measured in full."""
         oriented = _oriented(self.orientations)
-        angles = {name: data.extra[name] for name in SINGLE_ANGLES if name in data.extra}
-        if platform.turns == 3:
-            partial = np.where(oriented[:, None], np.nan, data.poses[:, lengths:])
-            angles |= dict(zip(platform.coordinates[lengths:], partial.T, strict=True))
-        angles = {name: values for name, values in angles.items() if np.isfinite(values).any()}
+        angles = _single_angles(platform, data, oriented)
         self._angle_names = tuple(angles)
         self._angles, self._follow_turn = _angles(angles, data, oriented | (platform.turns < 3))
         """Measured single angles, [rad], and which have the noise of a turn, (N, angles)."""
@@ -389,6 +385,15 @@ class Observation:
 def _columns(values: Sequence[Array], count: int) -> Array:
     """Return columns beside each other, shape (count, n)."""
     return np.column_stack([np.empty((count, 0)), *values])
+
+
+def _single_angles(platform: Platform, data: Measurements, oriented: Mask) -> dict[str, Array]:
+    """Return angles that were measured in some row beside orientations, NaN where not, [rad]."""
+    angles = {name: data.extra[name] for name in SINGLE_ANGLES if name in data.extra}
+    if platform.turns == 3:
+        partial = np.where(oriented[:, None], np.nan, data.poses[:, platform.lengths :])
+        angles |= dict(zip(platform.coordinates[platform.lengths :], partial.T, strict=True))
+    return {name: values for name, values in angles.items() if np.isfinite(values).any()}
 
 
 def _angles(single: dict[str, Array], data: Measurements, independent: Mask) -> tuple[Array, Mask]:

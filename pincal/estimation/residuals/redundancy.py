@@ -1,6 +1,6 @@
 """How far residuals of a fit are to be expected: the noise, less what the fit takes up of it.
 
-With white rows ρ of noise of variance V and the estimate δz = −B Σ s Jᵀ ρ (``spread.py``), what is
+With white rows ρ of noise of variance V and the estimate δz = −B Σ s Jᵀ ρ (``Spread``), what is
 left is r = ρ − J B Σ s Jᵀ ρ. Of least squares cov r = 1 − H, H = J (JᵀJ)⁻¹ Jᵀ = Q Qᵀ of J = Q R: a
 residual has the variance σ² (1 − h), h its leverage. What is left of a measured quantity's own
 noise is its redundancy number (W. Baarda, A testing procedure for use in geodetic networks, 1968).
