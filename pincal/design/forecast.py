@@ -103,8 +103,8 @@ class Forecast(Estimable):
         """
         if not accuracy > 0.0:
             raise MeasurementError(f"the wanted accuracy is {accuracy:g} m; expected more than 0")
-        now = self.platform_error(poses).position
-        return float(max(self.least, np.ceil(self.poses * (now / accuracy) ** 2)))
+        position_error = self.platform_error(poses).position
+        return float(max(self.least, np.ceil(self.poses * (position_error / accuracy) ** 2)))
 
     def to_dataframe(self) -> DataFrame:
         """Return a row for each parameter: unit, nominal value and standard error, SI units."""
@@ -138,8 +138,8 @@ class Forecast(Estimable):
             else f"  {name:<24} not determined"
             for name, std, unit in zip(parameter_ids(self.mechanism), self.std, units, strict=True)
         ]
-        if more := len(rows) - ROWS:
-            rows[ROWS:] = [f"  and {more} more (to_dataframe)"] if more > 0 else []
+        if hidden := len(rows) - ROWS:
+            rows[ROWS:] = [f"  and {hidden} more (to_dataframe)"] if hidden > 0 else []
         words = [] if self.rank.complete else [f"not determined apart: {self.rank.describe()}"]
         return "\n".join([repr(self), "standard errors (1 σ):", *rows, *words])
 
@@ -183,17 +183,17 @@ def forecast(
         check_reached(mechanism, plan)
     if method == "per-leg":
         check_whole(mechanism, measured, setup)
-        found = each_leg(mechanism, plan, legs.reached, noise)
+        estimable = each_leg(mechanism, plan, legs.reached, noise)
     else:
-        found = all_legs(legs, information_rows(mechanism, legs, noise, measured, setup))
-    gauge, lost, frames = apart_from_frames(mechanism, legs, found.lost)
+        estimable = all_legs(legs, information_rows(mechanism, legs, noise, measured, setup))
+    gauge, lost, frames = apart_from_frames(mechanism, legs, estimable.lost)
     P = nearest_to_nominal(mechanism, gauge)
     return Forecast(
-        **vars(found)
+        **vars(estimable)
         | {
             "lost": lost,
-            "covariance": P @ found.covariance @ P.T,
-            "influence": P @ found.influence,
+            "covariance": P @ estimable.covariance @ P.T,
+            "influence": P @ estimable.influence,
         },
         mechanism=mechanism,
         method=method,

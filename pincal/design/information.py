@@ -117,7 +117,9 @@ def information_rows(
     """
     platform = mechanism.platform
     matrices = platform.matrices(legs.poses)
-    by_pose, by_external, off, scatter, kept = _planned(mechanism, matrices, noise, measured, setup)
+    by_pose, by_external, systematic, scatter, names = _planned(
+        mechanism, matrices, noise, measured, setup
+    )
     (count, n_rows, n_legs), n_readings = legs.parameter.shape, legs.reading.shape[2]
     # ┌ A          0        ┐  legs           ┌ B ┐   ┌ σ ∂e/∂ψ    ┐
     # └ 0  by external      ┘  what is seen   └ B ┘   └          σ ┘
@@ -125,8 +127,8 @@ def information_rows(
     parameter = np.zeros((count, n_rows + width, n_legs + by_external.shape[2]))
     parameter[:, :n_rows, :n_legs] = legs.parameter
     parameter[:, n_rows:, n_legs:] = by_external
-    errors = np.zeros((count, n_rows + width, off.shape[2]))
-    errors[:, n_rows:] = off
+    errors = np.zeros((count, n_rows + width, systematic.shape[2]))
+    errors[:, n_rows:] = systematic
     root = np.zeros((count, n_rows + width, n_readings + kinds))
     root[:, :n_rows, :n_readings] = noise.reading * legs.reading
     root[:, n_rows:, n_readings:] = scatter
@@ -141,11 +143,11 @@ def information_rows(
     rows = white(parameter)
     if not rows.size:
         raise MeasurementError(
-            f"{', '.join(kept) or 'nothing'} measured leaves no equation: {mechanism.name!r} has "
+            f"{', '.join(names) or 'nothing'} measured leaves no equation: {mechanism.name!r} has "
             f"{n_rows} equations for {platform.dof} freedoms. Measure more of the platform"
         )
-    unknowns = (*parameter_ids(mechanism), *_external_names(platform, setup, kept))
-    return Information(white, rows, white(errors), unknowns, kept)
+    unknowns = (*parameter_ids(mechanism), *_external_names(platform, setup, names))
+    return Information(white, rows, white(errors), unknowns, names)
 
 
 def _external_names(platform: Platform, setup: Setup, measured: Sequence[str]) -> tuple[str, ...]:
@@ -173,32 +175,32 @@ def _planned(
         raise MeasurementError(
             f"measured: expected names of {', '.join(offered)}; got {described(measured)}"
         )
-    kept = offered if measured is None else tuple(measured)
-    if unknown := [name for name in kept if name not in offered]:
+    names = offered if measured is None else tuple(measured)
+    if unknown := [name for name in names if name not in offered]:
         raise MeasurementError(
             f"{mechanism.name!r} has no freedom {unknown[0]!r} to measure; it has "
             f"{', '.join(offered)}"
         )
     coordinates = platform.from_matrices(matrices)
     turning = platform.freedoms[platform.units.count("m") :]
-    if not set(kept) & set(turning):
+    if not set(names) & set(turning):
         coordinates[:, platform.units.count("m") :] = np.nan
     data = Measurements(
         poses=coordinates, readings=np.zeros((count, len(mechanism.reading_names))), extra=columns
     )
     observation = Observation(mechanism, data, setup)
     value, *slopes = observation.residuals(matrices, observation.external.start)
-    chosen = [observation.names.index(name) for name in kept]
+    chosen = [observation.names.index(name) for name in names]
     predicted = {name: value[:, observation.names.index(name)] for name in columns}
-    there = replace(data, extra=predicted)  # less what was measured: zero
+    planned = replace(data, extra=predicted)  # less what was measured: zero
     by_pose, by_external = (rows[:, chosen] for rows in slopes)
-    off = observation.systematic(matrices, observation.external.start)
+    systematic = observation.systematic(matrices, observation.external.start)
     return (
         by_pose,
         by_external,
-        off[:, chosen],
-        observation.row_noise(there, noise).roots[:, chosen],
-        kept,
+        systematic[:, chosen],
+        observation.row_noise(planned, noise).roots[:, chosen],
+        names,
     )
 
 
@@ -232,14 +234,14 @@ def all_legs(legs: Legs, known: Information) -> Estimable:
 
     What is off in all rows comes on top, however many they are.
     """
-    rows, off, n_legs = known.rows, known.off, legs.parameter.shape[2]
+    rows, systematic, n_legs = known.rows, known.off, legs.parameter.shape[2]
     flat = rows.reshape(-1, rows.shape[2])
     rank, equations = identifiability(flat, known.unknowns), rows.shape[1]
     root, lost = pseudo_inverse(flat, rank.rank)
-    own = root[:, :n_legs]
-    influence = (own.T @ root) @ rows.transpose(0, 2, 1) @ known.white.by_noise
-    moved = own.T @ (root @ (flat.T @ off.reshape(len(flat), -1)))
-    covariance = own.T @ own + moved @ moved.T
+    leg_root = root[:, :n_legs]
+    influence = (leg_root.T @ root) @ rows.transpose(0, 2, 1) @ known.white.by_noise
+    moved = leg_root.T @ (root @ (flat.T @ systematic.reshape(len(flat), -1)))
+    covariance = leg_root.T @ leg_root + moved @ moved.T
     least = float(np.ceil(rank.rank / equations))
     return Estimable(known.measured, equations, least, rank, covariance, lost[:n_legs], influence)
 
@@ -282,20 +284,20 @@ def each_leg(mechanism: Mechanism, plan: Plan, reached: Mask, noise: Noise) -> E
         ranks.append(identifiability(flat, names))
         root, own_lost = pseudo_inverse(flat, ranks[-1].rank)
         moved = (root.T @ root) @ J.transpose(0, 2, 1) @ white.by_noise
-        own = np.arange(place, place := place + J.shape[2])
+        leg_columns = np.arange(place, place := place + J.shape[2])
         kinds = np.r_[n_readings : n_readings + len(sigma), columns.start : columns.stop]
-        noisy[np.ix_(rows, own, kinds)] = moved
+        noisy[np.ix_(rows, leg_columns, kinds)] = moved
         lost.append(np.zeros((count, own_lost.shape[1])))
-        lost[-1][own] = own_lost
+        lost[-1][leg_columns] = own_lost
         equations += J.shape[1]
         share = len(rows) / max(int(reached.sum()), 1)
         needed = np.ceil(ranks[-1].rank / J.shape[1] / share) if share else np.inf
         least = max(least, float(needed))
     rank = Identifiability(
-        sum(one.rank for one in ranks),
+        sum(leg_rank.rank for leg_rank in ranks),
         count,
-        max((one.condition for one in ranks), default=1.0),
-        tuple(group for one in ranks for group in one.groups),
+        max((leg_rank.condition for leg_rank in ranks), default=1.0),
+        tuple(group for leg_rank in ranks for group in leg_rank.groups),
     )
     covariance = np.einsum("nid,njd->ij", noisy, noisy, optimize=True)
     measured = mechanism.platform.freedoms
@@ -325,8 +327,8 @@ def apart_from_frames(mechanism: Mechanism, legs: Legs, lost: Array) -> tuple[Ar
     platform, size = mechanism.platform, largest_size(mechanism.legs)
     reached = Plan(legs.poses, readings=legs.readings)
     near = legs_at(mechanism, nearby(mechanism, reached, GENERIC, size))
-    there = platform.matrices(near.poses)
-    gauge, rest = split_frames(platform, there, near.gain, lost, size)
+    matrices = platform.matrices(near.poses)
+    gauge, undetermined = split_frames(platform, matrices, near.gain, lost, size)
     if gauge.shape[1]:  # which does not count: what is lost takes no part of it
-        rest = rest - gauge @ np.linalg.lstsq(gauge, rest, rcond=None)[0]
-    return gauge, rest, frames_moved(platform, there, near.gain, gauge)
+        undetermined = undetermined - gauge @ np.linalg.lstsq(gauge, undetermined, rcond=None)[0]
+    return gauge, undetermined, frames_moved(platform, matrices, near.gain, gauge)

@@ -122,25 +122,25 @@ class PlatformError:
         return self.unseen * float(position), self.unseen * float(orientation)
 
     def __repr__(self) -> str:
-        return f"PlatformError({self._said(self.position, self.orientation)}, {self.poses} poses)"
+        return f"PlatformError({self._shown(self.position, self.orientation)}, {self.poses} poses)"
 
     def __str__(self) -> str:
         lines = [f"platform error over {self.poses} poses, root mean square"]
-        lines.append(f"  expected          {self._said(self.position, self.orientation)}")
+        lines.append(f"  expected          {self._shown(self.position, self.orientation)}")
         if not self.promised:
             lines.append("  no limit is promised: something contradicts the model or its noise")
         elif outside := int((self.outside > 1.0).sum()):
             lines.append(f"  no limit is promised: {outside} poses lie outside the measured region")
         else:
-            lines.append(f"  95 of 100 below   {self._said(*self.limit)}")
+            lines.append(f"  95 of 100 below   {self._shown(*self.limit)}")
             lines += [f"  left out          {UNCOVERED[code]}" for code in self.uncovered]
         if missing := len(self.std) - int(self.determined.sum()):
             lines.append(f"  out of reach or not determined at {missing} of {len(self.std)} poses")
         return "\n".join(lines)
 
-    def _said(self, position: float, orientation: float) -> str:
-        said = amount(position, "m")
-        return f"{said}, {amount(orientation, 'rad')}" if "rad" in self.units else said
+    def _shown(self, position: float, orientation: float) -> str:
+        text = amount(position, "m")
+        return f"{text}, {amount(orientation, 'rad')}" if "rad" in self.units else text
 
 
 @on_one_thread
@@ -185,9 +185,9 @@ def platform_error(
     root = axes * np.sqrt(values.clip(0.0))
     weights = []
     for unit in ("m", "rad"):
-        own = gain[determined[rows]][:, [one == unit for one in units]]
-        G = own.reshape(-1, len(root)) @ root
-        weights.append(np.linalg.eigvalsh(G.T @ G).clip(0.0) / max(len(own), 1))
+        gain_of_unit = gain[determined[rows]][:, [name == unit for name in units]]
+        G = gain_of_unit.reshape(-1, len(root)) @ root
+        weights.append(np.linalg.eigvalsh(G.T @ G).clip(0.0) / max(len(gain_of_unit), 1))
     position, orientation = root_mean_squares(sizes(units, std), infinite=True)
     return PlatformError(
         position,
@@ -211,16 +211,16 @@ def slides(mechanism: Mechanism, planned: Plan | Array, lost: Array, least: Arra
         least: By how much each freedom is uncertain anyway, shape (dof,), [m] and [rad].
     """
     legs = legs_at(mechanism, planned)
-    found = np.zeros((len(legs.reached), mechanism.platform.dof), dtype=bool)
-    found[legs.reached] = _moving(legs.gain, lost, least)
-    return found
+    moving = np.zeros((len(legs.reached), mechanism.platform.dof), dtype=bool)
+    moving[legs.reached] = _moving(legs.gain, lost, least)
+    return moving
 
 
 def _moving(gain: Array, lost: Array, least: Array | float = 0.0) -> Mask:
     """Return where directions move the platform by more than a least motion, shape (N, dof)."""
-    most = np.abs(gain).max(axis=(0, 2), initial=0.0) * np.abs(lost).max(initial=0.0)
+    largest = np.abs(gain).max(axis=(0, 2), initial=0.0) * np.abs(lost).max(initial=0.0)
     moved = np.abs(gain @ lost).max(axis=2, initial=0.0)
-    return np.asarray(moved > np.maximum(NEGLIGIBLE * most, least))
+    return np.asarray(moved > np.maximum(NEGLIGIBLE * largest, least))
 
 
 def without_frames(
@@ -257,10 +257,10 @@ def closing_twists(mechanism: Mechanism, measured: Plan) -> Array:
     if readings is None:
         return twists
     rows = np.flatnonzero(np.isfinite(np.hstack((measured.poses, readings))).all(axis=1))
-    poses, own = measured.poses[rows], readings[rows]
-    demands = leg_demands(mechanism, replace(measured.rows(rows), poses=poses, readings=own))
-    by_pose = np.concatenate([one.pose for one in demands], axis=1)
-    gaps = np.concatenate([one.value for one in demands], axis=1)
+    complete = replace(measured.rows(rows), poses=measured.poses[rows], readings=readings[rows])
+    demands = leg_demands(mechanism, complete)
+    by_pose = np.concatenate([demand.pose for demand in demands], axis=1)
+    gaps = np.concatenate([demand.value for demand in demands], axis=1)
     twists[rows] = -(np.linalg.pinv(by_pose) @ gaps[:, :, None])[:, :, 0]
     return twists
 
@@ -268,7 +268,7 @@ def closing_twists(mechanism: Mechanism, measured: Plan) -> Array:
 def sizes(units: tuple[str, ...], twists: Array) -> Array:
     """Return the sizes of positions [m] and of orientations [rad] of twists, (N, dof) to (N, 2)."""
     turns = np.array([unit == "rad" for unit in units], dtype=bool)
-    parts = (np.linalg.norm(twists[:, own], axis=1) for own in (~turns, turns))
+    parts = (np.linalg.norm(twists[:, columns], axis=1) for columns in (~turns, turns))
     return np.stack(tuple(parts), axis=1)
 
 

@@ -75,9 +75,9 @@ class Simulation:
         return f"Simulation({len(self.rows)} measurements, {len(self.unreachable)} not reached)"
 
     def __str__(self) -> str:
-        lost = [f"  pose {row + 1}: {why}" for row, why in self.unreachable]
-        more = [f"  and {len(lost) - ROWS} more"] if len(lost) > ROWS else []
-        return "\n".join([repr(self), *lost[:ROWS], *more])
+        lost = [f"  pose {row + 1}: {reason}" for row, reason in self.unreachable]
+        hidden = [f"  and {len(lost) - ROWS} more"] if len(lost) > ROWS else []
+        return "\n".join([repr(self), *lost[:ROWS], *hidden])
 
 
 @on_one_thread
@@ -130,20 +130,20 @@ def _driven(
     mechanism: Mechanism, truth: Mechanism, planned: Plan
 ) -> tuple[Array, Array, dict[str, Array], list[str]]:
     """Return true poses, readings of nominal commands, influences, and why some have no pose."""
-    wanted, readings, reasons = command(mechanism, planned)
+    targets, readings, reasons = command(mechanism, planned)
     driven = np.flatnonzero([not reason for reason in reasons])
     reasons = [reason and f"nominal mechanism: {reason}" for reason in reasons]
     commanded = replace(planned.rows(driven), readings=readings[driven])
-    solution = forward(truth, readings[driven], wanted[driven], influences_of(truth, commanded))
+    solution = forward(truth, readings[driven], targets[driven], influences_of(truth, commanded))
     influences = planned_influences(truth, replace(commanded, poses=solution.poses))
-    there = None if influences is None else np.full((len(reasons), influences.shape[1]), np.nan)
-    if there is not None:
-        there[driven] = influences
+    reached = None if influences is None else np.full((len(reasons), influences.shape[1]), np.nan)
+    if reached is not None:
+        reached[driven] = influences
     for row, reason in zip(driven, solution.reasons, strict=True):
         reasons[row] = f"true mechanism: {reason}" if reason else ""
     poses = np.full(planned.poses.shape, np.nan)
     poses[driven] = solution.poses
-    return poses, readings, _columns(truth, planned, there), reasons
+    return poses, readings, _columns(truth, planned, reached), reasons
 
 
 def _taken(
@@ -151,10 +151,10 @@ def _taken(
 ) -> tuple[Array, Array, dict[str, Array], list[str]]:
     """Return planned poses, true readings there, influences, and why a pose is not reached."""
     influences = planned_influences(truth, planned)
-    there = inverse(truth, planned.poses, influences)
-    found = [there.reason(row) for row in range(len(planned.poses))]
-    reasons = [f"true mechanism: {reason}" if reason else "" for reason in found]
-    return planned.poses, there.readings, _columns(truth, planned, influences), reasons
+    solution = inverse(truth, planned.poses, influences)
+    causes = [solution.reason(row) for row in range(len(planned.poses))]
+    reasons = [f"true mechanism: {reason}" if reason else "" for reason in causes]
+    return planned.poses, solution.readings, _columns(truth, planned, influences), reasons
 
 
 def _columns(truth: Mechanism, planned: Plan, influences: Array | None) -> dict[str, Array]:
@@ -196,13 +196,13 @@ def platform_errors(model: Mechanism, truth: Mechanism, poses: Plan | Poses) -> 
     """
     platform = model.platform
     plan = poses if isinstance(poses, Plan) else Plan(platform.coordinates_of(poses))
-    wanted, readings, reasons = command(model, plan)
-    errors = np.full(wanted.shape, np.nan)
+    targets, readings, reasons = command(model, plan)
+    errors = np.full(targets.shape, np.nan)
     driven = np.flatnonzero([not reason for reason in reasons])
     commanded = replace(plan.rows(driven), readings=readings[driven])
-    solution = forward(truth, readings[driven], wanted[driven], influences_of(truth, commanded))
+    solution = forward(truth, readings[driven], targets[driven], influences_of(truth, commanded))
     reached = driven[solution.converged]
-    errors[reached] = platform.twists_between(wanted[reached], solution.poses[solution.converged])
+    errors[reached] = platform.twists_between(targets[reached], solution.poses[solution.converged])
     return errors
 
 

@@ -81,12 +81,12 @@ def closer_grid(found: Workspace, given: Iterable[str]) -> Grid | None:
     cells = found.inside.reshape(grid.shape)
     axes, closer = [], False
     for place, axis in enumerate(grid.axes):
-        others = tuple(other for other in range(cells.ndim) if other != place)
-        some = axis.values[cells.any(axis=others)]
+        across = tuple(dimension for dimension in range(cells.ndim) if dimension != place)
+        occupied = axis.values[cells.any(axis=across)]
         if axis.name in stay or axis.full_turn or len(axis.values) < 2:
             axes.append(axis)
             continue
-        low, high = float(some[0]) - 2 * axis.step, float(some[-1]) + 2 * axis.step
+        low, high = float(occupied[0]) - 2 * axis.step, float(occupied[-1]) + 2 * axis.step
         if axis.name == "radius" and low <= axis.step:
             step = high / len(axis.values)
             axes.append(

@@ -50,9 +50,9 @@ class Inscribed:
 
     def __repr__(self) -> str:
         """Return the circle or ball in a line."""
-        where = ", ".join(f"{value:.6g}" for value in self.centre)
+        position = ", ".join(f"{value:.6g}" for value in self.centre)
         edge = "; it touches the edge of the grid" if self.at_edge else ""
-        return f"Inscribed: radius {self.radius:.6g} m, centre ({where}) m{edge}"
+        return f"Inscribed: radius {self.radius:.6g} m, centre ({position}) m{edge}"
 
 
 def largest_inscribed(workspace: Workspace) -> Inscribed:
@@ -64,40 +64,40 @@ def largest_inscribed(workspace: Workspace) -> Inscribed:
     grid = workspace.asked
     if not isinstance(grid, Grid) or grid.dimension < 2:
         raise WorkspaceError("an inscribed circle or ball needs a grid with two or three axes")
-    kept = _kept_axes(grid)
+    axes = _varying_axes(grid)
     if not workspace.count:
         raise WorkspaceError("the workspace is empty: no circle fits into it")
     inner, points = _pairs(workspace, grid)
     edge = at_edge(grid, workspace.inside)
     moved = np.zeros(len(points), dtype=bool)
-    apart = np.linalg.norm(points - inner, axis=1)
+    distance_to_inner = np.linalg.norm(points - inner, axis=1)
     best, bound = None, np.inf
     for _ in range(_ROUNDS):
-        centre, radius = _emptiest(np.concatenate((points, edge)), kept, workspace)
+        centre, radius = _emptiest(np.concatenate((points, edge)), axes, workspace)
         bound = min(bound, radius)
         if best is not None and best.radius >= (1 - _NEAR) * bound:
             break
-        distance = np.linalg.norm((points - centre)[:, kept], axis=1)
-        near = np.flatnonzero(~moved & (distance - apart <= radius))
+        distance = np.linalg.norm((points - centre)[:, axes], axis=1)
+        near = np.flatnonzero(~moved & (distance - distance_to_inner <= radius))
         points[near] = _bisected(workspace, inner[near], points[near])
         moved[near] = True
-        rim = _rim(centre, radius, kept)
+        rim = _rim(centre, radius, axes)
         bad = rim[~workspace.test(rim)]
         within = np.broadcast_to(centre, bad.shape)
         points = np.concatenate((points, _bisected(workspace, within, bad)))
         inner = np.concatenate((inner, within))
         moved = np.append(moved, np.ones(len(bad), dtype=bool))
-        apart = np.append(apart, np.zeros(len(bad)))
-        free = np.linalg.norm((points - centre)[:, kept], axis=1).min(initial=radius)
+        distance_to_inner = np.append(distance_to_inner, np.zeros(len(bad)))
+        free = np.linalg.norm((points - centre)[:, axes], axis=1).min(initial=radius)
         if best is None or free > best.radius:
-            to_edge = np.linalg.norm((edge - centre)[:, kept], axis=1).min(initial=np.inf)
+            to_edge = np.linalg.norm((edge - centre)[:, axes], axis=1).min(initial=np.inf)
             best = Inscribed(centre, float(min(free, radius)), bound, bool(to_edge <= free))
     if best is None:
         raise WorkspaceError("no circle fits between the cells that count; take smaller steps")
     return replace(best, bound=max(bound, best.radius))
 
 
-def _kept_axes(grid: Grid) -> list[int]:
+def _varying_axes(grid: Grid) -> list[int]:
     """Return which of x, y, z vary.
 
     Raises:
@@ -127,29 +127,29 @@ def _bisected(workspace: Workspace, inner: Array, outer: Array) -> Array:
     return outer
 
 
-def _emptiest(points: Array, kept: list[int], workspace: Workspace) -> tuple[Array, float]:
+def _emptiest(points: Array, axes: list[int], workspace: Workspace) -> tuple[Array, float]:
     """Return centre and radius of the largest circle free of points, centred where it counts."""
     inner = workspace.positions
     try:
-        vertices = Voronoi(points[:, kept]).vertices
+        vertices = Voronoi(points[:, axes]).vertices
     except (QhullError, ValueError) as error:
         raise WorkspaceError(
             "too few cells count for an inscribed circle; take smaller steps"
         ) from error
-    radii = KDTree(points[:, kept]).query(vertices)[0]
-    cells = KDTree(inner[:, kept])
+    radii = KDTree(points[:, axes]).query(vertices)[0]
+    cells = KDTree(inner[:, axes])
     for index in np.argsort(radii)[::-1]:
         centre = np.array(inner[0])
-        centre[kept] = vertices[index]
+        centre[axes] = vertices[index]
         if cells.query(vertices[index])[0] <= radii[index] and workspace.test(centre[None])[0]:
             return centre, float(radii[index])
     raise WorkspaceError("no circle fits between the cells that count; take smaller steps")
 
 
-def _rim(centre: Array, radius: float, kept: list[int]) -> Array:
+def _rim(centre: Array, radius: float, axes: list[int]) -> Array:
     """Return positions on a circle or sphere, shape (N, 3), [m]."""
-    n = len(kept)
+    n = len(axes)
     directions = np.random.default_rng(0).normal(size=(_RIM_POSITIONS[n], n))
     positions = np.repeat(centre[None], len(directions), axis=0)
-    positions[:, kept] += radius * directions / np.linalg.norm(directions, axis=1)[:, None]
+    positions[:, axes] += radius * directions / np.linalg.norm(directions, axis=1)[:, None]
     return positions

@@ -59,8 +59,8 @@ class HomeComponent:
         near = np.asarray(self._tree.query(points / self._scale, neighbours)[1])
         near = near.reshape(len(poses), -1)
         labels, joined = np.arange(len(poses)), np.empty((2, 0), dtype=near.dtype)
-        for some in np.array_split(near, _ROUNDS, axis=1):
-            pairs = np.stack((np.repeat(np.arange(len(poses)), some.shape[1]), some.ravel()))
+        for columns in np.array_split(near, _ROUNDS, axis=1):
+            pairs = np.stack((np.repeat(np.arange(len(poses)), columns.shape[1]), columns.ravel()))
             pairs = pairs[:, (pairs[0] < pairs[1]) & (labels[pairs[0]] != labels[pairs[1]])]
             first, second = pairs
             halfway = platform.twists_between(poses[first], poses[second]) / 2
@@ -141,21 +141,21 @@ def sample_configurations(
     while halved < _EFFORT.halvings:
         drawn = rng.uniform(low, high, (2 * count, len(low)))
         solution = forward(mechanism, drawn, np.tile(start, (len(drawn), 1)))
-        kept = np.flatnonzero(solution.converged)
+        rows = np.flatnonzero(solution.converged)
         if not arm:
             criteria = criteria_of(mechanism, as_margins(least))
-            kept = kept[criteria.at_readings(solution.poses[kept], drawn[kept])]
-            if len(kept) < _EFFORT.rare * len(drawn):  # joints without limits turn round: nearer
+            rows = rows[criteria.at_readings(solution.poses[rows], drawn[rows])]
+            if len(rows) < _EFFORT.rare * len(drawn):  # joints without limits turn round: nearer
                 low, high = 0.5 * (low + home), 0.5 * (high + home)
                 halved += 1
-        poses.append(solution.poses[kept])
-        readings.append(drawn[kept])
-        total += len(kept)
+        poses.append(solution.poses[rows])
+        readings.append(drawn[rows])
+        total += len(rows)
         if progress:
             progress(min(total, count))
         if total >= count:
             return Plan(np.concatenate(poses)[:count], readings=np.concatenate(readings)[:count])
-    lost = Counter(why for why in solution.reasons if why)
+    lost = Counter(reason for reason in solution.reasons if reason)
     why = (
         lost.most_common(1)[0][0]
         if len(lost) and not solution.converged.any()
@@ -334,8 +334,8 @@ def _why_not_home(mechanism: Mechanism, least: Margins) -> str:
     )
 
 
-def _around(poses: Array, widen: float, least: Array, most: Array) -> tuple[Array, Array]:
+def _around(poses: Array, widen: float, lowest: Array, highest: Array) -> tuple[Array, Array]:
     """Return the box around poses, widened by a part of its size, within bounds."""
     low, high = poses.min(axis=0), poses.max(axis=0)
     size = high - low
-    return np.maximum(low - widen * size, least), np.minimum(high + widen * size, most)
+    return np.maximum(low - widen * size, lowest), np.minimum(high + widen * size, highest)
