@@ -274,6 +274,11 @@ def test_each_column_of_the_sheet_is_explained(bar: Path) -> None:
         empty = all(row[one["column"]] == "" for row in table)
         assert (one["fill in"] == "yes") == empty
         assert one["what it is"]
+    explained = {one["column"]: one["what it is"] for one in legend}
+    assert "as measured, in the base frame" in explained["x [mm]"]
+    read = [text for column, text in explained.items() if column.startswith("leg_")]
+    assert len(read) == 2
+    assert all("needed in every row" in text for text in read)
     assert len(table) == 18
     plan = pincal.Plan.from_csv(bar / "plan.csv", bar)
     planned = [[float(row["planned_x [mm]"]), float(row["planned_y [mm]"])] for row in table]

@@ -21,9 +21,16 @@ from pincal.model.orientation import columns_of as angles_of
 from pincal.model.setup import Setup
 from pincal.model.units import SI, UNITS, Units
 from pincal.types import Array
-from pincal.words.wording import COUNTED, DRIVEN, FILL_IN, HEADS, MEASURED, PLANNED, READ, ROW, SET
 
 Columns = dict[str, Array | tuple[str, ...]]
+
+_LEGEND = ("column", "fill in", "what it is")
+_ROW = "number of the pose, in the order of measuring"
+_SET = "'all': for the calibration; 'verify': for its check, by poses that it has not seen"
+_PLANNED = "where to drive the platform: {name}"
+_DRIVEN = "what {name} reads there by the drawing: drive to it if the machine takes no poses"
+_MEASURED = "{name} as measured, in the base frame; leave the column empty if it is not measured"
+_READ = "what the machine reads at joint {joint} of {leg}, {counted}; needed in every row"
 
 
 def write_plan(
@@ -201,18 +208,18 @@ def sheet_columns(mechanism: Mechanism, plan: Plan) -> list[SheetColumn]:
     both = columns_of(mechanism, Plan(plan.poses, readings=plan.readings), "zyx")
     read = {head: values for head, values in both.items() if head not in poses}
     blank = ("",) * len(plan)
-    found = [SheetColumn("row", ROW, tuple(str(1 + row) for row in range(len(plan))))]
+    found = [SheetColumn("row", _ROW, tuple(str(1 + row) for row in range(len(plan))))]
     if plan.sets is not None:
-        found.append(SheetColumn("set", SET, plan.sets))
-    for columns, text in ((poses, PLANNED), (read, DRIVEN)):
+        found.append(SheetColumn("set", _SET, plan.sets))
+    for columns, text in ((poses, _PLANNED), (read, _DRIVEN)):
         for head, name, values in _handy(columns):
             found.append(SheetColumn(f"planned_{head}", text.format(name=name), values))
     for head, name, _ in _handy(poses):
-        found.append(SheetColumn(head, MEASURED.format(name=name), blank, measured=True))
+        found.append(SheetColumn(head, _MEASURED.format(name=name), blank, measured=True))
     sensors = [(leg, sensor) for leg in mechanism.legs for sensor in leg.sensors]
     for (head, _, _), (leg, sensor) in zip(_handy(read), sensors, strict=True):
-        counted = COUNTED[sensor.homed]
-        what = READ.format(joint=sensor.joint, leg=leg.name, counted=counted)
+        counted = "counted from the home pose" if sensor.homed else "with the zero of the drawing"
+        what = _READ.format(joint=sensor.joint, leg=leg.name, counted=counted)
         found.append(SheetColumn(head, what, blank, measured=True))
     return found
 
@@ -245,5 +252,5 @@ def write_sheet(
     """
     columns = sheet_columns(mechanism, plan)
     write_table(sheet, {one.head: one.values for one in columns}, force=force)
-    rows = [(one.head, FILL_IN[one.measured], one.what) for one in columns]
-    write_table(legend, dict(zip(HEADS, zip(*rows, strict=True), strict=True)), force=force)
+    rows = [(one.head, "yes" if one.measured else "no", one.what) for one in columns]
+    write_table(legend, dict(zip(_LEGEND, zip(*rows, strict=True), strict=True)), force=force)

@@ -1,4 +1,4 @@
-"""What an explanation shows: the screen of terms, the models compared, and what to do."""
+"""What ``explain`` and ``doctor`` show: terms screened, models compared, remedies tried, advice."""
 
 from __future__ import annotations
 
@@ -6,11 +6,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from pincal.calibration.doctor import Remedy
 from pincal.calibration.terms.choice import LEVEL
 from pincal.calibration.terms.explain import Explanation
 from pincal.calibration.terms.kinds import GROWTH, ORDER, parts_of, term_said
 from pincal.calibration.terms.screen import Bound, Candidate
 from pincal.estimation.residuals.courses import Slip
+from pincal.finding import Finding
+from pincal.model.setup import ORIGIN
+from pincal.show.result_tables import unpromised
+from pincal.words.hypotheses import HYPOTHESES
 from pincal.words.numbers import SMALL, amount, chance, listed
 from pincal.words.parameters import (
     AMPLITUDES,
@@ -37,7 +42,7 @@ from pincal.words.parameters import (
     VERDICTS,
 )
 from pincal.words.table import Cell, Column, Quantity, Table, Value, columns
-from pincal.words.wording import NAMED
+from pincal.words.wording import NAMED, Wording
 
 
 def screen_table(explanation: Explanation) -> Table:
@@ -125,12 +130,13 @@ def explanation_lines(explanation: Explanation) -> list[str]:
     """Return what is seen, and the verdict."""
     tried = explanation.choice.candidates
     visible = [item for item in tried if item.corrected < LEVEL]
+    terms = [item for item in visible if item.kind.name != ORDER]
     lines = slip_lines(explanation)
     lines += _seen_lines(explanation, visible)
     if not visible:
         least = min((item.corrected for item in tried), default=1.0)
         lines.append(NOTHING.format(count=len(tried), least=f"{least:.2g}"))
-    if any(item.kind.name == ORDER for item in visible):
+    if len(terms) < len(visible):  # the order of rows is none
         lines.append(NO_TERM)
     if explanation.result.nominal.load is None and explanation.result.nominal.platform.space == 3:
         lines.append(NO_LOAD)
@@ -143,7 +149,6 @@ def explanation_lines(explanation: Explanation) -> list[str]:
             before=f"{models[1].held_out:.2f} σ",
         )
     )
-    terms = [item for item in visible if item.kind.name != ORDER]
     if terms and explanation.verdict == "geometry" and not explanation.result.promises:
         lines.append(UNPROMISED.format(terms=term_said(terms[0].reading, terms[0].kind)))
     return lines
@@ -232,3 +237,52 @@ def explanation_page(explanation: Explanation) -> str:
         *explanation_lines(explanation),
     ]
     return "\n".join(parts)
+
+
+def tried(remedy: Remedy) -> str:
+    """Return what was tried, in a few words."""
+    options = remedy.calibration.options
+    words = [_wording(finding).said(finding) for finding in remedy.findings]
+    if options.setup.unknown_frame and not any(f.code == "unknown-frame" for f in remedy.findings):
+        words.append("the base is elsewhere in the frame of the measurements")
+    if options.setup.targets[ORIGIN].unknown:
+        words.append("the target is elsewhere on the platform")
+    words += ["rows that do not fit are left out"] if options.loss == "reject" else []
+    words += ["the machine is known roughly"] if options.rough else []
+    return " and ".join(words) or "as measured"
+
+
+def remedy_table(remedies: Sequence[Remedy]) -> Table:
+    """Return the table of what was tried."""
+    rows = [
+        (tried(remedy), remedy.result.reduced_chi2 if remedy.result else None, _outcome(remedy))
+        for remedy in remedies
+    ]
+    return Table("What was tried", columns("if", "χ²/dof:.3g", "calibration"), rows)
+
+
+def advice(remedies: Sequence[Remedy]) -> list[str]:
+    """Return what to do: at the source of what works, or else about each refusal."""
+    works = [remedy for remedy in remedies if remedy.works]
+    if works:
+        advised = [
+            _wording(finding).remedied(finding) for remedy in works for finding in remedy.findings
+        ]
+        return [f"{text}." for text in dict.fromkeys(advised) if text]
+    return [f"{tried(remedy)}: {remedy.trouble}" for remedy in remedies if remedy.trouble]
+
+
+def _wording(finding: Finding) -> Wording:
+    return HYPOTHESES[finding.code]
+
+
+def _outcome(remedy: Remedy) -> str:
+    if remedy.result is None:
+        return "refused"
+    if remedy.works:
+        return "works"
+    if not remedy.result.converged:
+        return "does not converge"
+    if remedy.result.promises:
+        return "rows do not fit the others"
+    return f"contradicted: {unpromised(remedy.result) or 'residuals are larger than the noise'}"

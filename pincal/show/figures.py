@@ -38,6 +38,7 @@ from pincal.show.pictures.parts import (
 from pincal.show.pictures.sheet import LEVELS, draw_dimensioned, kinds_of_legs
 from pincal.show.result_tables import noisy_series, whose
 from pincal.show.style import IDENTIFIED, PAGE
+from pincal.show.workspace_answers import ErrorMaps
 from pincal.types import Array
 from pincal.words.numbers import SMALL, STORED, per_si, shown_in
 
@@ -188,15 +189,7 @@ def _maps(facts: ReportFacts) -> Captioned:
 
     A row of panels for each map in space, one panel for each height; in the plane two side by side.
     """
-    if (maps := facts.maps) is None:
-        return None
-    rows = [
-        (f"{quantity} {name}", unit, per_si(unit) * values[..., column])
-        for column, quantity, unit in _QUANTITIES[: 1 + facts.turns]
-        for name, values in (("before", maps.before), ("after, expected", maps.after))
-        if np.isfinite(values[..., column]).any()  # nominal zeros of motors may lead nowhere
-    ]
-    if not rows:
+    if (maps := facts.maps) is None or not (rows := _map_rows(maps, turns=facts.turns)):
         return None
     spatial = len(maps.heights) > 1
     columns = len(maps.heights) if spatial else min(2, len(rows))
@@ -230,6 +223,16 @@ def _maps(facts: ReportFacts) -> Captioned:
         "expected of the calibrated one (standard error). One scale of decades for both; white: "
         "not in the workspace."
     )
+
+
+def _map_rows(maps: ErrorMaps, *, turns: bool) -> list[tuple[str, str, Array]]:
+    """Return title, SI unit and errors, as they are read, of each map that is not empty."""
+    return [
+        (f"{quantity} {name}", unit, per_si(unit) * values[..., column])
+        for column, quantity, unit in _QUANTITIES[: 1 + turns]
+        for name, values in (("before", maps.before), ("after, expected", maps.after))
+        if np.isfinite(values[..., column]).any()  # nominal zeros of motors may lead nowhere
+    ]
 
 
 def _histogram(facts: ReportFacts) -> Captioned:

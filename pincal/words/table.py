@@ -15,6 +15,7 @@ from math import isfinite
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 
 from pincal.words.numbers import SMALL, ends, fixed, rounded, shown_in, uncertainty
+from pincal.words.wording import rendered
 
 if TYPE_CHECKING:
     import pandas
@@ -207,8 +208,6 @@ class Table:
 
     def html(self) -> str:
         """Return the table as HTML, in a frame that scrolls where the page is too narrow."""
-        from pincal.words.wording import rendered
-
         return rendered("table.html", table=self, sides=self.aligned)
 
     def __html__(self) -> str:

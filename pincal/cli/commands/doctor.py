@@ -40,7 +40,7 @@ from pincal.files.table import Table, write_table
 from pincal.model.mechanism import Mechanism
 from pincal.model.setup import ORIGIN, Setup
 from pincal.model.units import COUNTS, scale_of
-from pincal.show.remedies import advice, remedy_table, tried
+from pincal.show.explanation import advice, remedy_table, tried
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ turn is a parallelogram. Where a leg does not reach, its links are NaN.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -247,17 +247,8 @@ def body(
         if pair is not None:
             frame = parallel_frame(leg, links, pair)
             add(f"leg {number}/parallel {pair + 1}", two_rods(leg, radius), frame)
-        for place, column in _strokes(leg):
-            axis, strokes = leg.joints[place].axis, joints[:, column]
-            thin = 0.16 * radius if pulls(leg) else 0.4 * radius
-            piston = Shape("cylinder", (thin, 1.0), _UPWARD, PISTON)
-            path = f"leg {number}/rod {place + 1}"
-            inside = lengths.setdefault(path, 0.0 if pulls(leg) else _barrel(strokes))
-            rod, barrel = _rod(axis, strokes, inside)
-            add(path, (piston,), links[:, place] @ rod)
-            if inside:
-                outer = Shape("cylinder", (0.8 * radius, 1.0), _UPWARD, GREY)
-                add(f"leg {number}/cylinder {place + 1}", (outer,), links[:, place] @ barrel)
+        for path, shape, placement in _pistons(leg, number, (joints, links), radius, lengths):
+            add(path, (shape,), placement)
     shapes = urdf_shapes(platform_urdf(mechanism.name, mechanism.legs))
     points = {leg.point.name: leg.point for leg in mechanism.legs}
     corners = np.array([point.placement.xyz for point in points.values()])
@@ -273,6 +264,32 @@ def body(
     T_base_part = np.stack(placements, axis=1)
     T_base_part[~np.isfinite(T_base_part).all(axis=(2, 3))] = np.nan
     return Body(tuple(parts), T_base_part, tuple(chains), problems, lengths)
+
+
+def _pistons(
+    leg: Leg, number: int, moved: tuple[Array, Array], radius: float, lengths: dict[str, float]
+) -> Iterator[tuple[str, Shape, Array]]:
+    """Yield path, shape and placements of the rods of prismatic joints, and of their cylinders.
+
+    Args:
+        leg: The leg.
+        number: Of the leg, from 1.
+        moved: Joint positions, shape (N, n_joints), and ``T_base_link``, shape (N, n, 4, 4).
+        radius: Of joints, [m].
+        lengths: Of cylinders by the paths of their rods, [m]; those that it lacks are added.
+    """
+    joints, links = moved
+    cable = pulls(leg)
+    for place, column in _strokes(leg):
+        path = f"leg {number}/rod {place + 1}"
+        strokes = joints[:, column]
+        inside = lengths.setdefault(path, 0.0 if cable else _barrel(strokes))
+        rod, barrel = _rod(leg.joints[place].axis, strokes, inside)
+        thin = (0.16 if cable else 0.4) * radius
+        yield path, Shape("cylinder", (thin, 1.0), _UPWARD, PISTON), links[:, place] @ rod
+        if inside:
+            outer = Shape("cylinder", (0.8 * radius, 1.0), _UPWARD, GREY)
+            yield f"leg {number}/cylinder {place + 1}", outer, links[:, place] @ barrel
 
 
 PISTON = "#b9bec5"

@@ -24,7 +24,6 @@ from pincal.show.view.scene import (
 )
 from pincal.show.workspace_answers import WorkspaceErrors, workspace_errors
 from pincal.types import Array, Mask
-from pincal.words.wording import FRAME
 
 #: Of the scene's size: a long arrow, and how far a parameter moves along the weakest direction.
 _ARROW, _SWING = 0.08, 0.08
@@ -176,7 +175,7 @@ def stations(result: CalibrationResult) -> tuple[Station, ...]:
     """
     setup, T_base_frame, placed_stations = result.options.setup, _base_frame(result), []
     if setup.unknown_frame and setup.tracker is None:
-        placed_stations.append(Station(FRAME, T_base_frame))
+        placed_stations.append(Station("frame of the measurements", T_base_frame))
     for device in setup.instruments:
         if (stand := getattr(device, "stand", None)) is None:
             continue

@@ -50,7 +50,6 @@ from pincal.show.view.scene import (
     tips,
 )
 from pincal.types import Array
-from pincal.words import wording as views
 from pincal.words.numbers import POSES, SMALL, per_si
 from pincal.words.wording import clean, rendered
 
@@ -62,6 +61,11 @@ import umsgpack
 
 #: How far sliders go: of the scene's size, and [rad].
 _SLIDER_RANGE = {"m": 0.25, "rad": 0.5}
+#: The workspace in colours of errors.
+_BY_ERROR = {
+    "before": "workspace by error, nominal (before)",
+    "after": "workspace by error, identified, as expected",
+}
 #: Links and shadows on dark ground.
 SOLIDS_DARK = {GREY: "#8b929b", "#d9dce0": "#0b0d10"}
 
@@ -215,14 +219,14 @@ def _rows(scene: Scene) -> list[dict[str, Any]]:
     """Return the table under the slider: what each row is, and its value at each pose."""
     mechanism, platform = scene.mechanism, scene.mechanism.platform
     read = mechanism.reading_names, mechanism.reading_units
-    groups = [(views.POSE, platform.coordinates, platform.units, POSES, scene.plan.poses)]
-    nominal = views.GIVEN if mechanism.by_readings else views.NOMINAL
+    groups = [("pose", platform.coordinates, platform.units, POSES, scene.plan.poses)]
+    nominal = "readings, as given" if mechanism.by_readings else "readings of the nominal model"
     groups.append((nominal, *read, POSES, scene.readings))
     if scene.plan.readings is not None and not mechanism.by_readings:
-        groups.append((views.READ, *read, POSES, scene.plan.readings))
+        groups.append(("readings, as measured", *read, POSES, scene.plan.readings))
     if scene.identified:
         errors = scene.identified.errors
-        groups.append((views.ERROR, platform.freedoms, platform.units, SMALL, errors))
+        groups.append(("identified goes off by", platform.freedoms, platform.units, SMALL, errors))
     return [
         {
             "head": head,
@@ -240,22 +244,36 @@ def _rows(scene: Scene) -> list[dict[str, Any]]:
 
 def _layers(scene: Scene) -> list[dict[str, Any]]:
     """Return what can be shown or hidden: paths, names, and what to say about them."""
-    layers: list[tuple[str, str, bool]] = [("mechanism", views.MECHANISM, True)]
+    layers: list[tuple[str, str, bool]] = [("mechanism", "mechanism", True)]
     if scene.identified:
-        layers.append(("identified", views.identified(scene.identified.magnify), True))
-    layers += [("sets", views.SETS, True), ("ghosts", views.GHOSTS, False)]
+        text = f"identified, errors × {scene.identified.magnify:g}"
+        layers.append(("identified", text, True))
+    layers += [("sets", "poses, as dots", True), ("ghosts", "poses, as ghosts", False)]
     if cloud := scene.cloud:
         group = "" if cloud.domain.all() else cloud.group
-        layers.append(("cloud", views.cloud(len(cloud.positions), cloud.total, group), True))
+        layers.append(("cloud", _cloud_name(len(cloud.positions), cloud.total, group), True))
     if scene.overlay:
         layers += _overlay_layers(scene, scene.overlay)
-    layers += [("base axes", views.BASE, True), ("grid", views.GRID, True)]
+    layers += [("base axes", "base frame", True), ("grid", "grid", True)]
     colours = {"identified": IDENTIFIED, "cloud": DOMAIN}
     colours |= {"misses": IDENTIFIED, "outlying": OUTLIER, "weakest": NOMINAL}
     return [
         {"path": f"meshcat/{path}", "name": name, "shown": shown, "colour": colours.get(path, "")}
         for path, name, shown in layers
     ]
+
+
+def _cloud_name(drawn: int, total: int, group: str) -> str:
+    """Return what a cloud of positions is.
+
+    Args:
+        drawn: How many positions are drawn.
+        total: Of how many.
+        group: Whose fundamental domain has the stronger colour; empty where there is none.
+    """
+    count = f"{drawn:,}" + (f" of {total:,}" if total > drawn else "")
+    share = f"; strong colour: fundamental domain of {group}" if group else ""
+    return f"workspace, {count} positions{share}"
 
 
 def _overlay_layers(scene: Scene, overlay: Overlay) -> list[tuple[str, str, bool]]:
@@ -265,25 +283,26 @@ def _overlay_layers(scene: Scene, overlay: Overlay) -> list[tuple[str, str, bool
         size = float(np.linalg.norm(np.ptp(scene.bounds(), axis=0)))
         short = cut(misses, size)
         for path, name, visible in (
-            ("misses", views.MEASURED, ~misses.outlying),
-            ("outlying", views.OUTLIERS, misses.outlying),
+            ("misses", "measured → predicted", ~misses.outlying),
+            ("outlying", "outliers", misses.outlying),
         ):
             if visible.any():
-                text = views.misses(name, misses.magnify, int((visible & short).sum()))
+                shortened = int((visible & short).sum())
+                text = f"{name}, errors × {misses.magnify:,.12g}"
+                text += f", {shortened} longer than drawn" if shortened else ""
                 layers.append((path, text, True))
     if overlay.errors:
-        layers += [(f"errors/{when}", entry, False) for when, entry in views.BY_ERROR.items()]
+        layers += [(f"errors/{when}", entry, False) for when, entry in _BY_ERROR.items()]
     if weakest := overlay.weakest:
-        layers.append(("weakest", views.weakest(weakest.magnify, weakest.named), False))
-    stands = (
-        [("instrument", views.TRACKER, overlay.instrument.position)] if overlay.instrument else []
-    )
+        text = f"weakest direction, ±{weakest.magnify:.3g} of its standard errors: {weakest.named}"
+        layers.append(("weakest", text, False))
+    stands = [("instrument", "tracker", overlay.instrument.position)] if overlay.instrument else []
     stands += [
         (f"stations/{number}", station.name, station.T_base_station[:3, 3])
         for number, station in enumerate(overlay.stations, 1)
     ]
     layers += [
-        (p, views.stands(name, float(np.linalg.norm(position))), True)
+        (p, f"{name}, {np.linalg.norm(position):.3g} m from the base frame", True)
         for p, name, position in stands
     ]
     return layers

@@ -280,11 +280,11 @@ def driven(scene: Scene, identified: Mechanism, magnify: float) -> Identified:
         )
     if not (np.isfinite(magnify) and magnify > 0.0):
         raise MeasurementError(f"errors magnified by {magnify}; expected a factor above 0")
-    unreached = {
+    magnified = {
         leg.name: leg.nominal + magnify * (identified.leg(leg.name).nominal - leg.nominal)
         for leg in mechanism.legs
     }
-    machine = mechanism.with_parameters(unreached)
+    machine = mechanism.with_parameters(magnified)
     known = np.flatnonzero(np.isfinite(scene.readings).all(axis=1))
     solution = forward(machine, scene.readings[known], poses[known])
     reached = known[solution.converged]

@@ -24,7 +24,9 @@ from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.show.page import Page
 from pincal.show.view.bodies import with_meshes
+from pincal.show.view.calibrated import calibrated
 from pincal.show.view.scene import MAGNIFY, Scene, plan_of, scene
+from pincal.workspace.sampling import sample_configurations
 
 if TYPE_CHECKING:
     from pincal.calibration.result import CalibrationResult
@@ -62,8 +64,6 @@ class View(Page):
         Arrows from measured to predicted points, errors over the workspace before and after, the
         weakest direction, and the tracker where its place is known.
         """
-        from pincal.show.view.calibrated import calibrated
-
         return View(calibrated(self.scene, result), self._source, self._notices)
 
     def with_notices(self, notices: Sequence[str]) -> View:
@@ -139,8 +139,6 @@ def view(
 
 def _some_poses(mechanism: Mechanism) -> Plan:
     """Return home and, where there is a workspace, some of its configurations."""
-    from pincal.workspace.sampling import sample_configurations
-
     home = home_of(mechanism)
     try:
         sampled = sample_configurations(mechanism, 24)
