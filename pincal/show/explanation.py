@@ -15,32 +15,9 @@ from pincal.estimation.residuals.courses import Slip
 from pincal.finding import Finding
 from pincal.model.setup import ORIGIN
 from pincal.show.result_tables import unpromised
+from pincal.words import parameters as words
 from pincal.words.hypotheses import HYPOTHESES
 from pincal.words.numbers import SMALL, amount, chance, listed
-from pincal.words.parameters import (
-    AMPLITUDES,
-    BOUNDS,
-    CAUSES,
-    COLUMN,
-    DRIFT,
-    GROWN,
-    HELD_OUT,
-    LOST,
-    MEND,
-    NO_LOAD,
-    NO_TERM,
-    NOTHING,
-    OF_LEGS,
-    OR_ELSE,
-    OTHER_KIND,
-    PLACES,
-    SEEN,
-    SLIP,
-    SLIPPED,
-    TOO_SMALL,
-    UNPROMISED,
-    VERDICTS,
-)
 from pincal.words.table import Cell, Column, Quantity, Table, Value, columns
 from pincal.words.wording import NAMED, Wording
 
@@ -53,7 +30,9 @@ def screen_table(explanation: Explanation) -> Table:
         f"{explanation.result.nominal.name}: what geometry does not explain",
         columns("reading", "term", "amplitudes", "off χ² [%]:.1f", "F:.3g", "chance"),
         rows,
-        "; ".join(filter(None, (AMPLITUDES, f"{omitted} more are less clear" * bool(omitted)))),
+        "; ".join(
+            filter(None, (words.AMPLITUDES, f"{omitted} more are less clear" * bool(omitted)))
+        ),
     )
 
 
@@ -95,8 +74,8 @@ def _amplitude(candidate: Candidate, id_: str) -> str:
 
 def _place(explanation: Explanation, place: str) -> str:
     """Return what a place is called."""
-    single = (*explanation.result.nominal.load_names, *PLACES)
-    return PLACES.get(place, place) if place in single else OF_LEGS.format(name=place)
+    single = (*explanation.result.nominal.load_names, *words.PLACES)
+    return words.PLACES.get(place, place) if place in single else words.OF_LEGS.format(name=place)
 
 
 def models_table(explanation: Explanation) -> Table:
@@ -119,7 +98,7 @@ def models_table(explanation: Explanation) -> Table:
         for index, model in enumerate(explanation.choice.models)
     ]
     every = (*heads, *misses, *columns("BIC:.1f"))
-    return Table("Models on rows held out", every, rows, HELD_OUT)
+    return Table("Models on rows held out", every, rows, words.HELD_OUT)
 
 
 def _known(explanation: Explanation, name: str) -> bool:
@@ -135,22 +114,24 @@ def explanation_lines(explanation: Explanation) -> list[str]:
     lines += _seen_lines(explanation, visible)
     if not visible:
         least = min((item.corrected for item in tried), default=1.0)
-        lines.append(NOTHING.format(count=len(tried), least=f"{least:.2g}"))
+        lines.append(words.NOTHING.format(count=len(tried), least=f"{least:.2g}"))
     if len(terms) < len(visible):  # the order of rows is none
-        lines.append(NO_TERM)
+        lines.append(words.NO_TERM)
     if explanation.result.nominal.load is None and explanation.result.nominal.platform.space == 3:
-        lines.append(NO_LOAD)
+        lines.append(words.NO_LOAD)
     lines += [bound_line(item) for item in explanation.choice.bounds]
     models = explanation.choice.models
-    lines += [LOST.format(fold=fold + 1, why=reason) for fold, reason in explanation.choice.lost]
+    lines += [
+        words.LOST.format(fold=fold + 1, why=reason) for fold, reason in explanation.choice.lost
+    ]
     lines.append(
-        VERDICTS[explanation.verdict].format(
+        words.VERDICTS[explanation.verdict].format(
             held_out=f"{explanation.choice.model.held_out:.2f} σ",
             before=f"{models[1].held_out:.2f} σ",
         )
     )
     if terms and explanation.verdict == "geometry" and not explanation.result.promises:
-        lines.append(UNPROMISED.format(terms=term_said(terms[0].reading, terms[0].kind)))
+        lines.append(words.UNPROMISED.format(terms=term_said(terms[0].reading, terms[0].kind)))
     return lines
 
 
@@ -161,18 +142,21 @@ def _seen_lines(explanation: Explanation, visible: Sequence[Candidate]) -> list[
         candidate = remaining.pop(0)
         remaining = [rival for rival in remaining if rival.pair not in candidate.or_else]
         alternatives = [
-            _place(explanation, place) if kind == candidate.kind else OTHER_KIND.format(kind)
+            _place(explanation, place) if kind == candidate.kind else words.OTHER_KIND.format(kind)
             for place, kind in candidate.or_else
         ]
         lines.append(
-            SEEN.format(
+            words.SEEN.format(
                 reading=_place(explanation, candidate.reading),
                 kind=candidate.kind,
-                cause=CAUSES.get(
-                    candidate.kind.name, GROWN if _is_length(explanation, candidate) else COLUMN
+                cause=words.CAUSES.get(
+                    candidate.kind.name,
+                    words.GROWN if _is_length(explanation, candidate) else words.COLUMN,
                 ),
                 share=candidate.share,
-                or_else=OR_ELSE.format(what=listed(alternatives, "or")) if alternatives else "",
+                or_else=words.OR_ELSE.format(what=listed(alternatives, "or"))
+                if alternatives
+                else "",
                 chance=chance(candidate.corrected),
             )
         )
@@ -183,21 +167,21 @@ def slip_lines(explanation: Explanation) -> list[str]:
     """Return what slipped or drifted, in which direction, and what to do."""
     lines = []
     for slip in explanation.choice.slips:
-        subject, look = SLIPPED[slip.what]
+        subject, look = words.SLIPPED[slip.what]
         alternatives = " or ".join(
-            SLIPPED[kind][0].format(name=name) for kind, name in slip.or_else
+            words.SLIPPED[kind][0].format(name=name) for kind, name in slip.or_else
         )
         lines.append(
-            (DRIFT if slip.steady else SLIP).format(
+            (words.DRIFT if slip.steady else words.SLIP).format(
                 row=slip.row + 1,
                 what=subject.format(name=slip.name),
                 size=_vector(slip),
                 look=look,
-                or_else=OR_ELSE.format(what=alternatives.rstrip(",")) if alternatives else "",
+                or_else=words.OR_ELSE.format(what=alternatives.rstrip(",")) if alternatives else "",
                 chance=chance(slip.p_value),
             )
         )
-    return [*lines, MEND] if lines else []
+    return [*lines, words.MEND] if lines else []
 
 
 def _vector(slip: Slip) -> str:
@@ -217,8 +201,8 @@ def bound_line(bound: Bound) -> str:
     size, least, reckoned = (
         amount(v, bound.unit) for v in (bound.size, bound.least, bound.reckoned)
     )
-    text = BOUNDS[bound.cause].format(quantity=bound.quantity, size=size, least=least)
-    return TOO_SMALL.format(bound=text, reckoned=reckoned) if bound.too_small else text
+    text = words.BOUNDS[bound.cause].format(quantity=bound.quantity, size=size, least=least)
+    return words.TOO_SMALL.format(bound=text, reckoned=reckoned) if bound.too_small else text
 
 
 def _is_length(explanation: Explanation, candidate: Candidate) -> bool:
@@ -242,14 +226,14 @@ def explanation_page(explanation: Explanation) -> str:
 def tried(remedy: Remedy) -> str:
     """Return what was tried, in a few words."""
     options = remedy.calibration.options
-    words = [_wording(finding).said(finding) for finding in remedy.findings]
+    parts = [_wording(finding).said(finding) for finding in remedy.findings]
     if options.setup.unknown_frame and not any(f.code == "unknown-frame" for f in remedy.findings):
-        words.append("the base is elsewhere in the frame of the measurements")
+        parts.append("the base is elsewhere in the frame of the measurements")
     if options.setup.targets[ORIGIN].unknown:
-        words.append("the target is elsewhere on the platform")
-    words += ["rows that do not fit are left out"] if options.loss == "reject" else []
-    words += ["the machine is known roughly"] if options.rough else []
-    return " and ".join(words) or "as measured"
+        parts.append("the target is elsewhere on the platform")
+    parts += ["rows that do not fit are left out"] if options.loss == "reject" else []
+    parts += ["the machine is known roughly"] if options.rough else []
+    return " and ".join(parts) or "as measured"
 
 
 def remedy_table(remedies: Sequence[Remedy]) -> Table:
@@ -268,7 +252,7 @@ def advice(remedies: Sequence[Remedy]) -> list[str]:
         advised = [
             _wording(finding).remedied(finding) for remedy in works for finding in remedy.findings
         ]
-        return [f"{text}." for text in dict.fromkeys(advised) if text]
+        return [f"{remedied}." for remedied in dict.fromkeys(advised) if remedied]
     return [f"{tried(remedy)}: {remedy.trouble}" for remedy in remedies if remedy.trouble]
 
 
