@@ -45,7 +45,7 @@ from pincal.words.numbers import SMALL, STORED, per_si, shown_in
 #: A figure and its caption, or none where there is nothing to show.
 Captioned = tuple[Figure, str] | None
 _QUANTITIES = ((0, "position", "m"), (1, "orientation", "rad"))
-_ORIENTATIONS = 3  # bars from which their names are turned
+_LEVEL_NAMES = 3  # bars, at most, whose names are not turned
 
 
 def figure(name: str, facts: ReportFacts) -> SvgFigure | None:
@@ -152,7 +152,7 @@ def _platform(facts: ReportFacts) -> Captioned:
         draw_bars(axes, values, before_after)
         axes.set_title(title)
         axes.get_legend().remove()
-        turned = len(bars) > _ORIENTATIONS
+        turned = len(bars) > _LEVEL_NAMES
         for bar in axes.containers:
             axes.bar_label(bar, fmt="%.2g", fontsize=7, rotation=90 * turned, padding=2)
         if turned:

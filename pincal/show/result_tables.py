@@ -1,4 +1,4 @@
-"""Tables of a calibration, in the units in which people read them."""
+"""Residuals, directions and tables of a calibration, in the units in which people read them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How drawings look: colours, markers, sizes; one place for plots, pictures and pages."""
+"""How drawings look: colours, markers, sizes; one place for charts, pictures and pages."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a calibration means, in sentences."""
+"""What a calibration means, and what a plan promises, in sentences."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What ``pincal workspace`` writes of poses, regions and spaces of readings, in SI units."""
+"""Answers about a workspace, in SI units: its size, and errors of a calibration there."""
 
 from __future__ import annotations
 

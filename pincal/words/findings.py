@@ -1,4 +1,8 @@
-"""What is said of measurements that cannot be right though no hypothesis explains them."""
+"""Wordings of findings about measurements: faults, gauge freedoms, rows that do not fit.
+
+``FAULTS`` of measurements that no hypothesis explains, ``FREEDOMS`` that no measurement determines,
+``ROWS`` and what their residuals follow.
+"""
 
 from __future__ import annotations
 

@@ -1,9 +1,8 @@
 """Sentences of findings: what was found and what to do about it, made of a code and its values.
 
 ``finding("chi2-too-large", chi2=2.1, ...)`` makes a ``Finding`` and checks that it has the values
-which its sentence needs; ``sentence(found)`` says it. The codes are, with their values, titles
-and remedies, in ``pincal.words``: ``results``, ``rows``, ``parameters``, ``freedoms``, ``faults``
-and ``hypotheses``.
+which its sentence needs; ``sentence(...)`` says it. The codes are, with their values, titles
+and remedies, in ``pincal.words``: ``results``, ``findings``, ``parameters`` and ``hypotheses``.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""What is said of a code: title, sentence, meaning, remedy, and the values that these need."""
+"""What is said of a code: title, sentence, meaning, remedy, and the values that these need.
+
+With what sentences share: groups of parameters in words, text that pages can hold, templates.
+"""
 
 from __future__ import annotations
 

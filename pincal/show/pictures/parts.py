@@ -1,4 +1,4 @@
-"""Parts of plots: maps, mechanisms, poses, bars and their names, drawn into axes."""
+"""Parts of charts and pictures: maps, poses, bars and their names, shapes painted, into axes."""
 
 from __future__ import annotations
 

@@ -169,8 +169,8 @@ def _row(
     legs, places = columns
     identified = [next(p for p in leg.parameters if p.name == name) for leg in legs]
     first, *further = _label(mechanism, legs[0].name, name) or [""]
-    text_shown = symbol(name) + f"  {first}".replace("$", r"\$") * bool(first)
-    axes.text(0.0, line, text_shown, size=7, va="center", parse_math=True)
+    heading = symbol(name) + f"  {first}".replace("$", r"\$") * bool(first)
+    axes.text(0.0, line, heading, size=7, va="center", parse_math=True)
     for text in further:
         axes.text(0.027, line + 0.8, text, size=7, va="center")
     same = _same_nominal(legs, name)

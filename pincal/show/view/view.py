@@ -1,4 +1,7 @@
-"""``pincal.view``: a mechanism in the browser, in a file, or in a notebook, by the same page."""
+"""``pincal.view``: a mechanism in the browser, in a file, or in a notebook, by the same page.
+
+``PageServer`` serves it to this machine alone.
+"""
 
 from __future__ import annotations
 
