@@ -53,31 +53,32 @@ def read_covariances(table: Table, units: Mapping[str, str]) -> dict[str, Array]
         MeasurementError: a unit that is not the product of both, or a cell that is no number.
     """
     headers = covariance_headers(units)
-    if other := [name for name in table.units if name.startswith("cov_") and name not in headers]:
+    unpaired = [n for n in table.units if n.startswith("cov_") and n not in headers]
+    if unpaired:
         raise MeasurementError(
-            f"{table.path}: column {other[0]!r} is no covariance of two quantities measured of the "
-            f"platform ({', '.join(units)}); rename it, or leave it out"
+            f"{table.path}: column {unpaired[0]!r} is no covariance of two quantities measured of "
+            f"the platform ({', '.join(units)}); rename it, or leave it out"
         )
-    found: dict[str, Array] = {}
+    covariances: dict[str, Array] = {}
     for header, (first, second) in headers.items():
         if header not in table:
             continue
-        if (pair := f"{first},{second}") in found:
+        if (pair := f"{first},{second}") in covariances:
             raise MeasurementError(
                 f"{table.path}: the covariance of {first} and {second} is said twice; leave one "
                 "of the columns"
             )
-        said, needed = table.units[header], (units[first], units[second])
-        factor = None if said is None else _factor(said, needed)
+        unit, needed = table.units[header], (units[first], units[second])
+        factor = None if unit is None else _factor(unit, needed)
         if factor is None:
-            has = "no unit" if said is None else f"unit [{said}]"
+            has = "no unit" if unit is None else f"unit [{unit}]"
             raise MeasurementError(
                 f"{table.path}: column {header!r} has {has}; expected "
                 f"'{header} [{product_unit(*needed)}]', the product of both, or [mm2], [mm mrad], "
                 "[mrad2]"
             )
-        found[pair] = table.plain(header, blank=True) * factor
-    return found
+        covariances[pair] = table.plain(header, blank=True) * factor
+    return covariances
 
 
 def product_unit(first: str, second: str) -> str:
@@ -85,13 +86,13 @@ def product_unit(first: str, second: str) -> str:
     return f"{first}2" if first == second else f"{first} {second}"
 
 
-def _factor(said: str, needed: tuple[str, str]) -> float | None:
+def _factor(unit: str, needed: tuple[str, str]) -> float | None:
     """Return the factor to SI of a product of two units, None if it is another."""
-    square = _SQUARE.fullmatch(said.strip())
-    parts = [square[1]] * 2 if square else re.split(r"\s*[·*⋅ ]\s*", said.strip())
-    if len(parts) != 2 or not all(one in UNITS for one in parts):
+    square = _SQUARE.fullmatch(unit.strip())
+    parts = [square[1]] * 2 if square else re.split(r"\s*[·*⋅ ]\s*", unit.strip())
+    if len(parts) != 2 or not all(part in UNITS for part in parts):
         return None
-    if sorted(UNITS[one][0] for one in parts) != sorted(needed):
+    if sorted(UNITS[part][0] for part in parts) != sorted(needed):
         return None
     return UNITS[parts[0]][1] * UNITS[parts[1]][1]
 
@@ -101,103 +102,115 @@ _log = logging.getLogger(__name__)
 
 
 def table_for(
-    path: Source,
+    source: Source,
     mechanism: Mechanism,
-    more: Mapping[str, str] | None = None,
-    further: Collection[str] | None = (),
+    further: Mapping[str, str] | None = None,
+    wanted_influences: Collection[str] | None = (),
 ) -> Table:
     """Return a table; headers such as ``x (mm)``, ``X [mm]``, ``x_mm`` are read as ``x [mm]``.
 
-    That is logged, as are columns without a meaning, but for further ones; None for any. A header
-    that is nearly a known one and says no unit is refused.
+    That is logged, as are columns without a meaning.
+
+    Args:
+        source: A file, or a DataFrame.
+        mechanism: The mechanism.
+        further: Columns of a setup, with their units.
+        wanted_influences: Columns of influences that are read besides; None for any.
+
+    Raises:
+        FileError: the file is missing or cannot be read.
+        MeasurementError: a header that is nearly a known one and says no unit.
     """
     must_be(mechanism, Mechanism, "the mechanism", MechanismError)
-    every = {name: mechanism.counts.get(name) for name in mechanism.reading_names}
-    counts = every | {f"sigma_{name}": by for name, by in every.items()}
-    read = read_table(path)
-    table = replace(read, units=dict(read.units), text=dict(read.text), counts=counts)
-    units = _known(mechanism, more or {})
-    other: dict[str, str] = {}
-    for column, own in table.units.items():
-        meant = [name for name in units if name not in table and _nearly(column, name, units[name])]
-        if column not in units and meant:
-            name, said = meant[0], own or _said_in(column, meant[0], units[meant[0]])
-            if said and len(meant) == 1 and meant[0] not in other.values():
-                other[column] = name
-                continue
-            unit = own or _unit_in(column, meant[0], units[meant[0]])
-            written = f"{column} [{own}]" if own else column
-            raise MeasurementError(
-                f"{table.path}: column {written!r} is not understood; write "
-                f"{f'{name} [{unit}]' if unit else name!r}"
-            )
-    for column, name in other.items():
-        table.units[name] = table.units.pop(column) or _said_in(column, name, units[name])
-        table.text[name] = table.text.pop(column)
-    if other:
-        renamed = [
-            f"{column!r} as '{name} [{table.units[name]}]'" for column, name in other.items()
-        ]
-        _log.info("%s: columns read: %s", table.path, ", ".join(renamed))
-    unused = [
-        name
-        for name in unknown_columns(table, mechanism, more)
-        if further is not None and name not in further
-        if name != "row" and not name.startswith("planned_")  # of a measuring sheet
-    ]
-    if unused:
-        names = [name if name.isprintable() else ascii(name) for name in unused[:NAMED]]
-        names += [f"and {len(unused) - NAMED} more"] * (len(unused) > NAMED)
-        _log.info("%s: columns not used: %s", table.path, ", ".join(names))
+    counts = {name: mechanism.counts.get(name) for name in mechanism.reading_names}
+    counts |= {f"sigma_{name}": per_unit for name, per_unit in counts.items()}
+    table = replace(read_table(source), counts=counts)
+    meant = _headers_meant(table, _known(mechanism, further or {}))
+    if meant:
+        read_as = [f"{column!r} as '{name} [{unit}]'" for column, (name, unit) in meant.items()]
+        _log.info("%s: columns read: %s", table.path, ", ".join(read_as))
+        unchanged = [column for column in table.units if column not in meant]
+        units = {column: table.units[column] for column in unchanged} | dict(meant.values())
+        text = {column: table.text[column] for column in unchanged}
+        text |= {name: table.text[column] for column, (name, _) in meant.items()}
+        table = replace(table, units=units, text=text)
+    if wanted_influences is not None:
+        unused = unknown_columns(table, mechanism, further).keys() - set(wanted_influences)
+        names = [n for n in table.units if n in unused and not _of_sheet(n)]
+        if names:
+            shown = [name if name.isprintable() else ascii(name) for name in names[:NAMED]]
+            shown += [f"and {len(names) - NAMED} more"] * (len(names) > NAMED)
+            _log.info("%s: columns not used: %s", table.path, ", ".join(shown))
     return table
 
 
+def _of_sheet(column: str) -> bool:
+    """Return whether a column is of a measuring sheet, and says what was planned."""
+    return column == "row" or column.startswith("planned_")
+
+
+def _headers_meant(table: Table, units: Mapping[str, str]) -> dict[str, tuple[str, str]]:
+    """Return name and unit of columns whose headers say them in other case, or otherwise.
+
+    Raises:
+        MeasurementError: a header that says no unit, or may be several columns.
+    """
+    meant: dict[str, tuple[str, str]] = {}
+    for column, bracketed in table.units.items():
+        behind = {
+            name: unit
+            for name, dimension in units.items()
+            if name not in table and (unit := _unit_behind(column, name, dimension)) is not None
+        }
+        if column in units or not behind:
+            continue
+        name = next(iter(behind))
+        unit = bracketed or behind[name]
+        if not unit or len(behind) > 1 or name in dict(meant.values()):
+            header = f"{column} [{bracketed}]" if bracketed else column
+            unit = unit or units[name]
+            raise MeasurementError(
+                f"{table.path}: column {header!r} is not understood; write "
+                f"{f'{name} [{unit}]' if unit else name!r}"
+            )
+        meant[column] = name, unit
+    return meant
+
+
+def _unit_behind(column: str, name: str, dimension: str) -> str | None:
+    """Return the unit behind a name as in ``x (mm)``, ``x_mm``, ``x/mm``.
+
+    It is empty where there is nothing or another unit in brackets, None if the column is another.
+    """
+    rest = column[len(name) :]
+    if not column.lower().startswith(name.lower()):
+        return None
+    unit = rest.strip(" _/-(){}<>")
+    if (unit == COUNTS or UNITS.get(unit, ("",))[0] == dimension) and unit != rest:
+        return unit
+    return "" if not rest or rest.strip().startswith("(") else None
+
+
 def unknown_columns(
-    table: Table, mechanism: Mechanism, more: Mapping[str, str] | None = None
+    table: Table, mechanism: Mechanism, further: Mapping[str, str] | None = None
 ) -> dict[str, tuple[str, ...]]:
     """Return the columns of a table without a meaning, as they are: name to cells."""
-    known = _known(mechanism, more or {})
+    known = _known(mechanism, further or {})
     return {name: tuple(table.text[name]) for name in table.units if name not in known}
 
 
-def _known(mechanism: Mechanism, more: Mapping[str, str]) -> dict[str, str]:
+def _known(mechanism: Mechanism, further: Mapping[str, str]) -> dict[str, str]:
     """Return the columns that mean something, with their units; empty for names."""
     platform = mechanism.platform
     units = dict(zip(platform.freedoms, platform.units, strict=True))
     units |= dict(zip(platform.coordinates, platform.units, strict=True))
     units |= {name: unit for names, unit in WAYS.values() for name in names}
     units |= dict(zip(mechanism.reading_names, mechanism.reading_units, strict=True))
-    units |= more
+    units |= further
     units |= {f"sigma_{name}": unit for name, unit in units.items()}
-    pairs = covariance_headers(dict.fromkeys((*platform.freedoms, *more), ""))
+    pairs = covariance_headers(dict.fromkeys((*platform.freedoms, *further), ""))
     named = ("set", "run", "pose", *pairs, *mechanism.influences, *mechanism.followed)
     return {**dict.fromkeys(named, ""), **units}
-
-
-def _nearly(column: str, name: str, unit: str) -> bool:
-    """Return whether a column is meant by name, but in other case, or with its unit otherwise."""
-    bare = column.lower()
-    return bare == name.lower() or (
-        bare.startswith(name.lower()) and _unit_in(column, name, unit) is not None
-    )
-
-
-def _said_in(column: str, name: str, dimension: str) -> str:
-    """Return the unit that a header says after a name, nothing if it says none of the dimension."""
-    inner = column[len(name) :].strip(" _/-(){}<>")
-    return inner if inner == COUNTS or UNITS.get(inner, ("",))[0] == dimension else ""
-
-
-def _unit_in(column: str, name: str, dimension: str) -> str | None:
-    """Return the unit that follows a name as in ``x (mm)``, ``x_mm``, ``x/mm``.
-
-    That of the dimension where the brackets say another one, or nothing.
-    """
-    rest = column[len(name) :]
-    inner = rest.strip(" _/-(){}<>")
-    if (inner == COUNTS or UNITS.get(inner, ("",))[0] == dimension) and inner != rest:
-        return inner
-    return (dimension or "") if rest.strip().startswith("(") or not rest else None
 
 
 def read_poses(path: Source, mechanism: GivenMechanism, *, partial: bool = False) -> Plan:
@@ -255,16 +268,67 @@ def read_measurements(
     """
     mechanism = as_mechanism(mechanism)
     setup = Setup() if setup is None else must_be(setup, Setup, "the setup", MeasurementError)
-    more = setup.columns(mechanism)
-    polar = {f"sigma_{name}": unit for name, unit in setup.polar.items()}
-    level = tilt_column(mechanism, more)
-    table = table_for(path, mechanism, more | polar | level, influences)
-    table = table.where_measured(measured_columns(mechanism, more))
-    said = [name for name in ("range", "elevation") if name not in more]
-    if not polar and (own := [name for name in said if f"sigma_{name}" in table]):
+    platform, further = mechanism.platform, setup.columns(mechanism)
+    level = tilt_column(mechanism, further)
+    meaning = further | {f"sigma_{name}": unit for name, unit in setup.polar.items()} | level
+    table = table_for(path, mechanism, meaning, influences)
+    table = table.where_measured(measured_columns(mechanism, further))
+    _check_columns(table, mechanism, setup, further)
+    way = _way(table) if platform.turns == 3 else None
+    if platform.turns == 3 and partial and way is None:
+        further |= {name: "rad" for name in SINGLE_ANGLES if name in table}
+    if not partial:
+        _check_whole_pose(table, mechanism)
+    poses = _poses(table, mechanism, partial=partial)
+    if level and "z" in table:
+        poses = levelled(table, setup, poses)
+    freedoms = dict(zip(platform.freedoms, platform.units, strict=True))
+    units = dict(zip(mechanism.reading_names, mechanism.reading_units, strict=True))
+    readings = [table.numbers(name, unit, blank=partial) for name, unit in units.items()]
+    unknown = unknown_columns(table, mechanism, meaning)
+    data = Measurements(
+        poses=poses,
+        sets=_sets(table, mechanism),
+        readings=np.column_stack(readings),
+        sigma_poses=_sigmas(table, freedoms, partial=partial),
+        sigma_readings=_sigmas(table, units),
+        extra={
+            name: table.numbers(name, unit, blank=True)
+            for name, unit in further.items()
+            if name in table or not partial
+        },
+        sigma_extra={
+            name: _sigma(table, name, unit, blank=partial)
+            for name, unit in (further | setup.polar).items()
+            if f"sigma_{name}" in table
+        },
+        covariances=read_covariances(table, freedoms | further),
+        influences=_influences(table, mechanism) | _numbers(table, unknown, influences),
+        runs=_names(table, "run"),
+        places=_names(table, "pose"),
+        lines=table.file_lines,
+        written=way,
+    )
+    measured = [data.poses, *(values[:, None] for values in data.extra.values())]
+    if not any(np.isfinite(values).any() for values in measured) and not partial:
+        raise MeasurementError(f"{table.path}: nothing of the platform is measured")
+    return data
+
+
+def _check_columns(
+    table: Table, mechanism: Mechanism, setup: Setup, further: Mapping[str, str]
+) -> None:
+    """Raise if a column is missing that terms or the setup need, or one needs another setup.
+
+    Raises:
+        MeasurementError: which one.
+    """
+    of_tracker = [name for name in ("range", "elevation") if name not in further]
+    of_tracker = [name for name in of_tracker if f"sigma_{name}" in table]
+    if of_tracker and not setup.polar:
         raise MeasurementError(
-            f"{table.path}: column 'sigma_{own[0]}' says how well a tracker measures; say where it "
-            "is in the frame of the measurements: 'tracker: {at: [0, 0, 0]}' in the setup "
+            f"{table.path}: column 'sigma_{of_tracker[0]}' says how well a tracker measures; say "
+            "where it is in the frame of the measurements: 'tracker: {at: [0, 0, 0]}' in the setup "
             "(--setup), or leave the column out"
         )
     for name in mechanism.influences:
@@ -273,65 +337,22 @@ def read_measurements(
                 f"{table.path}: no column {name!r}, on which terms of sensors depend; add it, or "
                 "leave these terms out of the mechanism"
             )
-    for name, whose in setup.required.items():
+    for name, owner in setup.required.items():
         if name not in table:
             raise MeasurementError(
-                f"{table.path}: no column {name!r}, {whose}; expected '{name} [{more[name]}]'"
+                f"{table.path}: no column {name!r}, {owner}; expected '{name} [{further[name]}]'"
             )
-    platform = mechanism.platform
-    if platform.turns == 3 and partial and _way(table) is None:
-        more |= {name: "rad" for name in SINGLE_ANGLES if name in table}
-    if not partial:
-        _whole(table, mechanism)
-    poses = _poses(table, mechanism, partial=partial)
-    if level and "z" in table:
-        poses = levelled(table, setup, poses)
-    extra = {
-        name: table.numbers(name, unit, blank=True)
-        for name, unit in more.items()
-        if name in table or not partial
-    }
-    by_row = more | setup.polar
-    named = {f"sigma_{name}": name for name in by_row if f"sigma_{name}" in table}
-    seen = dict(zip(platform.freedoms, platform.units, strict=True)) | more
-    units = dict(zip(mechanism.reading_names, mechanism.reading_units, strict=True))
-    readings = [table.numbers(name, unit, blank=partial) for name, unit in units.items()]
-    data = Measurements(
-        poses=poses,
-        sets=_sets(table, mechanism),
-        readings=np.column_stack(readings),
-        sigma_poses=_sigmas(
-            table, dict(zip(platform.freedoms, platform.units, strict=True)), some=partial
-        ),
-        sigma_readings=_sigmas(table, units),
-        extra=extra,
-        sigma_extra={
-            name: _not_negative(table, column, by_row[name], blank=partial)
-            for column, name in named.items()
-        },
-        covariances=read_covariances(table, seen),
-        influences=_influences(table, mechanism)
-        | _numbers(table, unknown_columns(table, mechanism, more | polar | level), influences),
-        runs=_names(table, "run"),
-        places=_names(table, "pose"),
-        lines=table.file_lines,
-        written=_way(table) if platform.turns == 3 else None,
-    )
-    measured = [data.poses, *(values[:, None] for values in extra.values())]
-    if not any(np.isfinite(values).any() for values in measured) and not partial:
-        raise MeasurementError(f"{table.path}: nothing of the platform is measured")
-    return data
 
 
-def measured_columns(mechanism: Mechanism, more: Iterable[str]) -> set[str]:
+def measured_columns(mechanism: Mechanism, further: Iterable[str]) -> set[str]:
     """Return the columns that say what was measured or read, if a table has them.
 
     Args:
         mechanism: The mechanism.
-        more: Columns of the setup.
+        further: Columns of the setup.
     """
     turns = {name for names, _ in WAYS.values() for name in names}
-    return {*mechanism.platform.coordinates, *turns, *more, *mechanism.reading_names}
+    return {*mechanism.platform.coordinates, *turns, *further, *mechanism.reading_names}
 
 
 def _way(table: Table) -> str | None:
@@ -342,9 +363,10 @@ def _way(table: Table) -> str | None:
     """
     ways = [way for way, (names, _) in WAYS.items() if all(name in table for name in names)]
     if len(ways) > 1:
-        said = " and ".join(", ".join(WAYS[way][0]) for way in ways)
+        columns = " and ".join(", ".join(WAYS[way][0]) for way in ways)
         raise MeasurementError(
-            f"{table.path}: the orientation is said in {len(ways)} ways, {said}; leave one of them"
+            f"{table.path}: the orientation is said in {len(ways)} ways, {columns}; leave one of "
+            "them"
         )
     return ways[0] if ways else None
 
@@ -363,27 +385,41 @@ def _poses(table: Table, mechanism: Mechanism, *, partial: bool = False) -> Arra
             f"{table.path}: of {', '.join(places)} only {', '.join(present)}; add the others"
         )
 
-    def numbers(name: str, unit: str) -> Array:
-        if partial and name not in table:
-            return np.full(len(table.lines), np.nan)
-        return table.numbers(name, unit, blank=partial)
+    def columns(units: Iterable[tuple[str, str]]) -> Array:
+        missing = np.full(len(table.lines), np.nan)
+        return np.column_stack(
+            [
+                missing
+                if partial and name not in table
+                else table.numbers(name, unit, blank=partial)
+                for name, unit in units
+            ]
+        )
 
-    units = dict(zip(platform.coordinates, platform.units, strict=True))
-    if platform.turns < 3 or way in (None, "tilt-torsion"):
-        return np.column_stack([numbers(name, unit) for name, unit in units.items()])
+    units = list(zip(platform.coordinates, platform.units, strict=True))
+    if way in (None, "tilt-torsion"):
+        return columns(units)
     names, unit = WAYS[way]
-    values = np.column_stack([numbers(name, unit) for name in names])
-    position = np.column_stack([numbers(name, "m") for name in places] or [values[:, :0]])
-    given = np.isfinite(values).all(axis=1)
+    turns = _turns(table, way, columns((name, unit) for name in names))
+    return np.hstack((columns(units[: platform.lengths]), turns)) if places else turns
+
+
+def _turns(table: Table, way: str, values: Array) -> Array:
+    """Return the columns of orientations that are given in another way, shape (N, 3), [rad].
+
+    Raises:
+        MeasurementError: numbers that are no orientation.
+    """
+    known = np.isfinite(values).all(axis=1)
     turns = np.full((len(values), 3), np.nan)
     try:
-        turns[given] = columns_of("tilt-torsion", rotation_of(way, values[given]))
+        turns[known] = columns_of("tilt-torsion", rotation_of(way, values[known]))
     except MeasurementError as error:
         raise MeasurementError(f"{table.path}: {error}") from error
-    return np.concatenate((position, turns), axis=1)
+    return turns
 
 
-def _whole(table: Table, mechanism: Mechanism) -> None:
+def _check_whole_pose(table: Table, mechanism: Mechanism) -> None:
     """Raise if a table has some columns of the pose, but not all.
 
     Raises:
@@ -430,32 +466,32 @@ def _influences(table: Table, mechanism: Mechanism) -> dict[str, Array]:
 
 
 def _numbers(
-    table: Table, columns: Mapping[str, object], wanted: Collection[str] | None
+    table: Table, columns: Mapping[str, object], named: Collection[str] | None
 ) -> dict[str, Array]:
     """Return further columns of a table, those that are wanted, or all of numbers that differ.
 
     Raises:
         MeasurementError: a column that is wanted is missing, or a cell is no number.
     """
-    if wanted is not None:
-        if missing := [name for name in wanted if name not in table]:
+    if named is not None:
+        if missing := [name for name in named if name not in table]:
             raise MeasurementError(
                 f"{table.path}: no column {missing[0]!r}, on which terms are to depend. The file "
                 f"has {', '.join(table.units)}"
             )
-        return {name: table.plain(name, blank=True) for name in wanted}
-    found = {}
+        return {name: table.plain(name, blank=True) for name in named}
+    numbers = {}
     for name in columns:
         values = np.array([plain_number(cell) for cell in table.text[name]])
         known = np.isfinite(values)
-        if name == "row" or name.startswith("planned_") or not known.any():
+        if _of_sheet(name) or not known.any():
             continue
         if known.all() and np.ptp(values) > 0.0:
-            found[name] = values
+            numbers[name] = values
         elif not known.all():
             where = table.where(int(np.argmin(known)))
             _log.info("%s: no number, so no term is tried with column %r", where, name)
-    return found
+    return numbers
 
 
 def _sets(table: Table, mechanism: Mechanism) -> tuple[str, ...] | None:
@@ -472,31 +508,34 @@ def _sets(table: Table, mechanism: Mechanism) -> tuple[str, ...] | None:
     return sets
 
 
-def _sigmas(table: Table, units: dict[str, str], *, some: bool = False) -> Array | None:
+def _sigmas(table: Table, units: Mapping[str, str], *, partial: bool = False) -> Array | None:
     """Return the ``sigma_…`` columns, shape (N, n), or None where there are none.
 
-    Where ``some`` are enough, those that are missing are NaN.
+    If they may be partial, those that are missing are NaN.
     """
-    present = [name for name in units if f"sigma_{name}" in table]
-    if not present:
+    if not any(f"sigma_{name}" in table for name in units):
         return None
     unknown = np.full(len(table.lines), np.nan)
     return np.column_stack(
         [
             unknown
-            if some and name not in present
-            else _not_negative(table, f"sigma_{name}", unit, blank=some)
+            if partial and f"sigma_{name}" not in table
+            else _sigma(table, name, unit, blank=partial)
             for name, unit in units.items()
         ]
     )
 
 
-def _not_negative(table: Table, column: str, unit: str, *, blank: bool = False) -> Array:
-    """Return a column of standard deviations, shape (N,)."""
-    values = table.numbers(column, unit, blank=blank)
+def _sigma(table: Table, name: str, unit: str, *, blank: bool = False) -> Array:
+    """Return the standard deviations of a quantity, shape (N,).
+
+    Raises:
+        MeasurementError: a negative one.
+    """
+    values = table.numbers(f"sigma_{name}", unit, blank=blank)
     if (values < 0.0).any():
         raise MeasurementError(
-            f"{table.where(int(np.argmax(values < 0.0)))}: {column!r} is "
+            f"{table.where(int(np.argmax(values < 0.0)))}: 'sigma_{name}' is "
             "negative; a standard deviation is 0 or more"
         )
     return values

@@ -146,19 +146,7 @@ def _leg(spec: LegSpec, folder: Path, points: dict[str, Joint]) -> Leg:
             f"{', '.join(sorted(points)) or 'none'}"
         )
     point = points[spec.platform_point]
-    names = {joint.name for joint in (*chain, point)}
-    for key in (*spec.placements, *spec.home, *(sensor.joint for sensor in spec.sensors)):
-        if key not in names:
-            raise MechanismError(
-                f"{spec.name}: unknown joint {key!r}; {path.name} has "
-                f"{', '.join(joint.name for joint in chain)}, the platform point is {point.name!r}"
-            )
-    moving = [joint.name for joint in chain if joint.kind != "fixed"]
-    if set(spec.home) != set(moving):
-        raise MechanismError(
-            f"{spec.name}: 'home' gives {', '.join(spec.home) or 'nothing'}; it needs the home "
-            f"position of each moving joint: {', '.join(moving)}"
-        )
+    _check_joints(spec, path, chain, point)
     *joints, point = (
         replace(
             joint,
@@ -177,6 +165,27 @@ def _leg(spec: LegSpec, folder: Path, points: dict[str, Joint]) -> Leg:
         closes=spec.closes,
         terms=spec.parameter_terms(),
     )
+
+
+def _check_joints(spec: LegSpec, path: Path, chain: tuple[Joint, ...], point: Joint) -> None:
+    """Raise if a leg is described by joints that its URDF does not have, or not by all that move.
+
+    Raises:
+        MechanismError: which one.
+    """
+    names = {joint.name for joint in (*chain, point)}
+    for key in (*spec.placements, *spec.home, *(sensor.joint for sensor in spec.sensors)):
+        if key not in names:
+            raise MechanismError(
+                f"{spec.name}: unknown joint {key!r}; {path.name} has "
+                f"{', '.join(joint.name for joint in chain)}, the platform point is {point.name!r}"
+            )
+    moving = [joint.name for joint in chain if joint.kind != "fixed"]
+    if set(spec.home) != set(moving):
+        raise MechanismError(
+            f"{spec.name}: 'home' gives {', '.join(spec.home) or 'nothing'}; it needs the home "
+            f"position of each moving joint: {', '.join(moving)}"
+        )
 
 
 def _inside(folder: Path, name: str) -> Path:

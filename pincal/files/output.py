@@ -54,27 +54,22 @@ def refuse_existing(path: str | Path, *, force: bool, folder: Sequence[str] = ()
         read = [file for place in places for file in _files(place) if is_input(file)]
     except (OSError, ValueError, RuntimeError) as error:
         raise FileError(f"cannot write {str(path)[:200]!r}: {error}") from error
-    if is_link:
-        raise FileError(f"{path} is a link that leads to itself; remove it, or name a file")
-    if special:
-        raise FileError(f"{path} is a device or a pipe; name a file to write")
-    if is_folder and not folder:
-        raise FileError(f"{path} is a folder; name a file to write")
-    if exists and folder and not known:
-        raise FileError(
-            f"{path} exists and is not a folder that pincal wrote with a {folder[0]} in it, so it "
-            "is not replaced; choose another name"
-        )
-    if read:
-        raise FileError(
-            f"{path} would replace {read[0]}, which this command reads; choose another name"
-        )
-    if exists and not force:
-        raise FileError(f"{path} exists; choose another name, or say --force to replace it")
-    if inside:
-        raise FileError(f"{path} holds the current folder, so it is not replaced; leave it first")
-    if not has_parent:
-        raise FileError(f"cannot write {path}: the folder {real.parent} does not exist")
+    known_by = folder[0] if folder else ""
+    refusals = {
+        f"{path} is a link that leads to itself; remove it, or name a file": is_link,
+        f"{path} is a device or a pipe; name a file to write": special,
+        f"{path} is a folder; name a file to write": is_folder and not folder,
+        f"{path} exists and is not a folder that pincal wrote with a {known_by} in it, so it is "
+        "not replaced; choose another name": exists and folder and not known,
+        f"{path} would replace {', '.join(map(str, read[:1]))}, which this command reads; choose "
+        "another name": read,
+        f"{path} exists; choose another name, or say --force to replace it": exists and not force,
+        f"{path} holds the current folder, so it is not replaced; leave it first": inside,
+        f"cannot write {path}: the folder {real.parent} does not exist": not has_parent,
+    }
+    for message, refused in refusals.items():
+        if refused:
+            raise FileError(message)
     return real
 
 

@@ -61,13 +61,7 @@ def read_chain(path: Path, tip: str) -> tuple[Joint, ...]:
             f"{path}: no link named {tip!r} for the tip; it has "
             f"{', '.join(sorted(str(link) for link in links)) or 'no links'}"
         )
-    roots = links - children
-    if len(roots) != 1:
-        raise MechanismError(
-            f"{path}: {len(roots)} root links ({', '.join(sorted(map(str, roots))) or 'loop'}); a "
-            "leg must be one serial chain with one root"
-        )
-    link, chain = str(roots.pop()), []
+    link, chain = _only_root(links - children, path), []
     while link != tip:
         if link not in by_parent:
             raise MechanismError(
@@ -85,6 +79,20 @@ def read_chain(path: Path, tip: str) -> tuple[Joint, ...]:
     return tuple(chain)
 
 
+def _only_root(roots: set[str | None], path: Path) -> str:
+    """Return the one link that no joint carries.
+
+    Raises:
+        MechanismError: there are others, or none.
+    """
+    if len(roots) != 1:
+        raise MechanismError(
+            f"{path}: {len(roots)} root links ({', '.join(sorted(map(str, roots))) or 'loop'}); a "
+            "leg must be one serial chain with one root"
+        )
+    return str(next(iter(roots)))
+
+
 def weighed(joint: Joint, robot: etree._Element, link: str, path: Path) -> Joint:
     """Return a joint with the mass of the link behind it, if its URDF says one.
 
@@ -92,16 +100,16 @@ def weighed(joint: Joint, robot: etree._Element, link: str, path: Path) -> Joint
         MechanismError: a negative mass, or a number that is none.
     """
     inertial = next(
-        (one.find("inertial") for one in robot.findall("link") if one.get("name") == link), None
+        (e.find("inertial") for e in robot.findall("link") if e.get("name") == link), None
     )
     element = None if inertial is None else inertial.find("mass")
     if inertial is None or element is None:
         return joint
-    where = f"{path}, line {element.sourceline}"
-    mass = _number(element.get("value", "0"), where)
+    place = f"{path}, line {element.sourceline}"
+    mass = _number(element.get("value", "0"), place)
     if mass < 0.0:
-        raise MechanismError(f"{where}: link {link!r} has the mass {mass:g}; expected 0 or more")
-    centre = _triple(inertial.find("origin"), "xyz", where, (0.0, 0.0, 0.0))
+        raise MechanismError(f"{place}: link {link!r} has the mass {mass:g}; expected 0 or more")
+    centre = _triple(inertial.find("origin"), "xyz", place, (0.0, 0.0, 0.0))
     return replace(joint, mass=mass, centre=centre if mass else (0.0, 0.0, 0.0))
 
 
@@ -146,35 +154,35 @@ def read_joint(element: etree._Element, path: Path, kind: str | None = None) -> 
         MechanismError: of a type that a leg cannot have, a number that is none, or an element or
             attribute that is not URDF's.
     """
-    where = f"{path}, line {element.sourceline}"
+    place = f"{path}, line {element.sourceline}"
     name, kind = element.get("name"), kind or element.get("type")
     if not name:
-        raise MechanismError(f"{where}: a joint without a name")
-    _check_parts(element, f"{where}: joint {name!r}")
+        raise MechanismError(f"{place}: a joint without a name")
+    _check_parts(element, f"{place}: joint {name!r}")
     if kind not in _KINDS:
         raise MechanismError(
-            f"{where}: joint {name!r} is of type {kind!r}; a leg may have {', '.join(_KINDS)}"
+            f"{place}: joint {name!r} is of type {kind!r}; a leg may have {', '.join(_KINDS)}"
         )
     if element.find("mimic") is not None and kind != "fixed":
-        raise MechanismError(f"{where}: joint {name!r} mimics another; a leg's joints are its own")
+        raise MechanismError(f"{place}: joint {name!r} mimics another; a leg's joints are its own")
     placement = Placement(
-        xyz=_triple(element.find("origin"), "xyz", where, (0.0, 0.0, 0.0)),
-        rpy=_turn(element, where),
+        xyz=_triple(element.find("origin"), "xyz", place, (0.0, 0.0, 0.0)),
+        rpy=_turn(element, place),
     )
     if kind == "fixed":
         return Joint(name, "fixed", placement)
-    axis = np.array(_triple(element.find("axis"), "xyz", where, (1.0, 0.0, 0.0)))
+    axis = np.array(_triple(element.find("axis"), "xyz", place, (1.0, 0.0, 0.0)))
     norm = float(np.linalg.norm(axis))
     if norm < 1e-9:
-        raise MechanismError(f"{where}: joint {name!r} has an axis of length zero")
+        raise MechanismError(f"{place}: joint {name!r} has an axis of length zero")
     if abs(norm - 1.0) > 1e-12:
         axis = axis / norm
     x, y, z = (float(v) for v in axis)
-    lower, upper = (-np.inf, np.inf) if kind == "continuous" else _limits(element, name, where)
+    lower, upper = (-np.inf, np.inf) if kind == "continuous" else _limits(element, name, place)
     return Joint(name, _KINDS[kind], placement, (x, y, z), lower, upper)
 
 
-def _check_parts(element: etree._Element, where: str) -> None:
+def _check_parts(element: etree._Element, place: str) -> None:
     """Raise if a <joint> holds an element or attribute that might place it and is not read.
 
     Raises:
@@ -185,40 +193,40 @@ def _check_parts(element: etree._Element, where: str) -> None:
         tag = str(part.tag)
         if tag in _PLACING_NOTHING and part is not element:
             continue
-        if tag not in _PLACING or [one.tag for one in parts].count(tag) > 1:
+        if tag not in _PLACING or [part.tag for part in parts].count(tag) > 1:
             raise MechanismError(
-                f"{where} has {'two' if tag in _PLACING else 'a'} <{tag}>; expected one each of "
+                f"{place} has {'two' if tag in _PLACING else 'a'} <{tag}>; expected one each of "
                 f"{', '.join(sorted((_PLACING.keys() | _PLACING_NOTHING) - {'joint'}))}"
             )
         if odd := sorted(set(map(str, part.attrib)) - _PLACING[tag]):
             raise MechanismError(
-                f"{where}: {odd[0]!r} of its <{tag}> is no attribute of URDF, and might place it; "
+                f"{place}: {odd[0]!r} of its <{tag}> is no attribute of URDF, and might place it; "
                 f"expected {', '.join(sorted(_PLACING[tag]))}"
             )
 
 
-def _turn(element: etree._Element, where: str) -> Triple:
+def _turn(element: etree._Element, place: str) -> Triple:
     """Return roll, pitch and yaw of a joint's origin, whichever way they are written."""
     origin = element.find("origin")
     text = None if origin is None else origin.get("quat_xyzw")
     if origin is None or text is None:
-        return _triple(origin, "rpy", where, (0.0, 0.0, 0.0))
+        return _triple(origin, "rpy", place, (0.0, 0.0, 0.0))
     robot = element.getparent()
     version = "1.0" if robot is None else robot.get("version", "1.0")
     if origin.get("rpy") is not None or version in ("1", "1.0"):
         raise MechanismError(
-            f'{where}: quat_xyzw is URDF\'s from <robot version="1.1"> on, and without rpy beside '
+            f'{place}: quat_xyzw is URDF\'s from <robot version="1.1"> on, and without rpy beside '
             "it; programs differ in what they make of this file"
         )
-    numbers = [_number(word, where) for word in text.split()]
+    numbers = [_number(word, place) for word in text.split()]
     if len(numbers) != 4 or not any(numbers):
-        raise MechanismError(f"{where}: quat_xyzw={text!r} should hold four numbers, not all zero")
+        raise MechanismError(f"{place}: quat_xyzw={text!r} should hold four numbers, not all zero")
     matrix = np.eye(4)
     matrix[:3, :3] = Rotation.from_quat(numbers).as_matrix()
     return placement_of(matrix).rpy
 
 
-def _limits(element: etree._Element, name: str, where: str) -> tuple[float, float]:
+def _limits(element: etree._Element, name: str, place: str) -> tuple[float, float]:
     """Return the ends of a joint's range; infinite ones where the file says none that counts."""
     limit = element.find("limit")
     if limit is None or (limit.get("lower") is None and limit.get("upper") is None):
@@ -228,10 +236,10 @@ def _limits(element: etree._Element, name: str, where: str) -> tuple[float, floa
         return -np.inf, np.inf
     for key, value in (("lower", lower), ("upper", upper)):
         if np.isnan(value):
-            raise MechanismError(f"{where}: {why_no_number(limit.get(key, '0'))}")
+            raise MechanismError(f"{place}: {why_no_number(limit.get(key, '0'))}")
     if lower > upper:
         raise MechanismError(
-            f"{where}: joint {name!r} has limits {lower:g} to {upper:g}; lower must be below upper"
+            f"{place}: joint {name!r} has limits {lower:g} to {upper:g}; lower must be below upper"
         )
     return lower, upper
 
@@ -251,19 +259,19 @@ def link_of(element: etree._Element, key: str, path: Path) -> str:
     return name
 
 
-def _triple(element: etree._Element | None, key: str, where: str, default: Triple) -> Triple:
+def _triple(element: etree._Element | None, key: str, place: str, default: Triple) -> Triple:
     text = None if element is None else element.get(key)
     if text is None:
         return default
-    numbers = [_number(word, where) for word in text.split()]
+    numbers = [_number(word, place) for word in text.split()]
     if len(numbers) != 3:
-        raise MechanismError(f"{where}: {key}={text!r} should hold three numbers")
+        raise MechanismError(f"{place}: {key}={text!r} should hold three numbers")
     x, y, z = numbers
     return x, y, z
 
 
-def _number(text: str, where: str) -> float:
+def _number(text: str, place: str) -> float:
     value = plain_number(text)
     if not abs(value) <= LARGEST:
-        raise MechanismError(f"{where}: {why_no_number(text)}")
+        raise MechanismError(f"{place}: {why_no_number(text)}")
     return value

@@ -131,14 +131,9 @@ def closed_mechanism(tree: Tree, platform: str | None = None) -> tuple[Mechanism
         driven = " (driven)" if set(tree.active) & set(loose) else ""
         remarks.append(f"{listed(loose)}: in no loop, left out{driven}")
     normal = _normal(tree, paths)
-    kind, limbs, C_platform = _limbs(tree, paths, platform, normal)
-    if normal is not None:
-        slack = max(EXACT, tree.slack)
-        limbs = tuple(_in_plane(limb, normal, C_platform, slack) for limb in limbs)
-        if abs(normal[2]) < 1.0 - EXACT:
-            remarks.append("planar, but not across z: the base frame was turned to have z across")
-    elif not np.array_equal(C_platform, np.eye(3)):
-        limbs = tuple(_turned_platform(limb, C_platform) for limb in limbs)
+    kind, limbs = _limbs(tree, paths, platform, normal)
+    if normal is not None and abs(normal[2]) < 1.0 - EXACT:
+        remarks.append("planar, but not across z: the base frame was turned to have z across")
     names = _leg_names(limbs)
     stems = _stems(names, limbs)
     legs = tuple(_leg(*leg, tree, kind) for leg in zip(names, limbs, stems, strict=True))
@@ -160,8 +155,8 @@ def closed_mechanism(tree: Tree, platform: str | None = None) -> tuple[Mechanism
 
 def _limbs(
     tree: Tree, paths: tuple[LegPath, ...], platform: str | None, normal: Array | None
-) -> tuple[str, tuple[Limb, ...], Array]:
-    """Return the kind of platform, the legs, and the platform's axes in its link, shape (3, 3).
+) -> tuple[str, tuple[Limb, ...]]:
+    """Return the kind of platform and the legs, in frames whose z is across the plane if planar.
 
     Raises:
         MechanismError: legs, platform and drives cannot be distinguished.
@@ -173,7 +168,8 @@ def _limbs(
                 f"{tree.source}: one loop, which leaves open what the platform is; name it with "
                 "--platform LINK"
             )
-        return "point", point_platform(tree, paths[0], driven, normal), turn
+        pair = point_platform(tree, paths[0], driven, normal)
+        return "point", tuple(_in_frames(limb, normal, turn, tree.slack) for limb in pair)
     legs, kind = _legs_and_freedoms(tree, paths, driven)
     kind = kind or ("spatial" if normal is None else "planar")
     link = poses_at_zero(tree)[platform][:3, :3]
@@ -181,7 +177,8 @@ def _limbs(
         turn = link.T @ (turn if normal is None else _onto(normal))
     elif normal is not None:
         turn = _onto(link.T @ normal)
-    return kind, tuple(limb_along(tree, path, platform, driven, normal) for path in legs), turn
+    limbs = (limb_along(tree, path, platform, driven, normal) for path in legs)
+    return kind, tuple(_in_frames(limb, normal, turn, tree.slack) for limb in limbs)
 
 
 def _legs_and_freedoms(
@@ -248,8 +245,20 @@ def _onto(normal: Array, slack: float = 0.0) -> Array:
     return Rotation.from_rotvec(angle * axis / np.linalg.norm(axis)).as_matrix()
 
 
-def _in_plane(limb: Limb, normal: Array, C_platform: Array, slack: float) -> Limb:
-    """Return a leg in the plane, z of every frame across it, in a base frame that has it so."""
+def _in_frames(limb: Limb, normal: Array | None, C_platform: Array, slack: float) -> Limb:
+    """Return a leg in the plane, z of every frame across it, in a base frame that has it so.
+
+    In space only its platform's frame is turned.
+
+    Args:
+        limb: The leg.
+        normal: Of the plane, in the root's frame; None in space.
+        C_platform: Axes of the platform in its link, shape (3, 3).
+        slack: What cut digits may have turned axes by, [rad].
+    """
+    if normal is None:
+        return _turned_platform(limb, C_platform)
+    slack = max(EXACT, slack)
     joints: list[Joint] = []
     C, R = _onto(normal), np.eye(3)
     for joint in limb.joints:

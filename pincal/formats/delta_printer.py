@@ -8,7 +8,7 @@ to a nozzle that does not turn has this form, with the origin at the centre of t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from math import asin, hypot, pi, sqrt
 from textwrap import wrap
@@ -167,9 +167,9 @@ def delta_printer(mechanism: Mechanism) -> Expressed:
         )
     printer = DeltaPrinter(
         radius,
-        _three(np.arctan2(around[:, 1], around[:, 0])),
-        _three(arms),
-        _three(tops - np.sqrt(arms**2 - radius**2)),
+        three_floats(np.arctan2(around[:, 1], around[:, 0])),
+        three_floats(arms),
+        three_floats(tops - np.sqrt(arms**2 - radius**2)),
     )
     x, y = (float(v) for v in origin)
     remarks = [
@@ -197,7 +197,7 @@ def delta_printer(mechanism: Mechanism) -> Expressed:
                 f"its way per step by that (Klipper: rotation_distance; RepRapFirmware: divide the "
                 "steps per mm of M92)"
             )
-    return Expressed(printer, (x, y), _three(gains), tuple(remarks))
+    return Expressed(printer, (x, y), three_floats(gains), tuple(remarks))
 
 
 def _tower(closure: LegClosure) -> Array:
@@ -247,6 +247,7 @@ def _centre(points: Array) -> Array:
     return np.asarray(np.linalg.solve(chords, half))
 
 
-def _three(values: Array) -> Three:
+def three_floats(values: Iterable[float]) -> Three:
+    """Return three numbers, one for each tower."""
     a, b, c = (float(v) for v in values)
     return a, b, c

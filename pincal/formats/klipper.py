@@ -18,7 +18,7 @@ import numpy as np
 
 from pincal.errors import MechanismError
 from pincal.files.text import LARGEST_FILE, lines_of, plain_number, read_text
-from pincal.formats.delta_printer import ANGLES, MM, DeltaPrinter, Expressed, Three, noted
+from pincal.formats.delta_printer import ANGLES, MM, DeltaPrinter, Expressed, noted, three_floats
 from pincal.model.checks import LARGEST
 from pincal.types import Array
 
@@ -62,12 +62,12 @@ def read_klipper(path: str | Path) -> KlipperFile:
     try:
         printer = DeltaPrinter(
             radius=MM * config.number("printer", "delta_radius"),
-            angles=_three(
+            angles=three_floats(
                 radians(config.number(name, "angle", usual))
                 for name, usual in zip(_STEPPERS, ANGLES, strict=True)
             ),
-            arms=_three(MM * config.number(name, "arm_length", arm) for name in _STEPPERS),
-            endstops=_three(
+            arms=three_floats(MM * config.number(name, "arm_length", arm) for name in _STEPPERS),
+            endstops=three_floats(
                 MM * config.number(name, "position_endstop", endstop) for name in _STEPPERS
             ),
             print_radius=MM * printed if isfinite(printed) else None,
@@ -79,15 +79,15 @@ def read_klipper(path: str | Path) -> KlipperFile:
     return KlipperFile(printer, *_heights(config))
 
 
-def write_klipper(found: Expressed) -> str:
+def write_klipper(expressed: Expressed) -> str:
     """Return the sections of a ``printer.cfg`` that hold a delta's parameters.
 
     Digits are those that Klipper's own SAVE_CONFIG writes: 1e-6 mm and 1e-6 degrees.
     """
-    printer = found.printer
+    printer = expressed.printer
     lines = ["# Delta kinematics, calibrated by pincal. Put it into printer.cfg in the place of"]
     lines += ["# the same options, above the SAVE_CONFIG block: there it wins over what is saved."]
-    lines += noted(found.remarks, "#")
+    lines += noted(expressed.remarks, "#")
     lines += ["[printer]", "kinematics: delta", f"delta_radius: {printer.radius / MM:.6f}"]
     for name, angle, arm, endstop in zip(
         _STEPPERS, printer.angles, printer.arms, printer.endstops, strict=True
@@ -173,13 +173,13 @@ class _Config:
                 yield line
                 continue
             name = bare[len("[include ") : -1].strip()
-            found = self._included(path, name)
-            if not found:
+            included = self._included(path, name)
+            if not included:
                 self.remarks.append(
                     f"{name[:100]!r}, which {path.name} includes, was not found in its folder"
                 )
-            for one in found:
-                yield from self._lines(one, (*above, path.resolve()))
+            for file in included:
+                yield from self._lines(file, (*above, path.resolve()))
 
     def _included(self, path: Path, name: str) -> list[Path]:
         """Return the files that a name or pattern means, none outside the first file's folder.
@@ -191,8 +191,12 @@ class _Config:
         top = self.path.resolve().parent
         try:
             names = sorted(glob.glob(name, root_dir=path.parent))  # noqa: PTH207
-            found = [path.parent / one for one in names]
-            return [one for one in found if one.is_file() and one.resolve().is_relative_to(top)]
+            paths = [path.parent / path_found for path_found in names]
+            return [
+                path_found
+                for path_found in paths
+                if path_found.is_file() and path_found.resolve().is_relative_to(top)
+            ]
         except (OSError, ValueError):  # a name that no file can have
             return []
 
@@ -201,8 +205,8 @@ class _Config:
         try:
             parser.read_string("\n".join(lines), str(self.path))
         except configparser.Error as error:
-            why = str(error).splitlines()[0]
-            raise MechanismError(f"{self.path}: not a configuration of Klipper: {why}") from error
+            fault = str(error).splitlines()[0]
+            raise MechanismError(f"{self.path}: not a configuration of Klipper: {fault}") from error
         return parser
 
     def options(self, section: str) -> set[str]:
@@ -241,9 +245,9 @@ class _Config:
         text = self.text(section, option)
         values = [plain_number(part) for part in text.split(",")]
         if len(values) != count or not np.isfinite(values).all():
-            what = "a finite number" if count == 1 else f"{count} finite numbers"
+            expected = "a finite number" if count == 1 else f"{count} finite numbers"
             raise MechanismError(
-                f"{self.path}: [{section}] {option} is {text[:100]!r}; expected {what}"
+                f"{self.path}: [{section}] {option} is {text[:100]!r}; expected {expected}"
             )
         return values
 
@@ -272,8 +276,3 @@ class _Config:
         if not 0.0 < way < inf:
             raise MechanismError(f"{self.path}: [{stepper}] has no way per step above zero")
         return way
-
-
-def _three(values: Iterator[float]) -> Three:
-    a, b, c = values
-    return a, b, c

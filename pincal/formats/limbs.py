@@ -108,6 +108,21 @@ def _degrees(bonds: Iterable[Bond], body: dict[str, str]) -> Counter[str]:
     return Counter(body[link] for bond in bonds for link in (bond.near, bond.far))
 
 
+def _bonds(tree: Tree) -> list[Bond]:
+    """Return the joints that move, and the loops that close a point."""
+    joints = [
+        Bond(edge.joint.name, edge.parent, edge.child, joint=edge.joint)
+        for edge in tree.edges
+        if edge.joint.kind != "fixed"
+    ]
+    points = [
+        Bond(loop.name, loop.first.link, loop.second.link, loop=loop)
+        for loop in tree.loops
+        if loop.closes == "point"
+    ]
+    return joints + points
+
+
 def _bonds_in_loops(
     tree: Tree, body: dict[str, str], platform: str | None
 ) -> tuple[list[Bond], tuple[str, ...]]:
@@ -116,16 +131,7 @@ def _bonds_in_loops(
     Raises:
         MechanismError: a loop that closes on its own body.
     """
-    bonds = [
-        Bond(edge.joint.name, edge.parent, edge.child, joint=edge.joint)
-        for edge in tree.edges
-        if edge.joint.kind != "fixed"
-    ]
-    bonds += [
-        Bond(loop.name, loop.first.link, loop.second.link, loop=loop)
-        for loop in tree.loops
-        if loop.closes == "point"
-    ]
+    bonds = _bonds(tree)
     for bond in bonds:
         if body[bond.near] == body[bond.far]:
             raise MechanismError(
@@ -305,12 +311,8 @@ def limb_along(
     """
     end = path[-1].far if path else tree.root
     joints = tuple(_chain(tree, path, normal) + _rigid(tree, end, platform))
-    moving = [i for i, joint in enumerate(joints) if joint.kind != "fixed"]
-    count = 3 if normal is None else 1  # turns that meet in a point
-    last = moving[-count:]
-    if len(moving) <= count or not all(
-        joints[i].kind == "revolute" and joints[i].name not in driven for i in last
-    ):
+    last = _last_turns(joints, driven, 3 if normal is None else 1)
+    if not last:
         return Limb(joints)
     frames = list(accumulate((j.placement.origin() for j in joints[last[0] :]), np.matmul))
     turned = [frames[i - last[0]] for i in last]
@@ -326,6 +328,14 @@ def limb_along(
         first = replace(first, name=stem)
     point = _point(tree, end, platform, on_platform)
     return Limb(_to_point(joints[: last[0]], first, centre), point)
+
+
+def _last_turns(joints: Sequence[Joint], driven: set[str], count: int) -> list[int]:
+    """Return where the last joints that move are, if they are passive turns, and others precede."""
+    moving = [i for i, joint in enumerate(joints) if joint.kind != "fixed"]
+    last = moving[-count:]
+    passive = [joints[i].kind == "revolute" and joints[i].name not in driven for i in last]
+    return last if len(moving) > count and all(passive) else []
 
 
 def _meeting_point(origins: Array, axes: Array, slack: float) -> Array | None:

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from math import radians
 from pathlib import Path
 from typing import Literal
 
@@ -20,7 +19,7 @@ import numpy as np
 
 from pincal.errors import MechanismError
 from pincal.files.text import LARGEST_FILE, lines_of, plain_number, read_text
-from pincal.formats.delta_printer import ANGLES, MM, DeltaPrinter, Expressed, noted
+from pincal.formats.delta_printer import ANGLES, MM, DeltaPrinter, Expressed, noted, three_floats
 from pincal.types import Array
 
 _COMMENT = re.compile(r";.*|\([^)]*(?:\)|$)")
@@ -58,38 +57,40 @@ def read_reprap(path: str | Path, firmware: Firmware | None = None) -> DeltaPrin
     text = read_text(path, LARGEST_FILE["printer"], MechanismError, pipe=True)
     shown = [name for name, signs in _SHOWS.items() if signs.search(text)]
     meant = firmware or ("marlin" if shown == ["marlin"] else "reprap")
-    given = _commands(text, _KNOWN[meant], path)
+    numbers = _commands(text, _KNOWN[meant], path)
 
     def value(code: str, letter: str) -> float:
-        return given.get((code, letter), [0.0])[0]
+        return numbers.get((code, letter), [0.0])[0]
 
-    if tilted := [v for letter in "AB" if (v := value("666", letter))]:
+    def three(code: str, letters: str) -> Array:
+        return np.array([value(code, letter) for letter in letters])
+
+    if tilted := [tilt for tilt in three("666", "AB") if tilt]:
         raise MechanismError(
             f"{path}: M666 tilts the bed by {tilted[0]:g} %, which a linear delta has no parameter "
             "for. Calibrate without tilt (factors 6 or 7 of G30 S), or set A0 B0 and measure anew"
         )
-    arms = given["665", "L"]
-    if len(arms) not in (1, 3):
-        raise MechanismError(f"{path}: M665 L has {len(arms)} lengths; expected 1 or 3, by colons")
-    a, b, c = (arms * 3)[:3]
-    sign = -1.0 if meant == "marlin" else 1.0
-    trims = meant == "marlin" and any(("665", letter) in given for letter in "AC")
-    if trims:
-        a, b, c = (arm + value("665", letter) for arm, letter in zip((a, b, c), "ABC", strict=True))
-    if firmware is None and len(shown) != 1 and any(value("666", letter) for letter in "XYZ"):
+    lengths = numbers["665", "L"]
+    if len(lengths) not in (1, 3):
+        raise MechanismError(
+            f"{path}: M665 L has {len(lengths)} lengths; expected 1 or 3, by colons"
+        )
+    corrections = three("666", "XYZ")
+    if firmware is None and len(shown) != 1 and corrections.any():
         raise MechanismError(
             f"{path}: M666 corrects endstops, which RepRapFirmware adds to the height and Marlin "
             "takes off, and the file does not show whose it is; say --format reprap or --format "
             "marlin"
         )
-    angles = [u + value("665", letter) for u, letter in zip(ANGLES, "XYZ", strict=True)]
-    ends = [value("665", "H") + sign * value("666", letter) for letter in "XYZ"]
+    trims = meant == "marlin" and bool({("665", "A"), ("665", "C")} & numbers.keys())
+    arms = np.array((lengths * 3)[:3]) + (three("665", "ABC") if trims else 0.0)
+    ends = value("665", "H") + (-corrections if meant == "marlin" else corrections)
     try:
         return DeltaPrinter(
             radius=MM * value("665", "R"),
-            angles=(radians(angles[0]), radians(angles[1]), radians(angles[2])),
-            arms=(MM * a, MM * b, MM * c),
-            endstops=(MM * ends[0], MM * ends[1], MM * ends[2]),
+            angles=three_floats(np.radians(ANGLES + three("665", "XYZ"))),
+            arms=three_floats(MM * arms),
+            endstops=three_floats(MM * ends),
             print_radius=None if trims else MM * value("665", "B") or None,
         )
     except MechanismError as error:
@@ -120,7 +121,7 @@ def _commands(
 
 def _words(code: str, text: str, known: Mapping[str, str], where: str) -> dict[str, list[float]]:
     """Return the numbers behind each letter of a command."""
-    found: dict[str, list[float]] = {}
+    numbers: dict[str, list[float]] = {}
     text, place = text.strip(), 0
     while place < len(text):
         match = _WORD.match(text, place)
@@ -132,22 +133,22 @@ def _words(code: str, text: str, known: Mapping[str, str], where: str) -> dict[s
                 "mean different things by it)"
             )
         word = match[0].strip()[:100]
-        found[letter] = [plain_number(part) for part in match[2].split(":")]
-        if not np.isfinite(found[letter]).all():
+        numbers[letter] = [plain_number(part) for part in match[2].split(":")]
+        if not np.isfinite(numbers[letter]).all():
             raise MechanismError(f"{where}: {word!r} of M{code} is not a letter and numbers")
-        if letter != "L" and len(found[letter]) > 1:
+        if letter != "L" and len(numbers[letter]) > 1:
             raise MechanismError(f"{where}: {word!r} of M{code} has several numbers")
         place = match.end()
-    return found
+    return numbers
 
 
-def write_reprap(found: Expressed) -> str:
+def write_reprap(expressed: Expressed) -> str:
     """Return the lines M665 and M666 of a delta's parameters, to 1e-4 mm and 1e-4 degrees.
 
     As the firmware does, the mean of the endstops is the homed height. The print radius B stays
     as the printer has it.
     """
-    printer = found.printer
+    printer = expressed.printer
     endstops = np.array(printer.endstops) / MM
     height = round(float(endstops.mean()), 4)
     arms = ":".join(f"{arm / MM:.4f}" for arm in printer.arms)
@@ -156,7 +157,7 @@ def write_reprap(found: Expressed) -> str:
     ends = _lettered(endstops - height)
     lines = ["; Delta kinematics, calibrated by pincal. Put it into config.g in the place of the"]
     lines += ["; same lines, and remove M665 and M666 from config-override.g, which would win."]
-    lines += noted(found.remarks, ";")
+    lines += noted(expressed.remarks, ";")
     lines += [f"M665 L{arms} R{printer.radius / MM:.4f} H{height:.4f} {angles}"]
     lines += [f"M666 {ends} A0.00 B0.00"]
     return "\n".join(lines) + "\n"
