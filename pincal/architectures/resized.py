@@ -36,13 +36,13 @@ def _resized(
     template = load_mechanism(bundled)
     made = template.with_parameters(dict(zip(template.leg_names, legs, strict=True)))
 
-    def moved(joint: Joint, own: Limits) -> Joint:
-        lower, upper = own.get(joint.name, (joint.lower, joint.upper))
+    def moved(joint: Joint, leg_limits: Limits) -> Joint:
+        lower, upper = leg_limits.get(joint.name, (joint.lower, joint.upper))
         return replace(joint, lower=lower, upper=upper)
 
     limited = [
-        replace(leg, joints=tuple(moved(joint, own) for joint in leg.joints))
-        for leg, own in zip(made.legs, cycle(limits or ({},)), strict=False)
+        replace(leg, joints=tuple(moved(joint, leg_limits) for joint in leg.joints))
+        for leg, leg_limits in zip(made.legs, cycle(limits or ({},)), strict=False)
     ]
     platform = replace(made.platform, home=home)
     return replace(made, platform=platform, legs=tuple(limited), description="")

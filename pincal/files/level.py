@@ -21,9 +21,9 @@ _log = logging.getLogger(__name__)
 _MATTERS = 1.0  # of what points miss their plane by: less that they are shortened is noise
 
 
-def tilt_column(mechanism: Mechanism, more: dict[str, str]) -> dict[str, str]:
+def tilt_column(mechanism: Mechanism, further: dict[str, str]) -> dict[str, str]:
     """Return the column that says how a planar machine lies in space, with its unit, if any."""
-    return {"z": "m"} if mechanism.platform.space == 2 and "z" not in more else {}
+    return {"z": "m"} if mechanism.platform.space == 2 and "z" not in further else {}
 
 
 def levelled(table: Table, setup: Setup, poses: Array) -> Array:
@@ -54,25 +54,25 @@ def levelled(table: Table, setup: Setup, poses: Array) -> Array:
     if not shortened > _MATTERS * across or s[1] < 10.0 * s[2]:  # a line lies in many planes
         return poses
     tilt = np.degrees(np.arccos(min(cosine, 1.0)))
-    said = (
+    tilted = (
         f"{table.path}: positions lie in a plane that is tilted by {tilt:.2g}° to x-y (they miss "
         f"it by {amount(across, 'm', 2)}): x and y alone are too short by up to "
         f"{amount(shortened, 'm', 2)}"
     )
     if not setup.unknown_frame:
         raise MeasurementError(
-            f"{said}. Say that the base is elsewhere in their frame (--unknown-frame), and they "
+            f"{tilted}. Say that the base is elsewhere in their frame (--unknown-frame), and they "
             "are turned into their plane; or give them in the base frame"
         )
     if np.isfinite(poses[:, 2:]).any() or len(setup.targets) > 1 or setup.distances:
         raise MeasurementError(
-            f"{said}. Of orientations, further targets and distances it is not known how they lie "
-            "in that plane: turn all of them into it, or leave them out"
+            f"{tilted}. Of orientations, further targets and distances it is not known how they "
+            "lie in that plane: turn all of them into it, or leave them out"
         )
     if not known.all() and np.isfinite(poses[~known, :2]).any():
         row = int(np.flatnonzero(~known & np.isfinite(poses[:, :2]).any(axis=1))[0])
-        raise MeasurementError(f"{said}. {table.where(row)}: no z; all positions need it")
-    _log.info("%s; they were turned into their plane", said)
+        raise MeasurementError(f"{tilted}. {table.where(row)}: no z; all positions need it")
+    _log.info("%s; they were turned into their plane", tilted)
     half = np.array([-normal[1], normal[0], 0.0])  # z × normal, sin of the tilt long
     K = np.cross(np.eye(3), half)
     turned = (points - middle) @ (np.eye(3) + K + K @ K / (1.0 + cosine)) + middle

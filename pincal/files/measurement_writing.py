@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pincal.errors import MeasurementError, MechanismError
+from pincal.errors import MeasurementError
 from pincal.files.measurements import product_unit
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.files.table import dataframe, write_table
@@ -83,10 +82,8 @@ def write_readings(
     Raises:
         FileError: the file exists and ``force`` is not set, or cannot be written.
     """
-    mechanism = as_mechanism(mechanism)
-    columns = _reading_columns(mechanism, readings) | dict(influences or {})
-    columns |= reason_column(reasons)
-    write_table(path, columns, units=units, force=force)
+    columns = _reading_columns(as_mechanism(mechanism), readings) | dict(influences or {})
+    write_table(path, columns | reason_column(reasons), units=units, force=force)
 
 
 def reason_column(reasons: Sequence[str]) -> Columns:
@@ -113,125 +110,68 @@ def columns_of(
     """
     mechanism = as_mechanism(mechanism)
     must_be(plan, Plan, "poses or measurements to write", MeasurementError)
-    columns = _pose_columns(mechanism, plan, orientation)
-    named: Columns = {**plan.influences}
-    named |= {} if plan.places is None else {"pose": plan.places}
-    if not isinstance(plan, Measurements):
-        if plan.readings is not None:
-            columns |= _reading_columns(mechanism, plan.readings)
-        return columns | named
-    columns = {  # what was never measured has no column
-        header: values
-        for header, values in columns.items()
-        if isinstance(values, tuple) or np.isfinite(values).any()
-    } | _reading_columns(mechanism, plan.readings)
+    columns: Columns = {} if plan.sets is None else {"set": plan.sets}
+    poses = _pose_columns(mechanism, plan, orientation)
+    if isinstance(plan, Measurements):  # what was never measured has no column
+        poses = {header: values for header, values in poses.items() if np.isfinite(values).any()}
+    columns |= poses
+    if plan.readings is not None:
+        columns |= _reading_columns(mechanism, plan.readings)
+    if isinstance(plan, Measurements):
+        columns |= _measured_columns(mechanism, plan, setup)
+    columns |= plan.influences
+    return columns if plan.places is None else columns | {"pose": plan.places}
+
+
+def _headed(units: Iterable[tuple[str, str]], values: Array, prefix: str = "") -> dict[str, Array]:
+    """Return the columns of an array, shape (N, n), under the names and units of n quantities."""
+    heads = [f"{prefix}{name} [{unit}]" for name, unit in units]
+    return dict(zip(heads, values.T, strict=True))
+
+
+def _pose_columns(mechanism: Mechanism, plan: Plan, orientation: str) -> dict[str, Array]:
     platform = mechanism.platform
-    if plan.sigma_poses is not None:
-        names = zip(platform.freedoms, platform.units, plan.sigma_poses.T, strict=True)
-        columns |= {f"sigma_{name} [{unit}]": values for name, unit, values in names}
-    if plan.sigma_readings is not None:
-        read = _reading_columns(mechanism, plan.sigma_readings)
-        columns |= {f"sigma_{name}": values for name, values in read.items()}
-    units = dict.fromkeys(SINGLE_ANGLES, "rad")
-    units |= setup.columns(mechanism) | setup.polar if setup else {}
-    for prefix, more in (("", plan.extra), ("sigma_", plan.sigma_extra)):
-        for name, values in more.items():
-            columns[f"{prefix}{name} [{units.get(name, 'm')}]"] = values
-    units |= dict(zip(platform.freedoms, platform.units, strict=True))
-    for pair, values in plan.covariances.items():
-        first, second = pair.split(",")
-        unit = product_unit(units.get(first, "m"), units.get(second, "m"))
-        columns[f"cov_{first}_{second} [{unit}]"] = values
-    columns |= {} if plan.runs is None else {"run": plan.runs}
-    return columns | named
-
-
-def _pose_columns(mechanism: Mechanism, plan: Plan, orientation: str) -> Columns:
-    platform = must_be(mechanism, Mechanism, "the mechanism", MechanismError).platform
-    columns: Columns = {}
     if orientation not in WAYS:
         raise MeasurementError(f"orientation {orientation!r}; expected one of {', '.join(WAYS)}")
     array_of(plan.poses, ("N", platform.dof), f"poses of {mechanism.name!r}", MeasurementError)
-    if plan.sets is not None:
-        columns["set"] = plan.sets
-    poses = plan.poses
-    names = list(zip(platform.coordinates, platform.units, strict=True))
-    if platform.turns == 3 and orientation != "tilt-torsion":
-        turns = angles_of(orientation, platform.transforms(poses).rotation)
-        poses = np.concatenate((poses[:, : platform.lengths], turns), axis=1)
-        written, unit = WAYS[orientation]
-        names = names[: platform.lengths] + [(name, unit) for name in written]
-    for (name, unit), values in zip(names, poses.T, strict=True):
-        columns[f"{name} [{unit}]"] = values
-    return columns
+    units = list(zip(platform.coordinates, platform.units, strict=True))
+    if platform.turns < 3 or orientation == "tilt-torsion":
+        return _headed(units, plan.poses)
+    lengths, (angles, unit) = platform.lengths, WAYS[orientation]
+    turns = angles_of(orientation, platform.transforms(plan.poses).rotation)
+    columns = _headed(units[:lengths], plan.poses[:, :lengths])
+    return columns | _headed([(name, unit) for name in angles], turns)
 
 
-def _reading_columns(mechanism: Mechanism, readings: Array) -> Columns:
-    must_be(mechanism, Mechanism, "the mechanism", MechanismError)
+def _reading_columns(mechanism: Mechanism, readings: Array, prefix: str = "") -> Columns:
     names, units = mechanism.reading_names, mechanism.reading_units
     values = array_of(readings, ("N", len(names)), "readings", MeasurementError)
-    triples = zip(names, units, values.T, strict=True)
-    return {f"{name} [{unit}]": column for name, unit, column in triples}
+    return {**_headed(zip(names, units, strict=True), values, prefix)}
+
+
+def _measured_columns(mechanism: Mechanism, data: Measurements, setup: Setup | None) -> Columns:
+    """Return the columns that measurements have besides poses and readings."""
+    freedoms = dict(zip(mechanism.platform.freedoms, mechanism.platform.units, strict=True))
+    units = dict.fromkeys(SINGLE_ANGLES, "rad")
+    units |= setup.columns(mechanism) | setup.polar if setup else {}
+    columns: Columns = {}
+    if data.sigma_poses is not None:
+        columns |= _headed(freedoms.items(), data.sigma_poses, "sigma_")
+    if data.sigma_readings is not None:
+        columns |= _reading_columns(mechanism, data.sigma_readings, "sigma_")
+    for prefix, quantities in (("", data.extra), ("sigma_", data.sigma_extra)):
+        for name, values in quantities.items():
+            columns[f"{prefix}{name} [{units.get(name, 'm')}]"] = values
+    units |= freedoms
+    for pair, values in data.covariances.items():
+        first, second = pair.split(",")
+        unit = product_unit(units.get(first, "m"), units.get(second, "m"))
+        columns[f"cov_{first}_{second} [{unit}]"] = values
+    return columns if data.runs is None else columns | {"run": data.runs}
 
 
 _HANDY = {"m": "mm", "rad": "deg"}
 _DECIMALS = 4  # of planned poses, in mm and degrees
-
-
-@dataclass(frozen=True)
-class SheetColumn:
-    """A column of a measuring sheet."""
-
-    head: str
-    """Name and unit: ``x [mm]``."""
-    what: str
-    """What it is, for people."""
-    values: tuple[float, ...] | tuple[str, ...]
-    """One a row, in the unit of the head."""
-    measured: bool = False
-    """Whether it is empty, to be filled in."""
-
-
-def sheet_columns(mechanism: Mechanism, plan: Plan) -> list[SheetColumn]:
-    """Return the columns of a measuring sheet.
-
-    Args:
-        mechanism: The mechanism.
-        plan: What to measure, with the readings there.
-
-    Raises:
-        MeasurementError: a plan without readings, or of another mechanism.
-    """
-    if plan.readings is None:
-        raise MeasurementError(f"a sheet for {mechanism.name!r} needs the readings of its plan")
-    poses = columns_of(mechanism, Plan(plan.poses), "zyx")
-    both = columns_of(mechanism, Plan(plan.poses, readings=plan.readings), "zyx")
-    read = {head: values for head, values in both.items() if head not in poses}
-    blank = ("",) * len(plan)
-    found = [SheetColumn("row", _ROW, tuple(str(1 + row) for row in range(len(plan))))]
-    if plan.sets is not None:
-        found.append(SheetColumn("set", _SET, plan.sets))
-    for columns, text in ((poses, _PLANNED), (read, _DRIVEN)):
-        for head, name, values in _handy(columns):
-            found.append(SheetColumn(f"planned_{head}", text.format(name=name), values))
-    for head, name, _ in _handy(poses):
-        found.append(SheetColumn(head, _MEASURED.format(name=name), blank, measured=True))
-    sensors = [(leg, sensor) for leg in mechanism.legs for sensor in leg.sensors]
-    for (head, _, _), (leg, sensor) in zip(_handy(read), sensors, strict=True):
-        counted = "counted from the home pose" if sensor.homed else "with the zero of the drawing"
-        what = _READ.format(joint=sensor.joint, leg=leg.name, counted=counted)
-        found.append(SheetColumn(head, what, blank, measured=True))
-    return found
-
-
-def _handy(
-    columns: dict[str, Array | tuple[str, ...]],
-) -> Iterator[tuple[str, str, tuple[float, ...]]]:
-    """Yield head, name and values of columns, in mm and degrees."""
-    for head, values in columns.items():
-        name, _, unit = head.removesuffix("]").partition(" [")
-        shown = np.asarray(values, dtype=np.float64) / UNITS[_HANDY[unit]][1]
-        yield f"{name} [{_HANDY[unit]}]", name, tuple((np.round(shown, _DECIMALS) + 0.0).tolist())
 
 
 def write_sheet(
@@ -250,7 +190,44 @@ def write_sheet(
         MeasurementError: a plan without readings, or of another mechanism.
         FileError: a file exists and ``force`` is not set, or cannot be written.
     """
-    columns = sheet_columns(mechanism, plan)
-    write_table(sheet, {one.head: one.values for one in columns}, force=force)
-    rows = [(one.head, "yes" if one.measured else "no", one.what) for one in columns]
-    write_table(legend, dict(zip(_LEGEND, zip(*rows, strict=True), strict=True)), force=force)
+    if plan.readings is None:
+        raise MeasurementError(f"a sheet for {mechanism.name!r} needs the readings of its plan")
+    poses = _handy(_pose_columns(mechanism, plan, "zyx"))
+    readings = _handy(_reading_columns(mechanism, plan.readings))
+    numbers = tuple(str(1 + row) for row in range(len(plan)))
+    columns: dict[str, tuple[float, ...] | tuple[str, ...]] = {"row": numbers}
+    meanings = [_ROW]
+    if plan.sets is not None:
+        columns["set"] = plan.sets
+        meanings.append(_SET)
+    for planned, text in ((poses, _PLANNED), (readings, _DRIVEN)):
+        columns |= {f"planned_{head}": values for head, values in planned.items()}
+        meanings += [text.format(name=head.partition(" [")[0]) for head in planned]
+    measured: dict[str, tuple[float, ...] | tuple[str, ...]] = {}
+    measured |= dict.fromkeys([*poses, *readings], ("",) * len(plan))
+    meanings += [_MEASURED.format(name=head.partition(" [")[0]) for head in poses]
+    meanings += [
+        _READ.format(
+            joint=sensor.joint,
+            leg=leg.name,
+            counted="counted from the home pose"
+            if sensor.homed
+            else "with the zero of the drawing",
+        )
+        for leg in mechanism.legs
+        for sensor in leg.sensors
+    ]
+    write_table(sheet, columns | measured, force=force)
+    filled_in = ["yes" if head in measured else "no" for head in (*columns, *measured)]
+    rows = ([*columns, *measured], filled_in, meanings)
+    write_table(legend, dict(zip(_LEGEND, rows, strict=True)), force=force)
+
+
+def _handy(columns: Mapping[str, Any]) -> dict[str, tuple[float, ...]]:
+    """Return columns in mm and degrees."""
+    handy = {}
+    for head, values in columns.items():
+        name, _, unit = head.removesuffix("]").partition(" [")
+        shown = np.round(np.asarray(values) / UNITS[_HANDY[unit]][1], _DECIMALS) + 0.0
+        handy[f"{name} [{_HANDY[unit]}]"] = tuple(shown.tolist())
+    return handy

@@ -129,11 +129,7 @@ def table_for(
     if meant:
         read_as = [f"{column!r} as '{name} [{unit}]'" for column, (name, unit) in meant.items()]
         _log.info("%s: columns read: %s", table.path, ", ".join(read_as))
-        unchanged = [column for column in table.units if column not in meant]
-        units = {column: table.units[column] for column in unchanged} | dict(meant.values())
-        text = {column: table.text[column] for column in unchanged}
-        text |= {name: table.text[column] for column, (name, _) in meant.items()}
-        table = replace(table, units=units, text=text)
+        table = table.renamed(meant)
     if wanted_influences is not None:
         unused = unknown_columns(table, mechanism, further).keys() - set(wanted_influences)
         names = [n for n in table.units if n in unused and not _of_sheet(n)]
@@ -284,24 +280,16 @@ def read_measurements(
         poses = levelled(table, setup, poses)
     freedoms = dict(zip(platform.freedoms, platform.units, strict=True))
     units = dict(zip(mechanism.reading_names, mechanism.reading_units, strict=True))
-    readings = [table.numbers(name, unit, blank=partial) for name, unit in units.items()]
+    extra, sigma_extra = _further_columns(table, further, setup, partial=partial)
     unknown = unknown_columns(table, mechanism, meaning)
     data = Measurements(
         poses=poses,
         sets=_sets(table, mechanism),
-        readings=np.column_stack(readings),
+        readings=_readings(table, mechanism, partial=partial),
         sigma_poses=_sigmas(table, freedoms, partial=partial),
         sigma_readings=_sigmas(table, units),
-        extra={
-            name: table.numbers(name, unit, blank=True)
-            for name, unit in further.items()
-            if name in table or not partial
-        },
-        sigma_extra={
-            name: _sigma(table, name, unit, blank=partial)
-            for name, unit in (further | setup.polar).items()
-            if f"sigma_{name}" in table
-        },
+        extra=extra,
+        sigma_extra=sigma_extra,
         covariances=read_covariances(table, freedoms | further),
         influences=_influences(table, mechanism) | _numbers(table, unknown, influences),
         runs=_names(table, "run"),
@@ -309,10 +297,26 @@ def read_measurements(
         lines=table.file_lines,
         written=way,
     )
-    measured = [data.poses, *(values[:, None] for values in data.extra.values())]
-    if not any(np.isfinite(values).any() for values in measured) and not partial:
+    if not partial and not np.isfinite(np.column_stack((data.poses, *data.extra.values()))).any():
         raise MeasurementError(f"{table.path}: nothing of the platform is measured")
     return data
+
+
+def _further_columns(
+    table: Table, units: Mapping[str, str], setup: Setup, *, partial: bool
+) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Return what was measured besides poses and readings, by column, and its uncertainties."""
+    extra = {
+        name: table.numbers(name, unit, blank=True)
+        for name, unit in units.items()
+        if name in table or not partial
+    }
+    sigma_extra = {
+        name: _sigma(table, name, unit, blank=partial)
+        for name, unit in {**units, **setup.polar}.items()
+        if f"sigma_{name}" in table
+    }
+    return extra, sigma_extra
 
 
 def _check_columns(
@@ -454,9 +458,9 @@ def _names(table: Table, column: str) -> tuple[str, ...] | None:
     return names
 
 
-def _readings(table: Table, mechanism: Mechanism) -> Array:
+def _readings(table: Table, mechanism: Mechanism, *, partial: bool = False) -> Array:
     units = zip(mechanism.reading_names, mechanism.reading_units, strict=True)
-    return np.column_stack([table.numbers(name, unit) for name, unit in units])
+    return np.column_stack([table.numbers(name, unit, blank=partial) for name, unit in units])
 
 
 def _influences(table: Table, mechanism: Mechanism) -> dict[str, Array]:

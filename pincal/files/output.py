@@ -48,10 +48,9 @@ def refuse_existing(path: str | Path, *, force: bool, folder: Sequence[str] = ()
         exists, is_folder, is_link = real.exists(), real.is_dir(), real.is_symlink()
         special = exists and not (is_folder or real.is_file())  # a device or a pipe
         has_parent = real.parent.is_dir()
-        known = is_folder and bool(folder) and (real / folder[0]).is_file()
+        known = bool(folder) and (real / folder[0]).is_file()
         inside = is_folder and Path.cwd().is_relative_to(real)
-        places = _made_in(real, folder) if known else [real]
-        read = [file for place in places for file in _files(place) if is_input(file)]
+        read = _inputs_in(_made_in(real, folder) if known else [real])
     except (OSError, ValueError, RuntimeError) as error:
         raise FileError(f"cannot write {str(path)[:200]!r}: {error}") from error
     known_by = folder[0] if folder else ""
@@ -167,6 +166,11 @@ def _unchanged(made: Path, target: Path, folder: Sequence[str]) -> bool:
 def _made_in(place: Path, folder: Sequence[str]) -> list[Path]:
     """Return the files and folders that pincal made in a folder."""
     return [path for pattern in folder for path in place.glob(pattern)]
+
+
+def _inputs_in(places: list[Path]) -> list[Path]:
+    """Return the files at and below places that the command at work has read."""
+    return [file for place in places for file in _files(place) if is_input(file)]
 
 
 def _files(place: Path) -> list[Path]:

@@ -11,17 +11,18 @@ from scipy.spatial.transform import RigidTransform
 from pincal.errors import MeasurementError
 from pincal.files.measurements import read_measurements, read_poses
 from pincal.files.table import is_dataframe
+from pincal.files.yaml import read_setup
 from pincal.model.checks import array_of, must_be
 from pincal.model.measurements import Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.setup import Setup
 
 
-def as_plan(given: Any, mechanism: Mechanism, *, partial: bool = False) -> Plan:
+def as_plan(source: Any, mechanism: Mechanism, *, partial: bool = False) -> Plan:
     """Return a plan that is given as such, as poses, by a CSV file, or as a DataFrame.
 
     Args:
-        given: A ``Plan``; poses, coordinates of shape (N, dof) or a ``RigidTransform``; a path;
+        source: A ``Plan``; poses, coordinates of shape (N, dof) or a ``RigidTransform``; a path;
             or a pandas DataFrame.
         mechanism: The mechanism.
         partial: Whether columns or cells of the pose may be missing in a table.
@@ -30,18 +31,18 @@ def as_plan(given: Any, mechanism: Mechanism, *, partial: bool = False) -> Plan:
         FileError: the file is missing or cannot be read.
         MeasurementError: something else, or a column or cell that is wrong.
     """
-    if isinstance(given, Plan):
-        return given
-    if isinstance(given, RigidTransform):
-        return Plan(mechanism.platform.coordinates_of(given))
-    if isinstance(given, str | Path) or is_dataframe(given):
-        return read_poses(given, mechanism, partial=partial)
+    if isinstance(source, Plan):
+        return source
+    if isinstance(source, RigidTransform):
+        return Plan(mechanism.platform.coordinates_of(source))
+    if isinstance(source, str | Path) or is_dataframe(source):
+        return read_poses(source, mechanism, partial=partial)
     dof = mechanism.platform.dof
-    return Plan(array_of(given, ("N", dof), "poses, a plan or its file", MeasurementError))
+    return Plan(array_of(source, ("N", dof), "poses, a plan or its file", MeasurementError))
 
 
 def as_measurements(
-    given: Any,
+    source: Any,
     mechanism: Mechanism,
     setup: Setup | None = None,
     *,
@@ -51,7 +52,7 @@ def as_measurements(
     """Return measurements that are given as such, by a CSV file, or as a DataFrame.
 
     Args:
-        given: ``Measurements``, a path, or a pandas DataFrame.
+        source: ``Measurements``, a path, or a pandas DataFrame.
         mechanism: The mechanism.
         setup: What else was measured than the platform's pose.
         partial: Whether columns or cells of the pose may be missing.
@@ -63,40 +64,38 @@ def as_measurements(
         MeasurementError: something else, numbers of another mechanism, or a column or cell that
             is wrong.
     """
-    if not isinstance(given, Measurements):
+    if not isinstance(source, Measurements):
         kinds = (Measurements, str, Path)
-        if not is_dataframe(given):
-            must_be(given, kinds, "measurements, their CSV file or DataFrame", MeasurementError)
-        return read_measurements(given, mechanism, setup, partial=partial, influences=influences)
+        if not is_dataframe(source):
+            must_be(source, kinds, "measurements, their CSV file or DataFrame", MeasurementError)
+        return read_measurements(source, mechanism, setup, partial=partial, influences=influences)
     for name, count in (
         ("poses", mechanism.platform.dof),
         ("readings", len(mechanism.reading_names)),
     ):
-        what = f"{name} of {mechanism.name!r}"
-        array_of(getattr(given, name), ("N", count), what, MeasurementError)
-    return given
+        purpose = f"{name} of {mechanism.name!r}"
+        array_of(getattr(source, name), ("N", count), purpose, MeasurementError)
+    return source
 
 
-def as_setup(given: Setup | str | Path | None) -> Setup:
+def as_setup(source: Setup | str | Path | None) -> Setup:
     """Return a setup that is given as such or by its file; without one, the default.
 
     Raises:
         FileError: the file is missing or cannot be read.
         MeasurementError: something else, or a file that does not say what it should.
     """
-    if given is None or isinstance(given, Setup):
-        return given or Setup()
-    from pincal.files.yaml import read_setup  # reads files: slow to load
-
-    return read_setup(must_be(given, (Setup, str, Path), "a setup or its file", MeasurementError))
+    if source is None or isinstance(source, Setup):
+        return source or Setup()
+    return read_setup(must_be(source, (Setup, str, Path), "a setup or its file", MeasurementError))
 
 
-def as_noise(given: Noise | None) -> Noise:
+def as_noise(noise: Noise | None) -> Noise:
     """Return the noise that is given; without one, the default.
 
     Raises:
         MeasurementError: something else.
     """
-    if given is None:
+    if noise is None:
         return Noise()
-    return must_be(given, (Noise,), "noise, pincal.Noise(…)", MeasurementError)
+    return must_be(noise, (Noise,), "noise, pincal.Noise(…)", MeasurementError)

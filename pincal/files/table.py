@@ -79,6 +79,15 @@ class Table:
         text = {name: [column[row] for row in filled] for name, column in self.text.items()}
         return replace(self, text=text, lines=[self.lines[row] for row in filled])
 
+    def renamed(self, columns: Mapping[str, tuple[str, str]]) -> Table:
+        """Return the table with other names and units of some columns."""
+        units, text = dict(self.units), dict(self.text)
+        for column, (name, unit) in columns.items():
+            del units[column]
+            units[name] = unit
+            text[name] = text.pop(column)
+        return replace(self, units=units, text=text)
+
     def numbers(self, column: str, dimension: str, *, blank: bool = False) -> Array:
         """Return a column in SI units, shape (N,).
 
@@ -91,7 +100,7 @@ class Table:
             MeasurementError: the column is missing, has no or a wrong unit, or a cell is
                 not a finite number.
         """
-        some = " or ".join(f"[{u}]" for u, (kind, _) in UNITS.items() if kind == dimension)
+        expected = " or ".join(f"[{u}]" for u, (kind, _) in UNITS.items() if kind == dimension)
         if column not in self.units:
             raise MeasurementError(
                 f"{self.path}: no column {column!r}; expected '{column} [{dimension}]'. The file "
@@ -99,12 +108,12 @@ class Table:
             )
         unit = self.units[column]
         if unit == COUNTS and column in self.counts:
-            if (by := self.counts[column]) is None:
+            if (per_unit := self.counts[column]) is None:
                 raise MeasurementError(
                     f"{self.path}: column {column!r} is in counts; say how many are in one "
                     f"{dimension}, by {scale_said(column, dimension)}"
                 )
-            return self.plain(column, blank=blank) / by
+            return self.plain(column, blank=blank) / per_unit
         if unit is None:
             raise MeasurementError(
                 f"{self.path}: column {column!r} has no unit; write it in the header, for example "
@@ -112,7 +121,7 @@ class Table:
             )
         if unit not in UNITS or UNITS[unit][0] != dimension:
             raise MeasurementError(
-                f"{self.path}: column {column!r} has unit [{unit}]; expected {some}"
+                f"{self.path}: column {column!r} has unit [{unit}]; expected {expected}"
             )
         return self.plain(column, blank=blank) * UNITS[unit][1]
 
@@ -230,14 +239,14 @@ def read_table(source: str | Path | Any) -> Table:
     separator = _separator(text)
     reader = csv.reader(io.StringIO(text, newline=""), strict=True, delimiter=separator)
     try:
-        said = None if separator == "," else f"cells separated by {_SEPARATORS[separator]}"
-        return _of_rows(path, ((reader.line_num, row) for row in reader), "line", said)
+        separated = None if separator == "," else f"cells separated by {_SEPARATORS[separator]}"
+        return _of_rows(path, ((reader.line_num, row) for row in reader), "line", separated)
     except csv.Error as error:
         raise MeasurementError(f"{path}, line {reader.line_num}: not CSV: {error}") from error
 
 
 def _of_rows(
-    path: Path, lines: Iterable[tuple[int, list[str]]], counted: str, said: str | None
+    path: Path, lines: Iterable[tuple[int, list[str]]], counted: str, separated: str | None
 ) -> Table:
     """Return a table of numbered rows of cells: blank ones, headers, and what is below.
 
@@ -245,7 +254,7 @@ def _of_rows(
         path: The file.
         lines: Number and cells of each.
         counted: What the numbers count, ``"line"`` or ``"row"``.
-        said: What to say of how cells are separated; None if by commas, which no decimal then has.
+        separated: How cells are separated; None if by commas, which no decimal then has.
     """
     filled = ((n, row) for n, row in lines if any(cell.strip() for cell in row))
     top, header = next(filled, (0, []))
@@ -259,8 +268,8 @@ def _of_rows(
         numbers.append(number)
     if not rows:
         raise MeasurementError(f"{path}: a header but no rows")
-    notes = [said] if said else []
-    notes += ["decimal commas"] if said is not None and _with_points(rows) else []
+    notes = [separated] if separated else []
+    notes += ["decimal commas"] if separated is not None and _with_points(rows) else []
     if notes:
         _log.info("%s: %s", path, ", ".join(notes))
     columns = zip(*rows, strict=True)
@@ -350,7 +359,7 @@ def _first_sheet(archive: zipfile.ZipFile) -> tuple[str, str]:
     book = etree.fromstring(archive.read("xl/workbook.xml"))
     sheet = next(book.iterfind(".//{*}sheet"))
     relations = etree.fromstring(archive.read("xl/_rels/workbook.xml.rels"))
-    (target,) = (one.get("Target", "") for one in relations if one.get("Id") in sheet.values())
+    (target,) = (item.get("Target", "") for item in relations if item.get("Id") in sheet.values())
     return sheet.get("name", ""), posixpath.normpath(posixpath.join("/xl", target)).lstrip("/")
 
 
@@ -370,7 +379,7 @@ def _separator(text: str) -> str:
     header = next((line for line in text.splitlines() if line.strip()), "")
     if "," in header:
         return ","
-    return next((one for one in _SEPARATORS if one in header), ",")
+    return next((separator for separator in _SEPARATORS if separator in header), ",")
 
 
 def _with_points(rows: list[list[str]]) -> bool:

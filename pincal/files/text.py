@@ -180,9 +180,9 @@ def read_xml(path: Path, root: str) -> etree._Element:
     try:
         element = etree.fromstring(text, parser)
     except etree.XMLSyntaxError as error:
-        why = _PLACE.sub("", str(error.msg))
+        fault = _PLACE.sub("", str(error.msg))
         raise MechanismError(
-            f"{path}, line {error.lineno or 1}: the file does not parse: {why}"
+            f"{path}, line {error.lineno or 1}: the file does not parse: {fault}"
         ) from error
     if element.tag != root:
         raise MechanismError(f"{path}: expected a <{root}> element, found <{element.tag}>")

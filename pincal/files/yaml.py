@@ -18,7 +18,7 @@ from pincal.files.text import LARGEST_FILE, Name, Number, Strict, read_text, why
 from pincal.model.checks import must_be
 from pincal.model.setup import ORIGIN, STEEL, Distance, Setup, Systematic, Target, Tracker
 
-_ALIKE = 0.75  # from which a key is another one, misspelt
+_SIMILAR = 0.75  # from which a key is another one, misspelt
 Form = TypeVar("Form", bound=BaseModel)
 
 
@@ -104,23 +104,23 @@ def read_yaml(path: Path, form: type[Form], error_type: type[PincalError]) -> Fo
 
 def meant(key: str, known: list[str]) -> str:
     """Return the question whether another key is meant; nothing if none is alike."""
-    found = get_close_matches(key, known, 1, _ALIKE)
-    return f"did you mean {found[0]!r}?" if found else ""
+    nearest = get_close_matches(key, known, 1, _SIMILAR)
+    return f"did you mean {nearest[0]!r}?" if nearest else ""
 
 
 def _unparsed(error: yaml.MarkedYAMLError, text: str) -> str:
     """Return where a text stops to be YAML, and why."""
     mark, begun = error.problem_mark or error.context_mark, error.context_mark
-    where = "" if mark is None else f", line {mark.line + 1}"
-    why = str(error.problem or error.context)
+    place = "" if mark is None else f", line {mark.line + 1}"
+    fault = str(error.problem or error.context)
     if error.context and error.problem:
-        why += f" {error.context}"
+        fault += f" {error.context}"
         if begun is not None and mark is not None and begun.line != mark.line:
-            why += f" that begins in line {begun.line + 1}"
-    there = "" if mark is None else text[mark.index :][:1]
-    why = why.replace("found character that", f"found character {there!r} that")
-    tab = "; indent by blanks, not by tabs" if there == "\t" else ""
-    return f"{where}: the YAML does not parse: {why}{tab}"
+            fault += f" that begins in line {begun.line + 1}"
+    character = "" if mark is None else text[mark.index :][:1]
+    fault = fault.replace("found character that", f"found character {character!r} that")
+    tab = "; indent by blanks, not by tabs" if character == "\t" else ""
+    return f"{place}: the YAML does not parse: {fault}{tab}"
 
 
 def _explained(
@@ -132,8 +132,8 @@ def _explained(
     """
     faults = error.errors(include_url=False, include_context=False)
     first = min(faults, key=lambda fault: fault["type"] != "extra_forbidden")
-    others = len({_there(fault["loc"], data) for fault in faults}) - 1
-    place = _there(first["loc"], data)
+    further = len({_place_in(fault["loc"], data) for fault in faults}) - 1
+    place = _place_in(first["loc"], data)
     named = _named(place, data)
     if first["type"] == "extra_forbidden":
         known = _keys(form, place[:-1])
@@ -141,7 +141,7 @@ def _explained(
         text = f"unknown key {named!r}; " + (
             question or f"expected {', '.join(known)}" if known else "remove it"
         )
-        others -= any(
+        further -= any(
             fault["type"] == "missing"
             and fault["loc"][:-1] == place[:-1]
             and repr(fault["loc"][-1]) in question
@@ -154,12 +154,12 @@ def _explained(
     elif first["type"] == "missing":
         text, place = f"key {named!r} is missing", place[:-1]
     else:
-        fault, given = _words(first), reprlib.repr(first["input"])
-        text = f"{named}: {fault}" + (f"; got {given}" if given not in fault else "")
-    return place, text + (f" (and {others} more)" if others else "")
+        fault, value = _words(first), reprlib.repr(first["input"])
+        text = f"{named}: {fault}" + (f"; got {value}" if value not in fault else "")
+    return place, text + (f" (and {further} more)" if further else "")
 
 
-def _there(place: tuple[int | str, ...], data: Any) -> tuple[int | str, ...]:
+def _place_in(place: tuple[int | str, ...], data: Any) -> tuple[int | str, ...]:
     """Return a place without what is none in the file, such as the kind of value tried."""
     for count, part in enumerate(place):
         last = count == len(place) - 1
@@ -172,11 +172,11 @@ def _there(place: tuple[int | str, ...], data: Any) -> tuple[int | str, ...]:
 
 def _words(fault: ErrorDetails) -> str:
     """Return what is wrong with a value."""
-    given = fault["input"]
+    value = fault["input"]
     if fault["loc"][-1] == "[key]":
         return "a name is expected; decimals take a point"
-    if isinstance(given, str) and re.match(r"\s*[-+.]?[0-9]", given):
-        return why_no_number(given)
+    if isinstance(value, str) and re.match(r"\s*[-+.]?[0-9]", value):
+        return why_no_number(value)
     return fault["msg"].removeprefix("Value error, ")
 
 
@@ -208,10 +208,10 @@ def _line_of(node: yaml.Node | None, place: tuple[int | str, ...]) -> int:
     line = 1
     for part in place:
         if isinstance(node, yaml.MappingNode):
-            found = [pair for pair in node.value if pair[0].value == str(part)]
-            if not found:
+            pairs = [pair for pair in node.value if pair[0].value == str(part)]
+            if not pairs:
                 break
-            line, node = found[0][0].start_mark.line + 1, found[0][1]
+            line, node = pairs[0][0].start_mark.line + 1, pairs[0][1]
         elif isinstance(node, yaml.SequenceNode) and isinstance(part, int):
             node = node.value[part]
             line = node.start_mark.line + 1
@@ -255,12 +255,11 @@ def read_setup(path: str | Path) -> Setup:
     """Return the setup that a YAML file says: see ``Setup.from_yaml``."""
     path = Path(must_be(path, (str, Path), "a setup file", MeasurementError))
     spec = read_yaml(path, _SetupSpec, MeasurementError)
-    distances = {name: Distance(one.start, one.target) for name, one in spec.distances.items()}
     try:
         return Setup(
             unknown_frame=spec.frame == "unknown",
-            targets={name: Target(one.offset, one.unknown) for name, one in spec.targets.items()},
-            distances=distances,
+            targets={name: Target(t.offset, t.unknown) for name, t in spec.targets.items()},
+            distances={name: Distance(d.start, d.target) for name, d in spec.distances.items()},
             tracker=None if spec.tracker is None else Tracker(**spec.tracker.model_dump()),
             systematic=Systematic(**spec.systematic.model_dump()),
         )

@@ -62,8 +62,8 @@ def calibrated_urdf(original: str | Path, mechanism: Mechanism, leg: str | None 
                 "--tip or --platform that is fixed to that link, or hold it (--fix)"
             )
         for name in ends:
-            now = origins.get(name, urdf.joints[name].placement).origin()
-            origins[name] = placement_of(T_link_platform @ now)
+            origin = origins.get(name, urdf.joints[name].placement).origin()
+            origins[name] = placement_of(T_link_platform @ origin)
     return _rewritten(path, {n: p for n, p in origins.items() if urdf.differs(n, p)})
 
 
@@ -119,16 +119,16 @@ def _legs_of(urdf: _Urdf, mechanism: Mechanism, name: str | None) -> list[Leg]:
     """
     if name is not None:
         return [mechanism.leg(name)]
-    legs = [leg for leg in mechanism.legs if any(urdf.named(j.name) for j in leg.moving)]
-    if not legs:
-        legs = [leg for leg in mechanism.legs if leg.point.name in urdf.joints]
+    joints = {leg.name: {urdf.named(j.name) for j in leg.moving} - {None} for leg in mechanism.legs}
+    legs = [leg for leg in mechanism.legs if joints[leg.name]]
+    legs = legs or [leg for leg in mechanism.legs if leg.point.name in urdf.joints]
     if not legs:
         every = [joint.name for leg in mechanism.legs for joint in leg.moving]
         raise MechanismError(
             f"{urdf.path} has none of the joints {listed(every)}; give the URDF that "
             f"{mechanism.name!r} was made from"
         )
-    names = [n for leg in legs for n in {urdf.named(j.name) for j in leg.moving} if n]
+    names = [name for leg in legs for name in joints[leg.name]]
     if len(set(names)) == len(names):
         return legs
     meant = [leg for leg in legs if leg.name == urdf.path.stem]
@@ -240,7 +240,7 @@ def _rewritten(path: Path, origins: dict[str, Placement]) -> bytes:
 
 def _places(text: bytes, origins: dict[str, Placement]) -> Iterable[tuple[int, int, bytes]]:
     """Return where the origins' start tags are, first and last byte, and what to write there."""
-    found: list[tuple[int, int, bytes]] = []
+    changes: list[tuple[int, int, bytes]] = []
     stack: list[tuple[str, str | None]] = []
     missing: dict[str, int] = {}
     parser = expat.ParserCreate()
@@ -252,7 +252,7 @@ def _places(text: bytes, origins: dict[str, Placement]) -> Iterable[tuple[int, i
             name = stack[-1][1]
             if name in missing:
                 del missing[name]
-                found.append((begin, end, _with_origin(text[begin:end], origins[name])))
+                changes.append((begin, end, _with_origin(text[begin:end], origins[name])))
         stack.append((tag, attributes.get("name")))
         if tag == "joint" and len(stack) == 2 and attributes.get("name") in origins:
             missing[attributes["name"]] = end
@@ -264,8 +264,8 @@ def _places(text: bytes, origins: dict[str, Placement]) -> Iterable[tuple[int, i
     parser.EndElementHandler = close
     parser.Parse(text, True)
     for name, end in missing.items():
-        found.append((end, end, _with_origin(b"<origin/>", origins[name])))
-    return found
+        changes.append((end, end, _with_origin(b"<origin/>", origins[name])))
+    return changes
 
 
 def _tag_length(text: bytes) -> int:

@@ -39,7 +39,7 @@ class Law:
     """Unit of the reading."""
     gain: float
     start: float
-    one: float
+    per_si: float
     """What one rad or m of the reading is in its unit."""
     terms: list[str] = field(default_factory=list)
     slopes: list[str] = field(default_factory=list)
@@ -124,7 +124,7 @@ def _add_terms(law: Law, terms: Sequence[PlacedTerm], per_joint: float) -> None:
 def _argument_of(law: Law, column: str) -> tuple[str, float]:
     """Return what a term depends on, as it is written in code, and how many of it are one of SI."""
     if not column:
-        return "reading", law.one
+        return "reading", law.per_si
     known = {column: name for name, column in law.arguments.items()}
     name = known.get(column) or _identifier(
         ARGUMENT_PREFIX + column, [*law.arguments, f"{law.name}_joint"]
@@ -398,7 +398,7 @@ def _written(law: Law, language: Language) -> str:
         read_in=law.read_in,
         gain=repr(law.gain),
         start=repr(law.start),
-        one=repr(law.one),
+        one=repr(law.per_si),
         position=lines.join((f"{law.gain!r} * reading", repr(law.start), *law.terms)),
         slope=lines.join((repr(law.gain), *law.slopes)),
         declared="".join(map(language.argument.format, law.arguments)),

@@ -56,7 +56,7 @@ def read_figaroh(path: str | Path, mechanism: Mechanism) -> tuple[Measurements, 
             f"{table.path}: nothing of the platform's pose; expected columns x1, y1, z1 and, of a "
             "platform that turns, phix1, phiy1, phiz1"
         )
-    unread = columns.left()
+    unread = columns.unread_columns()
     remarks = () if not unread else (f"columns left out: {', '.join(unread)}",)
     return Measurements(poses=poses, readings=readings), remarks
 
@@ -89,6 +89,6 @@ class _Columns:
         self._taken.add(name)
         return table.plain(name)
 
-    def left(self) -> list[str]:
+    def unread_columns(self) -> list[str]:
         """Return the names of the columns that were not taken."""
         return [name for name in self._table.units if name not in self._taken]

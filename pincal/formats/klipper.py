@@ -191,12 +191,8 @@ class _Config:
         top = self.path.resolve().parent
         try:
             names = sorted(glob.glob(name, root_dir=path.parent))  # noqa: PTH207
-            paths = [path.parent / path_found for path_found in names]
-            return [
-                path_found
-                for path_found in paths
-                if path_found.is_file() and path_found.resolve().is_relative_to(top)
-            ]
+            files = [file for file in (path.parent / n for n in names) if file.is_file()]
+            return [file for file in files if file.resolve().is_relative_to(top)]
         except (OSError, ValueError):  # a name that no file can have
             return []
 

@@ -63,18 +63,7 @@ def read_loops(urdf: Path, loops: Path) -> Tree:
         FileError: a file is missing or cannot be read.
         MechanismError: a file that does not say what it should, or names what the other lacks.
     """
-    spec = read_yaml(loops, LoopsSpec, MechanismError)
-    absent = sorted(set(LoopsSpec.model_fields) - spec.model_fields_set)
-    for key in spec.model_extra or ():
-        if question := meant(key, absent):
-            raise MechanismError(f"{loops}: unknown key {key!r}; {question}")
-    for first, second in (("closed_loop", "type"), ("joint_name", "joint_type")):
-        sizes = len(getattr(spec, first)), len(getattr(spec, second))
-        if sizes[0] != sizes[1] and (sizes[1] or first == "joint_name"):
-            raise MechanismError(
-                f"{loops}: {sizes[0]} entries of {first!r}, but {sizes[1]} of {second!r}; each "
-                "needs one"
-            )
+    spec = _read_spec(loops)
     axes = [_TURNED.get(kind, "") for kind in spec.joint_type]
     tree = read_urdf(urdf, dict(zip(spec.joint_name, axes, strict=True)))
     names = [str(element.get("name")) for element in read_xml(urdf, "robot").findall("joint")]
@@ -104,6 +93,28 @@ def read_loops(urdf: Path, loops: Path) -> Tree:
         for pair, kind in zip(spec.closed_loop, kinds, strict=True)
     )
     return replace(tree, loops=closed)
+
+
+def _read_spec(loops: Path) -> LoopsSpec:
+    """Return what the YAML file says.
+
+    Raises:
+        FileError: the file is missing or cannot be read.
+        MechanismError: a key that is misspelt, or lists of different lengths.
+    """
+    spec = read_yaml(loops, LoopsSpec, MechanismError)
+    absent = sorted(set(LoopsSpec.model_fields) - spec.model_fields_set)
+    for key in spec.model_extra or ():
+        if question := meant(key, absent):
+            raise MechanismError(f"{loops}: unknown key {key!r}; {question}")
+    for first, second in (("closed_loop", "type"), ("joint_name", "joint_type")):
+        sizes = len(getattr(spec, first)), len(getattr(spec, second))
+        if sizes[0] != sizes[1] and (sizes[1] or first == "joint_name"):
+            raise MechanismError(
+                f"{loops}: {sizes[0]} entries of {first!r}, but {sizes[1]} of {second!r}; each "
+                "needs one"
+            )
+    return spec
 
 
 def _motors(named: list[str], edges: tuple[Edge, ...], loops: Path, urdf: Path) -> tuple[str, ...]:

@@ -31,7 +31,7 @@ _KNOWN = {
     "reprap": {"665": "LRHBXYZ", "666": "XYZAB"},
     "marlin": {"665": "LRHBXYZABCS", "666": "XYZ"},
 }
-_SHOWS = {
+_SHOWS: dict[Firmware, re.Pattern[str]] = {
     "reprap": re.compile(
         r"RepRapFirmware|\bRRF\b|\bDuet|config(-override)?\.g\b|^\s*M(550|552|563|584|586)\b"
         r"|^\s*M666[^;(\n]*[AB]|^\s*M665[^;(\n]*L[-+.\d\s]*:",
@@ -55,8 +55,7 @@ def read_reprap(path: str | Path, firmware: Firmware | None = None) -> DeltaPrin
     """
     path = Path(path)
     text = read_text(path, LARGEST_FILE["printer"], MechanismError, pipe=True)
-    shown = [name for name, signs in _SHOWS.items() if signs.search(text)]
-    meant = firmware or ("marlin" if shown == ["marlin"] else "reprap")
+    meant, certain = (firmware, True) if firmware else _firmware_of(text)
     numbers = _commands(text, _KNOWN[meant], path)
 
     def value(code: str, letter: str) -> float:
@@ -76,7 +75,7 @@ def read_reprap(path: str | Path, firmware: Firmware | None = None) -> DeltaPrin
             f"{path}: M665 L has {len(lengths)} lengths; expected 1 or 3, by colons"
         )
     corrections = three("666", "XYZ")
-    if firmware is None and len(shown) != 1 and corrections.any():
+    if corrections.any() and not certain:
         raise MechanismError(
             f"{path}: M666 corrects endstops, which RepRapFirmware adds to the height and Marlin "
             "takes off, and the file does not show whose it is; say --format reprap or --format "
@@ -95,6 +94,12 @@ def read_reprap(path: str | Path, firmware: Firmware | None = None) -> DeltaPrin
         )
     except MechanismError as error:
         raise MechanismError(f"{path}: {error}") from error
+
+
+def _firmware_of(text: str) -> tuple[Firmware, bool]:
+    """Return whose file a text is, and whether it shows that."""
+    shown: list[Firmware] = [name for name, signs in _SHOWS.items() if signs.search(text)]
+    return ("marlin" if shown == ["marlin"] else "reprap"), len(shown) == 1
 
 
 def _commands(
@@ -119,7 +124,7 @@ def _commands(
     return values
 
 
-def _words(code: str, text: str, known: Mapping[str, str], where: str) -> dict[str, list[float]]:
+def _words(code: str, text: str, known: Mapping[str, str], line: str) -> dict[str, list[float]]:
     """Return the numbers behind each letter of a command."""
     numbers: dict[str, list[float]] = {}
     text, place = text.strip(), 0
@@ -128,16 +133,16 @@ def _words(code: str, text: str, known: Mapping[str, str], where: str) -> dict[s
         letter = match[1].upper() if match else ""
         if match is None or letter not in known[code]:
             raise MechanismError(
-                f"{where}: {text[place : place + 20]!r} is nothing that M{code} takes; expected "
+                f"{line}: {text[place : place + 20]!r} is nothing that M{code} takes; expected "
                 f"{', '.join(known[code])} with numbers (--format says whose file it is: firmwares "
                 "mean different things by it)"
             )
         word = match[0].strip()[:100]
         numbers[letter] = [plain_number(part) for part in match[2].split(":")]
         if not np.isfinite(numbers[letter]).all():
-            raise MechanismError(f"{where}: {word!r} of M{code} is not a letter and numbers")
+            raise MechanismError(f"{line}: {word!r} of M{code} is not a letter and numbers")
         if letter != "L" and len(numbers[letter]) > 1:
-            raise MechanismError(f"{where}: {word!r} of M{code} has several numbers")
+            raise MechanismError(f"{line}: {word!r} of M{code} has several numbers")
         place = match.end()
     return numbers
 

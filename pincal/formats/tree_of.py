@@ -41,22 +41,17 @@ def tree_of(mechanism: Mechanism) -> tuple[Tree, tuple[str, ...]]:
     legs = tuple(_named(leg) if shared else leg for leg in mechanism.legs)
     edges: tuple[Edge, ...] = ()
     loops: list[Loop] = []
-    only = legs[0]
-    serial = len(legs) == 1 and only.closes == "frame" and not only.passive
-    serial = serial and np.array_equal(only.point.placement.origin(), np.eye(4))
+    serial = _is_serial(legs)
     if not serial:
         edges += _floating(mechanism)
     for leg in legs:
-        link = BASE
-        for index, joint in enumerate(leg.joints):
-            last = index == len(leg.joints) - 1
-            child = PLATFORM if serial and last else f"{leg.name}_link_{index + 1}"
-            edges += (Edge(joint, link, child),)
-            link = child
+        links = [BASE, *(f"{leg.name}_link_{index + 1}" for index in range(len(leg.joints)))]
+        links[-1] = PLATFORM if serial else links[-1]
+        edges += tuple(map(Edge, leg.joints, links[:-1], links[1:]))
         if not serial:
             point = f"{leg.name}_{leg.point.name}" if shared else leg.point.name
             edges += (Edge(_point(leg, mechanism, point), PLATFORM, f"{leg.name}_end"),)
-            loops.append(Loop(leg.name, Spot(link), Spot(f"{leg.name}_end"), leg.closes))
+            loops.append(Loop(leg.name, Spot(links[-1]), Spot(f"{leg.name}_end"), leg.closes))
     tree = Tree(
         name=mechanism.name,
         source=mechanism.name,
@@ -68,6 +63,12 @@ def tree_of(mechanism: Mechanism) -> tuple[Tree, tuple[str, ...]]:
         homed=True,
     )
     return tree, unwritten(mechanism)
+
+
+def _is_serial(legs: tuple[Leg, ...]) -> bool:
+    """Return whether there is but one leg, an arm, and its tip is the platform."""
+    arm = len(legs) == 1 and legs[0].closes == "frame" and not legs[0].passive
+    return arm and np.array_equal(legs[0].point.placement.origin(), np.eye(4))
 
 
 def _named(leg: Leg) -> Leg:
