@@ -3,6 +3,13 @@
 ``docs/errors.md`` is made of their docstrings, which say what causes them and what to do.
 """
 
+from __future__ import annotations
+
+import re
+
+_LONG_VALUE = re.compile(r"(?<!\w)(['\"])(?:(?!\1).){200,}\1|\S{300,}", re.DOTALL)
+_LONGEST = 1500  # characters of a message
+
 
 class PincalError(Exception):
     """Root of every error raised on purpose; its text says what, where, expected, what to do.
@@ -20,6 +27,13 @@ class PincalError(Exception):
         ...     print(type(error).__name__)
         FileError
     """
+
+    def __init__(self, message: str = "") -> None:
+        """Take a message, long values in it and what is beyond 1,500 characters cut out."""
+        message = _LONG_VALUE.sub(lambda value: f"{value[0][:100]}…{value[0][-20:]}", message)
+        if len(message) > _LONGEST:
+            message = f"{message[: _LONGEST - 300]} … {message[-290:]}"
+        super().__init__(message)
 
 
 class MechanismError(PincalError, ValueError):

@@ -339,3 +339,17 @@ def test_names_that_no_file_can_have_are_refused() -> None:
         for read in (*READERS.values(), read_table):
             with pytest.raises(FileError):
                 read(Path(name) / "x")
+
+
+@pytest.mark.parametrize("value", ["x" * 5000, "a long value " * 400, "'" * 5000, "é" * 5000])
+def test_long_values_do_not_make_long_messages(value: str, tmp_path: Path) -> None:
+    """A value of 5,000 characters is cut in the message, which still says where and what to do."""
+    table = tmp_path / "poses.csv"
+    quoted = value.replace('"', "")
+    table.write_text(f'x [m],y [m]\n0,1.1\n0,"{quoted}"\n', encoding="utf-8")
+    with pytest.raises(MeasurementError) as caught:
+        pincal.Plan.from_csv(table, "5R")
+    message = str(caught.value)
+    assert len(message) <= 1500
+    assert "line 3" in message
+    assert "remove the row" in message

@@ -32,9 +32,9 @@ import pincal
 from pincal.formats.arm import serial_arm
 from pincal.formats.calibrated_urdf import calibrated_urdf
 from pincal.formats.closed import closed_mechanism
-from pincal.formats.loops_yaml import read_loops
 from pincal.formats.mjcf import mjcf, read_mjcf
 from pincal.formats.tree_of import loops_urdf, loops_yaml, tree_of
+from pincal.formats.urdf_tree import read_loops
 from pincal.kinematics.assembly import independent
 from pincal.kinematics.batches import cross
 from pincal.kinematics.closed_forms import closed_form, pointing_slide, reach_of

@@ -62,7 +62,7 @@ def architecture_of(name: str) -> Architecture:
         near = get_close_matches(plain, known, 1)
         meant = f"; did you mean {known[near[0]]!r}?" if near else ""
         raise MechanismError(
-            f"no architecture {name[:80]!r}; expected one of {', '.join(ARCHITECTURES)}{meant}"
+            f"no architecture {name!r}; expected one of {', '.join(ARCHITECTURES)}{meant}"
         )
     return ARCHITECTURES[known[plain]]
 

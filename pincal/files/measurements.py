@@ -450,7 +450,7 @@ def _names(table: Table, column: str) -> tuple[str, ...] | None:
     for row, name in enumerate(names):
         if not name.isprintable():
             raise MeasurementError(
-                f"{table.where(row)}: {column} {name[:40]!r} has characters that cannot be "
+                f"{table.where(row)}: {column} {name!r} has characters that cannot be "
                 "printed; name it otherwise"
             )
     if column == "run" and "" in names:

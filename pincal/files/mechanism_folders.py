@@ -96,7 +96,7 @@ def _folder(name_or_path: str | Path) -> Path:
             folder = bundled()[str(name_or_path)]
         elif not folder.samefile(bundled()[str(name_or_path)]):
             _log.info("%s: the folder here, not the bundled mechanism of that name", name_or_path)
-    name = str(name_or_path)[:200]
+    name = str(name_or_path)
     if not is_folder(folder):
         known = {mechanism.lower(): mechanism for mechanism in bundled()}
         nearest = get_close_matches(name.lower(), known, 1)
@@ -193,7 +193,7 @@ def _inside(folder: Path, name: str) -> Path:
     try:
         inside = (folder / name).resolve().is_relative_to(folder.resolve())
     except (OSError, ValueError, RuntimeError) as error:  # RuntimeError: links in a circle
-        raise MechanismError(f"{name[:200]!r} cannot be a file's name: {error}") from error
+        raise MechanismError(f"{name!r} cannot be a file's name: {error}") from error
     if not inside:
         raise MechanismError(f"{name!r} leads out of the mechanism's folder; keep its files inside")
     return folder / name

@@ -52,7 +52,7 @@ def refuse_existing(path: str | Path, *, force: bool, folder: Sequence[str] = ()
         inside = is_folder and Path.cwd().is_relative_to(real)
         read = _inputs_in(_made_in(real, folder) if known else [real])
     except (OSError, ValueError, RuntimeError) as error:
-        raise FileError(f"cannot write {str(path)[:200]!r}: {error}") from error
+        raise FileError(f"cannot write {str(path)!r}: {error}") from error
     known_by = folder[0] if folder else ""
     refusals = {
         f"{path} is a link that leads to itself; remove it, or name a file": is_link,

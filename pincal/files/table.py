@@ -305,7 +305,7 @@ def _sheet(path: Path, extra: str) -> Any:
         raise
     except Exception as error:  # each package has its own
         kind = path.suffix.lower()
-        raise MeasurementError(f"{path}: no {kind} file: {str(error)[:200]}") from error
+        raise MeasurementError(f"{path}: no {kind} file: {error}") from error
     height = max([len(rows), *(row + 1 for row, _ in flaws)])
     width = max([0, *map(len, rows), *(column + 1 for _, column in flaws)])
     rows = [[*row, *[""] * (width - len(row))] for row in (*rows, *[[]] * (height - len(rows)))]
@@ -446,9 +446,9 @@ def _header(path: Path, header: Sequence[str], line: int, counted: str) -> dict[
         inner = unit.removesuffix("]")
         if not name or set("[]") & {*name, *inner} or bool(bracket) != (inner != unit):
             raise MeasurementError(
-                f"{path}: header {cell[:100]!r} is not a name with a unit, such as 'x [mm]'"
+                f"{path}: header {cell!r} is not a name with a unit, such as 'x [mm]'"
             )
         if name in units:
-            raise MeasurementError(f"{path}: column {name[:100]!r} appears twice")
+            raise MeasurementError(f"{path}: column {name!r} appears twice")
         units[name] = inner.strip() if bracket else None
     return units

@@ -79,7 +79,7 @@ def read_bytes(
     except OSError as error:
         raise FileError(f"cannot read {path}: {error.strerror or error}") from error
     except ValueError as error:  # a name that no file can have
-        raise FileError(f"cannot read {str(path)[:200]!r}: {error}") from error
+        raise FileError(f"cannot read {str(path)!r}: {error}") from error
     if max(size, status.st_size) > largest:
         raise error_type(f"{path}: larger than {largest // 2**20} MiB; not a file of this kind")
     return b"".join(parts)
@@ -153,7 +153,7 @@ def why_no_number(text: str, units: str = "m or rad", place: str = "") -> str:
         units: In which numbers are expected there.
         place: Where it is; follows the text.
     """
-    named = f"{text[:100]!r}{place}"
+    named = f"{text!r}{place}"
     if abs(plain_number(text)) > LARGEST:
         return f"{named} is not a finite number, at most {LARGEST:g} in size"
     if not _BEGUN.match(text):

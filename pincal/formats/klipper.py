@@ -243,7 +243,7 @@ class _Config:
         if len(values) != count or not np.isfinite(values).all():
             expected = "a finite number" if count == 1 else f"{count} finite numbers"
             raise MechanismError(
-                f"{self.path}: [{section}] {option} is {text[:100]!r}; expected {expected}"
+                f"{self.path}: [{section}] {option} is {text!r}; expected {expected}"
             )
         return values
 

@@ -137,7 +137,7 @@ def _words(code: str, text: str, known: Mapping[str, str], line: str) -> dict[st
                 f"{', '.join(known[code])} with numbers (--format says whose file it is: firmwares "
                 "mean different things by it)"
             )
-        word = match[0].strip()[:100]
+        word = match[0].strip()
         numbers[letter] = [plain_number(part) for part in match[2].split(":")]
         if not np.isfinite(numbers[letter]).all():
             raise MechanismError(f"{line}: {word!r} of M{code} is not a letter and numbers")

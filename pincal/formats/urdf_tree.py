@@ -1,19 +1,31 @@
-"""A URDF as a tree of links and joints; what no leg could have is refused where a leg needs it."""
+"""A URDF as a tree of links and joints, and the YAML file that closes its loops.
+
+What no leg could have is refused where a leg needs it. The YAML file follows the convention of
+example-parallel-robots: ``closed_loop`` lists pairs of frames that meet, ``type`` says of each
+whether their origins do ('3d') or the whole frames ('6d', as where nothing is said), ``name_mot``
+names the motors, whole or in part; ``joint_name`` and ``joint_type`` replace joints by others
+(SPHERICAL, FIXED, UJOINT_XY, UJOINT_YZ, UJOINT_ZX). Two keys are pincal's own: ``platform``, a
+link, and ``home``, joint positions in the configuration that is drawn. Source:
+github.com/Gepetto/example-parallel-robots, ``loader_tools.py``.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Annotated, Literal
 
 import numpy as np
 from lxml import etree
+from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial.transform import Rotation
 
-from pincal.errors import MechanismError
-from pincal.files.text import read_xml
+from pincal.errors import FileError, MechanismError
+from pincal.files.text import Number, read_xml
 from pincal.files.urdf import link_of, read_joint, weighed
-from pincal.formats.tree import Edge, Tree, root_of, turns, with_ranges
+from pincal.files.yaml import meant, read_yaml
+from pincal.formats.tree import Edge, Loop, Spot, Tree, at_home, listed, root_of, turns, with_ranges
 from pincal.model.leg import Joint
 from pincal.model.placement import placement_of
 
@@ -129,3 +141,126 @@ def _remarks(element: etree._Element, joint: Joint, place: str) -> str:
             f"rpy={rpy.get('rpy')!r} is more than a turn: radians are expected; is this degrees?"
         )
     return f"{place}: {'; '.join(remarks)}" if remarks else ""
+
+
+_TURNED = {"SPHERICAL": "xyz", "UJOINT_XY": "xy", "UJOINT_YZ": "yz", "UJOINT_ZX": "zx"}
+
+
+class LoopsSpec(BaseModel):
+    """What the YAML file says; other keys (rotor inertias and such) do not matter here."""
+
+    model_config = ConfigDict(extra="allow", strict=False)
+
+    closed_loop: list[Annotated[list[str], Field(min_length=2, max_length=2)]] = []
+    type: list[Literal["3d", "3D", "6d", "6D"]] = []
+    name_mot: list[str]
+    joint_name: list[str] = []
+    joint_type: list[Literal["SPHERICAL", "FIXED", "UJOINT_XY", "UJOINT_YZ", "UJOINT_ZX"]] = []
+    platform: str | None = None
+    home: dict[str, Number] = {}
+
+
+def loops_beside(file: Path) -> Path:
+    """Return the YAML file that belongs to a URDF.
+
+    Raises:
+        FileError: there is none.
+    """
+    places = (file.with_suffix(".yaml"), file.parent / "robot.yaml")
+    for place in places:
+        if place.is_file():
+            return place
+    raise FileError(
+        f"no {' or '.join(dict.fromkeys(place.name for place in places))} beside {file} says what "
+        "closes its loops; name one with --loops, or import a serial arm with --tip LINK"
+    )
+
+
+def read_loops(urdf: Path, loops: Path) -> Tree:
+    """Return the tree of a URDF with the loops of a YAML file.
+
+    Raises:
+        FileError: a file is missing or cannot be read.
+        MechanismError: a file that does not say what it should, or names what the other lacks.
+    """
+    spec = _read_spec(loops)
+    axes = [_TURNED.get(kind, "") for kind in spec.joint_type]
+    tree = read_urdf(urdf, dict(zip(spec.joint_name, axes, strict=True)))
+    names = [str(element.get("name")) for element in read_xml(urdf, "robot").findall("joint")]
+    _known(spec.joint_name, names, "joint_name", loops, urdf)
+    _known(spec.home, [edge.joint.name for edge in tree.edges], "home", loops, urdf)
+    edges = tuple(
+        replace(edge, joint=replace(edge.joint, mass=0.0, centre=(0.0, 0.0, 0.0)))
+        for edge in tree.edges  # frames of legs with loops are turned, centres of mass are not
+    )
+    tree = replace(
+        tree,
+        edges=at_home(edges, spec.home),
+        active=_motors(spec.name_mot, edges, loops, urdf),
+        platform=spec.platform,
+        homed=bool(spec.home),
+    )
+    if tree.platform is not None:
+        tree.link(tree.platform, f"the platform of {loops}")
+    kinds = spec.type or ["6d"] * len(spec.closed_loop)
+    closed = tuple(
+        Loop(
+            "_".join(pair),
+            Spot(tree.link(pair[0], f"'closed_loop' of {loops}")),
+            Spot(tree.link(pair[1], f"'closed_loop' of {loops}")),
+            "point" if kind.lower() == "3d" else "frame",
+        )
+        for pair, kind in zip(spec.closed_loop, kinds, strict=True)
+    )
+    return replace(tree, loops=closed)
+
+
+def _read_spec(loops: Path) -> LoopsSpec:
+    """Return what the YAML file says.
+
+    Raises:
+        FileError: the file is missing or cannot be read.
+        MechanismError: a key that is misspelt, or lists of different lengths.
+    """
+    spec = read_yaml(loops, LoopsSpec, MechanismError)
+    absent = sorted(set(LoopsSpec.model_fields) - spec.model_fields_set)
+    for key in spec.model_extra or ():
+        if question := meant(key, absent):
+            raise MechanismError(f"{loops}: unknown key {key!r}; {question}")
+    for first, second in (("closed_loop", "type"), ("joint_name", "joint_type")):
+        sizes = len(getattr(spec, first)), len(getattr(spec, second))
+        if sizes[0] != sizes[1] and (sizes[1] or first == "joint_name"):
+            raise MechanismError(
+                f"{loops}: {sizes[0]} entries of {first!r}, but {sizes[1]} of {second!r}; each "
+                "needs one"
+            )
+    return spec
+
+
+def _motors(named: list[str], edges: tuple[Edge, ...], loops: Path, urdf: Path) -> tuple[str, ...]:
+    """Return the joints that ``name_mot`` means: of that name, or else with it in their names.
+
+    Raises:
+        MechanismError: no joint, or one that does not move.
+    """
+    moving = [edge.joint.name for edge in edges if edge.joint.kind != "fixed"]
+    motors: list[str] = []
+    for name in named:
+        meant = [name] if name in moving else [joint for joint in moving if name in joint]
+        if not meant:
+            raise MechanismError(
+                f"{loops}: 'name_mot' has {name!r}, but no joint of {urdf} that moves has that in "
+                f"its name; it has {listed(moving)}"
+            )
+        motors += meant
+    return tuple(dict.fromkeys(motors))
+
+
+def _known(named: Iterable[str], names: Sequence[str], key: str, loops: Path, urdf: Path) -> None:
+    """Raise if a joint is named that there is not."""
+    for name in named:
+        if name not in names:
+            raise MechanismError(
+                f"{loops}: {key!r} has {name!r}, which is no joint of {urdf}; it has "
+                f"{listed(names)}"
+            )

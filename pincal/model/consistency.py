@@ -128,7 +128,7 @@ def _leg_name_faults(mechanism: Mechanism) -> Iterator[str]:
     if len(set(names)) != len(names):
         yield f"mechanism {mechanism.name!r}: leg names repeat: {list(names)}"
     if not (mechanism.name and mechanism.name.isprintable() and len(mechanism.name) <= 100):
-        yield f"{mechanism.name[:100]!r} is no name for a mechanism"
+        yield f"{mechanism.name!r} is no name for a mechanism"
 
 
 def _column_faults(mechanism: Mechanism) -> Iterator[str]:

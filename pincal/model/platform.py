@@ -38,7 +38,7 @@ class PlatformKind:
     def __post_init__(self) -> None:
         must_be(self.name, str, "the name of a platform kind", MechanismError)
         if not (self.name and self.name.isprintable() and len(self.name) <= 64):
-            raise MechanismError(f"{self.name[:64]!r} is no name for a platform kind")
+            raise MechanismError(f"{self.name!r} is no name for a platform kind")
         label = f"freedoms of a {self.name!r} platform"
         count = len(must_be(self.freedoms, Sequence, label, MechanismError))
         freedoms = names_of(self.freedoms, count, label, MechanismError)

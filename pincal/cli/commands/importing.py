@@ -25,10 +25,9 @@ from pincal.formats.arm import serial_arm
 from pincal.formats.closed import closed_mechanism, closing_in_words, slack_of
 from pincal.formats.figaroh import read_figaroh
 from pincal.formats.klipper import read_klipper
-from pincal.formats.loops_yaml import loops_beside, read_loops
 from pincal.formats.mjcf import read_mjcf
 from pincal.formats.reprap import read_reprap
-from pincal.formats.urdf_tree import XACRO, read_urdf
+from pincal.formats.urdf_tree import XACRO, loops_beside, read_loops, read_urdf
 from pincal.kinematics.closure import largest_size
 from pincal.kinematics.inverse import inverse
 from pincal.model.measurements import Measurements
