@@ -14,7 +14,7 @@ sys.path.insert(0, str(ROOT))
 from tools.counts import Counts, count, count_revision, main  # noqa: E402
 
 LINES = {
-    "": 330,
+    "": 342,
     "architectures": 745,
     "calibration": 7_350,
     "cli": 3_950,

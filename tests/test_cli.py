@@ -130,7 +130,7 @@ def test_calibrated_mechanism_serves_as_mech(kind: str, chains: Chains, tmp_path
     readings = {}
     for name, mech in {"true": chains[kind] / "truth", "before": kind, "after": calibrated}.items():
         done("inverse", mech, chains[kind] / "plan.csv", "-o", tmp_path / name)
-        readings[name] = read_readings(tmp_path / name, mechanism)
+        readings[name] = read_readings(tmp_path / name, mechanism)[0]
     before, after = (np.abs(readings[n] - readings["true"]).max() for n in ("before", "after"))
     assert after < 0.1 * before
 

@@ -97,10 +97,10 @@ def read_plan(path: Path) -> None:
 
 
 def read_readings(path: Path) -> None:
-    readings = measurements.read_readings(path, PLANE)
+    readings = measurements.read_readings(path, PLANE)[0]
     assert np.isfinite(readings).all()
     write_readings(path, PLANE, readings, force=True)
-    assert equal(measurements.read_readings(path, PLANE), readings)
+    assert equal(measurements.read_readings(path, PLANE)[0], readings)
 
 
 def read_measurements(path: Path) -> None:

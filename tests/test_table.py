@@ -100,7 +100,7 @@ def test_poses_and_readings_read_back_bit_for_bit(
     assert bits(plan.poses) == bits(data.poses)
     assert plan.sets == data.sets
     write_readings(spare, mechanism, data.readings, force=True)
-    assert bits(read_readings(spare, mechanism)) == bits(data.readings)
+    assert bits(read_readings(spare, mechanism)[0]) == bits(data.readings)
 
 
 def poses_of(path: Path, text: str, encoding: str = "utf-8") -> Array:

@@ -38,11 +38,11 @@ def test_readings_in_counts_are_read_by_the_scale_that_was_said(counted: Path) -
     """The same numbers as in radians, whoever said the scale: Python, or mechanism.yaml."""
     mechanism, _, data = machine("3RRR", 24, NOISE)
     scaled = mechanism.with_counts({"leg_1": COUNTS, "leg_2": COUNTS})
-    np.testing.assert_allclose(read_readings(counted, scaled), data.readings, rtol=1e-12)
+    np.testing.assert_allclose(read_readings(counted, scaled)[0], data.readings, rtol=1e-12)
     folder = scaled.save(counted.parent / "machine")
     assert "counts_per_unit: 651.89" in (folder / "mechanism.yaml").read_text()
     assert pincal.load_mechanism(folder).counts == scaled.counts
-    np.testing.assert_allclose(read_readings(counted, folder), data.readings, rtol=1e-12)
+    np.testing.assert_allclose(read_readings(counted, folder)[0], data.readings, rtol=1e-12)
 
 
 def test_standard_deviations_are_in_counts_too(tmp_path: Path) -> None:
@@ -134,7 +134,7 @@ def test_what_is_written_in_other_units_is_read_again(units: str, tmp_path: Path
     done("inverse", "3RRR", tmp_path / "p.csv", "--units", units, "-o", tmp_path / "r.csv")
     done("simulate", "3RRR", tmp_path / "p.csv", "--units", units, "-o", tmp_path / "m.csv")
     readings = pincal.inverse("3RRR", plan.poses).readings
-    again = read_readings(tmp_path / "r.csv", "3RRR")
+    again = read_readings(tmp_path / "r.csv", "3RRR")[0]
     np.testing.assert_allclose(again, readings, rtol=0.0, atol=1e-12)
     named = read_table(tmp_path / "m.csv").units
     assert named["x"] in units.split(",")

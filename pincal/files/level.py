@@ -11,7 +11,7 @@ import logging
 import numpy as np
 
 from pincal.errors import MeasurementError
-from pincal.files.table import Table
+from pincal.files.table import TextTable
 from pincal.model.mechanism import Mechanism
 from pincal.model.setup import Setup
 from pincal.types import Array
@@ -26,7 +26,7 @@ def tilt_column(mechanism: Mechanism, further: dict[str, str]) -> dict[str, str]
     return {"z": "m"} if mechanism.platform.space == 2 and "z" not in further else {}
 
 
-def levelled(table: Table, setup: Setup, poses: Array) -> Array:
+def levelled(table: TextTable, setup: Setup, poses: Array) -> Array:
     """Return poses whose positions lie in the x-y plane, as a tracker that is level sees them.
 
     The plane is turned into x-y the shortest way, where that is more than noise.

@@ -14,7 +14,7 @@ import numpy as np
 from pincal.errors import MeasurementError, MechanismError
 from pincal.files.level import levelled, tilt_column
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
-from pincal.files.table import Table, read_table
+from pincal.files.table import TextTable, read_table
 from pincal.files.text import plain_number
 from pincal.model.checks import must_be
 from pincal.model.measurements import EVERY_LEG, VERIFY, Measurements, Plan
@@ -35,14 +35,11 @@ def covariance_headers(units: Mapping[str, str]) -> dict[str, tuple[str, str]]:
         units: Names of the quantities, and their dimensions.
     """
     pairs = [*combinations(units, 2)]
-    return {
-        f"cov_{a}_{b}": (first, second)
-        for first, second in pairs
-        for a, b in ((first, second), (second, first))
-    }
+    headers = {f"cov_{first}_{second}": (first, second) for first, second in pairs}
+    return headers | {f"cov_{second}_{first}": (first, second) for first, second in pairs}
 
 
-def read_covariances(table: Table, units: Mapping[str, str]) -> dict[str, Array]:
+def read_covariances(table: TextTable, units: Mapping[str, str]) -> dict[str, Array]:
     """Return the covariances that a table has, by pair such as ``"x,y"``, in SI units.
 
     Args:
@@ -60,9 +57,8 @@ def read_covariances(table: Table, units: Mapping[str, str]) -> dict[str, Array]
             f"the platform ({', '.join(units)}); rename it, or leave it out"
         )
     covariances: dict[str, Array] = {}
-    for header, (first, second) in headers.items():
-        if header not in table:
-            continue
+    for header in (header for header in headers if header in table):
+        first, second = headers[header]
         if (pair := f"{first},{second}") in covariances:
             raise MeasurementError(
                 f"{table.path}: the covariance of {first} and {second} is said twice; leave one "
@@ -106,7 +102,7 @@ def table_for(
     mechanism: Mechanism,
     further: Mapping[str, str] | None = None,
     wanted_influences: Collection[str] | None = (),
-) -> Table:
+) -> TextTable:
     """Return a table; headers such as ``x (mm)``, ``X [mm]``, ``x_mm`` are read as ``x [mm]``.
 
     That is logged, as are columns without a meaning.
@@ -145,7 +141,7 @@ def _of_sheet(column: str) -> bool:
     return column == "row" or column.startswith("planned_")
 
 
-def _headers_meant(table: Table, units: Mapping[str, str]) -> dict[str, tuple[str, str]]:
+def _headers_meant(table: TextTable, units: Mapping[str, str]) -> dict[str, tuple[str, str]]:
     """Return name and unit of columns whose headers say them in other case, or otherwise.
 
     Raises:
@@ -188,7 +184,7 @@ def _unit_behind(column: str, name: str, dimension: str) -> str | None:
 
 
 def unknown_columns(
-    table: Table, mechanism: Mechanism, further: Mapping[str, str] | None = None
+    table: TextTable, mechanism: Mechanism, further: Mapping[str, str] | None = None
 ) -> dict[str, tuple[str, ...]]:
     """Return the columns of a table without a meaning, as they are: name to cells."""
     known = _known(mechanism, further or {})
@@ -228,25 +224,16 @@ def read_poses(path: Source, mechanism: GivenMechanism, *, partial: bool = False
     )
 
 
-def read_readings(path: Source, mechanism: GivenMechanism) -> Array:
-    """Return the readings of a CSV file, shape (N, n_readings), [rad] or [m].
+def read_readings(path: Source, mechanism: GivenMechanism) -> tuple[Array, dict[str, Array]]:
+    """Return the readings of a CSV file, shape (N, n_readings), and columns that terms depend on.
 
     Raises:
         FileError: the file is missing or cannot be read.
         MeasurementError: a column or cell that is missing or wrong; the message says where.
     """
     mechanism = as_mechanism(mechanism)
-    return _readings(table_for(path, mechanism), mechanism)
-
-
-def read_influences(path: Source, mechanism: Mechanism) -> dict[str, Array]:
-    """Return the columns on which terms depend, those that a file has.
-
-    Raises:
-        FileError: the file is missing or cannot be read.
-        MeasurementError: a cell that is no number; the message says where.
-    """
-    return _influences(table_for(path, mechanism), mechanism)
+    table = table_for(path, mechanism)
+    return _readings(table, mechanism), _influences(table, mechanism)
 
 
 def read_measurements(
@@ -303,7 +290,7 @@ def read_measurements(
 
 
 def _further_columns(
-    table: Table, units: Mapping[str, str], setup: Setup, *, partial: bool
+    table: TextTable, units: Mapping[str, str], setup: Setup, *, partial: bool
 ) -> tuple[dict[str, Array], dict[str, Array]]:
     """Return what was measured besides poses and readings, by column, and its uncertainties."""
     extra = {
@@ -320,7 +307,7 @@ def _further_columns(
 
 
 def _check_columns(
-    table: Table, mechanism: Mechanism, setup: Setup, further: Mapping[str, str]
+    table: TextTable, mechanism: Mechanism, setup: Setup, further: Mapping[str, str]
 ) -> None:
     """Raise if a column is missing that terms or the setup need, or one needs another setup.
 
@@ -359,7 +346,7 @@ def measured_columns(mechanism: Mechanism, further: Iterable[str]) -> set[str]:
     return {*mechanism.platform.coordinates, *turns, *further, *mechanism.reading_names}
 
 
-def _way(table: Table) -> str | None:
+def _way(table: TextTable) -> str | None:
     """Return the way in which a table gives orientations in full, if it does.
 
     Raises:
@@ -375,7 +362,7 @@ def _way(table: Table) -> str | None:
     return ways[0] if ways else None
 
 
-def _poses(table: Table, mechanism: Mechanism, *, partial: bool = False) -> Array:
+def _poses(table: TextTable, mechanism: Mechanism, *, partial: bool = False) -> Array:
     """Return the coordinates of poses; a spatial platform's orientation in any of the ways.
 
     If they may be partial, NaN where a column is missing or a cell empty.
@@ -408,7 +395,7 @@ def _poses(table: Table, mechanism: Mechanism, *, partial: bool = False) -> Arra
     return np.hstack((columns(units[: platform.lengths]), turns)) if places else turns
 
 
-def _turns(table: Table, way: str, values: Array) -> Array:
+def _turns(table: TextTable, way: str, values: Array) -> Array:
     """Return the columns of orientations that are given in another way, shape (N, 3), [rad].
 
     Raises:
@@ -423,7 +410,7 @@ def _turns(table: Table, way: str, values: Array) -> Array:
     return turns
 
 
-def _check_whole_pose(table: Table, mechanism: Mechanism) -> None:
+def _check_whole_pose(table: TextTable, mechanism: Mechanism) -> None:
     """Raise if a table has some columns of the pose, but not all.
 
     Raises:
@@ -442,7 +429,7 @@ def _check_whole_pose(table: Table, mechanism: Mechanism) -> None:
         )
 
 
-def _names(table: Table, column: str) -> tuple[str, ...] | None:
+def _names(table: TextTable, column: str) -> tuple[str, ...] | None:
     """Return a column of names, or None where there is none."""
     if column not in table:
         return None
@@ -458,19 +445,19 @@ def _names(table: Table, column: str) -> tuple[str, ...] | None:
     return names
 
 
-def _readings(table: Table, mechanism: Mechanism, *, partial: bool = False) -> Array:
+def _readings(table: TextTable, mechanism: Mechanism, *, partial: bool = False) -> Array:
     units = zip(mechanism.reading_names, mechanism.reading_units, strict=True)
     return np.column_stack([table.numbers(name, unit, blank=partial) for name, unit in units])
 
 
-def _influences(table: Table, mechanism: Mechanism) -> dict[str, Array]:
+def _influences(table: TextTable, mechanism: Mechanism) -> dict[str, Array]:
     """Return the columns on which terms depend, numbers as they stand."""
     names = (*mechanism.influences, *sorted(mechanism.followed - set(mechanism.influences)))
     return {name: table.plain(name, blank=True) for name in names if name in table}
 
 
 def _numbers(
-    table: Table, columns: Mapping[str, object], named: Collection[str] | None
+    table: TextTable, columns: Mapping[str, object], named: Collection[str] | None
 ) -> dict[str, Array]:
     """Return further columns of a table, those that are wanted, or all of numbers that differ.
 
@@ -498,7 +485,7 @@ def _numbers(
     return numbers
 
 
-def _sets(table: Table, mechanism: Mechanism) -> tuple[str, ...] | None:
+def _sets(table: TextTable, mechanism: Mechanism) -> tuple[str, ...] | None:
     if "set" not in table:
         return None
     known = {*mechanism.leg_names, EVERY_LEG, ""}
@@ -512,7 +499,7 @@ def _sets(table: Table, mechanism: Mechanism) -> tuple[str, ...] | None:
     return sets
 
 
-def _sigmas(table: Table, units: Mapping[str, str], *, partial: bool = False) -> Array | None:
+def _sigmas(table: TextTable, units: Mapping[str, str], *, partial: bool = False) -> Array | None:
     """Return the ``sigma_…`` columns, shape (N, n), or None where there are none.
 
     If they may be partial, those that are missing are NaN.
@@ -530,7 +517,7 @@ def _sigmas(table: Table, units: Mapping[str, str], *, partial: bool = False) ->
     )
 
 
-def _sigma(table: Table, name: str, unit: str, *, blank: bool = False) -> Array:
+def _sigma(table: TextTable, name: str, unit: str, *, blank: bool = False) -> Array:
     """Return the standard deviations of a quantity, shape (N,).
 
     Raises:

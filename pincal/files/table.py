@@ -32,7 +32,7 @@ _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
-class Table:
+class TextTable:
     """Rows of text under named columns, as read."""
 
     path: Path
@@ -59,7 +59,7 @@ class Table:
     def __contains__(self, column: str) -> bool:
         return column in self.units
 
-    def where_measured(self, columns: Iterable[str]) -> Table:
+    def where_measured(self, columns: Iterable[str]) -> TextTable:
         """Return the rows with something in any of some columns; it is said if others are skipped.
 
         Raises:
@@ -79,7 +79,7 @@ class Table:
         text = {name: [column[row] for row in filled] for name, column in self.text.items()}
         return replace(self, text=text, lines=[self.lines[row] for row in filled])
 
-    def renamed(self, columns: Mapping[str, tuple[str, str]]) -> Table:
+    def renamed(self, columns: Mapping[str, tuple[str, str]]) -> TextTable:
         """Return the table with other names and units of some columns."""
         units, text = dict(self.units), dict(self.text)
         for column, (name, unit) in columns.items():
@@ -215,14 +215,14 @@ _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?", re.ASCII)
 _DECIMAL_POINT = re.compile(r"[-+]?\d*\.\d*(?:[eE][-+]?\d+)?", re.ASCII)
 
 
-def read_table(source: str | Path | Any) -> Table:
+def read_table(source: str | Path | Any) -> TextTable:
     """Return the columns of a CSV file, or of a pandas DataFrame, as text; a table is as it is.
 
     Raises:
         FileError: the file is missing or cannot be read.
         MeasurementError: no header, no rows, repeated columns, or rows of uneven length.
     """
-    if isinstance(source, Table):
+    if isinstance(source, TextTable):
         return source
     if is_dataframe(source):
         return _of_dataframe(source)
@@ -247,7 +247,7 @@ def read_table(source: str | Path | Any) -> Table:
 
 def _of_rows(
     path: Path, lines: Iterable[tuple[int, list[str]]], counted: str, separated: str | None
-) -> Table:
+) -> TextTable:
     """Return a table of numbered rows of cells: blank ones, headers, and what is below.
 
     Args:
@@ -274,7 +274,7 @@ def _of_rows(
         _log.info("%s: %s", path, ", ".join(notes))
     columns = zip(*rows, strict=True)
     text = dict(zip(units, map(list, columns), strict=True))
-    return Table(path, units, text, numbers, counted)
+    return TextTable(path, units, text, numbers, counted)
 
 
 def _sheet(path: Path, extra: str) -> Any:
@@ -396,14 +396,14 @@ def _with_points(rows: list[list[str]]) -> bool:
     return True
 
 
-def _of_dataframe(frame: Any) -> Table:
+def _of_dataframe(frame: Any) -> TextTable:
     path = Path("DataFrame")
     units = _header(path, [str(name) for name in frame.columns], 1, "line")
     if frame.empty:
         raise MeasurementError(f"{path}: no rows")
     columns = (list(map(_text, frame.iloc[:, i].tolist())) for i in range(len(units)))
     rows = list(range(1, len(frame) + 1))
-    return Table(path, units, dict(zip(units, columns, strict=True)), rows, "row")
+    return TextTable(path, units, dict(zip(units, columns, strict=True)), rows, "row")
 
 
 def _text(value: object) -> str:

@@ -56,8 +56,7 @@ class _Loader(Composer, yaml.CSafeLoader):
             raise yaml.constructor.ConstructorError(
                 None,
                 None,
-                f"{node.value[:100]!r} is no plain decimal number; write it as one, or text in "
-                "quotes",
+                f"{node.value!r} is no plain decimal number; write it as one, or text in quotes",
                 node.start_mark,
             )
         if node.tag.endswith("int"):
@@ -132,7 +131,6 @@ def _explained(
     """
     faults = error.errors(include_url=False, include_context=False)
     first = min(faults, key=lambda fault: fault["type"] != "extra_forbidden")
-    further = len({_place_in(fault["loc"], data) for fault in faults}) - 1
     place = _place_in(first["loc"], data)
     named = _named(place, data)
     if first["type"] == "extra_forbidden":
@@ -140,12 +138,6 @@ def _explained(
         question = meant(str(place[-1]), known)
         text = f"unknown key {named!r}; " + (
             question or f"expected {', '.join(known)}" if known else "remove it"
-        )
-        further -= any(
-            fault["type"] == "missing"
-            and fault["loc"][:-1] == place[:-1]
-            and repr(fault["loc"][-1]) in question
-            for fault in faults
         )
     elif first["type"] == "missing" and isinstance(first["loc"][-1], int):
         have = first["loc"][-1]
@@ -156,7 +148,7 @@ def _explained(
     else:
         fault, value = _words(first), reprlib.repr(first["input"])
         text = f"{named}: {fault}" + (f"; got {value}" if value not in fault else "")
-    return place, text + (f" (and {further} more)" if further else "")
+    return place, text
 
 
 def _place_in(place: tuple[int | str, ...], data: Any) -> tuple[int | str, ...]:

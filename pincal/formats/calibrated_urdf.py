@@ -47,7 +47,7 @@ def calibrated_urdf(original: str | Path, mechanism: Mechanism, leg: str | None 
     origins: dict[str, Placement] = {}
     moved: list[tuple[str, Array]] = []
     for calibrated_leg in _legs_of(urdf, mechanism, leg):
-        if any(urdf.named(joint.name) for joint in calibrated_leg.moving):
+        if urdf.joints_of(calibrated_leg):
             origins |= _of_chain(urdf, calibrated_leg)
         points, shift = _of_point(urdf, calibrated_leg)
         origins |= points
@@ -90,6 +90,10 @@ class _Urdf:
         stem = re.sub(r"_([xyz]|at)$", "", name)
         return stem if stem in self.joints else None
 
+    def joints_of(self, leg: Leg) -> set[str]:
+        """Return the joints that a leg's moving joints are, or are axes of."""
+        return {name for joint in leg.moving if (name := self.named(joint.name))}
+
     def before(self, name: str) -> str | None:
         """Return the joint that carries a joint's parent link; None at the root."""
         return next(
@@ -119,7 +123,7 @@ def _legs_of(urdf: _Urdf, mechanism: Mechanism, name: str | None) -> list[Leg]:
     """
     if name is not None:
         return [mechanism.leg(name)]
-    joints = {leg.name: {urdf.named(j.name) for j in leg.moving} - {None} for leg in mechanism.legs}
+    joints = {leg.name: urdf.joints_of(leg) for leg in mechanism.legs}
     legs = [leg for leg in mechanism.legs if joints[leg.name]]
     legs = legs or [leg for leg in mechanism.legs if leg.point.name in urdf.joints]
     if not legs:

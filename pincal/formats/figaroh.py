@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from pincal.errors import MeasurementError
-from pincal.files.table import Table, read_table
+from pincal.files.table import read_table
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
 from pincal.types import Array
@@ -29,52 +29,9 @@ def read_figaroh(path: str | Path, mechanism: Mechanism) -> tuple[Measurements, 
         MeasurementError: a column that is missing or holds something else than numbers.
     """
     table = read_table(path)
-    columns = _Columns(table)
-    platform = mechanism.platform
-    drives = [sensor.joint for leg in mechanism.legs for sensor in leg.sensors]
-    readings = np.column_stack(
-        [
-            columns.take(name, *([] if drives.count(drive) > 1 else [drive]))
-            for name, drive in zip(mechanism.reading_names, drives, strict=True)
-        ]
-    )
-    count = len(readings)
-    poses = np.full((count, platform.dof), np.nan)
-    lengths = platform.units.count("m")
-    for place, axis in enumerate("xyz"[:lengths]):
-        if f"{axis}1" in table:
-            poses[:, place] = columns.take(f"{axis}1")
-    turns = [f"phi{axis}1" for axis in "xyz"]
-    if all(name in table for name in turns) and lengths < platform.dof:
-        angles = np.column_stack([columns.take(name) for name in turns])
-        turned = RigidTransform.from_components(
-            np.zeros((count, 3)), Rotation.from_euler("xyz", angles)
-        )
-        poses[:, lengths:] = platform.coordinates_of(turned)[:, lengths:]
-    if not np.isfinite(poses).any():
-        raise MeasurementError(
-            f"{table.path}: nothing of the platform's pose; expected columns x1, y1, z1 and, of a "
-            "platform that turns, phix1, phiy1, phiz1"
-        )
-    unread = columns.unread_columns()
-    remarks = () if not unread else (f"columns left out: {', '.join(unread)}",)
-    return Measurements(poses=poses, readings=readings), remarks
+    taken: set[str] = set()
 
-
-class _Columns:
-    """Columns of plain numbers, and which of them nobody took."""
-
-    def __init__(self, table: Table) -> None:
-        self._table = table
-        self._taken: set[str] = set()
-
-    def take(self, *names: str) -> Array:
-        """Return the first column of these names, shape (N,).
-
-        Raises:
-            MeasurementError: there is none, or a cell is not a finite number.
-        """
-        table = self._table
+    def column(*names: str) -> Array:
         name = next((name for name in names if name in table), None)
         if name is None:
             raise MeasurementError(
@@ -86,9 +43,35 @@ class _Columns:
                 f"{table.path}: column {name!r} has a unit, which FIGAROH's have not (m and rad); "
                 "a table of pincal's own needs no import"
             )
-        self._taken.add(name)
+        taken.add(name)
         return table.plain(name)
 
-    def unread_columns(self) -> list[str]:
-        """Return the names of the columns that were not taken."""
-        return [name for name in self._table.units if name not in self._taken]
+    platform = mechanism.platform
+    drives = [sensor.joint for leg in mechanism.legs for sensor in leg.sensors]
+    readings = np.column_stack(
+        [
+            column(name, *([] if drives.count(drive) > 1 else [drive]))
+            for name, drive in zip(mechanism.reading_names, drives, strict=True)
+        ]
+    )
+    count = len(readings)
+    poses = np.full((count, platform.dof), np.nan)
+    lengths = platform.units.count("m")
+    for place, axis in enumerate("xyz"[:lengths]):
+        if f"{axis}1" in table:
+            poses[:, place] = column(f"{axis}1")
+    turns = [f"phi{axis}1" for axis in "xyz"]
+    if all(name in table for name in turns) and lengths < platform.dof:
+        angles = np.column_stack([column(name) for name in turns])
+        turned = RigidTransform.from_components(
+            np.zeros((count, 3)), Rotation.from_euler("xyz", angles)
+        )
+        poses[:, lengths:] = platform.coordinates_of(turned)[:, lengths:]
+    if not np.isfinite(poses).any():
+        raise MeasurementError(
+            f"{table.path}: nothing of the platform's pose; expected columns x1, y1, z1 and, of a "
+            "platform that turns, phix1, phiy1, phiz1"
+        )
+    unread = [name for name in table.units if name not in taken]
+    remarks = () if not unread else (f"columns left out: {', '.join(unread)}",)
+    return Measurements(poses=poses, readings=readings), remarks

@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 from pincal.errors import MechanismError
 from pincal.files.text import read_xml
 from pincal.files.urdf_writing import numbers_text, xml_text
-from pincal.formats.tree import Edge, Loop, Spot, Tree, at_home, ball, turns, with_ranges
+from pincal.formats.tree import Edge, Loop, Spot, Tree, at_home, turns, with_ranges
 from pincal.model.checks import LARGEST
 from pincal.model.leg import Closing, Joint
 from pincal.model.orientation import turns_in_series
@@ -141,7 +141,7 @@ def _edges(model: mujoco.MjModel, body: int, links: list[str], joints: list[str]
         child = name if last else f"{name}_after_{joints[i]}"
         placement = placement_of(T_link_body)
         if kind == mujoco.mjtJoint.mjJNT_BALL:
-            yield from ball(Joint(joints[i], "fixed", placement), link, child)
+            yield from turns(Joint(joints[i], "fixed", placement), link, child, "xyz")
         elif kind == mujoco.mjtJoint.mjJNT_FREE:
             yield from turns(Joint(joints[i], "fixed", placement), link, child, "XYZxyz")
         else:
@@ -254,9 +254,6 @@ def _joints_of_tendon(model: mujoco.MjModel, tendon: int) -> list[int]:
     return moving
 
 
-_TURNS = ("x", "y", "z")
-
-
 def mjcf(tree: Tree) -> str:
     """Return the MJCF file of a tree."""
     root = etree.Element("mujoco", model=tree.name)
@@ -290,7 +287,7 @@ def _children(
         if three:
             angles = [turn.joint.home for turn in three]
             x, y, z, w = Rotation.from_euler("XYZ", angles).as_quat()
-            etree.SubElement(body, "joint", name=_stem(edge), type="ball")
+            etree.SubElement(body, "joint", name=edge.joint.name.removesuffix("_x"), type="ball")
             home += [w, x, y, z]
         elif edge.joint.kind != "fixed":
             _joint(body, edge)
@@ -307,12 +304,9 @@ def _ball(tree: Tree, edge: Edge) -> tuple[Edge, ...]:
     """Return the three turns that begin with an edge and are one ball joint; none if not so."""
     place = tree.edges.index(edge)
     three = tree.edges[place : place + 3]
-    names = [f"{_stem(edge)}_{axis}" for axis in _TURNS]
+    stem = edge.joint.name.removesuffix("_x")
+    names = [f"{stem}_{axis}" for axis in "xyz"]
     return three if [turn.joint.name for turn in three] == names else ()
-
-
-def _stem(edge: Edge) -> str:
-    return edge.joint.name.removesuffix("_x")
 
 
 def _joint(body: etree._Element, edge: Edge) -> None:

@@ -116,11 +116,6 @@ def with_ranges(tree: Tree) -> Tree:
     return replace(tree, edges=edges, remarks=dict(tree.remarks) | remarks)
 
 
-def ball(joint: Joint, parent: str, child: str) -> tuple[Edge, ...]:
-    """Return a ball joint as three revolute joints about x, y and z of its frame."""
-    return turns(joint, parent, child, "xyz")
-
-
 def turns(joint: Joint, parent: str, child: str, axes: str) -> tuple[Edge, ...]:
     """Return a joint that turns about several axes of its frame, one after the other.
 

@@ -36,7 +36,7 @@ from pincal.files.measurements import (
     unknown_columns,
 )
 from pincal.files.output import refuse_existing
-from pincal.files.table import Table, write_table
+from pincal.files.table import TextTable, write_table
 from pincal.model.mechanism import Mechanism
 from pincal.model.setup import ORIGIN, Setup
 from pincal.model.units import COUNTS, scale_of
@@ -135,7 +135,7 @@ def doctor(
         raise typer.Exit(1)
 
 
-def _others(table: Table, mechanism: Mechanism, setup: Setup) -> Columns:
+def _others(table: TextTable, mechanism: Mechanism, setup: Setup) -> Columns:
     """Return the columns that mean nothing to pincal, header to cells."""
     more = setup.columns(mechanism)
     others = unknown_columns(table, mechanism, more | tilt_column(mechanism, more))
@@ -143,7 +143,7 @@ def _others(table: Table, mechanism: Mechanism, setup: Setup) -> Columns:
     return {f"{name}{units[name]}": cells for name, cells in others.items()}
 
 
-def _counts(mechanism: Mechanism, table: Table, works: Remedy) -> list[str]:
+def _counts(mechanism: Mechanism, table: TextTable, works: Remedy) -> list[str]:
     """Return ``--counts`` that put readings in counts right; empty if other readings are wrong."""
     wrong = [one for one in works.findings if one.code == "scale-of-readings"]
     factors = {name: by for one in wrong for name, by, _ in one.values["factors"]}

@@ -12,7 +12,7 @@ import typer
 from pincal.cli.app import Force, Mech, answer, command, output_option, remark, warn, wrote
 from pincal.cli.options import TableOptions
 from pincal.files.measurement_writing import columns_of, reason_column, write_readings
-from pincal.files.measurements import read_influences, read_poses, read_readings
+from pincal.files.measurements import read_poses, read_readings
 from pincal.files.output import refuse_existing
 from pincal.files.table import write_table
 from pincal.kinematics.forward import forward as solve_forward
@@ -74,9 +74,9 @@ def forward(
     """
     mechanism = how.load(mech)
     units = how.written_in(mechanism)
-    values = read_readings(readings, mechanism)
+    values, influences = read_readings(readings, mechanism)
     refuse_existing(output, force=force)
-    influences = own_influences(mechanism, read_influences(readings, mechanism))
+    influences = own_influences(mechanism, influences)
     solution = solve_forward(mechanism, values, influences=influences)
     say_reference(mechanism, influences)
     lost = ~solution.converged
