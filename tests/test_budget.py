@@ -16,18 +16,18 @@ from tools.counts import Counts, count, count_revision, main  # noqa: E402
 LINES = {
     "": 342,
     "architectures": 745,
-    "calibration": 7_350,
-    "cli": 3_950,
+    "calibration": 7_430,
+    "cli": 3_860,
     "design": 2_860,
     "estimation": 6_650,
-    "files": 3_212,
+    "files": 3_240,
     "formats": 3_540,
     "kinematics": 4_250,
-    "model": 3_750,
+    "model": 3_820,
     "show": 7_195,
     "symmetry": 1_865,
     "words": 2_010,
-    "workspace": 2_225,
+    "workspace": 2_230,
 }
 """Most lines of each room; a room that is not listed may have none."""
 MOST = {
@@ -39,7 +39,7 @@ MOST = {
     "dataclasses": 244,
     "complex functions": 48,
     "long signatures": 3,
-    "imports inside functions": 20,
+    "imports inside functions": 10,
 }
 
 

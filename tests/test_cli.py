@@ -401,7 +401,7 @@ BAD = {
     "file-missing": Case("calibrate 3RRR absent.csv", ["absent.csv", "No such file"]),
     "file-is-folder": Case("calibrate 3RRR truth", ["truth", "directory"]),
     "column-missing": Case(
-        "calibrate 3RRR measured.csv --per-leg",
+        "calibrate 3RRR measured.csv --method per-leg",
         ["measured.csv", "'phi'", "'phi [rad]'"],
         edited("measured.csv", "phi [rad]", "angle [rad]"),
     ),
@@ -430,7 +430,7 @@ BAD = {
         f"{CALIBRATE} {' '.join(NOISE)}", ["leg_1", "6", "8"], measured(only([0, 1, 2, 3, 4, 5]))
     ),
     "rows-too-few-without-noise": Case(
-        f"{CALIBRATE} --per-leg",
+        f"{CALIBRATE} --method per-leg",
         ["leg_1", "8", "9", "noise"],
         measured(only([0, 1, 2, 3, 4, 5, 6, 7])),
     ),
@@ -538,7 +538,11 @@ def test_one_orientation_is_seen_through_noise(work: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["select", "3RRR", "--orbits", "--common"], "--orbits, --common"),
+        (
+            ["select", "3RRR", "--protocol", "orbits", "--goal", "platform"],
+            "--protocol",
+            "orbits",
+        ),
         (["select", "3RRR", "--count", "0"], "--count"),
         (["select", "3RRR", "--starts", "none"], "--starts"),
         (["workspace", "3RRR", "--seed", "-1"], "--seed"),
@@ -690,7 +694,7 @@ def test_failed_simulation_leaves_no_truth(work: Path, monkeypatch: pytest.Monke
     def fail(*_: object, **__: object) -> None:
         raise pincal.FileError("cannot write new.csv: No space left on device")
 
-    monkeypatch.setattr("pincal.cli.commands.simulation.write_plan", fail)
+    monkeypatch.setattr("pincal.cli.design.write_plan", fail)
     outcome = run("simulate", "3RRR", "plan.csv", "--truth", "new", "-o", "new.csv")
     assert outcome.code == 2
     assert "No space left" in outcome.trouble
@@ -749,21 +753,21 @@ def test_ctrl_c_ends_without_a_traceback(name: str) -> None:
 
 def test_a_prior_said_twice_is_refused(work: Path) -> None:
     """Which of two standard deviations of one name holds, nobody knows: neither is taken."""
-    twice = ["--prior", "l=1e-3", "--prior", "l = 1e-4"]
+    twice = ["--priors", "l=1e-3", "--priors", "l = 1e-4"]
     outcome = run("calibrate", "--no-report", "3RRR", "measured.csv", *NOISE, *twice, "-o", "other")
     assert outcome.code == 2
-    assert "--prior l is said twice" in outcome.trouble
+    assert "--priors l is said twice" in outcome.trouble
     assert not Path("other").exists()
 
 
 def test_a_prior_may_have_a_unit_of_its_own_kind(work: Path) -> None:
     """In mm or m it is the same; an angle's in mm is refused, and says what the parameter is in."""
     call = ["calibrate", "--no-report", "--json", "--folds=0", "3RRR", "measured.csv", *NOISE]
-    plain = run(*call, "--prior", "l=1e-3", "-o", "plain")
-    typed = run(*call, "--prior", "l=1mm", "-o", "typed")
+    plain = run(*call, "--priors", "l=1e-3", "-o", "plain")
+    typed = run(*call, "--priors", "l=1mm", "-o", "typed")
     assert plain.code == typed.code == 0
     assert plain.out == typed.out.replace("typed", "plain")
-    outcome = run(*call, "--prior", "beta=1mm", "-o", "other")
+    outcome = run(*call, "--priors", "beta=1mm", "-o", "other")
     assert outcome.code == 2
     assert "beta is in rad" in outcome.trouble
     assert not Path("other").exists()
@@ -805,7 +809,7 @@ def test_no_export_holds_what_is_no_number(
     kind: str, writer: str, work: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A file with nan or inf for a number is not written, and its line is said."""
-    import pincal.cli.commands.exporting as exporting  # of the functions that it calls
+    import pincal.cli.files as exporting  # of the functions that it calls
 
     monkeypatch.setattr(exporting, writer, lambda _: '<a>\n<b xyz="0 nan 0"/>')
     outcome = run("export", "5R", "-o", f"new.{kind}")

@@ -15,10 +15,22 @@ import pincal
 #: Options of ``select`` by what the plan is.
 PLANS = {
     "default": (),
-    "independent": ("--independent",),
-    "symmetric": ("--symmetric",),
-    "orbits": ("--orbits",),
-    "common": ("--common",),
+    "independent": (
+        "--protocol",
+        "independent",
+    ),
+    "symmetric": (
+        "--protocol",
+        "symmetric",
+    ),
+    "orbits": (
+        "--protocol",
+        "orbits",
+    ),
+    "common": (
+        "--protocol",
+        "common",
+    ),
     "for a tracker": ("--unknown-frame",),
     "for positions": ("--measure", "x,y"),
 }
@@ -26,8 +38,11 @@ PLANS = {
 COUNTS = {"orbits": 3, "common": 36, "for a tracker": 36, "for positions": 48}
 METHODS = {
     "default": (),
-    "per leg": ("--per-leg",),
-    "per leg, all poses": ("--per-leg", "--poses", "all"),
+    "per leg": (
+        "--method",
+        "per-leg",
+    ),
+    "per leg, all poses": ("--method", "per-leg", "--poses", "all"),
 }
 FRAMES = {"base": (), "tracker": ("--unknown-frame",)}
 TARGETS = {"origin": (), "target": ("--unknown-target",)}

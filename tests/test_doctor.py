@@ -66,7 +66,7 @@ WRONG: dict[str, tuple[Change, tuple[str, ...]]] = {
     "degrees as radians": (lambda d: factors(d, 0, 180 / np.pi), ()),
     "legs exchanged": (lambda d: swapped(d), ()),
     "one row late": (lambda d: replace(d, poses=np.roll(d.poses, 1, axis=0)), ()),
-    "two bad rows": (lambda d: far_rows(d), ("--robust", "reject")),
+    "two bad rows": (lambda d: far_rows(d), ("--loss", "reject")),
     "zeros": (lambda d: replace(d, readings=d.readings + np.array([0.7, 0.2, -1.6])), ()),
     "elsewhere and one sign": (
         lambda d: factors(turned(d), 0, -1.0),
@@ -86,7 +86,7 @@ def test_the_command_it_prints_works(wrong: str, tmp_path: Path) -> None:
     assert outcome.code == 0, outcome.err
     (line,) = re.findall(r"^  pincal (.*)$", outcome.out, re.MULTILINE)
     words = [str(result) if word == "RESULT" else word for word in shlex.split(line)]
-    flags = ("--unknown", "--robust", "--rough", "reject")
+    flags = ("--unknown", "--loss", "--rough", "reject")
     assert tuple(word for word in words if word.startswith(flags)) == options
     assert mended.exists() == (str(mended) in words)
     assert run(*words).code == 0
@@ -151,7 +151,7 @@ def test_one_gross_row_is_left_out(kind: str, tmp_path: Path) -> None:
     replace(data, poses=poses).to_csv(tmp_path / "m.csv", mechanism)
     outcome = run("doctor", kind, str(tmp_path / "m.csv"))
     assert outcome.code == 0, outcome.out
-    assert "--robust reject" in outcome.out
+    assert "--loss reject" in outcome.out
 
 
 @pytest.mark.slow

@@ -126,7 +126,7 @@ def test_the_command_line_says_it(tmp_path: Path) -> None:
     said = done("select", *given, "--count", 12, "--starts", 1, "--reference", 6)
     assert "as the pose 'reference'" in said.err
     assert "a drift of each measured quantity" in said.out
-    assert "the same with --per-leg" in said.out
+    assert "the same with --method per-leg" in said.out
     assert "that does not matter beside the noise" in " ".join(said.out.split())
     plan = pincal.Plan.from_csv(tmp_path / "plan.csv", "3RRR")
     assert plan.places is not None

@@ -139,7 +139,9 @@ def test_what_is_printed_is_said_of_which_method(tmp_path: Path) -> None:
     poses = workspace("5R", 30)
     plan = pincal.Plan(poses, ("leg_1", "leg_2") * 15)
     plan.to_csv(tmp_path / "plan.csv", mechanism)
-    outcome = done("identifiability", "5R", tmp_path / "plan.csv", "--accuracy", 1e-4, "--per-leg")
+    outcome = done(
+        "identifiability", "5R", tmp_path / "plan.csv", "--accuracy", 1e-4, "--method", "per-leg"
+    )
     said = " ".join(outcome.out.split())
     own = pincal.forecast(mechanism, plan, method="per-leg")
     over = pincal.sample_configurations(mechanism, 1000, 0)
@@ -148,7 +150,7 @@ def test_what_is_printed_is_said_of_which_method(tmp_path: Path) -> None:
     assert best < 0.9 * alone
     assert f"{best:.3g} mm; the best that any calibration can reach;" in said
     assert f"each leg alone by the poses of its set: root mean square {alone:.3g} mm" in said
-    assert f"{own.poses_for(1e-4, over):.0f} with --per-leg" in said
+    assert f"{own.poses_for(1e-4, over):.0f} with --method per-leg" in said
     outcome = done("identifiability", "5R", tmp_path / "plan.csv", "--measure", "x")
     assert "alone" not in outcome.out
 

@@ -735,7 +735,7 @@ def test_from_cad_urdf_to_calibrated_urdf(tmp_path: Path) -> None:
     file = five_bar(tmp_path / "robot")
     folder, plan, truth = tmp_path / "bar", tmp_path / "plan.csv", tmp_path / "truth"
     assert "mot1*, free1; closes a point" in done("import", file, "-o", folder).out
-    done("select", folder, "--count", 8, "--independent", "-o", plan)
+    done("select", folder, "--count", 8, "--protocol", "independent", "-o", plan)
     rows = tmp_path / "rows.csv"
     noise = ("--noise-position", "0", "--disturb", "1e-3")
     done("simulate", folder, plan, *noise, "--truth", truth, "-o", rows)

@@ -363,7 +363,7 @@ def test_calibrate_keeps_what_lies_in_the_result(tmp_path: Path) -> None:
     (tmp_path / "measured.csv").rename(data)
     (res / "notes.txt").write_text("years of work")
     before = data.read_bytes()
-    outcome = done("calibrate", "5R", data, *known, "--per-leg", "-o", res, "--force")
+    outcome = done("calibrate", "5R", data, *known, "--method", "per-leg", "-o", res, "--force")
     assert data.read_bytes() == before
     assert (res / "notes.txt").read_text() == "years of work"
     assert "res is replaced; what it was is kept as res.bak" in outcome.err

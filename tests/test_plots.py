@@ -6,6 +6,7 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from measured import machine, seen_from_elsewhere
 
 import pincal
 from pincal.calibration.fits import fitted
-from pincal.cli.commands.plot import Kind
+from pincal.cli.view import Kind
 from pincal.estimation.residuals.redundancy import Remainders, every_residual
 from pincal.kinematics.configurations import home_of
 from pincal.show.pictures.dimensions import MARK
@@ -122,7 +123,7 @@ def test_axes_that_are_given_are_drawn_into(kind: str, result: pincal.Calibratio
 def test_command_draws_every_chart(result: pincal.CalibrationResult) -> None:
     """``pincal plot`` has a kind for each chart of ``result.plot``, and each says what it is."""
     kinds = {name for name in dir(result.plot) if not name.startswith("_")} - {"result"}
-    assert kinds == set(Kind)
+    assert kinds == set(get_args(Kind))
     assert all(getattr(result.plot, name).__doc__ for name in kinds)
 
 

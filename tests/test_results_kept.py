@@ -40,7 +40,24 @@ def with_verifying(folder: Path, count: int) -> Path:
 
 @pytest.mark.parametrize(
     ("verifying", "options"),
-    [(1, ()), (4, ("--per-leg",)), (1, ("--per-leg",)), (0, ("--tolerance", "auto"))],
+    [
+        (1, ()),
+        (
+            4,
+            (
+                "--method",
+                "per-leg",
+            ),
+        ),
+        (
+            1,
+            (
+                "--method",
+                "per-leg",
+            ),
+        ),
+        (0, ("--tolerance", "auto")),
+    ],
 )
 def test_what_is_infinite_is_written_and_loaded(
     folder: Path, tmp_path: Path, verifying: int, options: tuple[str, ...]

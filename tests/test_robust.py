@@ -152,7 +152,7 @@ def test_without_a_loss_outliers_are_warned_of() -> None:
         assert found.outliers[0].quantity == "measured x"
         assert found.noise
         assert 0.006 < found.outliers[0].off * found.noise.position < 0.0101
-    assert any("data row 5" in text and "--robust reject" in text for text in result.warnings)
+    assert any("data row 5" in text and "--loss reject" in text for text in result.warnings)
 
 
 @pytest.mark.parametrize("name", quick(1, ["tukey", "huber", "cauchy"]))  # rejecting: no loss left

@@ -142,7 +142,7 @@ def test_without_studies_the_command_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Where neither the sources nor a wheel's studies are: one message, nothing written."""
-    monkeypatch.setattr("pincal.cli.commands.mechanisms._BESIDE", tmp_path)
+    monkeypatch.setattr("pincal.cli.mechanisms._ROOT", tmp_path)
     outcome = run("study", "5R", "-o", tmp_path / "a")
     assert outcome.code == 2
     assert "studies are not installed" in outcome.trouble

@@ -240,7 +240,7 @@ def explained_error(calibration: Calibration, error: Exception) -> Exception:
     if isinstance(error, np.linalg.LinAlgError):
         return ObservabilityError(
             "the search went where the parameters are not determined; look for rows that are "
-            "wrong (--robust reject), or give a better nominal mechanism"
+            "wrong (--loss reject), or give a better nominal mechanism"
         )
     return error
 

@@ -290,7 +290,7 @@ class Calibration:
         data, platform, setup = self.measurements, self.mechanism.platform, self.options.setup
         if set(setup.targets) != {ORIGIN} or setup.distances:
             raise MeasurementError(
-                "further targets and distances need all legs at once; leave out --per-leg"
+                "further targets and distances need all legs at once; leave out --method per-leg"
             )
         for values, columns in (
             (data.poses, platform.coordinates),
@@ -300,7 +300,7 @@ class Calibration:
                 row, column = (int(i) for i in np.argwhere(~measured)[0])
                 raise MeasurementError(
                     f"data row {row + 1}: {columns[column]!r} is not measured; rows in which "
-                    "something is missing need all legs at once: leave out --per-leg"
+                    "something is missing need all legs at once: leave out --method per-leg"
                 )
 
     def check_counts(self) -> None:

@@ -272,7 +272,7 @@ def _measured(calibration: Calibration, tied: bool, before: Fits | None) -> Fits
     if calibration.options.hold_undetermined:
         raise MeasurementError(
             "what is undetermined is held where all legs are identified at once; leave out "
-            "--per-leg or --hold-undetermined"
+            "--method per-leg or --hold-undetermined"
         )
     calibration.check_whole()
     calibration.check_counts()
@@ -287,7 +287,7 @@ def _measured(calibration: Calibration, tied: bool, before: Fits | None) -> Fits
         raise ObservabilityError(
             f"the legs' parameters can take up {len(gauge.directions)} of the {n_external} "
             "unknowns outside the mechanism only; all legs at once identify the others with them "
-            "(leave out --per-leg)"
+            "(leave out --method per-leg)"
         )
     first = problem.first.external
     external = first if before is None or before.external is None else before.external
@@ -301,7 +301,7 @@ def _measured(calibration: Calibration, tied: bool, before: Fits | None) -> Fits
         external = problem.observation.external.moved(external, step)
     raise MeasurementError(
         "the frames of the measurements were not found by aligning leg after leg; all legs at once "
-        "find them with the parameters (leave out --per-leg)"
+        "find them with the parameters (leave out --method per-leg)"
     )
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any, Final, Literal, get_args
 
@@ -12,8 +13,12 @@ from pincal.design.information import Method
 from pincal.errors import MeasurementError
 from pincal.estimation.blocks.legs import Residual
 from pincal.estimation.residuals.losses import Loss, LossName, loss_of
+from pincal.files.text import in_si, plain_number
 from pincal.model.measurements import Measurements, Noise
+from pincal.model.option import option
+from pincal.model.parameter import Parameter
 from pincal.model.setup import Setup
+from pincal.model.units import UNITS
 from pincal.types import Array, Index
 
 By = Literal["region", "turn", "run"]
@@ -99,51 +104,76 @@ Tolerance = Mapping[str, float] | Literal["auto"]
 class Options:
     """Options of a calibration; the default is the best that the measurements allow."""
 
-    method: Method = "all-legs"
-    """``"all-legs"`` identifies all legs at once from every row, each pose an unknown of which any
-    part, or none, was measured. ``"per-leg"`` identifies each leg alone, poses as measured: the
-    papers' divide and conquer."""
-    residual: Residual = "closure"
-    """``"closure"``, whitened by its noise, or ``"joint"``: predicted less measured reading,
-    unweighted, poses as measured, as the papers have it."""
-    poses: Poses = "own"
-    """With ``"per-leg"``: each leg by the poses chosen for it (their ``set``), or by all."""
+    method: Method = option(
+        "all-legs",
+        "All legs at once from every row, each pose an unknown of which any part, or none, was "
+        "measured; or each leg alone, poses as measured: the papers' divide and conquer.",
+    )
+    residual: Residual = option(
+        "closure",
+        "Loop closure whitened by its noise; or predicted less measured reading (joint), "
+        "unweighted, poses as measured, as in the papers.",
+    )
+    poses: Poses = option(
+        "own", "With --method per-leg: for each leg the poses of its set (own), or all."
+    )
     noise: Noise | None = None
     """Standard deviations of the measurements. If neither this nor the measurements give them, they
     are taken from repeated rows, or else estimated by group from the residuals."""
     setup: Setup = field(default_factory=Setup)
     """What the measured numbers mean: unknown frame, targets, distances."""
-    loss: LossName | Loss = "none"
-    """A robust loss by which rows that do not fit count less: ``"huber"``, ``"cauchy"``,
-    ``"tukey"``, or a ``Loss`` of one's own; ``"reject"`` leaves them out."""
-    fixed: tuple[str, ...] = ()
-    """Parameters held at their nominal values: ``"l"`` of every leg, ``"leg_1.l"`` of one."""
-    tied: tuple[str, ...] = ()
-    """Parameters that have one value for all legs; the result tests whether that holds."""
-    priors: Mapping[str, float] = field(default_factory=dict)
-    """Standard deviations with which nominal values are known, by name as above."""
-    tolerance: Tolerance = field(default_factory=dict)
-    """How far machines of this drawing differ from it, by unit: ``{"m": 5e-4, "rad": 5e-3}``, a
-    standard deviation for each parameter of that unit (``"1"``: gains) that has no prior of its
-    own and is no amplitude of a term. With few poses it predicts better than free parameters.
-    ``"auto"`` finds these with the parameters, as variance components."""
-    terms: tuple[str, ...] = ()
-    """What sensors lack, added to the mechanism: ``"gravity"`` or ``"harmonics:1,2"`` of every
-    reading, ``"leg_1=backlash"`` of one, or a column such as ``"temperature"``; ``"auto"`` takes
-    those that pay on rows held out (see ``explain``)."""
-    rough: bool = False
-    """Whether the nominal mechanism is known so roughly that measurements need not look like its
-    own; units, signs and the order of legs are then not checked."""
-    hold_undetermined: bool = False
-    """Whether directions of parameters that the measurements cannot observe are held as near to
-    nominal as can be, and named; else they are refused."""
-    folds: int = FOLDS
-    """How many times a share of the poses is held out where models are compared, as by
-    ``terms="auto"``; 2 or more."""
-    intervals: Intervals = "wald"
-    """Ends of the 95 % intervals: ``"wald"``, the estimate ± so many standard errors, or
-    ``"profile"``, where the cost with a parameter held, all others fitted again, has risen as far:
-    for problems that are curved within their uncertainty."""
+    loss: LossName | Loss = option(
+        "none", "Rows that do not fit count less, or are left out (reject).", kind=LossName
+    )
+    """In Python also a ``Loss`` of one's own."""
+    fixed: tuple[str, ...] = option(
+        (), "Hold a parameter: l of every leg, leg_1.l of one.", metavar="NAME"
+    )
+    tied: tuple[str, ...] = option(
+        (), "One value for all legs; tested whether it holds.", metavar="NAME"
+    )
+    priors: Mapping[str, float] = option(
+        dict,
+        "A nominal value known to SIGMA [m, rad or 1], or as 0.5mm.",
+        metavar="NAME=SIGMA",
+        kind=tuple[str, ...],
+    )
+    """In Python a mapping in SI units, ``{"l": 5e-4}``."""
+    tolerance: Tolerance = option(
+        dict,
+        "How far machines differ from the drawing: a prior for all parameters, by unit (a third "
+        "number: gains); auto: as far as the measurements say.",
+        metavar="0.5mm,5mrad",
+        kind=str | None,
+    )
+    """By unit, ``{"m": 5e-4, "rad": 5e-3}`` (``"1"``: gains), or ``"0.5mm,5mrad"``: a standard
+    deviation for each parameter of that unit that has no prior of its own and is no amplitude of a
+    term. ``"auto"`` finds these with the parameters, as variance components."""
+    terms: tuple[str, ...] = option(
+        (),
+        "What sensors lack: harmonics:1,2, polynomial, backlash, gravity, a column such as "
+        "temperature; leg_1.l=temperature, growth=temperature: lengths that grow; auto: those that "
+        "pay (see pincal explain).",
+        metavar="[LEG=]KIND",
+    )
+    rough: bool = option(
+        False,
+        "The nominal mechanism is known roughly: units, signs and the order of legs are not "
+        "checked.",
+    )
+    hold_undetermined: bool = option(
+        False, "Hold what the measurements do not determine as near to nominal as can be."
+    )
+    folds: int = option(
+        FOLDS,
+        "Held-out validation, and choice of terms; 0 leaves the validation out.",
+        least=0,
+    )
+    intervals: Intervals = option(
+        "wald", "By standard errors, or by the profile of the cost: where curved."
+    )
+    """``"profile"`` ends where the cost with a parameter held, all others fitted again, has risen
+    as far: for problems that are curved within their uncertainty."""
     progress: Progress = field(default=None, compare=False, repr=False)
     """Called with what is being done."""
 
@@ -162,23 +192,24 @@ class Options:
                 raise MeasurementError(
                     f"{name} is {type(given).__name__}; expected pincal.{what}(…)"
                 )
-        by_unit = self.tolerance
-        if isinstance(by_unit, str) and by_unit != AUTO:
-            raise MeasurementError(
-                f"tolerance {by_unit!r}: expected standard deviations by unit, such as "
-                "{'m': 5e-4, 'rad': 5e-3}, or 'auto'"
-            )
-        for unit, sigma in () if isinstance(by_unit, str) else by_unit.items():
+        tolerance: Any = self.tolerance
+        if isinstance(tolerance, str):
+            object.__setattr__(self, "tolerance", _parse_tolerance(tolerance))
+        by_unit = {} if isinstance(self.tolerance, str) else self.tolerance
+        for unit, sigma in by_unit.items():
             if unit not in ("m", "rad", "1") or not 0.0 < sigma < np.inf:
                 raise MeasurementError(
                     f"tolerance {{{unit!r}: {sigma!r}}}: expected standard deviations above 0 of "
                     "'m', 'rad' or '1', such as {'m': 5e-4, 'rad': 5e-3}"
                 )
-        if not isinstance(self.folds, int) or self.folds < 2:
+        if not isinstance(self.folds, int) or self.folds < 0 or self.folds == 1:
             raise MeasurementError(
-                f"folds is {self.folds!r}; expected at least two folds: models are compared on "
-                "rows held out"
+                f"--folds {self.folds!r}: expected 2 or more, or 0 for no held-out validation; "
+                "models are compared on at least two folds"
             )
+        priors: Any = self.priors
+        if isinstance(priors, tuple):  # as they are typed: priors_of gives them in SI
+            object.__setattr__(self, "priors", _parse_priors(priors))
         if self.setup.instruments and not self.latent:
             raise MeasurementError(
                 "instruments need all legs at once and the closure residual; leave out "
@@ -187,7 +218,7 @@ class Options:
         if self.intervals == "profile" and not (self.latent or self.setup.plain):
             raise MeasurementError(
                 "profile intervals of legs alone need poses measured in the base frame; identify "
-                "all legs at once (leave out --per-leg), or leave out --intervals profile"
+                "all legs at once (leave out --method per-leg), or leave out --intervals profile"
             )
         for name in ("fixed", "tied", "terms"):
             given = getattr(self, name)
@@ -210,6 +241,14 @@ class Options:
             given = {one: getattr(options, one) for one in known} | given
         return cls(**given)
 
+    def priors_of(self, parameters: Sequence[Parameter]) -> dict[str, float]:
+        """Return the priors in SI, by name.
+
+        Raises:
+            MeasurementError: no number, or one with a unit of another kind than the parameter's.
+        """
+        return {name: _prior(name, sigma, parameters) for name, sigma in self.priors.items()}
+
     @property
     def every_pose(self) -> bool:
         """Whether every pose serves every leg."""
@@ -227,3 +266,60 @@ class Options:
 
 
 _CHOICES = {"method": Method, "residual": Residual, "poses": Poses, "intervals": Intervals}
+
+
+def _parse_priors(texts: Iterable[str]) -> dict[str, str]:
+    """Return the numbers of texts such as ``l=0.5mm``, by name.
+
+    Raises:
+        MeasurementError: a name said twice.
+    """
+    priors: dict[str, str] = {}
+    for text in texts:
+        name, _, sigma = (part.strip() for part in text.partition("="))
+        if name in priors:
+            raise MeasurementError(f"--priors {name} is said twice; leave out one of them")
+        priors[name] = sigma
+    return priors
+
+
+def _prior(name: str, sigma: float | str, parameters: Sequence[Parameter]) -> float:
+    """Return the standard deviation of a nominal value in SI."""
+    if not isinstance(sigma, str):
+        return sigma
+    units = {parameter.unit for parameter in parameters if name in (parameter.name, parameter.id)}
+    try:
+        return in_si(sigma, " ".join((units or {"m", "rad"}) - {"1"}))
+    except MeasurementError:
+        unit = f"; {name} is in {next(iter(units))}" if len(units) == 1 else ""
+        raise MeasurementError(
+            f"--priors {f'{name}={sigma}'!r}: expected a name and a standard deviation, such as "
+            f"l=0.0005 [m] or l=0.5mm{unit}"
+        ) from None
+
+
+def _parse_tolerance(text: str) -> Tolerance:
+    """Return standard deviations of parameters by unit, or that they are to be found.
+
+    Raises:
+        MeasurementError: a unit said twice, or no number with one.
+    """
+    if text.strip() == AUTO:
+        return AUTO
+    by_unit: dict[str, float] = {}
+    for part in filter(None, (part.strip() for part in text.split(","))):
+        unit = re.sub(r"^[-+\d.eE]*", "", part).strip()
+        dimension = UNITS.get(unit or "1", ("", 0.0))[0]
+        if dimension not in ("m", "rad", "1") or dimension in by_unit:
+            raise MeasurementError(
+                f"--tolerance {text}: {part!r} is not understood; expected one number for lengths, "
+                "one for angles, and one without a unit for gains, such as 0.5mm,5mrad,0.001, or "
+                "'auto'"
+            )
+        if not unit and not by_unit:
+            raise MeasurementError(
+                f"--tolerance {text}: {part!r} has no unit; say 0.5mm, 5mrad, and after them a "
+                "number for gains"
+            )
+        by_unit[dimension] = in_si(part, dimension) if unit else plain_number(part)
+    return by_unit

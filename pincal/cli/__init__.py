@@ -1,12 +1,25 @@
-"""What people type: the ``pincal`` command."""
+"""What people type: the ``pincal`` command, its modules in the order in which help lists them."""
 
 import os
+from importlib import import_module
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is loaded: see pincal/blas.py
 if not os.environ.get("SOURCE_DATE_EPOCH", "0").isdecimal():  # NumPy and matplotlib fail on it
     del os.environ["SOURCE_DATE_EPOCH"]
 
-import pincal.cli.commands  # noqa: F401 - registers them
 from pincal.cli.app import main
 
 __all__ = ["main"]
+
+for module in (
+    "mechanisms",
+    "new",
+    "view",
+    "kinematics",
+    "workspace",
+    "design",
+    "calibration",
+    "files",
+    "demo",
+):
+    import_module(f"{__name__}.{module}")

@@ -14,14 +14,14 @@ import re
 import shlex
 import signal
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import fields, is_dataclass
+from dataclasses import dataclass, is_dataclass
 from functools import wraps
 from multiprocessing import active_children
 from pathlib import Path
 from threading import current_thread, main_thread
-from typing import Annotated, Any, NoReturn, get_type_hints
+from typing import Annotated, Any, NoReturn
 
 import numpy as np
 import typer
@@ -31,16 +31,18 @@ from rich.text import Text
 from typer.core import TyperArgument, TyperGroup
 
 from pincal import __version__
+from pincal.cli.options import filled, option_parameters
 from pincal.errors import PincalError
 from pincal.files.json_text import json_text
 from pincal.files.text import sparing_inputs
+from pincal.model.option import option
 
 _WIDTH = None if sys.stdout and sys.stdout.isatty() else 100  # of tables in a file or pipe
 
 
 def plain(text: str) -> str:
     """Return text for a terminal: control characters escaped, and no longer than can be read."""
-    shown = _CONTROL.sub(lambda one: ascii(one.group())[1:-1], text)
+    shown = _CONTROL.sub(lambda match: ascii(match.group())[1:-1], text)
     if len(shown) <= _LONGEST:
         return shown
     return f"{shown[: _LONGEST // 2]} … {shown[-_LONGEST // 2 :]}"
@@ -67,12 +69,13 @@ class _Console(Console):
             os.dup2(discarded.fileno(), self.file.fileno())
 
 
-stdout = _Console(highlight=False, width=_WIDTH)
-stderr = _Console(stderr=True, highlight=False, soft_wrap=True)  # warnings and errors
-_remarks = _Console(stderr=True, highlight=False, soft_wrap=True)  # all else that is no answer
+_PLAIN: dict[str, Any] = {"highlight": False, "markup": False, "emoji": False}
+stdout = _Console(width=_WIDTH, **_PLAIN)
+stderr = _Console(stderr=True, soft_wrap=True, **_PLAIN)  # warnings and errors
+_remarks = _Console(stderr=True, soft_wrap=True, **_PLAIN)  # all else that is no answer
 _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
 _LONGEST = 2000  # characters
-_asked = {"json": False}
+_printing = {"json": False}
 _typed: list[str] = []
 
 
@@ -89,11 +92,11 @@ class _Commands(TyperGroup):
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Return a command in whose help arguments have names, and no types of Python."""
-        found = super().get_command(ctx, cmd_name)
-        for parameter in found.params if found else ():
+        named_command = super().get_command(ctx, cmd_name)
+        for parameter in named_command.params if named_command else ():
             if isinstance(parameter, TyperArgument):
                 parameter.display_type_rich = lambda ctx: None  # type: ignore[method-assign]  # noqa: ARG005
-        return found
+        return named_command
 
 
 app = typer.Typer(
@@ -110,8 +113,8 @@ app = typer.Typer(
 )
 
 
-def _version(wanted: bool) -> None:
-    if wanted:
+def _version(requested: bool) -> None:
+    if requested:
         stdout.print(f"pincal {__version__}")
         raise typer.Exit
 
@@ -125,16 +128,18 @@ def _main(
     pass
 
 
-Mech = Annotated[str, typer.Argument(metavar="MECH", help="Bundled mechanism or folder.")]
-Measured = Annotated[
-    Path, typer.Argument(metavar="MEASUREMENTS.csv", help="Measured poses and readings.")
-]
-Force = Annotated[bool, typer.Option("--force", help="Replace the output if it exists.")]
-Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of all random choices.")]
+@dataclass(frozen=True)
+class Printing:
+    """What is printed."""
+
+    quiet: bool = option(False, "Say nothing but warnings and errors.")
 
 
-Quiet = Annotated[bool, typer.Option("--quiet", help="Say nothing but warnings and errors.")]
-Json = Annotated[bool, typer.Option("--json", help="Print what was found as JSON.")]
+@dataclass(frozen=True)
+class AnswerPrinting(Printing):
+    """What is printed of a command that calls ``answer``."""
+
+    json: bool = option(False, "Print what was found as JSON.")
 
 
 def command(
@@ -142,93 +147,62 @@ def command(
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Return a decorator that registers a command with ``--quiet``.
 
-    A parameter that is a dataclass is a group of options: each field is one of its own.
+    A parameter that is a dataclass is a group of options: each field declared by ``option``.
 
     Args:
         name: What is typed, if not the function's name.
         answers: Whether the command calls ``answer``, so that it can have ``--json`` too.
     """
 
-    def made(function: Callable[..., None]) -> Callable[..., None]:
-        single = _ungrouped(function)
-        more = {"quiet": Quiet} | ({"as_json": Json} if answers else {})
-        options = [
-            inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=kind)
-            for name, kind in more.items()
-        ]
+    def register(function: Callable[..., None]) -> Callable[..., None]:
+        printing = AnswerPrinting if answers else Printing
+        arguments = inspect.signature(function, eval_str=True).parameters.values()
+        groups: dict[str, type] = {}
+        offered: list[inspect.Parameter] = []
+        for argument in arguments:
+            if is_dataclass(argument.annotation):
+                groups[argument.name] = argument.annotation  # type: ignore[assignment]
+                offered += option_parameters(groups[argument.name])
+            else:
+                offered.append(argument.replace(kind=inspect.Parameter.KEYWORD_ONLY))
+        offered += option_parameters(printing)
 
         @wraps(function)
-        def run(*, quiet: bool = False, as_json: bool = False, **given: Any) -> None:
-            with sparing_inputs(), _turned_down(quiet, as_json):
-                single(**given)
+        def run(**values: Any) -> None:
+            printed = filled(printing, values)
+            values |= {name: filled(group, values) for name, group in groups.items()}
+            with sparing_inputs(), _turned_down(printed.quiet, getattr(printed, "json", False)):
+                function(**values)
 
-        _show(run, [*inspect.signature(single).parameters.values(), *options])
+        run.__signature__ = inspect.Signature(offered)  # type: ignore[attr-defined]
+        run.__annotations__ = {parameter.name: parameter.annotation for parameter in offered}
         app.command(name or function.__name__)(run)
         return function
 
-    return made
-
-
-def _ungrouped(function: Callable[..., None]) -> Callable[..., None]:
-    """Return a command whose groups of options are options one by one."""
-    groups: dict[str, type[Any]] = {}
-    single = []
-    for one in inspect.signature(function, eval_str=True).parameters.values():
-        if isinstance(one.annotation, type) and is_dataclass(one.annotation):
-            groups[one.name] = one.annotation
-            kinds = get_type_hints(one.annotation, include_extras=True)
-            own = [(each.name, each.default, kinds[each.name]) for each in fields(one.annotation)]
-        else:
-            own = [(one.name, one.default, one.annotation)]
-        single += [
-            inspect.Parameter(
-                name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind
-            )
-            for name, default, kind in own
-        ]
-
-    @wraps(function)
-    def run(**given: Any) -> None:
-        for name, group in groups.items():
-            given[name] = group(**{each.name: given.pop(each.name) for each in fields(group)})
-        function(**given)
-
-    _show(run, single)
-    return run
-
-
-def _show(function: Callable[..., None], parameters: Sequence[inspect.Parameter]) -> None:
-    """Give a function the signature that typer reads."""
-    function.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-    function.__annotations__ = {one.name: one.annotation for one in parameters}
+    return register
 
 
 @contextmanager
 def _turned_down(quiet: bool, as_json: bool) -> Iterator[None]:
     """Silence what was not asked for."""
-    stdout.quiet, _remarks.quiet, _asked["json"] = quiet or as_json, quiet, as_json
+    stdout.quiet, _remarks.quiet, _printing["json"] = quiet or as_json, quiet, as_json
     try:
         yield
     finally:
-        stdout.quiet, _remarks.quiet, _asked["json"] = False, False, False
+        stdout.quiet, _remarks.quiet, _printing["json"] = False, False, False
 
 
-def answer(found: Mapping[str, Any] | Callable[[], Mapping[str, Any]]) -> None:
-    """Print what a command found as JSON, if that was asked for.
+def answer(result: Mapping[str, Any] | Callable[[], Mapping[str, Any]]) -> None:
+    """Print a command's result as JSON, if that was asked for.
 
     Args:
-        found: That, or what makes it.
+        result: The result, or a function that makes it.
     """
-    if _asked["json"]:
-        text = json_text(found() if callable(found) else found)
-        answers = _Console(file=sys.stdout, soft_wrap=True, markup=False, emoji=False)
+    if _printing["json"]:
+        text = json_text(result() if callable(result) else result)
+        answers = _Console(file=sys.stdout, soft_wrap=True, **_PLAIN)
         answers.print(Text(text))  # whole, whatever its length
         stdout.failure = stdout.failure or answers.failure
-
-
-def remember(typed: Sequence[str]) -> None:
-    """Keep what was typed behind ``pincal``, for ``typed``."""
-    _typed[:] = typed
 
 
 def typed() -> str:
@@ -236,10 +210,18 @@ def typed() -> str:
     return shlex.join(["pincal", *_typed])
 
 
-def output_option(metavar: str, text: str) -> typer.models.OptionInfo:
-    """Return the ``-o`` option of a command."""
-    option: typer.models.OptionInfo = typer.Option("-o", "--output", metavar=metavar, help=text)
-    return option
+def run_step(*words: object) -> None:
+    """Show a command as it would be typed, and run it within another."""
+    _typed[:] = map(str, words)
+    stdout.print(f"\n$ {typed()}", style="bold", soft_wrap=True)
+    if code := app(args=_typed, prog_name="pincal", standalone_mode=False):
+        raise typer.Exit(code)
+
+
+def say(*lines: str) -> None:
+    """Print lines of the answer that are not broken, however long: commands and paths."""
+    for line in lines:
+        stdout.print(line, soft_wrap=True)
 
 
 @contextmanager
@@ -250,7 +232,7 @@ def working(text: str) -> Iterator[Callable[[str], None]]:
     """
     if _remarks.is_terminal and not _remarks.quiet:
         with _remarks.status(text) as status:
-            yield lambda now: status.update(now)
+            yield lambda step: status.update(step)
     else:
         remark(f"{text} …")
         yield lambda _: None
@@ -274,7 +256,7 @@ def counting(text: str, total: int) -> Iterator[Callable[[int], None]]:
 
 def remark(text: str) -> None:
     """Say what is done, or was found by the way (stderr)."""
-    _remarks.print(text, markup=False)
+    _remarks.print(text)
 
 
 class _Remarks(logging.Handler):
@@ -294,7 +276,7 @@ def listen() -> None:
 
 def warn(text: str) -> None:
     """Say what to know first (stderr), however quiet."""
-    stderr.print(f"warning: {text}", style="yellow", markup=False)
+    stderr.print(f"warning: {text}", style="yellow")
 
 
 def wrote(path: str | Path) -> None:
@@ -316,7 +298,7 @@ def main(argv: list[str] | None = None) -> None:
     os.environ["MPLBACKEND"] = "agg"  # nothing is drawn on a screen
     if current_thread() is main_thread():
         signal.signal(signal.SIGTERM, _terminate)
-    remember(sys.argv[1:] if argv is None else argv)
+    _typed[:] = sys.argv[1:] if argv is None else argv
     listen()
     stdout.failure = ""
     try:
@@ -342,7 +324,7 @@ def main(argv: list[str] | None = None) -> None:
 
 def _leave(code: int, message: str) -> NoReturn:
     """End the process with a message on stderr."""
-    stderr.print(f"pincal: {message}", style="bold red", markup=False, highlight=False)
+    stderr.print(f"pincal: {message}", style="bold red")
     sys.exit(code)
 
 

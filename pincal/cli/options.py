@@ -1,109 +1,147 @@
-"""Options that commands share, in groups: a command takes a group as one argument."""
+"""Options of commands: filled from fields of dataclasses, and the groups that commands share."""
 
 from __future__ import annotations
 
-import re
-from dataclasses import dataclass, replace
-from math import isnan
+import inspect
+from collections.abc import Iterator, Mapping
+from dataclasses import Field, dataclass, fields, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
+import numpy as np
 import typer
 
-from pincal.cli.app import Seed
+from pincal.errors import MeasurementError
 from pincal.files.mechanism_folders import load_mechanism
-from pincal.files.text import plain_number
+from pincal.files.text import in_si
 from pincal.files.yaml import read_setup
-from pincal.model.measurements import Noise
+from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
-from pincal.model.setup import ORIGIN, Setup
-from pincal.model.units import UNITS, Units, counts_of
+from pincal.model.option import Option, option, option_of
+from pincal.model.orientation import SINGLE_ANGLES
+from pincal.model.setup import ORIGIN, Setup, Target
+from pincal.model.units import Units, counts_of
 
-_NUMBER = re.compile(r"\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?|[-+]?(?:nan|inf))\s*\[?([^\d\s\]]*)\]?\s*")
-
-
-def in_si(text: str | float, dimensions: str, bare: str | None = "") -> float:
-    """Return a number that may have a unit, in SI: 2e-5, 20um, '20 µm', 5mrad.
-
-    Args:
-        text: What was typed.
-        dimensions: Those of the units that it may have: ``"m"``, ``"rad"``, or both with a blank.
-        bare: Unit of a number without one: SI if empty; None if it must have one.
-
-    Raises:
-        BadParameter: no number, or another unit.
-    """
-    if isinstance(text, float):
-        return text
-    found = _NUMBER.fullmatch(text)
-    number, unit = found.groups() if found else (text, "")
-    value = plain_number(number)
-    lacks = bare is None and not unit
-    dimension, factor = UNITS.get(unit or bare or "", ("", 1.0))
-    wrong = (isnan(value) and "nan" not in number) or (unit and dimension not in dimensions.split())
-    if wrong or lacks:
-        some = [one for one, (kind, _) in UNITS.items() if kind in dimensions.split()]
-        raise typer.BadParameter(f"{text!r}: expected a number, with one of {', '.join(some)}")
-    return float(f"{value * factor:.15g}")  # 20um is 2e-05, not 1.9999999999999998e-05
+Mech = Annotated[str, typer.Argument(metavar="MECH", help="Bundled mechanism or folder.")]
+Measured = Annotated[
+    Path, typer.Argument(metavar="MEASUREMENTS.csv", help="Measured poses and readings.")
+]
+FORCE = Option("Replace the output if it exists.")
+SEED = Option("Seed of all random choices.", least=0)
+Force = Annotated[bool, typer.Option("--force", help=FORCE.help)]
+Seed = Annotated[int, typer.Option("--seed", min=0, help=SEED.help)]
 
 
-def with_unit(dimensions: str, what: str, bare: str | None = "") -> typer.models.OptionInfo:
-    """Return an option for a number that may have a unit, or must: see ``in_si``."""
+def output_option(metavar: str, text: str) -> typer.models.OptionInfo:
+    """Return the ``-o`` option of a command."""
+    output: typer.models.OptionInfo = typer.Option("-o", "--output", metavar=metavar, help=text)
+    return output
+
+
+def option_parameters(group: type) -> Iterator[inspect.Parameter]:
+    """Yield the parameters by which typer offers the options of a dataclass."""
+    kinds = get_type_hints(group)
+    for option_field in _option_fields(group):
+        declared: Option = option_field.metadata["option"]
+        kind = declared.kind or kinds[option_field.name]
+        default = None if callable(option_field.default_factory) else option_field.default
+        if get_origin(kind) is tuple:  # an option that is typed several times
+            kind, default = list[get_args(kind)[0]] | None, None  # type: ignore[misc]
+        if kind is bool:
+            default = False
+        parser = _number_parser(declared) if declared.unit else None
+        if parser is not None:
+            number = "NUMBER+UNIT" if declared.needs_unit else "NUMBER[UNIT]"
+            declared = replace(declared, metavar=declared.metavar or number)
+        offered = typer.Option(
+            f"--{typed_name(option_field)}",
+            help=declared.help,
+            metavar=declared.metavar,
+            min=declared.least,
+            max=declared.most,
+            parser=parser,
+        )
+        yield inspect.Parameter(
+            typed_name(option_field).replace("-", "_"),
+            inspect.Parameter.KEYWORD_ONLY,
+            default=default,
+            annotation=Annotated[kind, offered],
+        )
+
+
+def filled(group: type, values: dict[str, Any]) -> Any:
+    """Return a dataclass made of what was typed, which is taken out of the values."""
+    arguments = {}
+    for option_field in _option_fields(group):
+        value = values.pop(typed_name(option_field).replace("-", "_"))
+        if option_field.default is True:
+            value = not value
+        if value is not None:
+            arguments[option_field.name] = tuple(value) if isinstance(value, list) else value
+    return group(**arguments)
+
+
+def _option_fields(group: type) -> list[Field[Any]]:
+    """Return the fields of a dataclass that are options."""
+    return [option_field for option_field in fields(group) if "option" in option_field.metadata]
+
+
+def typed_name(option_field: Field[Any]) -> str:
+    """Return the name of an option as the command line has it, without ``--``."""
+    name = (option_field.metadata["option"].name or option_field.name).replace("_", "-")
+    return f"no-{name}" if option_field.default is True else name
+
+
+def _number_parser(declared: Option) -> Any:
+    """Return what reads a number that may have a unit."""
 
     def parse(text: str | float) -> float:
-        return in_si(text, dimensions, bare)
+        if isinstance(text, float):
+            return text
+        try:
+            return in_si(text, declared.unit, None if declared.needs_unit else "")
+        except MeasurementError as error:
+            raise typer.BadParameter(str(error)) from None
 
-    metavar = "NUMBER[UNIT]" if bare is not None else "NUMBER+UNIT"
-    option: typer.models.OptionInfo = typer.Option(parser=parse, metavar=metavar, help=what)
-    return option
+    return parse
 
 
 @dataclass(frozen=True)
 class SetupOptions:
     """What the measured numbers mean."""
 
-    setup: Annotated[
-        Path | None,
-        typer.Option(metavar="YAML", help="Frame, targets, distances of the measurements."),
-    ] = None
-    unknown_frame: Annotated[
-        bool,
-        typer.Option("--unknown-frame", help="The base is anywhere in the frame of measurements."),
-    ] = False
-    unknown_target: Annotated[
-        bool,
-        typer.Option("--unknown-target", help="The point measured sits anywhere on the platform."),
-    ] = False
+    setup_file: Path | None = option(
+        None, "Frame, targets, distances of the measurements.", name="setup", metavar="YAML"
+    )
+    unknown_frame: bool = option(False, option_of(Setup, "unknown_frame"))
+    unknown_target: bool = option(False, option_of(Target, "unknown"))
 
-    def read(self) -> Setup:
+    def read_setup(self) -> Setup:
         """Return the setup of the file, and of the options beside it.
 
         Raises:
             FileError: the file is missing or cannot be read.
             MeasurementError: it says something else than it should.
         """
-        found = Setup() if self.setup is None else read_setup(self.setup)
+        setup = Setup() if self.setup_file is None else read_setup(self.setup_file)
         if self.unknown_frame:
-            found = replace(found, unknown_frame=True)
+            setup = replace(setup, unknown_frame=True)
         if self.unknown_target:
-            target = replace(found.targets[ORIGIN], unknown=True)
-            found = replace(found, targets={**found.targets, ORIGIN: target})
-        return found
+            target = replace(setup.targets[ORIGIN], unknown=True)
+            setup = replace(setup, targets={**setup.targets, ORIGIN: target})
+        return setup
 
 
 @dataclass(frozen=True)
 class CountOptions:
     """What encoders count."""
 
-    counts: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--counts",
-            metavar="[LEG=]NUMBER/UNIT",
-            help="How many counts columns such as 'leg_1 [counts]' have: leg_1=4096/turn, "
-            "12.5/mm, 651.9/rad; without a leg of all.",
-        ),
-    ] = None
+    counts: tuple[str, ...] = option(
+        (),
+        "How many counts columns such as 'leg_1 [counts]' have: leg_1=4096/turn, 12.5/mm, "
+        "651.9/rad; without a leg of all.",
+        metavar="[LEG=]NUMBER/UNIT",
+    )
 
     def load(self, mech: str) -> Mechanism:
         """Return a mechanism, its readings in the counts given.
@@ -113,22 +151,19 @@ class CountOptions:
         """
         mechanism = load_mechanism(mech)
         units = dict(zip(mechanism.reading_names, mechanism.reading_units, strict=True))
-        return mechanism.with_counts(counts_of(self.counts or (), units))
+        return mechanism.with_counts(counts_of(self.counts, units))
 
 
 @dataclass(frozen=True)
 class UnitOptions:
     """In which units numbers are written."""
 
-    units: Annotated[
-        str | None,
-        typer.Option(
-            "--units",
-            metavar="mm,deg",
-            help="Units to write and print in: m, cm, mm, um or in; rad, mrad, deg or turn; "
-            "counts of readings.",
-        ),
-    ] = None
+    units: str | None = option(
+        None,
+        "Units to write and print in: m, cm, mm, um or in; rad, mrad, deg or turn; counts of "
+        "readings.",
+        metavar="mm,deg",
+    )
 
     def written_in(self, mechanism: Mechanism) -> Units:
         """Return the units; SI where nothing is said.
@@ -146,47 +181,61 @@ class TableOptions(UnitOptions, CountOptions):
 
 @dataclass(frozen=True)
 class NoiseOptions:
-    """How well is measured."""
+    """How well was measured, where that is known."""
 
-    noise_position: Annotated[
-        float, with_unit("m", "Standard deviation of positions [m], or as 20um.")
-    ] = 1e-4
-    noise_orientation: Annotated[
-        float, with_unit("rad", "Standard deviation of angles [rad], or as 5mrad.")
-    ] = 1e-4
-    noise_reading: Annotated[
-        float, with_unit("m rad", "Standard deviation of readings [rad or m].")
-    ] = 0.0
+    noise_position: float | None = option(None, option_of(Noise, "position"))
+    noise_orientation: float | None = option(None, option_of(Noise, "orientation"))
+    noise_reading: float | None = option(None, option_of(Noise, "reading"))
 
-    def noise(self) -> Noise:
-        """Return the noise."""
-        return Noise(self.noise_position, self.noise_orientation, self.noise_reading)
+    def noise_of(self, mechanism: Mechanism, data: Measurements, setup: Setup) -> Noise | None:
+        """Return the noise given, or None if none was.
+
+        Raises:
+            MeasurementError: given in part.
+        """
+        position, orientation = self.noise_position, self.noise_orientation
+        if position is None and orientation is None and self.noise_reading is None:
+            return None
+        angles = np.array([unit == "rad" for unit in mechanism.platform.units])
+        single_angles = set(data.extra) & set(SINGLE_ANGLES)
+        measured = np.isfinite(data.poses)
+        lengths = set(data.extra) - single_angles
+        lengths_measured = bool(measured[:, ~angles].any() or lengths)
+        if setup.tracker is not None:  # says how well positions were measured
+            lengths_measured = bool(lengths - set(setup.points(mechanism.platform)))
+        needed = {"--noise-position": position} if lengths_measured else {}
+        if measured[:, angles].any() or single_angles:
+            needed["--noise-orientation"] = orientation
+        if None in needed.values():
+            raise MeasurementError(
+                f"give {' and '.join(needed)} with the other noise options, or none of them (the "
+                "scale is then estimated)"
+            )
+        return Noise(position or 0.0, orientation or 0.0, self.noise_reading or 0.0)
 
 
 @dataclass(frozen=True)
-class PlanOptions(SetupOptions, NoiseOptions):
-    """What will be measured, and how well."""
+class PlanOptions(TableOptions, SetupOptions):
+    """What will be measured, and in which units it is written."""
 
-    measure: Annotated[
-        str | None,
-        typer.Option(
-            metavar="pose|position|orientation|nothing|x,y,…",
-            help="What is measured of the platform; all sensors are read at every pose.",
-        ),
-    ] = None
-    seed: Seed = 0
+    measure: str | None = option(
+        None,
+        "What is measured of the platform; all sensors are read at every pose.",
+        metavar="pose|position|orientation|nothing|x,y,…",
+    )
+    seed: int = option(0, SEED)
 
     def measured(self, mechanism: Mechanism, setup: Setup) -> tuple[str, ...]:
         """Return what is measured of the platform, as ``--measure`` says it."""
-        platform, more = mechanism.platform, tuple(setup.columns(mechanism))
-        pairs = list(zip(platform.freedoms, platform.units, strict=True))
+        platform = mechanism.platform
+        units: Mapping[str, str] = dict(zip(platform.freedoms, platform.units, strict=True))
         named = {
-            "pose": platform.freedoms,
-            "position": tuple(name for name, unit in pairs if unit == "m"),
-            "orientation": tuple(name for name, unit in pairs if unit == "rad"),
+            "pose": tuple(units),
+            "position": tuple(name for name, unit in units.items() if unit == "m"),
+            "orientation": tuple(name for name, unit in units.items() if unit == "rad"),
             "nothing": (),
         }
         measure = self.measure or "pose"
         if measure in named:
-            return (*named[measure], *more)
+            return (*named[measure], *setup.columns(mechanism))
         return tuple(measure.replace(" ", "").split(","))

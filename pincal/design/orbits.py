@@ -160,7 +160,7 @@ def orbits_of_legs(
                 raise SymmetryError(
                     f"{element} carries {legs[0]} onto {name}, but not the parameters of one to "
                     "those of the other: their columns span other spaces. Give both the same set "
-                    "of parameters, or choose poses for each leg on its own (--independent)"
+                    "of parameters, or choose poses for each leg alone (--protocol independent)"
                 )
             whitened_map.append(maps(white, image[1]))
         orbits.append(LegOrbit(legs, carriers, tuple(whitened_map)))

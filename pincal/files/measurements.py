@@ -424,7 +424,7 @@ def _check_whole_pose(table: TextTable, mechanism: Mechanism) -> None:
         unit = platform.units[platform.coordinates.index(missing[0])]
         raise MeasurementError(
             f"{table.path}: no column {missing[0]!r}; expected '{missing[0]} [{unit}]'; "
-            "only all legs together (without --per-leg) are calibrated with poses that were "
+            "only all legs together (without --method per-leg) are calibrated with poses that were "
             f"measured in part. The file has {', '.join(table.units)}"
         )
 

@@ -15,8 +15,9 @@ from typing import Annotated
 from lxml import etree
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, FiniteFloat
 
-from pincal.errors import FileError, MechanismError, PincalError
+from pincal.errors import FileError, MeasurementError, MechanismError, PincalError
 from pincal.model.checks import LARGEST
+from pincal.model.units import UNITS
 
 LARGEST_FILE = {"table": 2**28, "result": 2**28, "XML": 2**24, "printer": 2**22, "YAML": 2**20}
 """Sizes up to which files are read, [bytes], by what they hold."""
@@ -25,6 +26,9 @@ _inputs: ContextVar[set[tuple[int, int]] | None] = ContextVar("inputs", default=
 _CHUNK = 64 * 1024  # bytes
 _UTF16 = re.compile(b"\xff\xfe|\xfe\xff|(?:[^\\0]\\0){2}|(?:\\0[^\\0]){2}", re.DOTALL)
 _BEGUN = re.compile(r"\s*[-+.]?[0-9].*[^-+.0-9eE\s]")  # 0,02 and 0.02mm
+_NUMBER_WITH_UNIT = re.compile(
+    r"\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?|[-+]?(?:nan|inf))\s*\[?([^\d\s\]]*)\]?\s*"
+)
 _LINE = re.compile("\r\n|\r|\n")
 
 
@@ -143,6 +147,29 @@ def plain_number(text: str) -> float:
         return float(bare) if bare.isascii() and "_" not in bare else nan
     except ValueError:
         return nan
+
+
+def in_si(text: str, dimensions: str, bare: str | None = "") -> float:
+    """Return a number that may have a unit, in SI: 2e-5, 20um, '20 µm', 5mrad.
+
+    Args:
+        text: What was typed.
+        dimensions: Those of the units that it may have: ``"m"``, ``"rad"``, or both with a blank.
+        bare: Unit of a number without one: SI if empty; None if it must have one.
+
+    Raises:
+        MeasurementError: no number, or another unit.
+    """
+    match = _NUMBER_WITH_UNIT.fullmatch(text)
+    number, unit = match.groups() if match else (text, "")
+    value = plain_number(number)
+    dimension, factor = UNITS.get(unit or bare or "", ("", 1.0))
+    no_number = isnan(value) and "nan" not in number
+    foreign_unit = unit and dimension not in dimensions.split()
+    if no_number or foreign_unit or (bare is None and not unit):
+        known = [name for name, (kind, _) in UNITS.items() if kind in dimensions.split()]
+        raise MeasurementError(f"{text!r}: expected a number, with one of {', '.join(known)}")
+    return float(f"{value * factor:.15g}")  # 20um is 2e-05, not 1.9999999999999998e-05
 
 
 def why_no_number(text: str, units: str = "m or rad", place: str = "") -> str:

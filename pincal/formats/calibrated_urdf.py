@@ -59,7 +59,7 @@ def calibrated_urdf(original: str | Path, mechanism: Mechanism, leg: str | None 
             raise MechanismError(
                 f"{path}: the platform's frame was found {_words(T_link_platform)} off link "
                 f"{link!r}, and no fixed joint of the URDF is there to hold it. Import with a "
-                "--tip or --platform that is fixed to that link, or hold it (--fix)"
+                "--tip or --platform that is fixed to that link, or hold it (--fixed)"
             )
         for name in ends:
             origin = origins.get(name, urdf.joints[name].placement).origin()
@@ -160,7 +160,7 @@ def _of_chain(urdf: _Urdf, leg: Leg) -> dict[str, Placement]:
                 raise MechanismError(
                     f"{urdf.path} has no joint {joint.name!r}, whose place was calibrated; give "
                     "the URDF that the mechanism was made from, or hold "
-                    f"{', '.join(joint.placement.parameter_units)} (--fix)"
+                    f"{', '.join(joint.placement.parameter_units)} (--fixed)"
                 )
             previous = previous if name in origins else joint.name
             continue

@@ -119,7 +119,7 @@ def _heights(config: _Config) -> tuple[Array, Array, tuple[str, ...]]:
         remarks.append(
             f"{count} distance{'s' * (count > 1)} of DELTA_ANALYZE left out: distances between two "
             "measured poses are not read. They show how long the arms are; say what you know of "
-            "them by --prior arm=… or --fix arm"
+            "them by --priors arm=… or --fixed arm"
         )
     if not heights:
         return np.empty(0), np.empty((0, 3)), tuple(remarks)

@@ -13,6 +13,7 @@ from pincal.attached import attached
 from pincal.errors import MeasurementError
 from pincal.model.checks import LARGEST, array_of, must_be, names_of, number_of
 from pincal.model.mechanism import Mechanism
+from pincal.model.option import option
 from pincal.model.overview import counted, one_line
 from pincal.model.setup import Setup
 from pincal.types import Array, Index, Mask
@@ -28,12 +29,24 @@ SMALLEST_SIGMA = 1e-50
 class Noise:
     """Standard deviations of what is measured; zero is exact."""
 
-    position: float = 1e-4
-    """Of each position coordinate, [m]."""
-    orientation: float = 1e-4
-    """Of each orientation coordinate, [rad]."""
-    reading: float = 0.0
-    """Of each sensor reading, [rad] or [m]."""
+    position: float = option(
+        1e-4,
+        "Standard deviation of each measured position coordinate [m], or as 20um.",
+        unit="m",
+        name="noise_position",
+    )
+    orientation: float = option(
+        1e-4,
+        "Standard deviation of each measured orientation coordinate [rad], or as 5mrad.",
+        unit="rad",
+        name="noise_orientation",
+    )
+    reading: float = option(
+        0.0,
+        "Standard deviation of each sensor reading [rad or m], or as 5mrad.",
+        unit="m rad",
+        name="noise_reading",
+    )
 
     def __post_init__(self) -> None:
         for name, entry in vars(self).items():

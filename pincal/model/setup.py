@@ -18,6 +18,7 @@ from pincal.attached import attached
 from pincal.errors import MeasurementError
 from pincal.model.checks import array_of, count_of, must_be, number_of
 from pincal.model.mechanism import Mechanism
+from pincal.model.option import option
 from pincal.model.orientation import WAYS
 from pincal.model.overview import one_line
 from pincal.model.parameter import Parameter, listed
@@ -272,9 +273,11 @@ class Target:
 
     offset: Point = (0.0, 0.0, 0.0)
     """In the platform frame, [m]; where the search starts if unknown."""
-    unknown: bool = False
-    """Whether the offset is identified; of ``platform``, also how the measured orientation is
-    turned against the platform's."""
+    unknown: bool = option(
+        False, "The point measured sits anywhere on the platform.", name="unknown_target"
+    )
+    """The offset is then identified; of ``platform``, also how the measured orientation is turned
+    against the platform's."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "offset", _point(self.offset, "offset of a target"))
@@ -298,8 +301,7 @@ class Distance:
 class Setup:
     """What measured numbers mean."""
 
-    unknown_frame: bool = False
-    """Whether the place of the robot's base in the frame of the measurements is unknown."""
+    unknown_frame: bool = option(False, "The base is anywhere in the frame of measurements.")
     targets: Mapping[str, Target] = field(default_factory=lambda: {ORIGIN: Target()})
     """``platform`` is the target of x, y, z; another target t of the columns t_x, t_y, t_z."""
     distances: Mapping[str, Distance] = field(default_factory=dict)

@@ -300,7 +300,7 @@ _VERDICTS = (
     "that matters little; a drift twice as large would",
     "that matters: measure in turns (pincal select writes such an order), or again in parts",
 )
-_PER_LEG = "with --per-leg, which takes each leg alone by the poses of its set"
+_PER_LEG = "with --method per-leg, which takes each leg alone by the poses of its set"
 
 
 def forecast_lines(
@@ -325,7 +325,7 @@ def drift_lines(drifts: Sequence[Drift]) -> list[str]:
     """Return what a drift over the run would do, of all legs together and of each leg alone."""
     heads = (
         "a drift of each measured quantity by one σ over the run, in this order",
-        "the same with --per-leg",
+        "the same with --method per-leg",
     )
     lines = []
     for head, drift in zip(heads, drifts, strict=False):
@@ -414,11 +414,11 @@ def _expected(error: PlatformError, turning: bool) -> str:
     return ", ".join([*([f"root mean square {listed(known)}"] if known else []), *lost])
 
 
-def poses_line(accuracy: float, needed: float, alone: float | None) -> str:
+def poses_line(accuracy: float, needed: float, alone: float | None = None) -> str:
     """Return how many poses an accuracy [m] takes, also with each leg alone if that is known."""
     poses = f"{needed:,.0f} poses like these" if np.isfinite(needed) else "no number of poses"
     text = f"for {amount(accuracy, 'm', 6)}: {poses}"
-    text += "" if alone is None else f", {alone:,.0f} with --per-leg"
+    text += "" if alone is None else f", {alone:,.0f} with --method per-leg"
     if 1e5 < needed < np.inf:
         text += ", which nobody measures: that takes less noise, not more poses"
     return text

@@ -111,7 +111,7 @@ class SymmetryGroup:
                 raise SymmetryError(
                     f"no symmetry of {self.mechanism.name!r} carries leg 1 onto {name}"
                     f"{broken and f' ({broken})'}. "
-                    "Choose poses for each leg on its own (--independent)"
+                    "Choose poses for each leg on its own (--protocol independent)"
                 )
         return tuple(carrier_by_leg[index] for index in sorted(carrier_by_leg))
 

@@ -183,7 +183,7 @@ FAULTS: dict[str, Wording] = {
         _slips,
         "The fit failed, and few rows are far from where the others are. The finding's rows are "
         "those.",
-        "Look for a slip there first, or leave such rows out (--robust reject)",
+        "Look for a slip there first, or leave such rows out (--loss reject)",
     ),
     "frame-misaligned": Wording(
         "Parameters moved as one body",
@@ -283,14 +283,14 @@ def _wrong_rows(finding: Finding) -> str:
 
 def _wrong_rows_remedy(finding: Finding) -> str:
     them = "it" if len(finding.rows) == 1 else "them"
-    return f"Mend or remove {them}, or leave {them} out by --robust reject"
+    return f"Mend or remove {them}, or leave {them} out by --loss reject"
 
 
 def _outliers_remedy(finding: Finding) -> str:
     them = "it" if len(finding.rows) == 1 else "them"
     if finding.values["lacking"]:
         return f"First model what residuals follow: that may be why; then look at {them}"
-    return f"Look at {them}, or use a robust loss (--robust reject)"
+    return f"Look at {them}, or use a robust loss (--loss reject)"
 
 
 _TERMS = {
@@ -384,7 +384,7 @@ ROWS: dict[str, Wording] = {
         "Rows miss by more than chance explains, however many there are (one sound calibration in "
         "a hundred has any). The finding's rows are those, the worst first.",
         _outliers_remedy,
-        general="Look at them: a slip, a lost beam, a wrong set. --robust reject leaves them out "
+        general="Look at them: a slip, a lost beam, a wrong set. --loss reject leaves them out "
         "and lists them",
     ),
     "wrong-rows": Wording(
@@ -402,7 +402,7 @@ ROWS: dict[str, Wording] = {
         "as large as that noise: noise and model are right, these rows are not. Parameters are "
         "still those of all rows.",
         _wrong_rows_remedy,
-        general="Mend or remove these rows, or leave them out by --robust reject",
+        general="Mend or remove these rows, or leave them out by --loss reject",
     ),
     "many-outliers": Wording(
         "Many rows do not fit",
@@ -413,7 +413,7 @@ ROWS: dict[str, Wording] = {
         ),
         "More than a tenth of the rows are outliers: rather the noise is larger than given, or the "
         "model lacks something, than that so many are wrong. The finding's rows are those.",
-        "Correct the noise or the model before leaving rows out (--robust reject)",
+        "Correct the noise or the model before leaving rows out (--loss reject)",
     ),
     "held-out-worse": Wording(
         "Held-out rows miss by more than is expected",

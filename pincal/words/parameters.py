@@ -34,7 +34,7 @@ def _weak(finding: Finding) -> str:
 def _weak_remedy(finding: Finding) -> str:
     hold = "" if finding.values["held"] else ", hold it at nominal (--hold-undetermined)"
     return f"Measure poses that determine more{hold}, or say how well nominal values are known " + (
-        "(--prior)"
+        "(--priors)"
     )
 
 
@@ -99,7 +99,7 @@ def _tolerance(finding: Finding) -> str:
 
 def _tolerance_remedy(finding: Finding) -> str:
     if not isfinite(finding.values["size"]):
-        return "They are free; give their tolerance (--tolerance, --prior), if it is known"
+        return "They are free; give their tolerance (--tolerance, --priors), if it is known"
     return "" if finding.values["low"] else "Measurements do not separate them from the drawing"
 
 
@@ -137,7 +137,7 @@ PARAMETERS: dict[str, Wording] = {
         {"unused": "number of poses that do not serve every leg", "total": "number of poses"},
         "{unused} of {total} measured poses serve other legs only",
         "Each leg was identified by the poses of its set only.",
-        "Leave out --per-leg, or add --poses all: then every leg uses every pose",
+        "Leave out --method per-leg, or add --poses all: then every leg uses every pose",
         "info",
     ),
     "weakly-determined": Wording(
@@ -153,7 +153,7 @@ PARAMETERS: dict[str, Wording] = {
         "The finding's parameters are all of them.",
         _weak_remedy,
         general="Measure poses that determine more (pincal select), hold what is undetermined "
-        "(--hold-undetermined, --fix), or say how well nominal values are known (--prior)",
+        "(--hold-undetermined, --fixed), or say how well nominal values are known (--priors)",
     ),
     "undetermined-held": Wording(
         "Undetermined parameters were held",
@@ -196,14 +196,14 @@ PARAMETERS: dict[str, Wording] = {
         _signs,
         "The mirror image of a leg fits, or the search went astray: a length of the drawing cannot "
         "be negative.",
-        "Correct the nominal values (zeros of motors first), or fix these lengths (--fix)",
+        "Correct the nominal values (zeros of motors first), or fix these lengths (--fixed)",
     ),
     "tie-contradicted": Wording(
         "A tie does not hold",
         {"name": "name of the tied parameters, or several with commas", "p_value": P_VALUE},
         "{name} is tied over the legs, and the measurements contradict that ({chance})",
         "The legs differ in this parameter by more than their standard errors explain (1 %).",
-        "Leave the tie out (--tie)",
+        "Leave the tie out (--tied)",
     ),
 }
 

@@ -147,7 +147,7 @@ RESULTS: dict[str, Wording] = {
         "the fit did not converge: {message}",
         "The search for the parameters ended without an answer: there is no calibrated mechanism.",
         "Look at the units and at the working mode; give a better nominal mechanism, more poses, "
-        "or a robust loss (--robust reject)",
+        "or a robust loss (--loss reject)",
         "error",
     ),
     "not-corrected": Wording(
@@ -239,7 +239,7 @@ RESULTS: dict[str, Wording] = {
         "The profile of the cost (--intervals profile) does not rise enough within a hundred half "
         "widths, or ends where the machine cannot reach the measured poses.",
         "Measure poses that determine more (pincal select), or say how well nominal values are "
-        "known (--prior)",
+        "known (--priors)",
     ),
     "beyond-measured": Wording(
         "Outside the measured region",

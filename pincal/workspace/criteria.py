@@ -30,6 +30,7 @@ from pincal.kinematics.singularity import (
 from pincal.model.checks import EXACT, ROUNDING, must_be
 from pincal.model.home import home_gap
 from pincal.model.mechanism import Mechanism
+from pincal.model.option import option
 from pincal.model.platform import Poses
 from pincal.symmetry.detect import symmetry_group
 from pincal.symmetry.elements import Element
@@ -42,12 +43,18 @@ _GRIP = 1e-6  # at a type-1 singularity rounding errors choose the working mode
 class Margins:
     """Least distances from singularities that a pose must keep, dimensionless."""
 
-    type1: float = 0.23
-    """Drive of each leg; at a planar dyad the sine of the elbow angle."""
-    type2: float | None = None
-    """Determinant of the legs' unit constraint lines, signed as at home. If not given, 0.2,
-    but no more than half of the home pose's: hexapods are far below planar mechanisms.
-    Minus infinity counts poses on both sides of singularities."""
+    type1: float = option(
+        0.23,
+        "Least distance from type-1 singularities, a dyad's elbow sine [default: 0.23].",
+        name="margin_type1",
+    )
+    type2: float | None = option(
+        None,
+        "Least distance from type-2 singularities [default: 0.2, at most half of home's].",
+        name="margin_type2",
+    )
+    """Determinant of the legs' unit constraint lines, signed as at home; hexapods are far below
+    planar mechanisms. Minus infinity counts poses on both sides of singularities."""
 
     def __post_init__(self) -> None:
         for name, value in (("type-1", self.type1), ("type-2", self.type2)):

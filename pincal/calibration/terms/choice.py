@@ -17,7 +17,7 @@ import numpy as np
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.fits import Fits, fitted
 from pincal.calibration.missed import misses_of, per_row, predictions
-from pincal.calibration.options import clusters, folds_of
+from pincal.calibration.options import FOLDS, clusters, folds_of
 from pincal.calibration.terms.candidates import extended, with_columns
 from pincal.calibration.terms.kinds import ORDER, Kind
 from pincal.calibration.terms.screen import Bound, Candidate, bounds, screen
@@ -244,7 +244,7 @@ def choose(calibration: Calibration, pairs: Sequence[tuple[str, Kind]]) -> Choic
     tried += grown(first, screened, pairs)
     slipped = tuple(replace(slip, row=int(choosing_rows[slip.row])) for slip in _slips(tried[1:]))
     slips_and_bounds = (slipped, bounds(fits.calibration, screened))
-    groups = folds_of(data, calibration.options.folds, "turn")
+    groups = folds_of(data, calibration.options.folds or FOLDS, "turn")
     lost = []
     squares = np.full((len(tried), len(data), 2), np.nan)
     misses = np.full((len(tried), len(data), 2), np.nan)

@@ -242,7 +242,7 @@ def _undetermined(
         return (
             "the scale. Lengths alone do not fix it where the gains of their sensors "
             f"({', '.join(gains)}) are free: a machine twice as large reads the same. Fix the "
-            f"gains ({' '.join(f'--fix {name}' for name in gains)}), or measure a position or "
+            f"gains ({' '.join(f'--fixed {name}' for name in gains)}), or measure a position or "
             "a distance"
         )
     groups = identifiability(J, unknowns.free_labels).groups

@@ -39,7 +39,7 @@ _ENOUGH_POSES = 500  # poses to judge by: both grow alike with their number
 _TAKES_PART = 0.1  # share of a direction's largest entry, from which a parameter is named
 NOT_THIS_MACHINE = (
     "They are hardly this machine's: check signs, units, the order of the readings, the frame of "
-    "the poses, and rows that are far off (--robust cauchy)"
+    "the poses, and rows that are far off (--loss cauchy)"
 )
 
 
@@ -77,7 +77,7 @@ def check_rank(
             f"the measured poses leave parameters undetermined: {total.describe()} "
             f"(rank {total.rank} of {total.n_params}). Measure poses that separate them, fix "
             "one of them, make it a constant in mechanism.yaml, or hold it as near to nominal as "
-            "can be (--hold-undetermined; leave out --per-leg)"
+            "can be (--hold-undetermined; leave out --method per-leg)"
         )
     by_leg = (
         identifiability(J[:, columns], leg.parameter_names)
@@ -292,7 +292,7 @@ def _weak(ids: Sequence[str]) -> ObservabilityError:
         f"{named} {'is' if single else 'are'} weakly determined by the measured poses: noise moves "
         f"{them} farther than machines differ from their drawings. Measure poses that differ more "
         f"(in orientation above all), hold {them} as near to nominal as can be "
-        "(--hold-undetermined), or say how well nominal values are known (--prior)"
+        "(--hold-undetermined), or say how well nominal values are known (--priors)"
     )
 
 

@@ -9,16 +9,16 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from pincal.cli.app import Force, Mech, answer, command, output_option, remark, warn, wrote
-from pincal.cli.options import TableOptions
+from pincal.cli.app import answer, command, remark, warn, wrote
+from pincal.cli.options import Force, Mech, TableOptions, output_option
 from pincal.files.measurement_writing import columns_of, reason_column, write_readings
 from pincal.files.measurements import read_poses, read_readings
 from pincal.files.output import refuse_existing
 from pincal.files.table import write_table
 from pincal.kinematics.forward import forward as solve_forward
 from pincal.kinematics.influences import own_influences
-from pincal.kinematics.inverse import InverseSolution, outside_limits
 from pincal.kinematics.inverse import inverse as solve_inverse
+from pincal.kinematics.inverse import outside_limits
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.types import Array
@@ -30,7 +30,7 @@ def inverse(
     mech: Mech,
     poses: Annotated[Path, typer.Argument(metavar="POSES.csv", help="Poses: x [m], y [m], …")],
     output: Annotated[Path, output_option("READINGS.csv", "Readings, one column a leg.")],
-    how: TableOptions,
+    options: TableOptions,
     force: Force = False,
 ) -> None:
     """Write the sensor readings of poses.
@@ -38,23 +38,32 @@ def inverse(
     Rows of poses that are out of reach stay empty, with the reason in the column 'reason'; the exit
     code is then 1. Of poses outside the limits of joints readings are written, with a warning.
     """
-    mechanism = how.load(mech)
-    units = how.written_in(mechanism)
+    mechanism = options.load(mech)
+    units = options.written_in(mechanism)
     plan = read_poses(poses, mechanism)
     refuse_existing(output, force=force)
     influences = own_influences(mechanism, plan.influences)
     solution = solve_inverse(mechanism, plan.poses, influences)
     lost = np.atleast_1d(~solution.reached.all(axis=1))
     reasons = [solution.reason(row) if lost[row] else "" for row in range(len(lost))]
+    places = [plan.place(row) for row in range(len(lost))]
     values = np.where(lost[:, None], np.nan, solution.readings)
     write_readings(output, mechanism, values, influences, reasons=reasons, units=units, force=force)
     say_reference(mechanism, influences)
     wrote(output)
-    _warn_of_limits(poses, [plan.place(row) for row in range(len(lost))], mechanism, solution)
-    read = mechanism.reading_names, mechanism.reading_units
-    found = {"mechanism": mechanism.name, "readings": _columns(*read, values)}
-    answer(found | {"reasons": reasons})
-    leave_if_lost(poses, [plan.place(row) for row in range(len(lost))], reasons, "pose")
+    beyond = [
+        f"{place}: {', '.join(joints)}"
+        for place, joints in zip(places, outside_limits(mechanism, solution), strict=True)
+        if joints
+    ]
+    if beyond:
+        warn(
+            f"{poses}: {len(beyond)} of {len(places)} poses are outside the limits of joints; "
+            f"their readings are written all the same. {first_of(beyond)}"
+        )
+    columns = _columns(mechanism.reading_names, mechanism.reading_units, values)
+    answer({"mechanism": mechanism.name, "readings": columns, "reasons": reasons})
+    leave_if_lost(poses, places, reasons, "pose")
 
 
 @command(answers=True)
@@ -62,7 +71,7 @@ def forward(
     mech: Mech,
     readings: Annotated[Path, typer.Argument(metavar="READINGS.csv", help="leg_1 [rad], …")],
     output: Annotated[Path, output_option("POSES.csv", "Poses of the platform.")],
-    how: TableOptions,
+    options: TableOptions,
     force: Force = False,
 ) -> None:
     """Write the poses of sensor readings.
@@ -72,8 +81,8 @@ def forward(
     Rows of readings that have no pose stay empty, with the reason in the column 'reason'; the exit
     code is then 1.
     """
-    mechanism = how.load(mech)
-    units = how.written_in(mechanism)
+    mechanism = options.load(mech)
+    units = options.written_in(mechanism)
     values, influences = read_readings(readings, mechanism)
     refuse_existing(output, force=force)
     influences = own_influences(mechanism, influences)
@@ -81,8 +90,8 @@ def forward(
     say_reference(mechanism, influences)
     lost = ~solution.converged
     reasons = [solution.reasons[row] if lost[row] else "" for row in range(len(lost))]
-    found = np.where(lost[:, None], np.nan, solution.poses)
-    columns = columns_of(mechanism, Plan(found)) | reason_column(reasons)
+    poses = np.where(lost[:, None], np.nan, solution.poses)
+    columns = columns_of(mechanism, Plan(poses)) | reason_column(reasons)
     write_table(output, columns, units=units, force=force)
     if mechanism.redundant and not lost.all():
         gap = np.where(lost[:, None], -np.inf, solution.gap)
@@ -96,7 +105,7 @@ def forward(
     answer(
         {
             "mechanism": mechanism.name,
-            "poses": _columns(platform.coordinates, platform.units, found),
+            "poses": _columns(platform.coordinates, platform.units, poses),
             "gaps": _columns(mechanism.leg_names, ["m"] * len(mechanism.legs), solution.gap),
             "reasons": reasons,
         }
@@ -104,9 +113,10 @@ def forward(
     leave_if_lost(readings, [f"row {row + 1}" for row in range(len(lost))], reasons, "reading")
 
 
-def say_reference(mechanism: Mechanism, given: Mapping[str, object]) -> None:
+def say_reference(mechanism: Mechanism, influences: Mapping[str, object]) -> None:
     """Say which influences were not given."""
-    if missing := [n for n in mechanism.influences if n not in given and n not in mechanism.loaded]:
+    known = {*influences, *mechanism.loaded}
+    if missing := [name for name in mechanism.influences if name not in known]:
         remark(f"{', '.join(missing)} not given: the machine is taken at their reference")
 
 
@@ -116,31 +126,18 @@ def _columns(names: Sequence[str], units: Sequence[str], values: Array) -> dict[
     return {name: {"unit": unit, "values": column} for name, unit, column in columns}
 
 
-def _warn_of_limits(
-    path: Path, places: list[str], mechanism: Mechanism, solution: InverseSolution
-) -> None:
-    """Say which poses need joints outside their limits: their readings are written all the same."""
-    pairs = zip(places, outside_limits(mechanism, solution), strict=True)
-    found = [f"{place}: {', '.join(joints)}" for place, joints in pairs if joints]
-    if found:
-        warn(
-            f"{path}: {len(found)} of {len(places)} poses are outside the limits of joints; their "
-            f"readings are written all the same. {some(found)}"
-        )
-
-
-def some(lines: Sequence[str], between: str = "; ") -> str:
+def first_of(lines: Sequence[str], between: str = "; ") -> str:
     """Return the first lines, and how many more there are."""
-    more = f"{between}and {len(lines) - LISTED} more" if len(lines) > LISTED else ""
-    return between.join(lines[:LISTED]) + more
+    end = f"{between}and {len(lines) - LISTED} more" if len(lines) > LISTED else ""
+    return between.join(lines[:LISTED]) + end
 
 
-def leave_if_lost(path: Path, places: list[str], reasons: list[str], what: str) -> None:
+def leave_if_lost(path: Path, places: list[str], reasons: list[str], kind: str) -> None:
     """Leave with exit code 1, and say why, if some rows have no solution."""
-    lost = [f"{place}: {why}" for place, why in zip(places, reasons, strict=True) if why]
+    lost = [f"{place}: {reason}" for place, reason in zip(places, reasons, strict=True) if reason]
     if lost:
         warn(
-            f"{path}: {len(lost)} of {len(places)} {what}s without a solution; their rows are "
-            f"empty, with the reason. {some(lost)}"
+            f"{path}: {len(lost)} of {len(places)} {kind}s without a solution; their rows are "
+            f"empty, with the reason. {first_of(lost)}"
         )
         raise typer.Exit(1)

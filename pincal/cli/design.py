@@ -1,0 +1,435 @@
+"""``pincal select``, ``identifiability`` and ``simulate``: measurements before they are made."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from itertools import zip_longest
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+from pincal.cli.app import answer, command, remark, stdout, working, wrote
+from pincal.cli.options import (
+    FORCE,
+    SEED,
+    Force,
+    Mech,
+    PlanOptions,
+    TableOptions,
+    output_option,
+)
+from pincal.design.forecast import Drift, drift, forecast, scale_effect
+from pincal.design.information import Method
+from pincal.design.orbits import selection_group
+from pincal.design.select import Protocol, in_turns, select_poses, with_reference, with_verification
+from pincal.design.select_configurations import Goal, select_configurations
+from pincal.design.simulate import disturb
+from pincal.design.simulate import simulate as simulate_measurements
+from pincal.errors import FileError, MeasurementError, SymmetryError
+from pincal.files.measurement_writing import write_plan
+from pincal.files.measurements import read_poses
+from pincal.files.mechanism_folders import MECHANISM_FILES, load_mechanism, write_mechanism
+from pincal.files.output import refuse_existing, writing_together
+from pincal.kinematics.configurations import as_plan, check_reached
+from pincal.kinematics.readers import arm_free_of_collision
+from pincal.model.measurements import EVERY_LEG, VERIFY, Noise, Plan
+from pincal.model.mechanism import Mechanism
+from pincal.model.option import option
+from pincal.show.summary import drift_answer, drift_lines, poses_line, scale_answer
+from pincal.show.tables import choice_table, forecast_table, selection_table
+from pincal.words.numbers import reading_in
+from pincal.words.table import Table
+from pincal.workspace.sampling import sample_configurations, sample_workspace
+
+_CONFIGURATIONS = 3000  # candidates, where all parameters are looked at together
+_POSES = 30_000  # candidates, where legs have poses of their own
+
+
+@dataclass(frozen=True)
+class SelectOptions(PlanOptions):
+    """How poses are chosen."""
+
+    count: int = option(
+        24,
+        "Poses for each leg; orbits with --protocol orbits; of all legs with --protocol common, "
+        "--goal platform, --measure or an unknown frame.",
+        least=1,
+    )
+    protocol: Protocol | None = option(
+        None,
+        "independent: each leg its own poses; symmetric: leg 1's poses, mapped to the other legs; "
+        "orbits: whole orbits, every pose serves every leg; common: COUNT poses for the parameters "
+        "of all legs together.",
+    )
+    candidates: Path | None = option(
+        None,
+        "Poses to choose from; else 30000 are sampled, 3000 for all legs at once.",
+        metavar="CSV",
+    )
+    collision: Path | None = option(
+        None, "Keep a serial arm free of itself, by this file's geometry.", metavar="ROBOT.urdf"
+    )
+    goal: Goal = option("parameters", "Best for the parameters, or for the calibrated platform.")
+    starts: int = option(5, "Starts of the search; the best is kept.", least=1)
+    jobs: int = option(1, "Processes, with a protocol; -1 for one a core.", most=1024)
+    verify: int = option(
+        0, "Random poses beside them, by which the calibration is checked.", least=0
+    )
+    reference: int | None = option(
+        None, "Measure one pose again every so many rows: that shows drift.", least=1
+    )
+    by_set: bool = option(False, "Write set after set, not in turns: drift misleads.")
+    force: bool = option(False, FORCE)
+
+
+@command(answers=True)
+def select(
+    mech: Mech,
+    output: Annotated[Path, output_option("PLAN.csv", "Poses to measure, with their sets.")],
+    options: SelectOptions,
+    noise: Noise,
+) -> None:
+    """Choose the poses to measure.
+
+    The efficiency printed compares them with a bound that no choice can exceed. Without a
+    protocol named, symmetric where the mechanism allows it, else independent.
+
+    If only part of the pose is measured (--measure), or in a tracker's own frame, COUNT poses are
+    chosen for all parameters together by what 'pincal calibrate' will draw from them; so are the
+    configurations of serial arms, with the readings to drive to. With --goal platform they make
+    the calibrated platform most accurate over the workspace, whatever single parameters are.
+
+    The sets take turns in the plan, in a random order, so that what drifts while you measure is
+    no leg's error; what a drift would do all the same is printed. --verify adds poses of the set
+    'verify', which 'pincal calibrate' predicts. --reference N measures the pose in the middle again
+    every N rows; in the column 'pose' its rows have one name, 'reference'.
+    """
+    mechanism = options.load(mech)
+    if mechanism.influences:
+        remark(
+            f"planned with {', '.join(mechanism.influences)} at their reference: their terms need "
+            "rows in which they differ"
+        )
+        mechanism = mechanism.at_reference
+    units = options.written_in(mechanism)
+    refuse_existing(output, force=options.force)
+    choose = _choose_together if _for_all_legs(mechanism, options) else _choose_by_protocol
+    with working("choosing poses") as progress:
+        plan, candidates, table, result = choose(mechanism, options, noise, progress)
+    if options.verify:
+        plan = with_verification(mechanism, plan, candidates, options.verify, options.seed)
+        remark(f"{options.verify} more poses of the set 'verify' are for no fit: they check it")
+    plan = plan if options.by_set else in_turns(plan, options.seed)
+    if options.reference is not None:
+        count = len(plan)
+        plan = with_reference(mechanism, plan, options.reference)
+        remark(f"one pose is measured {len(plan) - count} times more, as the pose 'reference'")
+    write_plan(plan, output, mechanism, units=units, force=options.force)
+    stdout.print(table)
+    drifts = _drifts(mechanism, plan, options, noise)
+    for line in drift_lines(drifts):
+        stdout.print(line)
+    if result.get("unreachable"):
+        remark(f"{result['unreachable']} candidate poses are out of reach and were left out")
+    wrote(output)
+    plan_answer = {"mechanism": mechanism.name, "plan": str(output), "poses": len(plan.poses)}
+    answer(
+        plan_answer | result | {"drift": [drift_answer(drift_effect) for drift_effect in drifts]}
+    )
+
+
+def _for_all_legs(mechanism: Mechanism, options: SelectOptions) -> bool:
+    """Return whether poses are chosen for the parameters of all legs together.
+
+    Raises:
+        BadParameter: they are, and a protocol is named.
+    """
+    partial = (
+        options.measure is not None or not options.read_setup().plain or options.goal == "platform"
+    )
+    together = mechanism.by_readings or partial or options.collision is not None
+    if together and options.protocol is not None:
+        raise typer.BadParameter(
+            f"--protocol {options.protocol} chooses whole poses in the base frame that are best "
+            "for the parameters; leave it out where something else is measured or wanted: poses "
+            "are then common to all legs"
+        )
+    return together
+
+
+def _protocol(mechanism: Mechanism, options: SelectOptions) -> Protocol:
+    """Return the protocol that is named, or the one that the mechanism's symmetry allows."""
+    if options.protocol is not None:
+        return options.protocol
+    try:
+        selection_group(mechanism)
+    except SymmetryError as error:
+        remark(f"independent selection: {error}")
+        return "independent"
+    return "symmetric"
+
+
+def _drifts(mechanism: Mechanism, plan: Plan, options: SelectOptions, noise: Noise) -> list[Drift]:
+    """Return what a drift over the run would do: of all legs, and of each alone if it has a set."""
+    setup, leg_sets = options.read_setup(), set(plan.sets or ()) - {EVERY_LEG, VERIFY}
+    try:
+        forecasts = [forecast(mechanism, plan, noise, options.measured(mechanism, setup), setup)]
+        if leg_sets:
+            forecasts.append(forecast(mechanism, plan, noise, method="per-leg"))
+    except MeasurementError:  # noise that leaves something exact: only its ratios chose the poses
+        return []
+    return [drift(plan_forecast, plan) for plan_forecast in forecasts]
+
+
+def _choose_by_protocol(
+    mechanism: Mechanism, options: SelectOptions, noise: Noise, progress: Callable[[str], None]
+) -> tuple[Plan, Plan, Table, dict[str, Any]]:
+    """Choose poses by a protocol; return the plan, the candidates, a table, and JSON."""
+    protocol = _protocol(mechanism, options)
+    if options.candidates is None:
+        progress("sampling the workspace")
+        poses = sample_workspace(mechanism, _POSES, options.seed)
+    else:
+        poses = read_poses(options.candidates, mechanism).poses
+    chosen = select_poses(
+        mechanism,
+        poses,
+        options.count,
+        protocol,
+        noise=noise,
+        seed=options.seed,
+        starts=options.starts,
+        jobs=options.jobs,
+        progress=progress,
+    )
+    result = {
+        "protocol": chosen.protocol,
+        "candidates": chosen.candidates,
+        "unreachable": chosen.unreachable,
+        "efficiency": chosen.efficiency,
+        "legs": [asdict(leg) for leg in chosen.legs],
+    }
+    return chosen.plan, Plan(poses), selection_table(chosen), result
+
+
+def _choose_together(
+    mechanism: Mechanism, options: SelectOptions, noise: Noise, progress: Callable[[str], None]
+) -> tuple[Plan, Plan, Table, dict[str, Any]]:
+    """Choose configurations for all legs together; return what ``_choose_by_protocol`` does."""
+    setup = options.read_setup()
+    progress("sampling configurations")
+    if options.candidates is None:
+        candidates = sample_configurations(mechanism, _CONFIGURATIONS, options.seed)
+    else:
+        candidates = read_poses(options.candidates, mechanism)
+        check_reached(mechanism, candidates, str(options.candidates))
+    if options.collision is not None:
+        total = len(candidates)
+        candidates = arm_free_of_collision(mechanism, candidates, options.collision)
+        remark(f"{total - len(candidates)} of {total} candidates collide and were left out")
+    chosen = select_configurations(
+        mechanism,
+        candidates,
+        options.count,
+        noise=noise,
+        measured=options.measured(mechanism, setup),
+        setup=setup,
+        goal=options.goal,
+        seed=options.seed,
+        starts=options.starts,
+        progress=progress,
+    )
+    result = {
+        "goal": chosen.goal,
+        "candidates": chosen.candidates,
+        "efficiency": chosen.efficiency,
+        "rank": chosen.rank.rank,
+        "unknowns": chosen.rank.n_params,
+        "measured": chosen.measured,
+    }
+    return chosen.plan, candidates, choice_table(mechanism, chosen), result
+
+
+@dataclass(frozen=True)
+class ForecastOptions(PlanOptions):
+    """What is asked of a plan."""
+
+    method: Method = option(
+        "all-legs", "per-leg: say also what each leg alone gives, by its own poses."
+    )
+    accuracy: float | None = option(
+        None, "Wanted root mean square position error over the workspace [m], or as 20um.", unit="m"
+    )
+    count: int = option(50, "Number of poses without a plan.", least=1)
+
+
+@command(answers=True)
+def identifiability(
+    mech: Mech,
+    options: ForecastOptions,
+    noise: Noise,
+    plan: Annotated[
+        Path | None,
+        typer.Argument(metavar="PLAN.csv", help="Poses to measure; else --count random ones."),
+    ] = None,
+) -> None:
+    """Say beforehand what measurements will determine.
+
+    Prints the rank, what cannot be determined, the standard error of each parameter as 'pincal
+    calibrate' will give it (the Cramér-Rao bound: the best that any calibration can reach), and
+    the platform error over the workspace; with --accuracy how many poses that takes; what a drift
+    over the run would do if poses are measured in the plan's order, and a wrong scale of the
+    instrument. With --method per-leg also what 'pincal calibrate --method per-leg' will give, where
+    poses are measured in full.
+
+    Positions are of the platform's origin in the robot's base frame, unless --unknown-frame,
+    --unknown-target or --setup say otherwise.
+    """
+    mechanism = options.load(mech)
+    units = options.written_in(mechanism)
+    setup = options.read_setup()
+    measured = options.measured(mechanism, setup)
+    if plan is not None:
+        poses = read_poses(plan, mechanism)
+        check_reached(mechanism, poses, str(plan))
+    with working("sampling the workspace"):
+        workspace = sample_configurations(mechanism, 1000, options.seed)
+        if plan is None:
+            poses = sample_configurations(mechanism, options.count, options.seed + 1)
+    methods: list[Method] = ["all-legs"]
+    methods += ["per-leg"] if options.method == "per-leg" else []
+    forecasts, errors, drifts, counts = [], [], [], []
+    for method in methods:
+        plan_forecast = forecast(mechanism, poses, noise, measured, setup, method)
+        error = plan_forecast.platform_error(workspace)
+        drift_effect = drift(plan_forecast, workspace, error)
+        forecasts.append(plan_forecast)
+        errors.append(error)
+        drifts.append(drift_effect)
+        if options.accuracy is not None:
+            counts.append(plan_forecast.poses_for(options.accuracy, workspace))
+    answers = [
+        {
+            "platform_error": {"position": error.position, "orientation": error.orientation},
+            "poses_for_accuracy": count,
+            "drift": drift_answer(drift_effect),
+        }
+        for error, count, drift_effect in zip_longest(errors, counts, drifts)
+    ]
+    together = forecasts[0]
+    scale = scale_effect(together, as_plan(mechanism, poses), workspace, noise, setup)
+    per_leg = dict(zip(methods, errors, strict=True)).get("per-leg")
+    with reading_in(units.printed):
+        stdout.print(forecast_table(together, errors[0], together.poses, per_leg, drifts, scale))
+        if options.accuracy is not None:
+            stdout.print(poses_line(options.accuracy, *counts))
+    names = [(leg.name, name) for leg in mechanism.legs for name in leg.parameter_names]
+    answer(
+        {
+            "mechanism": mechanism.name,
+            "poses": together.poses,
+            "measured": together.measured,
+            "rank": together.rank.rank,
+            "unknowns": together.rank.n_params,
+            "condition": together.rank.condition,
+            "not_separable": together.rank.groups,
+            "weakly_determined": [asdict(pair) for pair in together.weak],
+            "freedoms_of_frames": together.gauge.shape[1],
+            "parameters": [
+                {"leg": leg, "name": name, "std": std}
+                for (leg, name), std in zip(names, together.std, strict=True)
+            ],
+            **answers[0],
+            "scale": scale_answer(scale),
+            "leg_by_leg": answers[1] if per_leg is not None else None,
+        }
+    )
+
+
+@dataclass(frozen=True)
+class SimulateOptions(TableOptions):
+    """What is simulated."""
+
+    disturb: float | None = option(
+        None,
+        "Standard deviation of the errors of all parameters [m, rad or 1; default: 0.001 of the "
+        "machine's size for lengths, 0.001 otherwise].",
+    )
+    seed: int = option(0, SEED)
+    truth: Path | None = option(
+        None,
+        "Folder for the true mechanism. Without --disturb, if it exists, it is the truth.",
+        metavar="TRUE_MECH",
+    )
+
+
+@command(answers=True)
+def simulate(
+    mech: Mech,
+    plan: Annotated[Path, typer.Argument(metavar="PLAN.csv", help="Poses to command.")],
+    output: Annotated[Path, output_option("MEASUREMENTS.csv", "Measured poses and readings.")],
+    options: SimulateOptions,
+    noise: Noise,
+    force: Force = False,
+) -> None:
+    """Simulate measurements of a disturbed machine.
+
+    The nominal mechanism commands the poses, the true one moves. With more legs than freedoms
+    it is taken to the poses themselves.
+    Poses that the true mechanism cannot reach are left out and listed.
+    """
+    mechanism = options.load(mech)
+    units = options.written_in(mechanism)
+    truth = options.truth
+    disturbance_seed, noise_seed = np.random.SeedSequence(options.seed).spawn(2)
+    outputs: list[tuple[Path, Sequence[str]]] = [(output, ())]
+    if truth is not None and options.disturb is None and truth.is_dir():
+        true_mechanism = _same_kind(load_mechanism(truth), mechanism, truth)
+    else:
+        if truth is not None:
+            refuse_existing(truth, force=force, folder=MECHANISM_FILES)
+            outputs = [(truth, MECHANISM_FILES), (output, ())]
+        true_mechanism = disturb(
+            mechanism, options.disturb, np.random.default_rng(disturbance_seed)
+        )
+    planned = read_poses(plan, true_mechanism)
+    refuse_existing(output, force=force)
+    with working("simulating measurements"):
+        rng = np.random.default_rng(noise_seed)
+        simulation = simulate_measurements(mechanism, true_mechanism, planned, noise, rng)
+    if not len(simulation.measurements):
+        reason = simulation.unreachable[0][1]
+        raise MeasurementError(f"{plan}: no planned pose can be measured ({reason})")
+    with writing_together(outputs, force=force) as scratch:
+        write_plan(simulation.measurements, scratch[-1], mechanism, units=units)
+        for folder in scratch[:-1]:
+            write_mechanism(true_mechanism, folder)
+    for folder, _ in outputs[:-1]:
+        wrote(folder)
+    for row, reason in simulation.unreachable:
+        remark(f"{planned.place(row)} of the plan is not measured: {reason}")
+    unreached = [{"row": row + 1, "reason": reason} for row, reason in simulation.unreachable]
+    remark(f"{len(simulation.measurements)} poses measured, {len(unreached)} not reached")
+    wrote(output)
+    answer(
+        {
+            "mechanism": mechanism.name,
+            "measurements": str(output),
+            "truth": None if truth is None else str(truth),
+            "poses": len(simulation.measurements),
+            "not_reached": unreached,
+        }
+    )
+
+
+def _same_kind(truth: Mechanism, mechanism: Mechanism, path: Path) -> Mechanism:
+    """Return the truth if it has the mechanism's legs and platform."""
+    if (truth.leg_names, truth.platform.kind) != (mechanism.leg_names, mechanism.platform.kind):
+        raise FileError(
+            f"{path} holds {truth.name!r}, whose legs or platform differ from those of "
+            f"{mechanism.name!r}"
+        )
+    return truth

@@ -1,0 +1,299 @@
+"""``pincal mechanisms``, ``check`` and ``symmetry``: what there is, and what it is like."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+from pincal.cli.app import answer, command, remark, stdout, warn, working, wrote
+from pincal.cli.options import SEED, Force, Mech, UnitOptions, output_option
+from pincal.errors import FileError, SymmetryError
+from pincal.estimation.observability.indices import identifiability
+from pincal.files.mechanism_folders import bundled, load_mechanism
+from pincal.files.output import refuse_existing, writing
+from pincal.kinematics.closing import sensor_law
+from pincal.kinematics.closure import LegClosure, joint_range
+from pincal.kinematics.derivatives import leg_demand
+from pincal.kinematics.readers import tips_by_reader
+from pincal.model.leg import Leg
+from pincal.model.measurements import Plan
+from pincal.model.mechanism import Mechanism
+from pincal.model.option import option
+from pincal.model.sensor import turning
+from pincal.show.tables import group_table, near_table, nominal_table, symmetry_table
+from pincal.symmetry.breaks import no_symmetries
+from pincal.symmetry.detect import SymmetryGroup, nearest_group, symmetry_group
+from pincal.symmetry.elements import cyclic
+from pincal.words.numbers import reading_in
+from pincal.words.parameters import TURNS_BACK
+from pincal.workspace.sampling import sample_configurations, sample_workspace
+
+
+@command(answers=True)
+def mechanisms() -> None:
+    """List the mechanisms that come with pincal."""
+    answers = []
+    for name, folder in bundled().items():
+        mechanism = load_mechanism(folder)
+        platform = mechanism.platform
+        coordinates = dict(zip(platform.coordinates, platform.units, strict=True))
+        stdout.print(f"{name:12s} {len(mechanism.legs)} legs, {', '.join(coordinates)}")
+        stdout.print(f"{'':12s} {mechanism.description}")
+        answers.append(
+            {
+                "name": name,
+                "legs": mechanism.leg_names,
+                "coordinates": coordinates,
+                "description": mechanism.description,
+            }
+        )
+    answer({"mechanisms": answers})
+
+
+@command(answers=True)
+def check(mech: Mech, options: UnitOptions) -> None:
+    """Say whether a mechanism is sound.
+
+    Loops closed at home, URDFs read alike by others, parameters observable, symmetry.
+    """
+    mechanism = load_mechanism(mech)
+    with reading_in(options.written_in(mechanism).printed):
+        stdout.print(nominal_table(mechanism))
+    closures = [_check_closure(leg, mechanism) for leg in mechanism.legs]
+    with working("sampling the workspace"):
+        plan = sample_configurations(mechanism, 500)
+    legs = [
+        closure | _check_observability(index, mechanism, plan)
+        for index, closure in enumerate(closures)
+    ]
+    group = symmetry_group(mechanism)
+    if len(mechanism.legs) > 1:
+        stdout.print(f"symmetry: {group}")
+    answer(
+        {
+            "mechanism": mechanism.name,
+            "legs": legs,
+            "labels": mechanism.used_labels,
+            "symmetry": group.name,
+        }
+    )
+
+
+def _check_closure(leg: Leg, mechanism: Mechanism) -> dict[str, Any]:
+    """Say how well a leg closes at home, and whether others read its URDF alike; return it."""
+    platform = mechanism.platform
+    closure = LegClosure(leg, platform)
+    home = platform.home_pose.as_matrix()
+    gap = float(np.abs(closure.evaluate(leg.home[None], home).gap).max())
+    tips, expected = tips_by_reader(leg), closure.tips(leg.home[None])[0]
+    difference = max(float(np.abs(tip - expected).max()) for tip in tips.values())
+    close = f"closes at home within {gap:.2g} m"
+    if gap > 1e-2 * closure.size:
+        close = f"home is rough, it closes within {gap:.2g} m only and fixes the side of bending"
+    stdout.print(f"{leg.name}: {close}")
+    stdout.print(f"{leg.name}: URDF read alike by {' and '.join(tips)} within {difference:.2g} m")
+    turns = warn_of_turns(closure)
+    return {
+        "name": leg.name,
+        "home_gap": gap,
+        "readers_differ_by": difference,
+        "turns_back_at": turns,
+    }
+
+
+def _check_observability(index: int, mechanism: Mechanism, plan: Plan) -> dict[str, Any]:
+    """Say which parameters of a leg full poses determine, and return it."""
+    leg = mechanism.legs[index]
+    columns = mechanism.reading_columns[index]
+    readings = None if plan.readings is None else plan.readings[:, columns]
+    rows = leg_demand(mechanism.at_reference, leg.name, plan.poses, readings=readings)
+    if rows.value.shape[1] == len(leg.sensors):
+        rows = rows.as_joint()
+    names = leg.at_reference.parameter_names
+    jacobian = rows.parameter.reshape(-1, len(names))
+    rank = identifiability(jacobian, [f"{leg.name}.{name}" for name in names])
+    words = "" if rank.complete else f": {rank.describe()}"
+    if influenced := [name for name in leg.parameter_names if name not in names]:
+        words += f"; {', '.join(influenced)} by columns {', '.join(leg.influences)}"
+    stdout.print(
+        f"{leg.name}: {rank.rank} of {rank.n_params} parameters observable from full poses "
+        f"(condition {rank.condition:.3g}){words}"
+    )
+    return {
+        "parameters": dict(zip(leg.parameter_names, leg.nominal.tolist(), strict=True)),
+        "rank": rank.rank,
+        "condition": rank.condition,
+        "not_separable": rank.groups,
+    }
+
+
+def warn_of_turns(closure: LegClosure) -> list[float]:
+    """Say where q(ψ) of a leg's sensors turns back; return the readings, NaN where it does not."""
+    leg = closure.leg
+    turns = turning(sensor_law(closure), *(end[leg.active] for end in joint_range(leg)))
+    for name, unit, reading in zip(leg.reading_names, leg.reading_units, turns, strict=True):
+        if np.isfinite(reading):
+            warn(TURNS_BACK.format(reading=name, unit=unit, where=reading))
+    return [float(reading) for reading in turns]
+
+
+@dataclass(frozen=True)
+class SymmetryOptions:
+    """What is asked of the symmetry group."""
+
+    group: str | None = option(
+        None, "Claim a group, such as D6 or C3: fail if it is not.", metavar="D2n|Cn"
+    )
+    tolerance: float = option(1e-6, "Largest deviation, relative to its size or [rad].", least=0)
+    table: bool = option(False, "Also products, generators, subgroups and orbits.")
+
+
+@command(answers=True)
+def symmetry(mech: Mech, options: SymmetryOptions) -> None:
+    """Find the symmetry group of a mechanism.
+
+    Prints where each element carries the legs, how well readings follow (equivariance, on
+    sampled poses), what breaks the elements that fail, and how far the mechanism is from the
+    largest group that it nearly has. With --group the exit code is 2 if the mechanism lacks an
+    element of that group.
+    """
+    claimed = _parse_group(options.group) if options.group is not None else None
+    mechanism = load_mechanism(mech)
+    group = symmetry_group(mechanism, options.tolerance)
+    with working("checking readings on sampled poses"):
+        deviation = group.equivariance(sample_workspace(mechanism, 300))
+    near = nearest_group(mechanism)
+    stdout.print(symmetry_table(group, deviation, near))
+    if len(near.group.elements) > len(group.elements):
+        stdout.print(near_table(near))
+    legs = mechanism.leg_names
+    answers: dict[str, Any] = {
+        "mechanism": mechanism.name,
+        "group": group.name,
+        "elements": [
+            {
+                "element": str(element),
+                "carries": dict(zip(legs, (legs[index] for index in carried), strict=True)),
+            }
+            for element, carried in zip(group.elements, group.permutations, strict=True)
+        ],
+        "readings_follow_within": deviation,
+        "broken": [str(symmetry_break) for symmetry_break in group.breaks],
+        "nearest": {
+            "group": near.group.name,
+            "displacement": near.displacement,
+            "turn": near.turn,
+        },
+    }
+    if options.table:
+        for table in group_table(group):
+            stdout.print(table)
+        answers |= {
+            "table": group.table.tolist(),
+            "generators": [str(element) for element in group.generators],
+            "leg_orbits": group.leg_orbits,
+        }
+    answer(answers)
+    if claimed:
+        _check_claim(claimed, group)
+
+
+def _parse_group(group: str) -> tuple[int, bool]:
+    """Return the number of rotations of a claimed group, and whether it has mirrors."""
+    letter, order = group[:1].upper(), group[1:].lstrip("_")
+    least = {"D": 2, "C": 1}.get(letter, 0)
+    is_count = order.isdecimal() and len(order) <= 3  # no machine has a thousand legs
+    if not least or not is_count or int(order) < least or int(order) % least:
+        raise typer.BadParameter(
+            f"--group {group}: expected D and its order, twice the number of rotations, such as D6 "
+            "for three rotations and three mirrors; or C and the number of rotations, such as C3"
+        )
+    return int(order) // least, letter == "D"
+
+
+def _check_claim(claimed: tuple[int, bool], group: SymmetryGroup) -> None:
+    """Raise if elements of a claimed group are missing.
+
+    The axis is that of the mechanism's own group, wherever it is.
+    """
+    order, mirrored = claimed
+    name = f"D{2 * order}" if mirrored else f"C{order}"
+    if any(subgroup.name == name for subgroup in group.subgroups()):
+        return
+    present = [str(element) for element in group.elements]
+    missing = [text for text in map(str, cyclic(order)) if text not in present]
+    mirrors = sum(element.reflection for element in group.elements)
+    if mirrored and mirrors < order:
+        missing.append(f"{order - mirrors} of {order} mirrors")
+    reason = "; ".join(no_symmetries(group.breaks)) or "nothing near suggests it"
+    raise SymmetryError(
+        f"not the group {name} but {group.name}: {', '.join(missing) or 'elements'} missing "
+        f"({reason})"
+    )
+
+
+STUDY = "study.md"
+_ROOT = Path(__file__).resolve().parents[2]
+
+
+@dataclass(frozen=True)
+class StudyOptions:
+    """How thoroughly a study is done."""
+
+    quick: bool = option(False, "Fewer draws, coarser grids: seconds, not minutes.")
+    seed: int = option(0, SEED)
+
+
+@command(answers=True)
+def study(
+    name: Annotated[str, typer.Argument(metavar="5R|3RRR|6UPS|errors|all", help="Which study.")],
+    output: Annotated[Path, output_option("FOLDER", "Page, tables and figures.")],
+    options: StudyOptions,
+    force: Force = False,
+) -> None:
+    """Compute a paper's figures and tables anew.
+
+    And what it lacks. 5R: divide and conquer; 3RRR: symmetrical observability; 6UPS: symmetrical
+    workspace and, after its paper, the calibration. errors: errors that are no geometry,
+    simulated and, where PINCAL_DATA has them, of real arms. FOLDER gets study.md, tables as
+    CSV, figures as SVG and PNG; with 'all' one folder for each. The same seed
+    gives the same text and tables; times are in figures only.
+    """
+    studies = _installed()
+    names = studies.named(name)
+    folders = [output / study_name for study_name in names] if name == "all" else [output]
+    if name == "all" and not output.is_dir():
+        refuse_existing(output, force=False).mkdir()
+    for folder in folders:
+        refuse_existing(folder, force=force, folder=(STUDY,))
+    answers = []
+    for study_name, folder in zip(names, folders, strict=True):
+        with working(f"study of the {study_name}") as progress:
+            result = studies.run_study(study_name, options.seed, options.quick, progress)
+        with writing(folder, force=force, folder=(STUDY,)) as scratch:
+            result.write(scratch)
+        wrote(folder)
+        contents = {key: getattr(result, key) for key in ("name", "title", "paper", "tables")}
+        answers.append({**contents, "folder": str(folder)})
+    remark(f"read {folders[0] / 'study.md'}")
+    answer({"studies": answers})
+
+
+def _installed() -> Any:
+    """Return the catalogue of the studies, which stand beside pincal: installed or as sources.
+
+    Raises:
+        FileError: they are not there.
+    """
+    for name in ("pincal_studies", "studies"):
+        if (_ROOT / name / "catalogue.py").is_file():
+            return import_module(f"{name}.catalogue")
+    raise FileError(
+        f"the papers' studies are not installed: no folder pincal_studies or studies in {_ROOT}; "
+        "install pincal from its wheel, or run this in its sources"
+    )

@@ -1,0 +1,252 @@
+"""``pincal workspace``: poses for selection, and workspaces of every kind on grids or samples."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pincal.cli.app import answer, command, counting, remark, stdout, working, wrote
+from pincal.cli.options import FORCE, SEED, Mech, output_option, typed_name
+from pincal.errors import WorkspaceError
+from pincal.files.measurement_writing import write_plan
+from pincal.files.mechanism_folders import load_mechanism
+from pincal.files.output import refuse_existing, writing_together
+from pincal.files.table import write_table
+from pincal.model.mechanism import Mechanism
+from pincal.model.option import option, option_of
+from pincal.model.units import WRITTEN
+from pincal.show.pictures.files import save_figure
+from pincal.show.tables import articular_table, workspace_table
+from pincal.show.workspace_answers import (
+    articular_answer,
+    articular_columns,
+    orientation_name,
+    poses_answer,
+    region_answer,
+)
+from pincal.show.workspace_plots import articular_figure, workspace_figure
+from pincal.workspace.axes import Axis, Orientations
+from pincal.workspace.box import closer_grid, default_grid, default_samples
+from pincal.workspace.criteria import Margins, articular_space, articular_symmetry, refuse_readings
+from pincal.workspace.inscribed import largest_inscribed
+from pincal.workspace.positions import POSITION_AXES, Positions
+from pincal.workspace.region import KINDS, Workspace, compute_workspace
+from pincal.workspace.sampling import sample_configurations, sample_workspace
+
+_COUNT = 30_000
+_OF_REGIONS = ("samples", "symmetry", "connected", "inscribed", "jobs", "scheduler")
+#: Options that a kind of workspace does not have; of regions that is the number of poses.
+_OF_OTHERS = {"poses": (*_OF_REGIONS, "axis", "picture"), "articular": _OF_REGIONS}
+
+
+@dataclass(frozen=True)
+class WorkspaceOptions:
+    """What is looked for, and options."""
+
+    kind: str = option("poses", f"What to find: poses, {', '.join(KINDS)} or articular.")
+    axis: tuple[str, ...] = option(
+        (),
+        "Axis of the grid, as often as needed: 'x [mm]=-500:500:10' (low:high:step), 'z=1.8', "
+        "'phi [deg]=0,20,40'. Positions: x, y or radius, bearing; z. Orientations: phi; azimuth, "
+        "tilt, torsion; rx, ry, rz; yaw, pitch, roll. Those not given: what the legs reach.",
+        metavar="AXIS",
+    )
+    count: int | None = option(
+        None, "Number of poses (poses, articular) [default: 30000].", least=1
+    )
+    samples: int | None = option(None, "Ask at random positions instead of on a grid.", least=1)
+    seed: int = option(0, SEED)
+    margin_type1: float | None = option(None, option_of(Margins, "type1"))
+    margin_type2: float | None = option(None, option_of(Margins, "type2"))
+    margins: bool = option(True, "Only reach and joint limits count.")
+    symmetry: bool = option(True, "Compute all, not a fundamental domain.")
+    connected: bool = option(
+        False, "Keep what hangs together, by position, with the part nearest to home."
+    )
+    inscribed: bool = option(False, "Find the largest circle or ball inside.")
+    picture: Path | None = option(None, "Draw the workspace.", metavar="FILE.svg|png|pdf")
+    jobs: int = option(1, "Processes; -1 for one a core.", most=1024)
+    scheduler: str | None = option(None, "Run on a Dask cluster.", metavar="tcp://HOST:PORT")
+    force: bool = option(False, FORCE)
+
+    def check(self, output: Path) -> None:
+        """Raise if options do not go together, or files cannot be written.
+
+        Raises:
+            WorkspaceError: an unknown kind; samples, of which neighbours are asked.
+            BadParameter: options that a kind of workspace does not have, or that contradict.
+            FileError: an output exists.
+        """
+        if self.kind not in ("poses", *KINDS, "articular"):
+            raise WorkspaceError(
+                f"--kind {self.kind}: unknown; expected poses, {', '.join(KINDS)} or articular"
+            )
+        changed = [field for field in fields(self) if getattr(self, field.name) != field.default]
+        foreign = _OF_OTHERS.get(self.kind, ("count",))
+        if wrong := [f"--{typed_name(field)}" for field in changed if field.name in foreign]:
+            raise typer.BadParameter(f"{', '.join(wrong)}: not for --kind {self.kind}")
+        if self.samples is not None and (self.connected or self.inscribed):
+            raise WorkspaceError(
+                "samples have no neighbours: --connected and --inscribed need a grid"
+            )
+        if not self.margins and (self.margin_type1 is not None or self.margin_type2 is not None):
+            raise typer.BadParameter("--no-margins leaves no margin to set; give one or the other")
+        for path in self.outputs(output):
+            refuse_existing(path, force=self.force)
+        if self.picture is not None:
+            _check_picture(self.picture, output)
+
+    def outputs(self, output: Path) -> list[Path]:
+        """Return the files that are written: the table and, if one is wanted, the picture."""
+        return [path for path in (output, self.picture) if path is not None]
+
+    def least_margins(self) -> Margins:
+        """Return the margins that are kept."""
+        type1 = Margins().type1 if self.margin_type1 is None else self.margin_type1
+        return Margins(type1, self.margin_type2) if self.margins else Margins.none()
+
+    def axes(self) -> tuple[list[Axis], list[Axis]]:
+        """Return the axes of positions, and those of orientations."""
+        axes = [Axis.parse(text) for text in self.axis]
+        places = [axis for axis in axes if axis.name in POSITION_AXES]
+        return places, [axis for axis in axes if axis not in places]
+
+
+def _check_picture(picture: Path, output: Path) -> None:
+    """Raise if a picture cannot be drawn there.
+
+    Raises:
+        BadParameter: another ending than pictures have, or the file of the table.
+    """
+    if picture.suffix.lower() not in (".svg", ".png", ".pdf"):
+        raise typer.BadParameter(f"--picture {picture}: expected a name in .svg, .png or .pdf")
+    if picture.absolute() == output.absolute():
+        raise typer.BadParameter(f"--picture {picture}: is the output too")
+
+
+@command(answers=True)
+def workspace(
+    mech: Mech,
+    output: Annotated[Path, output_option("OUTPUT.csv", "Poses or positions that count.")],
+    options: WorkspaceOptions,
+) -> None:
+    """Find a workspace: poses to choose from, or positions.
+
+    poses (default): --count poses spread over the workspace, candidates for 'pincal select',
+    that every leg reaches in its working mode, within joint limits and margins from
+    singularities, and that are connected to home.
+
+    reachable, constant-orientation, total-orientation, dexterous: positions reached in
+    any orientation, in the one given, in every one given, in every one there is, one by one.
+
+    articular: poses and sensor readings over the workspace, with the check that permuted
+    readings are reached too; --axis phi=0,0.4,0.6 adds workspaces of constant orientation.
+
+    Not given, axes hold what the legs reach, drawn close around what counts.
+    """
+    options.check(output)
+    mechanism = load_mechanism(mech)
+    if options.kind != "poses":
+        refuse_readings(mechanism)
+    find = {"poses": _poses, "articular": _articular}.get(options.kind, _region)
+    find(mechanism, output, options)
+
+
+def _poses(mechanism: Mechanism, output: Path, options: WorkspaceOptions) -> None:
+    """Write poses spread over the workspace."""
+    count = options.count or _COUNT
+    with counting("sampling the workspace", count) as done:
+        plan = sample_configurations(mechanism, count, options.seed, options.least_margins(), done)
+    poses = plan.poses
+    write_plan(plan, output, mechanism, units=WRITTEN, force=options.force)
+    platform = mechanism.platform
+    box = zip(
+        platform.coordinates, poses.min(axis=0), poses.max(axis=0), platform.units, strict=True
+    )
+    ranges = ", ".join(f"{name} {low:.3f} to {high:.3f} {unit}" for name, low, high, unit in box)
+    remark(f"{len(poses)} poses, {ranges}")
+    wrote(output)
+    answer(poses_answer(mechanism, poses))
+
+
+def _region(mechanism: Mechanism, output: Path, options: WorkspaceOptions) -> None:
+    """Write the positions of a workspace, with its picture, and print what it is."""
+    places, turns = options.axes()
+    if options.samples is not None and places:
+        raise WorkspaceError(
+            f"--samples come from all that the legs reach, not on --axis {places[0].name}"
+        )
+    orientations = Orientations.of(mechanism.platform, *turns) if turns else None
+
+    def compute(positions: Positions, text: str) -> Workspace:
+        with counting(text, positions.size) as done:
+            return compute_workspace(
+                mechanism,
+                options.kind,
+                positions,
+                orientations,
+                options.least_margins(),
+                symmetry=options.symmetry,
+                connected=options.connected,
+                jobs=options.jobs,
+                scheduler=options.scheduler,
+                progress=done,
+            )
+
+    title = f"{options.kind} workspace"
+    if options.samples is not None:
+        region = compute(default_samples(mechanism, options.samples, options.seed), title)
+    else:
+        region = compute(default_grid(mechanism, places), title)
+        closer = closer_grid(region, [axis.name for axis in places])
+        if closer is not None:
+            region = compute(closer, "closer around what counts")
+    circle = None
+    if options.inscribed and region.count:
+        with working("looking for the largest circle or ball inside"):
+            circle = largest_inscribed(region)
+    outputs = options.outputs(output)
+    with writing_together([(path, ()) for path in outputs], force=options.force) as (
+        table,
+        *pictures,
+    ):
+        region.save(table)
+        for picture in pictures:
+            save_figure(workspace_figure(region, circle), picture)
+    stdout.print(workspace_table(region, circle, wanted=options.inscribed))
+    for path in outputs:
+        wrote(path)
+    answer(region_answer(region, circle))
+
+
+def _articular(mechanism: Mechanism, output: Path, options: WorkspaceOptions) -> None:
+    """Write poses and readings, over the whole workspace and at constant orientations."""
+    least, count, (places, turns) = options.least_margins(), options.count or _COUNT, options.axes()
+    if places and not turns:
+        raise WorkspaceError("positions by --axis need orientations to ask there, such as phi=0.4")
+    grid = default_grid(mechanism, places)
+    rotations = Orientations.of(mechanism.platform, *turns).rotations if turns else []
+    with counting("sampling the workspace", count) as done:
+        spaces = {"all": sample_workspace(mechanism, count, options.seed, least, done)}
+    for rotation in rotations:
+        orientation = Orientations.from_rotations(rotation)
+        region = compute_workspace(mechanism, "constant-orientation", grid, orientation, least)
+        spaces[orientation_name(mechanism, orientation)] = region.poses()
+    readings = {name: articular_space(mechanism, poses) for name, poses in spaces.items()}
+    with working("solving the forward kinematics of permuted readings"):
+        checks = articular_symmetry(mechanism, spaces["all"][:2000], least)
+    outputs = options.outputs(output)
+    with writing_together([(path, ()) for path in outputs], force=options.force) as (
+        table,
+        *pictures,
+    ):
+        write_table(table, articular_columns(mechanism, spaces, readings))
+        for picture in pictures:
+            save_figure(articular_figure(mechanism, readings), picture)
+    stdout.print(articular_table(mechanism, readings, checks))
+    for path in outputs:
+        wrote(path)
+    answer(articular_answer(mechanism, readings, checks))
