@@ -538,11 +538,7 @@ def test_one_orientation_is_seen_through_noise(work: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (
-            ["select", "3RRR", "--protocol", "orbits", "--goal", "platform"],
-            "--protocol",
-            "orbits",
-        ),
+        (["select", "3RRR", "--protocol", "orbits", "--goal", "platform"], "--protocol"),
         (["select", "3RRR", "--count", "0"], "--count"),
         (["select", "3RRR", "--starts", "none"], "--starts"),
         (["workspace", "3RRR", "--seed", "-1"], "--seed"),

@@ -11,7 +11,7 @@ from command_line import run
 
 import pincal
 from pincal.kinematics.readers import free_of_collision
-from pincal.show.view.bodies import MOST, coarser
+from pincal.show.view.bodies import MOST_FACES, coarser
 
 ARM = """
 j1 | revolute | 0 0 1 | 0 0 0.1
@@ -68,10 +68,10 @@ def test_meshes_are_made_coarser_and_stay_where_they_are() -> None:
         (np.stack((i, i + 1, i + 101), 1), np.stack((i + 1, i + 102, i + 101), 1))
     )
     fewer, kept = coarser(corners, faces)
-    assert 500 < len(kept) <= MOST
+    assert 500 < len(kept) <= MOST_FACES
     radii = np.linalg.norm(fewer, axis=1)
     assert np.abs(radii - 1.0).max() < 2 / 15
-    few = faces[:MOST]
+    few = faces[:MOST_FACES]
     assert coarser(corners, few)[1] is few
 
 

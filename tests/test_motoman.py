@@ -65,8 +65,8 @@ def test_held_out_rows(mechanism: pincal.Mechanism, data: pincal.Measurements, s
 
     An independent fit of the Denavit-Hartenberg quantities found 0.078 mm; registration alone
     leaves 0.380 mm. The first joint stood still: four directions are held and named. Of equal
-    parameters those nearest to the drawing are taken, by how much machines differ from one: all are
-    then told to within that.
+    parameters those nearest to the drawing are taken, by how much machines differ from one: those
+    that no held direction moves are known to within that, the others have no interval.
     """
     fit, unseen = (data.rows(rows) for rows in motoman.split("left", seed))
     result = pincal.calibrate(
@@ -92,7 +92,9 @@ def test_held_out_rows(mechanism: pincal.Mechanism, data: pincal.Measurements, s
     assert any("arm.q_S_ry" in group for group in held.values["groups"])
     assert held.values["weak"] == ()
     std = np.array([p.std for p in result.legs[0].parameters])
-    assert (std <= plausible_changes(mechanism)).all()
+    known = np.isfinite(std)
+    assert (std[known] <= plausible_changes(mechanism)[known]).all()
+    assert len(std) / 2 < known.sum() < len(std)
 
 
 def test_the_joint_that_stood_still_is_refused(

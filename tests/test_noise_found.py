@@ -36,7 +36,7 @@ def test_noise_is_found_in_a_few_rounds(
     )
     assert result.converged
     before, after = (list(vars(noise).values()) for noise in rounds[-1])
-    np.testing.assert_allclose(after, before, rtol=fits.BY.alike)
+    np.testing.assert_allclose(after, before, rtol=fits.SETTLED)
     assert len(rounds) <= 20  # 31 to 100 in a circle
 
 
@@ -51,4 +51,4 @@ def test_noise_that_stays_is_not_fitted_again(name: str, monkeypatch: pytest.Mon
     data = pincal.simulate(nominal, truth, pincal.Plan(poses), noise, 2).measurements
     result = pincal.calibrate(nominal, data)
     assert len(count) <= 3  # 11, as what was scaled was compared with what was not
-    assert result.reduced_chi2 == pytest.approx(1.0, abs=fits.BY.off)
+    assert result.reduced_chi2 == pytest.approx(1.0, abs=fits.SCALE_OFF)

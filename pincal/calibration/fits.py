@@ -68,7 +68,7 @@ def _said(problem: Problem) -> tuple[list[bool], dict[str, bool]]:
 ROUNDS = 20  # of noise, or of frames, in turn with the legs
 _REFITS = 5  # with noise that was estimated
 _STILL = 1e-10  # of the machine's size, and [rad]: the frame moves no more
-_SCALE_OFF = 5e-3  # of the scale of the noise that was estimated: fitted once more
+SCALE_OFF = 5e-3  # of the scale of the noise that was estimated: fitted once more
 SETTLED = 1e-3  # relative change of a standard deviation, below which it is estimated
 
 
@@ -142,7 +142,7 @@ def fitted(calibration: Calibration, *, tied: bool = True, near: Near | None = N
         noise, found, unit = then, then, then.reading or unit
         one = search(calibration.with_noise(noise), tied, one)
         scale = float(np.mean([robust.fit.noise_scale for robust in one.fits]))
-        if abs(scale - 1.0) > _SCALE_OFF and scale > 0.0:  # a group at its floor leaves that to all
+        if abs(scale - 1.0) > SCALE_OFF and scale > 0.0:  # a group at its floor leaves that to all
             noise = Noise(*(scale * value for value in vars(noise).values()))
             one = search(calibration.with_noise(noise), tied, one)
     return _with_variances(one, noise, unit)

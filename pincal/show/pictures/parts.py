@@ -260,7 +260,7 @@ def name_places(axes: Axes, names: Sequence[str], units: Sequence[str] = ()) -> 
     """Write names below places 0, 1, … of an axis, upright where they are many."""
     figure = axes.get_figure(root=True)
     width = min(PAGE.width, figure.get_figwidth() if figure else PAGE.width)
-    step = int(np.ceil(len(names) * PAGE.line_small / (_AXES_SHARE * width)))  # letters stay large
+    step = max(1, int(np.ceil(len(names) * PAGE.line_small / (_AXES_SHARE * width))))  # large type
     axes.set_xticks(range(0, len(names), step), _named(names, units, width)[::step])
     if _upright(names, width):
         axes.tick_params(axis="x", labelrotation=90, labelsize=7)
