@@ -71,8 +71,8 @@ def assemble(fits_of_all: Fits, without_ties: Fits | None) -> CalibrationResult:
     redundancies = [redundancy(robust.fit) for robust in fits_of_all.fits]
     by_name = {
         leg.name: leg
-        for one, freedoms, own in zip(fits_of_all.fits, sure.of_unknowns, redundancies, strict=True)
-        for leg in _leg_results(calibration, one, std, quantiles(freedoms), *own)
+        for fit, freedoms, own in zip(fits_of_all.fits, sure.of_unknowns, redundancies, strict=True)
+        for leg in _leg_results(calibration, fit, std, quantiles(freedoms), *own)
     }
     legs = tuple(by_name[name] for name in mechanism.leg_names)
     shifts = [robust.shift for robust in fits_of_all.fits]

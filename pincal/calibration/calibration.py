@@ -134,7 +134,7 @@ class Calibration:
         if self.options.latent:
             measured = np.isfinite(data.readings)
             columns = self.mechanism.reading_columns
-            return np.stack([measured[:, own].all(axis=1) for own in columns], axis=1)
+            return np.stack([measured[:, column].all(axis=1) for column in columns], axis=1)
         if self.options.every_pose:
             return np.ones((len(data), len(self.mechanism.legs)), dtype=bool)
         serves = [data.serves(name) for name in self.mechanism.leg_names]

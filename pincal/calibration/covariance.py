@@ -192,7 +192,7 @@ def confidence(found: Fits) -> Confidence:
     sizes = [len(fit.covariance) for fit in fits]
     if not model.known and not (found.latent and found.variances is not None):
         own = [
-            np.full(n, float(one.degrees_of_freedom)) for n, one in zip(sizes, fits, strict=True)
+            np.full(n, float(fit.degrees_of_freedom)) for n, fit in zip(sizes, fits, strict=True)
         ]
         return Confidence(tuple(own), np.inf)
     if model.source != "repeats" and model.known:

@@ -134,7 +134,7 @@ def rounding(fits: Fits) -> bool:
     mechanism, every = fits.calibration.mechanism, [robust.fit for robust in fits.fits]
     size = largest_size(mechanism.legs)
     parts = [one.last.conditions[one.good] for one in every]
-    return all(np.abs(one).max(initial=0.0) <= 10.0 * ROUNDING * max(1.0, size) for one in parts)
+    return all(np.abs(part).max(initial=0.0) <= 10.0 * ROUNDING * max(1.0, size) for part in parts)
 
 
 def _zeros(result: CalibrationResult) -> list[Finding]:
@@ -272,7 +272,7 @@ def _lacks(p_value: float, worst: Score, robust: Robust, _: Measurements) -> Fin
 def _curved(fits: Fits) -> list[Finding]:
     """Return a finding if intervals of a linearised problem mean little."""
     weighted_fits = (robust.fit for robust in fits.fits if robust.fit.problem.weighted)
-    largest = max((curvature(one, _CURVED) for one in weighted_fits), default=0.0)
+    largest = max((curvature(weighted_fit, _CURVED) for weighted_fit in weighted_fits), default=0.0)
     intervals = fits.calibration.options.intervals
     return [finding("curved", curvature=largest, intervals=intervals)] if largest > _CURVED else []
 

@@ -60,7 +60,8 @@ class Near:
 def _said(problem: Problem) -> tuple[list[bool], dict[str, bool]]:
     """Return what is measured in some row, and which influences are known in some."""
     known = {
-        name: bool(np.isfinite(own).any()) for name, own in problem.leg_block.influences.items()
+        name: bool(np.isfinite(influence).any())
+        for name, influence in problem.leg_block.influences.items()
     }
     return [bool(column.any()) for column in problem.observation.measured.T], known
 

@@ -93,11 +93,11 @@ def misses_of(calibration: Calibration, fits: Fits) -> Misses:
     turns = zip(platform.freedoms, platform.units, strict=True)
     columns[ORIGIN, "rad"] = [names.index(name) for name, unit in turns if unit == "rad"]
     found_: Misses = {}
-    for key, own in columns.items():
-        known = np.isfinite(errors[:, own]).any(axis=1)
+    for key, column in columns.items():
+        known = np.isfinite(errors[:, column]).any(axis=1)
         if known.any():
             values = np.full(len(data), np.nan)
-            values[rows[known]] = np.sqrt(np.nansum(errors[known][:, own] ** 2, axis=1))
+            values[rows[known]] = np.sqrt(np.nansum(errors[known][:, column] ** 2, axis=1))
             found_[key] = values
     return found_
 

@@ -76,15 +76,15 @@ def contradictions(result: CalibrationResult) -> tuple[Finding, ...]:
             remark for remark in (() if check is None else check.findings) if remark not in remarks
         ]
     vouched = {"terms-chosen"} if result.validation is not None else set()
-    return tuple(one for one in remarks if one.code in CONTRADICT - vouched)
+    return tuple(remark for remark in remarks if remark.code in CONTRADICT - vouched)
 
 
 def whitened(parts: Sequence[LegResult | Observed]) -> tuple[Array, Array]:
     """Return residuals before and after in standard deviations, of all that carries noise."""
-    before = np.concatenate([one.residuals_before for one in parts])
-    after = np.concatenate([one.residuals for one in parts])
+    before = np.concatenate([part.residuals_before for part in parts])
+    after = np.concatenate([part.residuals for part in parts])
     sigma = np.concatenate(
-        [one.sigmas if isinstance(one, Observed) else one.sigma for one in parts]
+        [part.sigmas if isinstance(part, Observed) else part.sigma for part in parts]
     )
     noisy = sigma > 0.0
     return before[noisy] / sigma[noisy], after[noisy] / sigma[noisy]

@@ -124,12 +124,12 @@ def held_out(
         chances.append(_chance(fold_fits, own, total))
         parts += own
         misses.append((unseen, misses_of(unseen, fold_fits)))
-    equations = sum(one.equations for one in parts)
+    equations = sum(part.equations for part in parts)
     dof = sum(robust.fit.degrees_of_freedom for robust in whole.fits)
     fit = sum(robust.fit.chi2 for robust in whole.fits) / max(dof, 1)
     unit = 1.0 if calibration.noise.known else max(fit, 1e-300)  # noise that was estimated
-    growth = sum(one.unknown for one in parts) / equations
-    held = np.sqrt(sum(one.squares for one in parts) / equations / unit)
+    growth = sum(part.unknown for part in parts) / equations
+    held = np.sqrt(sum(part.squares for part in parts) / equations / unit)
     expected = np.sqrt(fit / unit * (1.0 + growth))
     p_value = least_of_folds(min(chances), whole.fits, groups, known=calibration.noise.known)
     readable = not rounding(whole)
@@ -181,12 +181,12 @@ def _chance(fits_of_all: Fits, parts: Sequence[Predicted], total: float | None) 
         parts: What they predict of the others.
         total: χ² of all rows at this noise; by the first order if not given.
     """
-    equations = sum(one.equations for one in parts)
+    equations = sum(part.equations for part in parts)
     fits = [robust.fit for robust in fits_of_all.fits]
     dof = sum(fit.degrees_of_freedom for fit in fits)
     share = 1.0 if fits_of_all.latent else chi2_freedoms(fits_of_all.fits) / max(dof, 1)
     chi2_seen = sum(fit.chi2 for fit in fits)
-    inside = sum(one.statistic for one in parts) if total is None else max(total - chi2_seen, 0.0)
+    inside = sum(part.statistic for part in parts) if total is None else max(total - chi2_seen, 0.0)
     ratio, own_ratio = inside / equations, chi2_seen / max(dof, 1)
     if fits_of_all.calibration.noise.known:
         known = confidence(fits_of_all).of_chi2

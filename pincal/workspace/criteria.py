@@ -107,7 +107,7 @@ class Criteria:
             inside &= reach.holds(matrices)
         if not self.in_closed_form:
             rows = np.flatnonzero(inside)
-            for part in (rows[some] for some in chunks(len(rows))):
+            for part in (rows[chunk] for chunk in chunks(len(rows))):
                 inside[part] = self._within(matrices[part])
         return inside
 

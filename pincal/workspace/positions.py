@@ -258,8 +258,8 @@ class Samples:
     def carrier(self, move: Isometry) -> Carrier | None:
         """Return what an isometry does to the numbers, or None if it is not of the group."""
         table = []
-        for own in self.elements:
-            target = move.after(own.base)
+        for element in self.elements:
+            target = move.after(element.base)
             same = [i for i, e in enumerate(self.elements) if e.base.equals(target)]
             if not same:
                 return None
@@ -295,7 +295,7 @@ def representatives(
     for first in moves:
         for second in tuple(moves):
             product = first.after(second)
-            if not any(product.equals(one) for one in moves):
+            if not any(product.equals(move) for move in moves):
                 moves.append(product)
     found = [positions.carrier(move) for move in moves]
     carriers = [carrier for carrier in found if carrier]

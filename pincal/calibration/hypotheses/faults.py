@@ -161,8 +161,8 @@ def _scaled_readings(factors: Array | float) -> Callable[[Sample], tuple[Array, 
 def _of_one_leg(mechanism: Mechanism) -> Iterator[Hypothesis]:
     """Yield one reading's sign, and two columns exchanged, of legs with several sensors."""
     names = mechanism.reading_names
-    for own in mechanism.reading_columns:
-        columns = range(own.start, own.stop)
+    for reading_column in mechanism.reading_columns:
+        columns = range(reading_column.start, reading_column.stop)
         for one in columns if len(columns) > 1 else ():
             signs = np.ones(len(names))
             signs[one] = -1.0

@@ -130,7 +130,7 @@ def _strange(sample: Sample, given: Judged) -> tuple[Finding, ...]:
     """Return what bars a fit though no hypothesis explains it."""
     mechanism = sample.mechanism
     judged = [
-        (leg, one) for leg, one in zip(mechanism.legs, given.fits, strict=False) if one.rows > 1
+        (leg, fit) for leg, fit in zip(mechanism.legs, given.fits, strict=False) if fit.rows > 1
     ]
     if not judged:
         return ()

@@ -77,7 +77,7 @@ class Judged:
     @property
     def questioned(self) -> list[int]:
         """Legs of which machines near nominal leave much of what was measured; all without fits."""
-        return [i for i, one in enumerate(self.fits) if one.questioned]
+        return [i for i, fit in enumerate(self.fits) if fit.questioned]
 
     @property
     def plausible(self) -> bool:
@@ -90,24 +90,28 @@ def judge(sample: Sample, hypotheses: Sequence[Hypothesis] = (AS_MEASURED,)) -> 
     if not hypotheses:
         return []
     mechanism, right = sample.mechanism, []
-    for one in hypotheses:
-        poses, readings = one.put_right(sample)
+    for hypothesis in hypotheses:
+        poses, readings = hypothesis.put_right(sample)
         right.append(replace(sample, poses=poses, readings=readings))
     places = placed(right)
     parts = [
-        (found[0], one.readings[found[1]])
-        for one, found in zip(right, places, strict=True)
-        if found is not None
+        (place[0], one.readings[place[1]])
+        for one, place in zip(right, places, strict=True)
+        if place is not None
     ]
     columns = mechanism.reading_columns
-    rows = [LegMeasurements(i, T, psi[:, own]) for T, psi in parts for i, own in enumerate(columns)]
+    rows = [
+        LegMeasurements(i, T, psi[:, column])
+        for T, psi in parts
+        for i, column in enumerate(columns)
+    ]
     every = leg_fits(mechanism, rows, free=sample.free)
     fits = (tuple(every[i : i + len(columns)]) for i in range(0, len(every), len(columns)))
     return [
         Judged(one, (), free=sample.free)
-        if found is None
-        else Judged(one, next(fits), (), *found, sample.free)
-        for one, found in zip(hypotheses, places, strict=True)
+        if place is None
+        else Judged(one, next(fits), (), *place, sample.free)
+        for one, place in zip(hypotheses, places, strict=True)
     ]
 
 
@@ -174,9 +178,12 @@ def _judged(sample: Sample, given: Judged, hypotheses: Iterable[Hypothesis]) -> 
             _helped(sample.mechanism, one, given) if one.hypothesis.by_leg else one for one in found
         ]
     tried: list[tuple[Hypothesis, tuple[int, ...]]] = []
-    for one in hypotheses:  # the frame depends on all legs
-        single = every if one.by_leg and len(every) > 1 else ()
-        tried += [(one, ()), *((_of_legs(sample.mechanism, one, [i]), (i,)) for i in single)]
+    for hypothesis in hypotheses:  # the frame depends on all legs
+        single = every if hypothesis.by_leg and len(every) > 1 else ()
+        tried += [
+            (hypothesis, ()),
+            *((_of_legs(sample.mechanism, hypothesis, [i]), (i,)) for i in single),
+        ]
     return _likely(sample, tried)
 
 
@@ -240,7 +247,7 @@ def _zeros(sample: Sample, given: Judged) -> list[Judged]:
             RULE.equal,
         )  # where no measurement says more, the middle
     offsets = [replace(zeros(offsets), by_leg=False) for offsets in best[:, None] * units]
-    return _likely(sample, [(one, (index,)) for index, one in enumerate(offsets)])
+    return _likely(sample, [(offset, (index,)) for index, offset in enumerate(offsets)])
 
 
 def _scales(sample: Sample, given: Judged) -> list[Hypothesis]:

@@ -175,7 +175,9 @@ def placed(samples: Sequence[Sample]) -> list[tuple[Array, Rows] | None]:
         seen = [(sample, sample.matrices()) for sample in samples]
         return [(_on_platform(T, _target(one)), np.arange(len(T))) for one, T in seen]
     known = [np.flatnonzero(np.isfinite(sample.readings).all(axis=1)) for sample in samples]
-    readings = np.concatenate([one.readings[own] for one, own in zip(samples, known, strict=True)])
+    readings = np.concatenate(
+        [sample.readings[own] for sample, own in zip(samples, known, strict=True)]
+    )
     distinct, index = np.unique(readings, axis=0, return_inverse=True)
     with np.errstate(all="ignore"):
         found = forward(samples[0].mechanism, distinct)
@@ -374,9 +376,9 @@ def leg_fits(
         if count := len(one.readings):
             groups.setdefault((legs[one.leg].form, count), []).append(place)
     for (_, count), group in groups.items():
-        for some in chunks(len(group), max(1, CHUNK // count)):
-            found = _fitted(legs, [known[place] for place in group[some]], free)
-            for place, fit in zip(group[some], found, strict=True):
+        for chunk in chunks(len(group), max(1, CHUNK // count)):
+            found = _fitted(legs, [known[place] for place in group[chunk]], free)
+            for place, fit in zip(group[chunk], found, strict=True):
                 left = fits[place].left
                 left[given[place].whole] = fit.left
                 fits[place] = replace(fit, left=left)
@@ -404,17 +406,17 @@ def _fitted(
         rows = demands(called, closed, known)
         sizes = np.array([one.size for one in own])
         changes = np.stack([changes_of(one.leg, one.size) for one in own])
-        J = by_set([one.parameter for one in rows]) * changes[:, None, None]
+        J = by_set([row.parameter for row in rows]) * changes[:, None, None]
         if free:
             platform = own[0].platform
             base = frame_motions(platform, matrices)[:, :, : -platform.dof]
             base = base.reshape(len(sets), count, *base.shape[1:])
             lengths = np.arange(base.shape[3]) < platform.space
             scales = DIFFER * np.where(lengths, sizes[:, None, None, None], 1.0)
-            by_base = by_set([one.pose for one in rows]) @ (base * scales)
+            by_base = by_set([row.pose for row in rows]) @ (base * scales)
             J = np.concatenate((J, by_base), axis=3)
-        lefts = _left(sizes, J, by_set([one.value for one in rows]))
-        strokes = _stroke(by_set([one.reading for one in rows]), np.stack(said)) / sizes
+        lefts = _left(sizes, J, by_set([row.value for row in rows]))
+        strokes = _stroke(by_set([row.reading for row in rows]), np.stack(said)) / sizes
         gaps = np.median(missed.reshape(len(sets), count), axis=1) / sizes
     modes = np.repeat([home_mode(one.leg, one.platform) for one in own], count)
     # joints that are all read bend as they do

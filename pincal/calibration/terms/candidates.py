@@ -57,7 +57,7 @@ def with_terms(
             measured.
     """
     parts = {pair: [(place, pair[1]) for place in parts_of(pair[0], mechanism)] for pair in kinds}
-    pairs = list(dict.fromkeys(one for own in parts.values() for one in own))
+    pairs = list(dict.fromkeys(one for part in parts.values() for one in part))
     wanted: dict[str, list[Kind]] = {}
     for place, kind in pairs:
         check_place(place, kind, mechanism)
@@ -89,7 +89,7 @@ def with_terms(
         labels += grown.labels
         for pair, names in grown.ids.items():
             ids[pair] += tuple(names)
-    found = {pair: tuple(id_ for one in own for id_ in ids[one]) for pair, own in parts.items()}
+    found = {pair: tuple(id_ for one in part for id_ in ids[one]) for pair, part in parts.items()}
     return replace(mechanism, legs=tuple(legs), labels=tuple(labels)), found
 
 
@@ -116,10 +116,10 @@ class _Extended:
         had: dict[str, dict[str, object]] = {}
         for name, one in self.leg.terms:
             had.setdefault(one.parameter, {})[name] = _what(one)
-        if not terms or {name: _what(one) for name, one in terms.items()} in had.values():
+        if not terms or {name: _what(term) for name, term in terms.items()} in had.values():
             return
         named = self._named(next(iter(terms.values())), label, pair)
-        more = ((name, replace(one, parameter=named.parameter)) for name, one in terms.items())
+        more = ((name, replace(term, parameter=named.parameter)) for name, term in terms.items())
         self._grow(named, terms=(*self.leg.terms, *more))
 
     def _named(self, term: Term, label: str, pair: tuple[str, Kind]) -> Term:
@@ -329,12 +329,12 @@ def _with_each(leg: Leg, influences: Sequence[str]) -> Leg:
     """Return a leg whose every joint, length and angle follows influences of its own."""
     sensors = tuple(
         replace(
-            one,
+            sensor,
             terms=tuple(
                 Term(f"{influence}_{i}", Share(), of=influence) for influence in influences
             ),
         )
-        for i, one in enumerate(leg.sensors)
+        for i, sensor in enumerate(leg.sensors)
     )
     placed = leg.placed if LOAD in influences else ()
     terms = tuple((name, Term(f"{LOAD}_{name}", Share(), of=LOAD)) for name in placed)

@@ -50,7 +50,9 @@ class Step:
     def parameters(self) -> int:
         """Free parameters: not those that are as drawn."""
         unknowns = [robust.fit.unknowns for robust in self.found.fits]
-        return sum(one.map.shape[1] - int((one.priors <= _PINNED).sum()) for one in unknowns)
+        return sum(
+            unknown.map.shape[1] - int((unknown.priors <= _PINNED).sum()) for unknown in unknowns
+        )
 
     @property
     def equations(self) -> int:
@@ -115,11 +117,11 @@ def held_out(
     steps = [Step((), 1.0, one, _identified(one)) for one in seen]
     steps += grown(seen[1], screen(steps[1].found, pairs), pairs, most)
     parts = []
-    for one in steps:
-        there = replace(unseen, mechanism=one.calibration.mechanism)
+    for step in steps:
+        there = replace(unseen, mechanism=step.calibration.mechanism)
         try:
-            misses = per_row(misses_of(there, one.found), len(there.measurements))
-            parts.append((squares(one.found, there), misses))
+            misses = per_row(misses_of(there, step.found), len(there.measurements))
+            parts.append((squares(step.found, there), misses))
         except TROUBLE:
             if len(parts) < len(seen):
                 raise

@@ -306,12 +306,14 @@ def _of_steps(calibration: Calibration) -> Iterator[Bound]:
 def _of_play(calibration: Calibration, candidates: Sequence[Candidate]) -> Iterator[Bound]:
     mechanism = calibration.mechanism
     slopes = np.concatenate([sensor_law(leg).slope for leg in nominal_legs(mechanism)])
-    for one in candidates:
-        if one.kind.name != BACKLASH or len(one.names) > 1 or not one.rank:
+    for candidate in candidates:
+        if candidate.kind.name != BACKLASH or len(candidate.names) > 1 or not candidate.rank:
             continue
-        if abs(one.amplitudes[0]) < CLEAR * one.std[0]:
+        if abs(candidate.amplitudes[0]) < CLEAR * candidate.std[0]:
             continue
-        place = mechanism.reading_names.index(one.reading)
-        half = float(abs(one.amplitudes[0] / slopes[place]))
+        place = mechanism.reading_names.index(candidate.reading)
+        half = float(abs(candidate.amplitudes[0] / slopes[place]))
         usual = float(np.median(calibration.noise.readings[:, place]))
-        yield Bound(one.reading, mechanism.reading_units[place], "play", 2.0 * half, half, usual)
+        yield Bound(
+            candidate.reading, mechanism.reading_units[place], "play", 2.0 * half, half, usual
+        )
