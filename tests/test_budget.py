@@ -14,32 +14,32 @@ sys.path.insert(0, str(ROOT))
 from tools.counts import Counts, count, count_revision, main  # noqa: E402
 
 LINES = {
-    "": 342,
+    "": 345,
     "architectures": 745,
-    "calibration": 7_430,
-    "cli": 3_860,
-    "design": 2_860,
-    "estimation": 6_650,
-    "files": 3_240,
+    "calibration": 7_445,
+    "cli": 3_375,
+    "design": 2_855,
+    "estimation": 6_385,
+    "files": 3_235,
     "formats": 3_540,
-    "kinematics": 4_250,
+    "kinematics": 4_245,
     "model": 3_820,
-    "show": 7_195,
+    "show": 7_180,
     "symmetry": 1_865,
-    "words": 2_010,
+    "words": 2_005,
     "workspace": 2_230,
 }
 """Most lines of each room; a room that is not listed may have none."""
 MOST = {
-    "files": 219,
-    "page lines": 970,
-    "largest folder": 18,
-    "vague names": 0.078,
-    "class names twice": 11,
-    "dataclasses": 244,
-    "complex functions": 48,
+    "files": 210,
+    "page lines": 962,
+    "largest folder": 17,
+    "vague names": 0.022,
+    "class names twice": 5,
+    "dataclasses": 235,
+    "complex functions": 9,
     "long signatures": 3,
-    "imports inside functions": 10,
+    "imports inside functions": 2,
 }
 
 
