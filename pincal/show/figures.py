@@ -45,6 +45,7 @@ from pincal.words.numbers import SMALL, STORED, per_si, shown_in
 #: A figure and its caption, or none where there is nothing to show.
 Captioned = tuple[Figure, str] | None
 _QUANTITIES = ((0, "position", "m"), (1, "orientation", "rad"))
+_LETTER = 0.07  # height of a letter of a name that stands upright, [inch]
 _LEVEL_NAMES = 3  # bars, at most, whose names are not turned
 
 
@@ -141,7 +142,8 @@ def _platform(facts: ReportFacts) -> Captioned:
     for residuals in series:
         rms = np.array([shown_in(value, residuals.unit) for value in residuals.rms[:2]])
         panels.setdefault(f"residuals\n[{SMALL[residuals.unit]}]", {})[residuals.name] = rms
-    drawn = page_figure(3.4)
+    longest = max(len(name) for bars in panels.values() for name in bars)
+    drawn = page_figure(max(3.4, 2.2 + longest * _LETTER))  # names may stand upright
     widths = [1.4 + 0.6 * len(bars) for bars in panels.values()]
     every_axes = np.atleast_1d(drawn.subplots(1, len(panels), width_ratios=widths))
     for axes, (title, bars) in zip(every_axes, panels.items(), strict=True):

@@ -37,6 +37,7 @@ _NUMBER_DISTANCE = 0.45
 _PLATE = {"boxstyle": "square,pad=0.1", "facecolor": "#EFEFEF", "edgecolor": "none", "alpha": 0.75}
 #: Entries of a legend from which it is set closely.
 _LONG = 8
+_LONG_NAME = 32  # letters of a name that leaves too little room for axes beside it
 #: Of a figure, that its axes are wide beside a legend.
 _AXES_SHARE = 0.75
 #: Light enough for black lines; brighter is more, in black and white too.
@@ -218,11 +219,15 @@ def draw_bars(
 
 
 def legend_beside(axes: Axes) -> Axes:
-    """Put the legend beside the axes, where it hides nothing, closely set where it is long."""
-    names = axes.get_legend_handles_labels()[1]
-    long: dict[str, Any] = {"fontsize": 7, "labelspacing": 0.15}
-    style: dict[str, Any] = long if len(names) > _LONG else {"fontsize": 8}
-    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False, **style)
+    """Put the legend beside the axes, where it hides nothing; below them if a name is long."""
+    handles, names = axes.get_legend_handles_labels()
+    dense: dict[str, Any] = {"fontsize": 7, "labelspacing": 0.15}
+    style: dict[str, Any] = dense if len(names) > _LONG else {"fontsize": 8}
+    figure = axes.get_figure(root=True)
+    if figure and max(map(len, names), default=0) > _LONG_NAME:
+        figure.legend(handles, names, loc="outside lower left", frameon=False, **dense)
+    else:
+        axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False, **style)
     return axes
 
 
