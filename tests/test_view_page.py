@@ -19,9 +19,9 @@ import pincal
 from pincal.files.mechanism_folders import bundled
 from pincal.kinematics.readers import skeleton
 from pincal.show.style import DARK, LEGS
+from pincal.show.view.page import BY_ERROR
 from pincal.show.view.scene import scene
 from pincal.show.view.view import View
-from pincal.words import wording as views
 from pincal.words.numbers import POSES, per_si
 
 pytestmark = pytest.mark.slow
@@ -616,6 +616,6 @@ def test_weakest_direction_and_errors_of_a_result(opened: Any) -> None:
     seen = """() => ["before", "after"].map((one) =>
       window.pincal.viewer.scene_tree.find(["meshcat", "errors", one]).object.visible)"""
     for when, expected in (("before", [1, 0]), ("after", [1, 1])):
-        window.page.get_by_label(views.BY_ERROR[when]).check()
+        window.page.get_by_label(BY_ERROR[when]).check()
         assert window.page.evaluate(seen) == [bool(one) for one in expected]
     assert window.clean(), (window.said, window.asked)

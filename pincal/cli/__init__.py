@@ -6,6 +6,7 @@ from importlib import import_module
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is loaded: see pincal/blas.py
 if not os.environ.get("SOURCE_DATE_EPOCH", "0").isdecimal():  # NumPy and matplotlib fail on it
     del os.environ["SOURCE_DATE_EPOCH"]
+os.environ["MPLBACKEND"] = "agg"  # nothing is drawn on a screen
 
 from pincal.cli.app import main
 

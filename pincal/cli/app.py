@@ -295,7 +295,6 @@ def main(argv: list[str] | None = None) -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # χ and ± where the encoding lacks them
             stream.reconfigure(errors="replace")
-    os.environ["MPLBACKEND"] = "agg"  # nothing is drawn on a screen
     if current_thread() is main_thread():
         signal.signal(signal.SIGTERM, _terminate)
     _typed[:] = sys.argv[1:] if argv is None else argv

@@ -62,7 +62,7 @@ import umsgpack
 #: How far sliders go: of the scene's size, and [rad].
 _SLIDER_RANGE = {"m": 0.25, "rad": 0.5}
 #: The workspace in colours of errors.
-_BY_ERROR = {
+BY_ERROR = {
     "before": "workspace by error, nominal (before)",
     "after": "workspace by error, identified, as expected",
 }
@@ -292,7 +292,7 @@ def _overlay_layers(scene: Scene, overlay: Overlay) -> list[tuple[str, str, bool
                 text += f", {shortened} longer than drawn" if shortened else ""
                 layers.append((path, text, True))
     if overlay.errors:
-        layers += [(f"errors/{when}", entry, False) for when, entry in _BY_ERROR.items()]
+        layers += [(f"errors/{when}", entry, False) for when, entry in BY_ERROR.items()]
     if weakest := overlay.weakest:
         text = f"weakest direction, ±{weakest.magnify:.3g} of its standard errors: {weakest.named}"
         layers.append(("weakest", text, False))

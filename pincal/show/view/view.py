@@ -172,13 +172,13 @@ class PageServer:
         self._answer = answer
         self._loop = asyncio.new_event_loop()
         self._loop.set_exception_handler(lambda *_: None)  # clients that hang up
+        self._thread = Thread(target=self._loop.run_forever, daemon=True)
+        self._thread.start()  # in a notebook this thread's own loop runs already
         listening = asyncio.start_server(self._serve, "127.0.0.1", 0)
-        self._server = self._loop.run_until_complete(listening)
+        self._server = asyncio.run_coroutine_threadsafe(listening, self._loop).result()
         port = self._server.sockets[0].getsockname()[1]
         self._hosts = (f"127.0.0.1:{port}", f"localhost:{port}")
         self.url = f"http://{self._hosts[0]}/"
-        self._thread = Thread(target=self._loop.run_forever, daemon=True)
-        self._thread.start()
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Answer the one request of a client, or hang up if it does not come."""
