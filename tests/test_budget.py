@@ -24,7 +24,7 @@ LINES = {
     "formats": 3_540,
     "kinematics": 4_245,
     "model": 3_820,
-    "show": 7_180,
+    "show": 7_190,
     "symmetry": 1_865,
     "words": 2_005,
     "workspace": 2_230,
