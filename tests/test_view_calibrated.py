@@ -11,7 +11,6 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 import pincal
 from pincal.calibration.fits import fitted
-from pincal.show.report import LinkedPage, report, verdicts
 from pincal.show.style import ERRORS, shades
 from pincal.show.view.calibrated import calibrated, stations
 from pincal.show.view.calibrated import misses as misses_of
@@ -156,24 +155,6 @@ def test_page_says_what_is_drawn(result: pincal.CalibrationResult) -> None:
         assert text in page
     assert '"errors":{"colours"' in page
     assert '"errors":null' in view.html()
-
-
-def test_verdicts_stand_side_by_side(result: pincal.CalibrationResult) -> None:
-    """χ², loss and held-out rows say the result's numbers; what contradicts the model is bad."""
-    chi2, loss, held = verdicts(result)
-    assert float(chi2.value) == pytest.approx(result.reduced_chi2, rel=1e-2)
-    assert (loss.value, loss.kind) == ("huber", "care")
-    assert loss.text.startswith("1 row does not fit")
-    assert (held.value, held.kind) == ("–", "")
-    one = result.validated(3).validation
-    assert one is not None
-    *_, held = verdicts(replace(result, validation=one))
-    assert held.value == f"{one.held_out:.2f} σ"
-    wrong = replace(result, reduced_chi2=25.0, chi2_p_value=1e-20)
-    assert verdicts(wrong)[0].kind == "bad"
-    page = LinkedPage(report(result)).html()
-    for cell in (chi2, loss):
-        assert f"{cell.name} <b>{cell.value}</b><p>{cell.text}</p>" in page
 
 
 def test_positions_alone_have_arrows_too() -> None:

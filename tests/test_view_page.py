@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command_line import done
 
 import pincal
 from pincal.files.mechanism_folders import bundled
@@ -540,45 +539,6 @@ def test_dark_ground_has_its_own_colours(opened: Any) -> None:
     page.wait_for_function(first, arg=dark[0])
     assert page.evaluate(colours) == light
     assert window.clean(), window.said
-
-
-def test_report_and_view_are_linked(browser: Any, tmp_path: Path) -> None:
-    """A click on an outlier leads the mechanism to its pose; a parameter's row lights up its leg.
-
-    Its dimension in the drawing too; the page asks for nothing but itself.
-    """
-    mechanism = pincal.load_mechanism("3RRR")
-    true = pincal.disturb(mechanism, 1e-3, seed=1)
-    noise = pincal.Noise(1e-4, 1e-4)
-    many = pincal.sample_configurations(mechanism, 30, 0)
-    data = pincal.simulate(mechanism, true, many, noise, 3).measurements
-    poses = data.poses.copy()
-    poses[11, 0] += 0.01
-    result = pincal.calibrate(mechanism, replace(data, poses=poses), noise=noise, loss="reject")
-    assert [one.row for one in result.outliers] == [11]
-    result.save(tmp_path / "result")
-    done("view", "3RRR", tmp_path / "result", "--report", "--html", tmp_path / "linked.html")
-    page, said = browser.new_page(), []
-    page.on("console", lambda message: said.append(message.text))
-    page.on("pageerror", lambda error: said.append(str(error)))
-    page.on("request", lambda request: said.append(request.url))
-    page.goto((tmp_path / "linked.html").as_uri())
-    page.wait_for_function("() => document.documentElement.dataset.linked")
-    report, view = page.frames[1:]
-    report.locator("#outliers .linked").click()
-    assert view.evaluate("() => window.pincal.pose()") == 11
-    report.locator("#parameters tbody tr").nth(1).hover()
-    assert report.locator('.lit[id="dimension-L"]').count() == 1
-    lit = """() => { const { viewer } = window.pincal; const found = [];
-      viewer.scene_tree.find("meshcat/mechanism/leg 1/link 1".split("/")).object.traverse((one) => {
-        if (one.material && one.material.emissive) found.push(one.material.emissive.getHex());
-      });
-      return found.some(Boolean); }"""
-    assert view.evaluate(lit)
-    report.locator("#parameters tbody tr").nth(10).hover()
-    assert not view.evaluate(lit)
-    assert set(said) <= {(tmp_path / "linked.html").as_uri(), "about:srcdoc"}
-    page.close()
 
 
 def test_slider_goes_from_nominal_to_identified(opened: Any) -> None:

@@ -32,7 +32,6 @@ from pincal.model.option import option
 from pincal.show.pictures.files import drawing, picture_path, save_figure
 from pincal.show.pictures.picture import picture as draw_picture
 from pincal.show.pictures.sheet import sheet
-from pincal.show.report import LinkedPage, report
 from pincal.show.result_tables import warnings
 from pincal.show.style import COLUMN, PAGE_WIDTH
 from pincal.show.view.scene import MAGNIFY, Scene
@@ -200,7 +199,6 @@ class PageOptions(SceneOptions):
     meshes: Path | None = option(
         None, "Your URDF: an arm's links as its meshes show them.", metavar="URDF"
     )
-    report: bool = option(False, "RESULT's report beside it, linked; needs --html.")
     open: bool = option(True, "Print the address, open no browser.")
     force: bool = option(False, FORCE)
 
@@ -218,9 +216,6 @@ def view(mech: Mech, options: PageOptions, files: Files = None) -> None:
     """
     if options.html is not None and options.html.suffix.lower() not in (".html", ".htm"):
         raise FileError(f"{options.html} would be a page; give it the ending .html")
-    if options.report:
-        _write_linked(files or [], options)
-        return
     contents = _read(mech, files or [], options)
     if options.html is not None:
         refuse_existing(options.html, force=options.force)
@@ -245,21 +240,6 @@ def view(mech: Mech, options: PageOptions, files: Files = None) -> None:
         wrote(options.html)
     else:
         _serve(page, open_browser=options.open)
-
-
-def _write_linked(files: Sequence[Path], options: PageOptions) -> None:
-    """Write a result's report and view as one page.
-
-    Raises:
-        BadParameter: no RESULT alone, or no file to write.
-    """
-    if options.html is None or len(files) != 1 or not is_folder(files[0]):
-        raise typer.BadParameter("--report needs RESULT alone, and --html FILE to write")
-    with working("drawing"):
-        page = LinkedPage(report(load_result(files[0])), options.magnify or MAGNIFY)
-        page.html()
-    page.save(options.html, force=options.force)
-    wrote(options.html)
 
 
 def _serve(page: View, *, open_browser: bool) -> None:

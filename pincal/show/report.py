@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import platform
 from collections import Counter
 from collections.abc import Sequence
@@ -12,24 +11,20 @@ from functools import cached_property
 from hashlib import file_digest
 from importlib.metadata import version
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from pincal import __version__
 from pincal.calibration.result import CalibrationResult
 from pincal.errors import FileError
-from pincal.model.measurements import EVERY_LEG, Plan
+from pincal.model.measurements import EVERY_LEG
 from pincal.model.units import SI, Units
 from pincal.show import result_tables, summary
 from pincal.show.answers import Answers, ReportFacts, report_facts, warning_lines
 from pincal.show.figures import figure
 from pincal.show.page import Page
 from pincal.show.style import dark_variables
-from pincal.show.view.calibrated import calibrated
-from pincal.show.view.scene import MAGNIFY, MOST_POSES, plan_of, scene
-from pincal.show.view.view import View
-from pincal.words.numbers import chance, counted, reading_in, rounded
+from pincal.words.numbers import counted, reading_in
 from pincal.words.wording import rendered
 
 _LIBRARIES = ("pin", "numpy", "scipy")
@@ -163,83 +158,3 @@ def columns(result: CalibrationResult) -> str:
     counts = {name: int(np.isfinite(values).sum()) for name, values in measured.items()}
     often = {name: "" if n == len(data) else f" ({n} rows)" for name, n in counts.items() if n}
     return ", ".join(map("".join, often.items())) or "nothing"
-
-
-class Verdict(NamedTuple):
-    """A cell: what it is of, its number, what that means."""
-
-    name: str
-    value: str
-    text: str
-    kind: str
-    """``"good"``, ``"care"``, ``"bad"``, or empty if it says nothing."""
-
-
-def verdicts(result: CalibrationResult) -> tuple[Verdict, ...]:
-    """Return the three cells of a calibration."""
-    return _chi2(result), _loss(result), _held_out(result)
-
-
-def _chi2(result: CalibrationResult) -> Verdict:
-    dof, value = result.degrees_of_freedom, rounded(result.reduced_chi2, 3)
-    text = f"on {dof} degrees of freedom; "
-    if result.noise_source == "estimated":
-        return Verdict("reduced χ²", value, text + "these residuals made the noise", "")
-    kind = "bad" if result.excess > 1.0 else "good"
-    return Verdict("reduced χ²", value, text + chance(result.chi2_p_value), kind)
-
-
-def _loss(result: CalibrationResult) -> Verdict:
-    count = len(result.outliers)
-    text = f"{counted(count, 'row')} {'does' if count == 1 else 'do'} not fit"
-    if result.shift is not None:
-        text += f"; without it parameters move by {result.shift:.2g} standard errors at most"
-    return Verdict("loss", result.loss, text, "care" if count else "good")
-
-
-def _held_out(result: CalibrationResult) -> Verdict:
-    validation = result.validation
-    if validation is None:
-        return Verdict("held-out rows", "–", "not asked for", "")
-    text = (
-        f"those of the fit {validation.fit:.2f} σ, expected {validation.expected:.2f} σ; "
-        f"{chance(validation.p_value)}"
-    )
-    worse = any(finding.code.startswith("held-out") for finding in validation.findings)
-    return Verdict(
-        "held-out rows", f"{validation.held_out:.2f} σ", text, "bad" if worse else "good"
-    )
-
-
-class LinkedPage(Page):
-    """A report and the view of its rows."""
-
-    sandbox = "allow-scripts allow-same-origin"
-
-    def __init__(self, report: Report, magnify: float = MAGNIFY) -> None:
-        self.report = report
-        result = report.facts.result
-        complete = np.flatnonzero(np.isfinite(result.poses).all(axis=1))[:MOST_POSES]
-        read = result.measurements.readings
-        sets = result.measurements.sets
-        plan = Plan(
-            result.poses[complete],
-            None if sets is None else tuple(sets[row] for row in complete),
-            readings=None if read is None else read[complete],
-        )
-        identified = result.identified if result.converged else None
-        shown = scene(result.nominal, plan_of(result.nominal, plan), None, identified, magnify)
-        shown = calibrated(shown, result, report.facts.errors)
-        self.view = View(shown, "poses of the measurements", result_tables.warnings(result))
-        self.rows = {str(row + 1): place for place, row in enumerate(complete.tolist())}
-
-    @cached_property
-    def _page(self) -> str:
-        return rendered(
-            "linked.html",
-            title=f"{self.report.facts.result.nominal.name}: calibration",
-            report=self.report.html(),
-            view=self.view.html(),
-            verdicts=verdicts(self.report.facts.result),
-            data=json.dumps({"rows": self.rows}),
-        )

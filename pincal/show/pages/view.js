@@ -98,18 +98,6 @@
     viewer.set_dirty();
   }
 
-  // A leg that is pointed at elsewhere
-
-  function light(name) {
-    data.legs.forEach((leg, index) => machine.paths.forEach((path, part) => {
-      if (!path.includes(`/leg ${index + 1}/`)) return;
-      machine.objects[part][0].traverse(({ material }) => {
-        if (material && material.emissive) material.emissive.set(leg.name === name ? leg.colour : "#000000");
-      });
-    }));
-    viewer.set_dirty();
-  }
-
   // The panel
 
   const cells = data.rows.map(({ head, name }, index) => {
@@ -280,5 +268,5 @@
   show(0);
   paint();
   night.addEventListener("change", paint);
-  window.pincal = { viewer, show, jog, light, pose: () => pose, drawn: () => viewer.renderer.info.render.frame > 0 };
+  window.pincal = { viewer, show, jog, pose: () => pose, drawn: () => viewer.renderer.info.render.frame > 0 };
 })();
