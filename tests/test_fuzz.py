@@ -28,11 +28,10 @@ from pincal.files import measurements
 from pincal.files.measurement_writing import write_readings
 from pincal.files.mechanism_folders import bundled
 from pincal.formats.arm import serial_arm
-from pincal.formats.delta_printer import DeltaPrinter, Expressed
+from pincal.formats.delta_printer import DeltaPrinter
 from pincal.formats.figaroh import read_figaroh
-from pincal.formats.klipper import read_klipper, write_klipper
+from pincal.formats.firmware import read_klipper, read_reprap, write_klipper, write_reprap
 from pincal.formats.mjcf import read_mjcf
-from pincal.formats.reprap import read_reprap, write_reprap
 
 PLANE, SPACE = pincal.load_mechanism("3RRR"), pincal.load_mechanism("6UPS")
 HEIGHTS = """\
@@ -150,11 +149,11 @@ def floats(data: object) -> Iterator[float]:
 def check_printer(
     printer: DeltaPrinter,
     path: Path,
-    write: Callable[[Expressed], str],
+    write: Callable[[DeltaPrinter], str],
     read: Callable[[Path], DeltaPrinter],
 ) -> None:
     """Check that a printer is written and read to its digits, and a whole mechanism if any."""
-    path.write_text(write(Expressed(printer, (0.0, 0.0), (1.0, 1.0, 1.0), ())), encoding="utf-8")
+    path.write_text(write(printer), encoding="utf-8")
     again = read(path)
     for name in ("radius", "arms", "endstops"):
         np.testing.assert_allclose(getattr(again, name), getattr(printer, name), 1e-12, 2e-7)
@@ -164,11 +163,11 @@ def check_printer(
 
 
 def read_printer_cfg(path: Path) -> None:
-    found = read_klipper(path)
-    assert np.isfinite(found.heights).all()
-    assert np.isfinite(found.readings).all()
-    assert found.readings.shape == (len(found.heights), 3)
-    check_printer(found.printer, path, write_klipper, lambda p: read_klipper(p).printer)
+    printer, heights, readings = read_klipper(path)
+    assert np.isfinite(heights).all()
+    assert np.isfinite(readings).all()
+    assert readings.shape == (len(heights), 3)
+    check_printer(printer, path, write_klipper, lambda p: read_klipper(p)[0])
 
 
 def read_config_g(path: Path) -> None:

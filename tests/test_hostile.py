@@ -19,8 +19,7 @@ from pincal.errors import FileError, MeasurementError, MechanismError, PincalErr
 from pincal.files.mechanism_folders import bundled, mechanism_files
 from pincal.files.table import read_table
 from pincal.files.text import LARGEST_FILE
-from pincal.formats.klipper import read_klipper
-from pincal.formats.reprap import read_reprap
+from pincal.formats.firmware import read_klipper, read_reprap
 
 YAML, LEG, PLATFORM = "mechanism.yaml", "leg_1.urdf", "platform.urdf"
 THREE = pincal.load_mechanism("3RRR")
@@ -277,29 +276,6 @@ def test_results_are_read_whole(text: str, words: str, tmp_path: Path) -> None:
     with pytest.raises(MeasurementError, match=words) as caught:
         read_result(tmp_path)
     assert str(tmp_path / "result.json") in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    "name", ["/dev/zero", "../outside.cfg", "link.cfg", "../*/outside.cfg", "**/*.cfg*/..", ".", ""]
-)
-def test_printers_includes_stay_in_their_folder(name: str, tmp_path: Path) -> None:
-    """What a printer.cfg includes from elsewhere is left out, and that is said."""
-    home = tmp_path / "config"
-    home.mkdir()
-    config_file(tmp_path, "[printer]\ndelta_radius: 100\n", "outside.cfg")
-    (home / "link.cfg").symlink_to("../outside.cfg")
-    found = read_klipper(config_file(home, f"[include {name}]\n{CONFIG}"))
-    assert found.printer.radius == pytest.approx(0.17475)
-    assert "not found in its folder" in found.remarks[0]
-
-
-def test_includes_do_not_multiply(tmp_path: Path) -> None:
-    """Files that include the next ones hundreds of times are refused before they are all read."""
-    for i in range(8):
-        config_file(tmp_path, f"[include {i + 1}.cfg]\n" * 300, f"{i}.cfg")
-    config_file(tmp_path, "", "8.cfg")
-    with pytest.raises(MechanismError, match="more is included than"):
-        read_klipper(config_file(tmp_path, "[include 0.cfg]\n" + CONFIG))
 
 
 def test_lines_of_gcode_take_no_time(tmp_path: Path) -> None:

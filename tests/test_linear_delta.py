@@ -104,7 +104,7 @@ def test_clean_heights_give_all_that_heights_can_tell() -> None:
     data = probed(mechanism, truth, pincal.Noise(0.0, 0.0, 0.0))
     result = pincal.calibrate(mechanism, data, noise=PROBE)
     assert "base frame: 3 freedoms" in sentence(result.gauge[0])
-    found, wanted = (delta_printer(one).printer for one in (result.identified, truth))
+    found, wanted = (delta_printer(one) for one in (result.identified, truth))
     assert abs(found.radius - wanted.radius) < 1e-8
     np.testing.assert_allclose(found.arms, wanted.arms, atol=1e-8)
     np.testing.assert_allclose(found.endstops, wanted.endstops, atol=1e-8)

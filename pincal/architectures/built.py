@@ -121,69 +121,28 @@ def _in_space(d: Values) -> tuple[Array, Array]:
     )
 
 
+_FOUR = (
+    length("frame_width", "distance of the anchors along x", 2.0),
+    length("frame_height", "distance of the anchors along y", 0.75, "frame_width"),
+    length("platform_width", "width of the platform", 0.15, "frame_width", below="frame_width"),
+    length("platform_height", "its height", 1.0, "platform_width", below="frame_height"),
+    Dimension("cables", "way of the cables", "", "crossed", choices=("crossed", "straight")),
+)
+_TURNED = ("turned", "crossed", "straight")
+_EIGHT = (
+    length("frame_length", "distance of the anchors along x", 4.0),
+    length("frame_width", "distance of the anchors along y", 1.0, "frame_length"),
+    length("upper", "height of the upper anchors", 0.75, "frame_length"),
+    length("lower", "height of the lower anchors", 0.1, "upper", least=0.0),
+    length("platform_length", "length of the platform", 0.2, "frame_length", below="frame_length"),
+    length("platform_width", "width of the platform", 0.2, "frame_width", below="frame_width"),
+    length("platform_height", "height of the platform", 1.0, "platform_width"),
+    length("height", "height of the platform's middle at home", 0.5, "upper"),
+    Dimension("cables", "way of the cables", "", "turned", choices=_TURNED),
+)
 CABLES = (
-    Architecture(
-        "cable-4",
-        "Planar cable robot, four cables",
-        (
-            length("frame_width", "distance of the anchors along x", 2.0),
-            length("frame_height", "distance of the anchors along y", 0.75, "frame_width"),
-            length(
-                "platform_width",
-                "width of the platform along x",
-                0.15,
-                "frame_width",
-                below="frame_width",
-            ),
-            length(
-                "platform_height",
-                "height of the platform along y",
-                1.0,
-                "platform_width",
-                below="frame_height",
-            ),
-            Dimension(
-                "cables", "way of the cables", "", "crossed", choices=("crossed", "straight")
-            ),
-        ),
-        _planar,
-        _in_plane,
-    ),
-    Architecture(
-        "cable-8",
-        "Cable robot in space, eight cables",
-        (
-            length("frame_length", "distance of the anchors along x", 4.0),
-            length("frame_width", "distance of the anchors along y", 1.0, "frame_length"),
-            length("upper", "height of the upper anchors", 0.75, "frame_length"),
-            length("lower", "height of the lower anchors", 0.1, "upper", least=0.0),
-            length(
-                "platform_length",
-                "length of the platform along x",
-                0.2,
-                "frame_length",
-                below="frame_length",
-            ),
-            length(
-                "platform_width",
-                "width of the platform along y",
-                0.2,
-                "frame_width",
-                below="frame_width",
-            ),
-            length("platform_height", "height of the platform", 1.0, "platform_width"),
-            length("height", "height of the platform's middle at home", 0.5, "upper"),
-            Dimension(
-                "cables",
-                "way of the cables",
-                "",
-                "turned",
-                choices=("turned", "crossed", "straight"),
-            ),
-        ),
-        _spatial,
-        _in_space,
-    ),
+    Architecture("cable-4", "Planar cable robot, four cables", _FOUR, _planar, _in_plane),
+    Architecture("cable-8", "Cable robot in space, eight cables", _EIGHT, _spatial, _in_space),
 )
 
 
@@ -246,22 +205,12 @@ def _arm(d: Values) -> Mechanism:
     return load_arm(d["urdf"], d["tip"], d["base"] or None)
 
 
-ARM = Architecture(
-    "arm",
-    "Serial arm",
-    (
-        Dimension("urdf", "URDF file", ""),
-        Dimension("tip", "link whose frame is measured", "", goes_with="urdf"),
-        Dimension("base", "link at the foot, if not the root", "", goes_with="urdf"),
-        Dimension("dh", "CSV table of Denavit and Hartenberg", "", instead_of="urdf"),
-        Dimension(
-            "convention",
-            "convention of the table",
-            "",
-            "standard",
-            goes_with="dh",
-            choices=("standard", "modified"),
-        ),
-    ),
-    _arm,
+_CONVENTIONS = ("standard", "modified")
+_ARM = (
+    Dimension("urdf", "URDF file", ""),
+    Dimension("tip", "link whose frame is measured", "", goes_with="urdf"),
+    Dimension("base", "link at the foot, if not the root", "", goes_with="urdf"),
+    Dimension("dh", "CSV table of Denavit and Hartenberg", "", instead_of="urdf"),
+    Dimension("convention", "of the table", "", "standard", goes_with="dh", choices=_CONVENTIONS),
 )
+ARM = Architecture("arm", "Serial arm", _ARM, _arm)

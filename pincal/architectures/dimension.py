@@ -61,15 +61,11 @@ class Dimension:
         Raises:
             MechanismError: something else.
         """
+        if self.choices and value not in self.choices:
+            must_be(value, (str,), self.title, MechanismError)
+            raise MechanismError(f"{self.title} is {value!r}; expected {' or '.join(self.choices)}")
         if not self.unit:
-            text = (
-                str(must_be(value, (str,), self.title, MechanismError)) if self.choices else value
-            )
-            if self.choices and text not in self.choices:
-                raise MechanismError(
-                    f"{self.title} is {text!r}; expected {' or '.join(self.choices)}"
-                )
-            return text
+            return value  # type: ignore[no-any-return]
         number = number_of(value, self.title, MechanismError)
         if not self.least <= number <= self.most:
             expected = f"{self.text(self.least)} to {self.text(self.most)}"
@@ -106,9 +102,11 @@ def length(name: str, label: str, default: float, of: str = "", **limits: Any) -
     return Dimension(name, label, "m", default, of, **limits)
 
 
-def angle(name: str, label: str, default: float, **limits: Any) -> Dimension:
+def angle(
+    name: str, label: str, default: float, least: float = LEAST, most: float = 1e3, above: str = ""
+) -> Dimension:
     """Return an angle, its default in degrees, its limits in [rad]."""
-    return Dimension(name, label, "rad", radians(default), **limits)
+    return Dimension(name, label, "rad", radians(default), "", least, most, above)
 
 
 @dataclass(frozen=True)

@@ -9,11 +9,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from itertools import cycle
-from math import acos, asin, pi, radians, sqrt
+from math import pi, radians
 
-from pincal.architectures.dimension import Architecture, Values, angle, length
+from pincal.architectures.dimension import Architecture, Corner, Values, angle, length
 from pincal.errors import MechanismError
 from pincal.files.mechanism_folders import load_mechanism
+from pincal.formats.delta_printer import ANGLES, DeltaPrinter
 from pincal.model.leg import Joint
 from pincal.model.mechanism import Mechanism
 from pincal.model.placement import Placement
@@ -89,16 +90,9 @@ def _linear_delta(d: Values) -> Mechanism:
             f"a rod of {1e3 * rod:.6g} mm does not reach from a tower to the far side of the bed, "
             f"{1e3 * reach:.6g} mm away; it must be longer than delta_radius + print_radius"
         )
-    tilt, home = asin(reach / rod), sqrt(rod**2 - radius**2)
-    limits = {
-        "carriage": (sqrt(rod**2 - reach**2), home + d["endstop_height"]),
-        "swing": (pi / 2 - tilt, pi / 2 + tilt),
-        "sway": (-tilt, tilt),
-    }
-    legs = [{"radius": radius, "arm": rod, "endstop": d["endstop_height"]}] * 3
-    made = _resized("linear_delta", legs, (0.0, 0.0, 0.0), limits)
-    rough = (home, acos(radius / rod), 0.0)
-    return replace(made, legs=tuple(leg.with_home(rough) for leg in made.legs))
+    ends, angles = [d["endstop_height"]] * 3, [radians(angle) for angle in ANGLES]
+    printer = DeltaPrinter(radius, angles, [rod] * 3, ends, d["print_radius"])
+    return printer.mechanism("linear_delta", legs=("leg_1", "leg_2", "leg_3"))
 
 
 def _five_bar(d: Values) -> Mechanism:
@@ -116,112 +110,66 @@ def _3rrr(d: Values) -> Mechanism:
     return _resized("3RRR", [{key: d[name] for key, name in names.items()}] * 3, (0.0,) * 3)
 
 
-_BY_HALF = radians(60)
+_SIXTH = radians(60)
+_HEXAPOD = (
+    length("base_radius", "radius of the base joints", 0.25),
+    length("platform_radius", "radius of the platform joints", 0.6, "base_radius"),
+    angle("base_half_angle", "half the angle between paired base joints", 15, 0.0, _SIXTH),
+    angle("platform_half_angle", "half the angle between paired platform joints", 15, 0.0, _SIXTH),
+    length("height", "height of the platform joints at home", 1.5, "base_radius"),
+    length("shortest", "length of a leg drawn in", 0.9, "height"),
+    length("longest", "length of a leg drawn out", 1.5, "shortest", above="shortest"),
+    length("zero_length", "length of a leg where it reads zero", 0.0, least=0.0),
+)
+_DELTA = (
+    length("base_radius", "radius of the drives' axes", 0.2),
+    length("platform_radius", "radius of the rods' ends", 0.3, "base_radius"),
+    length("arm", "length of the arms", 1.25, "base_radius"),
+    length("rod", "length of the rods", 2.2, "arm"),
+    length("height", "depth of the platform below the drives at home", 0.9, "rod"),
+    angle("arm_up", "angle of an arm below the horizontal, least", -35, -pi),
+    angle("arm_down", "angle of an arm below the horizontal, most", 80, -pi, pi, above="arm_up"),
+)
+_LINEAR_DELTA = (
+    length("delta_radius", "radius of the towers less the offsets of carriage and effector", 0.175),
+    length("rod", "length of the rods", 1.9, "delta_radius"),
+    length("endstop_height", "height of the nozzle at the endstops", 1.7, "delta_radius"),
+    length("print_radius", "radius of the bed that is reached", 0.65, "delta_radius"),
+)
+_FIVE_BAR = (
+    length("motor_distance", "distance between the motors", 0.2),
+    length("driving_link", "length of the driving links", 0.75, "motor_distance"),
+    length("conducted_link", "length of the conducted links", 1.1, "motor_distance"),
+    length("height", "distance of the end from the motors at home", 1.0, "conducted_link"),
+    angle("motor_least", "least angle of a motor, 0 towards the other one", 30, -2 * pi),
+    angle(
+        "motor_most",
+        "largest angle of a motor, 0 towards the other one",
+        225,
+        most=2 * pi,
+        above="motor_least",
+    ),
+)
+_3RRR = (
+    length("base_radius", "radius of the motors", 0.3),
+    length("platform_radius", "radius of the platform joints", 0.25, "base_radius"),
+    length("proximal", "length of the proximal links", 0.45, "base_radius"),
+    length("distal", "length of the distal links", 1.0, "proximal"),
+)
+
+
+def _printable(d: Values) -> tuple[Corner, Corner]:
+    """Return the room over the bed."""
+    radius = d["print_radius"]
+    return (-radius, -radius, 0.0), (radius, radius, d["endstop_height"])
+
+
+_GOUGH = "Hexapod (Gough-Stewart platform), six legs with linear drives"
+_TOWERS = "Linear delta, three carriages on upright towers"
 RESIZED = (
-    Architecture(
-        "hexapod",
-        "Hexapod (Gough-Stewart platform), six legs with linear drives",
-        (
-            length("base_radius", "radius of the base joints", 0.25),
-            length("platform_radius", "radius of the platform joints", 0.6, "base_radius"),
-            angle(
-                "base_half_angle",
-                "half the angle between paired base joints",
-                15,
-                least=0.0,
-                most=_BY_HALF,
-            ),
-            angle(
-                "platform_half_angle",
-                "half the angle between paired platform joints",
-                15,
-                least=0.0,
-                most=_BY_HALF,
-            ),
-            length("height", "height of the platform joints at home", 1.5, "base_radius"),
-            length("shortest", "length of a leg drawn in", 0.9, "height"),
-            length("longest", "length of a leg drawn out", 1.5, "shortest", above="shortest"),
-            length("zero_length", "length of a leg where it reads zero", 0.0, least=0.0),
-        ),
-        _hexapod,
-    ),
-    Architecture(
-        "delta",
-        "Delta robot, three rotary drives",
-        (
-            length("base_radius", "radius of the drives' axes", 0.2),
-            length("platform_radius", "radius of the rods' ends", 0.3, "base_radius"),
-            length("arm", "length of the arms", 1.25, "base_radius"),
-            length("rod", "length of the rods", 2.2, "arm"),
-            length("height", "depth of the platform below the drives at home", 0.9, "rod"),
-            angle("arm_up", "angle of an arm below the horizontal, least", -35, least=-pi),
-            angle(
-                "arm_down",
-                "angle of an arm below the horizontal, most",
-                80,
-                least=-pi,
-                most=pi,
-                above="arm_up",
-            ),
-        ),
-        _delta,
-    ),
-    Architecture(
-        "linear-delta",
-        "Linear delta, three carriages on upright towers",
-        (
-            length(
-                "delta_radius",
-                "radius of the towers less the offsets of carriage and effector",
-                0.175,
-            ),
-            length("rod", "length of the rods", 1.9, "delta_radius"),
-            length(
-                "endstop_height",
-                "height of the nozzle over the bed, carriages at their endstops",
-                1.7,
-                "delta_radius",
-            ),
-            length("print_radius", "radius of the bed that is reached", 0.65, "delta_radius"),
-        ),
-        _linear_delta,
-        lambda d: (
-            (-d["print_radius"], -d["print_radius"], 0.0),
-            (d["print_radius"], d["print_radius"], d["endstop_height"]),
-        ),
-    ),
-    Architecture(
-        "five-bar",
-        "Planar five-bar, two motors, elbows outward",
-        (
-            length("motor_distance", "distance between the motors", 0.2),
-            length("driving_link", "length of the driving links", 0.75, "motor_distance"),
-            length("conducted_link", "length of the conducted links", 1.1, "motor_distance"),
-            length(
-                "height", "distance of the end from the motors' line at home", 1.0, "conducted_link"
-            ),
-            angle(
-                "motor_least", "angle of a motor, 0 towards the other one, least", 30, least=-2 * pi
-            ),
-            angle(
-                "motor_most",
-                "angle of a motor, 0 towards the other one, most",
-                225,
-                most=2 * pi,
-                above="motor_least",
-            ),
-        ),
-        _five_bar,
-    ),
-    Architecture(
-        "3-RRR",
-        "Planar 3-RRR, three motors",
-        (
-            length("base_radius", "radius of the motors", 0.3),
-            length("platform_radius", "radius of the platform joints", 0.25, "base_radius"),
-            length("proximal", "length of the proximal links", 0.45, "base_radius"),
-            length("distal", "length of the distal links", 1.0, "proximal"),
-        ),
-        _3rrr,
-    ),
+    Architecture("hexapod", _GOUGH, _HEXAPOD, _hexapod),
+    Architecture("delta", "Delta robot, three rotary drives", _DELTA, _delta),
+    Architecture("linear-delta", _TOWERS, _LINEAR_DELTA, _linear_delta, _printable),
+    Architecture("five-bar", "Planar five-bar, two motors, elbows outward", _FIVE_BAR, _five_bar),
+    Architecture("3-RRR", "Planar 3-RRR, three motors", _3RRR, _3rrr),
 )

@@ -35,9 +35,8 @@ from pincal.formats.correction_poses import corrected, correction_columns, corre
 from pincal.formats.corrections import LANGUAGES, code_of
 from pincal.formats.delta_printer import delta_printer
 from pincal.formats.figaroh import read_figaroh
-from pincal.formats.klipper import read_klipper, write_klipper
+from pincal.formats.firmware import read_klipper, read_reprap, write_klipper, write_reprap
 from pincal.formats.mjcf import mjcf, read_mjcf
-from pincal.formats.reprap import read_reprap, write_reprap
 from pincal.formats.tree import Tree
 from pincal.formats.tree_of import loops_urdf, loops_yaml, tree_of, unwritten
 from pincal.formats.urdf_tree import XACRO, loops_beside, read_loops, read_urdf
@@ -196,14 +195,12 @@ def _import_printer(
     if options.mech is not None:
         raise MechanismError(f"{file} describes its own mechanism; leave out --mech {options.mech}")
     if form == "klipper":
-        config = read_klipper(file)
-        printer, remarks = config.printer, tuple(config.remarks)
-        heights, readings = config.heights, config.readings
+        printer, heights, readings = read_klipper(file)
     else:
         firmware = (
             options.format if options.format == "reprap" or options.format == "marlin" else None
         )
-        printer, remarks = read_reprap(file, firmware), ()
+        printer = read_reprap(file, firmware)
         heights, readings = np.empty(0), np.empty((0, 3))
     name = re.sub(r"\W+", "_", output.absolute().name) or "printer"
     mechanism = printer.mechanism(name, f"Linear delta of {file.name}.")
@@ -219,7 +216,7 @@ def _import_printer(
     stdout.print(printer.firmware_lines)
     if len(heights):
         remark(f"{len(heights)} probed points in {output / PROBING}")
-    return remarks
+    return printer.remarks
 
 
 def _import_table(file: Path, output: Path, options: ImportOptions) -> tuple[str, ...]:

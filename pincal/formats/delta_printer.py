@@ -8,10 +8,9 @@ to a nozzle that does not turn has this form, with the origin at the centre of t
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import asin, hypot, pi, sqrt
-from textwrap import wrap
 
 import numpy as np
 
@@ -21,20 +20,14 @@ from pincal.kinematics.closed_forms import closed_form, driven_rod, rod_geometry
 from pincal.kinematics.closing import sensor_law
 from pincal.kinematics.closure import LegClosure
 from pincal.model.checks import EXACT, LARGEST
-from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
-from pincal.model.units import UNITS
 from pincal.symmetry.carry import carry
 from pincal.symmetry.elements import Element, wrapped
 from pincal.symmetry.generate import at_home
 from pincal.types import Array
 
-Three = tuple[float, float, float]
 TOWERS = ("tower_a", "tower_b", "tower_c")
-_TEMPLATE = "linear_delta"
 ANGLES = (210.0, 330.0, 90.0)  # of the towers, where none are given [deg]
-MM = UNITS["mm"][1]
-"""[m], in which firmware writes."""
 _SMALL = 5e-10  # [m] and [1], below the digits that are written
 _PRINTED = 0.7  # of the delta radius: the print radius where none is known
 
@@ -45,16 +38,22 @@ class DeltaPrinter:
 
     radius: float
     """Delta radius R, [m]."""
-    angles: Three
-    """Azimuths α of the towers, [rad]."""
-    arms: Three
+    angles: Sequence[float]
+    """Azimuths α of the three towers, [rad]."""
+    arms: Sequence[float]
     """Lengths L of the rods, [m]."""
-    endstops: Three
+    endstops: Sequence[float]
     """Heights E of the nozzle over the bed's centre with each carriage at its endstop, [m]."""
     print_radius: float | None = None
     """Radius of the bed, [m]."""
+    origin: tuple[float, float] = (0.0, 0.0)
+    """Where its origin is in the base frame of the mechanism that it was made from, [m]."""
+    remarks: tuple[str, ...] = ()
+    """What the file, or the mechanism, holds besides and these parameters do not."""
 
     def __post_init__(self) -> None:
+        for name in ("angles", "arms", "endstops"):
+            object.__setattr__(self, name, tuple(map(float, getattr(self, name))))
         printed = 1.0 if self.print_radius is None else self.print_radius
         numbers = np.array([self.radius, *self.angles, *self.arms, *self.endstops, printed])
         if not (np.abs(numbers) <= LARGEST).all():
@@ -74,74 +73,52 @@ class DeltaPrinter:
     @property
     def firmware_lines(self) -> str:
         """The parameters in the units of firmware."""
-        numbers = np.degrees(self.angles) % 360.0, 1e3 * np.array(self.arms)
-        rows = zip("abc", *numbers, 1e3 * np.array(self.endstops), strict=True)
-        return "\n".join(
-            [f"delta radius {1e3 * self.radius:.4f} mm"]
-            + [
-                f"tower {n}: angle {a:.4f}°, arm {b:.4f} mm, endstop {c:.4f} mm"
-                for n, a, b, c in rows
-            ]
-        )
+        angles = np.degrees(self.angles) % 360.0
+        lines = [
+            f"tower {name}: angle {angle:.4f}°, arm {1e3 * arm:.4f} mm, endstop {1e3 * end:.4f} mm"
+            for name, angle, arm, end in zip("abc", angles, self.arms, self.endstops, strict=True)
+        ]
+        return "\n".join([f"delta radius {1e3 * self.radius:.4f} mm", *lines])
 
-    def mechanism(self, name: str, description: str = "") -> Mechanism:
+    def mechanism(
+        self, name: str, description: str = "", legs: Sequence[str] = TOWERS
+    ) -> Mechanism:
         """Return the printer as a mechanism; readings are the ways down from the endstops, [m].
+
+        Args:
+            name: Of the mechanism.
+            description: Of the mechanism.
+            legs: Names of its legs, in the order of the towers.
 
         Raises:
             MechanismError: towers that do not close at home.
         """
-        template = load_mechanism(_TEMPLATE)
-        legs = tuple(self._leg(template, i) for i in range(3))
-        return Mechanism(name, template.platform, legs, description, template.labels)
-
-    def _leg(self, template: Mechanism, index: int) -> Leg:
+        template = load_mechanism("linear_delta")
         first = template.legs[0]
-        angle, arm, endstop = wrapped(self.angles[index]), self.arms[index], self.endstops[index]
-        turn = Element(angle - first.nominal_by_name["angle"])
-        carried = carry(first, turn, TOWERS[index], first.point.name)
-        leg = carried.with_parameters(
-            {"radius": self.radius, "angle": angle, "arm": arm, "endstop": endstop}
-        )
-        printed = self.print_radius or _PRINTED * self.radius
-        reach = min(self.radius + printed, 0.98 * arm)
-        tilt, top = asin(reach / arm), sqrt(arm**2 - self.radius**2)
-        limits = {
-            "carriage": (sqrt(arm**2 - reach**2), top + endstop),
-            "swing": (pi / 2 - tilt, pi / 2 + tilt),
-            "sway": (-tilt, tilt),
-        }
-        joints = tuple(
-            replace(joint, lower=limits[joint.name][0], upper=limits[joint.name][1])
-            if joint.name in limits
-            else joint
-            for joint in leg.joints
-        )
-        return at_home(replace(leg, joints=joints), template.platform)
+        made = []
+        for i, leg_name in enumerate(legs):
+            angle, arm, endstop = wrapped(self.angles[i]), self.arms[i], self.endstops[i]
+            turn = Element(angle - first.nominal_by_name["angle"])
+            leg = carry(first, turn, leg_name, first.point.name).with_parameters(
+                {"radius": self.radius, "angle": angle, "arm": arm, "endstop": endstop}
+            )
+            reach = self.radius + (self.print_radius or _PRINTED * self.radius)
+            reach = min(reach, 0.98 * arm)
+            tilt, top = asin(reach / arm), sqrt(arm**2 - self.radius**2)
+            limits = {
+                "carriage": (sqrt(arm**2 - reach**2), top + endstop),
+                "swing": (pi / 2 - tilt, pi / 2 + tilt),
+                "sway": (-tilt, tilt),
+            }
+            joints = []
+            for joint in leg.joints:
+                lower, upper = limits.get(joint.name, (joint.lower, joint.upper))
+                joints.append(replace(joint, lower=lower, upper=upper))
+            made.append(at_home(replace(leg, joints=tuple(joints)), template.platform))
+        return Mechanism(name, template.platform, tuple(made), description, template.labels)
 
 
-@dataclass(frozen=True)
-class Expressed:
-    """A mechanism in a firmware's parameters, and what these cannot say."""
-
-    printer: DeltaPrinter
-    origin: tuple[float, float]
-    """Where the printer's origin is in the mechanism's base frame, [m]."""
-    gains: Three
-    """By how much each carriage moves for a reading of one."""
-    remarks: tuple[str, ...]
-    """What has no counterpart in the parameters, as sentences."""
-
-
-def noted(remarks: Sequence[str], mark: str) -> list[str]:
-    """Return remarks as lines of comments that begin with a mark."""
-    return [
-        line
-        for text in remarks
-        for line in wrap(text, 88, initial_indent=f"{mark} Note: ", subsequent_indent=f"{mark} ")
-    ]
-
-
-def delta_printer(mechanism: Mechanism) -> Expressed:
+def delta_printer(mechanism: Mechanism) -> DeltaPrinter:
     """Return a mechanism in a firmware's parameters, its legs being the towers in order.
 
     Read off the geometry, whatever the parameters are called.
@@ -157,26 +134,18 @@ def delta_printer(mechanism: Mechanism) -> Expressed:
         )
     towers = np.array([_tower(LegClosure(leg, mechanism.platform)) for leg in mechanism.legs])
     points, tops, arms, gains = towers[:, :2], towers[:, 2], towers[:, 3], towers[:, 4]
-    origin = _centre(points)
-    around = points - origin
+    x, y = _centre(points).tolist()
+    around = points - (x, y)
     radius = float(np.linalg.norm(around, axis=1).mean())
     if radius >= arms.min():
         raise MechanismError(
             f"{mechanism.name!r}: the towers are {1e3 * radius:g} mm from their centre, farther "
             "than a rod is long; a firmware cannot home such a printer"
         )
-    printer = DeltaPrinter(
-        radius,
-        three_floats(np.arctan2(around[:, 1], around[:, 0])),
-        three_floats(arms),
-        three_floats(tops - np.sqrt(arms**2 - radius**2)),
-    )
-    x, y = (float(v) for v in origin)
     remarks = [
         f"{leg.name}: terms of its sensor have no place in a firmware"
         for leg in mechanism.legs
-        for sensor in leg.sensors
-        if sensor.terms
+        if any(sensor.terms for sensor in leg.sensors)
     ]
     remarks += [
         f"{leg.name}: terms of {', '.join(leg.deformed)} have no place in a firmware; it gets what "
@@ -190,14 +159,21 @@ def delta_printer(mechanism: Mechanism) -> Expressed:
             "mechanism's base frame: a firmware has one radius for all towers, so that its origin "
             "is the centre of their circle. Prints move by that much as a whole"
         )
-    for leg, gain in zip(mechanism.legs, gains, strict=True):
-        if abs(gain - 1.0) > _SMALL:
-            remarks.append(
-                f"{leg.name} moves {gain:.9f} mm for each mm that the firmware believes: multiply "
-                f"its way per step by that (Klipper: rotation_distance; RepRapFirmware: divide the "
-                "steps per mm of M92)"
-            )
-    return Expressed(printer, (x, y), three_floats(gains), tuple(remarks))
+    remarks += [
+        f"{leg.name} moves {gain:.9f} mm for each mm that the firmware believes: multiply its way "
+        "per step by that (Klipper: rotation_distance; RepRapFirmware: divide the steps per mm of "
+        "M92)"
+        for leg, gain in zip(mechanism.legs, gains, strict=True)
+        if abs(gain - 1.0) > _SMALL
+    ]
+    return DeltaPrinter(
+        radius,
+        np.arctan2(around[:, 1], around[:, 0]).tolist(),
+        arms.tolist(),
+        (tops - np.sqrt(arms**2 - radius**2)).tolist(),
+        origin=(x, y),
+        remarks=tuple(remarks),
+    )
 
 
 def _tower(closure: LegClosure) -> Array:
@@ -245,9 +221,3 @@ def _centre(points: Array) -> Array:
         raise MechanismError("the three towers are in line; no printer has them so")
     half = ((points[1:] ** 2).sum(axis=1) - (points[0] ** 2).sum()) / 2
     return np.asarray(np.linalg.solve(chords, half))
-
-
-def three_floats(values: Iterable[float]) -> Three:
-    """Return three numbers, one for each tower."""
-    a, b, c = (float(v) for v in values)
-    return a, b, c
