@@ -12,10 +12,8 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from pincal import errors
-from pincal.words.findings import FAULTS, FREEDOMS, ROWS
-from pincal.words.hypotheses import HYPOTHESES
-from pincal.words.parameters import PARAMETERS
-from pincal.words.results import RESULTS
+from pincal.words.faults import FAULTS, HYPOTHESES
+from pincal.words.findings import FREEDOMS, PARAMETERS, RESULTS, ROWS
 from pincal.words.wording import Wording
 
 PAGE = Path(__file__).with_suffix(".md")

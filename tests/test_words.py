@@ -16,7 +16,8 @@ from lxml import html as lxml_html
 from pincal import load_mechanism
 from pincal.estimation.observability.identifiable import WeakPair
 from pincal.show.summary import weak_lines
-from pincal.words.hypotheses import HYPOTHESES, cause
+from pincal.words.faults import HYPOTHESES, cause
+from pincal.words.findings import VALUE_MEANINGS
 from pincal.words.numbers import (
     amount,
     capital,
@@ -269,7 +270,8 @@ def test_every_code_is_tried() -> None:
         assert code == code.lower().replace("_", "-")
         assert one.title[0].isupper()
         assert one.means.endswith(".")
-        assert isinstance(one.remedy, str) or one.general
+        assert one.general or "{" not in one.remedy
+        assert set(one.value_names.split()) <= set(VALUE_MEANINGS)
 
 
 @pytest.mark.parametrize("code", SAID)
@@ -292,7 +294,7 @@ def test_what_each_hypothesis_says(code: str) -> None:
     text = sentence(one)
     assert text.startswith("leg_1: the measurements miss every mechanism near the nominal one by ")
     assert f"by 5.1 % of a leg's length (median), but only by 0.01 % if {words}" in text
-    assert text.endswith(str(HYPOTHESES[code].remedy))
+    assert text.endswith(HYPOTHESES[code].remedy)
 
 
 def test_hypotheses_that_explain_alike_are_one_sentence() -> None:

@@ -33,8 +33,8 @@ from pincal.errors import MeasurementError
 from pincal.estimation.residuals.losses import UNLIKELY
 from pincal.finding import Finding
 from pincal.words.numbers import chance
-from pincal.words.results import missed as missed_in_words
 from pincal.words.sentences import finding, sentences
+from pincal.words.wording import missed_line
 
 MISSES = 10.0
 """Standard deviations by which a fit misses its own rows that is none, which held-out rows do not
@@ -82,7 +82,7 @@ class Validation:
             f"rows of the fit miss by {self.fit:.2f} σ, held-out rows by {self.held_out:.2f} σ, "
             f"{self.expected:.2f} σ are expected ({chance(self.p_value)})",
         ]
-        lines += [missed_in_words(vars(target)) for target in self.targets]
+        lines += [missed_line(**vars(target)) for target in self.targets]
         return "\n".join([*lines, *(f"warning: {text}" for text in sentences(self.findings))])
 
 

@@ -48,7 +48,7 @@ from pincal.model.mechanism import Mechanism
 from pincal.model.option import option
 from pincal.types import Array
 from pincal.words.numbers import amount, counted, listed, reading_in
-from pincal.words.parameters import AT_REFERENCE, NO_CORRECTION, NOT_IN_LAWS, OFFERS, WITH_COLUMNS
+from pincal.words.terms import AT_REFERENCE, NO_CORRECTION, NOT_IN_LAWS, OFFERS, WITH_COLUMNS
 from pincal.workspace.sampling import grid_poses, has_grid
 
 PROBING = "probing.csv"

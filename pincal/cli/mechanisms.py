@@ -30,7 +30,7 @@ from pincal.symmetry.breaks import no_symmetries
 from pincal.symmetry.detect import SymmetryGroup, nearest_group, symmetry_group
 from pincal.symmetry.elements import cyclic
 from pincal.words.numbers import reading_in
-from pincal.words.parameters import TURNS_BACK
+from pincal.words.terms import TURNS_BACK
 from pincal.workspace.sampling import sample_configurations, sample_workspace
 
 

@@ -20,7 +20,7 @@ from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.types import Array, Mask
 from pincal.words.numbers import amount
-from pincal.words.results import UNCOVERED
+from pincal.words.wording import UNCOVERED
 
 CONFIDENCE = 0.95
 DRAWS = 10_000
@@ -67,7 +67,7 @@ class PlatformError:
     """How many times as uncertain as any measured pose each is, shape (N,): above 1 outside the
     measured region, NaN out of reach; empty where no poses were measured."""
     uncovered: tuple[str, ...] = ()
-    """What no limit covers: of ``"weight"``, ``"scale"``, ``"time"`` (``pincal.words.results``)."""
+    """What no limit covers: of ``"weight"``, ``"scale"``, ``"time"`` (``pincal.words.wording``)."""
 
     def without_limit(self, by: float) -> PlatformError:
         """Return errors so many times as large, which are no promise."""

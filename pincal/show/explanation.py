@@ -15,8 +15,8 @@ from pincal.estimation.residuals.courses import Slip
 from pincal.finding import Finding
 from pincal.model.setup import ORIGIN
 from pincal.show.result_tables import unpromised
-from pincal.words import parameters as words
-from pincal.words.hypotheses import HYPOTHESES
+from pincal.words import terms as words
+from pincal.words.faults import HYPOTHESES
 from pincal.words.numbers import SMALL, amount, chance, listed
 from pincal.words.table import Cell, Column, Quantity, Table, Value, columns
 from pincal.words.wording import NAMED, Wording

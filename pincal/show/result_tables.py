@@ -15,9 +15,9 @@ from pincal.estimation.observability.indices import RANK_TOLERANCE
 from pincal.model.measurements import Noise
 from pincal.types import Array, Index
 from pincal.words.numbers import VALUES, uneven
-from pincal.words.results import noise
 from pincal.words.sentences import WORDINGS, sentence
 from pincal.words.table import Cell, Ends, Quantity, Table, Uncertainty, UnitOf, Value, columns
+from pincal.words.wording import noise_in_words
 
 #: Redundancy up to which a residual is what the fit made of it, and says nothing of the noise.
 CONTROLLED = 1e-3
@@ -105,13 +105,11 @@ def noise_said(result: CalibrationResult, sizes: Noise) -> str:
     observed = result.calibration.observation
     columns = zip(observed.units, observed.measured.T, strict=True)
     measured_units = {unit for unit, values in columns if values.any()}
-    return noise(
-        {
-            "position": sizes.position if "m" in measured_units else None,
-            "orientation": sizes.orientation if "rad" in measured_units else None,
-            "reading": sizes.reading,
-            "units": sorted(set(result.nominal.reading_units)),
-        }
+    return noise_in_words(
+        sizes.position if "m" in measured_units else None,
+        sizes.orientation if "rad" in measured_units else None,
+        sizes.reading,
+        sorted(set(result.nominal.reading_units)),
     )
 
 

@@ -18,9 +18,8 @@ from pincal.model.mechanism import Mechanism
 from pincal.show.result_tables import gauge, noise_said, turns, unpromised
 from pincal.show.workspace_answers import WorkspaceErrors
 from pincal.words.numbers import amount, capital, chance, listed, number, rounded, size
-from pincal.words.results import missed, systematic
 from pincal.words.sentences import finding, sentence
-from pincal.words.wording import LISTED, group_in_words
+from pincal.words.wording import LISTED, group_in_words, missed_line
 
 _NO_FREEDOM = (
     "as many unknowns as measured values: residuals vanish whatever the machine is, and show "
@@ -144,11 +143,12 @@ def systematic_lines(result: CalibrationResult) -> list[str]:
         ).where_determined[0]
         for covariance in (result.systematic, result.covariance)
     )
-    systematic_part, share = result.options.setup.systematic, (part / total) ** 2 if total else 0.0
+    scale, share = result.options.setup.systematic, (part / total) ** 2 if total else 0.0
+    parts = [f"{1e6 * scale.relative:.3g} µm/m of all lengths"] if scale.relative else []
+    parts += [f"{amount(scale.target, 'm')} of each known target"] if scale.target else []
     return [
-        systematic(
-            {"relative": systematic_part.relative, "target": systematic_part.target, "share": share}
-        )
+        f"every ± holds what more rows do not make smaller, {listed(parts)}: {100 * share:.2g} % "
+        "of the platform's expected mean square error of position"
     ]
 
 
@@ -247,7 +247,9 @@ def held_out_line(validation: Validation) -> str:
 def missed_lines(validation: Validation) -> list[str]:
     """Return how far targets are missed at held-out rows, measuring noise included."""
     return (
-        [missed(vars(target)) for target in validation.targets] if validation.fit <= MISSES else []
+        [missed_line(**vars(target)) for target in validation.targets]
+        if validation.fit <= MISSES
+        else []
     )
 
 

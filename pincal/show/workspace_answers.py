@@ -18,7 +18,7 @@ from pincal.kinematics.configurations import as_plan
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.types import Array
-from pincal.words.results import region_words
+from pincal.words.numbers import percent
 from pincal.words.sentences import finding
 from pincal.workspace.axes import Orientations
 from pincal.workspace.criteria import ArticularSymmetry, in_workspace
@@ -163,7 +163,11 @@ class WorkspaceErrors:
     @property
     def where(self) -> str:
         """Over which poses means are taken, for sentences."""
-        return region_words(self.share, sampled=self.sampled)
+        if not self.sampled:
+            return "over the measured poses"
+        if self.share == 1.0:
+            return "over the workspace"
+        return f"over the measured region, {percent(self.share)} of the workspace"
 
     def mean_before(self) -> tuple[float, float]:
         """Return root mean squares of the nominal model's errors, [m] and [rad]."""

@@ -1,342 +1,239 @@
-"""Wordings of findings about measurements: faults, gauge freedoms, rows that do not fit.
+"""Sentences of findings about a calibration: its fit, its rows, its parameters, its freedoms.
 
-``FAULTS`` of measurements that no hypothesis explains, ``FREEDOMS`` that no measurement determines,
-``ROWS`` and what their residuals follow.
+One table for each kind, from code to ``Wording``; those of measurements that cannot be right are in
+``faults``. ``VALUE_MEANINGS`` says what the values of a finding are.
 """
 
 from __future__ import annotations
 
-from pincal.finding import Finding
-from pincal.words.numbers import amount, chance, counted, listed, size
-from pincal.words.wording import P_VALUE, Wording, groups_in_words
+from pincal.words.wording import Wording
 
-
-def _still(finding: Finding) -> str:
-    constant = (
-        f"{name} reads the same in all rows ({value:.6g} {unit})"
-        for name, value, unit, _ in finding.values["readings"]
-    )
-    moves = (f"{moved:.2g} {unit}" for _, _, unit, moved in finding.values["readings"])
-    return (
-        f"{', '.join(constant)}, where readings of the nominal mechanism differ by "
-        f"{', '.join(moves)} over these poses"
-    )
-
-
-def _turns(finding: Finding) -> str:
-    v, count = finding.values, len(finding.rows)
-    return (
-        f"{v['leg']}: {counted(count, 'reading is', 'readings are')} off by whole turns, the first "
-        f"in data row {finding.rows[0] + 1}: {v['reading']:.6g} rad, where the nominal mechanism "
-        f"reads {v['nominal']:.6g} rad"
-    )
-
-
-def _bent(finding: Finding) -> str:
-    bent_legs = (
-        f"{leg} ({' and '.join(passive)}, in {bent} of {rows} rows)"
-        for leg, passive, bent, rows in finding.values["legs"]
-    )
-    return (
-        "readings and poses close the legs, but these bend the other way than in mechanism.yaml's "
-        f"home: {', '.join(bent_legs)}"
-    )
-
-
-def _other_mechanism(finding: Finding) -> str:
-    return (
-        f"{finding.values['leg']}: the measurements miss the nominal mechanism by "
-        f"{100 * finding.values['gap']:.1f} % of a leg's length (median), and no single fault in "
-        "units, signs, order, zeros or frame explains it"
-    )
-
-
-def _unrelated_readings(finding: Finding) -> str:
-    v = finding.values
-    return (
-        f"{v['leg']}: the readings do not follow those of the nominal mechanism (machines near it "
-        f"leave {100 * v['left']:.2g} % of the leg's length where readings move it by "
-        f"{100 * v['stroke']:.2g} %)"
-    )
-
-
-def _copies(finding: Finding) -> str:
-    (first, second), pairs = finding.values["first"], finding.values["pairs"]
-    further = f" (and {pairs - 1} more such pairs)" if pairs > 1 else ""
-    return (
-        f"data rows {first + 1} and {second + 1} are identical in all that was measured{further}; "
-        "measured twice, they would differ by noise"
-    )
-
-
-def _large(finding: Finding) -> str:
-    v = finding.values
-    if v["what"] == "position":
-        return (
-            f"the noise of position is given as {v['given']:g} m, more than "
-            f"{100 * v['most'] / v['size']:.0f} % of a leg's length ({v['size']:.3g} m)"
-        )
-    return f"the noise of orientation is given as {v['given']:g} rad; expected less than " + (
-        f"{v['most']:g}"
-    )
-
-
-def _slips(finding: Finding) -> str:
-    v, count = finding.values, len(finding.rows) - 1
-    further = f", and {counted(count, 'more row')} so" if count else ""
-    return (
-        f"data row {v['worst'] + 1} misses the nominal mechanism {v['times']:.3g} times as far as "
-        f"rows usually do{further}"
-    )
-
-
-def _one_body(finding: Finding) -> str:
-    v = finding.values
-    return (
-        f"{100 * v['share']:.0f} % of what the nominal model is off by (in squares) is one motion "
-        f"of the {v['frame']}'s frame, by {size(v['shift'], v['turn'])}, and parameters that "
-        f"differ each in its own way hardly move so ({chance(v['p_value'])})"
-    )
-
-
-def _one_body_remedy(finding: Finding) -> str:
-    question = {
-        "base": "Is the tracker's frame the base's (--unknown-frame)?",
-        "platform": "Is the target the platform's origin (--unknown-target)?",
-    }[finding.values["remedy"]]
-    return f"{question} Else where the frame lies is taken for errors of the machine"
-
-
-FAULTS: dict[str, Wording] = {
-    "readings-still": Wording(
-        "A sensor does not move",
-        {"readings": "name, value, unit, and by how much the nominal one differs, of each"},
-        _still,
-        "A sensor gave one number while the poses moved it.",
-        "Check the sensor, its cable and the log",
-        "error",
-    ),
-    "whole-turns": Wording(
-        "Readings off by whole turns",
-        {"leg": "name", "reading": "the first such [rad]", "nominal": "what it should be [rad]"},
-        _turns,
-        "A counter lost a turn, or counts on where others begin again. The finding's rows are all "
-        "of them.",
-        "Count without the turns, or correct the nominal offset",
-        "error",
-    ),
-    "other-working-mode": Wording(
-        "Another working mode",
-        {"legs": "name, passive joints, rows bent the other way, and rows, of each leg"},
-        _bent,
-        "Readings and poses have several solutions; the machine was measured in another one.",
-        "Correct 'home' there, or measure in its working mode",
-        "error",
-    ),
-    "not-this-mechanism": Wording(
-        "Measurements of another mechanism",
-        {"leg": "name of the worst", "gap": "median misfit, in lengths of the leg"},
-        _other_mechanism,
-        "Poses and readings are those of a machine unlike the nominal one.",
-        "Check the units, the order and signs of the readings, the frame of the poses, and that "
-        "this is the right mechanism. If it is known but roughly, say so (--rough)",
-        "error",
-    ),
-    "readings-do-not-follow": Wording(
-        "Readings do not follow the poses",
-        {
-            "leg": "name",
-            "left": "misfit that machines near the nominal one leave, in lengths of the leg",
-            "stroke": "by how much readings move the leg, in its lengths",
-        },
-        _unrelated_readings,
-        "The poses say nothing of what the readings say, in a workspace too small to see why.",
-        "Check their order and signs, the signs and frame of the poses, and the mechanism",
-        "error",
-    ),
-    "rows-copied": Wording(
-        "Copied rows",
-        {"first": "rows of the first pair, counted from 0", "pairs": "how many pairs"},
-        _copies,
-        "A copy counts as a measurement, and makes intervals too narrow.",
-        "Remove the copies",
-        "error",
-    ),
-    "noise-too-large": Wording(
-        "Noise far too large",
-        {
-            "what": '"position" or "orientation"',
-            "given": "standard deviation given [unit]",
-            "unit": '"m" or "rad"',
-            "most": "the largest that is taken [unit]",
-            "size": "length of a leg [m]",
-        },
-        _large,
-        "So large a noise is a slip in a unit.",
-        lambda f: f"It is in {'metres' if f.values['unit'] == 'm' else 'radians'}",
-        "error",
-        general="Give it in metres and radians",
-    ),
-    "bad-rows": Wording(
-        "Few rows far from the nominal mechanism",
-        {"worst": "row, counted from 0", "times": "how many times as far as usual it misses"},
-        _slips,
-        "The fit failed, and few rows are far from where the others are. The finding's rows are "
-        "those.",
-        "Look for a slip there first, or leave such rows out (--loss reject)",
-    ),
-    "frame-misaligned": Wording(
-        "Parameters moved as one body",
-        {
-            "frame": '"base" or "platform"',
-            "remedy": 'whose place to leave open: "base" or "platform"',
-            "share": "share of the squares of the nominal model's error",
-            "shift": "translation of the frame [m]",
-            "turn": "rotation of the frame [rad]; None for a platform that does not turn",
-            "p_value": "probability of so much motion as one body by chance",
-        },
-        _one_body,
-        "More likely the tracker, or the target, was not aligned, than that the machine is such.",
-        _one_body_remedy,
-        general="Leave that frame open (--unknown-frame, --unknown-target), or align and measure "
-        "again",
-    ),
+#: What the values of a finding are, by name; SI, ids are those of parameters (``leg_1.l``), rows
+#: are counted from 0. Units are "m", "rad" or "1".
+VALUE_MEANINGS = {
+    "axis": '"x", "y" or "z" with the other sign, or "xy", "xz", "yz" exchanged',
+    "change": "identified less nominal [unit]",
+    "changes": "parameter's id, identified less nominal, and unit, of each",
+    "chi2": "reduced χ²",
+    "column": "name of a reading or an angle",
+    "columns": "names of two readings",
+    "count": "number of parameters",
+    "curvature": "curved part of the residuals over the straight one, at one standard error",
+    "dof": "degrees of freedom",
+    "excess": "root of the reduced χ²",
+    "expected": "root mean square residual expected [standard deviations]",
+    "factors": "name, how many times too large, and unit of each reading",
+    "first": "rows of the first pair",
+    "frame": '"base" or "platform"',
+    "freedoms": "how many",
+    "gap": "median misfit, in lengths of the leg",
+    "given": "noise given [unit]; of hypotheses the misfit as measured, in lengths of a leg "
+    "(median), None where nothing fits together",
+    "groups": "ids of parameters that move together, a tuple for each lost direction",
+    "half": "half width of the 95 % interval [unit]",
+    "held": "whether undetermined directions were held already",
+    "held_out": "root mean square residual of held-out rows [standard deviations]",
+    "high": "upper end of a 95 % interval; infinite where there is none",
+    "intervals": 'which there are: "wald" or "profile"',
+    "lacking": "whether residuals follow what the model lacks, which may be why",
+    "left": "misfit that a hypothesis or machines near the nominal one leave, in lengths of a leg",
+    "leg": "name of a leg",
+    "legs": "names of the legs concerned, empty for all; of other-working-mode name, passive "
+    "joints, rows bent the other way, and rows, of each",
+    "lengths": "parameter's id, nominal and identified value [m], of each",
+    "low": "lower end of a 95 % interval; 0 where the drawing may be exact",
+    "message": "why the search ended",
+    "most": "the largest noise that is taken [unit]",
+    "name": "of the tied parameters, several with commas",
+    "nominal": "what the reading should be [rad]",
+    "off": "largest residual of the worst row [standard deviations]",
+    "offsets": "name, offset [unit] and unit of each reading",
+    "options": 'options that were not used: of "unknown-frame", "unknown-target"',
+    "order": "legs, or columns of the orientation, with the columns that fit them",
+    "orientation": "standard deviation, or error to expect [rad]; None without orientations",
+    "orientations_right": "whether the orientations are right",
+    "other_side": "share of the poses on the other side of a singularity than home",
+    "p_value": "probability of such a value, or a larger one, if the model is right; the least of "
+    "several tests, their number taken in",
+    "pairs": "number of pairs",
+    "parameter": "id of the parameter",
+    "pose": "its name in the column pose",
+    "poses": "number of poses of each leg",
+    "position": "standard deviation, or root mean square error to expect [m]; None if no position "
+    "was measured, NaN where nothing is determined",
+    "quantity": 'the reading or measured quantity that is off, such as x or leg_1; "readings" is '
+    'all of them, "lengths" those of the legs',
+    "questioned": "names of the legs that do not fit as measured",
+    "ratio": "spread of parameters over the runs, in predicted standard errors",
+    "ratios": "standard deviations seen over those given, of positions, orientations, readings",
+    "reading": "the first reading that is off [rad]; standard deviation of readings, 0 if exact",
+    "readings": "name, value, unit, and by how much the nominal one differs, of each",
+    "remedy": 'whose place to leave open: "base" or "platform"',
+    "share": "of the rows, of the workspace that lies outside, or of the nominal model's squared "
+    "error",
+    "shift": "translation of the frame [m]; number of rows by which readings stand below",
+    "sigma": "residual of the worst row [standard deviations]",
+    "size": "of a step, or of a leg [m or rad]; standard deviation of differences from the drawing "
+    "[unit], infinite where the measurements do not say it",
+    "source": 'where the noise comes from: "given", "rows" or "repeats"',
+    "stroke": "by how much readings move the leg, in its lengths",
+    "term": 'what residuals follow: "angle", "pose", "order" or "approach"',
+    "times": "how many times as far as usual the worst row misses",
+    "total": "number of rows or poses",
+    "turn": "rotation of the frame [rad]; None for a platform that does not turn",
+    "undetermined": "share of the outside where what was held moves the platform",
+    "unit": "unit of the values",
+    "units": 'units of the readings; of the code unit each kind ("positions", "orientations" or '
+    '"readings"), SI unit, unit as written',
+    "unknown_frame": "whether the frame of the measurements is unknown",
+    "unknowns": "number of parameters of each leg",
+    "unused": "number of poses that do not serve every leg",
+    "weak": "ids of parameters that are weakly determined and were held too",
+    "what": "the noise that is meant; codes of what no promise covers, in ``UNCOVERED``",
+    "without": "reduced χ² without the wrong rows",
+    "worst": "the worst row",
 }
+_EXCESS = (
+    "no accuracy can be promised: residuals are {excess|g} times as large as the noise given "
+    "makes them"
+)
+_GIVE_NOISE = "Give the noise (--noise-position, --noise-orientation, --noise-reading)"
+_SOURCE = "{'repeated rows show' if source == 'repeats' else 'given'}"
+_CHI2 = "reduced χ² is {chi2|rounded(3)} where 1 is expected: the noise is "
+_ASSUMED = "the uncertainties assume that noise"
 
-
-def _base(finding: Finding) -> str:
-    reason = (
-        "the frame of the measurements is unknown"
-        if finding.values["unknown_frame"]
-        else "what was measured does not fix it"
-    )
-    return f"the base frame: {_freedoms(finding)}, since {reason}"
-
-
-def _freedoms(finding: Finding) -> str:
-    return counted(int(finding.values["freedoms"]), "freedom")
-
-
-def _redundant(finding: Finding) -> str:
-    v = finding.values
-    are = "parameter is" if v["count"] == 1 else "parameters are"
-    return f"{v['count']} {are} redundant, whatever is measured: {groups_in_words(v['groups'])}"
-
-
-_CHOICE = "Of equal parameters, those nearest to nominal were taken."
-FREEDOMS: dict[str, Wording] = {
-    "gauge-base-frame": Wording(
-        "Gauge freedom of the base frame",
-        {
-            "freedoms": "how many",
-            "unknown_frame": "whether the frame of the measurements is unknown",
-        },
-        _base,
-        f"Moving the base frame with all base points changes nothing that is measured. {_CHOICE}",
+RESULTS: dict[str, Wording] = {
+    "not-converged": Wording(
+        "The fit did not converge",
+        "message",
+        "the fit did not converge: {message}",
+        "The search for the parameters ended without an answer: there is no calibrated mechanism.",
+        "Look at the units and at the working mode; give a better nominal mechanism, more poses, "
+        "or a robust loss (--loss reject)",
+        "error",
+    ),
+    "not-corrected": Wording(
+        "The fit failed",
+        "excess",
+        _EXCESS + ", and hardly fell",
+        "Parameters that fit no better than nominal ones correct nothing.",
+        "Look at the warnings first",
+        "error",
+    ),
+    "residuals-too-large": Wording(
+        "No accuracy can be promised",
+        "excess",
+        _EXCESS,
+        "Something is wrong with rows, noise or model, and the parameters follow it.",
+        "Look at the warnings first",
+        "error",
+    ),
+    "no-noise": Wording(
+        "Measurements without noise",
         "",
+        "residuals are rounding errors: nothing was measured like that",
+        "Uncertainties and tests come from the size of residuals, and these have none. So it is "
+        "with simulated data without noise.",
+        "Say how well you will measure (--noise-position, --noise-orientation, --noise-reading)",
+    ),
+    "noise-estimated": Wording(
+        "Noise estimated by group",
+        "position orientation reading units",
+        "the noise was not given: it was estimated from the residuals, "
+        "{noise_in_words(position, orientation, reading, units)}",
+        "Variance components of positions, orientations and readings were estimated with the "
+        "parameters: residuals cannot contradict the model.",
+        f"{_GIVE_NOISE}, if it is known",
+    ),
+    "chi2-too-large": Wording(
+        "Residuals larger than the noise",
+        "chi2 dof source",
+        f"{_CHI2}larger than {_SOURCE}, or the model lacks something; {_ASSUMED}",
+        "Residuals are larger than the noise given makes them: intervals are too narrow, and the "
+        "model may lack something, such as play, bending, temperature, a wrong unit or frame.",
+        "See what they follow (pincal explain), and look at outlying rows",
+    ),
+    "chi2-too-small": Wording(
+        "Residuals smaller than the noise",
+        "chi2 dof source",
+        f"{_CHI2}smaller than {_SOURCE}; {_ASSUMED}",
+        "Residuals are smaller than the noise given makes them: intervals are too wide.",
+        "Correct the noise, if it is known to be smaller",
+    ),
+    "noise-in-other-proportion": Wording(
+        "Noise in another proportion",
+        "ratios p_value",
+        "the noise is not in the proportion given ({p_value|chance}): residuals show "
+        "{% for name, ratio in ratios.items() %}{(100 * ratio)|f(0)} % of it in {name}"
+        "{', ' if not loop.last}{% endfor %}",
+        "Some measured quantities are noisier than given, others less (p below 0.01): weights and "
+        "intervals are wrong though χ² may look right.",
+        "Leave the noise out: it is then estimated by group",
+    ),
+    "curved": Wording(
+        "Intervals of a curved problem",
+        "curvature intervals",
+        "within one standard error the problem is curved: the curved part of the residuals' change "
+        "is {curvature|g(2)} of the straight one",
+        "Standard errors come from a straight line through a curve, and joint intervals are too "
+        "small where it bends by half or more.",
+        "{% if intervals == 'profile' %}Measure more poses, or with less noise; intervals are "
+        "those of the profile, platform errors are too small{% else %}Ask for intervals by the "
+        "profile of the cost (--intervals profile). Measure more poses, or with less noise"
+        "{% endif %}",
+        general="Measure more poses, or with less noise. The interval of each parameter holds "
+        "where it is taken from the profile of the cost (--intervals profile)",
+    ),
+    "interval-open": Wording(
+        "Intervals without an end",
+        "",
+        "the 95 % intervals of {parameters|join(', ')} have no end on one side or both: with it "
+        "held farther and farther off, the others fitted, the measurements are explained as well",
+        "The profile of the cost (--intervals profile) does not rise enough within a hundred half "
+        "widths, or ends where the machine cannot reach the measured poses.",
+        "Measure poses that determine more (pincal select), or say how well nominal values are "
+        "known (--priors)",
+    ),
+    "beyond-measured": Wording(
+        "Outside the measured region",
+        "share position orientation undetermined",
+        "{share|percent} of the workspace lies outside the measured region"
+        "{% if undetermined < 1 %}: expect {size_in_words(position, orientation)} there, if the "
+        "model holds as it does where it was measured{% endif %}"
+        "{% if undetermined %}; {undetermined|percent} of that is not determined at all{% endif %}"
+        ". No limit is promised there",
+        "The measured region is where the platform is no more uncertain than at the most uncertain "
+        "pose that was measured. Beyond, nothing measured shows what the model lacks: bending, "
+        "clearance or a scale that parameters took up where it was measured.",
+        "Measure there too (pincal select), or keep to the measured region",
         "info",
     ),
-    "gauge-platform-frame": Wording(
-        "Gauge freedom of the platform's frame",
-        {"freedoms": "how many"},
-        lambda f: (
-            f"the platform's frame: {_freedoms(f)}, since what was measured does not say how the "
-            "platform's points lie in it"
-        ),
-        f"Moving the platform's frame in the platform changes nothing that is measured. {_CHOICE}",
+    "terms-chosen": Wording(
+        "Terms were chosen by the same measurements",
         "",
-        "info",
+        "{parameters|join(', ')} were added because they fit these measurements",
+        "A wrong term takes up what residuals showed: they do not contradict it any more. No limit "
+        "is promised until held-out rows vouch for it.",
+        severity="info",
+        general="Hold rows out (--folds, result.validated())",
     ),
-    "redundant-parameters": Wording(
-        "Redundant parameters",
-        {"count": "how many are not needed", "groups": "ids of parameters that move together"},
-        _redundant,
-        f"Some parameters do the same to the platform as others. {_CHOICE}",
-        "",
-        "info",
+    "promise-leaves-out": Wording(
+        "What the promise leaves out",
+        "what",
+        "the promise leaves out {what|of(UNCOVERED)|listed}: nothing was said of that",
+        "Parameters take these up, so that residuals show them only if they are large.",
+        severity="info",
+        general="Terms of loads (--terms) take in weight, systematic: in the setup scale and "
+        "temperature; a pose that is measured again and again, or several runs, shows what changes "
+        "with time",
     ),
 }
-
-
-def _outliers(finding: Finding) -> str:
-    v, count = finding.values, len(finding.rows)
-    row = "data row" if count == 1 else "the worst data row"
-    return (
-        f"{count} of {v['total']} rows do{'es' * (count == 1)} not fit the others, {row} "
-        f"{finding.rows[0] + 1} by {v['sigma']:.1f} standard deviations ({v['quantity']} off by "
-        f"{v['off']:.1f} σ)"
-    )
-
-
-def _wrong_rows(finding: Finding) -> str:
-    v, rows = finding.values, [row + 1 for row in finding.rows]
-    listed_rows = f"{counted(len(rows), 'data row')} of {v['total']}, {listed(rows[:6])}"
-    listed_rows += f" and {len(rows) - 6} more" if len(rows) > 6 else ""
-    subject = f"data row {rows[0]} does" if len(rows) == 1 else f"{listed_rows}, do"
-    return (
-        f"{subject} not fit the others, {'by' if len(rows) == 1 else 'the first by'} "
-        f"{v['sigma']:.0f} standard deviations ({v['quantity']} off by {v['off']:.0f} σ): reduced "
-        f"χ² is {v['chi2']:.3g} with {'it' if len(rows) == 1 else 'them'}, {v['without']:.3g} "
-        "without, and what follows is with"
-    )
-
-
-def _wrong_rows_remedy(finding: Finding) -> str:
-    them = "it" if len(finding.rows) == 1 else "them"
-    return f"Mend or remove {them}, or leave {them} out by --loss reject"
-
-
-def _outliers_remedy(finding: Finding) -> str:
-    them = "it" if len(finding.rows) == 1 else "them"
-    if finding.values["lacking"]:
-        return f"First model what residuals follow: that may be why; then look at {them}"
-    return f"Look at {them}, or use a robust loss (--loss reject)"
-
-
-_TERMS = {
-    "angle": ("its own value", "an eccentric disc, a gear or a lead that is not even is likely"),
-    "pose": ("the pose", "legs or base that bend, or an error of the tracker over its volume"),
-    "order": ("the order of the rows", "drift, of temperature or of a reference, is likely"),
-    "approach": ("the side from which it was approached", "play or friction is likely"),
-}
-
-
-def _lacks(finding: Finding) -> str:
-    v = finding.values
-    course, cause = _TERMS[v["term"]]
-    return (
-        f"{v['quantity']}: residuals follow {course} ({chance(v['p_value'])}), and the model has "
-        f"nothing for that: {cause}"
-    )
-
-
-def _step(finding: Finding) -> str:
-    v = finding.values
-    return (
-        f"{v['quantity']} is off by {amount(v['size'], v['unit'])} from data row "
-        f"{finding.rows[0] + 1} on ({chance(v['p_value'])})"
-    )
-
-
-def _moved(finding: Finding) -> str:
-    v, rows = finding.values, finding.rows
-    return (
-        f"the pose {v['pose']!r}, measured {len(rows)} times: {v['quantity']} moved by "
-        f"{amount(v['size'], v['unit'])} from data row {rows[0] + 1} to {rows[-1] + 1} "
-        f"({chance(v['p_value'])})"
-    )
-
-
 ROWS: dict[str, Wording] = {
     "model-lacks": Wording(
         "Residuals follow something",
-        {
-            "quantity": 'the reading or measured quantity that is off; "readings" is all of them, '
-            '"lengths" those of the legs',
-            "term": 'what its error follows: "angle", "pose", "order" or "approach"',
-            "p_value": "the probability of the most improbable of all such tests, by chance",
-        },
-        _lacks,
+        "quantity term p_value",
+        "{quantity}: residuals follow {TERMS[term][0]} ({p_value|chance}), and the model has "
+        "nothing for that: {TERMS[term][1]}",
         "Residuals follow what the model lacks, more than chance explains (p below 0.01, all tests "
         "together): intervals and platform errors are too small by nobody knows how much.",
         "Model it (pincal explain says which term pays) or remove its cause; measure in a mixed "
@@ -344,13 +241,8 @@ ROWS: dict[str, Wording] = {
     ),
     "step": Wording(
         "A step",
-        {
-            "quantity": "the reading or measured quantity that is off",
-            "size": "by how much, after the step [m or rad]",
-            "unit": '"m" or "rad"',
-            "p_value": "the probability of such a step anywhere, by chance",
-        },
-        _step,
+        "quantity size unit p_value",
+        "{quantity} is off by {size|amount(unit)} from data row {row} on ({p_value|chance})",
         "A sensor, target or frame changed its place during the experiment. The finding's row is "
         "the first after it.",
         "Look for an encoder that slipped, or a target that was hit; name runs in a column run, or "
@@ -358,14 +250,9 @@ ROWS: dict[str, Wording] = {
     ),
     "reference-moved": Wording(
         "A pose moved that was measured again",
-        {
-            "pose": "its name in the column pose",
-            "quantity": "the reading or measured quantity that moved",
-            "size": "by how much, from the first time to the last [m or rad]",
-            "unit": '"m" or "rad"',
-            "p_value": "the probability of the most improbable of all such tests, by chance",
-        },
-        _moved,
+        "pose quantity size unit p_value",
+        "the pose '{pose}', measured {rows|length} times: {quantity} moved by {size|amount(unit)} "
+        "from data row {row} to {rows[-1]} ({p_value|chance})",
         "What was measured of one pose, four times or more, moved with time, more than readings "
         "and noise explain. The finding's rows are those of the pose.",
         "Look for what warms up, a tracker or a base that moves; measure again when warm, or the "
@@ -373,68 +260,177 @@ ROWS: dict[str, Wording] = {
     ),
     "outliers": Wording(
         "Outliers",
-        {
-            "total": "number of rows",
-            "sigma": "residual of the worst row [standard deviations]",
-            "quantity": "which of its residuals is largest, such as x or leg_1",
-            "off": "size of that residual [standard deviations]",
-            "lacking": "whether residuals follow what the model lacks, which may be why",
-        },
-        _outliers,
+        "total sigma quantity off lacking",
+        "{rows|length} of {total} rows do{'es' if rows|length == 1} not fit the others, "
+        "{'' if rows|length == 1 else 'the worst '}data row {row} by {sigma|f(1)} standard "
+        "deviations ({quantity} off by {off|f(1)} σ)",
         "Rows miss by more than chance explains, however many there are (one sound calibration in "
         "a hundred has any). The finding's rows are those, the worst first.",
-        _outliers_remedy,
+        "{'First model what residuals follow: that may be why; then look at ' ~ them if lacking "
+        "else 'Look at ' ~ them ~ ', or use a robust loss (--loss reject)'}",
         general="Look at them: a slip, a lost beam, a wrong set. --loss reject leaves them out "
         "and lists them",
     ),
     "wrong-rows": Wording(
         "Few rows spoil the fit",
-        {
-            "total": "number of rows",
-            "chi2": "reduced χ² with these rows",
-            "without": "reduced χ² without them",
-            "sigma": "residual of the worst row [standard deviations]",
-            "quantity": "which of its residuals is largest, such as x or leg_1",
-            "off": "size of that residual [standard deviations]",
-        },
-        _wrong_rows,
+        "total chi2 without sigma quantity off",
+        "{% if rows|length == 1 %}data row {row} does not fit the others, by{% else %}"
+        "{rows|length} data rows of {total}, {rows[:6]|listed}"
+        "{% if rows|length > 6 %} and {rows|length - 6} more{% endif %}, do not fit the others, "
+        "the first by{% endif %} {sigma|f(0)} standard deviations ({quantity} off by {off|f(0)} "
+        "σ): reduced χ² is {chi2|g} with {them}, {without|g} without, and what follows is with",
         "Residuals are too large for the noise given, and a fit that rejects few rows has some "
         "as large as that noise: noise and model are right, these rows are not. Parameters are "
         "still those of all rows.",
-        _wrong_rows_remedy,
+        "Mend or remove {them}, or leave {them} out by --loss reject",
         general="Mend or remove these rows, or leave them out by --loss reject",
     ),
     "many-outliers": Wording(
         "Many rows do not fit",
-        {"share": "share of the rows"},
-        lambda f: (
-            f"{100 * f.values['share']:.0f} % of the rows do not fit the others, data row "
-            f"{f.rows[0] + 1} least"
-        ),
+        "share",
+        "{(100 * share)|f(0)} % of the rows do not fit the others, data row {row} least",
         "More than a tenth of the rows are outliers: rather the noise is larger than given, or the "
         "model lacks something, than that so many are wrong. The finding's rows are those.",
         "Correct the noise or the model before leaving rows out (--loss reject)",
     ),
     "held-out-worse": Wording(
         "Held-out rows miss by more than is expected",
-        {
-            "held_out": "root mean square residual of held-out rows [standard deviations]",
-            "expected": "the same, as expected",
-            "p_value": P_VALUE,
-        },
-        "held-out rows miss by {held_out:.2f} standard deviations where {expected:.2f} are "
-        "expected ({chance}): the model follows its rows more closely than the machine",
+        "held_out expected p_value",
+        "held-out rows miss by {held_out|f(2)} standard deviations where {expected|f(2)} are "
+        "expected ({p_value|chance}): the model follows its rows more closely than the machine",
         "Rows that a fit has not seen miss by more than is explained (p below 0.001).",
         "Measure more poses, or fix parameters",
     ),
     "runs-differ": Wording(
         "Runs differ",
-        {"ratio": "spread over the runs, in predicted standard errors", "p_value": P_VALUE},
-        "parameters differ between runs {ratio:.1f} times as much as their standard errors say "
-        "({chance}), {parameters} most: something changed between runs, or the noise is "
-        "larger than given",
+        "ratio p_value",
+        "parameters differ between runs {ratio|f(1)} times as much as their standard errors say "
+        "({p_value|chance}), {parameters|join(', ')} most: something changed between runs, or the "
+        "noise is larger than given",
         "Runs, calibrated each alone, spread more than their standard errors say (p below 0.001). "
         "The finding's parameters are the three that differ most.",
         "Find what changed between runs",
+    ),
+}
+PARAMETERS: dict[str, Wording] = {
+    "tolerance-found": Wording(
+        "Tolerances found with the parameters",
+        "unit size low high count",
+        "{% set kinds = {'m': 'lengths', 'rad': 'angles', '1': 'gains'}[unit] %}"
+        "{% if size|finite %}{kinds} differ from the drawing by {size|amount(unit)}, standard "
+        "deviation of {count} (95 %: {low|amount(unit)} "
+        "{'to ' ~ high|amount(unit) if high|finite else 'or more'})"
+        "{% else %}how far {kinds} are from the drawing is not said by {count} of them{% endif %}",
+        "--tolerance auto: one variance component for each unit, found by restricted maximum "
+        "likelihood, is the prior of the parameters of that unit.",
+        "{% if not size|finite %}They are free; give their tolerance (--tolerance, --priors), if "
+        "it is known{% elif not low %}Measurements do not separate them from the drawing"
+        "{% endif %}",
+        "info",
+        "Where measurements do not say it, give the tolerance (--tolerance 0.5mm,5mrad)",
+    ),
+    "few-poses": Wording(
+        "Few poses",
+        "legs poses unknowns",
+        "{legs|join(', ')}: {poses} poses for {unknowns} parameters",
+        "So few equations that residuals are small whatever the machine is.",
+        "Measure more: two or three times as many poses as parameters are advised",
+    ),
+    "unused-poses": Wording(
+        "Poses that serve one leg only",
+        "unused total",
+        "{unused} of {total} measured poses serve other legs only",
+        "Each leg was identified by the poses of its set only.",
+        "Leave out --method per-leg, or add --poses all: then every leg uses every pose",
+        "info",
+    ),
+    "weakly-determined": Wording(
+        "Weakly determined parameters",
+        "parameter half unit held",
+        "{% if parameters|length == 1 %}{parameter} is weakly determined, known{% else %}"
+        "{parameters|length} parameters are weakly determined, {parameter}{% endif %} to ± "
+        "{half|g(2)}{unit|si} only",
+        "A standard error is larger than machines differ from their drawings: the number is noise. "
+        "The finding's parameters are all of them.",
+        "Measure poses that determine more"
+        "{', hold it at nominal (--hold-undetermined)' if not held}, or say how well nominal "
+        "values are known (--priors)",
+        general="Measure poses that determine more (pincal select), hold what is undetermined "
+        "(--hold-undetermined, --fixed), or say how well nominal values are known (--priors)",
+    ),
+    "undetermined-held": Wording(
+        "Undetermined parameters were held",
+        "groups weak",
+        "these measurements do not determine everything: {groups|groups}{'; ' if groups and weak}"
+        "{weak|listed ~ ' are weakly determined' if weak}",
+        "What is named was held as near to nominal as can be: the machine is calibrated where it "
+        "was measured; elsewhere it may be off.",
+        "Held as near to nominal as can be, so that the machine is calibrated where it was "
+        "measured only",
+    ),
+    "far-from-nominal": Wording(
+        "A parameter moved far",
+        "parameter change unit options",
+        "{parameter} moved by {'%+.3g' % change}{unit|si}, farther than a machine differs from its "
+        "drawing",
+        "A parameter moved by more than 5 % of the mechanism's size, or 0.05 rad or 1. If the "
+        "drawing is known roughly only, say so (--rough).",
+        "Check units, the order of the readings, and the frame of the measurements"
+        "{' (' ~ options|of(UNUSED_OPTIONS)|join('; ') ~ ')' if options}",
+        general="Check units, the order of the readings, and the frame and target of the "
+        "measurements (--unknown-frame, --unknown-target)",
+    ),
+    "zeros-found": Wording(
+        "Zeros of motors are far off",
+        "changes",
+        "zeros of readings are far from the drawing's: {% for id, change, unit in changes %}"
+        "{loop|joint}{id} by {change|g}{unit|si or ' '}{% endfor %}",
+        "Nothing but other zeros explains the measurements, and full poses give these in closed "
+        "form: the search started there. The other parameters stay near the drawing.",
+        "Nothing to do if the motors were zeroed anew; else look at the columns of these readings",
+    ),
+    "sign-changed": Wording(
+        "A length changed its sign",
+        "lengths",
+        "lengths changed their sign: {% for id, nominal, length in lengths %}{loop|joint}{id} from "
+        "{nominal|g(4)} to {length|g(4)} m{% endfor %}",
+        "The mirror image of a leg fits, or the search went astray: a length of the drawing cannot "
+        "be negative.",
+        "Correct the nominal values (zeros of motors first), or fix these lengths (--fixed)",
+    ),
+    "tie-contradicted": Wording(
+        "A tie does not hold",
+        "name p_value",
+        "{name} is tied over the legs, and the measurements contradict that ({p_value|chance})",
+        "The legs differ in this parameter by more than their standard errors explain (1 %).",
+        "Leave the tie out (--tied)",
+    ),
+}
+_NEAREST = "Of equal parameters, those nearest to nominal were taken."
+FREEDOMS: dict[str, Wording] = {
+    "gauge-base-frame": Wording(
+        "Gauge freedom of the base frame",
+        "freedoms unknown_frame",
+        "the base frame: {freedoms|counted('freedom')}, since "
+        "{% if unknown_frame %}the frame of the measurements is unknown{% else %}what was measured "
+        "does not fix it{% endif %}",
+        f"Moving the base frame with all base points changes nothing that is measured. {_NEAREST}",
+        severity="info",
+    ),
+    "gauge-platform-frame": Wording(
+        "Gauge freedom of the platform's frame",
+        "freedoms",
+        "the platform's frame: {freedoms|counted('freedom')}, since what was measured does not say "
+        "how the platform's points lie in it",
+        f"Moving the platform's frame in the platform changes nothing that is measured. {_NEAREST}",
+        severity="info",
+    ),
+    "redundant-parameters": Wording(
+        "Redundant parameters",
+        "count groups",
+        "{count|counted('parameter is', 'parameters are')} redundant, whatever is measured: "
+        "{groups|groups}",
+        f"Some parameters do the same to the platform as others. {_NEAREST}",
+        severity="info",
     ),
 }

@@ -1,9 +1,4 @@
-"""Sentences of findings: what was found and what to do about it, made of a code and its values.
-
-``finding("chi2-too-large", chi2=2.1, ...)`` makes a ``Finding`` and checks that it has the values
-which its sentence needs; ``sentence(...)`` says it. The codes are, with their values, titles
-and remedies, in ``pincal.words``: ``results``, ``findings``, ``parameters`` and ``hypotheses``.
-"""
+"""Findings and their sentences: what was found and what to do about it, by code and values."""
 
 from __future__ import annotations
 
@@ -11,21 +6,12 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from pincal.finding import Finding
-from pincal.words.findings import FAULTS, FREEDOMS, ROWS
-from pincal.words.hypotheses import HYPOTHESES, explanation
-from pincal.words.parameters import PARAMETERS
-from pincal.words.results import RESULTS
+from pincal.words.faults import FAULTS, HYPOTHESES, explanation
+from pincal.words.findings import FREEDOMS, PARAMETERS, RESULTS, ROWS
 from pincal.words.wording import Wording
 
 #: What is said of each code.
-WORDINGS: Mapping[str, Wording] = {
-    **RESULTS,
-    **ROWS,
-    **PARAMETERS,
-    **FREEDOMS,
-    **FAULTS,
-    **HYPOTHESES,
-}
+WORDINGS: Mapping[str, Wording] = RESULTS | ROWS | PARAMETERS | FREEDOMS | FAULTS | HYPOTHESES
 
 
 def finding(
@@ -44,10 +30,10 @@ def finding(
         TypeError: values that are missing, or that the code does not have.
     """
     wording = WORDINGS[code]
-    if set(values) != set(wording.values):
+    if set(values) != set(wording.value_names.split()):
         raise TypeError(
-            f"{code} has the values {sorted(wording.values)}, got {sorted(values)}: see "
-            "pincal.words"
+            f"{code} has the values {sorted(wording.value_names.split())}, got {sorted(values)}: "
+            "see pincal.words"
         )
     places = tuple(int(row) for row in rows)
     return Finding(code, wording.severity, values, places, tuple(parameters))
@@ -61,8 +47,7 @@ def sentence(finding: Finding) -> str:
     if finding.code in HYPOTHESES:
         return explanation([finding])
     wording = WORDINGS[finding.code]
-    text, remedy = wording.said(finding), wording.remedied(finding)
-    return f"{text}. {remedy}" if remedy else text
+    return ". ".join(filter(None, (wording.said(finding), wording.remedied(finding))))
 
 
 def sentences(findings: Iterable[Finding], *severities: str) -> list[str]:

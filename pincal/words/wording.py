@@ -1,30 +1,45 @@
-"""What is said of a code: title, sentence, meaning, remedy, and the values that these need.
+"""What is said of a code, as templates; text that pages can hold; templates of pages.
 
-With what sentences share: groups of parameters in words, text that pages can hold, templates.
+A sentence is written as it is read, what differs in braces: ``{size|amount(unit)}``. What stands
+in braces is a Jinja expression of the finding's values, of its ``rows`` (counted from 1), ``row``
+(the first) and ``parameters``, with ``them`` for its rows (``it`` for a single one), and the
+filters below.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, TypeAlias
+from math import isfinite
+from typing import Any
 
-from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
+from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined, Template
 
 from pincal.finding import Finding, Severity
 from pincal.model.checks import ALIKE
-from pincal.words.numbers import chance
+from pincal.words.numbers import (
+    SMALL,
+    amount,
+    chance,
+    counted,
+    listed,
+    number,
+    percent,
+    rounded,
+    size,
+)
 
-#: Words with the finding's values in braces, or a function of the finding.
-Words: TypeAlias = str | Callable[[Finding], str]
 #: Groups of parameters in a sentence; result.json has all.
 LISTED = 4
 #: Names in a message, rows of a long table.
 NAMED = 12
-#: What a p-value of a finding is.
-P_VALUE = "probability of such a value, or a larger one, if the model is right"
+
+
+def times_off(factor: float) -> str:
+    """Return how far a scale is off: ``10 times too large``."""
+    return f"{rounded(max(factor, 1 / factor), 3)} times too {'large' if factor > 1 else 'small'}"
 
 
 @dataclass(frozen=True)
@@ -33,40 +48,38 @@ class Wording:
 
     title: str
     """What it is, in few words."""
-    values: Mapping[str, str]
-    """What each value of the finding is, with its unit."""
-    says: Words
-    """What was found, in one sentence without capital and full stop."""
+    value_names: str
+    """Names of the values that a finding of it has (``pincal.words.findings.VALUE_MEANINGS``)."""
+    says: str
+    """Template of what was found, in one sentence without capital and full stop."""
     means: str
     """What that means, for the page of errors."""
-    remedy: Words
-    """What to do about it, in a sentence without full stop; may be empty."""
+    remedy: str = ""
+    """Template of what to do about it, in a sentence without full stop."""
     severity: Severity = "warning"
     general: str = ""
-    """The remedy as the page of errors says it, where ``remedy`` is a function."""
+    """The remedy as the page of errors says it, where it depends on values."""
 
     @property
     def advice(self) -> str:
         """What to do about it in general."""
-        return self.remedy if isinstance(self.remedy, str) else self.general
+        return self.general or self.remedy
 
     def said(self, finding: Finding) -> str:
         """Return what was found."""
-        return _with(self.says, finding)
+        return _filled(self.says, finding)
 
     def remedied(self, finding: Finding) -> str:
         """Return what to do about it."""
-        return _with(self.remedy, finding)
+        return _filled(self.remedy, finding)
 
 
-def _with(words: Words, finding: Finding) -> str:
-    """Return words with the values of a finding."""
-    if not isinstance(words, str):
-        return words(finding)
-    values = {"parameters": ", ".join(finding.parameters), **finding.values}
-    if "p_value" in values:
-        values["chance"] = chance(values["p_value"])
-    return words.format(**values)
+def _filled(words: str, finding: Finding) -> str:
+    """Return a template with the values of a finding."""
+    rows = [row + 1 for row in finding.rows]
+    names = {"rows": rows, "row": rows[0] if rows else None, "them": "them"}
+    names |= {"them": "it"} if len(rows) == 1 else {}
+    return sentence_template(words).render(names, parameters=finding.parameters, **finding.values)
 
 
 def group_in_words(group: tuple[str, ...]) -> str:
@@ -75,17 +88,26 @@ def group_in_words(group: tuple[str, ...]) -> str:
     return f"{', '.join(first)} and {last} move together" if first else f"{last} has no effect"
 
 
-def groups_in_words(groups: tuple[tuple[str, ...], ...], most: int = LISTED) -> str:
-    """Return which parameters move together, a list cut where it is long.
-
-    Args:
-        groups: Ids of parameters; one that is alone has no effect.
-        most: How many groups are listed.
-    """
+def groups_in_words(groups: Sequence[tuple[str, ...]], most: int = LISTED) -> str:
+    """Return which parameters move together, ``most`` groups and how many more there are."""
     parts = list(map(group_in_words, groups))
     if len(parts) > most + 1:
         parts[most:] = [f"and {len(parts) - most} more (result.json)"]
     return "; ".join(parts)
+
+
+def noise_in_words(
+    position: float | None, orientation: float | None, reading: float, units: Sequence[str]
+) -> str:
+    """Return standard deviations of what was measured, [m], [rad] and [units]; 0 is exact.
+
+    ``units`` are those of the readings, or what they may be where legs differ.
+    """
+    sizes = ((position, "m", "position"), (orientation, "rad", "orientation"))
+    parts = [f"{amount(size, unit)} in {name}" for size, unit, name in sizes if size is not None]
+    read = listed((SMALL[unit] for unit in units), "or")
+    parts.append(f"{number(reading, units[0])} {read} in readings" if reading else "readings exact")
+    return ", ".join(parts)
 
 
 _UNPRINTABLE = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
@@ -103,13 +125,82 @@ def _cleaned(value: Any) -> Any:
 
 
 def rendered(template: str, **values: Any) -> str:
-    """Return a template of ``pincal/words/pages`` or ``pincal/show/pages`` with values."""
-    return _environment().get_template(template).render(**values)
+    """Return a template of ``pincal/words`` or ``pincal/show/pages`` with values."""
+    return _pages().get_template(template).render(**values)
 
 
 @cache
-def _environment() -> Environment:
-    return Environment(
+def sentence_template(words: str) -> Template:
+    """Return a sentence with what differs in braces."""
+    return _sentences().from_string(words)
+
+
+_FILTERS = {
+    "amount": amount,
+    "chance": chance,
+    "counted": counted,
+    "f": lambda value, digits: f"{value:.{digits}f}",
+    "finite": isfinite,
+    "g": lambda value, digits=3: f"{value:.{digits}g}",
+    "groups": groups_in_words,
+    "listed": listed,
+    "joint": lambda loop: "" if loop.first else " and " if loop.last else ", ",
+    "number": number,
+    "of": lambda codes, names: [names[code] for code in codes],
+    "percent": percent,
+    "rounded": rounded,
+    "si": lambda unit: "" if unit == "1" else f" {unit}",
+    "times": times_off,
+}
+
+
+#: What a promise may leave out.
+UNCOVERED = {
+    "weight": "bending under weight",
+    "scale": "a wrong scale or temperature",
+    "time": "what slips or warms during the run",
+}
+#: Words for codes in values of findings.
+_NAMES = {
+    "UNCOVERED": UNCOVERED,
+    "TERMS": {
+        "angle": (
+            "its own value",
+            "an eccentric disc, a gear or a lead that is not even is likely",
+        ),
+        "pose": ("the pose", "legs or base that bend, or an error of the tracker over its volume"),
+        "order": ("the order of the rows", "drift, of temperature or of a reference, is likely"),
+        "approach": ("the side from which it was approached", "play or friction is likely"),
+    },
+    "UNUSED_OPTIONS": {
+        "unknown-frame": "the base may be elsewhere in the frame of the measurements "
+        "(--unknown-frame)",
+        "unknown-target": "what was measured may not be the platform's origin (--unknown-target or "
+        "--setup)",
+    },
+    "UNIT_NAMES": {"mm": "in mm", "m": "in metres", "deg": "in degrees", "rad": "in radians"},
+    "HEADERS": {
+        ("m", "mm"): "a metre header",
+        ("m", "m"): "a mm header",
+        ("rad", "deg"): "a radian header",
+        ("rad", "rad"): "a degree header",
+    },
+}
+
+
+@cache
+def _sentences() -> Environment:
+    environment = Environment(
+        variable_start_string="{", variable_end_string="}", undefined=StrictUndefined
+    )
+    environment.filters |= _FILTERS
+    environment.globals |= _NAMES | {"noise_in_words": noise_in_words, "size_in_words": size}
+    return environment
+
+
+@cache
+def _pages() -> Environment:
+    environment = Environment(
         loader=ChoiceLoader(
             [PackageLoader("pincal.words", ""), PackageLoader("pincal.show", "pages")]
         ),
@@ -119,6 +210,8 @@ def _environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.filters |= _FILTERS
+    return environment
 
 
 def mapped_diagonals(differ: float) -> str:
@@ -135,6 +228,20 @@ def mapped_diagonals(differ: float) -> str:
     )
 
 
+def missed_line(
+    target: str, unit: str, poses: int, rms: float, mean: float, largest: float, **others: Any
+) -> str:
+    """Return how far a target is missed at held-out rows: the values of a ``Missed``."""
+    low, high = others["rms_ends"]
+    ends = f" (95 %: {number(low, unit)} to {number(high, unit)})" if isfinite(high) else ""
+    return (
+        f"{'position' if unit == 'm' else 'orientation'} of {target!r} is missed by "
+        f"{amount(rms, unit)}{ends} held out, root mean square of {counted(poses, 'pose')}, by "
+        f"{number(mean, unit)} on average and {number(largest, unit)} at most; by "
+        f"{number(others['fit'], unit)} in the fit"
+    )
+
+
 def unreached(magnify: float | None, problems: Sequence[str]) -> str:
     """Return at how many poses a machine is not drawn in full; empty where it is everywhere.
 
@@ -142,13 +249,10 @@ def unreached(magnify: float | None, problems: Sequence[str]) -> str:
         magnify: Factor on the identified machine's errors; None of the mechanism itself.
         problems: Of each pose; empty strings where there is none.
     """
-    reasons = [text for text in problems if text]
-    if not reasons:
+    if not (reasons := [text for text in problems if text]):
         return ""
-    name = "the mechanism"
-    if magnify is not None:
-        name = f"the identified machine (errors × {magnify:g})"
+    machine = f"identified machine (errors × {magnify:g})" if magnify is not None else "mechanism"
     return (
-        f"{name} is not drawn in full at {len(reasons)} of {len(problems)} poses; the first: "
-        f"{reasons[0]}"
+        f"the {machine} is not drawn in full at {len(reasons)} of {len(problems)} poses; the "
+        f"first: {reasons[0]}"
     )

@@ -52,7 +52,7 @@ class Hypothesis:
     """One thing that may have gone wrong."""
 
     code: str
-    """Kebab case; its sentence and remedy are in ``pincal.words.hypotheses``."""
+    """Kebab case; its sentence and remedy are in ``pincal.words.faults``."""
     right: Callable[[Sample], tuple[Array, Array]]
     """Returns poses (N, dof) and readings (N, n_readings) put right."""
     values: Mapping[str, Any] = field(default_factory=dict)
