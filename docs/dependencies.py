@@ -42,9 +42,6 @@ WHY = {
     "u-msgpack-python": "packs meshcat's commands as its viewer reads them; meshcat needs it too",
     "distributed": "extra `cluster`: the same chunks on a Dask cluster (`--scheduler`)",
     "pandas": "extra `pandas`: tables in and out as DataFrames",
-    "python-calamine": "extra `excel`: one reader of .xlsx, .xls and .ods, which pandas calls; "
-    "openpyxl, xlrd and odfpy would be three",
-    "pyarrow": "extra `parquet`: reads .parquet, for pandas",
     "mujoco": "extra `mujoco`: reads MJCF, its own format: defaults, includes, frames, replicas, "
     "all notations of orientations; a reader by hand knew some of them, and lost joints in silence",
     "example-robot-data": "tests and examples: twenty and more arms as URDFs with their meshes",
@@ -154,7 +151,7 @@ def indirect() -> str:
 
 TABLES = {
     "library": direct,
-    "tools": lambda: direct("cluster", "excel", "parquet", "test", "docs", "dev"),
+    "tools": lambda: direct("cluster", "test", "docs", "dev"),
     "brought": indirect,
 }
 

@@ -14,9 +14,9 @@ from scipy.spatial.transform import Rotation
 import pincal
 from pincal.errors import MeasurementError, MechanismError
 from pincal.files.measurement_writing import write_plan, write_readings
-from pincal.files.measurements import read_readings
+from pincal.files.measurements import read_measurements, read_poses, read_readings
 from pincal.files.mechanism_folders import as_mechanism, bundled
-from pincal.files.read import as_measurements, as_plan, as_setup
+from pincal.files.yaml import read_setup
 
 THREE = pincal.load_mechanism("3RRR")
 POSES, READINGS = np.zeros((4, 3)), np.ones((4, 3))
@@ -187,7 +187,7 @@ def test_what_is_wrong_in_a_dataframe_is_named() -> None:
         (frame.replace({"set": {"": "leg_7"}}), "DataFrame, row 5: set 'leg_7' is no leg"),
         (frame.assign(**{"y [m]": [0, 1, 2, None, 4]}), "DataFrame, row 4: empty cell in column"),
         (frame.rename(columns={"x [m]": "x"}), "DataFrame: column 'x' has no unit"),
-        (frame.iloc[:0], "DataFrame: no rows"),
+        (frame.iloc[:0], "DataFrame: a header but no rows"),
     ):
         with pytest.raises(MeasurementError, match=said):
             as_read(changed, mechanism)
@@ -290,7 +290,6 @@ def test_a_kind_of_ones_own_is_identified_and_kept(tmp_path: Path) -> None:
         lambda: pincal.Mechanism.from_urdf(3, "tool"),
         lambda: pincal.Measurements.from_csv(None, THREE),
         lambda: pincal.Measurements.from_csv("m.csv", 3),
-        lambda: pincal.Measurements.from_csv("m.csv", THREE, "setup.yaml"),
         lambda: pincal.Plan.from_csv([1.0], THREE),
         lambda: pincal.Plan.from_csv("p.csv", None),
         lambda: read_readings(3, THREE),
@@ -303,10 +302,10 @@ def test_a_kind_of_ones_own_is_identified_and_kept(tmp_path: Path) -> None:
         lambda: write_readings("r.csv", 3, READINGS),
         lambda: THREE.save(None),
         lambda: as_mechanism(3.0),
-        lambda: as_plan("3RRR".split, THREE),
-        lambda: as_measurements(None, THREE),
-        lambda: as_measurements(POSES, THREE),
-        lambda: as_setup({"frame": "unknown"}),
+        lambda: read_poses("3RRR".split, THREE),
+        lambda: read_measurements(None, THREE),
+        lambda: read_measurements(POSES, THREE),
+        lambda: read_setup({"frame": "unknown"}),
     ],
 )
 def test_wrong_types_at_the_door_are_named(call: Callable[[], object]) -> None:
@@ -321,15 +320,15 @@ def test_what_is_handed_over_is_taken_in_every_form(tmp_path: Path) -> None:
     mechanism, data = measured("3RRR")
     data.to_csv(tmp_path / "m.csv", mechanism)
     for given in (data, str(tmp_path / "m.csv"), tmp_path / "m.csv", data.to_dataframe(mechanism)):
-        read = as_measurements(given, mechanism)
+        read = read_measurements(given, mechanism)
         np.testing.assert_array_equal(read.readings, data.readings)
-        np.testing.assert_array_equal(as_plan(given, mechanism).poses, data.poses)
+        np.testing.assert_array_equal(read_poses(given, mechanism).poses, data.poses)
     transforms = mechanism.platform.transforms(data.poses)
-    np.testing.assert_allclose(as_plan(transforms, mechanism).poses, data.poses)
-    np.testing.assert_array_equal(as_plan(data.poses.tolist(), mechanism).poses, data.poses)
-    assert as_setup(None) == as_setup(pincal.Setup()) == pincal.Setup()
+    np.testing.assert_allclose(read_poses(transforms, mechanism).poses, data.poses)
+    np.testing.assert_array_equal(read_poses(data.poses.tolist(), mechanism).poses, data.poses)
+    assert read_setup(pincal.Setup()) == pincal.Setup()
     with pytest.raises(MeasurementError, match=r"poses of '5R': expected shape \(N, 2\); got"):
-        as_measurements(data, pincal.load_mechanism("5R"))
+        read_measurements(data, pincal.load_mechanism("5R"))
 
 
 @pytest.mark.parametrize("kind", [*bundled()])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import re
-import sys
+import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -428,7 +428,6 @@ CELLS: list[list[str | float]] = [
 @pytest.mark.parametrize("commas", [False, True])
 def test_spreadsheets_give_what_their_csv_files_give(commas: bool, tmp_path: Path) -> None:
     """Also with blank rows, a margin, and decimal commas in cells that Excel holds for text."""
-    pytest.importorskip("python_calamine")
     (tmp_path / "m.csv").write_bytes(table("1.5,-2,3e-1,4,5,6", "1,2.25,3,0.125,5,6"))
     head, *rows = CELLS
     texts = [[str(one).replace(".", ",") for one in row] for row in rows] if commas else rows
@@ -443,7 +442,6 @@ def test_spreadsheets_give_what_their_csv_files_give(commas: bool, tmp_path: Pat
 
 def test_messages_on_spreadsheets_name_the_row_of_the_sheet(tmp_path: Path) -> None:
     """A title above the headers, a cell that is no number: as Excel counts rows."""
-    pytest.importorskip("python_calamine")
     sheet(tmp_path / "m.xlsx", [["Messung vom 3. Mai"], *CELLS])
     with pytest.raises(MeasurementError, match=r"no header in row 1, .*remove rows above"):
         pincal.Measurements.from_csv(tmp_path / "m.xlsx", THREE)
@@ -467,7 +465,6 @@ def test_cells_without_a_value_are_no_empty_cells(
     flaw: str, rows: int, partial: bool, tmp_path: Path
 ) -> None:
     """Errors and formulas that were never computed, a whole column too: refused by their cell."""
-    pytest.importorskip("python_calamine")
     cell, words = FLAWS[flaw]
     head, *numbers = CELLS
     sheet(tmp_path / "m.xlsx", [head, *[[cell, *one[1:]] for one in numbers[:rows]]])
@@ -479,7 +476,6 @@ def test_cells_without_a_value_are_no_empty_cells(
 
 def test_formulas_with_values_are_read(tmp_path: Path) -> None:
     """Also those that give an empty text."""
-    pytest.importorskip("python_calamine")
     head, row, _ = CELLS
     value = "<c><f>B2*2</f><v>1.5</v></c>"
     sheet(tmp_path / "m.xlsx", [[*head, "note"], [value, *row[1:], '<c t="str"><f>""</f><v/></c>']])
@@ -488,7 +484,6 @@ def test_formulas_with_values_are_read(tmp_path: Path) -> None:
 
 def test_a_far_cell_of_a_spreadsheet_is_refused(tmp_path: Path) -> None:
     """A cell in the last column and row takes no memory for all cells before it."""
-    pytest.importorskip("python_calamine")
     sheet(tmp_path / "m.xlsx", [*CELLS, ['<c r="XFD1048576"><v>1</v></c>']])
     text = (tmp_path / "m.xlsx").read_bytes()
     assert len(text) < 3000
@@ -496,32 +491,34 @@ def test_a_far_cell_of_a_spreadsheet_is_refused(tmp_path: Path) -> None:
         pincal.Measurements.from_csv(tmp_path / "m.xlsx", THREE)
 
 
-def test_parquet_files_are_read(tmp_path: Path) -> None:
-    """As the DataFrame that they hold."""
-    pytest.importorskip("pyarrow")
-    frame = pytest.importorskip("pandas").DataFrame(CELLS[1:], columns=CELLS[0])
-    frame.to_parquet(tmp_path / "m.parquet")
-    found = pincal.Measurements.from_csv(tmp_path / "m.parquet", THREE)
-    assert np.array_equal(found.poses, pincal.Measurements.from_csv(frame, THREE).poses)
-
-
 @pytest.mark.parametrize(
-    ("name", "package", "extra"),
+    ("name", "words"),
     [
-        ("m.xlsx", "python_calamine", "excel"),
-        ("m.ods", "python_calamine", "excel"),
-        ("m.xls", "python_calamine", "excel"),
-        ("m.parquet", "pyarrow", "parquet"),
+        ("m.xlsx", "m.xlsx: no .xlsx file"),
+        ("m.xls", "save the table as .xlsx"),
+        ("m.ods", "save the table as .xlsx"),
+        ("m.parquet", "save the table as CSV"),
     ],
 )
-def test_a_missing_package_is_named_by_its_extra(
-    name: str, package: str, extra: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The message is what to type; a file that is none of its kind is said to be none."""
+def test_files_of_other_kinds_are_refused(name: str, words: str, tmp_path: Path) -> None:
+    """The message says what to make of the file, or that it is none of its kind."""
     (tmp_path / name).write_bytes(b"a sheet")
-    with pytest.raises(MeasurementError, match=f"{name}: no {Path(name).suffix} file"):
+    with pytest.raises(MeasurementError, match=words):
         pincal.Measurements.from_csv(tmp_path / name, THREE)
-    for one in [package, *(m for m in sys.modules if m.startswith(f"{package}."))]:
-        monkeypatch.setitem(sys.modules, one, None)
-    with pytest.raises(MeasurementError, match=re.escape(f"pip install 'pincal[{extra}]'")):
-        pincal.Measurements.from_csv(tmp_path / name, THREE)
+
+
+def test_texts_of_a_spreadsheet_may_be_shared(tmp_path: Path) -> None:
+    """Excel holds texts once, in pieces if they are formatted; cells name them by number."""
+    head, row, _ = CELLS
+    cells = [f'<c t="s"><v>{place}</v></c>' for place in range(len(head))]
+    sheet(tmp_path / "m.xlsx", [cells, row])
+    shared = "".join(
+        f"<si><r><t>{one[:1]}</t></r><r><t>{one[1:]}</t></r><rPh><t>n</t></rPh></si>"
+        for one in head
+    )
+    with zipfile.ZipFile(tmp_path / "m.xlsx", "a") as archive:
+        archive.writestr("xl/sharedStrings.xml", f"<sst>{shared}</sst>")
+    (tmp_path / "m.csv").write_bytes(table(",".join(map(str, row))))
+    expected = pincal.Measurements.from_csv(tmp_path / "m.csv", THREE)
+    found = pincal.Measurements.from_csv(tmp_path / "m.xlsx", THREE)
+    assert np.array_equal(found.poses, expected.poses)

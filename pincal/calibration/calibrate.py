@@ -37,8 +37,8 @@ from pincal.calibration.tolerances import with_found_tolerance, with_unsure_tole
 from pincal.calibration.validation import Validation, held_out
 from pincal.errors import MeasurementError, MisfitError, ObservabilityError, PincalError
 from pincal.estimation.blocks.external import External
+from pincal.files.measurements import read_measurements
 from pincal.files.mechanism_folders import as_mechanism
-from pincal.files.read import as_measurements
 from pincal.finding import Finding
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
@@ -135,7 +135,7 @@ def prepared(
     """Return a calibration to be done; arguments and errors are those of ``calibrate``."""
     asked = Options.of(options, **single_options)
     machine = as_mechanism(mechanism)
-    data = as_measurements(
+    data = read_measurements(
         measurements,
         machine,
         asked.setup,

@@ -31,8 +31,9 @@ from pincal.design.platform_error import PlatformError, platform_error
 from pincal.errors import MeasurementError
 from pincal.estimation.observability.identifiable import WeakPair, weak_pairs
 from pincal.estimation.observability.indices import NEGLIGIBLE, nearest_to_nominal
+from pincal.files.measurements import as_noise
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
-from pincal.files.read import as_noise, as_setup
+from pincal.files.yaml import read_setup
 from pincal.kinematics.configurations import as_plan, check_reached, legs_at
 from pincal.model.checks import ALIKE
 from pincal.model.measurements import Noise, Plan
@@ -172,7 +173,7 @@ def forecast(
         MechanismError: poses of a wrong shape, or not finite.
     """
     mechanism = as_mechanism(mechanism)
-    noise, setup = as_noise(noise), as_setup(setup)
+    noise, setup = as_noise(noise), read_setup(setup or Setup())
     if not isinstance(method, str) or method not in get_args(Method):
         raise MeasurementError(f"no method {method!r}; expected {' or '.join(get_args(Method))}")
     every = as_plan(mechanism, poses)

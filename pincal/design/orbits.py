@@ -17,7 +17,7 @@ from scipy.spatial import KDTree
 
 from pincal.design.information import leg_rows
 from pincal.errors import SymmetryError
-from pincal.files.read import as_noise
+from pincal.files.measurements import as_noise
 from pincal.kinematics.batches import chunks
 from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.derivatives import Demand, leg_demands_at

@@ -15,7 +15,7 @@ from pincal.design.information import leg_rows
 from pincal.design.orbits import distinct, orbit_of, representatives
 from pincal.errors import MeasurementError, ObservabilityError
 from pincal.estimation.observability.indices import identifiability
-from pincal.files.read import as_noise
+from pincal.files.measurements import as_noise
 from pincal.kinematics.batches import chunks
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.derivatives import leg_demands_at

@@ -28,8 +28,9 @@ from pincal.estimation.observability.indices import (
     identifiability,
     scaled_axes,
 )
+from pincal.files.measurements import as_noise
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
-from pincal.files.read import as_noise, as_setup
+from pincal.files.yaml import read_setup
 from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.configurations import Legs, as_plan, check_reached, legs_at
 from pincal.model.checks import count_of
@@ -112,7 +113,8 @@ def select_configurations(
             f"{mechanism.name!r} reaches {len(legs.poses)} of {len(plan)} candidates, of which no "
             f"two are alike; {count} are to be chosen. Give more candidates"
         )
-    known = information_rows(mechanism, legs, as_noise(search.noise), measured, as_setup(setup))
+    noise, setup = as_noise(search.noise), read_setup(setup or Setup())
+    known = information_rows(mechanism, legs, noise, measured, setup)
     flat = known.rows.reshape(-1, known.rows.shape[2])
     identifiable = identifiability(flat, known.unknowns)
     rank, (lengths, _, axes) = identifiable.rank, scaled_axes(flat)

@@ -15,8 +15,8 @@ import numpy as np
 from pincal.blas import on_one_thread
 from pincal.design.platform_error import root_mean_squares, sizes
 from pincal.errors import MeasurementError
+from pincal.files.measurements import as_noise, read_poses
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
-from pincal.files.read import as_noise, as_plan
 from pincal.kinematics.closure import largest_size
 from pincal.kinematics.configurations import command, planned_influences
 from pincal.kinematics.forward import forward
@@ -106,7 +106,7 @@ def simulate(
     """
     mechanism = as_mechanism(mechanism)
     truth = as_mechanism(truth)
-    plan, noise = as_plan(plan, mechanism), as_noise(noise)
+    plan, noise = read_poses(plan, mechanism), as_noise(noise)
     rng = generator_of(seed, MeasurementError)
     count, platform = len(plan.poses), mechanism.platform
     drive = _taken if mechanism.redundant else _driven

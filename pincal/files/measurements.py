@@ -1,4 +1,7 @@
-"""CSV files of poses, readings and measurements that belong to a mechanism, read."""
+"""Poses, readings and measurements that belong to a mechanism, read from tables.
+
+What people hand over is an object, or the name, file or DataFrame that it is read from.
+"""
 
 from __future__ import annotations
 
@@ -7,17 +10,20 @@ import re
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
 from itertools import combinations
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import RigidTransform
 
 from pincal.errors import MeasurementError, MechanismError
 from pincal.files.level import levelled, tilt_column
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
-from pincal.files.table import TextTable, read_table
+from pincal.files.table import TextTable, is_dataframe, read_table
 from pincal.files.text import plain_number
-from pincal.model.checks import must_be
-from pincal.model.measurements import EVERY_LEG, VERIFY, Measurements, Plan
+from pincal.files.yaml import read_setup
+from pincal.model.checks import array_of, must_be
+from pincal.model.measurements import EVERY_LEG, VERIFY, Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import SINGLE_ANGLES, WAYS, columns_of, rotation_of
 from pincal.model.setup import Setup
@@ -26,79 +32,145 @@ from pincal.types import Array
 from pincal.words.wording import NAMED
 
 _SQUARE = re.compile(r"(.+?)\s*(?:\^|\*\*)?\s*[2²]")
-
-
-def covariance_headers(units: Mapping[str, str]) -> dict[str, tuple[str, str]]:
-    """Return the headers that covariances of quantities may have, and their pairs.
-
-    Args:
-        units: Names of the quantities, and their dimensions.
-    """
-    pairs = [*combinations(units, 2)]
-    headers = {f"cov_{first}_{second}": (first, second) for first, second in pairs}
-    return headers | {f"cov_{second}_{first}": (first, second) for first, second in pairs}
-
-
-def read_covariances(table: TextTable, units: Mapping[str, str]) -> dict[str, Array]:
-    """Return the covariances that a table has, by pair such as ``"x,y"``, in SI units.
-
-    Args:
-        table: The table.
-        units: Names of the quantities, and their dimensions.
-
-    Raises:
-        MeasurementError: a unit that is not the product of both, or a cell that is no number.
-    """
-    headers = covariance_headers(units)
-    unpaired = [n for n in table.units if n.startswith("cov_") and n not in headers]
-    if unpaired:
-        raise MeasurementError(
-            f"{table.path}: column {unpaired[0]!r} is no covariance of two quantities measured of "
-            f"the platform ({', '.join(units)}); rename it, or leave it out"
-        )
-    covariances: dict[str, Array] = {}
-    for header in (header for header in headers if header in table):
-        first, second = headers[header]
-        if (pair := f"{first},{second}") in covariances:
-            raise MeasurementError(
-                f"{table.path}: the covariance of {first} and {second} is said twice; leave one "
-                "of the columns"
-            )
-        unit, needed = table.units[header], (units[first], units[second])
-        factor = None if unit is None else _factor(unit, needed)
-        if factor is None:
-            has = "no unit" if unit is None else f"unit [{unit}]"
-            raise MeasurementError(
-                f"{table.path}: column {header!r} has {has}; expected "
-                f"'{header} [{product_unit(*needed)}]', the product of both, or [mm2], [mm mrad], "
-                "[mrad2]"
-            )
-        covariances[pair] = table.plain(header, blank=True) * factor
-    return covariances
-
-
-def product_unit(first: str, second: str) -> str:
-    """Return how the product of two SI units is written."""
-    return f"{first}2" if first == second else f"{first} {second}"
-
-
-def _factor(unit: str, needed: tuple[str, str]) -> float | None:
-    """Return the factor to SI of a product of two units, None if it is another."""
-    square = _SQUARE.fullmatch(unit.strip())
-    parts = [square[1]] * 2 if square else re.split(r"\s*[·*⋅ ]\s*", unit.strip())
-    if len(parts) != 2 or not all(part in UNITS for part in parts):
-        return None
-    if sorted(UNITS[part][0] for part in parts) != sorted(needed):
-        return None
-    return UNITS[parts[0]][1] * UNITS[parts[1]][1]
-
-
-Source = Any  # a path, or a pandas DataFrame
 _log = logging.getLogger(__name__)
 
 
+def as_noise(noise: Noise | None) -> Noise:
+    """Return the noise that is given; without one, the default.
+
+    Raises:
+        MeasurementError: something else.
+    """
+    if noise is None:
+        return Noise()
+    return must_be(noise, (Noise,), "noise, pincal.Noise(…)", MeasurementError)
+
+
+def read_poses(source: Any, mechanism: GivenMechanism, *, partial: bool = False) -> Plan:
+    """Return a plan that is given as such, as poses, by a CSV file, or as a DataFrame.
+
+    Args:
+        source: A ``Plan``; poses, coordinates of shape (N, dof) or a ``RigidTransform``; a path;
+            or a pandas DataFrame: see ``Plan.from_csv``.
+        mechanism: The mechanism.
+        partial: Whether columns or cells of the pose may be missing in a table.
+
+    Raises:
+        FileError: the file is missing or cannot be read.
+        MeasurementError: something else, or a column or cell that is wrong.
+    """
+    mechanism = as_mechanism(mechanism)
+    platform = mechanism.platform
+    if isinstance(source, Plan):
+        return source
+    if isinstance(source, RigidTransform):
+        return Plan(platform.coordinates_of(source))
+    if not (isinstance(source, str | Path) or is_dataframe(source)):
+        kind = "poses, a plan or its file"
+        return Plan(array_of(source, ("N", platform.dof), kind, MeasurementError))
+    table = table_for(source, mechanism)
+    commanded = mechanism.by_readings and any(name in table for name in mechanism.reading_names)
+    return Plan(
+        _poses(table, mechanism, partial=partial),
+        _sets(table, mechanism),
+        table.array(_reading_units(mechanism)) if commanded else None,
+        places=_names(table, "pose"),
+        influences=_influences(table, mechanism),
+        lines=table.file_lines,
+        written=_way(table, mechanism),
+    )
+
+
+def read_readings(source: Any, mechanism: GivenMechanism) -> tuple[Array, dict[str, Array]]:
+    """Return the readings of a CSV file, shape (N, n_readings), and columns that terms depend on.
+
+    Raises:
+        FileError: the file is missing or cannot be read.
+        MeasurementError: a column or cell that is missing or wrong; the message says where.
+    """
+    mechanism = as_mechanism(mechanism)
+    table = table_for(source, mechanism)
+    return table.array(_reading_units(mechanism)), _influences(table, mechanism)
+
+
+def read_measurements(
+    source: Any,
+    mechanism: GivenMechanism,
+    setup: Setup | str | Path | None = None,
+    *,
+    partial: bool = False,
+    influences: Collection[str] | None = (),
+) -> Measurements:
+    """Return measurements that are given as such, by a CSV file, or as a DataFrame.
+
+    Args:
+        source: ``Measurements``, a path, or a pandas DataFrame: see ``Measurements.from_csv``.
+        mechanism: The mechanism.
+        setup: What else was measured than the platform's pose.
+        partial: Whether columns or cells of the pose may be missing.
+        influences: Further columns to read, on which no term depends yet; None for all columns of
+            numbers that differ.
+
+    Raises:
+        FileError: the file is missing or cannot be read.
+        MeasurementError: something else, numbers of another mechanism, or a column or cell that
+            is wrong.
+    """
+    mechanism, setup = as_mechanism(mechanism), read_setup(setup or Setup())
+    platform = mechanism.platform
+    if isinstance(source, Measurements):
+        shapes = {"poses": platform.dof, "readings": len(mechanism.reading_names)}
+        for name, count in shapes.items():
+            purpose = f"{name} of {mechanism.name!r}"
+            array_of(getattr(source, name), ("N", count), purpose, MeasurementError)
+        return source
+    if not (is_dataframe(source) or isinstance(source, TextTable)):
+        kinds = (Measurements, str, Path)
+        must_be(source, kinds, "measurements, their CSV file or DataFrame", MeasurementError)
+    further = setup.columns(mechanism)
+    level = tilt_column(mechanism, further)
+    meaning = further | {f"sigma_{name}": unit for name, unit in setup.polar.items()} | level
+    table = table_for(source, mechanism, meaning, influences)
+    table = table.where_measured(measured_columns(mechanism, further))
+    _check_columns(table, mechanism, setup, further)
+    if platform.turns == 3 and partial and _way(table, mechanism) is None:
+        further |= {name: "rad" for name in SINGLE_ANGLES if name in table}
+    poses = _poses(table, mechanism, partial=partial)
+    if level and "z" in table:
+        poses = levelled(table, setup, poses)
+    freedoms = dict(zip(platform.freedoms, platform.units, strict=True))
+    unknown = unknown_columns(table, mechanism, meaning)
+    extra = {
+        name: table.numbers(name, unit, blank=True)
+        for name, unit in further.items()
+        if name in table or not partial
+    }
+    sigma_extra = {
+        name: _sigma(table, name, unit, blank=partial)
+        for name, unit in {**further, **setup.polar}.items()
+        if f"sigma_{name}" in table
+    }
+    if not partial and not np.isfinite(np.column_stack((poses, *extra.values()))).any():
+        raise MeasurementError(f"{table.path}: nothing of the platform is measured")
+    return Measurements(
+        poses=poses,
+        sets=_sets(table, mechanism),
+        readings=table.array(_reading_units(mechanism), blank=partial),
+        sigma_poses=_sigmas(table, freedoms, partial=partial),
+        sigma_readings=_sigmas(table, _reading_units(mechanism)),
+        extra=extra,
+        sigma_extra=sigma_extra,
+        covariances=_covariances(table, freedoms | further),
+        influences=_influences(table, mechanism) | _further_influences(table, unknown, influences),
+        runs=_names(table, "run"),
+        places=_names(table, "pose"),
+        lines=table.file_lines,
+        written=_way(table, mechanism),
+    )
+
+
 def table_for(
-    source: Source,
+    source: Any,
     mechanism: Mechanism,
     further: Mapping[str, str] | None = None,
     wanted_influences: Collection[str] | None = (),
@@ -128,12 +200,57 @@ def table_for(
         table = table.renamed(meant)
     if wanted_influences is not None:
         unused = unknown_columns(table, mechanism, further).keys() - set(wanted_influences)
-        names = [n for n in table.units if n in unused and not _of_sheet(n)]
+        names = [name for name in table.units if name in unused and not _of_sheet(name)]
         if names:
             shown = [name if name.isprintable() else ascii(name) for name in names[:NAMED]]
             shown += [f"and {len(names) - NAMED} more"] * (len(names) > NAMED)
             _log.info("%s: columns not used: %s", table.path, ", ".join(shown))
     return table
+
+
+def unknown_columns(
+    table: TextTable, mechanism: Mechanism, further: Mapping[str, str] | None = None
+) -> dict[str, tuple[str, ...]]:
+    """Return the columns of a table without a meaning, as they are: name to cells."""
+    known = _known(mechanism, further or {})
+    return {
+        name: tuple(cells)
+        for name, cells in table.text.items()
+        if name not in known and not name.startswith("cov_")
+    }
+
+
+def measured_columns(mechanism: Mechanism, further: Iterable[str]) -> set[str]:
+    """Return the columns that say what was measured or read, if a table has them.
+
+    Args:
+        mechanism: The mechanism.
+        further: Columns of the setup.
+    """
+    turns = {name for names, _ in WAYS.values() for name in names}
+    return {*mechanism.platform.coordinates, *turns, *further, *mechanism.reading_names}
+
+
+def product_unit(first: str, second: str) -> str:
+    """Return how the product of two SI units is written."""
+    return f"{first}2" if first == second else f"{first} {second}"
+
+
+def _known(mechanism: Mechanism, further: Mapping[str, str]) -> dict[str, str]:
+    """Return the columns that mean something, with their units; empty for names."""
+    platform = mechanism.platform
+    units = dict(zip(platform.freedoms, platform.units, strict=True))
+    units |= dict(zip(platform.coordinates, platform.units, strict=True))
+    units |= {name: unit for names, unit in WAYS.values() for name in names}
+    units |= {**_reading_units(mechanism), **further}
+    units |= {f"sigma_{name}": unit for name, unit in units.items()}
+    named = ("set", "run", "pose", *mechanism.influences, *mechanism.followed)
+    return {**dict.fromkeys(named, ""), **units}
+
+
+def _reading_units(mechanism: Mechanism) -> dict[str, str]:
+    """Return the unit of each reading, by its column."""
+    return dict(zip(mechanism.reading_names, mechanism.reading_units, strict=True))
 
 
 def _of_sheet(column: str) -> bool:
@@ -183,129 +300,6 @@ def _unit_behind(column: str, name: str, dimension: str) -> str | None:
     return "" if not rest or rest.strip().startswith("(") else None
 
 
-def unknown_columns(
-    table: TextTable, mechanism: Mechanism, further: Mapping[str, str] | None = None
-) -> dict[str, tuple[str, ...]]:
-    """Return the columns of a table without a meaning, as they are: name to cells."""
-    known = _known(mechanism, further or {})
-    return {name: tuple(table.text[name]) for name in table.units if name not in known}
-
-
-def _known(mechanism: Mechanism, further: Mapping[str, str]) -> dict[str, str]:
-    """Return the columns that mean something, with their units; empty for names."""
-    platform = mechanism.platform
-    units = dict(zip(platform.freedoms, platform.units, strict=True))
-    units |= dict(zip(platform.coordinates, platform.units, strict=True))
-    units |= {name: unit for names, unit in WAYS.values() for name in names}
-    units |= dict(zip(mechanism.reading_names, mechanism.reading_units, strict=True))
-    units |= further
-    units |= {f"sigma_{name}": unit for name, unit in units.items()}
-    pairs = covariance_headers(dict.fromkeys((*platform.freedoms, *further), ""))
-    named = ("set", "run", "pose", *pairs, *mechanism.influences, *mechanism.followed)
-    return {**dict.fromkeys(named, ""), **units}
-
-
-def read_poses(path: Source, mechanism: GivenMechanism, *, partial: bool = False) -> Plan:
-    """Return the poses of a CSV file or DataFrame: see ``Plan.from_csv``."""
-    mechanism = as_mechanism(mechanism)
-    table = table_for(path, mechanism)
-    readings = None
-    if mechanism.by_readings and any(name in table for name in mechanism.reading_names):
-        readings = _readings(table, mechanism)
-    poses = _poses(table, mechanism, partial=partial)
-    return Plan(
-        poses,
-        _sets(table, mechanism),
-        readings,
-        places=_names(table, "pose"),
-        influences=_influences(table, mechanism),
-        lines=table.file_lines,
-        written=_way(table) if mechanism.platform.turns == 3 else None,
-    )
-
-
-def read_readings(path: Source, mechanism: GivenMechanism) -> tuple[Array, dict[str, Array]]:
-    """Return the readings of a CSV file, shape (N, n_readings), and columns that terms depend on.
-
-    Raises:
-        FileError: the file is missing or cannot be read.
-        MeasurementError: a column or cell that is missing or wrong; the message says where.
-    """
-    mechanism = as_mechanism(mechanism)
-    table = table_for(path, mechanism)
-    return _readings(table, mechanism), _influences(table, mechanism)
-
-
-def read_measurements(
-    path: Source,
-    mechanism: GivenMechanism,
-    setup: Setup | None = None,
-    *,
-    partial: bool = False,
-    influences: Collection[str] | None = (),
-) -> Measurements:
-    """Return the measurements of a CSV file or DataFrame: see ``Measurements.from_csv``.
-
-    Influences are further columns to read, on which no term depends yet; None for all columns of
-    numbers that differ.
-    """
-    mechanism = as_mechanism(mechanism)
-    setup = Setup() if setup is None else must_be(setup, Setup, "the setup", MeasurementError)
-    platform, further = mechanism.platform, setup.columns(mechanism)
-    level = tilt_column(mechanism, further)
-    meaning = further | {f"sigma_{name}": unit for name, unit in setup.polar.items()} | level
-    table = table_for(path, mechanism, meaning, influences)
-    table = table.where_measured(measured_columns(mechanism, further))
-    _check_columns(table, mechanism, setup, further)
-    way = _way(table) if platform.turns == 3 else None
-    if platform.turns == 3 and partial and way is None:
-        further |= {name: "rad" for name in SINGLE_ANGLES if name in table}
-    if not partial:
-        _check_whole_pose(table, mechanism)
-    poses = _poses(table, mechanism, partial=partial)
-    if level and "z" in table:
-        poses = levelled(table, setup, poses)
-    freedoms = dict(zip(platform.freedoms, platform.units, strict=True))
-    units = dict(zip(mechanism.reading_names, mechanism.reading_units, strict=True))
-    extra, sigma_extra = _further_columns(table, further, setup, partial=partial)
-    unknown = unknown_columns(table, mechanism, meaning)
-    data = Measurements(
-        poses=poses,
-        sets=_sets(table, mechanism),
-        readings=_readings(table, mechanism, partial=partial),
-        sigma_poses=_sigmas(table, freedoms, partial=partial),
-        sigma_readings=_sigmas(table, units),
-        extra=extra,
-        sigma_extra=sigma_extra,
-        covariances=read_covariances(table, freedoms | further),
-        influences=_influences(table, mechanism) | _numbers(table, unknown, influences),
-        runs=_names(table, "run"),
-        places=_names(table, "pose"),
-        lines=table.file_lines,
-        written=way,
-    )
-    if not partial and not np.isfinite(np.column_stack((data.poses, *data.extra.values()))).any():
-        raise MeasurementError(f"{table.path}: nothing of the platform is measured")
-    return data
-
-
-def _further_columns(
-    table: TextTable, units: Mapping[str, str], setup: Setup, *, partial: bool
-) -> tuple[dict[str, Array], dict[str, Array]]:
-    """Return what was measured besides poses and readings, by column, and its uncertainties."""
-    extra = {
-        name: table.numbers(name, unit, blank=True)
-        for name, unit in units.items()
-        if name in table or not partial
-    }
-    sigma_extra = {
-        name: _sigma(table, name, unit, blank=partial)
-        for name, unit in {**units, **setup.polar}.items()
-        if f"sigma_{name}" in table
-    }
-    return extra, sigma_extra
-
-
 def _check_columns(
     table: TextTable, mechanism: Mechanism, setup: Setup, further: Mapping[str, str]
 ) -> None:
@@ -322,36 +316,26 @@ def _check_columns(
             "where it is in the frame of the measurements: 'tracker: {at: [0, 0, 0]}' in the setup "
             "(--setup), or leave the column out"
         )
-    for name in mechanism.influences:
-        if name not in table and name not in mechanism.followed:
-            raise MeasurementError(
-                f"{table.path}: no column {name!r}, on which terms of sensors depend; add it, or "
-                "leave these terms out of the mechanism"
-            )
+    needed = {
+        name: "on which terms of sensors depend; add it, or leave these terms out of the mechanism"
+        for name in mechanism.influences
+        if name not in mechanism.followed
+    }
     for name, owner in setup.required.items():
+        needed[name] = f"{owner}; expected '{name} [{further[name]}]'"
+    for name, purpose in needed.items():
         if name not in table:
-            raise MeasurementError(
-                f"{table.path}: no column {name!r}, {owner}; expected '{name} [{further[name]}]'"
-            )
+            raise MeasurementError(f"{table.path}: no column {name!r}, {purpose}")
 
 
-def measured_columns(mechanism: Mechanism, further: Iterable[str]) -> set[str]:
-    """Return the columns that say what was measured or read, if a table has them.
-
-    Args:
-        mechanism: The mechanism.
-        further: Columns of the setup.
-    """
-    turns = {name for names, _ in WAYS.values() for name in names}
-    return {*mechanism.platform.coordinates, *turns, *further, *mechanism.reading_names}
-
-
-def _way(table: TextTable) -> str | None:
-    """Return the way in which a table gives orientations in full, if it does.
+def _way(table: TextTable, mechanism: Mechanism) -> str | None:
+    """Return the way in which a table gives orientations in space in full, if it does.
 
     Raises:
         MeasurementError: it does so in several ways, which may say different things.
     """
+    if mechanism.platform.turns < 3:
+        return None
     ways = [way for way, (names, _) in WAYS.items() if all(name in table for name in names)]
     if len(ways) > 1:
         columns = " and ".join(", ".join(WAYS[way][0]) for way in ways)
@@ -362,71 +346,37 @@ def _way(table: TextTable) -> str | None:
     return ways[0] if ways else None
 
 
-def _poses(table: TextTable, mechanism: Mechanism, *, partial: bool = False) -> Array:
+def _poses(table: TextTable, mechanism: Mechanism, *, partial: bool) -> Array:
     """Return the coordinates of poses; a spatial platform's orientation in any of the ways.
 
     If they may be partial, NaN where a column is missing or a cell empty.
-    """
-    platform = mechanism.platform
-    way = _way(table) if platform.turns == 3 else None
-    places = platform.coordinates[: platform.lengths]
-    present = [name for name in places if name in table]
-    if not partial and present and len(present) < len(places):
-        raise MeasurementError(
-            f"{table.path}: of {', '.join(places)} only {', '.join(present)}; add the others"
-        )
-
-    def columns(units: Iterable[tuple[str, str]]) -> Array:
-        missing = np.full(len(table.lines), np.nan)
-        return np.column_stack(
-            [
-                missing
-                if partial and name not in table
-                else table.numbers(name, unit, blank=partial)
-                for name, unit in units
-            ]
-        )
-
-    units = list(zip(platform.coordinates, platform.units, strict=True))
-    if way in (None, "tilt-torsion"):
-        return columns(units)
-    names, unit = WAYS[way]
-    turns = _turns(table, way, columns((name, unit) for name in names))
-    return np.hstack((columns(units[: platform.lengths]), turns)) if places else turns
-
-
-def _turns(table: TextTable, way: str, values: Array) -> Array:
-    """Return the columns of orientations that are given in another way, shape (N, 3), [rad].
 
     Raises:
-        MeasurementError: numbers that are no orientation.
+        MeasurementError: a pose that was measured in part and must not be; no orientation.
     """
+    platform, way = mechanism.platform, _way(table, mechanism)
+    units = dict(zip(platform.coordinates, platform.units, strict=True))
+    if way not in (None, "tilt-torsion"):
+        units = {name: units[name] for name in platform.coordinates[: platform.lengths]}
+    missing = [name for name in units if name not in table]
+    if not partial and missing and len(missing) < len(units):
+        raise MeasurementError(
+            f"{table.path}: no column {missing[0]!r}; expected '{missing[0]} "
+            f"[{units[missing[0]]}]'; poses that were measured in part calibrate all legs together "
+            f"only (without --method per-leg). The file has {', '.join(table.units)}"
+        )
+    poses = table.array(units, blank=partial)
+    if way in (None, "tilt-torsion"):
+        return poses
+    names, unit = WAYS[str(way)]
+    values = table.array(dict.fromkeys(names, unit), blank=partial)
     known = np.isfinite(values).all(axis=1)
     turns = np.full((len(values), 3), np.nan)
     try:
-        turns[known] = columns_of("tilt-torsion", rotation_of(way, values[known]))
+        turns[known] = columns_of("tilt-torsion", rotation_of(str(way), values[known]))
     except MeasurementError as error:
         raise MeasurementError(f"{table.path}: {error}") from error
-    return turns
-
-
-def _check_whole_pose(table: TextTable, mechanism: Mechanism) -> None:
-    """Raise if a table has some columns of the pose, but not all.
-
-    Raises:
-        MeasurementError: it was measured in part.
-    """
-    platform = mechanism.platform
-    places = platform.lengths
-    needed = platform.coordinates[: places if _way(table) else None]
-    missing = [name for name in needed if name not in table]
-    if missing and len(missing) < len(needed):
-        unit = platform.units[platform.coordinates.index(missing[0])]
-        raise MeasurementError(
-            f"{table.path}: no column {missing[0]!r}; expected '{missing[0]} [{unit}]'; "
-            "only all legs together (without --method per-leg) are calibrated with poses that were "
-            f"measured in part. The file has {', '.join(table.units)}"
-        )
+    return np.hstack((poses, turns))
 
 
 def _names(table: TextTable, column: str) -> tuple[str, ...] | None:
@@ -440,14 +390,24 @@ def _names(table: TextTable, column: str) -> tuple[str, ...] | None:
                 f"{table.where(row)}: {column} {name!r} has characters that cannot be "
                 "printed; name it otherwise"
             )
-    if column == "run" and "" in names:
-        raise MeasurementError(f"{table.where(names.index(''))}: no run; name it in every row")
+        if column == "run" and not name:
+            raise MeasurementError(f"{table.where(row)}: no run; name it in every row")
     return names
 
 
-def _readings(table: TextTable, mechanism: Mechanism, *, partial: bool = False) -> Array:
-    units = zip(mechanism.reading_names, mechanism.reading_units, strict=True)
-    return np.column_stack([table.numbers(name, unit, blank=partial) for name, unit in units])
+def _sets(table: TextTable, mechanism: Mechanism) -> tuple[str, ...] | None:
+    """Return the legs for which poses were chosen, or None where that is not said."""
+    if "set" not in table:
+        return None
+    known = {*mechanism.leg_names, EVERY_LEG, ""}
+    sets = tuple(cell.strip() for cell in table.text["set"])
+    for row, name in enumerate(sets):
+        if name not in (*known, VERIFY) and not known.issuperset(name.split("+")):
+            raise MeasurementError(
+                f"{table.where(row)}: set {name!r} is no leg of {mechanism.name!r}; "
+                f"expected {', '.join(mechanism.leg_names)}, {EVERY_LEG} or {VERIFY}"
+            )
+    return sets
 
 
 def _influences(table: TextTable, mechanism: Mechanism) -> dict[str, Array]:
@@ -456,21 +416,21 @@ def _influences(table: TextTable, mechanism: Mechanism) -> dict[str, Array]:
     return {name: table.plain(name, blank=True) for name in names if name in table}
 
 
-def _numbers(
-    table: TextTable, columns: Mapping[str, object], named: Collection[str] | None
+def _further_influences(
+    table: TextTable, columns: Mapping[str, object], wanted: Collection[str] | None
 ) -> dict[str, Array]:
     """Return further columns of a table, those that are wanted, or all of numbers that differ.
 
     Raises:
         MeasurementError: a column that is wanted is missing, or a cell is no number.
     """
-    if named is not None:
-        if missing := [name for name in named if name not in table]:
+    if wanted is not None:
+        if missing := [name for name in wanted if name not in table]:
             raise MeasurementError(
                 f"{table.path}: no column {missing[0]!r}, on which terms are to depend. The file "
                 f"has {', '.join(table.units)}"
             )
-        return {name: table.plain(name, blank=True) for name in named}
+        return {name: table.plain(name, blank=True) for name in wanted}
     numbers = {}
     for name in columns:
         values = np.array([plain_number(cell) for cell in table.text[name]])
@@ -485,20 +445,6 @@ def _numbers(
     return numbers
 
 
-def _sets(table: TextTable, mechanism: Mechanism) -> tuple[str, ...] | None:
-    if "set" not in table:
-        return None
-    known = {*mechanism.leg_names, EVERY_LEG, ""}
-    sets = tuple(cell.strip() for cell in table.text["set"])
-    for row, name in enumerate(sets):
-        if name not in (*known, VERIFY) and not known.issuperset(name.split("+")):
-            raise MeasurementError(
-                f"{table.where(row)}: set {name!r} is no leg of {mechanism.name!r}; "
-                f"expected {', '.join(mechanism.leg_names)}, {EVERY_LEG} or {VERIFY}"
-            )
-    return sets
-
-
 def _sigmas(table: TextTable, units: Mapping[str, str], *, partial: bool = False) -> Array | None:
     """Return the ``sigma_…`` columns, shape (N, n), or None where there are none.
 
@@ -507,14 +453,13 @@ def _sigmas(table: TextTable, units: Mapping[str, str], *, partial: bool = False
     if not any(f"sigma_{name}" in table for name in units):
         return None
     unknown = np.full(len(table.lines), np.nan)
-    return np.column_stack(
-        [
-            unknown
-            if partial and f"sigma_{name}" not in table
-            else _sigma(table, name, unit, blank=partial)
-            for name, unit in units.items()
-        ]
-    )
+    columns = [
+        unknown
+        if partial and f"sigma_{name}" not in table
+        else _sigma(table, name, unit, blank=partial)
+        for name, unit in units.items()
+    ]
+    return np.column_stack(columns)
 
 
 def _sigma(table: TextTable, name: str, unit: str, *, blank: bool = False) -> Array:
@@ -530,3 +475,51 @@ def _sigma(table: TextTable, name: str, unit: str, *, blank: bool = False) -> Ar
             "negative; a standard deviation is 0 or more"
         )
     return values
+
+
+def _covariances(table: TextTable, units: Mapping[str, str]) -> dict[str, Array]:
+    """Return the covariances that a table has, by pair such as ``"x,y"``, in SI units.
+
+    Args:
+        table: The table.
+        units: Names of the quantities, and their dimensions.
+
+    Raises:
+        MeasurementError: of other quantities, said twice, a unit that is not the product of both,
+            or a cell that is no number.
+    """
+    pairs = {f"cov_{a}_{b}": f"{a},{b}" for a, b in combinations(units, 2)}
+    pairs |= {f"cov_{b}_{a}": f"{a},{b}" for a, b in combinations(units, 2)}
+    covariances: dict[str, Array] = {}
+    for header in (name for name in table.units if name.startswith("cov_")):
+        if header not in pairs:
+            raise MeasurementError(
+                f"{table.path}: column {header!r} is no covariance of two quantities measured of "
+                f"the platform ({', '.join(units)}); rename it, or leave it out"
+            )
+        first, second = pairs[header].split(",")
+        if pairs[header] in covariances:
+            raise MeasurementError(
+                f"{table.path}: the covariance of {first} and {second} is said twice; leave one "
+                "of the columns"
+            )
+        unit, needed = table.units[header], (units[first], units[second])
+        factor = _product_factor(unit or "", needed)
+        if factor is None:
+            has = "no unit" if unit is None else f"unit [{unit}]"
+            raise MeasurementError(
+                f"{table.path}: column {header!r} has {has}; expected "
+                f"'{header} [{product_unit(*needed)}]', the product of both, or [mm2], [mm mrad], "
+                "[mrad2]"
+            )
+        covariances[pairs[header]] = table.plain(header, blank=True) * factor
+    return covariances
+
+
+def _product_factor(unit: str, needed: tuple[str, str]) -> float | None:
+    """Return the factor to SI of a product of two units, None if it is another."""
+    square = _SQUARE.fullmatch(unit.strip())
+    parts = [square[1]] * 2 if square else re.split(r"\s*[·*⋅ ]\s*", unit.strip())
+    if sorted(UNITS.get(part, (part,))[0] for part in parts) != sorted(needed):
+        return None
+    return UNITS[parts[0]][1] * UNITS[parts[1]][1]

@@ -8,13 +8,14 @@ from __future__ import annotations
 import csv
 import io
 import logging
-import math
 import posixpath
 import re
 import sys
 import zipfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import reduce
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,14 @@ from pincal.model.units import COUNTS, SI, UNITS, Units, scale_said
 from pincal.types import Array
 
 _log = logging.getLogger(__name__)
+_HEADER = re.compile(r"\w\s*\[[^]]+\]\s*$")
+_MOST_COLUMNS = 1000
+_COLUMN = re.compile("[A-Z]{1,3}")
+_SEPARATORS = {";": "semicolons", "\t": "tabs"}
+_DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?", re.ASCII)
+_DECIMAL_POINT = re.compile(r"[-+]?\d*\.\d*(?:[eE][-+]?\d+)?", re.ASCII)
+#: Files of other kinds, and what to make of them.
+_OTHER_KINDS = {".xls": ".xlsx", ".ods": ".xlsx", ".parquet": "CSV"}
 
 
 @dataclass(frozen=True)
@@ -41,7 +50,7 @@ class TextTable:
     text: dict[str, list[str]]
     """Cells by column."""
     lines: list[int]
-    """Line of the file in which each row ends, or number of the row of a DataFrame."""
+    """Line of the file in which each row ends, or number of the row of a sheet or DataFrame."""
     counted: str = "line"
     """What ``lines`` are: lines, or rows."""
     counts: Mapping[str, float | None] = field(default_factory=dict)
@@ -49,7 +58,7 @@ class TextTable:
 
     @property
     def file_lines(self) -> tuple[int, ...] | None:
-        """Line of the file in which each row ends, None if it was no file."""
+        """Line of the file in which each row ends, None if it was no text file."""
         return tuple(self.lines) if self.counted == "line" else None
 
     def where(self, row: int) -> str:
@@ -81,12 +90,23 @@ class TextTable:
 
     def renamed(self, columns: Mapping[str, tuple[str, str]]) -> TextTable:
         """Return the table with other names and units of some columns."""
-        units, text = dict(self.units), dict(self.text)
-        for column, (name, unit) in columns.items():
-            del units[column]
-            units[name] = unit
-            text[name] = text.pop(column)
-        return replace(self, units=units, text=text)
+        names = {column: columns.get(column, (column, unit)) for column, unit in self.units.items()}
+        text = {names[column][0]: cells for column, cells in self.text.items()}
+        return replace(self, units=dict(names.values()), text=text)
+
+    def array(self, units: Mapping[str, str], *, blank: bool = False) -> Array:
+        """Return columns side by side in SI units, shape (N, n).
+
+        Args:
+            units: Dimension of each column, by its name: see ``numbers``.
+            blank: Whether columns may be missing and cells empty; they are NaN.
+        """
+        unknown = np.full(len(self.lines), np.nan)
+        columns = [
+            unknown if blank and name not in self else self.numbers(name, unit, blank=blank)
+            for name, unit in units.items()
+        ]
+        return np.column_stack(columns) if columns else unknown[:, None][:, :0]
 
     def numbers(self, column: str, dimension: str, *, blank: bool = False) -> Array:
         """Return a column in SI units, shape (N,).
@@ -100,8 +120,7 @@ class TextTable:
             MeasurementError: the column is missing, has no or a wrong unit, or a cell is
                 not a finite number.
         """
-        expected = " or ".join(f"[{u}]" for u, (kind, _) in UNITS.items() if kind == dimension)
-        if column not in self.units:
+        if column not in self:
             raise MeasurementError(
                 f"{self.path}: no column {column!r}; expected '{column} [{dimension}]'. The file "
                 f"has {', '.join(self.units)}"
@@ -120,6 +139,7 @@ class TextTable:
                 f"'{column} [{dimension}]'"
             )
         if unit not in UNITS or UNITS[unit][0] != dimension:
+            expected = " or ".join(f"[{u}]" for u, (kind, _) in UNITS.items() if kind == dimension)
             raise MeasurementError(
                 f"{self.path}: column {column!r} has unit [{unit}]; expected {expected}"
             )
@@ -132,18 +152,15 @@ class TextTable:
             MeasurementError: a cell is not a finite number, or above ``LARGEST``.
         """
         values = np.array([plain_number(cell) for cell in self.text[column]])
-        empty = np.array([blank and not cell.strip() for cell in self.text[column]])
-        sound = np.abs(values) <= LARGEST
-        if not (sound | empty).all():
-            row = int(np.argmin(sound | empty))
-            cell = self.text[column][row]
-            place = f" in column {column!r}"
-            why = (
-                why_no_number(cell, "in the header", place)
-                if cell.strip()
-                else f"empty cell{place}"
-            )
-            raise MeasurementError(f"{self.where(row)}: {why}; correct it or remove the row")
+        for row in np.flatnonzero(~(np.abs(values) <= LARGEST)):
+            cell, place = self.text[column][row], f" in column {column!r}"
+            if cell.strip():
+                why = why_no_number(cell, "in the header", place)
+            elif blank:
+                continue
+            else:
+                why = f"empty cell{place}"
+            raise MeasurementError(f"{self.where(int(row))}: {why}; correct it or remove the row")
         return values
 
 
@@ -175,13 +192,7 @@ def write_table(
     units: Units = SI,
     force: bool = False,
 ) -> None:
-    """Write columns (header to values, SI) to a CSV file, whole or not at all.
-
-    Args:
-        path: The file.
-        columns: Header with the SI unit, ``x [m]``, to values.
-        units: In which units they are written.
-        force: Whether to replace the file if it exists.
+    """Write columns (header with SI unit, ``x [m]``, to values) to a CSV file, whole or not at all.
 
     Raises:
         FileError: the file exists and ``force`` is not set, or cannot be written.
@@ -193,30 +204,20 @@ def write_table(
         writer = csv.writer(file, lineterminator="\n")
         columns = units.written(columns)
         writer.writerow(columns)
-        cells = (map(cell_of, values) for values in columns.values())
+        cells = (map(_cell_text, values) for values in columns.values())
         writer.writerows(zip(*cells, strict=True))
 
 
-def cell_of(value: float | str) -> str:
-    """Return a value as it is written; none is an empty cell."""
-    if isinstance(value, str):
-        return value
-    return "" if math.isnan(value) else repr(float(value))
+def _cell_text(value: object) -> str:
+    """Return a value as it is written in a file; none is an empty cell."""
+    if isinstance(value, float):
+        return "" if np.isnan(value) else repr(float(value))
+    missing = value is None or type(value).__name__ in ("NAType", "NaTType")
+    return "" if missing else str(value)
 
 
-_HEADER = re.compile(r"\w\s*\[[^]]+\]\s*$")
-_MOST_COLUMNS = 1000
-_CELL = re.compile(r"([A-Z]{1,3})(\d{1,7})")
-_MOST_CELLS = 10**7  # of a sheet, empty ones before the last included
-#: Files that are no text, and the extra of packages that reads them.
-_SHEETS = {".xlsx": "excel", ".xls": "excel", ".ods": "excel", ".parquet": "parquet"}
-_SEPARATORS = {";": "semicolons", "\t": "tabs"}
-_DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?", re.ASCII)
-_DECIMAL_POINT = re.compile(r"[-+]?\d*\.\d*(?:[eE][-+]?\d+)?", re.ASCII)
-
-
-def read_table(source: str | Path | Any) -> TextTable:
-    """Return the columns of a CSV file, or of a pandas DataFrame, as text; a table is as it is.
+def read_table(source: Any) -> TextTable:
+    """Return the columns of a CSV or .xlsx file, or of a pandas DataFrame, as text.
 
     Raises:
         FileError: the file is missing or cannot be read.
@@ -225,16 +226,18 @@ def read_table(source: str | Path | Any) -> TextTable:
     if isinstance(source, TextTable):
         return source
     if is_dataframe(source):
-        return _of_dataframe(source)
+        columns = (source.iloc[:, index].tolist() for index in range(source.shape[1]))
+        rows = ([_cell_text(value) for value in row] for row in zip(*columns, strict=True))
+        header = [str(name) for name in source.columns]
+        return _of_rows(Path("DataFrame"), enumerate(chain([header], rows)), "row", None)
     path = Path(must_be(source, (str, Path), "a CSV file or DataFrame", MeasurementError))
-    extra = _SHEETS.get(path.suffix.lower())
-    if extra is not None:
-        content = _sheet(path, extra)
-        if extra == "parquet":
-            return replace(_of_dataframe(content), path=path)
-        filled = [column for column in zip(*content, strict=True) if any(map(str.strip, column))]
-        cells = map(list, zip(*filled, strict=True))
-        return _of_rows(path, enumerate(cells, 1), "row", "")
+    suffix = path.suffix.lower()
+    if suffix == ".xlsx":
+        return _of_rows(path, _sheet_rows(path), "row", "")
+    if suffix in _OTHER_KINDS:
+        raise MeasurementError(
+            f"{path}: {suffix} files are not read; save the table as {_OTHER_KINDS[suffix]}"
+        )
     text = read_text(path, LARGEST_FILE["table"], MeasurementError, pipe=True, otherwise="cp1252")
     separator = _separator(text)
     reader = csv.reader(io.StringIO(text, newline=""), strict=True, delimiter=separator)
@@ -272,106 +275,100 @@ def _of_rows(
     notes += ["decimal commas"] if separated is not None and _with_points(rows) else []
     if notes:
         _log.info("%s: %s", path, ", ".join(notes))
-    columns = zip(*rows, strict=True)
-    text = dict(zip(units, map(list, columns), strict=True))
+    text = dict(zip(units, map(list, zip(*rows, strict=True)), strict=True))
     return TextTable(path, units, text, numbers, counted)
 
 
-def _sheet(path: Path, extra: str) -> Any:
-    """Return the text of the first sheet of a spreadsheet, row by row, or a Parquet file.
+def _sheet_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
+    """Yield number and cells of each row of an .xlsx file's first sheet, without blank columns.
+
+    A cell with an error (``#DIV/0!``), or a formula that was never computed, says so: it is not
+    empty.
 
     Raises:
         FileError: the file is missing or cannot be read.
-        MeasurementError: it is none of its kind, too large, or the package that reads it is not
-            installed.
+        MeasurementError: it is no such file, or too large.
     """
     data = read_bytes(path, LARGEST_FILE["table"], MeasurementError)
+    rows: dict[int, dict[int, str]] = {}
     try:
-        if extra == "parquet":
-            import pandas
-
-            return pandas.read_parquet(path)
-        from python_calamine import load_workbook
-
-        flaws = _flaws(path, data) if zipfile.is_zipfile(io.BytesIO(data)) else {}
-        sheet = load_workbook(path).get_sheet_by_index(0)
-        rows = [list(map(_text_in, row)) for row in sheet.to_python(skip_empty_area=False)]
-    except ImportError as error:
-        raise MeasurementError(
-            f"{path}: such files are read with the extra {extra!r}: python -m pip install "
-            f"'pincal[{extra}]'; or save the table as CSV"
-        ) from error
-    except MeasurementError:
-        raise
-    except Exception as error:  # each package has its own
-        kind = path.suffix.lower()
-        raise MeasurementError(f"{path}: no {kind} file: {error}") from error
-    height = max([len(rows), *(row + 1 for row, _ in flaws)])
-    width = max([0, *map(len, rows), *(column + 1 for _, column in flaws)])
-    rows = [[*row, *[""] * (width - len(row))] for row in (*rows, *[[]] * (height - len(rows)))]
-    for (row, column), flaw in flaws.items():
-        rows[row][column] = flaw
-    return rows
-
-
-def _text_in(value: object) -> str:
-    """Return a cell of a spreadsheet, where all numbers have decimals, as it would be in a file."""
-    return _text(int(value) if isinstance(value, float) and value.is_integer() else value)
-
-
-def _flaws(path: Path, data: bytes) -> dict[tuple[int, int], str]:
-    """Return what stands in cells of an .xlsx file's first sheet that have no value, by place.
-
-    Readers of such files take errors (``#DIV/0!``) and formulas that were never computed for empty
-    cells, and take memory for all cells up to the last one, however far it is.
-
-    Raises:
-        MeasurementError: the last cell is too far from the first.
-    """
-    with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        if "xl/workbook.xml" not in archive.namelist():
-            return {}
-        title, name = _first_sheet(archive)
-        if archive.getinfo(name).file_size > LARGEST_FILE["table"]:
-            raise MeasurementError(f"{path}: its sheet is larger than 256 MiB; save it as CSV")
-        height, width, flaws = 0, 0, {}
-        with archive.open(name) as sheet:
-            for _, cell in etree.iterparse(sheet, tag="{*}c", resolve_entities=False):
-                row, column = _place(cell)
-                place = f"in cell {cell.get('r', f'R{row}C{column}')} of sheet {title}"
-                height, width = max(height, row), max(width, column)
-                if height * width > _MOST_CELLS:
-                    raise MeasurementError(
-                        f"{path}: something stands {place}, too far from the other cells to be "
-                        "read; delete the rows and columns beyond the table"
-                    )
-                value, kind = cell.findtext("{*}v"), cell.get("t")
-                if kind == "e":
-                    flaws[row - 1, column - 1] = f"{value} {place}"
-                elif cell.find("{*}f") is not None and not value and kind != "str":
-                    flaws[row - 1, column - 1] = f"formula that was never computed {place}"
-                cell.clear(keep_tail=False)
-    return flaws
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            if sum(part.file_size for part in archive.infolist()) > LARGEST_FILE["table"]:
+                raise MeasurementError("its sheet is larger than 256 MiB; save it as CSV")
+            title, name = _first_sheet(archive)
+            shared = _shared_texts(archive)
+            number = 0
+            with archive.open(name) as sheet:
+                for _, row in etree.iterparse(sheet, tag="{*}row", resolve_entities=False):
+                    number = int(row.get("r", number + 1))
+                    if texts := dict(_sheet_cells(row, number, shared, title)):
+                        rows[number] = texts
+                    row.clear(keep_tail=False)
+    except MeasurementError as error:
+        raise MeasurementError(f"{path}: {error}") from error
+    except (zipfile.BadZipFile, KeyError, ValueError, IndexError, etree.LxmlError) as error:
+        raise MeasurementError(f"{path}: no .xlsx file: {error}") from error
+    columns = sorted({column for row in rows.values() for column in row})
+    for number in sorted(rows):
+        yield number, [rows[number].get(column, "") for column in columns]
 
 
 def _first_sheet(archive: zipfile.ZipFile) -> tuple[str, str]:
     """Return the title of an .xlsx file's first sheet, and where it is in the archive."""
     book = etree.fromstring(archive.read("xl/workbook.xml"))
-    sheet = next(book.iterfind(".//{*}sheet"))
     relations = etree.fromstring(archive.read("xl/_rels/workbook.xml.rels"))
+    (sheet, *_) = book.iterfind(".//{*}sheet")
     (target,) = (item.get("Target", "") for item in relations if item.get("Id") in sheet.values())
     return sheet.get("name", ""), posixpath.normpath(posixpath.join("/xl", target)).lstrip("/")
 
 
-def _place(cell: etree._Element) -> tuple[int, int]:
-    """Return row and column of a cell, from 1: by its reference, or by where it stands."""
-    if match := _CELL.fullmatch(cell.get("r", "")):
-        letters = reversed(match[1])
-        return int(match[2]), sum((ord(c) - 64) * 26**k for k, c in enumerate(letters))
-    parent = cell.getparent()
-    if parent is None:
-        return 1, 1
-    return sum(1 for _ in parent.itersiblings(preceding=True)) + 1, parent.index(cell) + 1
+def _shared_texts(archive: zipfile.ZipFile) -> list[str]:
+    """Return the texts that cells of an .xlsx file name by their number."""
+    if "xl/sharedStrings.xml" not in archive.namelist():
+        return []
+    return [_texts_in(item) for item in etree.fromstring(archive.read("xl/sharedStrings.xml"))]
+
+
+def _texts_in(element: etree._Element) -> str:
+    """Return the text of an element of an .xlsx file, in one piece or as runs of one format."""
+    pieces = [*element.iterfind("{*}t"), *element.iterfind("{*}r/{*}t")]
+    return "".join(piece.text or "" for piece in pieces)
+
+
+def _sheet_cells(
+    row: etree._Element, number: int, shared: Sequence[str], title: str
+) -> Iterator[tuple[int, str]]:
+    """Yield column, from 1, and text of a row's cells in which something stands.
+
+    Raises:
+        MeasurementError: a cell far beyond any table.
+    """
+    column = 0
+    for cell in row:
+        letters = _COLUMN.match(cell.get("r", ""))
+        column = _column_number(letters[0]) if letters else column + 1
+        place = f"in cell {cell.get('r', f'R{number}C{column}')} of sheet {title}"
+        value, kind = cell.findtext("{*}v") or "", cell.get("t", "n")
+        if kind == "e":
+            value = f"{value} {place}"
+        elif kind == "inlineStr":
+            value = "".join(map(_texts_in, cell))
+        elif kind == "s" and value:
+            value = shared[int(value)]
+        elif not value and kind != "str" and cell.find("{*}f") is not None:
+            value = f"formula that was never computed {place}"
+        if value.strip():
+            if column > _MOST_COLUMNS:
+                raise MeasurementError(
+                    f"something stands {place}, too far from the other cells to be read; delete "
+                    "the rows and columns beyond the table"
+                )
+            yield column, value.strip()
+
+
+def _column_number(letters: str) -> int:
+    """Return the number, from 1, of the column that a sheet calls by letters."""
+    return reduce(lambda number, letter: 26 * number + ord(letter) - 64, letters, 0)
 
 
 def _separator(text: str) -> str:
@@ -394,24 +391,6 @@ def _with_points(rows: list[list[str]]) -> bool:
             for cell in row
         ]
     return True
-
-
-def _of_dataframe(frame: Any) -> TextTable:
-    path = Path("DataFrame")
-    units = _header(path, [str(name) for name in frame.columns], 1, "line")
-    if frame.empty:
-        raise MeasurementError(f"{path}: no rows")
-    columns = (list(map(_text, frame.iloc[:, i].tolist())) for i in range(len(units)))
-    rows = list(range(1, len(frame) + 1))
-    return TextTable(path, units, dict(zip(units, columns, strict=True)), rows, "row")
-
-
-def _text(value: object) -> str:
-    """Return a cell of a DataFrame as it would be in a file."""
-    if isinstance(value, float):
-        return cell_of(value)
-    missing = value is None or type(value).__name__ in ("NAType", "NaTType")
-    return "" if missing else str(value)
 
 
 def _uneven(row: list[str], line: int, header: list[str], top: int) -> str:

@@ -243,9 +243,16 @@ class _SetupSpec(Strict):
     systematic: _SystematicSpec = Field(default_factory=_SystematicSpec)
 
 
-def read_setup(path: str | Path) -> Setup:
-    """Return the setup that a YAML file says: see ``Setup.from_yaml``."""
-    path = Path(must_be(path, (str, Path), "a setup file", MeasurementError))
+def read_setup(source: Setup | str | Path) -> Setup:
+    """Return a setup that is given as such or by its YAML file.
+
+    Raises:
+        FileError: the file is missing or cannot be read.
+        MeasurementError: something else, or a file that does not say what it should.
+    """
+    if isinstance(source, Setup):
+        return source
+    path = Path(must_be(source, (Setup, str, Path), "a setup or its file", MeasurementError))
     spec = read_yaml(path, _SetupSpec, MeasurementError)
     try:
         return Setup(
