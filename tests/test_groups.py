@@ -16,9 +16,9 @@ from scipy.spatial.transform import Rotation
 
 import pincal
 from pincal.estimation.observability.indices import indices
-from pincal.symmetry.carry import bare, canonical, carry
+from pincal.model.placement import placement_of
+from pincal.symmetry.carry import carry
 from pincal.symmetry.detect import nearest_group
-from pincal.symmetry.differences import Traits
 from pincal.symmetry.elements import Element, Isometry
 from pincal.symmetry.groups import exact, group_name, largest_closed, product_table, subgroups
 
@@ -303,36 +303,36 @@ def test_an_element_reflects_both_or_none() -> None:
         Element.of(mirror, Isometry())
 
 
-def test_bare_legs_follow_any_isometry() -> None:
-    """Numbers in the place of parameters: carried and back it is the same leg."""
-    for name in ("3RRR", "6UPS", "delta", "3PRR"):
-        for leg in pincal.load_mechanism(name).legs:
-            planar = name in ("3RRR", "3PRR")
-            turn = [0.0, 0.0, 0.7] if planar else [0.3, -0.4, 0.7]
-            Q = Rotation.from_rotvec(turn).as_matrix() @ Element.mirror(0.4).matrix
-            one = Isometry.of(Q, np.array([0.1, 0.2, 0.0 if planar else 0.3]))
-            element = Element.of(one, one)
-            own = canonical(bare(leg))
-            away = carry(bare(leg), element, leg.name, leg.point.name)
-            back = carry(away, element.inverse(), leg.name, leg.point.name)
-            for a, b in zip((*back.joints, back.point), (*own.joints, own.point), strict=True):
-                np.testing.assert_allclose(a.placement.origin(), b.placement.origin(), atol=1e-12)
+def redrawn(leg: pincal.Leg, rng: np.random.Generator) -> pincal.Leg:
+    """Return the same leg in frames moved along and about its axes, or turned over."""
+    before, joints, values = np.eye(4), [], leg.nominal_by_name
+    for joint in leg.joints:
+        placement = before @ joint.placement.displacement(values)
+        placement = placement @ joint.placement.rest(values, leg.name)
+        axis = np.array(joint.axis)
+        turn = np.eye(4)
+        if joint.kind != "fixed":
+            to = rng.choice([-1.0, 1.0]) * np.eye(3)[rng.integers(3)]
+            turn[:3, :3] = Rotation.align_vectors(axis[None], to[None])[0].as_matrix()
+            turn[:3, :3] @= Rotation.from_rotvec(rng.uniform(-3, 3) * to).as_matrix()
+            turn[:3, 3] = rng.uniform(-0.5, 0.5) * axis
+            axis = to
+        matrix = placement @ turn
+        before = np.linalg.inv(turn)
+        drawn = placement_of(matrix)
+        joints.append(replace(joint, placement=drawn, axis=tuple((axis + 0.0).tolist())))
+    used = {*leg.point.placement.parameter_units}
+    used |= {value for sensor in leg.sensors for value in (sensor.gain, sensor.offset)}
+    parameters = tuple(pair for pair in leg.parameters if pair[0] in used)
+    return replace(leg, joints=tuple(joints), parameters=parameters)
 
 
-@pytest.mark.parametrize("name", ["5R", "3RRR", "3PRR", "6UPS", "6RUS", "linear_delta", "4cable"])
-def test_traits_of_carried_legs_follow(name: str) -> None:
-    """Working mode and barred directions of a carried leg are those read off it anew."""
-    mechanism = pincal.load_mechanism(name)
-    platform = mechanism.platform
-    for leg, element in product(mechanism.legs[:2], pincal.dihedral(3, 0.2)):
-        own = canonical(bare(leg))
-        away = carry(own, element, leg.name, leg.point.name)
-        there = element.poses(platform, np.array([platform.home]))[0]
-        fresh = Traits.of(away, pincal.Platform(platform.kind, tuple(there.tolist())))
-        found = Traits.of(own, platform).carried(own, element, platform)
-        assert found.mode == fresh.mode
-        assert (found.barred is None) == (fresh.barred is None)
-        if found.barred is not None and fresh.barred is not None:
-            np.testing.assert_allclose(
-                np.sort(found.barred, axis=0), np.sort(fresh.barred, axis=0), atol=1e-9
-            )
+@pytest.mark.parametrize("name", ["delta", "linear_delta", "6RUS", "6UPS", "3PUU"])
+def test_groups_do_not_depend_on_how_frames_are_drawn(name: str) -> None:
+    """Legs whose frames slide along and turn about their joints' axes, or are turned over."""
+    mechanism, rng = pincal.load_mechanism(name), np.random.default_rng(5)
+    own = pincal.symmetry_group(mechanism)
+    redrawings = [redrawn(leg, rng) for leg in mechanism.legs]
+    group = pincal.symmetry_group(replace(mechanism, legs=tuple(redrawings)))
+    assert (group.name, group.permutations) == (own.name, own.permutations)
+    assert group.equivariance(workspace(name, 40)) < 1e-9

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
 from pincal.errors import SymmetryError
+from pincal.kinematics.closing import home_mode
+from pincal.model.checks import ALIKE, EXACT
 from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
+from pincal.symmetry.candidates import NEARLY
 from pincal.symmetry.carry import canonical, carry
-from pincal.symmetry.elements import Element, Isometry
-from pincal.symmetry.fits import NEARLY, Fits, suggested
+from pincal.symmetry.elements import Element, Isometry, wrapped
 from pincal.symmetry.groups import exact, largest_closed, place_of, product_table
+from pincal.symmetry.shapes import Difference, Fits
 from pincal.words.numbers import POSES, amount, listed
 
 HOME = "home pose"
@@ -42,12 +46,10 @@ def no_symmetries(breaks: Sequence[Break]) -> list[str]:
     """Return sentences that say what keeps elements out of a group, one for each reason."""
     by_reason: dict[str, list[Break]] = {}
     for broken in breaks:
-        amount_text = (
-            ""
-            if broken.deviation is None
-            else f", by {amount(broken.deviation, broken.unit, 4, POSES)}"
-        )
-        by_reason.setdefault(f"{broken.quantity}{amount_text}", []).append(broken)
+        reason = broken.quantity
+        if broken.deviation is not None:
+            reason += f", by {amount(broken.deviation, broken.unit, 4, POSES)}"
+        by_reason.setdefault(reason, []).append(broken)
     sentences = []
     for reason, breaks_alike in by_reason.items():
         elements = listed(dict.fromkeys(str(broken.element) for broken in breaks_alike))
@@ -70,39 +72,36 @@ def breaks_of(
         readings: Whether sensors were compared.
     """
     fits = Fits(mechanism, readings)
-    meant = _meant(fits, suggested(mechanism))
-    legs = [canonical(leg) for leg in mechanism.legs]
     broken_elements = []
-    for element in sorted(meant, key=place_of):
+    for element in sorted(_meant(fits), key=place_of):
         if any(np.abs(element.matrix - member.matrix).max() < NEARLY for member in group):
             continue
-        turned_over = fits.points.mechanism.platform.space == 3 and element.matrix[2, 2] < 0.0
+        turned_over = mechanism.platform.space == 3 and element.matrix[2, 2] < 0.0
         if turned_over and fits.home_moves(element) > NEARLY * fits.points.size:
             continue  # a machine upside down is not what was meant
-        if broken := _first_break(fits, legs, element, tolerance):
+        if broken := _first_break(fits, element, tolerance):
             broken_elements.append(broken)
     return tuple(broken_elements)
 
 
-def _meant(fits: Fits, elements: Sequence[Element]) -> list[Element]:
+def _meant(fits: Fits) -> list[Element]:
     """Return a group that leg points suggest, with exact isometries.
 
     About the base's z axis as it is drawn if that is nearly as good: a fit spreads what one leg is
     off over all of them.
     """
-    from scipy.optimize import linear_sum_assignment  # slow to load: when needed
-
-    labels = [tuple(linear_sum_assignment(fits.points.distances(e))[1].tolist()) for e in elements]
+    elements, points = fits.points.candidates, fits.points
+    labels = [tuple(linear_sum_assignment(points.distances(e))[1].tolist()) for e in elements]
     closed = [elements[i] for i in largest_closed(product_table(elements, labels))]
-    fitted = exact(closed, fits.centres, fits.points.size)
-    drawn = [_about_z(element) for element in fitted]
-    if all(element is not None for element in drawn):
-        errors = [
-            max(fits.points.distances(e).min(axis=1).max() for e in version if e is not None)
+    fitted = exact(closed, points.centres, points.size)
+    drawn = [upright for element in fitted if (upright := _about_z(element))]
+    if len(drawn) == len(fitted):
+        off_drawn, off_fitted = (
+            max(points.distances(element).min(axis=1).max() for element in version)
             for version in (drawn, fitted)
-        ]
-        if errors[0] <= len(fits.legs) * errors[1] + 1e-9:
-            return [element for element in drawn if element is not None]
+        )
+        if off_drawn <= len(fits.shapes) * off_fitted + EXACT:
+            return drawn
     return fitted
 
 
@@ -112,65 +111,56 @@ def _about_z(element: Element) -> Element | None:
     side = np.sign(np.linalg.det(Q[:2, :2]))
     turn = Element(float(np.arctan2(Q[1, 0], Q[0, 0])), bool(side < 0.0)).matrix.copy()
     turn[2, 2] = np.sign(Q[2, 2])
-    if (
-        max(np.linalg.norm(turn - isometry.Q) for isometry in (element.base, element.platform))
-        > NEARLY
-    ):
+    if max(np.linalg.norm(turn - by.Q) for by in (element.base, element.platform)) > NEARLY:
         return None
     near = Isometry.of(turn, np.zeros(3))
     return Element.of(near, near)
 
 
-def _first_break(fits: Fits, legs: list[Leg], element: Element, tolerance: float) -> Break | None:
+def _first_break(fits: Fits, element: Element, tolerance: float) -> Break | None:
     """Return what breaks an element first, by the names of parameters where they can say it."""
-    moved = fits.home_moves(element)
-    distances = fits.points.distances(element)
-    for index, leg in enumerate(legs):
-        homed = fits.readings and any(sensor.homed for sensor in leg.sensors)
-        if homed and moved > tolerance * max(1.0, fits.points.size):
-            return Break(element, leg.name, HOME)
-        near = [
-            i
-            for i in np.argsort(distances[index])
-            if distances[index, i] <= distances[index].min() + 1e-6
-        ]
-        first: Break | None = None
-        for image in near:
-            broken = _leg_break(fits, (leg, legs[image]), index, int(image), tolerance, element)
-            if broken is None:
-                first = None
-                break
-            first = first or broken
-        if first is not None:
-            return first
+    legs, size = fits.mechanism.legs, fits.points.size
+    moves = fits.home_moves(element) > tolerance * max(1.0, size)
+    standing = fits.standing(element)
+    for index, distances in enumerate(fits.points.distances(element)):
+        if moves and fits.readings and any(sensor.homed for sensor in legs[index].sensors):
+            return Break(element, legs[index].name, HOME)
+        order = np.argsort(distances)
+        near = order[distances[order] <= distances.min() + ALIKE].tolist()
+        differing = [fits.exceeding(index, element, standing[i], tolerance) for i in near]
+        if all(differing):
+            image = legs[near[0]]
+            named = _named(fits, legs[index], element, image)
+            differs = next((d for d in named if d.exceeds(tolerance, size)), differing[0])
+            if differs is not None:
+                return Break(element, image.name, differs.quantity, differs.deviation, differs.unit)
     return None
 
 
-def _leg_break(
-    fits: Fits,
-    legs: tuple[Leg, Leg],
-    index: int,
-    image: int,
-    tolerance: float,
-    element: Element,
-) -> Break | None:
-    """Return the first quantity in which a carried leg differs from another one."""
-    size = fits.points.size
-    pairs = [(fits.legs[index], fits.legs[image])]
+def _named(fits: Fits, leg: Leg, element: Element, image: Leg) -> Iterator[Difference]:
+    """Yield in which parameters and constants a carried leg differs, as far as drawings say it."""
     try:
-        named = carry(legs[0], element, legs[0].name, legs[0].point.name)
-        pairs = [(named, legs[1])]
+        carried, drawn = carry(leg, element, leg.name, leg.point.name), canonical(image)
     except SymmetryError:  # its coordinates cannot say it
-        pairs = [(carry(pairs[0][0], element, "leg", "point"), pairs[0][1])]
-    traits = fits.carried_traits(index, element)
-    for carried, leg in pairs:
-        for difference in fits.differences(carried, leg, traits, image):
-            if difference.exceeds(tolerance, size):
-                return Break(
-                    element,
-                    legs[1].name,
-                    difference.quantity,
-                    difference.deviation,
-                    difference.unit,
-                )
-    return None
+        return
+    if carried.parameter_names != drawn.parameter_names or carried.active != drawn.active:
+        return
+    before, after = carried.nominal_by_name, drawn.nominal_by_name
+    for name, unit in drawn.units.items():
+        yield Difference(f"parameter {name!r}", _apart(before[name] - after[name], unit), unit)
+    platform = fits.mechanism.platform
+    if home_mode(carried, platform) != home_mode(drawn, platform):
+        yield Difference("working mode (the side on which the leg bends)", None)
+    for a, b, unit in zip(carried.sensors, drawn.sensors, drawn.reading_units, strict=True):
+        if not fits.readings or (a.form, a.direction) != (b.form, b.direction):
+            continue
+        gains, offsets = zip(a.constants(before), b.constants(after), strict=True)
+        yield Difference("gain of the sensor", abs(gains[0] - gains[1]))
+        yield Difference("offset of the sensor", _apart(offsets[0] - offsets[1], unit), unit)
+        if not (isinstance(a.zero, str) or isinstance(b.zero, str)):
+            yield Difference("zero of the sensor", _apart(a.zero - b.zero, unit), unit)
+
+
+def _apart(value: float, unit: str) -> float:
+    """Return how large a difference is, of angles without full turns."""
+    return abs(wrapped(value) if unit == "rad" else value)

@@ -266,34 +266,6 @@ def _turned_terms(leg: Leg, element: Element, moved: Leg) -> Leg:
     return moved.with_parameters(new)
 
 
-def bare(leg: Leg) -> Leg:
-    """Return the leg with numbers in the place of parameters: its geometry alone.
-
-    Whatever coordinates it was drawn in, it can be carried by any isometry.
-    """
-    values = leg.nominal_by_name
-
-    def fixed(joint: Joint) -> Joint:
-        return replace(joint, placement=replace(joint.placement, coordinates=()))
-
-    def number(value: Value) -> float:
-        return values[value] if isinstance(value, str) else value
-
-    sensors = tuple(
-        replace(sensor, gain=number(sensor.gain), offset=number(sensor.offset))
-        for sensor in leg.sensors
-    )
-    terms = {term.parameter for sensor in leg.sensors for term in sensor.terms}
-    return replace(
-        leg,
-        joints=tuple(fixed(joint) for joint in leg.joints),
-        point=fixed(leg.point),
-        sensors=sensors,
-        parameters=tuple((name, value) for name, value in leg.parameters if name in terms),
-        terms=(),
-    )
-
-
 def canonical(leg: Leg) -> Leg:
     """Return the same leg with positive axes and no constant turn about a joint's own axis."""
     for index, joint in enumerate(leg.joints):

@@ -21,8 +21,8 @@ from pincal.model.checks import number_of
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
 from pincal.symmetry.breaks import Break, breaks_of, no_symmetries
+from pincal.symmetry.candidates import NEARLY
 from pincal.symmetry.elements import SAME, Element
-from pincal.symmetry.fits import NEARLY, Fits, Permutation, suggested
 from pincal.symmetry.groups import (
     distinct,
     exact,
@@ -33,6 +33,7 @@ from pincal.symmetry.groups import (
     product_table,
     subgroups,
 )
+from pincal.symmetry.shapes import Fits, Permutation
 from pincal.types import Array, Index, Mask
 
 
@@ -192,14 +193,14 @@ def symmetry_group(
 def _group(mechanism: Mechanism, tolerance: float, readings: bool) -> SymmetryGroup:
     """Return the symmetry group of a mechanism, found once."""
     fits = Fits(mechanism, readings)
-    permuted = {e: fits.permutation(e, tolerance) for e in suggested(mechanism)}
+    permuted = {e: fits.permutation(e, tolerance) for e in fits.points.candidates}
     elements = [element for element, permutation in permuted.items() if permutation]
     permutations = [permuted[element] for element in elements]
     chosen = distinct(elements, permutations)
     while True:
         elements, permutations = [elements[i] for i in chosen], [permutations[i] for i in chosen]
         closed = largest_closed(product_table(elements, permutations))
-        elements = exact([elements[i] for i in closed], fits.centres, fits.points.size)
+        elements = exact([elements[i] for i in closed], fits.points.centres, fits.points.size)
         permutations = [fits.permutation(element, tolerance) for element in elements]
         chosen = [i for i, permutation in enumerate(permutations) if permutation]  # the identity
         closes = len(chosen) == len(elements)

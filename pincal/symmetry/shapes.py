@@ -1,0 +1,271 @@
+"""A leg as it stands in the world, and in what a carried one differs from another.
+
+A leg closed at a pose is the lines of its joints there, and the point where it meets the platform:
+in whatever frames it was drawn, wherever its joints are at zero. An element carries lines to lines.
+A carried leg is like another one if that has the same lines when it is closed, in its working mode,
+at the carried pose; if its joints may go as far from there; and if its sensors read the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from pincal.kinematics.closed_forms import closed_form, driven_rod, reach_of
+from pincal.kinematics.closing import close, sensor_law
+from pincal.kinematics.closure import LegClosure, nominal_legs
+from pincal.model.checks import ROUNDING
+from pincal.model.mechanism import Mechanism
+from pincal.model.terms import LOAD
+from pincal.symmetry.candidates import NEARLY, Points
+from pincal.symmetry.elements import Element, wrapped
+from pincal.types import Array
+
+Permutation = tuple[int, ...]
+_READINGS = np.linspace(-1.0, 1.0, 7)
+"""How far from where a leg stands its sensors are compared, [rad], or of its size."""
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One quantity in which two legs differ."""
+
+    quantity: str
+    deviation: float | None
+    """By how much, in the unit; None where it is no number."""
+    unit: str = "1"
+    """m, rad or 1."""
+    of_sensor: bool = False
+    """Whether it is of a sensor: the legs move alike, their readings differ."""
+
+    def exceeds(self, tolerance: float, size: float) -> bool:
+        """Return whether it is more than a tolerance, relative to a size [m] for lengths."""
+        scale = size if self.unit == "m" else 1.0
+        return self.deviation is None or not self.deviation <= tolerance * scale
+
+
+class Shape:
+    """A leg closed at a pose, in the base frame."""
+
+    def __init__(self, closure: LegClosure, matrix: Array, *, near_home: bool) -> None:
+        """Close a leg.
+
+        Args:
+            closure: The leg.
+            matrix: Pose ``T_base_platform``, shape (4, 4).
+            near_home: Whether it is near the home pose, and the leg stands as it does there.
+        """
+        self.closure, leg = closure, closure.leg
+        closed = close((closure,), matrix[None], near=leg.home[None] if near_home else None)
+        self.reached = near_home or bool(closed.reached[0])
+        joints = closed.joints if closed.reached[0] else leg.home[None]
+        self.joints: Array = joints[0]
+        motion = closure.evaluate(joints, matrix[None]).motion
+        linear, angular = np.split(motion.twists(slice(len(leg.moving)))[:, :, 0].T, 2, axis=1)
+        self.tip = np.zeros(3)
+        self.tip[: len(motion.tips)] = motion.tips[:, 0]
+        turns = np.array([[joint.turns] for joint in leg.moving])
+        self.directions = np.where(turns, angular, linear)
+        """Unit vectors of the joints' axes, shape (n_joints, 3)."""
+        self.points = self.tip + np.cross(angular, linear)
+        """On each revolute joint's axis the point nearest to the tip, shape (n_joints, 3), [m]; to
+        the centre of a pointing joint before the tip, and of that the centre."""
+        if self.pointing:
+            centre = self.points[self.pointing[-1]]
+            along = ((centre - self.points) * self.directions).sum(axis=1, keepdims=True)
+            self.points = self.points + along * self.directions
+            self.points[self.pointing] = centre
+
+    @cached_property
+    def pointing(self) -> list[int]:
+        """Passive revolute joints of which the centre alone counts: they point a rod or a slide.
+
+        Turned about what they point they make the same leg, unless limits bar directions in a way
+        that half-spaces do not say.
+        """
+        leg, form = self.closure.leg, closed_form(self.closure)
+        if form is None:
+            return []
+        joints = list(
+            range(1, len(leg.moving)) if form is driven_rod else range(len(leg.moving) - 1)
+        )
+        limited = any(leg.moving[index].limited for index in joints)
+        if set(joints) & set(leg.active) or (limited and self.barred is None):
+            return []
+        return joints
+
+    @cached_property
+    def barred(self) -> Array | None:
+        """Normals of the half-spaces that alone bound where a slide points, shape (k, 3)."""
+        reach = None if closed_form(self.closure) is driven_rod else reach_of(self.closure)
+        return None if reach is None or not reach.exact else reach.normals
+
+    @property
+    def base(self) -> Array:
+        """Where the leg begins: on its first revolute axis, or its tip, shape (3,), [m]."""
+        turning = [i for i, joint in enumerate(self.closure.leg.moving) if joint.turns]
+        return self.points[turning[0]] if turning else self.tip
+
+
+def differences(first: Shape, element: Element, second: Shape) -> Iterator[Difference]:
+    """Yield every quantity in which a leg, carried by an element, and another one differ.
+
+    Args:
+        first: The leg that is carried.
+        element: What carries it.
+        second: The other one, at the pose to which that of the first is carried.
+    """
+    leg, other = first.closure.leg, second.closure.leg
+    if [joint.kind for joint in leg.moving] != [joint.kind for joint in other.moving]:
+        yield Difference("sequence of joints", None)
+        return
+    if leg.active != other.active or leg.closes != other.closes:
+        yield Difference("active joint" if leg.active != other.active else "end", None)
+        return
+    if not second.reached:
+        yield Difference("reach of the pose that home is carried to", None)
+        return
+    space, Q = first.closure.platform.space, element.base.Q
+    side = np.linalg.det(Q)
+    pointing = first.pointing if first.pointing == second.pointing else []
+    signs = np.ones(len(leg.moving))
+    for index, joint in enumerate(other.moving):
+        if joint.turns:
+            away = element.base(first.points[index]) - second.points[index]
+            shift = float(np.linalg.norm(away[:space]))
+            yield Difference(f"position of joint {joint.name!r}", shift, "m")
+        if index in pointing:
+            continue
+        direction = (side if joint.turns else 1.0) * Q @ first.directions[index]
+        signs[index] = 1.0 if direction @ second.directions[index] >= 0.0 else -1.0
+        apart = float(np.linalg.norm(signs[index] * direction - second.directions[index]))
+        angle = 2.0 * float(np.arcsin(min(1.0, apart / 2.0)))
+        yield Difference(f"orientation of joint {joint.name!r}", angle, "rad")
+    away = element.base(first.tip) - second.tip
+    yield Difference(
+        f"position of joint {other.point.name!r}", float(np.linalg.norm(away[:space])), "m"
+    )
+    if pointing and first.barred is not None and second.barred is not None:
+        yield Difference(
+            f"orientation of joint {other.moving[0].name!r}",
+            _apart(first.barred @ Q.T, second.barred),
+            "rad",
+        )
+    for index in set(range(len(signs))) - set(pointing):
+        if leg.moving[index].limited or other.moving[index].limited:
+            yield _limits_apart(first, second, index, signs[index])
+    yield from _readings_apart(first, second, signs[leg.active])
+
+
+def _apart(normals: Array, others: Array) -> float | None:
+    """Return how far unit normals are from the nearest others; None if they are not as many."""
+    if len(normals) != len(others):
+        return None
+    distances = np.linalg.norm(normals[:, None] - others, axis=2)
+    return float(distances.min(axis=1, initial=np.inf).max(initial=0.0))
+
+
+def _limits_apart(first: Shape, second: Shape, index: int, sign: float) -> Difference:
+    """Return in what the limits of a joint differ, seen from where the legs stand."""
+    ends = []
+    for shape in (first, second):
+        joint = shape.closure.leg.moving[index]
+        ends.append(np.array((joint.lower, joint.upper)) - shape.joints[index])
+    carried = ends[0] if sign > 0.0 else -ends[0][::-1]
+    with np.errstate(invalid="ignore"):
+        apart = np.where(carried == ends[1], 0.0, np.abs(carried - ends[1]))
+    if joint.turns and np.isfinite(apart).all():
+        apart = np.abs([wrapped(float(value)) for value in apart])
+    deviation = float(apart.max()) if np.isfinite(apart).all() else None
+    return Difference(f"limits of joint {joint.name!r}", deviation, "rad" if joint.turns else "m")
+
+
+def _readings_apart(first: Shape, second: Shape, signs: Array) -> Iterator[Difference]:
+    """Yield by how much active joints move otherwise where readings are the same."""
+    readings: Array | None = None
+    moved = []
+    for shape, sides in ((first, signs), (second, np.ones(len(signs)))):
+        leg, law = shape.closure.leg, sensor_law(shape.closure)
+        loads = {
+            f"{LOAD}_{name}": side for name, side in zip(leg.reading_names, sides, strict=True)
+        }
+        influences = np.array([[loads.get(name, 1.0) for name in leg.influences]])
+        if readings is None:
+            scales = [1.0 if unit == "rad" else leg.size for unit in leg.reading_units]
+            here = law.reading(shape.joints[None, leg.active])
+            readings = here + np.outer(_READINGS, scales)
+            columns = influences.shape[1]
+        if influences.shape[1] != columns:
+            yield Difference("terms of the sensor", None, of_sensor=True)
+            return
+        known = np.hstack((readings, np.repeat(influences, len(readings), axis=0)))
+        moved.append(sides * (law.position(known) - shape.joints[leg.active]))
+    for index, unit, apart in zip(
+        leg.active, leg.reading_units, (moved[0] - moved[1]).T, strict=True
+    ):
+        if leg.moving[index].turns:
+            apart = np.array([wrapped(float(value)) for value in apart])
+        yield Difference("reading of the sensor", float(np.abs(apart).max()), unit, of_sensor=True)
+
+
+class Fits:
+    """Which legs of a mechanism elements carry onto which, and by how much these differ."""
+
+    def __init__(self, mechanism: Mechanism, readings: bool) -> None:
+        self.mechanism, self.readings = mechanism, readings
+        self.home = mechanism.platform.home_pose.as_matrix()[0]
+        legs = nominal_legs(mechanism)
+        self.shapes = [Shape(leg, self.home, near_home=True) for leg in legs]
+        self.points = Points(mechanism, np.array([shape.base for shape in self.shapes]))
+
+    def home_moves(self, element: Element) -> float:
+        """Return by how much home moves, [m] and [rad] together."""
+        platform = self.mechanism.platform
+        home = np.array([platform.home])
+        carried = element.poses(platform, home)
+        return float(np.abs(platform.twists_between(home, carried)).max())
+
+    def standing(self, element: Element) -> list[Shape]:
+        """Return the legs where they are if the platform is where home is carried to."""
+        moved, carried = self.home_moves(element), element.matrices(self.home[None])[0]
+        if moved <= ROUNDING * self.points.size:
+            return self.shapes
+        near = moved <= NEARLY * self.points.size
+        return [Shape(shape.closure, carried, near_home=near) for shape in self.shapes]
+
+    def permutation(self, element: Element, tolerance: float) -> Permutation:
+        """Return onto which leg each one is carried within a tolerance; empty if some is not."""
+        count = len(self.shapes)
+        if element.is_identity:
+            return tuple(range(count))
+        standing, distances = self.standing(element), self.points.distances(element)
+        fits = np.zeros((count, count), dtype=bool)
+        for index, image in np.argwhere(distances <= 2.0 * NEARLY):
+            fits[index, image] = not self.exceeding(index, element, standing[image], tolerance)
+        rows, to = linear_sum_assignment(np.where(fits, distances, 1e6))
+        return tuple(to.tolist()) if fits[rows, to].all() else ()
+
+    def differences(self, index: int, element: Element, image: Shape) -> Iterator[Difference]:
+        """Yield in what a leg, given by its index, differs from another one when it is carried."""
+        for difference in differences(self.shapes[index], element, image):
+            if self.readings or not difference.of_sensor:
+                yield difference
+
+    def exceeding(
+        self, index: int, element: Element, image: Shape, tolerance: float
+    ) -> Difference | None:
+        """Return the first difference that is more than a tolerance, or None."""
+        compared = self.differences(index, element, image)
+        return next((d for d in compared if d.exceeds(tolerance, self.points.size)), None)
+
+    def measured(self, element: Element, permutation: Permutation) -> tuple[float, float]:
+        """Return the largest deviation of carried legs in [m] and in [rad]."""
+        worst, standing = {"m": 0.0, "rad": 0.0, "1": 0.0}, self.standing(element)
+        for index, image in enumerate(permutation):
+            for difference in self.differences(index, element, standing[image]):
+                worst[difference.unit] = max(worst[difference.unit], difference.deviation or 0.0)
+        return worst["m"], worst["rad"]
