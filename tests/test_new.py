@@ -263,23 +263,15 @@ def test_the_sheet_that_is_filled_in_is_calibrated_as_it_is(bar: Path, tmp_path:
     assert result.validation.rows == 2
 
 
-def test_each_column_of_the_sheet_is_explained(bar: Path) -> None:
-    """In the order of the sheet; those to be filled in are those that are empty."""
+def test_the_sheet_says_what_is_planned_and_leaves_room_for_what_is_measured(bar: Path) -> None:
+    """Each planned column has an empty one of the same name and unit; numbers are the plan's."""
     with (bar / "sheet.csv").open(newline="") as file:
         table = list(csv.DictReader(file))
-    with (bar / "columns.csv").open(newline="") as file:
-        legend = list(csv.DictReader(file))
-    assert [one["column"] for one in legend] == list(table[0])
-    for one in legend:
-        empty = all(row[one["column"]] == "" for row in table)
-        assert (one["fill in"] == "yes") == empty
-        assert one["what it is"]
-    explained = {one["column"]: one["what it is"] for one in legend}
-    assert "as measured, in the base frame" in explained["x [mm]"]
-    read = [text for column, text in explained.items() if column.startswith("leg_")]
-    assert len(read) == 2
-    assert all("needed in every row" in text for text in read)
     assert len(table) == 18
+    planned_columns = [column for column in table[0] if column.startswith("planned_")]
+    measured_columns = [column for column in table[0] if all(row[column] == "" for row in table)]
+    assert [f"planned_{column}" for column in measured_columns] == planned_columns
+    assert {"x [mm]", "y [mm]", "leg_1 [deg]", "leg_2 [deg]"} == set(measured_columns)
     plan = pincal.Plan.from_csv(bar / "plan.csv", bar)
     planned = [[float(row["planned_x [mm]"]), float(row["planned_y [mm]"])] for row in table]
     np.testing.assert_allclose(1e3 * plan.poses, planned, atol=1e-4)

@@ -142,11 +142,7 @@ def select(
 
 
 def _for_all_legs(mechanism: Mechanism, options: SelectOptions) -> bool:
-    """Return whether poses are chosen for the parameters of all legs together.
-
-    Raises:
-        BadParameter: they are, and a protocol is named.
-    """
+    """Return whether poses are chosen for the parameters of all legs together."""
     partial = (
         options.measure is not None or not options.read_setup().plain or options.goal == "platform"
     )

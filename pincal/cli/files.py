@@ -187,11 +187,7 @@ def import_(
 def _import_printer(
     file: Path, output: Path, form: InputFormat, options: ImportOptions
 ) -> tuple[str, ...]:
-    """Write the mechanism of a delta printer to a folder, with the points that it probed.
-
-    Raises:
-        MechanismError: another mechanism is named.
-    """
+    """Write the mechanism of a delta printer to a folder, with the points that it probed."""
     if options.mech is not None:
         raise MechanismError(f"{file} describes its own mechanism; leave out --mech {options.mech}")
     if form == "klipper":
@@ -220,11 +216,7 @@ def _import_printer(
 
 
 def _import_table(file: Path, output: Path, options: ImportOptions) -> tuple[str, ...]:
-    """Write another tool's measurements as those of a mechanism.
-
-    Raises:
-        MeasurementError: no mechanism, or points that belong to no table.
-    """
+    """Write another tool's measurements as those of a mechanism."""
     if options.mech is None:
         raise MeasurementError(f"{file} is a table; say whose measurements they are: --mech MECH")
     if options.probed is not None:
@@ -236,11 +228,7 @@ def _import_table(file: Path, output: Path, options: ImportOptions) -> tuple[str
 
 
 def _readings_at(mechanism: Mechanism, points: Path) -> Array:
-    """Return readings at points where the nozzle touched the bed, shape (N, 3).
-
-    Raises:
-        MeasurementError: points that the printer cannot reach.
-    """
+    """Return readings at points where the nozzle touched the bed, shape (N, 3)."""
     solution = inverse(mechanism, read_poses(points, mechanism).poses)
     lost = np.flatnonzero(~solution.reached.all(axis=1))
     if len(lost):
@@ -254,12 +242,7 @@ def _readings_at(mechanism: Mechanism, points: Path) -> Array:
 def _import_tree(
     file: Path, output: Path, form: InputFormat, options: ImportOptions
 ) -> tuple[str, ...]:
-    """Write the mechanism of a URDF or MJCF file to a folder, and say what it is.
-
-    Raises:
-        FileError: a file cannot be read or written.
-        MechanismError: the file does not say what it should.
-    """
+    """Write the mechanism of a URDF or MJCF file to a folder, and say what it is."""
     options.check_tree(form)
     remarks: tuple[str, ...] = ()
     if options.tip is not None:
@@ -413,14 +396,7 @@ def _columns(mechanism: Mechanism) -> list[str]:
 
 
 def _export_corrections(mechanism: Mechanism, output: Path, options: ExportOptions) -> None:
-    """Write corrections over poses.
-
-    Raises:
-        FileError: the poses cannot be read.
-        MeasurementError: a column or cell of the poses that is missing or wrong.
-        MechanismError: nothing is to be corrected at these poses.
-        WorkspaceError: poses are not given, and a grid would be too coarse.
-    """
+    """Write corrections over poses."""
     if not mechanism.amplitudes:
         raise MechanismError(NO_CORRECTION.format(name=mechanism.name))
     units = options.written_in(mechanism)
@@ -452,11 +428,7 @@ def _export_corrections(mechanism: Mechanism, output: Path, options: ExportOptio
 def _export_code(
     mechanism: Mechanism, output: Path, form: Literal["python", "c"], options: ExportOptions
 ) -> None:
-    """Write the laws of sensors as code.
-
-    Raises:
-        MechanismError: readings are joint positions.
-    """
+    """Write the laws of sensors as code."""
     text = code_of(mechanism, LANGUAGES[form], options.written_in(mechanism))
     with writing(output, force=options.force) as scratch:
         scratch.write_text(text, encoding="utf-8")
@@ -470,11 +442,7 @@ def _export_code(
 def _export_printer(
     mech: str, mechanism: Mechanism, output: Path, form: str, *, force: bool
 ) -> None:
-    """Write a delta printer's configuration.
-
-    Raises:
-        MechanismError: no linear delta, or readings that do not count down from endstops.
-    """
+    """Write a delta printer's configuration."""
     printer = delta_printer(mechanism)
     text = _finite(write_klipper(printer) if form == "klipper" else write_reprap(printer), mech)
     with writing(output, force=force) as scratch:
@@ -502,12 +470,7 @@ def _weak(folder: Path) -> list[str]:
 
 
 def _export_tree(mechanism: Mechanism, output: Path, form: str, options: ExportOptions) -> None:
-    """Write a mechanism as URDF or MJCF, or into a copy of the user's URDF.
-
-    Raises:
-        FileError: a file cannot be read or written.
-        MechanismError: a joint that the user's URDF has no place for.
-    """
+    """Write a mechanism as URDF or MJCF, or into a copy of the user's URDF."""
     if options.original is not None:
         if form != "urdf":
             raise MechanismError("--original goes with URDF, not with MJCF")
@@ -549,11 +512,7 @@ def _export_into(
 
 
 def _finite(text: str, name: str) -> str:
-    """Return what is to be written.
-
-    Raises:
-        MechanismError: numbers in it that no program can read.
-    """
+    """Return what is to be written."""
     if match := _NO_NUMBER.search(text):
         raise MechanismError(
             f"{name}: {match.group()} would be written for a number, in "

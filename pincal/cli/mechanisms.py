@@ -285,11 +285,7 @@ def study(
 
 
 def _installed() -> Any:
-    """Return the catalogue of the studies, which stand beside pincal: installed or as sources.
-
-    Raises:
-        FileError: they are not there.
-    """
+    """Return the catalogue of the studies, which stand beside pincal: installed or as sources."""
     for name in ("pincal_studies", "studies"):
         if (_ROOT / name / "catalogue.py").is_file():
             return import_module(f"{name}.catalogue")

@@ -38,7 +38,6 @@ DESCRIPTIONS = {
     "picture.svg": "a picture with dimensions",
     "plan.csv": "poses to measure",
     "sheet.csv": "the sheet to fill in",
-    "columns.csv": "what its columns are",
 }
 FOLDER = (*MECHANISM_FILES, *DESCRIPTIONS)
 _CANDIDATES, _STARTS = 1000, 5
@@ -102,7 +101,7 @@ def new(
     """Make a mechanism of your own from its dimensions.
 
     Writes a mechanism folder, and into it a picture with dimensions (picture.svg), poses to
-    measure (plan.csv), and a sheet to fill in (sheet.csv, its columns explained in columns.csv).
+    measure (plan.csv), and a sheet to fill in (sheet.csv).
     Dimensions that are not given are asked for, in mm and degrees.
 
     Then measure, fill in the sheet, and type 'pincal calibrate MECH MECH/sheet.csv -o RESULT'.
@@ -172,11 +171,7 @@ def _ask_dimensions(design: Architecture, values: dict[str, Any], output: Path) 
 
 
 def _ask(label: str, usual: str, choices: str = "", option: str = "ARCHITECTURE") -> str:
-    """Return what is typed, or what is usual.
-
-    Raises:
-        BadParameter: there is nobody to ask.
-    """
+    """Return what is typed, or what is usual."""
     listed = f" ({choices})" if choices else ""
     stderr.print(f"{label}{listed}{f' [{usual}]' * bool(usual)}: ", end="")
     try:
@@ -223,5 +218,4 @@ def _write(output: Path, mechanism: Mechanism, plan: Plan, *, force: bool) -> No
         write_mechanism(mechanism, scratch)
         picture(mechanism, dimensions=drawn).save(scratch / "picture.svg")
         write_plan(plan, scratch / "plan.csv", mechanism, units=WRITTEN)
-        plan = replace(plan, readings=readings)
-        write_sheet(scratch / "sheet.csv", scratch / "columns.csv", mechanism, plan)
+        write_sheet(scratch / "sheet.csv", mechanism, replace(plan, readings=readings))

@@ -116,11 +116,7 @@ class WorkspaceOptions:
 
 
 def _check_picture(picture: Path, output: Path) -> None:
-    """Raise if a picture cannot be drawn there.
-
-    Raises:
-        BadParameter: another ending than pictures have, or the file of the table.
-    """
+    """Raise if a picture cannot be drawn there."""
     if picture.suffix.lower() not in (".svg", ".png", ".pdf"):
         raise typer.BadParameter(f"--picture {picture}: expected a name in .svg, .png or .pdf")
     if picture.absolute() == output.absolute():

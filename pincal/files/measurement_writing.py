@@ -18,18 +18,10 @@ from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import SINGLE_ANGLES, WAYS
 from pincal.model.orientation import columns_of as angles_of
 from pincal.model.setup import Setup
-from pincal.model.units import SI, UNITS, Units
+from pincal.model.units import SI, Units
 from pincal.types import Array
 
 Columns = dict[str, Array | tuple[str, ...]]
-
-_LEGEND = ("column", "fill in", "what it is")
-_ROW = "number of the pose, in the order of measuring"
-_SET = "'all': for the calibration; 'verify': for its check, by poses that it has not seen"
-_PLANNED = "where to drive the platform: {name}"
-_DRIVEN = "what {name} reads there by the drawing: drive to it if the machine takes no poses"
-_MEASURED = "{name} as measured, in the base frame; leave the column empty if it is not measured"
-_READ = "what the machine reads at joint {joint} of {leg}, {counted}; needed in every row"
 
 
 def write_plan(
@@ -68,12 +60,12 @@ def write_readings(
     units: Units = SI,
     force: bool = False,
 ) -> None:
-    """Write readings to a CSV file.
+    """Write readings, NaN as empty cells, to a CSV file, with what they depend on.
 
     Args:
         path: The file.
         mechanism: The mechanism.
-        readings: Readings; NaN becomes an empty cell.
+        readings: Shape (N, n_readings).
         influences: What the readings depend on, by column, each of shape (N,).
         reasons: Why a row has none, a text for each; a column only if there is one.
         units: In which units they are written.
@@ -170,64 +162,19 @@ def _measured_columns(mechanism: Mechanism, data: Measurements, setup: Setup | N
     return columns if data.runs is None else columns | {"run": data.runs}
 
 
-_HANDY = {"m": "mm", "rad": "deg"}
-_DECIMALS = 4  # of planned poses, in mm and degrees
-
-
-def write_sheet(
-    sheet: str | Path, legend: str | Path, mechanism: Mechanism, plan: Plan, *, force: bool = False
-) -> None:
-    """Write a measuring sheet, and beside it a table of what its columns are, as CSV.
-
-    Args:
-        sheet: The sheet.
-        legend: The table of columns.
-        mechanism: The mechanism.
-        plan: What to measure, with the readings there.
-        force: Whether to replace files that exist.
+def write_sheet(path: str | Path, mechanism: Mechanism, plan: Plan) -> None:
+    """Write a measuring sheet in mm and degrees: what is planned, and empty columns to fill in.
 
     Raises:
         MeasurementError: a plan without readings, or of another mechanism.
-        FileError: a file exists and ``force`` is not set, or cannot be written.
+        FileError: the file cannot be written.
     """
     if plan.readings is None:
         raise MeasurementError(f"a sheet for {mechanism.name!r} needs the readings of its plan")
-    poses = _handy(_pose_columns(mechanism, plan, "zyx"))
-    readings = _handy(_reading_columns(mechanism, plan.readings))
-    numbers = tuple(str(1 + row) for row in range(len(plan)))
-    columns: dict[str, tuple[float, ...] | tuple[str, ...]] = {"row": numbers}
-    meanings = [_ROW]
-    if plan.sets is not None:
-        columns["set"] = plan.sets
-        meanings.append(_SET)
-    for planned, text in ((poses, _PLANNED), (readings, _DRIVEN)):
-        columns |= {f"planned_{head}": values for head, values in planned.items()}
-        meanings += [text.format(name=head.partition(" [")[0]) for head in planned]
-    measured: dict[str, tuple[float, ...] | tuple[str, ...]] = {}
-    measured |= dict.fromkeys([*poses, *readings], ("",) * len(plan))
-    meanings += [_MEASURED.format(name=head.partition(" [")[0]) for head in poses]
-    meanings += [
-        _READ.format(
-            joint=sensor.joint,
-            leg=leg.name,
-            counted="counted from the home pose"
-            if sensor.homed
-            else "with the zero of the drawing",
-        )
-        for leg in mechanism.legs
-        for sensor in leg.sensors
-    ]
-    write_table(sheet, columns | measured, force=force)
-    filled_in = ["yes" if head in measured else "no" for head in (*columns, *measured)]
-    rows = ([*columns, *measured], filled_in, meanings)
-    write_table(legend, dict(zip(_LEGEND, rows, strict=True)), force=force)
-
-
-def _handy(columns: Mapping[str, Any]) -> dict[str, tuple[float, ...]]:
-    """Return columns in mm and degrees."""
-    handy = {}
-    for head, values in columns.items():
-        name, _, unit = head.removesuffix("]").partition(" [")
-        shown = np.round(np.asarray(values) / UNITS[_HANDY[unit]][1], _DECIMALS) + 0.0
-        handy[f"{name} [{_HANDY[unit]}]"] = tuple(shown.tolist())
-    return handy
+    planned: dict[str, Any] = {**_pose_columns(mechanism, plan, "zyx")}
+    planned |= _reading_columns(mechanism, plan.readings)
+    planned = dict(Units({"m": "mm", "rad": "deg"}, last=1e-7).written(planned))
+    columns: dict[str, Any] = {"row": tuple(str(1 + row) for row in range(len(plan)))}
+    columns |= {} if plan.sets is None else {"set": plan.sets}
+    columns |= {f"planned_{head}": values for head, values in planned.items()}
+    write_table(path, columns | dict.fromkeys(planned, ("",) * len(plan)))

@@ -259,11 +259,7 @@ def _of_sheet(column: str) -> bool:
 
 
 def _headers_meant(table: TextTable, units: Mapping[str, str]) -> dict[str, tuple[str, str]]:
-    """Return name and unit of columns whose headers say them in other case, or otherwise.
-
-    Raises:
-        MeasurementError: a header that says no unit, or may be several columns.
-    """
+    """Return name and unit of columns whose headers say them in other case, or otherwise."""
     meant: dict[str, tuple[str, str]] = {}
     for column, bracketed in table.units.items():
         behind = {
@@ -303,11 +299,7 @@ def _unit_behind(column: str, name: str, dimension: str) -> str | None:
 def _check_columns(
     table: TextTable, mechanism: Mechanism, setup: Setup, further: Mapping[str, str]
 ) -> None:
-    """Raise if a column is missing that terms or the setup need, or one needs another setup.
-
-    Raises:
-        MeasurementError: which one.
-    """
+    """Raise if a column is missing that terms or the setup need, or one needs another setup."""
     of_tracker = [name for name in ("range", "elevation") if name not in further]
     of_tracker = [name for name in of_tracker if f"sigma_{name}" in table]
     if of_tracker and not setup.polar:
@@ -329,11 +321,7 @@ def _check_columns(
 
 
 def _way(table: TextTable, mechanism: Mechanism) -> str | None:
-    """Return the way in which a table gives orientations in space in full, if it does.
-
-    Raises:
-        MeasurementError: it does so in several ways, which may say different things.
-    """
+    """Return the way in which a table gives orientations in space in full, if it does."""
     if mechanism.platform.turns < 3:
         return None
     ways = [way for way, (names, _) in WAYS.items() if all(name in table for name in names)]
@@ -350,9 +338,6 @@ def _poses(table: TextTable, mechanism: Mechanism, *, partial: bool) -> Array:
     """Return the coordinates of poses; a spatial platform's orientation in any of the ways.
 
     If they may be partial, NaN where a column is missing or a cell empty.
-
-    Raises:
-        MeasurementError: a pose that was measured in part and must not be; no orientation.
     """
     platform, way = mechanism.platform, _way(table, mechanism)
     units = dict(zip(platform.coordinates, platform.units, strict=True))
@@ -419,11 +404,7 @@ def _influences(table: TextTable, mechanism: Mechanism) -> dict[str, Array]:
 def _further_influences(
     table: TextTable, columns: Mapping[str, object], wanted: Collection[str] | None
 ) -> dict[str, Array]:
-    """Return further columns of a table, those that are wanted, or all of numbers that differ.
-
-    Raises:
-        MeasurementError: a column that is wanted is missing, or a cell is no number.
-    """
+    """Return further columns of a table, those that are wanted, or all of numbers that differ."""
     if wanted is not None:
         if missing := [name for name in wanted if name not in table]:
             raise MeasurementError(
@@ -463,11 +444,7 @@ def _sigmas(table: TextTable, units: Mapping[str, str], *, partial: bool = False
 
 
 def _sigma(table: TextTable, name: str, unit: str, *, blank: bool = False) -> Array:
-    """Return the standard deviations of a quantity, shape (N,).
-
-    Raises:
-        MeasurementError: a negative one.
-    """
+    """Return the standard deviations of a quantity, shape (N,)."""
     values = table.numbers(f"sigma_{name}", unit, blank=blank)
     if (values < 0.0).any():
         raise MeasurementError(
@@ -483,10 +460,6 @@ def _covariances(table: TextTable, units: Mapping[str, str]) -> dict[str, Array]
     Args:
         table: The table.
         units: Names of the quantities, and their dimensions.
-
-    Raises:
-        MeasurementError: of other quantities, said twice, a unit that is not the product of both,
-            or a cell that is no number.
     """
     pairs = {f"cov_{a}_{b}": f"{a},{b}" for a, b in combinations(units, 2)}
     pairs |= {f"cov_{b}_{a}": f"{a},{b}" for a, b in combinations(units, 2)}

@@ -46,27 +46,19 @@ def load_mechanism(name_or_path: str | Path) -> Mechanism:
         MechanismError: a file that does not say what it should; the message names the place.
     """
     folder = _folder(name_or_path)
-    if folder not in bundled().values():
-        return _read(folder)
-    files = [(file.name, file.stat()) for file in sorted(folder.iterdir())]
-    return _read_once(folder, tuple((name, s.st_mtime_ns, s.st_size) for name, s in files))
-
-
-@lru_cache(maxsize=64)
-def _read_once(folder: Path, _: tuple[tuple[str, int, int], ...]) -> Mechanism:
-    """Return a mechanism read once, as long as no file of its folder changes."""
-    return _read(folder)
+    return _read_once(folder) if folder in bundled().values() else _read(folder)
 
 
 def _read(folder: Path) -> Mechanism:
-    path = folder / YAML
     try:
         spec = read_yaml(_inside(folder, YAML), MechanismSpec, MechanismError)
         return _mechanism(spec, folder)
     except MechanismError as error:
-        raise MechanismError(
-            str(error) if str(folder) in str(error) else f"{path}: {error}"
-        ) from error
+        place = "" if str(folder) in str(error) else f"{folder / YAML}: "
+        raise MechanismError(f"{place}{error}") from error
+
+
+_read_once = lru_cache(maxsize=64)(_read)
 
 
 def mechanism_files(name_or_path: str | Path) -> list[Path]:
@@ -83,11 +75,7 @@ def mechanism_files(name_or_path: str | Path) -> list[Path]:
 
 
 def _folder(name_or_path: str | Path) -> Path:
-    """Return the folder of a mechanism.
-
-    Raises:
-        FileError: no such folder.
-    """
+    """Return the folder of a mechanism."""
     folder = Path(
         must_be(name_or_path, (str, Path), "a mechanism's name or folder", MechanismError)
     )
@@ -168,11 +156,7 @@ def _leg(spec: LegSpec, folder: Path, points: dict[str, Joint]) -> Leg:
 
 
 def _check_joints(spec: LegSpec, path: Path, chain: tuple[Joint, ...], point: Joint) -> None:
-    """Raise if a leg is described by joints that its URDF does not have, or not by all that move.
-
-    Raises:
-        MechanismError: which one.
-    """
+    """Raise if a leg names joints that its URDF does not have, or not all that move."""
     names = {joint.name for joint in (*chain, point)}
     for key in (*spec.placements, *spec.home, *(sensor.joint for sensor in spec.sensors)):
         if key not in names:

@@ -7,7 +7,8 @@ documentation is made of them. URDFs beside the file say how joints hang togethe
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from dataclasses import fields
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -34,6 +35,8 @@ _FORM_KEYS = {
     "per": ("reference",),
 }
 _REQUIRED_KEYS = {"power": "range", "knots": "knot"}
+_FORMS: dict[str, Any] = {"power": Power, "knots": Knot, "per": Share}
+_BLOCKS = ("parameters", "labels", "load")  # mappings of which each key has a line of its own
 
 
 class TermSpec(Strict):
@@ -45,7 +48,7 @@ class TermSpec(Strict):
     power: int | None = None
     range: Number | None = None
     centre: Number | None = None
-    knots: list[Number] | None = Field(default=None, max_length=1000)
+    knots: Annotated[tuple[Number, ...], Field(max_length=1000)] | None = None
     knot: int | None = None
     periodic: bool | None = None
     of: Annotated[str, Field(min_length=1, max_length=100)] | None = None
@@ -66,68 +69,50 @@ class TermSpec(Strict):
         values = self.model_dump(exclude_none=True)
         influence = values.pop("of", "")
         forms = [key for key in _FORM_KEYS if key in values] or ["per"] * bool(influence)
-        where_named = f"{place}, term {parameter!r}"
-        if len(forms) != 1:
-            raise MechanismError(
-                f"{where_named}: expected one of {', '.join(_FORM_KEYS)}, or of alone; got "
-                f"{' and '.join(forms) or 'none'}"
-            )
-        (form,) = forms
-        keys = _FORM_KEYS[form]
-        if odd := [key for key in values if key not in (form, *keys)]:
-            raise MechanismError(
-                f"{where_named}: {odd[0]!r} does not go with {form!r}; expected {', '.join(keys)}"
-            )
-        if (required := _REQUIRED_KEYS.get(form, form)) not in values and form != "per":
-            raise MechanismError(f"{where_named}: {form!r} needs {required!r} beside it")
+        form = " and ".join(forms) or "none"
+        keys = _FORM_KEYS.get(form, ())
+        odd = [key for key in values if key not in (form, *keys)]
+        required = _REQUIRED_KEYS.get(form, form)
         try:
-            return Term(parameter, _basis(form, values), of=influence)
+            if len(forms) != 1:
+                raise MechanismError(
+                    f"expected one of {', '.join(_FORM_KEYS)}, or of alone; got {form}"
+                )
+            if odd:
+                raise MechanismError(
+                    f"{odd[0]!r} does not go with {form!r}; expected {', '.join(keys)}"
+                )
+            if required not in values and form != "per":
+                raise MechanismError(f"{form!r} needs {required!r} beside it")
+            if form == "sine" or form == "cosine":
+                return Term(parameter, Harmonic(values.pop(form), form, **values), of=influence)
+            return Term(parameter, _FORMS[form](**values), of=influence)
         except MechanismError as error:
-            raise MechanismError(f"{where_named}: {error}") from error
-
-
-def _basis(form: str, values: dict[str, Any]) -> Harmonic | Power | Knot | Share:
-    """Return what an amplitude multiplies, of the keys of a term."""
-    if form in ("sine", "cosine"):
-        return Harmonic(values.pop(form), form, **values)  # type: ignore[arg-type]
-    if form == "power":
-        return Power(**values)
-    if form == "knots":
-        return Knot(tuple(values.pop(form)), **values)
-    return Share(**values)
-
-
-def _described_term(term: Term, place: str) -> _Flow:
-    """Return the keys of a term, as ``TermSpec`` reads them; defaults are left out.
-
-    Raises:
-        MechanismError: it is a function of one's own, which is code.
-    """
-    if not term.has_form:
-        raise MechanismError(
-            f"{place}: the term of {term.parameter!r} is code, which a mechanism's folder "
-            "does not hold; save the mechanism without terms, and its parameters "
-            "(mechanism.parameters)"
-        )
-    basis: Any = term.basis
-    keys: dict[str, Any] = {"of": term.of} if term.of else {}
-    if isinstance(basis, Harmonic):
-        keys |= {basis.phase: basis.order}
-    elif isinstance(basis, Power):
-        keys |= {"power": basis.power, "range": basis.range}
-    elif isinstance(basis, Knot):
-        keys |= {"knots": list(basis.knots), "knot": basis.knot}
-    elif not term.of:
-        keys |= {"per": basis.per}
-    defaults = type(basis).__dataclass_fields__
-    for name in ("period", "centre", "periodic", "per", "reference"):
-        if name in defaults and (value := getattr(basis, name)) != defaults[name].default:
-            keys[name] = value
-    return _Flow(keys)
+            raise MechanismError(f"{place}, term {parameter!r}: {error}") from error
 
 
 def _described_terms(terms: Iterable[Term], place: str) -> dict[str, Any]:
-    return {term.parameter: _described_term(term, place) for term in terms}
+    """Return the keys of terms by their amplitudes, as ``TermSpec`` reads them."""
+    described = {}
+    for term in terms:
+        if not term.has_form:
+            raise MechanismError(
+                f"{place}: the term of {term.parameter!r} is code, which a mechanism's folder "
+                "does not hold; save the mechanism without terms, and its parameters "
+                "(mechanism.parameters)"
+            )
+        basis: Any = term.basis
+        keys = {
+            field.name: value
+            for field in fields(basis)
+            if (value := getattr(basis, field.name)) != field.default
+        }
+        if isinstance(basis, Harmonic):
+            keys = {keys.pop("phase"): keys.pop("order")} | keys
+        elif isinstance(basis, Share) and not term.of:
+            keys = {"per": basis.per} | keys
+        described[term.parameter] = {"of": term.of} | keys if term.of else keys
+    return described
 
 
 def _number_or_home(value: object, number: ValidatorFunctionWrapHandler) -> object:
@@ -156,15 +141,6 @@ class SensorSpec(Strict):
         """Return the sensor of a leg."""
         terms = tuple(term.term(amplitude, leg) for amplitude, term in self.terms.items())
         return Sensor(**self.model_dump(exclude={"terms"}), terms=terms)
-
-
-def _described_sensor(sensor: Sensor, leg: str) -> dict[str, Any]:
-    """Return the keys of a sensor, on one line unless it has terms."""
-    names = ("joint", "form", "gain", "offset", "direction", "zero", "counts_per_unit")
-    keys = {name: value for name in names if (value := getattr(sensor, name)) is not None}
-    if not sensor.terms:
-        return _Flow(keys)
-    return keys | {"terms": _described_terms(sensor.terms, leg)}
 
 
 class LegSpec(Strict):
@@ -210,38 +186,6 @@ class LegSpec(Strict):
             for name, terms in self.terms.items()
             for amplitude, term in terms.items()
         )
-
-
-def _described_leg(leg: Leg) -> dict[str, Any]:
-    """Return the keys of a leg.
-
-    Raises:
-        MechanismError: a term that is code.
-    """
-    keys: dict[str, Any] = {
-        "name": leg.name,
-        "urdf": f"{leg.name}.urdf",
-        "tip": leg.tip,
-        "platform_point": leg.point.name,
-        **({} if leg.closes == "point" else {"closes": leg.closes}),
-        "home": _Flow((joint.name, joint.home) for joint in leg.moving),
-        "sensors": [_described_sensor(sensor, leg.name) for sensor in leg.sensors],
-        "parameters": dict(leg.parameters),
-        "placements": {
-            joint.name: [
-                _Flow({c.kind: c.values[0] if len(c.values) == 1 else list(c.values)})
-                for c in joint.placement.coordinates
-            ]
-            for joint in (*leg.joints, leg.point)
-            if joint.placement.coordinates
-        },
-    }
-    if leg.terms:
-        keys["terms"] = {
-            parameter: _described_terms((t for name, t in leg.terms if name == parameter), leg.name)
-            for parameter in leg.deformed
-        }
-    return keys
 
 
 class KindSpec(Strict):
@@ -309,41 +253,74 @@ def mechanism_yaml(mechanism: Mechanism) -> str:
     platform, load = mechanism.platform, mechanism.load
     kind: Any = platform.kind
     if kind not in KINDS:
-        kind = _Flow(name=platform.kind, freedoms=list(platform.form.freedoms))
-    keys: dict[str, Any] = {
+        kind = {"name": platform.kind, "freedoms": platform.form.freedoms}
+    home = dict(zip(platform.coordinates, platform.home, strict=True))
+    keys = {
         "pincal": FORMAT,
         "name": mechanism.name,
-        **({"description": mechanism.description} if mechanism.description else {}),
-        "platform": {
-            "kind": kind,
-            "urdf": "platform.urdf",
-            "home": _Flow(zip(platform.coordinates, platform.home, strict=True)),
-        },
+        "description": mechanism.description,
+        "platform": {"kind": kind, "urdf": "platform.urdf", "home": home},
         "legs": [_described_leg(leg) for leg in mechanism.legs],
-        **({"labels": dict(mechanism.labels)} if mechanism.labels else {}),
+        "labels": dict(mechanism.labels),
+        "load": None if load is None else vars(load) | {"drawn": dict(load.drawn)},
     }
-    if load is not None:
-        keys["load"] = {
-            "mass": load.mass,
-            "centre": list(load.centre),
-            "gravity": list(load.gravity),
-            **({"drawn": dict(load.drawn)} if load.drawn else {}),
-        }
     header = "# A mechanism of pincal. Lengths in m, angles in rad. See docs/mechanism_files.md\n"
-    return header + yaml.dump(keys, Dumper=_Dumper, sort_keys=False, width=100)
+    return header + yaml.dump(_filled(keys), Dumper=_Dumper, sort_keys=False, width=100)
 
 
-class _Flow(dict[str, Any]):
-    """A mapping that YAML writes on one line."""
+def _described_leg(leg: Leg) -> dict[str, Any]:
+    """Return the keys of a leg."""
+    of_parameters = {
+        name: _described_terms((term for owner, term in leg.terms if owner == name), leg.name)
+        for name in leg.deformed
+    }
+    return {
+        "name": leg.name,
+        "urdf": f"{leg.name}.urdf",
+        "tip": leg.tip,
+        "platform_point": leg.point.name,
+        **({} if leg.closes == "point" else {"closes": leg.closes}),
+        "home": {joint.name: joint.home for joint in leg.moving},
+        "sensors": [
+            _filled(vars(sensor) | {"terms": _described_terms(sensor.terms, leg.name)})
+            for sensor in leg.sensors
+        ],
+        "parameters": dict(leg.parameters),
+        "placements": {
+            joint.name: [
+                {c.kind: c.values[0] if len(c.values) == 1 else c.values}
+                for c in joint.placement.coordinates
+            ]
+            for joint in (*leg.joints, leg.point)
+            if joint.placement.coordinates
+        },
+        **({"terms": of_parameters} if of_parameters else {}),
+    }
+
+
+def _filled(keys: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the keys that say something."""
+    return {key: value for key, value in keys.items() if value not in (None, "", {})}
 
 
 class _Dumper(yaml.CSafeDumper):
-    """Writes ``_Flow`` mappings on one line, and NumPy's numbers as Python's."""
+    """Writes mappings that hold no others on one line, and NumPy's numbers as Python's."""
+
+    def ignore_aliases(self, data: object) -> bool:  # noqa: ARG002 - all is written out
+        return True
+
+    def represent_mapping(self, tag: str, mapping: Any, flow_style: Any = None) -> yaml.MappingNode:
+        node = super().represent_mapping(tag, mapping, flow_style)
+        node.flow_style = all(
+            isinstance(part, yaml.ScalarNode)
+            for _, value in node.value
+            for part in (value.value if isinstance(value, yaml.SequenceNode) else [value])
+        )
+        for key, value in node.value:
+            if key.value in _BLOCKS:
+                value.flow_style = False
+        return node
 
 
-_Dumper.add_representer(
-    _Flow,
-    lambda dumper, data: dumper.represent_mapping("tag:yaml.org,2002:map", data, flow_style=True),
-)
 for _number in (np.floating, np.integer):
     _Dumper.add_multi_representer(_number, lambda dumper, n: dumper.represent_data(n.item()))

@@ -135,11 +135,7 @@ def writing_together(
 
 
 def _targets(outputs: Sequence[tuple[str | Path, Sequence[str]]], *, force: bool) -> list[Path]:
-    """Return where outputs are written, links followed.
-
-    Raises:
-        FileError: one must not be replaced, or lies in another.
-    """
+    """Return where outputs are written, links followed."""
     targets = [refuse_existing(path, force=force, folder=folder) for path, folder in outputs]
     for first, second in combinations(targets, 2):
         if first.is_relative_to(second) or second.is_relative_to(first):
@@ -179,11 +175,7 @@ def _files(place: Path) -> list[Path]:
 
 
 def _carry(old: Path, new: Path, folder: Sequence[str]) -> None:
-    """Give a new folder the files of an old one that are not pincal's, links as links.
-
-    Raises:
-        FileError: a folder is where a file is to be written.
-    """
+    """Give a new folder the files of an old one that are not pincal's, links as links."""
     replaced = _made_in(old, folder)
 
     def not_carried(place: str, names: list[str]) -> list[str]:
@@ -241,11 +233,7 @@ def _set_aside(path: Path) -> Path:
 
 
 def _move(source: Path, target: Path) -> None:
-    """Move a file or a folder to where nothing is, not even since a moment.
-
-    Raises:
-        FileExistsError: something is there.
-    """
+    """Move a file or a folder to where nothing is, not even since a moment."""
     if os.path.lexists(target):
         raise FileExistsError(EEXIST, os.strerror(EEXIST), str(target))
     if source.is_dir():

@@ -284,10 +284,6 @@ def _sheet_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
 
     A cell with an error (``#DIV/0!``), or a formula that was never computed, says so: it is not
     empty.
-
-    Raises:
-        FileError: the file is missing or cannot be read.
-        MeasurementError: it is no such file, or too large.
     """
     data = read_bytes(path, LARGEST_FILE["table"], MeasurementError)
     rows: dict[int, dict[int, str]] = {}
@@ -338,11 +334,7 @@ def _texts_in(element: etree._Element) -> str:
 def _sheet_cells(
     row: etree._Element, number: int, shared: Sequence[str], title: str
 ) -> Iterator[tuple[int, str]]:
-    """Yield column, from 1, and text of a row's cells in which something stands.
-
-    Raises:
-        MeasurementError: a cell far beyond any table.
-    """
+    """Yield column, from 1, and text of a row's cells in which something stands."""
     column = 0
     for cell in row:
         letters = _COLUMN.match(cell.get("r", ""))

@@ -80,11 +80,7 @@ def read_chain(path: Path, tip: str) -> tuple[Joint, ...]:
 
 
 def _only_root(roots: set[str | None], path: Path) -> str:
-    """Return the one link that no joint carries.
-
-    Raises:
-        MechanismError: there are others, or none.
-    """
+    """Return the one link that no joint carries."""
     if len(roots) != 1:
         raise MechanismError(
             f"{path}: {len(roots)} root links ({', '.join(sorted(map(str, roots))) or 'loop'}); a "
@@ -183,11 +179,7 @@ def read_joint(element: etree._Element, path: Path, kind: str | None = None) -> 
 
 
 def _check_parts(element: etree._Element, place: str) -> None:
-    """Raise if a <joint> holds an element or attribute that might place it and is not read.
-
-    Raises:
-        MechanismError: which one.
-    """
+    """Raise if a <joint> holds an element or attribute that might place it and is not read."""
     parts = [element, *(part for part in element if isinstance(part.tag, str))]
     for part in parts:
         tag = str(part.tag)
