@@ -22,7 +22,7 @@ from .errors import (
 from .estimation.observability.indices import indices
 from .estimation.residuals.losses import Loss
 from .files.mechanism_folders import load_mechanism
-from .formats.correction_poses import Corrections, corrections
+from .formats.corrections import Corrections, corrections
 from .kinematics.derivatives import identification_jacobian
 from .kinematics.forward import forward
 from .kinematics.inverse import inverse

@@ -31,8 +31,13 @@ from pincal.files.text import LARGEST_FILE, read_bytes
 from pincal.formats.arm import serial_arm
 from pincal.formats.calibrated_urdf import calibrated_urdf
 from pincal.formats.closed import closed_mechanism, closing_in_words, slack_of
-from pincal.formats.correction_poses import corrected, correction_columns, corrections
-from pincal.formats.corrections import LANGUAGES, code_of
+from pincal.formats.corrections import (
+    LANGUAGES,
+    code_of,
+    corrected,
+    correction_columns,
+    corrections,
+)
 from pincal.formats.delta_printer import delta_printer
 from pincal.formats.figaroh import read_figaroh
 from pincal.formats.firmware import read_klipper, read_reprap, write_klipper, write_reprap

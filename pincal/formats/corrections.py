@@ -1,186 +1,138 @@
-"""Code that turns joint positions into readings and back, of its own: a Python module, a C header.
+"""Corrections for controllers that know a machine without its terms: over poses, or as code.
 
-A law is the same in both (``laws.py``); a language is the text around it.
+Over poses they are differences of readings. Such a controller takes the plain machine, geometry,
+gains and offsets, to a pose by readings ψ_plain; the machine with all its terms is there at ψ, so
+that it needs ψ − ψ_plain. Or it is sent to another pose x', at which its own readings are ψ.
+
+As code they are the laws of the sensors, joint positions of readings and back, in a Python module
+or a C header that need nothing else. Expressions are the same in both; a language is the text
+around them. Back they go by secants.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass
 from string import Template
+from typing import TypeVar
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from pincal.errors import MechanismError
+from pincal.files.measurement_writing import Columns, columns_of, reason_column
+from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.closing import sensor_law
 from pincal.kinematics.closure import nominal_legs
+from pincal.kinematics.configurations import as_plan, joints_at
+from pincal.kinematics.forward import forward
+from pincal.kinematics.influences import own_influences
+from pincal.kinematics.inverse import inverse
+from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.sensor import STEPS, PlacedTerm
 from pincal.model.terms import APPROACH, LOAD, Harmonic, Knot, Power, Share
 from pincal.model.units import COUNTS, SI, UNITS, Units
 from pincal.types import Array
 
-Pair = tuple[str, str]
-ARGUMENT_PREFIX = "at_"
-"""With which names of arguments begin, so that none is a word of a language."""
+T = TypeVar("T")
+CORRECTION, COMMAND = "correction", "command"
 
 
-@dataclass(frozen=True)
-class Law:
-    """The law of one sensor: position = gain reading + start + terms, in units of its own."""
+@dataclass(frozen=True, repr=False)
+class Corrections:
+    """What takes the whole machine to N poses by a controller that knows the plain one.
 
-    name: str
-    """Of the reading, as it may stand in code."""
-    joint: str
-    unit: str
-    """Of the joint's position."""
-    read_in: str
-    """Unit of the reading."""
-    gain: float
-    start: float
-    per_si: float
-    """What one rad or m of the reading is in its unit."""
-    terms: list[str] = field(default_factory=list)
-    slopes: list[str] = field(default_factory=list)
-    """By the reading, of the terms that depend on it."""
-    arguments: dict[str, str] = field(default_factory=dict)
-    """What terms depend on besides, by its name in code."""
-    tables: dict[str, Array] = field(default_factory=dict)
-    """Cubics between knots, by name: rows of start and coefficients of powers 0 to 3. The first
-    row is for all below the first knot."""
+    Example:
+        >>> import pincal
+        >>> found = pincal.corrections("5R", [[0.0, 1.1], [0.2, 1.2]])
+        >>> found.readings.shape  # of a machine without terms there is nothing to add
+        (2, 2)
+        >>> abs(found.readings).max() < 1e-9
+        np.True_
+    """
+
+    plan: Plan
+    """The poses; and the readings of the plain machine, where poses do not determine them."""
+    readings: Array
+    """What to add to readings of the plain machine, shape (N, n_readings), [rad] or [m]; NaN where
+    there is none."""
+    commands: Array | None
+    """Poses to command instead, shape (N, dof), [m] and [rad]; NaN where there is none. None if
+    the legs demand more than there are freedoms: no pose has just these readings then."""
+    reasons: tuple[str, ...]
+    """Why a row has no correction or command; empty strings where it has both."""
+
+    def __repr__(self) -> str:
+        """Return the corrections in a line."""
+        count = self.reasons.count("")
+        return f"Corrections: {count} of {len(self.reasons)} poses"
 
 
-def laws_of(mechanism: Mechanism, units: Units = SI) -> list[Law]:
-    """Return the laws of all sensors of a mechanism, at its nominal parameters.
+def corrections(mechanism: GivenMechanism, planned: Plan | Array) -> Corrections:
+    """Return what a controller lacks at poses that knows the mechanism without its terms.
+
+    Args:
+        mechanism: The mechanism, at its nominal parameters.
+        planned: N poses, coordinates of shape (N, dof), [m] and [rad]; or a plan, whose columns of
+            influences count, NaN or none at their reference. Where readings do not follow from
+            poses, as of an arm, its readings say by the plain machine which poses these are.
+
+    Raises:
+        MechanismError: poses or readings of a wrong shape, or not finite; a homed sensor and a
+            home pose out of its leg's reach.
+    """
+    mechanism = as_mechanism(mechanism)
+    plain, plan = mechanism.without_terms, as_plan(mechanism, planned)
+    safe = poses = plan.poses
+    reasons_plain: tuple[str, ...] = ("",) * len(plan)
+    if plan.readings is not None:
+        plain_poses = forward(plain, plan.readings, poses)
+        poses, reasons_plain = plain_poses.poses, plain_poses.reasons
+        safe = np.where(np.isfinite(poses), poses, mechanism.platform.home)
+    started = joints_at(plain, Plan(safe, readings=plan.readings))
+    influences = own_influences(mechanism, plan.influences)
+    reached = inverse(mechanism, safe, influences, started.joints)
+    reasons = [reason or reached.reason(row) for row, reason in enumerate(reasons_plain)]
+    has_readings = np.array([not reason for reason in reasons], dtype=bool)
+    commands = None if mechanism.redundant else np.full(poses.shape, np.nan)
+    if commands is not None:
+        commanded = forward(plain, reached.readings[has_readings], safe[has_readings])
+        commands[has_readings] = commanded.poses
+        for row, reason in zip(np.flatnonzero(has_readings), commanded.reasons, strict=True):
+            reasons[row] = reason
+    readings = started.readings if mechanism.by_readings else None
+    return Corrections(
+        Plan(poses, readings=readings, influences=influences),
+        np.where(has_readings[:, None], reached.readings - started.readings, np.nan),
+        commands,
+        tuple(reasons),
+    )
+
+
+def correction_columns(
+    mechanism: Mechanism, lacking: Corrections, orientation: str = "tilt-torsion"
+) -> Columns:
+    """Return a table of corrections: poses, ``correction_leg_1 [rad]``, ``command_x [m]``, reasons.
 
     Args:
         mechanism: The mechanism.
-        units: Of joints' positions, readings and amplitudes.
-
-    Raises:
-        MechanismError: a term that is a function of one's own; a homed sensor and a home pose out
-            of its leg's reach.
+        lacking: The corrections.
+        orientation: Way to write a spatial platform's orientation, a key of ``WAYS``.
     """
-    laws: list[Law] = []
-    for leg in nominal_legs(mechanism):
-        law, leg_of_law = sensor_law(leg), leg.leg
-        for index, (name, si) in enumerate(
-            zip(leg_of_law.reading_names, leg_of_law.reading_units, strict=True)
-        ):
-            unit, counts = units.names.get(si, si), units.counts.get(name)
-            per_joint = 1.0 / UNITS[unit][1]
-            per_reading = counts or per_joint
-            sensor_code = Law(
-                _identifier(name, [law.name for law in laws]),
-                leg_of_law.sensors[index].joint,
-                unit,
-                COUNTS if counts else unit,
-                float(law.slope[index]) * per_joint / per_reading,
-                float(law.start[index]) * per_joint,
-                per_reading,
-            )
-            _add_terms(sensor_code, [term for term in law.terms if term.target == index], per_joint)
-            laws.append(sensor_code)
-    return laws
+    columns = columns_of(mechanism, lacking.plan, orientation)
+    named = zip(mechanism.reading_names, mechanism.reading_units, lacking.readings.T, strict=True)
+    columns |= corrected({f"{name} [{unit}]": values for name, unit, values in named})
+    if lacking.commands is not None:
+        commands = columns_of(mechanism, Plan(lacking.commands), orientation)
+        columns |= {f"{COMMAND}_{header}": values for header, values in commands.items()}
+    return columns | reason_column(lacking.reasons)
 
 
-def _add_terms(law: Law, terms: Sequence[PlacedTerm], per_joint: float) -> None:
-    """Add the terms of a sensor to its law.
-
-    Raises:
-        MechanismError: a term that is a function of one's own.
-    """
-    errors: dict[tuple[str, tuple[float, ...], bool], Array] = {}
-    for placed in terms:
-        if not placed.term.has_form:
-            raise MechanismError(
-                f"{law.name}: the term of {placed.term.parameter!r} is a function of your own, "
-                "which cannot be written in another language; a table over poses (.csv) holds it"
-            )
-        basis, amplitude = placed.term.basis, placed.amplitude * per_joint
-        if isinstance(basis, Knot):
-            table = errors.setdefault(
-                (placed.term.of, basis.knots, basis.periodic), np.zeros(len(basis.knots))
-            )
-            table[basis.knot] += amplitude
-        else:
-            x, per = _argument_of(law, placed.term.of)
-            value, slope = _form(basis, x, per)
-            _add(law, placed.term.of, (f"{amplitude!r} * {value}", f"{amplitude!r} * {slope}"))
-    for (of, knots, periodic), values in errors.items():
-        x, per = _argument_of(law, of)
-        scaled = per * np.array(knots)
-        if periodic:  # back into the first period
-            values[-1] = values[0]
-            first, period = float(scaled[0]), float(np.ptp(scaled))
-            x = f"{x} - {period!r} * floor(({x} - {first!r}) / {period!r})"
-        name = f"{law.name}_table_{len(law.tables) + 1}"
-        law.tables[name] = _cubics(scaled, values, periodic)
-        called = f"({x}, {name}, {len(law.tables[name])})"
-        _add(law, of, (f"spline{called}", f"spline_slope{called}"))
-
-
-def _argument_of(law: Law, column: str) -> tuple[str, float]:
-    """Return what a term depends on, as it is written in code, and how many of it are one of SI."""
-    if not column:
-        return "reading", law.per_si
-    known = {column: name for name, column in law.arguments.items()}
-    name = known.get(column) or _identifier(
-        ARGUMENT_PREFIX + column, [*law.arguments, f"{law.name}_joint"]
-    )
-    law.arguments[name] = column
-    return name, 1.0
-
-
-def _add(law: Law, column: str, term: Pair) -> None:
-    """Add a term and its slope; one of an influence is zero where that is not known."""
-    value, slope = term
-    law.terms.append(f"known({value})" if column else value)
-    law.slopes.extend([] if column else [slope])
-
-
-def _form(basis: object, x: str, per: float) -> Pair:
-    """Return a form of terms, and its derivative, by ``x`` in a unit of which ``per`` are one."""
-    if isinstance(basis, Harmonic):
-        rate = basis.rate / per
-        turn = f"({rate!r} * {x})"
-        if basis.phase == "sine":
-            return f"sin{turn}", f"{rate!r} * cos{turn}"
-        return f"cos{turn}", f"{-rate!r} * sin{turn}"
-    if isinstance(basis, Power):
-        shared = f"(({x} - {basis.centre * per!r}) / {basis.range * per!r}"
-        slope = basis.power / (basis.range * per)
-        return f"pow{shared}, {basis.power})", f"{slope!r} * pow{shared}, {basis.power - 1})"
-    assert isinstance(basis, Share)
-    share = basis.per * per
-    return f"(({x} - {basis.reference * per!r}) / {share!r})", f"{1.0 / share!r}"
-
-
-def _cubics(knots: Array, values: Array, periodic: bool) -> Array:
-    """Return the pieces of a table, straight outside its knots, shape (n_knots + 1, 5)."""
-    from scipy.interpolate import CubicSpline  # slow to import, and needed here only
-
-    spline = CubicSpline(knots, values, bc_type="periodic" if periodic else "natural")
-    ends = np.zeros((2, 5))
-    ends[:, 0] = knots[[0, -1]]
-    ends[:, 1], ends[:, 2] = values[[0, -1]], spline(ends[:, 0], 1)
-    return np.concatenate((ends[:1], np.column_stack((knots[:-1], spline.c[::-1].T)), ends[1:]))
-
-
-def _identifier(text: str, taken: Collection[str]) -> str:
-    """Return a text as a name in code that is not taken."""
-    name = re.sub(r"\W|^(?=\d)", "_", text, flags=re.ASCII)
-    while name in taken:
-        name += "_"
-    return name
-
-
-_SMALL = f"{np.sqrt(np.finfo(float).eps):.1e}"  # the step of Newton's method after it is rounding
-_MEANS = {
-    APPROACH: "+1 where the reading rose to its value, -1 where it fell",
-    LOAD: "what gravity does [N] or [N m] along the joint's positive direction, not the drive",
-}
+def corrected(of_readings: Mapping[str, T]) -> dict[str, T]:
+    """Return what belongs to readings, by their names, as of the columns of their corrections."""
+    return {f"{CORRECTION}_{name}": value for name, value in of_readings.items()}
 
 
 @dataclass(frozen=True)
@@ -216,26 +168,14 @@ def known(term):
 ''',
         "spline": '''
 
-def piece(value, table, rows):
-    """Return which row of a table a value is in: a start, and coefficients of powers 0 to 3."""
+def spline(value, table, rows):
+    """Return a table at a value; rows are a start, and coefficients of powers 0 to 3."""
     k = 0
     while k + 1 < rows and table[k + 1][0] <= value:
         k += 1
-    return table[k]
-
-
-def spline(value, table, rows):
-    """Return a table at a value."""
-    start, a, b, c, d = piece(value, table, rows)
+    start, a, b, c, d = table[k]
     x = value - start
     return a + x * (b + x * (c + x * d))
-
-
-def spline_slope(value, table, rows):
-    """Return the table's derivative."""
-    start, _, b, c, d = piece(value, table, rows)
-    x = value - start
-    return b + x * (2.0 * c + x * 3.0 * d)
 ''',
     },
     table="\n\n$name = (\n$rows)\n",
@@ -249,21 +189,17 @@ def ${name}_joint(reading$declared):
     )
 
 
-def ${name}_slope(reading):
-    """Return its derivative by the reading [$unit/$read_in]."""
-    return (
-        $slope
-    )
-
-
 def ${name}_reading(joint$declared):
     """Return the reading [$read_in] at a position [$unit] of joint $joint; nan if none is found."""
-    reading = (joint - $start) / $gain
+    reading, slope = (joint - $start) / $gain, $gain
+    reached = ${name}_joint(reading$passed)
     for _ in range($steps):
-        step = (joint - ${name}_joint(reading$given)) / ${name}_slope(reading)
+        step = (joint - reached) / slope
         reading += step
         if abs(step) <= $small * max($one, abs(reading)):
             return reading
+        before, reached = reached, ${name}_joint(reading$passed)
+        slope = (reached - before) / step or nan
     return nan
 ''',
     argument=", {}=nan",
@@ -286,27 +222,14 @@ static inline double known(double term)
 }
 """,
         "spline": """
-// Which row of a table a value is in: a start, and coefficients of powers 0 to 3.
-static inline const double *piece(double value, const double table[][5], int rows)
+// A table at a value; rows are a start, and coefficients of powers 0 to 3.
+static inline double spline(double value, const double table[][5], int rows)
 {
     int k = 0;
     while (k + 1 < rows && table[k + 1][0] <= value)
         ++k;
-    return table[k];
-}
-
-// A table at a value.
-static inline double spline(double value, const double table[][5], int rows)
-{
-    const double *p = piece(value, table, rows), x = value - p[0];
+    const double *p = table[k], x = value - p[0];
     return p[1] + x * (p[2] + x * (p[3] + x * p[4]));
-}
-
-// The table's derivative.
-static inline double spline_slope(double value, const double table[][5], int rows)
-{
-    const double *p = piece(value, table, rows), x = value - p[0];
-    return p[2] + x * (2.0 * p[3] + x * 3.0 * p[4]);
 }
 """,
     },
@@ -321,24 +244,18 @@ static inline double ${name}_joint(double reading$declared)
     );
 }
 
-// Its derivative by the reading [$unit/$read_in].
-static inline double ${name}_slope(double reading)
-{
-    (void)reading;
-    return (
-        $slope
-    );
-}
-
 // The reading [$read_in] at a position [$unit] of joint $joint; NAN if none is found.
 static inline double ${name}_reading(double joint$declared)
 {
-    double reading = (joint - $start) / $gain;
+    double reading = (joint - $start) / $gain, slope = $gain;
+    double reached = ${name}_joint(reading$passed);
     for (int k = 0; k < $steps; ++k) {
-        const double step = (joint - ${name}_joint(reading$given)) / ${name}_slope(reading);
+        const double step = (joint - reached) / slope, before = reached;
         reading += step;
         if (fabs(step) <= $small * fmax($one, fabs(reading)))
             return reading;
+        reached = ${name}_joint(reading$passed);
+        slope = (reached - before) / step;
     }
     return NAN;
 }
@@ -346,6 +263,11 @@ static inline double ${name}_reading(double joint$declared)
     argument=", double {}",
 )
 LANGUAGES = {"python": PYTHON, "c": C}
+_SMALL = 1e-11  # of a reading: the step of secants after it is rounding
+_MEANS = {
+    APPROACH: "+1 where the reading rose to its value, -1 where it fell",
+    LOAD: "what gravity does [N] or [N m] along the joint's positive direction, not the drive",
+}
 
 
 def code_of(mechanism: Mechanism, language: Language, units: Units = SI) -> str:
@@ -362,48 +284,131 @@ def code_of(mechanism: Mechanism, language: Language, units: Units = SI) -> str:
         MechanismError: readings are joint positions, so there is nothing to write; a term that is
             a function of one's own; a homed sensor and a home pose out of its leg's reach.
     """
-    laws = laws_of(mechanism, units)
     if mechanism.reads_positions:
         raise MechanismError(
             f"{mechanism.name!r}: readings are joint positions, without gains, offsets and terms "
             "of sensors; no code is needed"
         )
-    body = "".join(_written(law, language) for law in laws)
-    used = [text for name, text in language.helpers.items() if f"{name}(" in body]
-    arguments = {name: column for law in laws for name, column in law.arguments.items()}
-    legend = [f"Sensors of {mechanism.name!a}, written by pincal."]
-    legend += [
+    names: list[str] = []
+    for reading in mechanism.reading_names:
+        names.append(_identifier(reading, names))
+    arguments: dict[str, str] = {}  # names in code, of what terms follow; no word of a language
+    sensors = [sensor for leg in mechanism.legs for sensor in leg.sensors]
+    for of in dict.fromkeys(term.of for sensor in sensors for term in sensor.terms if term.of):
+        functions = [f"{name}_joint" for name in names]
+        arguments[of] = _identifier(f"at_{of}", [*arguments.values(), *functions])
+    body, legend = "", {}
+    for leg, columns in zip(nominal_legs(mechanism), mechanism.reading_columns, strict=True):
+        law = sensor_law(leg)
+        for index, name in enumerate(names[columns]):
+            reading, si = leg.leg.reading_names[index], leg.leg.reading_units[index]
+            unit, counts = units.names.get(si, si), units.counts.get(reading)
+            per_joint = 1.0 / UNITS[unit][1]
+            per_reading = counts or per_joint  # how many are one rad or m
+            gain = float(law.slope[index]) * per_joint / per_reading
+            start = float(law.start[index]) * per_joint
+            placed = [term for term in law.terms if term.target == index]
+            terms, tables = _terms(name, placed, arguments, per_joint, per_reading)
+            used = {arguments[term.term.of]: term.term.of for term in placed if term.term.of}
+            legend |= used
+            for table, rows in tables.items():
+                lines = (language.row.format(", ".join(map(repr, row))) for row in rows.tolist())
+                body += Template(language.table).substitute(
+                    name=table, count=len(rows), rows="".join(lines)
+                )
+            body += Template(language.law).substitute(
+                name=name,
+                joint=leg.leg.sensors[index].joint,
+                unit=unit,
+                read_in=COUNTS if counts else unit,
+                gain=repr(gain),
+                start=repr(start),
+                one=repr(per_reading),
+                position="\n        + ".join((f"{gain!r} * reading", repr(start), *terms)),
+                declared="".join(map(language.argument.format, used)),
+                passed="".join(f", {argument}" for argument in used),
+                steps=STEPS,
+                small=_SMALL,
+            )
+    helpers = [text for name, text in language.helpers.items() if f"{name}(" in body]
+    comments = [f"Sensors of {mechanism.name!a}, written by pincal."]
+    comments += [
         f"{name}: {_MEANS.get(of, f'column {of!a} of the measurements')}; nan: its terms are 0."
-        for name, of in arguments.items()
+        for name, of in legend.items()
     ]
-    comment = "".join(f"{language.mark} {line}\n" for line in legend)
-    return "".join((comment, language.head, *used, body, language.tail))
+    comment = "".join(f"{language.mark} {line}\n" for line in comments)
+    return "".join((comment, language.head, *helpers, body, language.tail))
 
 
-def _written(law: Law, language: Language) -> str:
-    """Return a law, and its tables before it."""
-    tables = [
-        Template(language.table).substitute(
-            name=name,
-            count=len(rows),
-            rows="".join(language.row.format(", ".join(map(repr, row))) for row in rows.tolist()),
-        )
-        for name, rows in law.tables.items()
-    ]
-    lines = "\n        + "
-    text = Template(language.law).substitute(
-        name=law.name,
-        joint=law.joint,
-        unit=law.unit,
-        read_in=law.read_in,
-        gain=repr(law.gain),
-        start=repr(law.start),
-        one=repr(law.per_si),
-        position=lines.join((f"{law.gain!r} * reading", repr(law.start), *law.terms)),
-        slope=lines.join((repr(law.gain), *law.slopes)),
-        declared="".join(map(language.argument.format, law.arguments)),
-        given="".join(f", {name}" for name in law.arguments),
-        steps=STEPS,
-        small=_SMALL,
-    )
-    return "".join((*tables, text))
+def _terms(
+    name: str,
+    placed: Iterable[PlacedTerm],
+    arguments: Mapping[str, str],
+    per_joint: float,
+    per_reading: float,
+) -> tuple[list[str], dict[str, Array]]:
+    """Return the terms of a sensor's law as expressions, and the tables that these name.
+
+    Tables are cubics between knots: rows of a start and coefficients of powers 0 to 3, shape
+    (n, 5). The first row is for all below the first knot.
+
+    Raises:
+        MechanismError: a term that is a function of one's own.
+    """
+    terms: list[str] = []
+    errors: dict[tuple[str, tuple[float, ...], bool], Array] = {}
+
+    def add(expression: str, column: str) -> None:
+        terms.append(f"known({expression})" if column else expression)
+
+    def argument_of(of: str) -> tuple[str, float]:
+        return (arguments[of], 1.0) if of else ("reading", per_reading)
+
+    for term in placed:
+        column, basis, amplitude = term.term.of, term.term.basis, term.amplitude * per_joint
+        if not term.term.has_form:
+            raise MechanismError(
+                f"{name}: the term of {term.term.parameter!r} is a function of your own, "
+                "which cannot be written in another language; a table over poses (.csv) holds it"
+            )
+        if isinstance(basis, Knot):
+            zeros = np.zeros(len(basis.knots))
+            errors.setdefault((column, basis.knots, basis.periodic), zeros)[basis.knot] += amplitude
+        else:
+            add(f"{amplitude!r} * {_form(basis, *argument_of(column))}", column)
+    tables = {}
+    for (column, knots, periodic), values in errors.items():
+        x, per = argument_of(column)
+        scaled = per * np.array(knots)
+        if periodic:  # back into the first period
+            values[-1] = values[0]
+            first, period = float(scaled[0]), float(np.ptp(scaled))
+            x = f"{x} - {period!r} * floor(({x} - {first!r}) / {period!r})"
+        table = f"{name}_table_{len(tables) + 1}"
+        spline = CubicSpline(scaled, values, bc_type="periodic" if periodic else "natural")
+        ends = np.zeros((2, 5))  # straight outside the knots
+        ends[:, 0], ends[:, 1] = scaled[[0, -1]], values[[0, -1]]
+        ends[:, 2] = spline(ends[:, 0], 1)
+        pieces = np.column_stack((scaled[:-1], spline.c[::-1].T))
+        tables[table] = np.concatenate((ends[:1], pieces, ends[1:]))
+        add(f"spline({x}, {table}, {len(tables[table])})", column)
+    return terms, tables
+
+
+def _form(basis: object, x: str, per: float) -> str:
+    """Return a form of terms as code, by ``x`` in a unit of which ``per`` are one rad or m."""
+    if isinstance(basis, Harmonic):
+        function = "sin" if basis.phase == "sine" else "cos"
+        return f"{function}({basis.rate / per!r} * {x})"
+    if isinstance(basis, Power):
+        return f"pow(({x} - {basis.centre * per!r}) / {basis.range * per!r}, {basis.power})"
+    assert isinstance(basis, Share)
+    return f"(({x} - {basis.reference * per!r}) / {basis.per * per!r})"
+
+
+def _identifier(text: str, taken: Collection[str]) -> str:
+    """Return a text as a name in code that is not taken."""
+    name = re.sub(r"\W|^(?=\d)", "_", text, flags=re.ASCII)
+    while name in taken:
+        name += "_"
+    return name
