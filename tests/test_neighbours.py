@@ -110,8 +110,8 @@ def configured(
     for leg, q in zip(mechanism.legs, joints, strict=True):
         values |= {f"{leg.name}_{one.name}": v for one, v in zip(leg.moving, q, strict=True)}
     values |= {f"platform_p{axis}": pose[i, 3] for i, axis in enumerate("xyz")}
-    values["platform_z"] = np.arctan2(pose[1, 0], pose[0, 0])
-    values["platform"] = Rotation.from_matrix(pose[:3, :3]).as_quat()
+    turns = Rotation.from_matrix(pose[:3, :3]).as_euler("XYZ")
+    values |= {f"platform_{axis}": turn for axis, turn in zip("xyz", turns, strict=True)}
     q = pin.neutral(model)
     for name in list(model.names)[1:]:
         entry = model.joints[model.getJointId(name)]
@@ -279,12 +279,11 @@ def test_welds_are_where_pinocchio_has_them(tmp_path: Path) -> None:
     )
     (weld,) = pin.buildModelAndConstraintsFromMJCF(str(file))[2]
     (loop,) = read_mjcf(file).loops
-    own = np.linalg.inv(loop.second.placement.origin()) @ np.linalg.inv(
-        loop.first.placement.origin()
-    )
+    first, second = loop.joint.placement.origin(), loop.at_child.origin()
+    own = np.linalg.inv(second) @ np.linalg.inv(first)
     theirs = weld.joint2_placement.homogeneous @ np.linalg.inv(weld.joint1_placement.homogeneous)
-    np.testing.assert_allclose(np.linalg.inv(own), loop.first.placement.origin(), atol=1e-12)
-    np.testing.assert_allclose(np.linalg.inv(theirs), loop.first.placement.origin(), atol=1e-12)
+    np.testing.assert_allclose(np.linalg.inv(own), first, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.inv(theirs), first, atol=1e-12)
 
 
 def test_a_five_bar_is_the_closed_form(tmp_path: Path) -> None:
@@ -296,6 +295,18 @@ def test_a_five_bar_is_the_closed_form(tmp_path: Path) -> None:
     readings = pincal.inverse(mechanism, points).readings
     np.testing.assert_allclose(readings, five_bar_angles(points), atol=1e-12)
     assert [len(leg.parameters) for leg in mechanism.legs] == [5, 5]
+
+
+def test_a_base_may_stand_on_a_joint(tmp_path: Path) -> None:
+    """On a turntable the five-bar is the same, from the link that is named as its base."""
+    joints = [joint("yaw", "world", "base", "0.3 0 0.1", rpy="0 0 1"), *FIVE_BAR]
+    file = written(tmp_path, urdf("fivebar", joints, "world"), FIVE_BAR_YAML)
+    assert "--base" in run("import", file, "-o", tmp_path / "bar").trouble
+    outcome = done("import", file, "--base", "base", "-o", tmp_path / "bar")
+    assert "yaw: in no loop, left out" in outcome.err
+    points = np.random.default_rng(0).uniform((-0.1, 0.3), (0.1, 0.45), (20, 2))
+    readings = pincal.inverse(pincal.load_mechanism(tmp_path / "bar"), points).readings
+    np.testing.assert_allclose(readings, five_bar_angles(points), atol=1e-12)
 
 
 def test_frames_that_meet_are_one_body(tmp_path: Path) -> None:
@@ -351,6 +362,46 @@ def test_a_hexapod_carried_by_its_first_leg(tmp_path: Path) -> None:
         np.testing.assert_array_equal(reach.holds(matrices), (length > 0.5) & (length < 1.6))
     none = closure.evaluate(np.empty((0, 3)), np.empty((0, 4, 4)))
     assert none.gap.shape == (0, 3)
+
+
+def struts(folder: Path) -> Path:
+    """Write a hexapod as MuJoCo's users draw it: struts with a ball at either end, one slide."""
+    pairs = list(zip(*hexapod_points(), strict=True))
+    text = lambda v: " ".join(map(repr, map(float, v)))  # noqa: E731
+    geom, top, legs, loops, drives = '<geom size="0.01"/>', "", "", "", ""
+    for i, (A, B) in enumerate(pairs):
+        rod = B + np.array([0.0, 0.0, 1.0]) - A
+        top += f'<site name="p{i}" pos="{text(B)}"/>'
+        legs += (
+            f'<body pos="{text(A)}" zaxis="{text(rod)}"><joint name="ball{i}" type="ball"/>{geom}'
+            f'<body pos="0 0 {float(np.linalg.norm(rod))!r}"><joint name="slide{i}" type="slide" '
+            f'range="-0.4 0.4"/>{geom}<site name="e{i}"/></body></body>'
+        )
+        loops += f'<connect site1="e{i}" site2="p{i}"/>'
+        drives += f'<motor joint="slide{i}"/>'
+    platform = f'<body name="top" pos="0 0 1"><freejoint/>{geom}{top}</body>'
+    (folder / "robot.xml").write_text(
+        f'<mujoco><compiler autolimits="true"/><worldbody>{platform}{legs}</worldbody>'
+        f"<equality>{loops}</equality><actuator>{drives}</actuator></mujoco>"
+    )
+    return folder / "robot.xml"
+
+
+def test_a_strut_may_spin_about_itself(tmp_path: Path) -> None:
+    """A ball at either end of a strut: its spin demands nothing, is held and said; lengths do."""
+    pytest.importorskip("mujoco")
+    outcome = done("import", struts(tmp_path), "-o", tmp_path / "hexapod")
+    assert outcome.err.count("moves no end of it: held") == 6
+    mechanism = pincal.load_mechanism(tmp_path / "hexapod")
+    base, top = hexapod_points()
+    home = np.tile(mechanism.platform.home, (20, 1))
+    twists = np.random.default_rng(0).normal(0.0, 0.05, home.shape)
+    poses = mechanism.platform.moved(home, twists)
+    T = mechanism.platform.transforms(poses).as_matrix()
+    points = T[:, None, :3, 3] + np.einsum("nij,kj->nki", T[:, :3, :3], top)
+    drawn = np.linalg.norm(top + np.array([0.0, 0.0, 1.0]) - base, axis=1)
+    readings = np.linalg.norm(points - base, axis=2) - drawn
+    np.testing.assert_allclose(pincal.inverse(mechanism, poses).readings, readings, atol=1e-11)
 
 
 def test_a_leg_may_be_cut_anywhere(tmp_path: Path) -> None:
@@ -758,7 +809,6 @@ def test_options_that_do_not_go_together(tmp_path: Path) -> None:
     assert "--loops" in run("import", file, "-o", out).trouble
     done("import", file, "--loops", tmp_path / "loops.yml", "-o", out)
     again = ("-o", tmp_path / "other")
-    assert "--base goes with --tip" in run("import", file, "--base", "base", *again).trouble
     both = ("--tip", "a2", "--platform", "a2")
     assert "--tip is for serial arms" in run("import", file, *both, *again).trouble
     assert "--mech" in run("import", file, "--mech", "5R", *again).trouble

@@ -65,7 +65,7 @@ class Dimension:
             must_be(value, (str,), self.title, MechanismError)
             raise MechanismError(f"{self.title} is {value!r}; expected {' or '.join(self.choices)}")
         if not self.unit:
-            return value  # type: ignore[no-any-return]
+            return value
         number = number_of(value, self.title, MechanismError)
         if not self.least <= number <= self.most:
             expected = f"{self.text(self.least)} to {self.text(self.most)}"

@@ -110,7 +110,7 @@ class ImportOptions:
         None, "Of a serial arm: the link whose frame is measured.", metavar="LINK"
     )
     base: str | None = option(
-        None, "Of a serial arm: the link at its foot, if not the root.", metavar="LINK"
+        None, "Link at the foot of an arm or of all legs, if not the root.", metavar="LINK"
     )
     probed: Path | None = option(
         None,
@@ -130,8 +130,6 @@ class ImportOptions:
         Raises:
             MechanismError: options of arms with those of loops, or loops that the file holds.
         """
-        if self.tip is None and self.base is not None:
-            raise MechanismError("--base goes with --tip; loops are closed from the root link on")
         if self.tip is not None and (self.platform or self.loops):
             raise MechanismError(
                 "--tip is for serial arms, --platform and --loops for closed loops"
@@ -274,7 +272,7 @@ def _closed(
     yaml = None if form == "mjcf" else options.loops or loops_beside(file)
     tree = read_mjcf(file) if yaml is None else read_loops(file, yaml)
     tree = replace(tree, slack=slack_of(file.read_text("utf-8")))
-    mechanism, remarks = closed_mechanism(tree, options.platform)
+    mechanism, remarks = closed_mechanism(tree, options.platform, options.base)
     if yaml is not None:
         say(f"loops closed by {yaml}")
     closing, moved = closing_in_words(tree, mechanism)

@@ -15,19 +15,19 @@ from pathlib import Path
 import numpy as np
 
 from pincal.errors import MechanismError
-from pincal.formats.tree import FREE, Edge, Tree
+from pincal.formats.tree import FREE, Tree, joints_along, route
 from pincal.formats.urdf_tree import read_urdf
 from pincal.kinematics.closure import LegClosure
 from pincal.model.checks import must_be
 from pincal.model.consistency import identifiers
-from pincal.model.leg import Joint, Leg
+from pincal.model.leg import Closing, Joint, Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.placement import Coordinate, Placement
 from pincal.model.platform import Platform
 from pincal.model.sensor import Sensor
 
 _AXES = ("x", "y", "z", "rx", "ry", "rz")
-TOOL = "tool"
+_TOOL = "tool"
 
 
 def load_arm(path: str | Path, tip: str, base: str | None = None) -> Mechanism:
@@ -43,26 +43,21 @@ def serial_arm(tree: Tree, tip: str, base: str | None = None) -> Mechanism:
         MechanismError: no such link, no chain of joints from base to tip, or a joint in it that an
             arm cannot have.
     """
-    link = tree.link(tip, "the tip")
     foot = tree.root if base is None else tree.link(base, "the base")
-    carrying = {edge.child: edge for edge in tree.edges}
-    edges: list[Edge] = []
-    while link != foot and link in carrying:
-        edges.insert(0, carrying[link])
-        link = carrying[link].parent
-    if link != foot:
+    steps = route(tree.edges, foot, tree.link(tip, "the tip"))
+    if not all(forward for _, forward in steps):
         raise MechanismError(f"{tree.source}: no chain of joints leads from {base!r} to {tip!r}")
-    names = [edge.joint.name for edge in edges]
+    names = [edge.joint.name for edge, _ in steps]
     for i, name in enumerate(names):
         stem = name.removesuffix(f"_{FREE[0]}")
         if names[i : i + len(FREE)] == [f"{stem}_{end}" for end in FREE]:
-            floor = edges[i + len(FREE) - 1].child
+            floor = steps[i + len(FREE) - 1][0].child
             raise MechanismError(
                 f"{tree.source}: joint {stem!r} lets link {floor!r} float, and an arm stands on a "
                 f"base; import it with --base {floor}"
             )
     tree.check_joints(names)
-    path, joints = Path(tree.source), tuple(edge.joint for edge in edges)
+    path, joints = Path(tree.source), tuple(joints_along(tree, steps))
     try:
         return arm(re.sub(r"\W", "_", tree.name), joints, f"Serial arm to {tip} of {path.name}.")
     except MechanismError as error:
@@ -81,65 +76,72 @@ def arm(name: str, joints: tuple[Joint, ...], description: str = "") -> Mechanis
     Raises:
         MechanismError: no joint moves; names that are alike.
     """
-    moving = [joint for joint in joints if joint.kind != "fixed"]
+    moving = [joint.name for joint in joints if joint.kind != "fixed"]
     if not moving:
         raise MechanismError(f"{name}: no joint moves")
-    if joints[-1].kind != "fixed":
-        joints = (*joints, Joint("tip", "fixed"))
     joints = tuple(replace(joint, home=_home(joint)) for joint in joints)
-    placed, parameters = displaced_joints(joints, _stems(moving), TOOL, _AXES)
-    leg = Leg(
-        name="arm",
-        joints=placed,
-        sensors=tuple(Sensor(joint.name) for joint in moving),
-        parameters=tuple(parameters.items()),
-        point=Joint(identifiers((*(joint.name for joint in placed), TOOL))[-1], "fixed"),
-        tip="tip",
-        closes="frame",
-    )
+    stems = plain = identifiers((_TOOL, *moving))[1:]
+    bare = tuple(stem.removesuffix("_joint") for stem in plain)
+    if len({_TOOL, *bare}) > len(bare):
+        stems = bare
+    point = Joint(identifiers((*(joint.name for joint in joints), "tip", _TOOL))[-1], "fixed")
+    leg = displaced_leg("arm", joints, moving, point, "frame", stems, _AXES, _TOOL)
     free = Platform("spatial", (0.0,) * 6)
     home = free.from_matrices(LegClosure(leg, free).frame(leg.home[None]))[0]
     return Mechanism(name, Platform("spatial", tuple(home.tolist())), (leg,), description)
 
 
-def displaced_joints(
-    joints: Sequence[Joint], stems: Sequence[str], end: str, axes: Sequence[str]
-) -> tuple[tuple[Joint, ...], dict[str, float]]:
-    """Return joints with small displacements at each that moves and at the last, and these.
+def displaced_leg(
+    name: str,
+    joints: Sequence[Joint],
+    driven: Sequence[str],
+    point: Joint,
+    closes: Closing,
+    stems: Sequence[str],
+    axes: Sequence[str],
+    end: str = "tip",
+) -> Leg:
+    """Return a leg with small displacements, its parameters, at each joint that moves and the tip.
 
     Args:
-        joints: Base first; the last is fixed.
+        name: Of the leg.
+        joints: Base first.
+        driven: Names of the joints with sensors.
+        point: The platform's; it may be displaced, too, where the leg closes it.
+        closes: What the leg closes.
         stems: What the names of the moving joints' displacements begin with.
-        end: What those of the last joint's begin with.
-        axes: Of the displacements.
+        axes: Of the displacements, those along them first.
+        end: What the names of the tip's begin with.
     """
-    parameters: dict[str, float] = {}
+    if joints[-1].kind != "fixed":
+        joints = (*joints, Joint("tip", "fixed"))
+    parameters: list[str] = []
+
+    def displaced(joint: Joint, stem: str, axes: Sequence[str]) -> Joint:
+        named = {axis: f"{stem}_{axis}" for axis in axes}
+        parameters.extend(named.values())
+        xyz, rpy = joint.placement.xyz, joint.placement.rpy
+        steps = [Coordinate(axis, (parameter,)) for axis, parameter in named.items()]
+        steps += [Coordinate(axis, (v,)) for axis, v in zip("xyz", xyz, strict=True) if v]
+        return replace(joint, placement=Placement(tuple(steps), xyz, rpy))
+
     placed, moving_stems = [], iter(stems)
     for joint in joints:
-        if joint.kind != "fixed" or joint is joints[-1]:
-            stem = end if joint is joints[-1] else next(moving_stems)
-            placement, names = displaced(joint.placement, stem, axes)
-            joint, parameters = replace(joint, placement=placement), parameters | names
-        placed.append(joint)
-    return tuple(placed), parameters
-
-
-def displaced(
-    placement: Placement, stem: str, axes: Sequence[str]
-) -> tuple[Placement, dict[str, float]]:
-    """Return a placement with small displacements along axes, and their names, each zero."""
-    names = [f"{stem}_{axis}" for axis in axes]
-    steps = [Coordinate(axis, (name,)) for axis, name in zip(axes, names, strict=True)]
-    shifts = zip("xyz", placement.xyz, strict=True)
-    steps += [Coordinate(axis, (value,)) for axis, value in shifts if value]
-    return Placement(tuple(steps), placement.xyz, placement.rpy), dict.fromkeys(names, 0.0)
-
-
-def _stems(joints: Sequence[Joint]) -> Sequence[str]:
-    """Return what the names of each joint's parameters begin with, no two alike."""
-    names = identifiers((TOOL, *(joint.name for joint in joints)))[1:]
-    stems = [name.removesuffix("_joint") for name in names]
-    return names if len({TOOL, *stems}) <= len(stems) else stems
+        last = joint is joints[-1]
+        moves = last or joint.kind != "fixed"
+        stem = end if last else next(moving_stems) if moves else ""
+        placed.append(displaced(joint, stem, axes) if moves else joint)
+    if closes == "point":
+        point = displaced(point, "point", [axis for axis in axes if axis in "xyz"])
+    return Leg(
+        name=name,
+        joints=tuple(placed),
+        sensors=tuple(Sensor(joint) for joint in driven),
+        parameters=tuple((parameter, 0.0) for parameter in parameters),
+        point=point,
+        tip="tip",
+        closes=closes,
+    )
 
 
 def _home(joint: Joint) -> float:

@@ -7,26 +7,19 @@ these displacements each leg keeps those that its closure can distinguish (``ind
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from itertools import takewhile
+from os.path import commonprefix
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pincal.errors import MechanismError
-from pincal.formats.arm import displaced, displaced_joints
-from pincal.formats.limbs import (
-    LegPath,
-    Limb,
-    limb_along,
-    paths_to_platform,
-    point_platform,
-    poses_at_zero,
-)
-from pincal.formats.tree import Tree, listed
+from pincal.formats.arm import displaced_leg
+from pincal.formats.limbs import Limb, limb_along, paths_to_platform, point_platform
+from pincal.formats.tree import Step, Tree, listed
 from pincal.kinematics.assembly import assembled, independent, opening
-from pincal.kinematics.closure import largest_size
+from pincal.kinematics.closure import LegClosure, largest_size
 from pincal.model.checks import ALIKE, EXACT, ROUNDING
 from pincal.model.consistency import identifiers
 from pincal.model.home import ROUGH
@@ -34,10 +27,10 @@ from pincal.model.leg import Closing, Joint, Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.placement import placement_of
 from pincal.model.platform import Platform
-from pincal.model.sensor import Sensor
 from pincal.types import Array
 
 _WRITTEN = (r"xyz|pos|fromto", r"rpy|axis|quat|euler|axisangle|xyaxes|zaxis")
+_IDLE = 1e-7  # of singular values over the size: none
 _NUMBERS = 10  # along a leg, whose digits may be cut: two across each of five joints
 
 
@@ -60,30 +53,6 @@ def slack_of(text: str) -> float:
                     missed = abs(np.remainder(float(value) + np.pi / 4, np.pi / 2) - np.pi / 4)
                     cut = max(cut, missed if missed < 0.1 ** (2 + len(right[2])) else 0.0)
     return _NUMBERS * cut
-
-
-def check_drawn(tree: Tree, legs: Sequence[Leg], kind: str) -> None:
-    """Raise if loops are wide open as drawn, and the file does not say where else to begin.
-
-    Args:
-        tree: What the file says.
-        legs: Its legs, at home as drawn.
-        kind: Of the platform.
-
-    Raises:
-        MechanismError: loops drawn open by more than a tenth of the longest leg.
-    """
-    if tree.homed:
-        return
-    gap = opening(legs, kind)
-    size = largest_size(legs)
-    if gap > ROUGH * size:
-        raise MechanismError(
-            f"{tree.source}: the loops do not close near the joint positions that the file draws: "
-            f"ends that should meet are {gap:.3g} m apart, and the longest leg is {size:.3g} m. "
-            "Say positions near which they close (keyframe of MJCF, 'home' of the YAML file), or "
-            "look at the frames of the loops and at units (metres, radians)"
-        )
 
 
 def closing_in_words(tree: Tree, mechanism: Mechanism) -> tuple[str, bool]:
@@ -112,16 +81,21 @@ _FREEDOMS = {(2, 0): "point", (2, 1): "planar", (3, 0): "translational", (3, 3):
 _SPATIAL, _PLANAR = ("x", "y", "z", "rx", "ry", "rz"), ("x", "y", "rz")
 
 
-def closed_mechanism(tree: Tree, platform: str | None = None) -> tuple[Mechanism, tuple[str, ...]]:
+def closed_mechanism(
+    tree: Tree, platform: str | None = None, base: str | None = None
+) -> tuple[Mechanism, tuple[str, ...]]:
     """Return the mechanism of a tree with loops, and sentences on what was left out of it.
 
     Args:
         tree: Links, joints and loops.
         platform: Link whose frame is the platform's; the one in which the legs meet if not given.
+        base: Link from which the legs start; the root if not given.
 
     Raises:
         MechanismError: legs, platform and drives cannot be distinguished; the loops do not close.
     """
+    if base is not None:
+        tree = replace(tree, root=tree.link(base, "the base"))
     platform = platform or tree.platform
     if platform is not None:
         platform = tree.link(platform, "the platform")
@@ -134,29 +108,43 @@ def closed_mechanism(tree: Tree, platform: str | None = None) -> tuple[Mechanism
     kind, limbs = _limbs(tree, paths, platform, normal)
     if normal is not None and abs(normal[2]) < 1.0 - EXACT:
         remarks.append("planar, but not across z: the base frame was turned to have z across")
-    names = _leg_names(limbs)
-    stems = _stems(names, limbs)
-    legs = tuple(_leg(*leg, tree, kind) for leg in zip(names, limbs, stems, strict=True))
-    check_drawn(tree, legs, kind)
+    axes = _PLANAR if kind in ("point", "planar") else _SPATIAL
+    legs = _legs(tree, limbs, axes)
+    while idle := {i: name for i, leg in enumerate(legs) if (name := _idle(leg, kind))}:
+        remarks += [
+            f"{legs[i].name}: {name!r} moves no end of it: held" for i, name in idle.items()
+        ]
+        limbs = [_holding(limb, idle.get(i)) for i, limb in enumerate(limbs)]
+        legs = _legs(tree, limbs, axes)
+    gap, size = opening(legs, kind), largest_size(legs)
+    if gap > ROUGH * size and not tree.homed:
+        raise MechanismError(
+            f"{tree.source}: the loops do not close near the joint positions that the file draws: "
+            f"ends that should meet are {gap:.3g} m apart, and the longest leg is {size:.3g} m. "
+            "Say positions near which they close (keyframe of MJCF, 'home' of the YAML file), or "
+            "look at the frames of the loops and at units (metres, radians)"
+        )
     try:
-        legs, placed = assembled(_with_points_apart(legs), kind, tree.slack)
+        closed, placed = assembled(legs, kind, tree.slack)
     except MechanismError as error:
         raise MechanismError(f"{tree.source}: {error}") from error
     remarks += [
         f"{leg.name}: {joint.name!r} closes the loops at {joint.home:.6g}, outside its limits"
-        for leg in legs
+        for leg in closed
         for joint in leg.moving
         if joint.limited and not joint.lower <= joint.home <= joint.upper
     ]
     name = re.sub(r"\W+", "_", tree.name)[:100] or "mechanism"
-    legs = tuple(_reduced(leg, placed, tree.slack) for leg in legs)
-    return Mechanism(name, placed, legs, f"From {tree.source}."), tuple(remarks)
+    reduced = tuple(_reduced(leg, placed, tree.slack) for leg in closed)
+    return Mechanism(name, placed, reduced, f"From {tree.source}."), tuple(remarks)
 
 
 def _limbs(
-    tree: Tree, paths: tuple[LegPath, ...], platform: str | None, normal: Array | None
-) -> tuple[str, tuple[Limb, ...]]:
+    tree: Tree, paths: list[list[Step]], platform: str | None, normal: Array | None
+) -> tuple[str, list[Limb]]:
     """Return the kind of platform and the legs, in frames whose z is across the plane if planar.
+
+    A path without a drive says the platform's freedoms.
 
     Raises:
         MechanismError: legs, platform and drives cannot be distinguished.
@@ -169,55 +157,40 @@ def _limbs(
                 "--platform LINK"
             )
         pair = point_platform(tree, paths[0], driven, normal)
-        return "point", tuple(_in_frames(limb, normal, turn, tree.slack) for limb in pair)
-    legs, kind = _legs_and_freedoms(tree, paths, driven)
-    kind = kind or ("spatial" if normal is None else "planar")
-    link = poses_at_zero(tree)[platform][:3, :3]
+        return "point", [_in_frames(limb, normal, turn, tree.slack) for limb in pair]
+    legs = [path for path in paths if any(edge.joint.name in driven for edge, _ in path)]
+    idle = [path for path in paths if path not in legs]
+    kinds = [_freedoms(path) for path in idle]
+    for path, freedoms in zip(idle, kinds, strict=True):
+        if freedoms is None or len(idle) > 1 or not legs:
+            raise MechanismError(
+                f"{tree.source}: no driven joint in the leg "
+                f"{', '.join(edge.joint.name for edge, _ in path)}; each leg needs one whose "
+                "position is read: name it under name_mot (YAML) or give it an actuator (MJCF)"
+            )
+    kind = kinds[0] if kinds else "spatial" if normal is None else "planar"
+    link = tree.pose_at_zero(platform)[:3, :3]
     if kind in ("point", "translational"):
         turn = link.T @ (turn if normal is None else _onto(normal))
     elif normal is not None:
         turn = _onto(link.T @ normal)
     limbs = (limb_along(tree, path, platform, driven, normal) for path in legs)
-    return kind, tuple(_in_frames(limb, normal, turn, tree.slack) for limb in limbs)
+    return str(kind), [_in_frames(limb, normal, turn, tree.slack) for limb in limbs]
 
 
-def _legs_and_freedoms(
-    tree: Tree, paths: tuple[LegPath, ...], driven: set[str]
-) -> tuple[list[LegPath], str | None]:
-    """Return the paths with a drive, and the kind of platform if another says its freedoms.
-
-    Raises:
-        MechanismError: a path without a drive that is no row of freedoms.
-    """
-    legs = [path for path in paths if any(bond.name in driven for bond in path)]
-    idle = [path for path in paths if path not in legs]
-    kinds = [_freedoms(path) for path in idle]
-    for path, kind in zip(idle, kinds, strict=True):
-        if kind is None or len(idle) > 1 or not legs:
-            raise MechanismError(
-                f"{tree.source}: no driven joint in the leg {', '.join(b.name for b in path)}; "
-                "each leg needs one whose position is read: name it under name_mot (YAML) or give "
-                "it an actuator (MJCF)"
-            )
-    return legs, kinds[0] if kinds else None
-
-
-def _freedoms(path: LegPath) -> str | None:
+def _freedoms(path: list[Step]) -> str | None:
     """Return the kind of platform that a row of slides and turns frees; None for another."""
-    kinds = [bond.joint.kind for bond in path if bond.joint is not None and bond.forward]
+    kinds = [edge.joint.kind for edge, forward in path if forward and edge.closes == "frame"]
     if len(kinds) != len(path) or kinds != sorted(kinds):  # slides first
         return None
     return _FREEDOMS.get((kinds.count("prismatic"), kinds.count("revolute")))
 
 
-def _normal(tree: Tree, paths: Iterable[LegPath]) -> Array | None:
+def _normal(tree: Tree, paths: list[list[Step]]) -> Array | None:
     """Return the normal of the plane in which all joints move, in the root's frame, shape (3,)."""
-    poses = poses_at_zero(tree)
-    children = {edge.joint.name: edge.child for edge in tree.edges}
     axes: dict[str, list[Array]] = {"revolute": [], "prismatic": []}
-    for joint in (bond.joint for path in paths for bond in path):
-        if joint is not None:
-            axes[joint.kind].append(poses[children[joint.name]][:3, :3] @ joint.axis)
+    for edge in (edge for path in paths for edge, _ in path if edge.closes == "frame"):
+        axes[edge.joint.kind].append(tree.pose_at_zero(edge.child)[:3, :3] @ edge.joint.axis)
     if not axes["revolute"]:
         return None
     slack = max(EXACT, tree.slack)
@@ -256,27 +229,34 @@ def _in_frames(limb: Limb, normal: Array | None, C_platform: Array, slack: float
         C_platform: Axes of the platform in its link, shape (3, 3).
         slack: What cut digits may have turned axes by, [rad].
     """
+    joints, point = list(limb.joints), limb.point
+    if point is not None and not np.array_equal(C_platform, np.eye(3)):
+        origin = point.placement.origin()
+        origin[:3] = C_platform.T @ origin[:3]
+        point = replace(point, placement=placement_of(origin))
     if normal is None:
-        return _turned_platform(limb, C_platform)
-    slack = max(EXACT, slack)
-    joints: list[Joint] = []
+        return Limb(limb.joints, point)
     C, R = _onto(normal), np.eye(3)
-    for joint in limb.joints:
+    for i, joint in enumerate(joints):
         origin = joint.placement.origin()
         R = R @ origin[:3, :3]
-        last = joint is limb.joints[-1] and limb.point is None
-        C_child = C_platform if last else _onto(R.T @ normal, slack)
+        last = joint is limb.joints[-1] and point is None
+        C_child = C_platform if last else _onto(R.T @ normal, max(EXACT, slack))
         if not (np.array_equal(C, np.eye(3)) and np.array_equal(C_child, np.eye(3))):
             origin[:3] = C.T @ origin[:3]
             origin[:3, :3] = origin[:3, :3] @ C_child
             x, y, z = (float(v) for v in np.round(C_child.T @ joint.axis, 12))
             joint = replace(joint, placement=placement_of(origin), axis=(x, y, z))
-        if np.abs(origin[:2, 2]).max() > ROUNDING or joint.axis != _flat_axis(joint):
+        x, y, z = joint.axis
+        axis = (0.0, 0.0, float(np.sign(z)))
+        if joint.kind == "prismatic":
+            axis = (x / float(np.hypot(x, y)), y / float(np.hypot(x, y)), 0.0) if z else joint.axis
+        if np.abs(origin[:2, 2]).max() > ROUNDING or joint.axis != axis:
             origin[:3, :3] = _flat(origin[:3, :3])
-            joint = replace(joint, placement=placement_of(origin), axis=_flat_axis(joint))
-        joints.append(joint)
+            joint = replace(joint, placement=placement_of(origin), axis=axis)
+        joints[i] = joint
         C = C_child
-    return _turned_platform(Limb(tuple(joints), limb.point), C_platform)
+    return Limb(tuple(joints), point)
 
 
 def _flat(R: Array) -> Array:
@@ -287,29 +267,59 @@ def _flat(R: Array) -> Array:
     return np.asarray(turned @ np.diag((1.0, side, side)))
 
 
-def _flat_axis(joint: Joint) -> tuple[float, float, float]:
-    """Return a joint's axis across the plane, or in it if it slides."""
-    x, y, z = joint.axis
-    if joint.kind == "prismatic" and z:
-        return x / float(np.hypot(x, y)), y / float(np.hypot(x, y)), 0.0
-    return joint.axis if joint.kind == "prismatic" else (0.0, 0.0, float(np.sign(z)))
+def _legs(tree: Tree, limbs: Sequence[Limb], axes: Sequence[str]) -> list[Leg]:
+    """Return legs with displacements along axes of all joints as parameters.
+
+    Raises:
+        MechanismError: a limb without a drive.
+    """
+    names = _leg_names(limbs)
+    points = [limb.point.name for limb in limbs if limb.point is not None]
+    legs = []
+    for name, limb, stems in zip(names, limbs, _stems(names, limbs), strict=True):
+        driven = [joint for joint in limb.moving_names if joint in tree.active]
+        if not driven:
+            raise MechanismError(f"{tree.source}: {name} has no driven joint")
+        point = limb.point
+        if point is not None and (point.name == "point" or points.count(point.name) > 1):
+            point = replace(point, name=f"{name}_point")
+        point = point or Joint(f"{name}_point", "fixed")
+        closes: Closing = "frame" if limb.point is None else "point"
+        legs.append(displaced_leg(name, limb.joints, driven, point, closes, stems, axes))
+    return legs
 
 
-def _turned_platform(limb: Limb, C_platform: Array) -> Limb:
-    """Return a leg whose platform point is given in a platform frame that is turned."""
-    if limb.point is None or np.array_equal(C_platform, np.eye(3)):
-        return limb
-    origin = limb.point.placement.origin()
-    origin[:3] = C_platform.T @ origin[:3]
-    return Limb(limb.joints, replace(limb.point, placement=placement_of(origin)))
+def _idle(leg: Leg, kind: str) -> str | None:
+    """Return a passive joint of a freedom that does not move a leg's end, as of a rod that spins.
+
+    Freedoms are ranked, not counted, at random configurations.
+    """
+    closure = LegClosure(leg, Platform(kind, (0.0,) * Platform.dof_of(kind)))
+    spread = [1.0 if joint.turns else leg.size for joint in leg.moving]
+    q = leg.home + np.random.default_rng(0).uniform(-0.3, 0.3, (8, len(spread))) * spread
+    poses = closure.frame(q) if leg.closes == "frame" else np.tile(np.eye(4), (len(q), 1, 1))
+    by_passive = closure.evaluate(q, poses).passive * leg.passive_scales / leg.size
+    if np.linalg.matrix_rank(by_passive, tol=_IDLE).max() == len(leg.passive):
+        return None
+    null = np.linalg.svd(by_passive[0])[2][-1]
+    return leg.moving[leg.passive[int(np.argmax(np.abs(null)))]].name
 
 
-def _leg_names(limbs: tuple[Limb, ...]) -> list[str]:
+def _holding(limb: Limb, name: str | None) -> Limb:
+    """Return a limb with a joint of it fixed where it is at home."""
+    joints = list(limb.joints)
+    for i, joint in enumerate(joints):
+        if joint.name == name:
+            held = joint.placement.origin() @ joint.motion(np.array([joint.home]))[0]
+            joints[i] = Joint(joint.name, "fixed", placement_of(held))
+    return Limb(tuple(joints), limb.point)
+
+
+def _leg_names(limbs: Sequence[Limb]) -> list[str]:
     """Return what the names of each leg's joints begin with, or otherwise numbers."""
     names = []
     for limb in limbs:
-        ends = zip(min(limb.moving_names), max(limb.moving_names), strict=False)
-        stem = "".join(first for first, _ in takewhile(lambda pair: pair[0] == pair[1], ends))
+        stem = commonprefix(limb.moving_names)  # noqa: RUF071 (by letters, as meant)
         if any(len(n) > len(stem) and n[len(stem)] not in "_-./ " for n in limb.moving_names):
             stem = re.sub(r"[^_\-./ ]*$", "", stem)
         names.append(re.sub(r"\W", "_", stem).strip("_"))
@@ -318,7 +328,7 @@ def _leg_names(limbs: tuple[Limb, ...]) -> list[str]:
     return [f"leg_{index + 1}" for index in range(len(limbs))]
 
 
-def _stems(names: list[str], limbs: tuple[Limb, ...]) -> list[list[str]]:
+def _stems(names: list[str], limbs: Sequence[Limb]) -> list[list[str]]:
     """Return for each leg what its moving joints' parameters begin with.
 
     The joints' names less the leg's, if all legs have the same; else joint_1, joint_2, and so on.
@@ -332,38 +342,6 @@ def _stems(names: list[str], limbs: tuple[Limb, ...]) -> list[list[str]]:
     if all(leg_stems == first for leg_stems in stems) and plain and len(set(first)) == len(first):
         return stems
     return [[f"joint_{index + 1}" for index in range(len(leg_stems))] for leg_stems in stems]
-
-
-def _leg(name: str, limb: Limb, stems: list[str], tree: Tree, kind: str) -> Leg:
-    """Return a leg with displacements of all its joints as parameters."""
-    axes = _PLANAR if kind in ("point", "planar") else _SPATIAL
-    joints = limb.joints
-    if joints[-1].kind != "fixed":
-        joints = (*joints, Joint("tip", "fixed"))
-    placed, parameters = displaced_joints(joints, stems, "tip", axes)
-    point = limb.point or Joint("point", "fixed")
-    if limb.point is not None:
-        shifts = axes[: len(axes) // 2 + len(axes) % 2]
-        placement, shifted = displaced(point.placement, "point", shifts)
-        point, parameters = replace(point, placement=placement), parameters | shifted
-    if point.name == "point":
-        point = replace(point, name=f"{name}_point")
-    sensors = tuple(Sensor(joint.name) for joint in joints if joint.name in tree.active)
-    if not sensors:
-        raise MechanismError(f"{tree.source}: {name} has no driven joint")
-    closes: Closing = "frame" if limb.point is None else "point"
-    return Leg(name, placed, sensors, tuple(parameters.items()), point, "tip", closes)
-
-
-def _with_points_apart(legs: tuple[Leg, ...]) -> tuple[Leg, ...]:
-    """Return legs of which each has its own platform point."""
-    names = [leg.point.name for leg in legs]
-    return tuple(
-        replace(leg, point=replace(leg.point, name=f"{leg.name}_point"))
-        if names.count(leg.point.name) > 1
-        else leg
-        for leg in legs
-    )
 
 
 def _reduced(leg: Leg, platform: Platform, slack: float) -> Leg:

@@ -297,7 +297,8 @@ def code_of(mechanism: Mechanism, language: Language, units: Units = SI) -> str:
     for of in dict.fromkeys(term.of for sensor in sensors for term in sensor.terms if term.of):
         functions = [f"{name}_joint" for name in names]
         arguments[of] = _identifier(f"at_{of}", [*arguments.values(), *functions])
-    body, legend = "", {}
+    body = ""
+    legend: dict[str, str] = {}
     for leg, columns in zip(nominal_legs(mechanism), mechanism.reading_columns, strict=True):
         law = sensor_law(leg)
         for index, name in enumerate(names[columns]):
@@ -376,7 +377,7 @@ def _terms(
             errors.setdefault((column, basis.knots, basis.periodic), zeros)[basis.knot] += amplitude
         else:
             add(f"{amplitude!r} * {_form(basis, *argument_of(column))}", column)
-    tables = {}
+    tables: dict[str, Array] = {}
     for (column, knots, periodic), values in errors.items():
         x, per = argument_of(column)
         scaled = per * np.array(knots)

@@ -156,9 +156,10 @@ def _printer(
 ) -> DeltaPrinter:
     """Return a printer of numbers in mm and degrees, or raise with the file's name."""
     printed = None if print_radius is None else _MM * print_radius
+    angles, arms, endstops = np.radians(angles), _MM * arms, _MM * endstops
     try:
         return DeltaPrinter(
-            _MM * radius, np.radians(angles).tolist(), _MM * arms, _MM * endstops, printed
+            _MM * radius, angles.tolist(), arms.tolist(), endstops.tolist(), printed
         )
     except MechanismError as error:
         raise MechanismError(f"{path}: {error}") from error

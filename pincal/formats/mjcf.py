@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 from pincal.errors import MechanismError
 from pincal.files.text import read_xml
 from pincal.files.urdf_writing import numbers_text, xml_text
-from pincal.formats.tree import Edge, Loop, Spot, Tree, at_home, turns, with_ranges
+from pincal.formats.tree import Edge, Tree, at_home, turns, with_ranges
 from pincal.model.checks import LARGEST
 from pincal.model.leg import Closing, Joint
 from pincal.model.orientation import turns_in_series
@@ -188,7 +188,7 @@ def _home(model: mujoco.MjModel, joints: list[str]) -> dict[str, float]:
     return home
 
 
-def _loops(model: mujoco.MjModel, links: list[str]) -> Iterator[Loop]:
+def _loops(model: mujoco.MjModel, links: list[str]) -> Iterator[Edge]:
     """Yield what connect and weld close.
 
     Of bodies both anchors are in ``eq_data``: of connect that of the first body, then the
@@ -209,9 +209,10 @@ def _loops(model: mujoco.MjModel, links: list[str]) -> Iterator[Loop]:
                 poses = [_pose(data[:3], still), _pose(data[3:6], still)]
             else:
                 poses = [_pose(data[3:6], data[6:10]), _pose(data[:3], still)]
-        first, second = (Spot(links[e], placement_of(T)) for e, T in zip(ends, poses, strict=True))
+        first, second = map(placement_of, poses)
+        joint = Joint(model.eq(i).name or f"loop_{i + 1}", "fixed", first)
         closes: Closing = "point" if connects else "frame"
-        yield Loop(model.eq(i).name or f"loop_{i + 1}", first, second, closes)
+        yield Edge(joint, links[ends[0]], links[ends[1]], second, closes)
 
 
 def _coupled(model: mujoco.MjModel, joints: list[str], path: Path) -> dict[str, str]:
@@ -255,15 +256,24 @@ def _joints_of_tendon(model: mujoco.MjModel, tendon: int) -> list[int]:
 
 
 def mjcf(tree: Tree) -> str:
-    """Return the MJCF file of a tree."""
+    """Return the MJCF file of a tree: a body for each joint, a site at either end of each loop."""
     root = etree.Element("mujoco", model=tree.name)
     etree.SubElement(root, "compiler", angle="radian", autolimits="true")
     world = etree.SubElement(root, "worldbody")
     bodies = {tree.root: etree.SubElement(world, "body", name=tree.root)}
-    size = _size(tree)
+    longest = max(float(np.linalg.norm(edge.joint.placement.xyz)) for edge in tree.edges)
     home: list[float] = []
-    _children(tree, tree.root, bodies, home, size)
-    _written_loops(tree, root, bodies)
+    _children(tree, tree.root, bodies, home, 0.02 * (longest or 1.0))
+    equality = etree.SubElement(root, "equality")
+    for loop in tree.loops:
+        sites = {}
+        ends = ((loop.parent, loop.joint.placement), (loop.child, loop.at_child))
+        for key, (link, placement) in zip(("site1", "site2"), ends, strict=True):
+            sites[key] = f"{loop.joint.name}_{key}"
+            site = etree.Element("site", {"name": sites[key], **_written_pose(placement)})
+            bodies[link].insert(1, site)
+        tag = "connect" if loop.closes == "point" else "weld"
+        etree.SubElement(equality, tag, {"name": loop.joint.name, **sites})
     actuators = etree.SubElement(root, "actuator")
     for name in tree.active:
         etree.SubElement(actuators, "position", name=name, joint=name)
@@ -273,82 +283,36 @@ def mjcf(tree: Tree) -> str:
 
 
 def _children(
-    tree: Tree, link: str, bodies: dict[str, etree._Element], home: list[float], size: float
+    tree: Tree, link: str, bodies: dict[str, etree._Element], home: list[float], radius: float
 ) -> None:
     """Enter the bodies on a link, and their joints' home positions in the same order."""
     for edge in tree.edges:
         if edge.parent != link:
             continue
-        three = _ball(tree, edge)
-        child = three[-1].child if three else edge.child
-        placement = edge.joint.placement
-        body = etree.SubElement(bodies[link], "body", {"name": child, **_written_pose(placement)})
+        joint, placement = edge.joint, edge.joint.placement
+        pose = {"name": edge.child, **_written_pose(placement)}
+        bodies[edge.child] = body = etree.SubElement(bodies[link], "body", pose)
         etree.SubElement(body, "inertial", pos="0 0 0", mass="0.1", diaginertia="0.001 0.001 0.001")
-        if three:
-            angles = [turn.joint.home for turn in three]
-            x, y, z, w = Rotation.from_euler("XYZ", angles).as_quat()
-            etree.SubElement(body, "joint", name=edge.joint.name.removesuffix("_x"), type="ball")
-            home += [w, x, y, z]
-        elif edge.joint.kind != "fixed":
-            _joint(body, edge)
-            home.append(edge.joint.home)
-        if any(abs(value) > 1e-9 for value in placement.xyz) and not three:
-            shape = {"fromto": f"0 0 0 {numbers_text(placement.xyz)}", "size": f"{size:.6g}"}
+        if joint.kind != "fixed":
+            kind = "slide" if joint.kind == "prismatic" else "hinge"
+            said = {"name": joint.name, "type": kind, "axis": numbers_text(joint.axis)}
+            if np.isfinite([joint.lower, joint.upper]).all():
+                said["range"] = numbers_text((joint.lower, joint.upper))
+            etree.SubElement(body, "joint", said)
+            home.append(joint.home)
+        if any(abs(value) > 1e-9 for value in placement.xyz):
+            shape = {"fromto": f"0 0 0 {numbers_text(placement.xyz)}", "size": f"{radius:.6g}"}
             looks = {"type": "capsule", "contype": "0", "conaffinity": "0", "mass": "0"}
             etree.SubElement(bodies[link], "geom", {**shape, **looks})
-        bodies[child] = body
-        _children(tree, child, bodies, home, size)
-
-
-def _ball(tree: Tree, edge: Edge) -> tuple[Edge, ...]:
-    """Return the three turns that begin with an edge and are one ball joint; none if not so."""
-    place = tree.edges.index(edge)
-    three = tree.edges[place : place + 3]
-    stem = edge.joint.name.removesuffix("_x")
-    names = [f"{stem}_{axis}" for axis in "xyz"]
-    return three if [turn.joint.name for turn in three] == names else ()
-
-
-def _joint(body: etree._Element, edge: Edge) -> None:
-    joint = edge.joint
-    kind = "slide" if joint.kind == "prismatic" else "hinge"
-    limits = {}
-    if np.isfinite([joint.lower, joint.upper]).all():
-        limits = {"range": numbers_text((joint.lower, joint.upper))}
-    etree.SubElement(
-        body,
-        "joint",
-        {"name": joint.name, "type": kind, "axis": numbers_text(joint.axis), **limits},
-    )
-
-
-def _written_loops(tree: Tree, root: etree._Element, bodies: dict[str, etree._Element]) -> None:
-    """Enter a site at either end of each loop, and that they meet."""
-    if not tree.loops:
-        return
-    equality = etree.SubElement(root, "equality")
-    for loop in tree.loops:
-        tag = "connect" if loop.closes == "point" else "weld"
-        ends = {}
-        for key, spot in (("site1", loop.first), ("site2", loop.second)):
-            ends[key] = f"{loop.name}_{key}"
-            pose = _written_pose(spot.placement)
-            site = etree.Element("site", {"name": ends[key], **pose})
-            bodies[spot.link].insert(1, site)
-        etree.SubElement(equality, tag, {"name": loop.name, **ends})
+        _children(tree, edge.child, bodies, home, radius)
 
 
 def _written_pose(placement: Placement) -> dict[str, str]:
+    """Return the attributes of a placement."""
     pose = {}
     if any(placement.xyz):
         pose["pos"] = numbers_text(placement.xyz)
     if any(placement.rpy):
-        x, y, z, w = Rotation.from_matrix(placement.origin()[:3, :3]).as_quat()
-        pose["quat"] = numbers_text((w, x, y, z))
+        turn = Rotation.from_matrix(placement.origin()[:3, :3])
+        pose["quat"] = numbers_text(turn.as_quat(scalar_first=True))
     return pose
-
-
-def _size(tree: Tree) -> float:
-    """Return a radius for rods, [m]."""
-    lengths = [float(np.linalg.norm(edge.joint.placement.xyz)) for edge in tree.edges]
-    return 0.02 * (max(lengths) or 1.0)

@@ -1,15 +1,20 @@
-"""What neighbours' files have in common: a tree of links and joints, and what closes its loops."""
+"""What other programs' files have in common: links, joints between them, what closes their loops.
+
+As a graph, tree and loops are alike: an edge is passed from parent to child, or back. What lies
+between base and platform is a route through it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from pincal.errors import MechanismError
 from pincal.model.leg import Closing, Joint
-from pincal.model.placement import Placement
+from pincal.model.placement import Placement, placement_of
+from pincal.types import Array
 
 #: Ends of the names of the six freedoms of a link that floats, in order (see ``turns``).
 FREE = ("px", "py", "pz", "x", "y", "z")
@@ -17,29 +22,25 @@ FREE = ("px", "py", "pz", "x", "y", "z")
 
 @dataclass(frozen=True)
 class Edge:
-    """A joint of the tree, between two links."""
+    """A joint between two links, or what closes a loop: then a place on either, and they meet."""
 
     joint: Joint
+    """Placed on the parent; fixed where it closes a loop."""
     parent: str
     child: str
+    at_child: Placement = field(default_factory=Placement)
+    """Of a loop: its place on the child."""
+    closes: Closing = "frame"
+    """Of a loop: whether whole frames meet or their origins alone, as in a ball joint."""
+
+    @property
+    def moves(self) -> bool:
+        """Whether the links move against each other."""
+        return self.closes == "point" or self.joint.kind != "fixed"
 
 
-@dataclass(frozen=True)
-class Spot:
-    """A frame on a link."""
-
-    link: str
-    placement: Placement = field(default_factory=Placement)
-
-
-@dataclass(frozen=True)
-class Loop:
-    """A constraint that closes a loop: two spots meet, their origins or their whole frames."""
-
-    name: str
-    first: Spot
-    second: Spot
-    closes: Closing
+Step = tuple[Edge, bool]
+"""An edge of a route, and whether it is passed from its parent to its child."""
 
 
 @dataclass(frozen=True)
@@ -50,9 +51,10 @@ class Tree:
     source: str
     """The file, for messages."""
     root: str
+    """Link from which legs start: that of the file, or another one that is the base."""
     edges: tuple[Edge, ...]
-    loops: tuple[Loop, ...]
-    active: tuple[str, ...]
+    loops: tuple[Edge, ...] = ()
+    active: tuple[str, ...] = ()
     """Names of the joints with a drive."""
     platform: str | None = None
     """Link of the platform, if the file says it."""
@@ -68,7 +70,8 @@ class Tree:
     @property
     def links(self) -> tuple[str, ...]:
         """Names of the links, root first."""
-        return (self.root, *(edge.child for edge in self.edges))
+        children, parents = ([getattr(e, end) for e in self.edges] for end in ("child", "parent"))
+        return tuple(dict.fromkeys((self.root, *children, *parents)))
 
     def link(self, name: str, purpose: str) -> str:
         """Return a link's name, of a link or of the joint that carries it.
@@ -95,25 +98,89 @@ class Tree:
             if name in self.refused:
                 raise MechanismError(self.refused[name])
 
+    def pose_at_zero(self, link: str) -> Array:
+        """Return where a link is with all joints of the tree at zero, ``T_root_link``, (4, 4)."""
+        T_root_link = np.eye(4)
+        for edge, forward in route(self.edges, self.root, link):
+            origin = edge.joint.placement.origin()
+            T_root_link = T_root_link @ (origin if forward else np.linalg.inv(origin))
+        return T_root_link
+
+
+def route(edges: Iterable[Edge], start: str, goal: str) -> list[Step]:
+    """Return the shortest way from one link to another along some edges."""
+    around: dict[str, list[tuple[str, Step]]] = {}
+    for edge in edges:
+        around.setdefault(edge.parent, []).append((edge.child, (edge, True)))
+        around.setdefault(edge.child, []).append((edge.parent, (edge, False)))
+    routes: dict[str, list[Step]] = {start: []}
+    ahead = [start]
+    while goal not in routes:
+        link = ahead.pop(0)
+        for neighbour, step in around.get(link, ()):
+            if neighbour not in routes:
+                routes[neighbour] = [*routes[link], step]
+                ahead.append(neighbour)
+    return routes[goal]
+
+
+def joints_along(tree: Tree, steps: Sequence[Step], normal: Array | None = None) -> list[Joint]:
+    """Return the joints along a route from the root.
+
+    A joint that is passed backwards moves the other way; a loop that closes a point is a ball.
+
+    Args:
+        tree: Links, joints and loops.
+        steps: The route.
+        normal: Of a planar mechanism, in the root's frame, shape (3,): a ball turns about it.
+    """
+    joints: list[Joint] = []
+    for edge, forward in steps:
+        joint, name = edge.joint, edge.joint.name
+        if forward and edge in tree.edges:
+            joints.append(joint)
+            continue
+        near, far = (joint.placement, edge.at_child)[:: 1 if forward else -1]
+        T_far_joint: Array = np.linalg.inv(far.origin())
+        if not edge.moves:
+            name = f"{name}_back" if edge in tree.edges else name
+            joints += _offset(name, near.origin() @ T_far_joint)
+            continue
+        if edge.closes == "frame":
+            x, y, z = joint.axis
+            joints.append(replace(joint, placement=Placement(), axis=(-x, -y, -z)))
+        else:
+            joints += _offset(f"{name}_at", near.origin())
+            if normal is None:
+                joints += [turn.joint for turn in turns(Joint(name, "fixed"), "", "", "xyz")]
+            else:
+                T_root_ball = tree.pose_at_zero(edge.parent if forward else edge.child)
+                x, y, z = map(float, (T_root_ball @ near.origin())[:3, :3].T @ normal)
+                turn = Joint(f"{name}_z", "revolute", Placement(), (x, y, z), -np.inf, np.inf)
+                joints.append(turn)
+        joints += _offset(f"{name}_back", T_far_joint)
+    return joints
+
+
+def _offset(name: str, matrix: Array) -> Iterator[Joint]:
+    """Yield a fixed joint, or none for nothing."""
+    if not np.array_equal(matrix, np.eye(4)):
+        yield Joint(name, "fixed", placement_of(matrix))
+
 
 def with_ranges(tree: Tree) -> Tree:
     """Return a tree whose slides all have a range: of those without one, as the tree is long."""
     placed = [edge.joint.placement.xyz for edge in tree.edges]
     reach = max(float(np.linalg.norm(placed, axis=1).sum()) if placed else 0.0, 1.0)
-    endless = [
-        edge.joint.name
-        for edge in tree.edges
-        if edge.joint.kind == "prismatic" and not np.isfinite(edge.joint.lower)
-    ]
-    edges = tuple(
-        replace(edge, joint=replace(edge.joint, lower=-reach, upper=reach))
-        if edge.joint.name in endless
-        else edge
-        for edge in tree.edges
-    )
-    remark = f"slides without a range in the file; ±{reach:.3g} m is taken"
-    remarks = {name: f"{name!r} {remark}" for name in endless}
-    return replace(tree, edges=edges, remarks=dict(tree.remarks) | remarks)
+    edges, remarks = list(tree.edges), dict(tree.remarks)
+    for i, edge in enumerate(edges):
+        joint = edge.joint
+        if joint.kind == "prismatic" and not np.isfinite(joint.lower):
+            edges[i] = replace(edge, joint=replace(joint, lower=-reach, upper=reach))
+            remarks[joint.name] = (
+                f"{joint.name!r} slides without a range in the file; ±{reach:.3g} m is taken"
+            )
+    return replace(tree, edges=tuple(edges), remarks=remarks)
 
 
 def turns(joint: Joint, parent: str, child: str, axes: str) -> tuple[Edge, ...]:
@@ -126,33 +193,30 @@ def turns(joint: Joint, parent: str, child: str, axes: str) -> tuple[Edge, ...]:
         axes: Letters of the axes, in order; in capitals, along them.
     """
     edges: list[Edge] = []
-    for index, letter in enumerate(axes):
-        last = index == len(axes) - 1
-        slides, axis = letter.isupper(), letter.lower()
+    for letter in axes:
+        axis, slides = letter.lower(), letter.isupper()
         single = Joint(
-            f"{joint.name}_{letter if not slides else 'p' + letter.lower()}",
+            f"{joint.name}_{'p' * slides}{axis}",
             "prismatic" if slides else "revolute",
-            joint.placement if index == 0 else Placement(),
+            Placement() if edges else joint.placement,
             (float(axis == "x"), float(axis == "y"), float(axis == "z")),
             -np.inf,
             np.inf,
         )
-        link = child if last else f"{child}_{single.name}"
-        edges.append(Edge(single, edges[-1].child if edges else parent, link))
-    return tuple(edges)
+        edges.append(Edge(single, edges[-1].child if edges else parent, f"{child}_{single.name}"))
+    return (*edges[:-1], replace(edges[-1], child=child))
 
 
 def at_home(edges: tuple[Edge, ...], home: Mapping[str, float]) -> tuple[Edge, ...]:
     """Return edges with other home positions of joints, by name."""
-    return tuple(
-        replace(edge, joint=replace(edge.joint, home=float(home[edge.joint.name])))
-        if edge.joint.name in home
-        else edge
+    joints = (
+        replace(edge.joint, home=float(home.get(edge.joint.name, edge.joint.home)))
         for edge in edges
     )
+    return tuple(replace(edge, joint=joint) for edge, joint in zip(edges, joints, strict=True))
 
 
-def root_of(edges: tuple[Edge, ...], links: tuple[str, ...], source: str) -> str:
+def root_of(edges: Sequence[Edge], links: Sequence[str], source: str) -> str:
     """Return the one link that no joint carries.
 
     Raises:
@@ -168,21 +232,19 @@ def root_of(edges: tuple[Edge, ...], links: tuple[str, ...], source: str) -> str
     roots = [link for link in links if link not in set(children)]
     if len(roots) != 1:
         raise MechanismError(f"{source}: {len(roots)} root links ({listed(roots)}); expected one")
-    reached, ahead = {roots[0]}, {edge.parent for edge in edges}
-    while True:
-        reachable = {edge.child for edge in edges if edge.parent in reached} - reached
-        if not reachable:
-            break
-        reached |= reachable
-    if lost := (ahead | set(children)) - reached:
+    lost, reached = {link for edge in edges for link in (edge.parent, edge.child)}, {roots[0]}
+    while reached:
+        lost -= reached
+        reached = {edge.child for edge in edges if edge.parent in reached}
+    if lost:
         raise MechanismError(
             f"{source}: {listed(sorted(lost))} cannot be reached from the root {roots[0]!r}"
         )
     return roots[0]
 
 
-def listed(names: object, limit: int = 12) -> str:
+def listed(names: Iterable[str], limit: int = 12) -> str:
     """Return names in a row, not all of many."""
-    every = [str(name) for name in names]  # type: ignore[attr-defined]
+    every = list(names)
     remainder = f" and {len(every) - limit} more" if len(every) > limit else ""
     return (", ".join(every[:limit]) or "none") + remainder

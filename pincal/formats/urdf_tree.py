@@ -19,13 +19,12 @@ from typing import Annotated, Literal
 import numpy as np
 from lxml import etree
 from pydantic import BaseModel, ConfigDict, Field
-from scipy.spatial.transform import Rotation
 
 from pincal.errors import FileError, MechanismError
 from pincal.files.text import Number, read_xml
 from pincal.files.urdf import link_of, read_joint, weighed
 from pincal.files.yaml import meant, read_yaml
-from pincal.formats.tree import Edge, Loop, Spot, Tree, at_home, listed, root_of, turns, with_ranges
+from pincal.formats.tree import Edge, Tree, at_home, listed, root_of, turns, with_ranges
 from pincal.model.leg import Joint
 from pincal.model.placement import placement_of
 
@@ -66,8 +65,6 @@ def read_urdf(path: Path, replaced: Mapping[str, str] | None = None) -> Tree:
         source=str(path),
         root=root_of(tuple(edges), links, str(path)),
         edges=tuple(edges),
-        loops=(),
-        active=(),
         refused=refused,
         remarks=remarks,
     )
@@ -115,11 +112,7 @@ def _edges(
     still = replace(joint, kind="fixed", axis=Joint.axis, lower=Joint.lower, upper=Joint.upper)
     if joint.lower == 0.0:
         return (Edge(still, parent, child),)
-    motion = np.eye(4)
-    if joint.kind == "revolute":
-        motion[:3, :3] = Rotation.from_rotvec(joint.lower * np.array(joint.axis)).as_matrix()
-    else:
-        motion[:3, 3] = joint.lower * np.array(joint.axis)
+    motion = joint.motion(np.array([joint.lower]))[0]
     middle = f"{child}_before"
     moved = replace(still, name=f"{name}_at", placement=placement_of(motion))
     return (Edge(Joint(name, "fixed", joint.placement), parent, middle), Edge(moved, middle, child))
@@ -204,11 +197,11 @@ def read_loops(urdf: Path, loops: Path) -> Tree:
         tree.link(tree.platform, f"the platform of {loops}")
     kinds = spec.type or ["6d"] * len(spec.closed_loop)
     closed = tuple(
-        Loop(
-            "_".join(pair),
-            Spot(tree.link(pair[0], f"'closed_loop' of {loops}")),
-            Spot(tree.link(pair[1], f"'closed_loop' of {loops}")),
-            "point" if kind.lower() == "3d" else "frame",
+        Edge(
+            Joint("_".join(pair), "fixed"),
+            tree.link(pair[0], f"'closed_loop' of {loops}"),
+            tree.link(pair[1], f"'closed_loop' of {loops}"),
+            closes="point" if kind.lower() == "3d" else "frame",
         )
         for pair, kind in zip(spec.closed_loop, kinds, strict=True)
     )

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pincal.errors import MechanismError
-from pincal.model.leg import Joint, Leg
+from pincal.model.leg import Leg
 from pincal.model.platform import Platform
 from pincal.types import Array
 
@@ -25,23 +25,9 @@ def link_placements(leg: Leg, joints: Array) -> Array:
     for joint in leg.joints:
         T_base_link = T_base_link @ joint.placement.origin()
         if joint.kind != "fixed":
-            T_base_link = T_base_link @ _motion(joint, next(positions))
+            T_base_link = T_base_link @ joint.motion(next(positions))
         placements.append(T_base_link)
     return np.stack(placements, axis=1)
-
-
-def _motion(joint: Joint, positions: Array) -> Array:
-    """Return the motion of a joint by its positions, shape (N,) to (N, 4, 4)."""
-    x, y, z = joint.axis
-    motion = np.zeros((len(positions), 4, 4))
-    motion[:] = np.eye(4)
-    if joint.kind == "prismatic":
-        motion[:, :3, 3] = positions[:, None] * joint.axis
-    else:
-        K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-        sin, cos = np.sin(positions)[:, None, None], np.cos(positions)[:, None, None]
-        motion[:, :3, :3] += sin * K + (1.0 - cos) * (K @ K)  # Rodrigues
-    return motion
 
 
 ROUGH = 0.1

@@ -60,6 +60,18 @@ class Joint:
         """Whether positions are angles."""
         return self.kind == "revolute"
 
+    def motion(self, positions: Array) -> Array:
+        """Return its motion by its positions, shape (N,) to (N, 4, 4)."""
+        x, y, z = self.axis
+        motion = np.tile(np.eye(4), (len(positions), 1, 1))
+        if self.kind == "prismatic":
+            motion[:, :3, 3] = positions[:, None] * self.axis
+        else:
+            K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+            sin, cos = np.sin(positions)[:, None, None], np.cos(positions)[:, None, None]
+            motion[:, :3, :3] += sin * K + (1.0 - cos) * (K @ K)  # Rodrigues
+        return motion
+
 
 Closing = Literal["point", "frame"]
 
