@@ -22,7 +22,7 @@ def test_the_optimum_is_that_of_adjusted_conditions() -> None:
     """
     mechanism, _, data = machine("6UPS", 200, NOISE)
     (one,) = fitted(Calibration(mechanism, data, Options(noise=NOISE))).fits
-    fit = one.fit
+    fit = one
     there = adjusted(fit.problem, fit.last)
     assert fit.system.solve(there, fit.weights, 1.0).decrement < 1e-2
     assert fit.system.solve(fit.last, fit.weights, 1.0).decrement > 0.1
@@ -43,9 +43,9 @@ def test_steps_that_are_too_long_are_shortened(seed: int) -> None:
     data = pincal.simulate(mechanism, truth, plan, noise, seed).measurements
     options = Options(noise=noise, rough=True, hold_undetermined=True)
     (one,) = fitted(Calibration(mechanism, data, options)).fits
-    there = adjusted(one.fit.problem, one.fit.last)
-    left = one.fit.system.solve(there, one.fit.weights, 1.0).decrement
-    assert one.fit.distance == pytest.approx(left, rel=1e-6)
+    there = adjusted(one.problem, one.last)
+    left = one.system.solve(there, one.weights, 1.0).decrement
+    assert one.distance == pytest.approx(left, rel=1e-6)
     assert left <= 1e-3
 
 

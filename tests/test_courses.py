@@ -17,8 +17,7 @@ from pincal.calibration.fits import fitted
 from pincal.calibration.terms.kinds import every_pair
 from pincal.calibration.terms.screen import Candidate, screen
 from pincal.estimation.residuals.courses import scores, slips
-from pincal.estimation.residuals.redundancy import ResidualForm, above, of_forms, together
-from pincal.estimation.residuals.score import Residuals
+from pincal.estimation.residuals.score import ResidualForm, Residuals, above, of_forms, together
 
 Array = NDArray[np.float64]
 NOISE = pincal.Noise(2e-5, 5e-5, 2e-5)
@@ -79,11 +78,11 @@ def test_what_is_known_beforehand_is_measured_too() -> None:
     data = pincal.simulate(mechanism, truth, plan, noise, 3).measurements
     result = pincal.calibrate(mechanism, data, noise=noise, tolerance=tolerance)
     (one,) = fitted(result.calibration).fits
-    left, r = Residuals.of(one.fit), one.fit.last.residuals
-    assert left.chi2 == pytest.approx(one.fit.chi2, rel=1e-6)  # it ends near the optimum
+    left, r = Residuals.of(one), one.last.residuals
+    assert left.chi2 == pytest.approx(one.chi2, rel=1e-6)  # it ends near the optimum
     W = np.random.default_rng(4).standard_normal((*r.shape, 2))
-    held, prior = one.fit.unknowns.prior_rows(one.fit.parameters)
-    J = (one.fit.last.jacobian @ one.fit.unknowns.map).reshape(r.size, -1)
+    held, prior = one.unknowns.prior_rows(one.parameters)
+    J = (one.last.jacobian @ one.unknowns.map).reshape(r.size, -1)
     every = np.block([[J, W.reshape(r.size, 2)], [prior, np.zeros((len(prior), 2))]])
     white = np.append(r.ravel(), held)
     step, (rest,), *_ = np.linalg.lstsq(every, -white)
@@ -103,7 +102,7 @@ def test_few_rows_with_priors_lack_nothing() -> None:
         data = pincal.simulate(mechanism, truth, plan, noise, 1).measurements
         result = pincal.calibrate(mechanism, data, noise=noise, tolerance=tolerance)
         (one,) = fitted(result.calibration).fits
-        tests = scores(one.fit)
+        tests = scores(one)
         assert min(test.p_value for test in tests) > 0.1 / len(tests)
 
 
@@ -125,7 +124,7 @@ def screened(one: Machine, data: pincal.Measurements) -> tuple[Candidate, bool]:
     """Return the first candidate, and whether something seems to have slipped."""
     found = fitted(started(prepared(one.nominal, data, noise=NOISE)))
     first = screen(found, every_pair(one.nominal, data))[0]
-    return first, bool(slips(found.fits[0].fit))
+    return first, bool(slips(found.fits[0]))
 
 
 def test_what_all_motors_have_is_one_candidate() -> None:

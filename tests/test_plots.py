@@ -217,7 +217,7 @@ def test_accuracy_by_poses_ends_at_the_promise_and_above_the_bound(
 def test_singular_values_are_those_of_scaled_columns(result: pincal.CalibrationResult) -> None:
     """Of the search's own white rows, columns of unit length, by SVD; the largest first."""
     (line,) = result.plot.singular().lines
-    fit = fitted(result.calibration).fits[0].fit
+    fit = fitted(result.calibration).fits[0]
     J = fit.last.jacobian @ fit.unknowns.map
     rows = J.reshape(-1, J.shape[2])
     expected = np.linalg.svd(rows / np.linalg.norm(rows, axis=0), compute_uv=False)
@@ -260,7 +260,7 @@ def test_residuals_over_workspace_and_time(result: pincal.CalibrationResult) -> 
     first = (leg.residuals / leg.sigma)[:3].sum()
     assert len(line.get_ydata()) == 10
     assert abs(line.get_ydata()[0]) > abs(first) / np.sqrt(3)  # the fit took up a part of them
-    fit = fitted(result.calibration).fits[0].fit
+    fit = fitted(result.calibration).fits[0]
     _, follows, (own, *_) = every_residual(fit)
     factors = np.zeros(follows.shape[:2])
     factors[:3, own] = 1.0 / leg.sigma[:3, None]

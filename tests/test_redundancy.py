@@ -70,7 +70,7 @@ def test_what_is_left_is_that_of_the_dense_hat_matrix(case: str) -> None:
     mechanism, data = measured(noise, 3)
     result = pincal.calibrate(mechanism, data, noise=noise, **options)
     for one in fitted(result.calibration).fits:
-        fit = one.fit
+        fit = one
         rows = fit.last.conditions.shape[1]
         every = [leg_residuals(fit.problem, fit.last, i) for i in range(len(fit.problem.legs))]
         legs = np.concatenate([leg.follows for leg in every], axis=1)

@@ -27,7 +27,7 @@ from rich.console import Console
 
 import pincal
 from pincal.calibration.result_files import as_json
-from pincal.estimation.residuals.robust import Outlier
+from pincal.estimation.fit import Outlier
 from pincal.show.answers import Answers, ReportFacts, report_facts
 from pincal.show.pictures.parts import draw_poses
 from pincal.show.report import Origin, Report

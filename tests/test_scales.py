@@ -41,7 +41,7 @@ def fit_at(noise: pincal.Noise, seed: int = 0) -> Fit:
     """Return the fit of a 3-RRR at the noise that its measurements were made with."""
     mechanism, _, data = machine("3RRR", 60, noise, seed)
     (one,) = fitted(Calibration(mechanism, data, Options(noise=noise))).fits
-    return one.fit
+    return one
 
 
 @pytest.mark.parametrize(

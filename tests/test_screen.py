@@ -79,7 +79,7 @@ def test_equal_terms_of_two_legs_are_told_apart() -> None:
     data = pincal.simulate(mechanism, truth, plan, NOISE, seed=5).measurements
     found = fitted(started(prepared(mechanism, data, noise=NOISE)))
     first, second = (one for one in screen(found, every_pair(mechanism, data)) if one.pair in both)
-    assert inseparable(first, [second], found.fits[0].fit.chi2) == [second]
+    assert inseparable(first, [second], found.fits[0].chi2) == [second]
     assert second.corrected < 1e-6
     assert second.pair not in first.or_else
 

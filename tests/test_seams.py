@@ -18,7 +18,7 @@ import pincal
 from pincal.calibration.result_files import read_result
 from pincal.estimation.blocks.legs import LegBlock
 from pincal.estimation.blocks.observation import Observation
-from pincal.estimation.linear import State
+from pincal.estimation.blocks.state import State
 from pincal.kinematics.closing import sensor_law
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.derivatives import Demand

@@ -69,7 +69,7 @@ def measured(
 def slipped(plain: pincal.Mechanism, data: pincal.Measurements) -> list[Slip]:
     """Return the slips of a calibration's residuals."""
     (one,) = fitted(started(prepared(plain, data, noise=NOISE))).fits
-    return slips(one.fit)
+    return slips(one)
 
 
 @pytest.mark.parametrize("name", quick(1, ["3RRR", "6UPS", "delta"]))
@@ -132,7 +132,7 @@ def test_a_reflector_that_slipped_on_an_arm_is_named() -> None:
     given = {"noise": noise, "setup": setup, "hold_undetermined": True}
     asked = started(prepared(arm, data, **given))
     (one,) = fitted(asked).fits
-    found = slips(one.fit)[0]
+    found = slips(one)[0]
     assert (found.what, found.row) == ("target", ROW)
     np.testing.assert_allclose(found.size, slip, atol=2e-4)
     result = pincal.calibrate(arm, data, **given)
@@ -191,8 +191,8 @@ def test_one_row_is_no_slip() -> None:
     plain, data = measured("3RRR")
     poses = data.poses.copy()
     poses[-1, 0] += 1.2e-4
-    robust = fitted(prepared(plain, replace(data, poses=poses), noise=NOISE)).fits[0]
-    assert not slips(robust.fit)
+    fit = fitted(prepared(plain, replace(data, poses=poses), noise=NOISE)).fits[0]
+    assert not slips(fit)
 
 
 def test_residuals_of_readings_are_not_asked() -> None:

@@ -65,7 +65,7 @@ def test_ends_are_where_the_profile_has_risen() -> None:
     _, data = drawn("3RRR", 24, seed=1)
     calibration = started(prepared("3RRR", data, noise=NOISE, tolerance=SIZES))
     groups = {p.id: 0 for p in calibration.mechanism.parameters if p.unit == "m"}
-    parts = [Evidence.of(one.fit, groups) for one in fitted(calibration).fits]
+    parts = [Evidence.of(one, groups) for one in fitted(calibration).fits]
     found = likeliest(parts, np.array([1e-3]), (np.array([1e-9]), np.array([1.0])), 3.84)
     at = [sum(p.deviance(np.array([size])) for p in parts) for size in found.ends[0]]
     every = np.geomspace(*found.ends[0], 200)

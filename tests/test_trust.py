@@ -365,7 +365,7 @@ def test_the_least_of_folds_is_as_probable_as_of_fits_to_noise(*, known: bool) -
     """
     mechanism, _, data = machine("3RRR", 40)
     fits = fitted(Calibration(mechanism, data, Options(noise=NOISE))).fits
-    one, groups = fits[0].fit, folds_of(data, 5, "region")
+    one, groups = fits[0], folds_of(data, 5, "region")
     J = one.last.jacobian @ one.unknowns.map
     rows = np.repeat(groups, J.shape[1])
     J, z = J.reshape(len(rows), -1), np.random.default_rng(1).standard_normal((4000, len(rows)))

@@ -107,7 +107,7 @@ def test_weakest_direction_is_that_of_the_least_singular_value(
     assert np.isfinite(weakest.body.placements).all()
     off = weakest.body.placements - drawn.body.placements
     assert 0.01 < np.abs(off[..., :3, 3]).max() < 0.5
-    fit = fitted(result.calibration).fits[0].fit
+    fit = fitted(result.calibration).fits[0]
     rows = fit.last.jacobian.reshape(-1, fit.last.jacobian.shape[2])
     _, _, V = np.linalg.svd(rows / np.linalg.norm(rows, axis=0))
     ids = [p.id for leg in result.legs for p in leg.parameters]

@@ -22,11 +22,9 @@ from pincal.calibration.fits import Fits
 from pincal.calibration.leg_result import HELD, IdentifiedParameter, LegResult, Observed
 from pincal.calibration.promise import excess_of
 from pincal.calibration.result import CalibrationResult
-from pincal.estimation.fit import Fit
-from pincal.estimation.linear import State
-from pincal.estimation.profile import profile
+from pincal.estimation.blocks.state import State
+from pincal.estimation.fit import Fit, Outlier
 from pincal.estimation.residuals.redundancy import LegResiduals, leg_residuals, redundancy
-from pincal.estimation.residuals.robust import Outlier, Robust
 from pincal.kinematics.closure import largest_size
 from pincal.kinematics.configurations import planned_influences
 from pincal.kinematics.influences import by_name
@@ -48,7 +46,7 @@ def assemble(fits_of_all: Fits, without_ties: Fits | None) -> CalibrationResult:
     """
     calibration, gauge, held = fits_of_all.calibration, fits_of_all.gauge, fits_of_all.held
     mechanism = calibration.mechanism
-    fits = [robust.fit for robust in fits_of_all.fits]
+    fits = fits_of_all.fits
     covariance, outer = covariances(fits_of_all)
     sure = confidence(fits_of_all)
     dof = sum(fit.degrees_of_freedom for fit in fits)
@@ -68,14 +66,13 @@ def assemble(fits_of_all: Fits, without_ties: Fits | None) -> CalibrationResult:
     parts = np.split(errors, np.cumsum(sizes)[:-1], axis=1)
     std = dict(zip(mechanism.leg_names, parts, strict=True))
     covariance = covariance + systematic_part
-    redundancies = [redundancy(robust.fit) for robust in fits_of_all.fits]
+    redundancies = [redundancy(fit) for fit in fits_of_all.fits]
     by_name = {
         leg.name: leg
         for fit, freedoms, own in zip(fits_of_all.fits, sure.of_unknowns, redundancies, strict=True)
         for leg in _leg_results(calibration, fit, std, quantiles(freedoms), *own)
     }
     legs = tuple(by_name[name] for name in mechanism.leg_names)
-    shifts = [robust.shift for robust in fits_of_all.fits]
     return CalibrationResult(
         calibration=calibration,
         identified=mechanism.with_parameters({leg.name: leg.identified for leg in legs}),
@@ -96,8 +93,7 @@ def assemble(fits_of_all: Fits, without_ties: Fits | None) -> CalibrationResult:
         costs=tuple(
             tuple(cost / max(fit.degrees_of_freedom, 1) for cost in fit.costs) for fit in fits
         ),
-        outliers=_merged([outlier for robust in fits_of_all.fits for outlier in robust.outliers]),
-        shift=None if None in shifts else max(s for s in shifts if s is not None),
+        outliers=_merged([outlier for fit in fits_of_all.fits for outlier in fit.outliers]),
         gauge=() if gauge is None else gauge.found,
         gauge_directions=None if gauge is None else gauge.of_legs,
         frames_moved=None if gauge is None else gauge.frames,
@@ -133,34 +129,10 @@ def _noise(calibration: Calibration, chi2: float) -> Noise | None:
     return Noise(*(scale * value for value in vars(model.noise).values()))
 
 
-def _ends(
-    calibration: Calibration, fit: Fit, rows: Array, std: Array, quantile: Array | float
-) -> Array:
-    """Return the ends of intervals less the estimates, shape (k, 2).
-
-    By noise as far as the cost or the standard error says; what is off by the same in all rows is
-    in no cost, and is added to both sides (roots of sums of squares).
-
-    Args:
-        calibration: What was calibrated.
-        fit: The fit that holds the quantities.
-        rows: Derivatives of the quantities by its unknowns, shape (k, n).
-        std: Standard errors by noise, and by what is off in all rows, shape (2, k).
-        quantile: How many of them half an interval is, shape (k,).
-    """
-    halves, systematic_halves = quantile * std
-    closed = np.isfinite(halves)
-    ends = np.stack((-halves, halves), axis=1)
-    if calibration.options.intervals == "profile" and fit.converged:
-        calibration.options.report("fitting again along the parameters, for their intervals")
-        ends[closed] = profile(fit, rows[closed], halves[closed])
-    return np.asarray(np.array([-1.0, 1.0]) * np.hypot(ends, systematic_halves[:, None]))
-
-
 def _identified(
-    parameter: Parameter, value: float, std: float, ends: Array, given: str = ""
+    parameter: Parameter, value: float, std: float, quantile: float, given: str = ""
 ) -> IdentifiedParameter:
-    """Return a parameter with its 95 % interval, whose ends less the value have shape (2,)."""
+    """Return a parameter with its 95 % interval, half of which is so many standard errors."""
     return IdentifiedParameter(
         owner=parameter.owner,
         name=parameter.name,
@@ -168,8 +140,8 @@ def _identified(
         nominal=parameter.nominal,
         identified=float(value),
         std=float(std),
-        low=float(value + ends[0]),
-        high=float(value + ends[1]),
+        low=float(value - quantile * std),
+        high=float(value + quantile * std),
         given=given,
         label=parameter.label,
     )
@@ -177,7 +149,7 @@ def _identified(
 
 def _leg_results(
     calibration: Calibration,
-    robust: Robust,
+    fit: Fit,
     std: dict[str, Array],
     quantile: Array,
     residuals: Sequence[LegResiduals],
@@ -187,17 +159,14 @@ def _leg_results(
 
     Args:
         calibration: What was calibrated.
-        robust: The fit.
+        fit: The fit.
         std: Standard errors by noise, and by what is off in all rows, shape (2, n) of each leg.
         quantile: How many of them half an interval is, of the fit's unknowns, shape (n,).
         residuals: Of the legs.
         redundancies: Redundancies of these, (N, k) each.
     """
-    fit, problem = robust.fit, robust.fit.problem
+    problem = fit.problem
     nominal, results = calibration.mechanism.parameters, []
-    errors = np.concatenate([std[leg.name] for leg in problem.legs], axis=1)
-    n = errors.shape[1]
-    ends = _ends(calibration, fit, np.eye(n, len(quantile)), errors, quantile[:n])
     for index, (leg, columns) in enumerate(
         zip(problem.legs, problem.leg_block.columns, strict=True)
     ):
@@ -211,12 +180,12 @@ def _leg_results(
             LegResult(
                 name=leg.name,
                 parameters=tuple(
-                    _identified(p, value, error, own_ends, _given(calibration, p, error))
-                    for p, value, error, own_ends in zip(
+                    _identified(p, value, error, half, _given(calibration, p, error))
+                    for p, value, error, half in zip(
                         parameters,
                         fit.parameters[columns],
                         np.hypot(*std[leg.name]),
-                        ends[columns],
+                        quantile[columns],
                         strict=True,
                     )
                 ),
@@ -227,7 +196,7 @@ def _leg_results(
                 unit=after.unit,
                 n_residuals=values.size,
                 sigma=after.sigma[counted].ravel(),
-                rows=np.repeat(robust.rows[counted], values.shape[1]),
+                rows=np.repeat(fit.rows[counted], values.shape[1]),
                 residuals_before=before.value[counted].ravel(),
                 residuals=values.ravel(),
                 quantity=after.quantity,
@@ -267,7 +236,7 @@ def _external(
     outside, values = fits.calibration.observation.external, fits.external
     if values is None or outer is None or not len(outside):
         return ()
-    began = fits.fits[0].fit.first.state.external
+    began = fits.fits[0].first.state.external
     # of instruments, what their makers say
     began = replace(began, instruments=outside.start.instruments)
     start, estimates = (outside.coordinates(external) for external in (began, values))
@@ -278,17 +247,12 @@ def _external(
         (np.sqrt(np.diagonal(D @ outer @ D.T)), np.linalg.norm(D @ systematic_rows, axis=1))
     )
     std = determined(std, D @ lost)
-    one = fits.fits[0].fit
-    rows = np.zeros((len(D), len(one.covariance)))
-    if fits.latent:
-        rows[:, -len(D) :] = D
-    ends = _ends(fits.calibration, one, rows, std, quantile)
     return tuple(
         _identified(
-            _outside(id_, unit, first), value, error, own_ends, "" if np.isfinite(error) else HELD
+            _outside(id_, unit, first), value, error, quantile, "" if np.isfinite(error) else HELD
         )
-        for id_, unit, first, value, error, own_ends in zip(
-            outside.names, outside.units, start, estimates, np.hypot(*std), ends, strict=True
+        for id_, unit, first, value, error in zip(
+            outside.names, outside.units, start, estimates, np.hypot(*std), strict=True
         )
     )
 
@@ -300,7 +264,7 @@ def _outside(id_: str, unit: str, nominal: float) -> Parameter:
 
 def _observed(fits: Fits, redundancies: Array) -> tuple[Observed, ...]:
     """Return how the measured quantities of the platform fit; left: redundancies, (N, r)."""
-    fit = fits.fits[0].fit
+    fit = fits.fits[0]
     problem, observation = fit.problem, fit.problem.observation
     n_legs = problem.leg_block.n_rows
     before, values = (linear.conditions[:, n_legs:] for linear in (fit.first, fit.last))

@@ -36,7 +36,7 @@ from pincal.calibration.terms.kinds import said as parse_terms
 from pincal.calibration.tolerances import with_found_tolerance, with_unsure_tolerances
 from pincal.calibration.validation import Validation, held_out
 from pincal.errors import MeasurementError, MisfitError, ObservabilityError, PincalError
-from pincal.estimation.blocks.external import External
+from pincal.estimation.blocks.state import External
 from pincal.files.measurements import read_measurements
 from pincal.files.mechanism_folders import as_mechanism
 from pincal.finding import Finding
@@ -307,7 +307,7 @@ def calibrate_runs(calibration: Calibration) -> RunComparison:
     of_rows = np.array(calibration.measurements.runs)
     results = []
     for name in names:
-        run_alone = calibration.rows(of_rows == name).with_options(intervals="wald")
+        run_alone = calibration.rows(of_rows == name)
         result, _ = run(run_alone)
         if not result.converged:
             raise MeasurementError(f"run {name!r}: {result.message}")

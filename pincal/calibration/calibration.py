@@ -11,10 +11,9 @@ import numpy as np
 
 from pincal.calibration.options import Options
 from pincal.errors import MeasurementError, ObservabilityError
-from pincal.estimation.blocks.external import External
 from pincal.estimation.blocks.legs import LegBlock
 from pincal.estimation.blocks.observation import Observation
-from pincal.estimation.linear import State
+from pincal.estimation.blocks.state import External, State
 from pincal.estimation.noise import FoundTolerance, NoiseModel, noise_model
 from pincal.estimation.problem import Problem
 from pincal.estimation.start import align_start, check_start

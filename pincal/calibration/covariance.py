@@ -17,10 +17,10 @@ from pincal.calibration.fits import Fits
 from pincal.calibration.leg_result import TieTest
 from pincal.design.platform_error import CONFIDENCE
 from pincal.estimation.components import Moments, freedoms
+from pincal.estimation.fit import Fit
 from pincal.estimation.noise import assumed_noise
 from pincal.estimation.observability.gauge import Gauge
 from pincal.estimation.observability.indices import RANK_TOLERANCE
-from pincal.estimation.residuals.robust import Robust
 from pincal.estimation.unknowns import Unknowns
 from pincal.kinematics.batches import over_rows
 from pincal.model.leg import Leg
@@ -29,19 +29,18 @@ from pincal.model.setup import Systematic
 from pincal.types import Array, Index
 
 
-def all_legs(mechanism: Mechanism, fits: Sequence[Robust]) -> Array:
+def all_legs(mechanism: Mechanism, fits: Sequence[Fit]) -> Array:
     """Return the covariance of all legs' parameters in the mechanism's order, shape (n, n)."""
     n = len(mechanism.parameters)
     covariance = np.zeros((n, n))
     parts = []
-    for robust in fits:
-        fit = robust.fit
+    for fit in fits:
         places = _places(mechanism, fit.problem.legs)
         covariance[np.ix_(places, places)] = fit.covariance[: len(places), : len(places)]
         last = fit.problem.leg_block.n_readings
         columns = [*range(last, last + mechanism.platform.dof), -1]  # the pose's noise, an outlier
         by_pose = fit.influence[:, : len(places), columns]
-        parts.append((places, robust.rows, by_pose))
+        parts.append((places, fit.rows, by_pose))
     for index, (places, rows, K) in enumerate(parts):
         for their_places, their_rows, L in parts[:index]:
             shared, mine, theirs = np.intersect1d(rows, their_rows, return_indices=True)
@@ -61,19 +60,18 @@ def _places(mechanism: Mechanism, legs: Sequence[Leg]) -> Index:
     )
 
 
-def chi2_freedoms(fits: Sequence[Robust]) -> float:
+def chi2_freedoms(fits: Sequence[Fit]) -> float:
     """Return the degrees of freedom of a χ² with the mean and variance of the fits' sum.
 
     Residuals M W ν of two fits that share poses are correlated by the poses' noise, A = W Wᵀ: of
     their χ², 2 tr(M₁ A M₂ Aᵀ) is the covariance. Of fits that share nothing, that of them all.
     """
     parts, total = [], 0
-    for robust in fits:
-        fit = robust.fit
+    for fit in fits:
         used = np.flatnonzero(fit.good)
         last = fit.problem.leg_block.n_readings
         W = fit.last.white.by_noise[used, :, last : last + fit.problem.platform.dof]
-        parts.append((robust.rows[used], fit.Q, W))
+        parts.append((fit.rows[used], fit.Q, W))
         total += fit.degrees_of_freedom
     shared = 0.0
     for index, (rows, Q, W) in enumerate(parts):
@@ -123,7 +121,7 @@ def systematic(fits: Fits) -> Array:
     if calibration.options.setup.systematic == Systematic():
         return np.zeros((n + len(observation.external), 0))
     if fits.latent:
-        fit = fits.fits[0].fit
+        fit = fits.fits[0]
         own = observation.systematic(fit.last.state.matrices, fit.last.state.external)
         errors = np.zeros((*fit.last.conditions.shape, own.shape[2]))
         errors[:, errors.shape[1] - own.shape[1] :] = own
@@ -136,15 +134,14 @@ def systematic(fits: Fits) -> Array:
     by_twist = observation.residuals(matrices, external)[1][:, rows]
     twists = -np.linalg.solve(by_twist, own[:, rows])  # where what is measured takes the poses
     follows = np.zeros((n, own.shape[2]))
-    for robust in fits.fits:
-        one_fit = robust.fit
-        places = _places(mechanism, one_fit.problem.legs)
-        moved = [demand.pose @ twists[robust.rows] for demand in one_fit.last.demands]
-        errors = np.zeros((*one_fit.last.conditions.shape, own.shape[2]))
-        block = one_fit.problem.leg_block
+    for fit in fits.fits:
+        places = _places(mechanism, fit.problem.legs)
+        moved = [demand.pose @ twists[fit.rows] for demand in fit.last.demands]
+        errors = np.zeros((*fit.last.conditions.shape, own.shape[2]))
+        block = fit.problem.leg_block
         for leg, error, used in zip(block.leg_rows, moved, block.used.T, strict=True):
             errors[used, leg] = error[used]
-        follows[places] = one_fit.spread.response(errors)[: len(places)]
+        follows[places] = fit.spread.response(errors)[: len(places)]
     if fits.gauge is None or fits.unknowns is None:
         return follows
     return _nearest(fits.gauge, fits.unknowns, n) @ follows
@@ -155,7 +152,7 @@ def covariances(fits: Fits) -> tuple[Array, Array | None]:
     mechanism = fits.calibration.mechanism
     n = len(mechanism.parameters)
     if fits.latent:
-        full = fits.fits[0].fit.covariance
+        full = fits.fits[0].covariance
         return full[:n, :n], full[n:, n:]
     covariance = all_legs(mechanism, fits.fits)
     if fits.gauge is None or fits.unknowns is None:
@@ -187,7 +184,7 @@ def confidence(found: Fits) -> Confidence:
     Noise of repeated rows: as many degrees of freedom as these have. Estimated noise: by the
     covariance of the variance components; of a fit with its own scale, its own.
     """
-    calibration, fits = found.calibration, [robust.fit for robust in found.fits]
+    calibration, fits = found.calibration, found.fits
     model = calibration.noise
     sizes = [len(fit.covariance) for fit in fits]
     if not model.known and not (found.latent and found.variances is not None):

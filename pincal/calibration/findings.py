@@ -14,13 +14,12 @@ from pincal.calibration.promise import UNEXPLAINED
 from pincal.calibration.result import CalibrationResult
 from pincal.errors import PincalError
 from pincal.estimation.components import Moments
-from pincal.estimation.fit import curvature
+from pincal.estimation.fit import Fit, Outlier, curvature
 from pincal.estimation.noise import assumed_noise
 from pincal.estimation.observability.indices import DIFFER, plausible_changes
 from pincal.estimation.residuals.courses import Score, scores
 from pincal.estimation.residuals.losses import FALSE_ALARM
-from pincal.estimation.residuals.redundancy import together
-from pincal.estimation.residuals.robust import Outlier, Robust
+from pincal.estimation.residuals.score import together
 from pincal.finding import Finding
 from pincal.kinematics.closure import largest_size
 from pincal.model.checks import ROUNDING
@@ -66,7 +65,6 @@ def findings_of(result: CalibrationResult, fits: Fits | None = None) -> tuple[Fi
         *noise,
         *far,
         *curved,
-        *_open(result),
         *_rows(result, lacking=bool(lacks)),
         *_legs(result),
     )
@@ -131,7 +129,7 @@ def blame_wrong_rows(
 
 def rounding(fits: Fits) -> bool:
     """Return whether residuals are rounding errors, in which nothing can be read."""
-    mechanism, every = fits.calibration.mechanism, [robust.fit for robust in fits.fits]
+    mechanism, every = fits.calibration.mechanism, fits.fits
     size = largest_size(mechanism.legs)
     parts = [one.last.conditions[one.good] for one in every]
     return all(np.abs(part).max(initial=0.0) <= 10.0 * ROUNDING * max(1.0, size) for part in parts)
@@ -194,11 +192,11 @@ def _proportion(fits: Fits) -> list[Finding]:
     that of the noise itself where repeated rows show it.
     """
     noise = fits.calibration.noise
-    if not noise.known or any(robust.fit.system.loss is not None for robust in fits.fits):
+    if not noise.known or any(fit.system.loss is not None for fit in fits.fits):
         return []
     unit = noise.noise.reading or assumed_noise(fits.calibration.mechanism, exact=False).reading
-    moments = Moments.of([(robust.fit, robust.fit.problem) for robust in fits.fits], unit)
-    readings = any(robust.fit.problem.leg_block.sigma.any() for robust in fits.fits)
+    moments = Moments.of([(fit, fit.problem) for fit in fits.fits], unit)
+    readings = any(fit.problem.leg_block.sigma.any() for fit in fits.fits)
     testable = np.array([True, True, readings and noise.source != "rows"])
     groups = np.flatnonzero(testable & (np.diagonal(moments.F) > 0.0))
     F = moments.F[np.ix_(groups, groups)]
@@ -220,11 +218,7 @@ def lacking(fits: Fits) -> list[Finding]:
     much as all single ones. One in a hundred sound calibrations has such findings.
     """
     data = fits.calibration.measurements
-    found = [
-        (score, robust)
-        for robust in fits.fits
-        for score in scores(robust.fit, _again(data, robust.rows))
-    ]
+    found = [(score, fit) for fit in fits.fits for score in scores(fit, _again(data, fit.rows))]
     if not found:  # residuals that are not white
         return []
     common = np.array([score.common for score, _ in found])
@@ -235,8 +229,8 @@ def lacking(fits: Fits) -> list[Finding]:
     for kind, some in ((_lacks, ~again), (_moved, again)):
         p_value = together(p_values[some], weights[some])
         if p_value < FALSE_ALARM:
-            worst, robust = found[np.flatnonzero(some)[np.argmin(p_values[some])]]
-            clear.append(kind(p_value, worst, robust, data))
+            worst, fit = found[np.flatnonzero(some)[np.argmin(p_values[some])]]
+            clear.append(kind(p_value, worst, fit, data))
     return clear
 
 
@@ -251,19 +245,19 @@ def _again(data: Measurements, rows: Index) -> dict[str, Index]:
     }
 
 
-def _moved(p_value: float, worst: Score, robust: Robust, data: Measurements) -> Finding:
+def _moved(p_value: float, worst: Score, fit: Fit, data: Measurements) -> Finding:
     """Return that what was measured at one pose moved with time."""
-    rows = robust.rows[_again(data, robust.rows)[worst.place]]
+    rows = fit.rows[_again(data, fit.rows)[worst.place]]
     values: dict[str, Any] = {"pose": worst.place, "quantity": worst.quantity, "size": worst.size}
-    unit = robust.fit.problem.quantities[worst.quantity]
+    unit = fit.problem.quantities[worst.quantity]
     return finding("reference-moved", rows, **values, unit=unit, p_value=p_value)
 
 
-def _lacks(p_value: float, worst: Score, robust: Robust, _: Measurements) -> Finding:
+def _lacks(p_value: float, worst: Score, fit: Fit, _: Measurements) -> Finding:
     """Return what residuals follow."""
     if worst.term == "step":
-        row = int(robust.rows[worst.row])
-        unit = robust.fit.problem.quantities[worst.quantity]
+        row = int(fit.rows[worst.row])
+        unit = fit.problem.quantities[worst.quantity]
         values: dict[str, Any] = {"quantity": worst.quantity, "size": worst.size, "unit": unit}
         return finding("step", (row,), **values, p_value=p_value)
     return finding("model-lacks", quantity=worst.quantity, term=worst.term, p_value=p_value)
@@ -271,17 +265,9 @@ def _lacks(p_value: float, worst: Score, robust: Robust, _: Measurements) -> Fin
 
 def _curved(fits: Fits) -> list[Finding]:
     """Return a finding if intervals of a linearised problem mean little."""
-    weighted_fits = (robust.fit for robust in fits.fits if robust.fit.problem.weighted)
+    weighted_fits = (fit for fit in fits.fits if fit.problem.weighted)
     largest = max((curvature(weighted_fit, _CURVED) for weighted_fit in weighted_fits), default=0.0)
-    intervals = fits.calibration.options.intervals
-    return [finding("curved", curvature=largest, intervals=intervals)] if largest > _CURVED else []
-
-
-def _open(result: CalibrationResult) -> list[Finding]:
-    """Return a finding if the cost does not rise enough along some parameters."""
-    parameters = [*(p for leg in result.legs for p in leg.parameters), *result.external]
-    ids = [p.id for p in parameters if np.isfinite(p.std) and not np.isfinite(p.half)]
-    return [finding("interval-open", parameters=ids)] if ids else []
+    return [finding("curved", curvature=largest)] if largest > _CURVED else []
 
 
 def _far(result: CalibrationResult) -> list[Finding]:

@@ -13,15 +13,15 @@ import numpy as np
 
 from pincal.calibration.calibration import Calibration
 from pincal.errors import MeasurementError, ObservabilityError
-from pincal.estimation.blocks.external import External
+from pincal.estimation.blocks.state import External, State
 from pincal.estimation.components import Beforehand, Moments, estimated_noise, widened
-from pincal.estimation.linear import State
+from pincal.estimation.fit import Fit
 from pincal.estimation.noise import assumed_noise
 from pincal.estimation.observability.gauge import Gauge, find_gauge
 from pincal.estimation.observability.identifiable import HeldUnknowns, hold_unobservable
 from pincal.estimation.problem import Problem
 from pincal.estimation.residuals.losses import Loss, loss_of
-from pincal.estimation.residuals.robust import Robust, robust_fit
+from pincal.estimation.residuals.robust import robust_fit
 from pincal.estimation.system import System
 from pincal.estimation.unknowns import Unknowns
 from pincal.kinematics.closure import largest_size
@@ -41,13 +41,13 @@ class Near:
     @classmethod
     def of(cls, fits: Fits, rows: Mask) -> Near:
         """Return where fits of all legs at once ended, at some of their rows, shape (N,)."""
-        return cls(fits.fits[0].fit.last.state.rows(np.flatnonzero(rows)), fits)
+        return cls(fits.fits[0].last.state.rows(np.flatnonzero(rows)), fits)
 
     def gauge(self, problem: Problem, unknowns: Unknowns) -> Gauge | None:
         """Return the fits' gauge if it is a problem's too: the same is free, measured and known."""
         if self.fits is None or self.fits.unknowns is None:
             return None
-        whole, free = self.fits.fits[0].fit.problem, self.fits.unknowns
+        whole, free = self.fits.fits[0].problem, self.fits.unknowns
         same = (
             free.labels == unknowns.labels
             and np.array_equal(free.map, unknowns.map)
@@ -79,7 +79,7 @@ class Fits:
 
     calibration: Calibration
     """With the noise that was given or estimated."""
-    fits: list[Robust]
+    fits: list[Fit]
     external: External | None = None
     """Values of the unknowns outside the mechanism, if there are any."""
     gauge: Gauge | None = None
@@ -100,11 +100,9 @@ class Fits:
     def parameters(self, mechanism: Mechanism) -> dict[str, Array]:
         """Return identified parameters by leg, each of shape (n_params,)."""
         by_leg = {
-            leg.name: robust.fit.parameters[columns]
-            for robust in self.fits
-            for leg, columns in zip(
-                robust.fit.problem.legs, robust.fit.problem.leg_block.columns, strict=True
-            )
+            leg.name: fit.parameters[columns]
+            for fit in self.fits
+            for leg, columns in zip(fit.problem.legs, fit.problem.leg_block.columns, strict=True)
         }
         return {name: by_leg[name] for name in mechanism.leg_names}
 
@@ -142,7 +140,7 @@ def fitted(calibration: Calibration, *, tied: bool = True, near: Near | None = N
             break
         noise, found, unit = then, then, then.reading or unit
         one = search(calibration.with_noise(noise), tied, one)
-        scale = float(np.mean([robust.fit.noise_scale for robust in one.fits]))
+        scale = float(np.mean([fit.noise_scale for fit in one.fits]))
         if abs(scale - 1.0) > SCALE_OFF and scale > 0.0:  # a group at its floor leaves that to all
             noise = Noise(*(scale * value for value in vars(noise).values()))
             one = search(calibration.with_noise(noise), tied, one)
@@ -151,7 +149,7 @@ def fitted(calibration: Calibration, *, tied: bool = True, near: Near | None = N
 
 def _sound(fits_of_all: Fits) -> bool:
     """Return whether the residuals of fits say something about the noise."""
-    fits = [robust.fit for robust in fits_of_all.fits]
+    fits = fits_of_all.fits
     return all(fit.converged and fit.degrees_of_freedom > 0 for fit in fits)
 
 
@@ -159,17 +157,16 @@ def _with_variances(fits_of_all: Fits, noise: Noise, unit: float) -> Fits:
     """Return fits at noise that was estimated, with what that adds to their covariances."""
     if not _sound(fits_of_all):
         return fits_of_all
-    pairs = [(robust.fit, robust.fit.problem) for robust in fits_of_all.fits]
+    pairs = [(fit, fit.problem) for fit in fits_of_all.fits]
     moments = Moments.of(pairs, noise.reading or unit)
     if moments.rounding:
         return fits_of_all
     information, _ = moments.information(_beforehand(fits_of_all.calibration, noise))
     variances: Array = np.asarray(np.linalg.inv(information))
     fits = []
-    for robust, part in zip(fits_of_all.fits, moments.parts, strict=True):
-        widening = robust.fit.noise_scale**2 * widened(part, variances)
-        fit = replace(robust.fit, covariance=robust.fit.covariance + widening)
-        fits.append(replace(robust, fit=fit))
+    for fit, part in zip(fits_of_all.fits, moments.parts, strict=True):
+        widening = fit.noise_scale**2 * widened(part, variances)
+        fits.append(replace(fit, widening=fit.widening + widening))
     return replace(fits_of_all, fits=fits, variances=variances)
 
 
@@ -188,7 +185,7 @@ def _noise_of(fits_of_all: Fits, noise: Noise, unit: float) -> Noise:
         noise: At which they were made.
         unit: Standard deviation of readings to try where they were exact.
     """
-    fits, calibration = [robust.fit for robust in fits_of_all.fits], fits_of_all.calibration
+    fits, calibration = fits_of_all.fits, fits_of_all.calibration
     for _ in range(ROUNDS):
         problems = _problems(calibration.with_noise(noise), fits_of_all)
         moments = Moments.of(list(zip(fits, problems, strict=True)), noise.reading or unit)
@@ -214,9 +211,7 @@ def _problems(calibration: Calibration, fits_of_all: Fits) -> list[Problem]:
     plain = calibration.options.setup.plain
     measured_poses = calibration.given_poses(None if plain else fits_of_all.external)
     names = list(calibration.mechanism.leg_names)
-    groups = [
-        [names.index(leg.name) for leg in robust.fit.problem.legs] for robust in fits_of_all.fits
-    ]
+    groups = [[names.index(leg.name) for leg in fit.problem.legs] for fit in fits_of_all.fits]
     return [calibration.measured_problem(group, *measured_poses)[0] for group in groups]
 
 
@@ -241,8 +236,8 @@ def _all_legs(
         calibration.check_counts()
     start = gauge = None
     if before is not None:
-        start, gauge = before.fits[0].fit.last.state, before.gauge
-        first = before.fits[0].fit.problem.first
+        start, gauge = before.fits[0].last.state, before.gauge
+        first = before.fits[0].problem.first
     else:
         if near is not None:
             start, gauge = near.state, near.gauge(problem, unknowns)
@@ -258,13 +253,10 @@ def _all_legs(
     options.report("identifying all legs and poses")
     kept = calibration.counts
     system = System(problem, free, calibration.noise.known, kept=None if kept.all() else kept)
-    every = np.arange(len(calibration.measurements))
-    found = robust_fit(
-        mechanism, system, every, _loss(calibration), start, progress=options.progress
-    )
+    found = robust_fit(mechanism, system, _loss(calibration), start, options.progress)
     if before is not None:  # whose search began where this one's would have
-        found = replace(found, fit=replace(found.fit, first=before.fits[0].fit.first))
-    external = found.fit.last.state.external
+        found = replace(found, first=before.fits[0].first)
+    external = found.last.state.external
     return Fits(calibration, [found], external, gauge, unknowns, held)
 
 
@@ -311,7 +303,7 @@ def _fit_groups(
     groups: list[list[int]],
     unknowns: Unknowns,
     external: External | None,
-) -> list[Robust]:
+) -> list[Fit]:
     """Return a fit for each group of legs, poses as measured in a frame."""
     mechanism, options = calibration.mechanism, calibration.options
     poses, roots = calibration.given_poses(external)
@@ -323,9 +315,8 @@ def _fit_groups(
         kept = calibration.counts[rows]
         known = calibration.noise.known
         system = System(problem, unknowns.part(names), known, kept=None if kept.all() else kept)
-        fits.append(
-            robust_fit(mechanism, system, rows, _loss(calibration), progress=options.progress)
-        )
+        loss = _loss(calibration)
+        fits.append(robust_fit(mechanism, system, loss, progress=options.progress))
     return fits
 
 
@@ -342,19 +333,17 @@ def _groups(calibration: Calibration) -> list[list[int]]:
 
 
 def _toward_nominal(
-    gauge: Gauge, problem: Problem, unknowns: Unknowns, fits: list[Robust], external: External
+    gauge: Gauge, problem: Problem, unknowns: Unknowns, fits: list[Fit], external: External
 ) -> Array:
     """Return the step of the external unknowns that brings the parameters nearest to nominal."""
     n = problem.leg_block.n_parameters
     if problem.first is None:
         raise TypeError("the problem has no start")
     values = unknowns.start.copy()
-    for robust in fits:
-        for leg, columns in zip(
-            robust.fit.problem.legs, robust.fit.problem.leg_block.columns, strict=True
-        ):
+    for fit in fits:
+        for leg, columns in zip(fit.problem.legs, fit.problem.leg_block.columns, strict=True):
             place = [leg.name for leg in problem.legs].index(leg.name)
-            values[problem.leg_block.columns[place]] = robust.fit.parameters[columns]
+            values[problem.leg_block.columns[place]] = fit.parameters[columns]
     outside = problem.observation.external
     values[n:] = outside.coordinates(external) - outside.coordinates(problem.first.external)
     deviations = np.linalg.lstsq(unknowns.map, values - unknowns.start, rcond=None)[0]

@@ -8,7 +8,7 @@ import numpy as np
 
 from pincal.model.parameter import Parameter
 from pincal.types import Array, Index
-from pincal.words.numbers import SMALL, VALUES, ends, fixed, measured, shown_in, uneven
+from pincal.words.numbers import SMALL, measured, shown_in
 
 HELD = "held nearest to nominal"
 
@@ -40,20 +40,9 @@ class IdentifiedParameter(Parameter):
         return (self.high - self.low) / 2
 
     @property
-    def ends(self) -> tuple[float, float]:
-        """How far the 95 % interval goes down and up from the identified value."""
-        return self.identified - self.low, self.high - self.identified
-
-    @property
     def text(self) -> str:
-        """Identified value ± half its 95 % interval, in the unit in which people read it.
-
-        With both ends, ``1.23 -0.40 +0.52``, where one is farther off.
-        """
-        if np.isinf(self.std) or not uneven(*self.ends):
-            return measured(self.identified, self.half, self.unit)
-        value = fixed(self.identified, min(self.ends), self.unit)
-        return f"{value} {ends(*self.ends, self.unit)} {VALUES[self.unit]}".strip()
+        """Identified value ± half its 95 % interval, in the unit in which people read it."""
+        return measured(self.identified, self.half, self.unit)
 
     def __str__(self) -> str:
         """Return what is known of it, in a line: ``leg_1.l: 1501.4 ± 0.8 mm (95 %), …``."""

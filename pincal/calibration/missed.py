@@ -19,10 +19,10 @@ from pincal.calibration.fits import Fits
 from pincal.calibration.options import clusters
 from pincal.design.platform_error import CONFIDENCE, DRAWS
 from pincal.estimation.fit import Fit
-from pincal.estimation.linear import Linear, Orthonormal
-from pincal.estimation.residuals.robust import Robust
+from pincal.estimation.problem import Linear
 from pincal.estimation.solver import solve_poses
 from pincal.estimation.start import placed, poses_at_rest
+from pincal.estimation.system import NormalEquations
 from pincal.kinematics.batches import CHUNK
 from pincal.kinematics.forward import forward
 from pincal.model.setup import ORIGIN
@@ -219,7 +219,7 @@ class Predicted:
 
 def predictions(fits_of_all: Fits, unseen: Calibration) -> list[tuple[Fit, Linear]]:
     """Return fits with their residuals and derivatives at rows that they have not seen."""
-    fits = [robust.fit for robust in fits_of_all.fits]
+    fits = fits_of_all.fits
     if fits_of_all.latent:
         (one,) = fits
         problem = unseen.latent_problem
@@ -240,7 +240,7 @@ def predictions(fits_of_all: Fits, unseen: Calibration) -> list[tuple[Fit, Linea
 _RANK = 1e-10  # least share of a direction in a fold
 
 
-def least_of_folds(least: float, fits: Sequence[Robust], groups: Index, *, known: bool) -> float:
+def least_of_folds(least: float, fits: Sequence[Fit], groups: Index, *, known: bool) -> float:
     """Return the probability that the least of all folds' probabilities is so small, or smaller.
 
     By draws from what the model would make of noise; where none is as small, what independent folds
@@ -257,9 +257,9 @@ def least_of_folds(least: float, fits: Sequence[Robust], groups: Index, *, known
     if count < 2 or (groups < 0).any():
         return bound
     random = np.random.default_rng(0)
-    parts = [_drawn(robust.fit, groups[robust.rows], count, random) for robust in fits]
+    parts = [_drawn(fit, groups[fit.rows], count, random) for fit in fits]
     inside, own, equations = (np.sum(one, axis=0) for one in zip(*parts, strict=True))
-    dof = sum(robust.fit.degrees_of_freedom for robust in fits)
+    dof = sum(fit.degrees_of_freedom for fit in fits)
     if known:
         unlikely = inside >= chdtri(equations, least)
     else:  # of a share x of all, or more: the chance that 1 − x follows a beta distribution
@@ -274,11 +274,11 @@ def _drawn(
     fit: Fit, folds: Index, count: int, random: np.random.Generator
 ) -> tuple[Array, Array, Array]:
     """Return drawn statistics and squared residuals of folds, (draws, count), their equations."""
-    weights = (fit.weights > 0.0)[:, None, None]
-    J = np.where(weights, fit.last.jacobian @ fit.unknowns.map, 0.0)
-    _, prior = fit.unknowns.prior_rows(fit.unknowns.start)
-    orthonormal = Orthonormal.of(J, prior)
-    Q = orthonormal(J).transpose(0, 2, 1)
+    used = fit.weights > 0.0
+    J = np.where(used[:, None, None], fit.last.jacobian @ fit.unknowns.map, 0.0)
+    _, prior = fit.unknowns.prior_rows(fit.parameters)
+    normal = NormalEquations.of(fit.system.triangle(fit.last, used.astype(float), white=True))
+    Q = normal.orthonormal(J).transpose(0, 2, 1)
     roots, equations = [], []  # draws need no more than single precision
     for fold in range(count):
         part = Q[folds == fold]
@@ -286,11 +286,11 @@ def _drawn(
         has = share > _RANK
         root = np.sqrt(share[has])[:, None] * V[:, has].T
         roots.append((root.astype(np.float32), (1.0 - share[has]).astype(np.float32)))
-        equations.append(int(fit.last.equations[folds == fold][weights[folds == fold, 0, 0]].sum()))
+        equations.append(int(fit.last.equations[folds == fold][used[folds == fold]].sum()))
     drawn = [random.standard_normal((DRAWS, len(left)), np.float32) for _, left in roots]
     taken = sum(u @ root for u, (root, _) in zip(drawn, roots, strict=True))
     if len(prior):
-        held = orthonormal(prior).astype(np.float32)
+        held = normal.orthonormal(prior).astype(np.float32)
         taken = taken + random.standard_normal((DRAWS, len(prior)), np.float32) @ held
     inside, squared = np.empty((DRAWS, count)), np.empty((DRAWS, count))
     for fold, (u, (root, left)) in enumerate(zip(drawn, roots, strict=True)):

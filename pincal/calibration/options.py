@@ -92,7 +92,6 @@ def _regions(readings: Array, count: int) -> Index:
 
 
 Poses = Literal["own", "all"]
-Intervals = Literal["wald", "profile"]
 Progress = Callable[[str], None] | None
 AUTO: Final = "auto"
 """What is found by the measurements: terms that pay, the size of tolerances."""
@@ -169,11 +168,6 @@ class Options:
         "Held-out validation, and choice of terms; 0 leaves the validation out.",
         least=0,
     )
-    intervals: Intervals = option(
-        "wald", "By standard errors, or by the profile of the cost: where curved."
-    )
-    """``"profile"`` ends where the cost with a parameter held, all others fitted again, has risen
-    as far: for problems that are curved within their uncertainty."""
     progress: Progress = field(default=None, compare=False, repr=False)
     """Called with what is being done."""
 
@@ -214,11 +208,6 @@ class Options:
             raise MeasurementError(
                 "instruments need all legs at once and the closure residual; leave out "
                 "method='per-leg' and residual='joint'"
-            )
-        if self.intervals == "profile" and not (self.latent or self.setup.plain):
-            raise MeasurementError(
-                "profile intervals of legs alone need poses measured in the base frame; identify "
-                "all legs at once (leave out --method per-leg), or leave out --intervals profile"
             )
         for name in ("fixed", "tied", "terms"):
             given = getattr(self, name)
@@ -265,7 +254,7 @@ class Options:
             self.progress(what)
 
 
-_CHOICES = {"method": Method, "residual": Residual, "poses": Poses, "intervals": Intervals}
+_CHOICES = {"method": Method, "residual": Residual, "poses": Poses}
 
 
 def _parse_priors(texts: Iterable[str]) -> dict[str, str]:

@@ -23,9 +23,9 @@ from pincal.calibration.promise import (
     whitened,
 )
 from pincal.design.platform_error import PlatformError
-from pincal.estimation.blocks.external import External
+from pincal.estimation.blocks.state import External
+from pincal.estimation.fit import Outlier
 from pincal.estimation.observability.identifiable import WeakPair, weak_pairs
-from pincal.estimation.residuals.robust import Outlier
 from pincal.finding import Finding
 from pincal.model.measurements import Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism
@@ -106,8 +106,6 @@ class CalibrationResult:
     """What to know first: warnings and remarks, as data."""
     outliers: tuple[Outlier, ...] = ()
     """Rows that do not fit the others, the worst first."""
-    shift: float | None = None
-    """With a robust loss: by how many standard errors a parameter would move, at most, without."""
     gauge: tuple[Finding, ...] = ()
     """What was fixed by choice, since no such measurement can observe it."""
     gauge_directions: Array | None = None

@@ -147,10 +147,11 @@ def _kept(data: dict[str, Any], name: str, kind: Any) -> Any:
 
 def restored(data: dict[str, Any], nominal: Mechanism) -> CalibrationResult:
     """Return the result of plain data; data of another shape raise whatever they raise."""
+    options = {name: value for name, value in data["options"].items() if name != "intervals"}
     calibration = Calibration(
         nominal,
         _CONVERTER.structure(data["measurements"], Measurements),
-        _CONVERTER.structure(data["options"], Options),
+        _CONVERTER.structure(options, Options),
         start=_kept(data, "start", Array),
         known_noise=_kept(data, "noise_model", NoiseModel),
     )
@@ -243,7 +244,6 @@ def as_json(result: CalibrationResult) -> dict[str, Any]:
         "method": result.method,
         "residual": result.options.residual,
         "poses": "all" if result.options.every_pose else "own",
-        "intervals": result.options.intervals,
         "converged": result.converged,
         "message": result.message,
         "evaluations": result.evaluations,
@@ -261,7 +261,6 @@ def as_json(result: CalibrationResult) -> dict[str, Any]:
         ],
         "loss": result.loss,
         "outliers": [vars(outlier) | {"row": outlier.row + 1} for outlier in result.outliers],
-        "shift_without_loss": result.shift,
         "external": [_parameter(p) for p in result.external],
         "gauge": [sentence(freedom) for freedom in result.gauge],
         "ties": [vars(tie) | {"holds": tie.holds} for tie in result.ties],

@@ -47,7 +47,7 @@ def with_found_tolerance(calibration: Calibration) -> Calibration:
     answer = None
     for _ in range(ROUNDS if sought_units else 0):
         calibration.options.report("finding how far the machine is from its drawing")
-        parts = [Evidence.of(robust.fit, groups) for robust in fitted(calibration).fits]
+        parts = [Evidence.of(fit, groups) for fit in fitted(calibration).fits]
         rise = float(chdtri(1, 1.0 - CONFIDENCE))
         answer = likeliest(parts, sizes, (ALIKE * ends, ends), rise)
         moved = np.abs(np.log(answer.most / sizes)).max()
@@ -77,10 +77,10 @@ def with_unsure_tolerances(fits_of_all: Fits) -> Fits:
     """
     mechanism, fits = fits_of_all.calibration.mechanism, []
     units = {parameter.id: parameter.unit for parameter in mechanism.parameters}
-    for robust in fits_of_all.fits:
-        fit = robust.fit
-        unknowns, covariance = fit.unknowns, fit.covariance
-        values = fit.system.values(fit.last.state) - unknowns.nominal
+    for fit in fits_of_all.fits:
+        unknowns, widening = fit.unknowns, fit.widening
+        values = np.zeros_like(unknowns.nominal)
+        values[: len(fit.parameters)] = fit.parameters - unknowns.nominal[: len(fit.parameters)]
         for tolerance in fits_of_all.calibration.tolerances:
             of_unit = np.array([units.get(id_) == tolerance.unit for id_ in unknowns.labels])
             tolerated = of_unit & (
@@ -92,8 +92,8 @@ def with_unsure_tolerances(fits_of_all: Fits) -> Fits:
             )
             unsure = np.sqrt(2.0 / max(determined, 0.5))  # of the logarithm; at most a factor of e²
             follows = unsure / fit.noise_scale**2 * (fit.covariance @ pull)
-            covariance = covariance + np.outer(follows, follows)
-        fits.append(replace(robust, fit=replace(fit, covariance=covariance)))
+            widening = widening + np.outer(follows, follows)
+        fits.append(replace(fit, widening=widening))
     return replace(fits_of_all, fits=fits)
 
 

@@ -101,14 +101,14 @@ def held_out(
     whole = _converged(calibration, "the fit of all rows") if whole is None else whole
     calibration = whole.calibration
     if calibration.options.loss != "none":
-        outlying = [outlier.row for robust in whole.fits for outlier in robust.outliers]
+        outlying = [outlier.row for fit in whole.fits for outlier in fit.outliers]
         fitting_rows = ~np.isin(np.arange(len(calibration.measurements)), outlying)
         calibration = calibration.rows(fitting_rows).with_options(loss="none")
         whole = _converged(calibration, "the fit of the rows that fit")
         calibration = whole.calibration
     groups = folds_of(calibration.measurements, folds, by)
     every = bool((groups >= 0).all())  # rows to verify with are in no fit
-    total = sum(robust.fit.chi2 for robust in whole.fits) if every else None
+    total = sum(fit.chi2 for fit in whole.fits) if every else None
     count = int(groups.max()) + 1
     parts: list[Predicted] = []
     misses: list[tuple[Calibration, Misses]] = []
@@ -125,8 +125,8 @@ def held_out(
         parts += own
         misses.append((unseen, misses_of(unseen, fold_fits)))
     equations = sum(part.equations for part in parts)
-    dof = sum(robust.fit.degrees_of_freedom for robust in whole.fits)
-    fit = sum(robust.fit.chi2 for robust in whole.fits) / max(dof, 1)
+    dof = sum(fit.degrees_of_freedom for fit in whole.fits)
+    fit = sum(fit.chi2 for fit in whole.fits) / max(dof, 1)
     unit = 1.0 if calibration.noise.known else max(fit, 1e-300)  # noise that was estimated
     growth = sum(part.unknown for part in parts) / equations
     held = np.sqrt(sum(part.squares for part in parts) / equations / unit)
@@ -162,7 +162,7 @@ def _converged(calibration: Calibration, what: str, near: Near | None = None) ->
         MeasurementError: they do not converge.
     """
     fits = fitted(calibration, near=near)
-    if not all(robust.fit.converged for robust in fits.fits):
+    if not all(fit.converged for fit in fits.fits):
         raise MeasurementError(
             f"{what} does not converge; measure more poses, or give a better nominal mechanism"
         )
@@ -182,7 +182,7 @@ def _chance(fits_of_all: Fits, parts: Sequence[Predicted], total: float | None) 
         total: χ² of all rows at this noise; by the first order if not given.
     """
     equations = sum(part.equations for part in parts)
-    fits = [robust.fit for robust in fits_of_all.fits]
+    fits = fits_of_all.fits
     dof = sum(fit.degrees_of_freedom for fit in fits)
     share = 1.0 if fits_of_all.latent else chi2_freedoms(fits_of_all.fits) / max(dof, 1)
     chi2_seen = sum(fit.chi2 for fit in fits)

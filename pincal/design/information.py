@@ -15,8 +15,8 @@ from typing import Literal
 import numpy as np
 
 from pincal.errors import MeasurementError
-from pincal.estimation.blocks.external import ExternalUnknowns
 from pincal.estimation.blocks.observation import Observation
+from pincal.estimation.blocks.state import ExternalUnknowns
 from pincal.estimation.observability.gauge import frames_moved, split_frames
 from pincal.estimation.observability.indices import (
     GENERIC,

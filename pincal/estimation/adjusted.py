@@ -14,8 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from pincal.errors import MeasurementError
-from pincal.estimation.linear import Linear
-from pincal.estimation.problem import Problem
+from pincal.estimation.problem import Linear, Problem
 from pincal.estimation.solver import NEGLIGIBLE, SolverResult, solve_poses
 from pincal.estimation.system import NormalEquations, System
 from pincal.types import Array
@@ -81,14 +80,14 @@ def last_steps(system: System, optimum: SolverResult) -> SolverResult:
     current = optimum
     try:
         with np.errstate(all="ignore"):
-            conditions = adjusted(problem, current.linear)
+            conditions = adjusted(problem, current.last)
             normal = system.solve(conditions, current.weights, current.scale)
             share, tried = 1.0, 0
             while normal.decrement > NEGLIGIBLE and tried < _STEPS and share > _SHORTEST:
                 tried += 1
                 reached, trial = _stepped(system, current, normal, share)
                 costs = [
-                    system.cost(candidate.residuals, current.weights, candidate.state)
+                    system.cost(candidate.residuals, current.weights, candidate)
                     for candidate in (conditions, trial)
                 ]
                 if not costs[1] < costs[0]:
@@ -99,10 +98,8 @@ def last_steps(system: System, optimum: SolverResult) -> SolverResult:
                 normal = system.solve(conditions, current.weights, current.scale)
     except (MeasurementError, np.linalg.LinAlgError):  # no such conditions there: as it was
         return optimum
-    cost = system.cost(conditions.residuals, current.weights, current.linear.state)
-    dof = max(
-        int(conditions.equations[current.weights > 0.0].sum()) - system.unknowns.map.shape[1], 1
-    )
+    cost = system.cost(conditions.residuals, current.weights, conditions)
+    dof = max(int(conditions.equations[current.weights > 0.0].sum()) - system.unknowns.n_free, 1)
     distance = normal.decrement / (1.0 if system.known else max(float(np.sqrt(cost / dof)), 1e-300))
     return replace(current, distance=distance, converged=distance <= 10.0 * NEGLIGIBLE)
 
@@ -112,12 +109,12 @@ def _stepped(
 ) -> tuple[SolverResult, Linear]:
     """Return where a share of a step leads, and the conditions there at adjusted readings."""
     problem = system.problem
-    state = problem.moved(current.linear, share * (system.unknowns.map @ normal.step()))
+    state = problem.moved(current.last, share * (system.unknowns.map @ normal.step()))
     linear, count = solve_poses(problem, problem.evaluate(state))
     weights, scale = system.weights(linear)
     reached = replace(
         current,
-        linear=linear,
+        last=linear,
         weights=weights,
         scale=scale,
         evaluations=current.evaluations + count + 2,

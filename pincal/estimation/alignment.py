@@ -13,8 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pincal.errors import MeasurementError
-from pincal.estimation.blocks.external import External
-from pincal.estimation.linear import State
+from pincal.estimation.blocks.state import External, State
 from pincal.estimation.problem import Problem
 from pincal.model.measurements import Measurements
 from pincal.model.platform import Platform

@@ -15,9 +15,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pincal.estimation.fit import Fit
-from pincal.estimation.linear import Orthonormal, left_over
 from pincal.estimation.problem import Problem
 from pincal.estimation.residuals.losses import outlying
+from pincal.estimation.system import NormalEquations
 from pincal.kinematics.batches import over_rows
 from pincal.model.measurements import Noise
 from pincal.types import Array
@@ -214,14 +214,12 @@ def _normal(fit: Fit, problem: Problem, readings: float) -> VarianceEquations:
     lengths = np.array([unit == "m" for unit in units], dtype=bool)
     U = [part[rows] for part in (W[:, :, lengths], W[:, :, ~lengths], by_reading)]
     r = linear.residuals[rows]
-    held, prior = fit.unknowns.prior_rows(fit.system.values(fit.last.state))
     if same_noise and (rows == fit.good).all():
-        orthonormal, Q = fit.orthonormal, fit.Q
+        normal, Q = fit.normal, fit.Q
     else:
-        J = linear.jacobian[rows] @ fit.unknowns.map
-        orthonormal = Orthonormal.of(J, prior)
-        Q = orthonormal(J)
-    white, held = left_over(Q, r, orthonormal(prior), held)
+        normal = NormalEquations.of(fit.system.triangle(linear, rows.astype(float), white=True))
+        Q = normal.orthonormal(linear.jacobian[rows] @ fit.unknowns.map)
+    white = r - Q @ normal.c
     V = [part @ part.transpose(0, 2, 1) for part in U]
     VQ = [part @ Q for part in V]
     P = [over_rows(Q, part) for part in VQ]
@@ -239,6 +237,5 @@ def _normal(fit: Fit, problem: Problem, readings: float) -> VarianceEquations:
     )
     q = np.array([float((np.einsum("nmk,nm->nk", part, white) ** 2).sum()) for part in U])
     spread = [[over_rows(a, b) - A @ B for b, B in pairs] for a, A in pairs]
-    by_unknown = orthonormal(fit.unknowns.map).T
-    chi2 = float((white**2).sum() + (held**2).sum())
-    return VarianceEquations(F, q, chi2, np.array(P), np.array(spread), by_unknown)
+    by_unknown = normal.orthonormal(fit.unknowns.map).T
+    return VarianceEquations(F, q, normal.left, np.array(P), np.array(spread), by_unknown)

@@ -295,11 +295,10 @@ class Evidence:
         priors = unknowns.priors.copy()
         priors[places] = np.inf
         system = fit.system.with_priors(priors)
-        values = system.values(fit.last.state)
         return cls(
             system.triangle(fit.last, fit.weights) / fit.noise_scale,
             unknowns.map[places],
-            (values - unknowns.nominal)[places],
+            (fit.parameters - unknowns.nominal[: len(fit.parameters)])[places],
             np.array([groups[labels[place]] for place in places], dtype=np.intp),
         )
 

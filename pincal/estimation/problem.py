@@ -10,17 +10,134 @@ in the latter the columns of the pose are multiplied by its noise and join S.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
+from pincal.errors import MeasurementError
 from pincal.estimation.blocks.legs import LegBlock
 from pincal.estimation.blocks.observation import Observation
-from pincal.estimation.linear import Entry, Linear, State
+from pincal.estimation.blocks.state import Entry, Follow, State
+from pincal.estimation.rows import NoNoiseError, WhiteRows, white_rows
+from pincal.kinematics.batches import block_diagonal, chunks
+from pincal.kinematics.derivatives import Demand
 from pincal.model.leg import Leg
 from pincal.model.platform import Platform
-from pincal.types import Array, Index
+from pincal.types import Array, Index, Mask
+
+NO_NOISE = (
+    "some measurements carry no noise at all; give standard deviations above zero for what is "
+    "measured, and for readings (--noise-reading) where there are more of them than freedoms"
+)
+
+
+@dataclass(frozen=True)
+class Linear:
+    """Conditions of all blocks at a state, also freed of the poses and whitened."""
+
+    state: State
+    """Values of the unknowns, joints where the legs close best."""
+    demands: tuple[Demand, ...]
+    """What each leg demands."""
+    follow: Follow
+    """Returns the legs' joints after a step."""
+    conditions: Array
+    """Residuals e of all blocks, shape (N, k), [m] and [rad]."""
+    entries: tuple[Entry, ...]
+    """A: derivatives by all parameters and external unknowns."""
+    by_pose: Array
+    """B: derivatives by the platform's twist, shape (N, k, dof)."""
+    noise_root: Array
+    """S: root of the noise, shape (N, k, s)."""
+    active: Mask
+    """Rows that something was measured of, shape (N, k)."""
+    equations: Index
+    """How many equations each pose gives, shape (N,)."""
+
+    @property
+    def finite(self) -> bool:
+        """Whether all derivatives by the unknowns exist."""
+        return all(bool(np.isfinite(values).all()) for _, _, values in self.entries)
+
+    def by_parameter(self, poses: slice = slice(None)) -> Array:
+        """Return A of some poses, shape (N, k, n)."""
+        n = max(columns.stop for _, columns, _ in self.entries)
+        A = np.zeros((len(self.conditions[poses]), self.conditions.shape[1], n))
+        for rows, columns, values in self.entries:
+            A[:, rows, columns] = values[poses]
+        return A
+
+    def after(self, step: Array) -> Array:
+        """Return the conditions after a step of the unknowns (n,), to first order, (N, k)."""
+        conditions = self.conditions.copy()
+        for rows, columns, values in self.entries:
+            conditions[:, rows] += values @ step[columns]
+        return conditions
+
+    @cached_property
+    def white(self) -> WhiteRows:
+        """What frees the rows of the poses and whitens them.
+
+        Rows that nothing was measured of have noise of their own, so that they say nothing.
+
+        Raises:
+            MeasurementError: conditions without noise.
+        """
+        noise, idle = self.noise_root, ~self.active
+        if idle.any():
+            size = float(np.median(np.abs(noise[noise != 0.0]))) if noise.any() else 1.0
+            idle_noise = np.where(idle[:, :, None], size * np.eye(idle.shape[1]), 0.0)
+            noise = np.concatenate((noise, idle_noise[:, :, idle.any(axis=0)]), axis=2)
+        try:
+            return white_rows(self.by_pose, noise)
+        except NoNoiseError as error:
+            raise MeasurementError(NO_NOISE) from error
+
+    def whitened(self, conditions: Array) -> Array:
+        """Return conditions of shape (N, k), as those at another state, in these rows, (N, m)."""
+        return self.white(conditions[:, :, None])[:, :, 0]
+
+    @cached_property
+    def residuals(self) -> Array:
+        """Residuals in standard deviations, freed of the poses, shape (N, m)."""
+        return self.whitened(self.conditions)
+
+    @property
+    def jacobian(self) -> Array:
+        """Derivatives of the residuals, shape (N, m, n); made anew each time."""
+        return self.jacobian_of(slice(None), self.white)
+
+    def jacobian_of(self, poses: slice, rows: WhiteRows) -> Array:
+        """Return the derivatives of rows at some poses, shape (N, m, n)."""
+        return np.asarray(rows.reduced[poses] @ self.by_parameter(poses)) / rows.scale[poses]
+
+    def parts(self) -> Iterator[slice]:
+        """Return poses, so many at once as memory holds well."""
+        return chunks(len(self.conditions))
+
+    @cached_property
+    def triangle(self) -> Array:
+        """R of J = Q R over all poses, shape (n, n): the same columns but for a rotation."""
+        parts = [self.jacobian_of(poses, self.white) for poses in self.parts()]
+        triangles = [np.linalg.qr(J.reshape(-1, J.shape[2]), mode="r") for J in parts]
+        return np.asarray(np.linalg.qr(np.concatenate(triangles), mode="r"))
+
+    @property
+    def squares(self) -> Array:
+        """Sum of the squared residuals of each pose in standard deviations, shape (N,)."""
+        return np.einsum("nm,nm->n", self.residuals, self.residuals)
+
+    @cached_property
+    def noise(self) -> Array:
+        """The least noise that explains the conditions, standard deviations, shape (N, s)."""
+        return self.white.least_noise(self.conditions)
+
+    @cached_property
+    def noise_by_parameter(self) -> Array:
+        """Its derivative, shape (N, s, n): rows that do not turn from state to state."""
+        return -(self.white.by_noise.transpose(0, 2, 1) @ self.jacobian)
 
 
 @dataclass(frozen=True)
@@ -76,14 +193,7 @@ class Problem:
         return Problem(self.leg_block.at(rows), self.observation.at(rows), first)
 
     def thinned(self, linear: Linear, max_poses: int = 2000) -> tuple[Problem, Linear, Index]:
-        """Return the problem and its conditions at some poses, spread over all; and which.
-
-        Both as they are where there are no more.
-
-        Args:
-            linear: The conditions of all poses.
-            max_poses: Number of poses; enough to judge by, if not given.
-        """
+        """Return the problem and its conditions at so many poses, spread over all; and which."""
         rows = spread(len(linear.conditions), max_poses)
         if len(rows) == len(linear.conditions):
             return self, linear, rows
@@ -91,10 +201,10 @@ class Problem:
         return part, part.evaluate(linear.state.rows(rows)), rows
 
     def start(self, parameters: Array) -> State:
-        """Return the state from which the search starts, at parameters of the legs."""
+        """Return the state from which the search starts, at parameters, those of the legs first."""
         if self.first is None:
             raise TypeError("the poses have no start yet")
-        return replace(self.first, parameters=parameters)
+        return replace(self.first, parameters=parameters[: self.leg_block.n_parameters])
 
     def evaluate(self, state: State) -> Linear:
         """Return the conditions at a state: rows of the blocks below each other.
@@ -125,7 +235,7 @@ class Problem:
             conditions=np.concatenate([part.value for part in parts], axis=1),
             entries=tuple(entries),
             by_pose=np.concatenate([part.by_pose for part in parts], axis=1),
-            noise_root=_side_by_side([part.noise_root for part in parts]),
+            noise_root=block_diagonal([part.noise_root for part in parts]),
             active=np.concatenate([block.active for block in self.blocks], axis=1),
             equations=self.equations,
         )
@@ -135,7 +245,7 @@ class Problem:
         roots = [self.leg_block.noise_root(linear.demands)]
         if self.latent:
             roots.append(self.observation.noise_root(linear.state))
-        return replace(linear, noise_root=_side_by_side(roots))
+        return replace(linear, noise_root=block_diagonal(roots))
 
     def moved(self, linear: Linear, step: Array) -> State:
         """Return the state after a step of all unknowns, shape (n,), the poses following."""
@@ -157,12 +267,3 @@ def spread(count: int, max_rows: int) -> Index:
 
 def _shifted(places: slice, offset: int) -> slice:
     return slice(places.start + offset, places.stop + offset)
-
-
-def _side_by_side(roots: list[Array]) -> Array:
-    """Return roots of the noise of blocks, (N, k, s) each, in one that has all rows and columns."""
-    rows, columns = (np.cumsum([0, *(root.shape[axis] for root in roots)]) for axis in (1, 2))
-    noise = np.zeros((len(roots[0]), rows[-1], columns[-1]))
-    for root, row, column in zip(roots, rows, columns, strict=False):
-        noise[:, row : row + root.shape[1], column : column + root.shape[2]] = root
-    return noise

@@ -59,6 +59,13 @@ class WhiteRows:
         """W = L⁻¹NᵀS, how white rows follow the noise, shape (N, m, s): W Wᵀ = 1."""
         return self(self.noise)
 
+    @cached_property
+    def back(self) -> Array:
+        """S Wᵀ (W Wᵀ)⁻¹, how conditions follow their rows, shape (N, k, m)."""
+        W = self.by_noise
+        by_rows = np.linalg.solve(W @ W.transpose(0, 2, 1), W @ self.noise.transpose(0, 2, 1))
+        return np.asarray(by_rows.transpose(0, 2, 1))
+
     def least_noise(self, rows: Array) -> Array:
         """Return the least noise ν that explains rows e of shape (N, k), shape (N, s)."""
         white = self(rows[:, :, None])
@@ -109,6 +116,18 @@ def white_rows(pose: Array, noise: Array) -> WhiteRows:
         raise NoNoiseError
     V = L / size[:, None]  # of unit diagonal: its determinant does not underflow
     return WhiteRows(solve(V, N), size[:, :, None], Q[:, :, :dof], R[:, :dof], noise)
+
+
+def plain_rows(noise: Array, unit: float) -> WhiteRows:
+    """Return rows as they are, over a unit: of poses that are known, not whitened.
+
+    Args:
+        noise: S, root of the noise of what was measured, shape (N, k, s).
+        unit: Typical standard deviation, [rad] or [m].
+    """
+    count, k, _ = noise.shape
+    rows, none = np.broadcast_to(np.eye(k), (count, k, k)), np.zeros((count, k, 0))
+    return WhiteRows(rows, np.full((count, k, 1), unit), none, none[:, :0], noise)
 
 
 def _root(rows: Array) -> Array:

@@ -14,8 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pincal.errors import MeasurementError
-from pincal.estimation.linear import Linear
-from pincal.estimation.problem import Problem
+from pincal.estimation.problem import Linear, Problem
 from pincal.estimation.system import NormalEquations, System
 from pincal.kinematics.closure import Newton, largest_size
 from pincal.types import Array, Mask
@@ -56,7 +55,7 @@ class Iterate:
     def of(cls, system: System, linear: Linear) -> Iterate:
         """Return the iterate of a system at conditions."""
         weights, scale = system.weights(linear)
-        cost = system.cost(system.residuals(linear), weights, linear.state)
+        cost = system.cost(system.residuals(linear), weights, linear)
         return cls(linear, weights, scale, cost, system.solve(linear, weights, scale))
 
     @property
@@ -76,7 +75,7 @@ class Iterate:
 class SolverResult:
     """Where a search ended."""
 
-    linear: Linear
+    last: Linear
     """Conditions at the end."""
     weights: Array
     """Weights of the rows, shape (N,)."""
@@ -166,7 +165,7 @@ def _result(
 ) -> SolverResult:
     """Return what a search came to."""
     equations = int(last.linear.equations[last.weights > 0.0].sum())
-    freedoms = max(equations - system.unknowns.map.shape[1], 1)
+    freedoms = max(equations - system.unknowns.n_free, 1)
     unit = 1.0 if system.known else np.sqrt(last.cost / freedoms)
     distance = last.normal.decrement / max(unit, 1e-300)
     exact = last.normal.decrement <= max(NO_STEP, 10.0 * rounding(system, last.linear))
@@ -207,7 +206,7 @@ def _along_the_valley(system: System, current: Iterate, step: Array, damping: fl
             probe = problem.evaluate(problem.moved(linear, _PROBE * (T @ step)))
     except (MeasurementError, np.linalg.LinAlgError):
         return np.zeros_like(step)
-    slope = (system.residuals_in(linear, probe) - system.residuals(linear)) / _PROBE
+    slope = (system.residuals(probe, linear) - system.residuals(linear)) / _PROBE
     gradient = np.zeros_like(step)
     for poses in linear.parts():
         J = system.derivatives(linear, poses) @ T
@@ -256,7 +255,7 @@ def rounding(system: System, linear: Linear) -> float:
     size = largest_size(system.problem.legs)
     rows = max(linear.residuals.size, 1)
     noise = 2.0 * np.finfo(float).eps * size * np.linalg.norm(linear.white.whitener)  # of a chain
-    return float(noise * np.sqrt(system.unknowns.map.shape[1] / rows))
+    return float(noise * np.sqrt(system.unknowns.n_free / rows))
 
 
 _POSES = Newton(steps=10, small=1e-4, largest=0.2)  # solved again until first order away

@@ -16,9 +16,8 @@ from scipy.spatial import KDTree
 from pincal.errors import MeasurementError
 from pincal.estimation.alignment import aligned
 from pincal.estimation.blocks.covariances import RowNoise
-from pincal.estimation.blocks.external import External
-from pincal.estimation.linear import Linear, State
-from pincal.estimation.problem import Problem, spread
+from pincal.estimation.blocks.state import External, State
+from pincal.estimation.problem import Linear, Problem, spread
 from pincal.estimation.solver import search, solve_poses
 from pincal.estimation.system import System
 from pincal.kinematics.closing import home_mode, mode_sign
@@ -313,7 +312,7 @@ def near_start(
     easy_result = search(
         easy, begin, progress, enough=_EASY_NEAR, max_evaluations=_EASY_EVALUATIONS
     )
-    state, evaluations = easy_result.linear.state, solved + easy_result.evaluations
+    state, evaluations = easy_result.last.state, solved + easy_result.evaluations
     if len(rows) < count:
         state = replace(problem.start(state.parameters), external=state.external)
     state = _among_similar(problem, state, sound)

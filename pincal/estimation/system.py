@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pincal.estimation.linear import Linear, State, joined
-from pincal.estimation.problem import Problem
+from pincal.estimation.problem import Linear, Problem
 from pincal.estimation.residuals.losses import Loss, robust_scale
+from pincal.estimation.rows import WhiteRows, plain_rows
 from pincal.estimation.unknowns import Unknowns
 from pincal.types import Array, Mask
 
-ROWS_FOLLOW = 1e-3  # of the cost, by which it may grow as rows follow the state
+ROWS_FOLLOW = 1e-3  # share of the cost by which it may grow as rows follow the state
 
 
 @dataclass(frozen=True)
@@ -51,23 +51,30 @@ class System:
         """Return the scale of the noise by the rows in the middle."""
         rows = self.in_use(linear)
         equations = linear.equations[rows]
-        share = 1.0 - self.unknowns.map.shape[1] / max(int(equations.sum()), 1)
+        share = 1.0 - self.unknowns.n_free / max(int(equations.sum()), 1)
         return robust_scale(linear.squares[rows], equations, max(share, 0.1))
 
-    def residuals(self, linear: Linear) -> Array:
-        """Return what is minimised, shape (N, m)."""
-        return linear.residuals if self.problem.weighted else linear.conditions / self.unit
+    def rows(self, linear: Linear) -> WhiteRows:
+        """Return what makes the rows that are minimised: white ones, or plain ones over a unit."""
+        weighted = self.problem.weighted
+        return linear.white if weighted else plain_rows(linear.white.noise, self.unit)
+
+    def residuals(self, linear: Linear, frame: Linear | None = None) -> Array:
+        """Return what is minimised, shape (N, m), in the rows of another state if one is given."""
+        return self.rows(frame or linear)(linear.conditions[:, :, None])[:, :, 0]
 
     def derivatives(self, linear: Linear, poses: slice = slice(None)) -> Array:
         """Return the derivatives of what is minimised, shape (N, m, n)."""
-        if self.problem.weighted:
-            return linear.jacobian_of(poses)
-        return linear.by_parameter(poses) / self.unit
+        return linear.jacobian_of(poses, self.rows(linear))
 
     def triangle(
         self, linear: Linear, weights: Array, bend: Array | None = None, *, white: bool = False
     ) -> Array:
         """Return R of the Jacobian in the free unknowns beside the residuals, with priors.
+
+            ┌ J  r ┐
+            │ J  r │ = Q R      one block row a pose, those of the priors above
+            └ ⋮  ⋮ ┘
 
         Args:
             linear: Where.
@@ -78,43 +85,33 @@ class System:
         Returns:
             Shape (n_free + 1, n_free + 1).
         """
-        residuals = linear.residuals if white else self.residuals(linear)
-        r, J = self.unknowns.prior_rows(self.values(linear.state))
-        n = self.unknowns.map.shape[1]
+        rows = linear.white if white else self.rows(linear)
+        residuals = rows(linear.conditions[:, :, None])[:, :, 0]
+        r, J = self.unknowns.prior_rows(linear.state.parameters)
+        n = self.unknowns.n_free
         R = np.concatenate((np.column_stack((J, r)), np.zeros((n + 1, n + 1))))
         for poses in linear.parts():
             used, root = weights[poses] > 0.0, np.sqrt(weights[poses])[:, None]
-            J = linear.jacobian_of(poses) if white else self.derivatives(linear, poses)
-            J, r = root[:, :, None] * J, root * residuals[poses]
+            J, r = root[:, :, None] * linear.jacobian_of(poses, rows), root * residuals[poses]
             if bend is not None:
                 J, r = bent(J, r, np.sqrt(bend[poses]))
             J = J[used].reshape(-1, J.shape[2]) @ self.unknowns.map
-            R = joined(R, np.column_stack((J, r[used].ravel())))
+            below = np.column_stack((J, r[used].ravel()))
+            R = np.asarray(np.linalg.qr(np.concatenate((R, below)), mode="r"))
         return R
 
-    def values(self, state: State) -> Array:
-        """Return the parameters with zeros for the external unknowns, which have no priors."""
-        n = len(self.unknowns.names)
-        return np.concatenate((state.parameters, np.zeros(n - len(state.parameters))))
-
-    def cost(self, value: Array, weights: Array, state: State) -> float:
-        """Return what is minimised, from residuals of shape (N, m)."""
-        prior, _ = self.unknowns.prior_rows(self.values(state))
+    def cost(self, value: Array, weights: Array, linear: Linear) -> float:
+        """Return what is minimised at a state, from residuals of shape (N, m)."""
+        prior, _ = self.unknowns.prior_rows(linear.state.parameters)
         return float(weights @ np.einsum("nm,nm->n", value, value) + prior @ prior)
 
     def cost_at(self, linear: Linear) -> float:
         """Return what is minimised at conditions, in their own weights."""
-        return self.cost(self.residuals(linear), self.weights(linear)[0], linear.state)
-
-    def residuals_in(self, frame: Linear, linear: Linear) -> Array:
-        """Return what is minimised at another state, in the rows of this one, shape (N, m)."""
-        if self.problem.weighted:
-            return frame.whitened(linear.conditions)
-        return linear.conditions / self.unit
+        return self.cost(self.residuals(linear), self.weights(linear)[0], linear)
 
     def cost_in(self, frame: Linear, trial: Linear, weights: Array) -> float:
         """Return the cost at a trial, in the rows and weights of another state."""
-        return self.cost(self.residuals_in(frame, trial), weights, trial.state)
+        return self.cost(self.residuals(trial, frame), weights, trial)
 
     def falls(self, start: Linear, trial: Linear, weights: Array, cost: float) -> bool:
         """Return whether a step is a good one.
@@ -123,11 +120,9 @@ class System:
         the optimum, where rows turn with the state, in the rows of its end; near it, in those of
         its beginning.
         """
-        trial_cost = self.cost(self.residuals(trial), weights, trial.state)
-        if trial_cost < cost:
-            return True
+        trial_cost = self.cost_in(trial, trial, weights)
         near = trial_cost <= (1.0 + ROWS_FOLLOW) * cost
-        return near and self.cost_in(start, trial, weights) <= cost
+        return trial_cost < cost or (near and self.cost_in(start, trial, weights) <= cost)
 
     def solve(self, linear: Linear, weights: Array, scale: float) -> NormalEquations:
         """Return the normal equations in square-root form, a loss with its curvature."""
@@ -150,7 +145,10 @@ def bent(J: Array, r: Array, root: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class NormalEquations:
-    """R δz = −c of Q R = J, columns of unit length."""
+    """R δz = −c of Q R = J, columns of J of unit length; rows of the priors are among those of J.
+
+    Least squares with J take up Q c of the residuals and leave r − Q c.
+    """
 
     lengths: Array
     """Of the columns of J, shape (n,)."""
@@ -158,6 +156,8 @@ class NormalEquations:
     """Shape (n, n)."""
     c: Array
     """Qᵀ r, shape (n,)."""
+    left: float
+    """Square of what is left of the residuals, |r − Q c|²."""
 
     @classmethod
     def of(cls, triangle: Array) -> NormalEquations:
@@ -165,13 +165,18 @@ class NormalEquations:
         n = len(triangle) - 1
         lengths = np.linalg.norm(triangle[:n, :n], axis=0)
         lengths[lengths == 0.0] = 1.0
-        return cls(lengths, triangle[:n, :n] / lengths, triangle[:n, n])
+        R, c = triangle[:n, :n] / lengths, triangle[:n, n]
+        return cls(lengths, R, c, float(triangle[n, n] ** 2))
+
+    def orthonormal(self, rows: Array) -> Array:
+        """Return Q of rows of J, of the same shape (…, n)."""
+        scaled = (rows / self.lengths).swapaxes(-1, -2)
+        return np.asarray(np.linalg.solve(self.R.T, scaled)).swapaxes(-1, -2)
 
     @property
-    def covariance(self) -> Array:
-        """(JᵀJ)⁻¹, shape (n, n)."""
-        inverse = np.linalg.inv(self.R)
-        return (inverse @ inverse.T) / np.outer(self.lengths, self.lengths)
+    def root(self) -> Array:
+        """Root of (JᵀJ)⁻¹, shape (n, n)."""
+        return np.asarray(np.linalg.inv(self.R)) / self.lengths[:, None]
 
     @property
     def decrement(self) -> float:
@@ -184,10 +189,8 @@ class NormalEquations:
 
     def solve(self, gradient: Array, damping: float) -> Array:
         """Return (JᵀJ + damping)⁻¹ g of a gradient of shape (n,), shape (n,)."""
-        n = len(self.c)
-        R = np.asarray(
-            np.linalg.qr(np.concatenate((self.R, np.sqrt(damping) * np.eye(n))), mode="r")
-        )
+        damped = np.concatenate((self.R, np.sqrt(damping) * np.eye(len(self.c))))
+        R = np.asarray(np.linalg.qr(damped, mode="r"))
         half = np.linalg.solve(R.T, gradient / self.lengths)
         return np.asarray(np.linalg.solve(R, half)) / self.lengths
 

@@ -47,15 +47,20 @@ class Unknowns:
         """Ids such as ``leg_1.l``, length n."""
         return _labels(zip(self.owners, self.names, strict=True))
 
+    @property
+    def n_free(self) -> int:
+        """Number of free unknowns."""
+        return self.map.shape[1]
+
     def prior_rows(self, parameters: Array) -> tuple[Array, Array]:
         """Return residuals of the priors in standard deviations and their Jacobian in z.
 
         Args:
-            parameters: Values, shape (n,).
+            parameters: Values of the legs', shape (n_params,): external ones have no priors.
         """
-        known = np.isfinite(self.priors)
+        known = np.flatnonzero(np.isfinite(self.priors))
         sigma = self.priors[known]
-        return (parameters - self.nominal)[known] / sigma, self.map[known] / sigma[:, None]
+        return (parameters[known] - self.nominal[known]) / sigma, self.map[known] / sigma[:, None]
 
     def held(self, directions: Array) -> Unknowns:
         """Return the unknowns less the freedom to move along directions of z.

@@ -14,7 +14,7 @@ from matplotlib.patches import Rectangle
 from pincal.calibration.fits import Fits, Near, fitted
 from pincal.calibration.result import CalibrationResult
 from pincal.errors import MeasurementError
-from pincal.estimation.linear import State
+from pincal.estimation.blocks.state import State
 from pincal.estimation.residuals.redundancy import Remainders, every_residual
 from pincal.model.setup import Camera
 from pincal.show.pictures.parts import (
@@ -295,8 +295,8 @@ class _ResidualKind(NamedTuple):
 def _residual_kinds(result: CalibrationResult) -> dict[tuple[bool, str], _ResidualKind]:
     """Return what the fit leaves, by whether it is of a leg, and its name."""
     kinds = {}
-    for robust in _refit(result).fits:
-        fit, problem = robust.fit, robust.fit.problem
+    for fit in _refit(result).fits:
+        problem = fit.problem
         _, follows, columns = every_residual(fit)
         projection = Remainders.of(fit, follows)
         named = [
@@ -307,7 +307,7 @@ def _residual_kinds(result: CalibrationResult) -> dict[tuple[bool, str], _Residu
             names = zip(problem.observation.names, places, strict=True)
             named += [((False, name), slice(place, place + 1)) for name, place in names]
         for key, column in named:
-            kinds[key] = _ResidualKind(projection.part(column), robust.rows, fit.noise_scale)
+            kinds[key] = _ResidualKind(projection.part(column), fit.rows, fit.noise_scale)
     return kinds
 
 

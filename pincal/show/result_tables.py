@@ -14,9 +14,9 @@ from pincal.calibration.runs import RunComparison
 from pincal.estimation.observability.indices import RANK_TOLERANCE
 from pincal.model.measurements import Noise
 from pincal.types import Array, Index
-from pincal.words.numbers import VALUES, uneven
+from pincal.words.numbers import VALUES
 from pincal.words.sentences import WORDINGS, sentence
-from pincal.words.table import Cell, Ends, Quantity, Table, Uncertainty, UnitOf, Value, columns
+from pincal.words.table import Cell, Quantity, Table, Uncertainty, UnitOf, Value, columns
 from pincal.words.wording import noise_in_words
 
 #: Redundancy up to which a residual is what the fit made of it, and says nothing of the noise.
@@ -221,15 +221,14 @@ def _chosen(result: CalibrationResult) -> str:
 
 def _cells(p: IdentifiedParameter) -> tuple[Value, ...]:
     """Return the cells of a parameter below ``_HEADS``."""
-    half, change = min(*p.ends, p.half), p.identified - p.nominal
+    half, change = p.half, p.identified - p.nominal
     known = half > 0.0 and np.isfinite(p.std)
     none = Cell(None, "∞" if half else p.given or "held")
-    interval = Ends(*p.ends, p.unit) if uneven(*p.ends) else Uncertainty(half, p.unit)
     return (
         p.name,
         Quantity(p.nominal, p.unit, half),
         Quantity(p.identified, p.unit, half),
-        interval if known else none,
+        Uncertainty(half, p.unit) if known else none,
         UnitOf(p.unit),
         Cell(change, "") if p.given == "fixed" else Quantity(change, p.unit, half, sign="+"),
         Cell(change / p.std, _moved(change / p.std)) if 0.0 < p.std < np.inf else None,

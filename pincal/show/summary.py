@@ -59,13 +59,6 @@ def calibration_summary(result: CalibrationResult, errors: WorkspaceErrors | Non
     if errors is not None:
         lines += platform_lines(result, errors)
     lines += check_lines(result)
-    if result.shift is not None and result.outliers:
-        count = len(result.outliers)
-        rows = "the row that does" if count == 1 else f"the {count} rows that do"
-        lines.append(
-            f"with {rows} not fit, parameters would move by up to {result.shift:.1f} standard "
-            "errors"
-        )
     unused = len(data) - min(leg.n_poses for leg in result.legs)
     if unused and not result.options.every_pose and data.sets is not None:
         lines.append(sentence(finding("unused-poses", unused=unused, total=len(data))))

@@ -34,7 +34,6 @@ VALUE_MEANINGS = {
     "held": "whether undetermined directions were held already",
     "held_out": "root mean square residual of held-out rows [standard deviations]",
     "high": "upper end of a 95 % interval; infinite where there is none",
-    "intervals": 'which there are: "wald" or "profile"',
     "lacking": "whether residuals follow what the model lacks, which may be why",
     "left": "misfit that a hypothesis or machines near the nominal one leave, in lengths of a leg",
     "leg": "name of a leg",
@@ -172,27 +171,12 @@ RESULTS: dict[str, Wording] = {
     ),
     "curved": Wording(
         "Intervals of a curved problem",
-        "curvature intervals",
+        "curvature",
         "within one standard error the problem is curved: the curved part of the residuals' change "
         "is {curvature|g(2)} of the straight one",
         "Standard errors come from a straight line through a curve, and joint intervals are too "
         "small where it bends by half or more.",
-        "{% if intervals == 'profile' %}Measure more poses, or with less noise; intervals are "
-        "those of the profile, platform errors are too small{% else %}Ask for intervals by the "
-        "profile of the cost (--intervals profile). Measure more poses, or with less noise"
-        "{% endif %}",
-        general="Measure more poses, or with less noise. The interval of each parameter holds "
-        "where it is taken from the profile of the cost (--intervals profile)",
-    ),
-    "interval-open": Wording(
-        "Intervals without an end",
-        "",
-        "the 95 % intervals of {parameters|join(', ')} have no end on one side or both: with it "
-        "held farther and farther off, the others fitted, the measurements are explained as well",
-        "The profile of the cost (--intervals profile) does not rise enough within a hundred half "
-        "widths, or ends where the machine cannot reach the measured poses.",
-        "Measure poses that determine more (pincal select), or say how well nominal values are "
-        "known (--priors)",
+        "Measure more poses, or with less noise",
     ),
     "beyond-measured": Wording(
         "Outside the measured region",

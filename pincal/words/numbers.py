@@ -36,7 +36,6 @@ SMALL = Read("mm", "mrad")
 POSES = Read("mm", "°")
 #: As they are stored.
 STORED = Read("m", "rad", "1")
-_EVEN = 0.01  # share by which the ends of an interval may differ that is said as ±
 #: Of values whose uncertainty is not known, the last digit shown; and that past which nobody
 #: measures, 0.1 µm and 0.1 µrad: [m], [rad]; [1].
 _LAST, _FINEST = 1e-6, {"1": 1e-9, "m": 1e-7, "rad": 1e-7}
@@ -170,28 +169,6 @@ def measured(value: float, half: float, unit: str = "1", units: Mapping[str, str
 def minus(text: str) -> str:
     """Return numbers with signs as they are printed: a minus, not a hyphen."""
     return text.replace("-", "−")
-
-
-def uneven(down: float, up: float) -> bool:
-    """Return whether an interval goes farther to one side than to the other, by what is shown."""
-    return not (isfinite(down) and isfinite(up) and abs(up - down) <= _EVEN * (up + down))
-
-
-def ends(down: float, up: float, unit: str, units: Mapping[str, str] = VALUES) -> str:
-    """Return how far an interval goes down and up, to two digits of the less: ``-0.12 +0.15``.
-
-    Where both are less than anybody measures, one bound: ``± < 0.0001``.
-
-    Args:
-        down: From the value to the lower end, in SI; infinite if there is none.
-        up: From the value to the upper end.
-        unit: Of both.
-        units: In which they are read.
-    """
-    if _is_below(max(down, up), unit, units):
-        return f"± {uncertainty(max(down, up), unit, units)}"
-    parts = (fixed(end, min(down, up), unit, units) if isfinite(end) else "∞" for end in (down, up))
-    return " ".join(f"{sign}{end}" for sign, end in zip("-+", parts, strict=True))
 
 
 def uncertainty(half: float, unit: str, units: Mapping[str, str] = VALUES) -> str:

@@ -14,7 +14,7 @@ from itertools import pairwise
 from math import isfinite
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 
-from pincal.words.numbers import SMALL, ends, fixed, rounded, shown_in, uncertainty
+from pincal.words.numbers import SMALL, fixed, rounded, shown_in, uncertainty
 from pincal.words.wording import rendered
 
 if TYPE_CHECKING:
@@ -66,20 +66,6 @@ class Uncertainty(NamedTuple):
         return uncertainty(self.value, self.unit, units)
 
 
-class Ends(NamedTuple):
-    """How far an interval goes down and up, in SI units that are not those of its whole column."""
-
-    value: float
-    """Down, raw, SI; infinite if there is no lower end."""
-    up: float
-    unit: str
-    """``"m"``, ``"rad"`` or ``"1"``."""
-
-    def text(self, units: Mapping[str, str]) -> str:
-        """Return both ends in the unit in which they are read: ``-0.12 +0.15``."""
-        return ends(self.value, self.up, self.unit, units)
-
-
 class UnitOf(NamedTuple):
     """The SI unit of what else is in a row: shown as that in which it is read."""
 
@@ -91,7 +77,7 @@ class UnitOf(NamedTuple):
 
 
 _WIDE = 10_000  # columns: as wide as any table is
-Value: TypeAlias = "float | str | Quantity | Uncertainty | Ends | UnitOf | Cell | None"
+Value: TypeAlias = "float | str | Quantity | Uncertainty | UnitOf | Cell | None"
 
 
 @dataclass(frozen=True)
@@ -119,7 +105,7 @@ class Column:
             return ""
         if isinstance(value, Cell):
             return value.text
-        if isinstance(value, Quantity | Uncertainty | Ends | UnitOf):
+        if isinstance(value, Quantity | Uncertainty | UnitOf):
             return value.text(self.units)
         if isinstance(value, str):
             return value
@@ -254,7 +240,7 @@ class Table:
 
 def _raw(value: Value) -> float | str | None:
     """Return a value without its looks."""
-    if isinstance(value, (Quantity, Uncertainty, Ends, UnitOf, Cell)):
+    if isinstance(value, (Quantity, Uncertainty, UnitOf, Cell)):
         return value.value
     return value
 

@@ -22,7 +22,7 @@ from pincal.calibration.hypotheses.ranking import (
 )
 from pincal.calibration.hypotheses.sample import RULE, Sample, placed, sample_of
 from pincal.errors import MeasurementError
-from pincal.estimation.blocks.external import External
+from pincal.estimation.blocks.state import External
 from pincal.estimation.observability.gauge import frame_motions, unexplained
 from pincal.estimation.observability.indices import DIFFER, NEGLIGIBLE, plausible_changes
 from pincal.finding import Finding

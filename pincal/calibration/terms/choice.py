@@ -49,7 +49,7 @@ class Step:
     @property
     def parameters(self) -> int:
         """Free parameters: not those that are as drawn."""
-        unknowns = [robust.fit.unknowns for robust in self.found.fits]
+        unknowns = [fit.unknowns for fit in self.found.fits]
         return sum(
             unknown.map.shape[1] - int((unknown.priors <= _PINNED).sum()) for unknown in unknowns
         )
@@ -57,13 +57,13 @@ class Step:
     @property
     def equations(self) -> int:
         """Residuals that the fits follow."""
-        fits = [robust.fit for robust in self.found.fits]
+        fits = self.found.fits
         return int(sum(fit.last.equations[fit.weights > 0.0].sum() for fit in fits))
 
     @property
     def chi2(self) -> float:
         """Of all residuals, at the noise of the geometry's fit."""
-        return float(sum(robust.fit.chi2 for robust in self.found.fits))
+        return float(sum(fit.chi2 for fit in self.found.fits))
 
 
 def grown(
@@ -136,7 +136,7 @@ def _identified(calibration: Calibration) -> Fits:
         PincalError, LinAlgError: rows that do not determine the model, or a search without end.
     """
     fits = fitted(calibration)
-    if not all(robust.fit.converged for robust in fits.fits):
+    if not all(fit.converged for fit in fits.fits):
         raise MeasurementError("the search does not converge")
     return fits
 
@@ -286,9 +286,9 @@ def _slips(steps: Sequence[Step]) -> list[Slip]:
         if index and not (slipped and step.chance < slipped[0].p_value):
             break
         slipped = [
-            replace(slip, row=int(robust.rows[slip.row]))
-            for robust in step.found.fits
-            for slip in slips(robust.fit)
+            replace(slip, row=int(fit.rows[slip.row]))
+            for fit in step.found.fits
+            for slip in slips(fit)
         ]
     noise_given = (
         steps[0].found.calibration.options.noise is not None

@@ -18,9 +18,9 @@ from pincal.calibration.calibration import Calibration
 from pincal.calibration.fits import Fits
 from pincal.calibration.terms.candidates import with_columns, with_terms
 from pincal.calibration.terms.kinds import BACKLASH, GROWTH, ORDER, Kind
-from pincal.estimation.linear import State
+from pincal.estimation.blocks.state import State
+from pincal.estimation.fit import Fit
 from pincal.estimation.residuals.losses import CLEAR, FALSE_ALARM
-from pincal.estimation.residuals.robust import Robust
 from pincal.estimation.residuals.score import Residuals
 from pincal.kinematics.closing import sensor_law
 from pincal.kinematics.closure import nominal_legs
@@ -144,11 +144,11 @@ def trials(found: Fits, pairs: Sequence[tuple[str, Kind]]) -> list[tuple[Residua
     asked = Calibration(mechanism, data, calibration.options, known_noise=calibration.noise)
     units = {parameter.id: parameter.unit for parameter in mechanism.parameters}
     parts = []
-    for robust in found.fits:
-        if not robust.fit.problem.weighted:
+    for fit in found.fits:
+        if not fit.problem.weighted:
             continue
-        residuals, terms = Residuals.of(robust.fit), list[Trial]()
-        names, W = _columns(asked, robust, residuals.used)
+        residuals, terms = Residuals.of(fit), list[Trial]()
+        names, W = _columns(asked, fit, residuals.used)
         asked_for = set()
         for (reading, kind), own in ids.items():
             places = [names.index(name) for name in own if name in names]
@@ -194,18 +194,17 @@ def _corrected(tried: list[Candidate]) -> list[Candidate]:
     return found
 
 
-def _columns(asked: Calibration, robust: Robust, used: Index) -> tuple[list[str], Array]:
+def _columns(asked: Calibration, fit: Fit, used: Index) -> tuple[list[str], Array]:
     """Return the ids of all legs' parameters, terms included, and their white rows.
 
     Args:
         asked: The calibration of the mechanism with all terms, at zero.
-        robust: The fit without them.
+        fit: The fit without them.
         used: Rows of the fit that count.
     """
-    fit = robust.fit
     before = fit.problem.leg_block
     places = [asked.mechanism.leg_names.index(leg.name) for leg in before.legs]
-    legs = asked.leg_block(places, robust.rows, before.used, before.pose_roots)
+    legs = asked.leg_block(places, fit.rows, before.used, before.pose_roots)
     legs = replace(legs, sigma=before.sigma)
     names, values = [], []
     for leg, columns in zip(legs.legs, before.columns, strict=True):

@@ -18,7 +18,7 @@ from typing import Literal, TypeVar
 import numpy as np
 
 from pincal.errors import MeasurementError
-from pincal.estimation.linear import BlockRows, Follow, State
+from pincal.estimation.blocks.state import BlockRows, Follow, State
 from pincal.kinematics.batches import repeated
 from pincal.kinematics.closing import close, grouped, sensor_law
 from pincal.kinematics.closure import LegClosure

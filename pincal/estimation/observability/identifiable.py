@@ -15,7 +15,7 @@ from math import sqrt
 import numpy as np
 
 from pincal.errors import MeasurementError, ObservabilityError
-from pincal.estimation.linear import Linear, State
+from pincal.estimation.blocks.state import State
 from pincal.estimation.observability.indices import (
     DIFFER,
     NEGLIGIBLE,
@@ -25,7 +25,8 @@ from pincal.estimation.observability.indices import (
     lost_directions,
     plausible_changes,
 )
-from pincal.estimation.problem import Problem
+from pincal.estimation.problem import Linear, Problem
+from pincal.estimation.solver import SolverResult
 from pincal.estimation.start import poses_at_rest
 from pincal.estimation.unknowns import Unknowns
 from pincal.kinematics.closure import largest_size
@@ -204,7 +205,7 @@ def weakly_determined(
         unknowns: Of the problem, none unobservable.
     """
     T, plausible = unknowns.map, _plausible(mechanism, problem)
-    state = problem.start(unknowns.start[: problem.leg_block.n_parameters])
+    state = problem.start(unknowns.start)
     if problem.latent:
         state = poses_at_rest(problem, state)
     scale = 1.0 / np.abs(T / plausible[:, None]).max(axis=0)
@@ -224,7 +225,7 @@ def _jacobian(mechanism: Mechanism, problem: Problem, unknowns: Unknowns) -> Arr
     """Return the Jacobian in the free unknowns that says what is unobservable, shape (m, n)."""
     if problem.latent:
         return derivatives_near(mechanism, problem, unknowns, generic=False).jacobian(unknowns)
-    return _rows(problem, unknowns, problem.start(unknowns.start[: problem.leg_block.n_parameters]))
+    return _rows(problem, unknowns, problem.start(unknowns.start))
 
 
 def _rows(problem: Problem, unknowns: Unknowns, state: State) -> Array:
@@ -251,12 +252,7 @@ def check_weakly_determined(
 
 
 def check_covariance(
-    mechanism: Mechanism,
-    problem: Problem,
-    parameters: Array,
-    covariance: Array,
-    *,
-    converged: bool,
+    mechanism: Mechanism, problem: Problem, optimum: SolverResult, covariance: Array
 ) -> None:
     """Raise if a search was lost among parameters, or found values that could be any.
 
@@ -267,19 +263,20 @@ def check_covariance(
     Args:
         mechanism: The nominal mechanism.
         problem: The problem.
-        parameters: Where the search ended, shape (n_params,).
+        optimum: Where the search ended.
         covariance: Of all its unknowns, shape (n, n).
-        converged: Whether the search did.
 
     Raises:
         ObservabilityError: that is so; the message names the parameters.
     """
     n, limit = problem.leg_block.n_parameters, plausible_changes(mechanism, problem.legs)
     std = np.sqrt(np.diagonal(covariance))[:n]
-    moved = np.abs(parameters - np.concatenate([leg.nominal for leg in problem.legs]))
+    moved = np.abs(
+        optimum.last.state.parameters - np.concatenate([leg.nominal for leg in problem.legs])
+    )
     far = std > limit
     anything = (2.0 * std > limit / DIFFER) & (moved > limit)
-    if anything.any() if converged else far.any():
+    if anything.any() if optimum.converged else far.any():
         ids = [f"{leg.name}.{name}" for leg in problem.legs for name in leg.parameter_names]
         raise _weak([parameter for parameter, weak in zip(ids, far, strict=True) if weak])
 

@@ -206,7 +206,7 @@ def derivatives_near(
             that is measured in some row.
     """
     platform = mechanism.platform
-    start = problem.start(unknowns.start[: problem.leg_block.n_parameters])
+    start = problem.start(unknowns.start)
     size = largest_size(problem.legs)
     chosen = np.arange(len(start.matrices))
     if generic:  # the same ones in whatever order rows were measured

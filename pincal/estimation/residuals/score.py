@@ -1,24 +1,28 @@
-"""What a model lacks, seen in its residuals: score tests of terms, and steps from one row on.
+"""What a model lacks, seen in its residuals: score tests of errors, and steps from one row on.
 
-An error b(n) of one measured quantity appears in the white rows as w = L⁻¹Nᵀ s b, s how the
-conditions follow that quantity. With M the projection on what parameters do not take up, the part
-of the residuals that lies in M w is, if the model lacks nothing, a share of χ² like any other: an F
-test without a new fit (C. R. Rao's score test). Priors are rows too, in which no error appears.
+An error b(n) of one measured quantity appears in the white rows as W = L⁻¹Nᵀ s b, s how the
+conditions follow that quantity. With M the projection on what parameters and priors do not take up,
+residuals r ask for the amplitudes −(Wᵀ M W)⁻¹ Wᵀ M r, and the part of χ² that lies along M W is, if
+the model lacks nothing, a share like any other: an F test without a new fit (C. R. Rao's score
+test). Only sums over rows of WᵀW, QᵀW and Wᵀ M r are needed: Wᵀ M W = WᵀW − (QᵀW)ᵀ QᵀW.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import fdtrc
+from scipy.special import fdtrc, ndtr
 
 from pincal.estimation.fit import Fit
-from pincal.estimation.linear import left_over
-from pincal.estimation.observability.indices import RANK_TOLERANCE
-from pincal.estimation.residuals.redundancy import ResidualForm
+from pincal.estimation.observability.indices import NEGLIGIBLE, RANK_TOLERANCE
+from pincal.estimation.residuals.losses import UNLIKELY
 from pincal.kinematics.batches import over_rows
+from pincal.model.checks import ROUNDING
 from pincal.types import Array, Index
+
+_HALVINGS = int(np.ceil(-np.log2(ROUNDING)))  # of the interval in which a saddle point lies
 
 
 @dataclass(frozen=True)
@@ -54,85 +58,98 @@ class Change:
 
 
 @dataclass(frozen=True)
-class Error:
-    """The error of a measured quantity that is 1 in each row, as white rows see it."""
+class Errors:
+    """Errors of measured quantities that are 1 in each row, as white rows see them."""
 
     white: Array
-    """w, shape (n_used, m)."""
+    """W, shape (n_used, m, f)."""
     taken: Array
-    """Qᵀ w of each row, shape (n_used, n_free)."""
+    """Qᵀ W of each row, shape (n_used, n_free, f)."""
     along: Array
-    """wᵀ M r of each row, shape (n_used,)."""
+    """Wᵀ M r of each row, shape (n_used, f)."""
 
-    def __add__(self, second: Error) -> Error:
-        """Return both errors at once."""
-        return Error(
-            self.white + second.white, self.taken + second.taken, self.along + second.along
-        )
+    def part(self, columns: Sequence[int]) -> Errors:
+        """Return some of the errors."""
+        chosen = list(columns)
+        return Errors(self.white[:, :, chosen], self.taken[:, :, chosen], self.along[:, chosen])
+
+
+@dataclass(frozen=True)
+class ResidualForm:
+    """What residuals say of errors with amplitudes as large as each other."""
+
+    weights: Array
+    """Eigenvalues of Wᵀ M W, shape (f,), the largest last."""
+    inside: float
+    """|Wᵀ M r|²."""
+    length: float
+    """Tr WᵀW: what there would be to see if parameters took up nothing."""
+
+    @property
+    def seen(self) -> bool:
+        """Whether parameters leave anything of these errors."""
+        return bool(self.weights[-1] > NEGLIGIBLE**2 * self.length > 0.0)
 
 
 @dataclass(frozen=True)
 class Residuals:
-    """White residuals and derivatives of rows that count, flat; parameters projected out."""
+    """White residuals of rows that count, and what parameters take up there."""
 
     used: Index
+    """Rows that count, among those of the fit, shape (n_used,)."""
     left: Array
     """M r, shape (n_used, m)."""
     Q: Array
-    """Shape (n_used, m, n_free)."""
-    prior: Array
-    """Rows of Q that are the priors', shape (k, n_free)."""
-    beside: Array
-    """M r of the priors, shape (k,): they are measurements, too."""
+    """Orthonormal columns that parameters span, shape (n_used, m, n_free)."""
     chi2: float
     degrees_of_freedom: int
 
     @classmethod
     def of(cls, fit: Fit) -> Residuals:
         """Return those of a fit."""
-        used, Q, r = np.flatnonzero(fit.good), fit.Q, fit.last.residuals[fit.good]
-        held, rows = fit.unknowns.prior_rows(fit.system.values(fit.last.state))
-        prior = fit.orthonormal(rows)
-        projected, projected_prior = left_over(Q, r, prior, held)
-        chi2 = float((projected**2).sum() + (projected_prior**2).sum())
-        return cls(used, projected, Q, prior, projected_prior, chi2, fit.degrees_of_freedom)
+        left = fit.last.residuals[fit.good] - fit.Q @ fit.normal.c
+        rows = np.flatnonzero(fit.good)
+        return cls(rows, left, fit.Q, fit.normal.left, fit.degrees_of_freedom)
 
-    def error(self, w: Array) -> Error:
-        """Return an error of white rows of shape (n_used, m)."""
-        along = np.einsum("nm,nm->n", w, self.left)
-        return Error(w, (w[:, None] @ self.Q)[:, 0], along)
+    def errors(self, W: Array) -> Errors:
+        """Return errors by their white rows, shape (n_used, m, f)."""
+        along = (W.transpose(0, 2, 1) @ self.left[:, :, None])[:, :, 0]
+        return Errors(W, self.Q.transpose(0, 2, 1) @ W, along)
 
-    def chance(self, inside: Array | float, rank: int) -> Array:
+    def chance(self, inside: float, rank: int) -> float:
         """Return the probability of a part of χ² of some rank, or of a larger one."""
         free = self.degrees_of_freedom - rank
-        ratio = inside / rank / (np.maximum(self.chi2 - inside, 1e-300) / free)
-        return np.asarray(fdtrc(rank, free, ratio))
+        ratio = inside / rank / (max(self.chi2 - inside, 1e-300) / free)
+        return float(fdtrc(rank, free, ratio))
 
-    def form(self, *errors: tuple[Error, Array], common: bool = False) -> ResidualForm:
+    def form(
+        self, errors: Errors, courses: Sequence[Array], *, common: bool = False
+    ) -> ResidualForm:
         """Return what residuals say of errors with amplitudes as large as each other.
 
         White rows and courses are never multiplied out: W_n = w_n b_nᵀ, so WᵀW = Σ |w_n|² b_n b_nᵀ.
 
         Args:
-            errors: Each with its courses b, by which it is larger or less, shape (n_used, f).
+            errors: k errors.
+            courses: b of each, by which it is larger or less, shape (n_used, f).
             common: Whether amplitudes are the same in all of them, not each one's own.
         """
-        W = np.stack([error.white for error, _ in errors], axis=1)
-        squares = W @ W.transpose(0, 2, 1)
-        B = np.concatenate([b for _, b in errors], axis=1)
-        owner = np.repeat(np.arange(len(errors)), [b.shape[1] for _, b in errors])
-        gram = np.concatenate([b.T @ (squares[:, k, owner] * B) for k, (_, b) in enumerate(errors)])
-        hidden = np.concatenate([error.taken.T @ b for error, b in errors], axis=1)
-        inside = np.concatenate([error.along @ b for error, b in errors])
+        k, W = len(courses), errors.white
+        squares, B = W.transpose(0, 2, 1) @ W, np.concatenate(courses, axis=1)
+        owner = np.repeat(np.arange(k), [b.shape[1] for b in courses])
+        gram = np.concatenate([b.T @ (squares[:, i, owner] * B) for i, b in enumerate(courses)])
+        taken = np.hstack([errors.taken[:, :, i].T @ b for i, b in enumerate(courses)])
+        along = np.hstack([errors.along[:, i] @ b for i, b in enumerate(courses)])
         if common:
-            k = len(errors)
-            gram = gram.reshape(k, -1, k, gram.shape[1] // k).sum(axis=(0, 2))
-            hidden, inside = (
-                hidden.reshape(len(hidden), k, -1).sum(axis=1),
-                inside.reshape(k, -1).sum(axis=0),
-            )
-        values = np.asarray(np.linalg.eigvalsh(gram - hidden.T @ hidden), np.float64)
-        return ResidualForm(values, float(inside @ inside), float(np.trace(gram)))
+            gram = gram.reshape(k, -1, k, len(gram) // k).sum(axis=(0, 2))
+            taken = taken.reshape(len(taken), k, -1).sum(axis=1)
+            along = along.reshape(k, -1).sum(axis=0)
+        values = np.asarray(np.linalg.eigvalsh(gram - taken.T @ taken), np.float64)
+        return ResidualForm(values, float(along @ along), float(np.trace(gram)))
+
+    def chances(self, forms: Sequence[ResidualForm]) -> Array:
+        """Return the probability of so much along errors, or more, of each form."""
+        return of_forms(forms, self.chi2, self.degrees_of_freedom)
 
     def amplitudes(self, W: Array) -> Amplitudes:
         """Return the amplitudes that residuals ask for along the white rows of terms.
@@ -140,90 +157,140 @@ class Residuals:
         Args:
             W: Of each term, shape (n_used, m, f).
         """
-        lengths = np.linalg.norm(W, axis=(0, 1))
-        lengths = np.where(lengths > 0.0, lengths, 1.0)
-        U, s, V = np.linalg.svd(self._seen(W / lengths), full_matrices=False)
-        resolved = s > RANK_TOLERANCE
-        rank = int(resolved.sum())
+        C, along, hidden = self._resolved(W)
+        f, rank = C.shape
         if not 0 < rank < self.degrees_of_freedom:
-            none = np.full(W.shape[2], np.inf)
-            return Amplitudes(np.zeros(W.shape[2]), none, 0.0, 0, 0.0, 1.0)
-        along = U[:, resolved].T @ self._whole
+            return Amplitudes(np.zeros(f), np.full(f, np.inf), 0.0, 0, 0.0, 1.0)
         inside = float(along @ along)
         noise = max(self.chi2 - inside, 1e-300) / (self.degrees_of_freedom - rank)
-        by_direction = V[resolved].T / s[resolved] / lengths[:, None]
-        taken = (V[~resolved] ** 2).sum(axis=0) > RANK_TOLERANCE  # along what geometry takes up
-        std = np.where(taken, np.inf, np.sqrt(noise * (by_direction**2).sum(axis=1)))
-        p_value = float(self.chance(inside, rank))
-        return Amplitudes(-by_direction @ along, std, inside / rank / noise, rank, inside, p_value)
+        std = np.where(hidden, np.inf, np.sqrt(noise * (C**2).sum(axis=1)))
+        p_value = self.chance(inside, rank)
+        return Amplitudes(-C @ along, std, inside / rank / noise, rank, inside, p_value)
 
-    def size(self, error: Error, course: Array) -> float:
-        """Return how large an error of some course is, shape (n_used,)."""
-        taken = course @ error.taken
-        information = float(course**2 @ (error.white**2).sum(axis=1) - taken @ taken)
-        return float(course @ error.along) / information if information > 0.0 else 0.0
+    def without(self, W: Array) -> Residuals:
+        """Return the residuals with errors of white rows W taken up, shape (n_used, m, f)."""
+        C, along, _ = self._resolved(W)
+        U = W @ C - self.Q @ (over_rows(self.Q, W) @ C)
+        return Residuals(
+            self.used,
+            self.left - U @ along,
+            np.concatenate((self.Q, U), axis=2),
+            self.chi2 - float(along @ along),
+            self.degrees_of_freedom - len(along),
+        )
 
-    def step(self, error: Error) -> tuple[float, int, float]:
-        """Return the probability of the clearest step anywhere, its first row and its size."""
-        squares = (error.white**2).sum(axis=1)[:, None, None]
-        change = self._change(squares, error.taken[:, :, None], error.along[:, None])
-        return change.p_value, change.row, float(change.size[0])
+    def _resolved(self, W: Array) -> tuple[Array, Array, Array]:
+        """Return combinations C of errors, and what residuals say of them.
 
-    def change(self, W: Array) -> Change:
-        """Return the clearest step of several errors at once, from one row on.
-
-        Args:
-            W: White rows of the unit errors, shape (n_used, m, f).
+        C makes M W C orthonormal, shape (f, rank); then (M W C)ᵀ r, shape (rank,), and which errors
+        parameters take up in part, shape (f,).
         """
-        transposed = W.transpose(0, 2, 1)
-        taken = self.Q.transpose(0, 2, 1) @ W
-        return self._change(transposed @ W, taken, (transposed @ self.left[:, :, None])[:, :, 0])
+        gram, taken = over_rows(W, W), over_rows(self.Q, W)
+        lengths = np.sqrt(np.diagonal(gram))
+        lengths = np.where(lengths > 0.0, lengths, 1.0)
+        s, V = np.linalg.eigh((gram - taken.T @ taken) / np.outer(lengths, lengths))
+        resolved = s > NEGLIGIBLE**2
+        C = V[:, resolved] / np.sqrt(s[resolved]) / lengths[:, None]
+        hidden = (V[:, ~resolved] ** 2).sum(axis=1) > RANK_TOLERANCE
+        return C, C.T @ over_rows(W, self.left[:, :, None])[:, 0], hidden
 
-    def _change(self, gram: Array, taken_up: Array, along: Array) -> Change:
-        """Return the clearest step by WᵀW, QᵀW and Wᵀ M r of each row."""
-        f = gram.shape[2]
+    def size(self, error: Errors, course: Array) -> float:
+        """Return how large one error of some course is, shape (n_used,)."""
+        taken = course @ error.taken[:, :, 0]
+        squares = (error.white**2).sum(axis=(1, 2))
+        information = float(course**2 @ squares - taken @ taken)
+        return float(course @ error.along[:, 0]) / information if information > 0.0 else 0.0
+
+    def step(self, errors: Errors) -> Change:
+        """Return the clearest step of f errors at once, from one row on."""
+        f, gram = errors.white.shape[2], errors.white.transpose(0, 2, 1) @ errors.white
         none = Change(1.0, 0, np.zeros(f), 0.0)
         if len(gram) < 2 or self.degrees_of_freedom <= f:
             return none
         after, squares, taken = (
-            np.cumsum(rows[::-1], axis=0)[::-1][1:] for rows in (along, gram, taken_up)
+            np.cumsum(rows[::-1], axis=0)[::-1][1:] for rows in (errors.along, gram, errors.taken)
         )
         lengths = squares - taken.transpose(0, 2, 1) @ taken
         least = RANK_TOLERANCE * max(float(np.trace(squares[0])), 1e-300)
         known = np.linalg.eigvalsh(lengths)[:, 0] > least
         known[:1] = known[-1:] = False  # a row of its own is an outlier
-        if not known.any():
-            return none
         places = np.flatnonzero(known)
+        if not len(places):
+            return none
         sizes = np.linalg.solve(lengths[known], after[known][:, :, None])[:, :, 0]
         inside = np.einsum("nf,nf->n", sizes, after[known])
         best = int(np.argmax(inside))
-        chance = min(1.0, float(self.chance(float(inside[best]), f)) * len(places))
+        chance = min(1.0, self.chance(float(inside[best]), f) * len(places))
         row = int(self.used[places[best] + 1])
         return Change(chance, row, sizes[best], float(inside[best]))
 
-    def without(self, W: Array) -> Residuals:
-        """Return the residuals with errors of white rows W taken up, shape (n_used, m, f)."""
-        lengths = np.linalg.norm(W, axis=(0, 1))
-        U, s, _ = np.linalg.svd(
-            self._seen(W / np.where(lengths > 0.0, lengths, 1.0)), full_matrices=False
-        )
-        U = U[:, s > RANK_TOLERANCE]  # that parameters do not take up
-        projected, size = self._whole - U @ (U.T @ self._whole), self.left.size
-        rows, prior_rows = projected[:size].reshape(self.left.shape), projected[size:]
-        Q = np.concatenate((self.Q, U[:size].reshape(*self.left.shape, -1)), axis=2)
-        prior = np.concatenate((self.prior, U[size:]), axis=1)
-        free = self.degrees_of_freedom - U.shape[1]
-        chi2 = float((projected**2).sum())
-        return Residuals(self.used, rows, Q, prior, prior_rows, chi2, free)
 
-    @property
-    def _whole(self) -> Array:
-        """What is left of rows and of priors, flat."""
-        return np.concatenate((self.left.ravel(), self.beside))
+def of_forms(forms: Sequence[ResidualForm], chi2: float, degrees_of_freedom: int) -> Array:
+    """Return the probability of so much along errors, or more, of each form; 1 if nothing is seen.
 
-    def _seen(self, W: Array) -> Array:
-        """Return what parameters leave of white rows W, of priors too, in as many rows, flat."""
-        taken = over_rows(self.Q, W)
-        rows = (W - self.Q @ taken).reshape(-1, W.shape[2])
-        return np.concatenate((rows, -self.prior @ taken))
+    Args:
+        forms: Of different errors.
+        chi2: Of all residuals.
+        degrees_of_freedom: Of them.
+    """
+    probabilities = np.ones(len(forms))
+    seen = [form.seen and len(form.weights) < degrees_of_freedom for form in forms]
+    known = np.flatnonzero(seen).tolist()
+    if not known or not chi2 > 0.0:
+        return probabilities
+    weights = np.zeros((len(known), max(len(forms[i].weights) for i in known)))
+    for row, i in zip(weights, known, strict=True):
+        eigenvalues = forms[i].weights
+        row[: len(eigenvalues)] = eigenvalues.clip(0.0) / eigenvalues[-1]
+    shares = np.array([forms[i].inside / forms[i].weights[-1] for i in known]) / chi2
+    probabilities[known] = above(weights, shares.clip(0.0, 1.0), degrees_of_freedom)
+    return probabilities
+
+
+def above(weights: Array, shares: Array, degrees_of_freedom: int) -> Array:
+    """Return the probability that a weighted sum of squares is above a share of all squares.
+
+    Σ λᵢ zᵢ² > t Σ zⱼ² of independent normal numbers z, i to k and j to all degrees of freedom, by
+    the saddle point (R. Lugannani and S. Rice 1980).
+
+    Args:
+        weights: λ, 0 to 1 with a 1 among them, shape (M, k).
+        shares: t, 0 to 1, shape (M,).
+        degrees_of_freedom: More than k.
+    """
+    n_other = degrees_of_freedom - weights.shape[1]
+    single = (weights > RANK_TOLERANCE).sum(axis=1) == 1
+    t = np.clip(shares, RANK_TOLERANCE, 1.0 - RANK_TOLERANCE)[:, None]
+    c = np.concatenate((weights - t, -t), axis=1)
+    count = np.append(np.ones(weights.shape[1]), n_other)
+    low, high = -0.5 / t, 0.5 / (1.0 - t)
+    for _ in range(_HALVINGS):
+        saddle = 0.5 * (low + high)
+        rising = (count * c / (1.0 - 2.0 * saddle * c)).sum(axis=1, keepdims=True) > 0.0
+        low, high = np.where(rising, low, saddle), np.where(rising, saddle, high)
+    saddle = 0.5 * (low + high)
+    factors = 1.0 - 2.0 * saddle * c
+    K = -0.5 * (count * np.log(factors)).sum(axis=1)
+    bend = 2.0 * (count * (c / factors) ** 2).sum(axis=1)
+    w, v = np.sign(saddle[:, 0]) * np.sqrt((-2.0 * K).clip(0.0)), saddle[:, 0] * np.sqrt(bend)
+    flat = np.abs(w) < UNLIKELY  # so near to the mean it is a half
+    w, v = np.where(flat, 1.0, w), np.where(flat, 1.0, v)
+    tail = np.where(flat, 0.5, ndtr(-(w + np.log(v / w) / w)))
+    free = degrees_of_freedom - 1
+    exact = fdtrc(1, free, free * t[:, 0] / (1.0 - t[:, 0]))  # of one square
+    return np.where(single, exact, tail)
+
+
+def together(p_values: Array, weights: Array) -> float:
+    """Return the probability that tests, which need not be independent, find so much by chance.
+
+    By Cauchy's distribution: the mean of 1/p but for what all tests are when nothing is there
+    (Y. Liu, J. Xie, J. Am. Stat. Assoc. 115, 2020). Tests that agree strengthen each other.
+
+    Args:
+        p_values: Of some tests, shape (k,).
+        weights: Of these tests; of all that were made they sum to 1, shape (k,).
+    """
+    p = np.clip(p_values, 1e-300, 1.0 - weights)
+    mean = float((weights / np.tan(np.pi * p)).sum())
+    return float(0.5 - np.arctan(mean) / np.pi) if mean < 1e9 else 1.0 / (np.pi * mean)

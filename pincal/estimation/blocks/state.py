@@ -1,12 +1,13 @@
-"""Unknowns outside the mechanism: where its base is, where the targets sit, instruments' own.
+"""Values of everything that is unknown: parameters of legs, poses, and what is outside a mechanism.
 
-The base frame in the frame of the measurements, T_frame_base; offsets of targets in the
+Outside are the base frame in the frame of the measurements, T_frame_base; offsets of targets in the
 platform frame; where an unknown target carries an orientation, how that is turned against the
 platform's; and the parameters of instruments.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -15,7 +16,12 @@ from scipy.spatial.transform import Rotation
 from pincal.kinematics.batches import inverse_left_jacobian
 from pincal.model.platform import Platform
 from pincal.model.setup import ORIGIN, Setup
-from pincal.types import Array
+from pincal.types import Array, Index
+
+Follow = Callable[[Array, Array], tuple[Array, ...]]
+"""Returns joints of each leg, near those after a step of all unknowns and twists of the poses."""
+Entry = tuple[slice, slice, Array]
+"""Rows, columns and derivatives, shape (N, rows, columns); other columns do not move these rows."""
 
 
 @dataclass(frozen=True)
@@ -30,6 +36,40 @@ class External:
     """R_platform_target of the measured orientation, shape (3, 3)."""
     instruments: Array = field(default_factory=lambda: np.zeros(0))
     """Parameters of the instruments, in their order, shape (n_own,)."""
+
+
+@dataclass(frozen=True)
+class State:
+    """Values of everything that is unknown."""
+
+    parameters: Array
+    """Of the legs, shape (n_params,)."""
+    matrices: Array
+    """Poses ``T_base_platform``, shape (N, 4, 4)."""
+    joints: tuple[Array, ...] = ()
+    """Joint positions of each leg, deformations behind them, shape (N, n_joints [+ n_deformed]);
+    none before the first evaluation."""
+    external: External = field(default_factory=External)
+    """Unknowns outside the mechanism."""
+
+    def rows(self, chosen: Index) -> State:
+        """Return the state at some poses."""
+        joints = tuple(positions[chosen] for positions in self.joints)
+        return replace(self, matrices=self.matrices[chosen], joints=joints)
+
+
+@dataclass(frozen=True)
+class BlockRows:
+    """Residuals of one block at a state: k rows at each of N poses; zero where none is active."""
+
+    value: Array
+    """Residuals, shape (N, k), [m] and [rad]."""
+    by_pose: Array
+    """Derivatives by the platform's twist, (N, k, dof); no columns where poses are as measured."""
+    by_parameter: tuple[Entry, ...]
+    """Derivatives by the block's unknowns, those of each of its legs in rows of their own."""
+    noise_root: Array
+    """S, root of the noise, shape (N, k, s)."""
 
 
 class ExternalUnknowns:
@@ -53,39 +93,27 @@ class ExternalUnknowns:
             for axis in range(platform.space * target.unknown)
         )
         self.turn_axes = tuple(row - 3 for row in rows[platform.space :]) if turned else ()
-        self.names = self._geometric_names()
-        """Ids of the unknowns."""
-        self.units = tuple("rad" if name[-2] == "r" else "m" for name in self.names)
-        n_frame, n_offsets, n_turns = map(
-            len, (self.frame_rows, self.offset_entries, self.turn_axes)
-        )
-        self.turn_columns = slice(n_frame + n_offsets, n_frame + n_offsets + n_turns)
-        parameters = [
-            parameter for instrument in setup.instruments for parameter in instrument.parameters
-        ]
-        self.own_columns = slice(len(self.names), len(self.names) + len(parameters))
-        """Parameters of the instruments among the unknowns."""
-        self.names += tuple(parameter.id for parameter in parameters)
-        self.units += tuple(parameter.unit for parameter in parameters)
-        self._nominal = np.array([parameter.nominal for parameter in parameters], dtype=float)
-
-    def _geometric_names(self) -> tuple[str, ...]:
-        """Return ids of the unknowns of frame and targets."""
-        targets, twists = list(self.setup.targets), ("x", "y", "z", "rx", "ry", "rz")
-        return (
+        targets, twists = list(setup.targets), ("x", "y", "z", "rx", "ry", "rz")
+        own = [parameter for instrument in setup.instruments for parameter in instrument.parameters]
+        geometric = (
             *(f"tracker.{twists[row]}" for row in self.frame_rows),
             *(f"{owner(targets[index])}.{'xyz'[axis]}" for index, axis in self.offset_entries),
             *(f"{owner(ORIGIN)}.{twists[3 + axis]}" for axis in self.turn_axes),
         )
+        units = ("rad" if name[-2] == "r" else "m" for name in geometric)
+        self.names = (*geometric, *(parameter.id for parameter in own))
+        """Ids of the unknowns."""
+        self.units = (*units, *(parameter.unit for parameter in own))
+        self.turn_columns = slice(len(geometric) - len(self.turn_axes), len(geometric))
+        self.own_columns = slice(len(geometric), len(self.names))
+        """Parameters of the instruments among the unknowns."""
+        offsets = np.array([target.offset for target in setup.targets.values()], dtype=float)
+        nominal = np.array([parameter.nominal for parameter in own], dtype=float)
+        self.start = External(np.eye(4), offsets, np.eye(3), nominal)
+        """The values of the setup; the base frame is that of the measurements."""
 
     def __len__(self) -> int:
         return len(self.names)
-
-    @property
-    def start(self) -> External:
-        """The values of the setup; the base frame is that of the measurements."""
-        offsets = np.array([target.offset for target in self.setup.targets.values()], dtype=float)
-        return External(np.eye(4), offsets, np.eye(3), self._nominal)
 
     def moved(self, values: External, step: Array) -> External:
         """Return values after a step, shape (n,): twists of the frame about its own origin."""
