@@ -358,7 +358,7 @@ def test_held_out_points_are_missed_in_mm(several: bool) -> None:
 
 @pytest.mark.parametrize("known", [True, False])
 def test_the_least_of_folds_is_as_probable_as_of_fits_to_noise(*, known: bool) -> None:
-    """Least squares of 4,000 draws, with each fold and without it: within three errors of both.
+    """Least squares of 20,000 draws, with each fold and without it: within three errors of both.
 
     By F, folds share what they are compared with: the least is more probable than of independent
     ones.
@@ -368,7 +368,7 @@ def test_the_least_of_folds_is_as_probable_as_of_fits_to_noise(*, known: bool) -
     one, groups = fits[0], folds_of(data, 5, "region")
     J = one.last.jacobian @ one.unknowns.map
     rows = np.repeat(groups, J.shape[1])
-    J, z = J.reshape(len(rows), -1), np.random.default_rng(1).standard_normal((4000, len(rows)))
+    J, z = J.reshape(len(rows), -1), np.random.default_rng(1).standard_normal((20_000, len(rows)))
 
     def left(kept: np.ndarray) -> np.ndarray:
         Q = np.linalg.qr(J[kept])[0]
@@ -383,6 +383,6 @@ def test_the_least_of_folds_is_as_probable_as_of_fits_to_noise(*, known: bool) -
     drawn = np.min(chances, axis=0)
     for least in (0.01, 0.1, 0.3):
         share = (drawn <= least).mean()
-        error = np.sqrt(share * (1.0 - share) * (1 / 4000 + 1 / 9999))
+        error = np.sqrt(share * (1.0 - share) * (1 / 20_000 + 1 / 9999))
         found = least_of_folds(least, fits, groups, known=known)
         assert found == pytest.approx(share, abs=3.0 * error)
