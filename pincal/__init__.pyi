@@ -44,8 +44,8 @@ from .symmetry.elements import Element, cyclic, dihedral
 from .symmetry.generate import generate
 from .workspace.axes import Orientations
 from .workspace.criteria import Margins, articular_symmetry
+from .workspace.grid import Grid
 from .workspace.inscribed import Inscribed, largest_inscribed
-from .workspace.positions import Grid
 from .workspace.region import Workspace, compute_workspace
 from .workspace.sampling import sample_configurations, sample_workspace
 

@@ -60,10 +60,10 @@ def test_the_circle_is_printed_and_drawn(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "more",
-    [["--samples", 2000], ["--axis", "x=-1:1:0.1"], pytest.param([], marks=pytest.mark.slow)],
+    [["--axis", "x=-1:1:0.1"], pytest.param([], marks=pytest.mark.slow)],
 )
 def test_pictures_of_every_kind_of_positions(more: list[object], tmp_path: Path) -> None:
-    """Samples, square and polar grids are drawn; in space in slices."""
+    """Square and polar grids are drawn; in space in slices."""
     picture = tmp_path / "w.png"
     done("workspace", "3RRR", "--kind", "constant-orientation", "--axis", "phi=0.1", *more,
          "--picture", picture, "-o", tmp_path / "w.csv")  # fmt: skip
@@ -106,17 +106,14 @@ def test_articular_space(tmp_path: Path) -> None:
         ("--kind total-orientation --axis tilt=0", ["platform takes phi"]),
         ("--kind reachable --jobs 0", ["0 jobs"]),
         ("--kind reachable --scheduler tcp://127.0.0.1:1", ["127.0.0.1:1", "dask scheduler"]),
-        ("--kind reachable --samples 10 --inscribed", ["no neighbours", "--inscribed"]),
-        ("--kind reachable --samples 10 --axis x=0:1:0.1", ["--samples", "--axis x"]),
         ("--kind reachable --count 10", ["--count", "not for --kind reachable"]),
         ("--kind reachable --no-margins --margin-type1 0.1", ["--no-margins"]),
         ("--kind reachable --axis x=-500:500:10 --axis y=-500:500:10", ["'x'", "[mm]"]),
         ("--kind dexterous --axis phi=0:1:0.1", ["total-orientation"]),
         ("--kind reachable --picture w.csv", ["w.csv", ".svg"]),
-        ("--kind articular --connected --samples 5", ["--samples, --connected", "articular"]),
+        ("--kind articular --connected --jobs 2", ["--connected, --jobs", "articular"]),
         ("--kind articular --axis x=0:1:0.1", ["orientations"]),
         ("--kind poses --picture w.png", ["--picture: not for --kind poses"]),
-        ("--kind reachable --samples 10 --connected", ["no neighbours"]),
         ("--kind reachable --picture w.bmp", ["w.bmp", ".svg"]),
         ("--kind reachable --picture none/w.png", ["none"]),
         ("--axis x=0:1:0.1", ["--kind"]),

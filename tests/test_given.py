@@ -10,8 +10,8 @@ import pytest
 
 import pincal
 from pincal.files.mechanism_folders import bundled
-from pincal.workspace.box import default_grid
 from pincal.workspace.criteria import articular_space, in_workspace
+from pincal.workspace.grid import default_grid
 
 FIVE = pincal.load_mechanism("5R")
 POSES = pincal.sample_workspace(FIVE, 12)

@@ -17,7 +17,7 @@ from pincal.show.result_tables import outside_table, parameters_table
 from pincal.show.tables import articular_table
 from pincal.show.workspace_plots import workspace_figure
 from pincal.workspace.axes import Axis
-from pincal.workspace.box import default_grid
+from pincal.workspace.grid import default_grid
 from pincal.workspace.region import compute_workspace
 
 NOISE = pincal.Noise(1e-4, 1e-4, 1e-5)

@@ -17,9 +17,8 @@ from pincal.kinematics.closing import close_legs
 from pincal.kinematics.closure import nominal_legs
 from pincal.types import Array, Mask
 from pincal.workspace.axes import Axis
-from pincal.workspace.box import default_grid, default_samples
 from pincal.workspace.criteria import Criteria, articular_space, equal_sums, in_workspace
-from pincal.workspace.positions import Samples
+from pincal.workspace.grid import default_grid
 
 NONE = pincal.Margins.none()
 BUNDLED = ["5R", "3RRR", "6UPS"]
@@ -113,14 +112,14 @@ def test_total_orientation_equals_brute_force(hexapod: pincal.Mechanism) -> None
 
 
 SLOWEST = [
-    *(("6UPS", None, "reachable", grid) for grid in ("polar", "cartesian", "samples")),
+    *(("6UPS", None, "reachable", grid) for grid in ("polar", "cartesian")),
     ("6UPS", None, "total-orientation", "polar"),
 ]
 
 
 @pytest.mark.parametrize(
     ("any_mechanism", "margins", "kind", "grid"),
-    some_slow(product(BUNDLED, [NONE, None], KINDS, ["polar", "cartesian", "samples"]), *SLOWEST),
+    some_slow(product(BUNDLED, [NONE, None], KINDS, ["polar", "cartesian"]), *SLOWEST),
     ids=lambda value: "free" if value is NONE else None,
     indirect=["any_mechanism"],
 )
@@ -129,10 +128,7 @@ def test_symmetry_changes_nothing_but_the_work(
 ) -> None:
     """A fundamental domain gives the very set that computing all positions gives."""
     name, platform = any_mechanism.name, any_mechanism.platform
-    if grid == "samples":
-        asked = default_samples(any_mechanism, 3000)
-    else:
-        asked = pincal.Grid.of(*(POLAR if grid == "polar" else CARTESIAN)[name])
+    asked = pincal.Grid.of(*(POLAR if grid == "polar" else CARTESIAN)[name])
     turns = pincal.Orientations.of(platform, *TURNS[name]) if TURNS[name] else None
     given = None if kind == "constant-orientation" else turns
     arguments = (any_mechanism, kind, asked, given, margins)
@@ -310,18 +306,6 @@ def test_grids_measure_areas_alike() -> None:
     assert found[1].uncertainty < 0.3 * found[0].uncertainty
 
 
-def test_samples_measure_the_area_too() -> None:
-    """Samples in orbits give the area of the grid within three of their standard errors."""
-    mechanism = pincal.load_mechanism("3RRR")
-    fine = pincal.Grid.of("x=-0.8:0.8:0.01", "y=-0.8:0.8:0.01")
-    area = pincal.compute_workspace(mechanism, "constant-orientation", fine).measure
-    for seed in range(5):
-        samples = Samples(6000, 0.9, seed=seed, elements=pincal.Element.rotations(3))
-        found = pincal.compute_workspace(mechanism, "constant-orientation", samples)
-        assert found.measure == pytest.approx(area, abs=1.5 * found.uncertainty + 2e-3)
-        assert found.uncertainty < 0.1
-
-
 def test_parts_beyond_singularities_are_told() -> None:
     """Without margins a sliver of the five-bar's other aspect passes every test but home's."""
     mechanism = pincal.load_mechanism("5R")
@@ -333,8 +317,6 @@ def test_parts_beyond_singularities_are_told() -> None:
     assert kept.positions[:, 1].min() > 0.0
     assert found.count - kept.count == found.apart > 0
     assert kept.apart == 0
-    with pytest.raises(pincal.WorkspaceError, match="samples have no neighbours"):
-        pincal.compute_workspace(mechanism, "reachable", Samples(900, 2.0), connected=True)
 
 
 def test_parts_hang_together_around_the_full_turn(hexapod: pincal.Mechanism) -> None:
@@ -612,12 +594,11 @@ def test_a_workspace_is_saved_and_shown(tmp_path: Path) -> None:
 
 
 def test_inscribed_circles_need_a_grid() -> None:
-    """Samples, a line and an empty workspace have none."""
+    """A line and an empty workspace have none."""
     mechanism = pincal.load_mechanism("3RRR")
-    for asked in (Samples(100, 1.0), pincal.Grid.of("x=0:1:0.1", "y=0")):
-        found = pincal.compute_workspace(mechanism, "reachable", asked)
-        with pytest.raises(pincal.WorkspaceError, match="needs a grid"):
-            pincal.largest_inscribed(found)
+    line = pincal.compute_workspace(mechanism, "reachable", pincal.Grid.of("x=0:1:0.1", "y=0"))
+    with pytest.raises(pincal.WorkspaceError, match="needs a grid"):
+        pincal.largest_inscribed(line)
     far = pincal.compute_workspace(mechanism, "reachable", pincal.Grid.of("x=5,6", "y=5,6"))
     with pytest.raises(pincal.WorkspaceError, match="empty"):
         pincal.largest_inscribed(far)

@@ -41,5 +41,4 @@ pincal.symmetry.detect.SymmetryGroup
 pincal.words.table.Table
 pincal.workspace.criteria.ArticularSymmetry
 pincal.workspace.axes.Axis
-pincal.workspace.positions.Samples
 """

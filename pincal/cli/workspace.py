@@ -1,4 +1,4 @@
-"""``pincal workspace``: poses for selection, and workspaces of every kind on grids or samples."""
+"""``pincal workspace``: poses for selection, and workspaces of every kind on grids."""
 
 from __future__ import annotations
 
@@ -29,15 +29,14 @@ from pincal.show.workspace_answers import (
 )
 from pincal.show.workspace_plots import articular_figure, workspace_figure
 from pincal.workspace.axes import Axis, Orientations
-from pincal.workspace.box import closer_grid, default_grid, default_samples
 from pincal.workspace.criteria import Margins, articular_space, articular_symmetry, refuse_readings
+from pincal.workspace.grid import POSITION_AXES, Grid, closer_grid, default_grid
 from pincal.workspace.inscribed import largest_inscribed
-from pincal.workspace.positions import POSITION_AXES, Positions
 from pincal.workspace.region import KINDS, Workspace, compute_workspace
 from pincal.workspace.sampling import sample_configurations, sample_workspace
 
 _COUNT = 30_000
-_OF_REGIONS = ("samples", "symmetry", "connected", "inscribed", "jobs", "scheduler")
+_OF_REGIONS = ("symmetry", "connected", "inscribed", "jobs", "scheduler")
 #: Options that a kind of workspace does not have; of regions that is the number of poses.
 _OF_OTHERS = {"poses": (*_OF_REGIONS, "axis", "picture"), "articular": _OF_REGIONS}
 
@@ -57,7 +56,6 @@ class WorkspaceOptions:
     count: int | None = option(
         None, "Number of poses (poses, articular) [default: 30000].", least=1
     )
-    samples: int | None = option(None, "Ask at random positions instead of on a grid.", least=1)
     seed: int = option(0, SEED)
     margin_type1: float | None = option(None, option_of(Margins, "type1"))
     margin_type2: float | None = option(None, option_of(Margins, "type2"))
@@ -76,7 +74,7 @@ class WorkspaceOptions:
         """Raise if options do not go together, or files cannot be written.
 
         Raises:
-            WorkspaceError: an unknown kind; samples, of which neighbours are asked.
+            WorkspaceError: an unknown kind.
             BadParameter: options that a kind of workspace does not have, or that contradict.
             FileError: an output exists.
         """
@@ -88,10 +86,6 @@ class WorkspaceOptions:
         foreign = _OF_OTHERS.get(self.kind, ("count",))
         if wrong := [f"--{typed_name(field)}" for field in changed if field.name in foreign]:
             raise typer.BadParameter(f"{', '.join(wrong)}: not for --kind {self.kind}")
-        if self.samples is not None and (self.connected or self.inscribed):
-            raise WorkspaceError(
-                "samples have no neighbours: --connected and --inscribed need a grid"
-            )
         if not self.margins and (self.margin_type1 is not None or self.margin_type2 is not None):
             raise typer.BadParameter("--no-margins leaves no margin to set; give one or the other")
         for path in self.outputs(output):
@@ -171,18 +165,14 @@ def _poses(mechanism: Mechanism, output: Path, options: WorkspaceOptions) -> Non
 def _region(mechanism: Mechanism, output: Path, options: WorkspaceOptions) -> None:
     """Write the positions of a workspace, with its picture, and print what it is."""
     places, turns = options.axes()
-    if options.samples is not None and places:
-        raise WorkspaceError(
-            f"--samples come from all that the legs reach, not on --axis {places[0].name}"
-        )
     orientations = Orientations.of(mechanism.platform, *turns) if turns else None
 
-    def compute(positions: Positions, text: str) -> Workspace:
-        with counting(text, positions.size) as done:
+    def compute(grid: Grid, text: str) -> Workspace:
+        with counting(text, grid.size) as done:
             return compute_workspace(
                 mechanism,
                 options.kind,
-                positions,
+                grid,
                 orientations,
                 options.least_margins(),
                 symmetry=options.symmetry,
@@ -192,14 +182,10 @@ def _region(mechanism: Mechanism, output: Path, options: WorkspaceOptions) -> No
                 progress=done,
             )
 
-    title = f"{options.kind} workspace"
-    if options.samples is not None:
-        region = compute(default_samples(mechanism, options.samples, options.seed), title)
-    else:
-        region = compute(default_grid(mechanism, places), title)
-        closer = closer_grid(region, [axis.name for axis in places])
-        if closer is not None:
-            region = compute(closer, "closer around what counts")
+    region = compute(default_grid(mechanism, places), f"{options.kind} workspace")
+    closer = closer_grid(region.asked, region.inside, [axis.name for axis in places])
+    if closer is not None:
+        region = compute(closer, "closer around what counts")
     circle = None
     if options.inscribed and region.count:
         with working("looking for the largest circle or ball inside"):

@@ -281,8 +281,6 @@ class Turned:
     """Columns (2 R b, 1) of a squared distance, shape (4, O)."""
     heights: Array
     """R b along the normal of each half-space, shape (n_planes, O), [m]."""
-    lowest: Array
-    """Least of the heights, shape (n_planes,), [m]."""
 
 
 @dataclass(frozen=True)
@@ -314,17 +312,10 @@ class Reach:
     def turned(self, R: Array) -> Turned:
         """Return the platform point turned by orientations, shape (O, 3, 3), for what follows."""
         arms = (R @ self.point).T
-        heights = self.normals @ arms
-        factor = np.vstack((2.0 * arms, np.ones(len(R))))
-        return Turned(factor, heights, heights.min(axis=1, initial=np.inf))
+        return Turned(np.vstack((2.0 * arms, np.ones(len(R)))), self.normals @ arms)
 
     def holds_each(self, positions: Array, turned: Turned) -> Mask:
-        """Return which pairs of position and orientation the leg reaches, shape (P, O).
-
-        Args:
-            positions: Shape (P, 3), [m].
-            turned: The platform point in each orientation, from ``turned``.
-        """
+        """Return which pairs of position (P, 3), [m], and orientation the leg reaches, (P, O)."""
         squared = self._squared(positions, turned)
         inside = (squared >= self.bounds[0]) & (squared <= self.bounds[1])
         for normal, heights in zip(self.normals, turned.heights, strict=True):
@@ -336,8 +327,8 @@ class Reach:
         squared = self._squared(positions, turned)
         inside = squared.min(axis=1) >= self.bounds[0]
         inside &= squared.max(axis=1) <= self.bounds[1]
-        for normal, lowest in zip(self.normals, turned.lowest, strict=True):
-            inside &= (positions - self.centre) @ normal + lowest >= -self.slack
+        for normal, heights in zip(self.normals, turned.heights, strict=True):
+            inside &= (positions - self.centre) @ normal + heights.min() >= -self.slack
         return inside
 
     def _squared(self, positions: Array, turned: Turned) -> Array:

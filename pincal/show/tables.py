@@ -22,7 +22,6 @@ from pincal.words.table import Cell, Column, Quantity, Table, Uncertainty, UnitO
 from pincal.words.wording import mapped_diagonals
 from pincal.workspace.criteria import ArticularSymmetry
 from pincal.workspace.inscribed import Inscribed
-from pincal.workspace.positions import Grid
 from pincal.workspace.region import Workspace
 
 
@@ -174,13 +173,12 @@ def workspace_table(
     """
     positions, test = workspace.asked, workspace.test
     name = {1: "length", 2: "area", 3: "volume"}[positions.dimension or 1]
-    method = "at most: half a cell along the edge" if isinstance(positions, Grid) else "95 %"
     separate = f"; {workspace.apart:,} of them apart from home's" if workspace.apart else ""
     least, type2 = test.least, test.least.least_type2(test.mechanism)
     sides = "both sides of type 2" if type2 == -np.inf else f"type 2 ≥ {type2:.3g}"
     every = "in every one of" if test.every else "in any of"
     facts = [
-        (name, f"{workspace.size} ({method})"),
+        (name, f"{workspace.size} (at most: half a cell along the edge)"),
         ("positions", f"{workspace.count:,} of {positions.size:,} count{separate}"),
         ("orientations", f"{every} {len(test.orientations):,}"),
         ("margins", f"type 1 ≥ {least.type1:.3g}, {sides}"),
@@ -191,8 +189,9 @@ def workspace_table(
     if inscribed is None and wanted:
         facts.append(("largest inscribed", "none: no position counts"))
     if inscribed:
-        n_axes = len(positions.axes) if isinstance(positions, Grid) else 3
-        centre = ", ".join(f"{v + 0.0:.4f}" for v in inscribed.centre[:n_axes].round(6))
+        centre = ", ".join(
+            f"{v + 0.0:.4f}" for v in inscribed.centre[: len(positions.axes)].round(6)
+        )
         body = "ball" if positions.dimension == 3 else "circle"
         loose = inscribed.bound > 1.001 * inscribed.radius
         touches = f"; none is larger than {inscribed.bound:.4f} m" if loose else ""

@@ -16,8 +16,8 @@ from pincal.model.mechanism import Mechanism
 from pincal.show.style import CARRIED, DOMAIN, EVERY, PAGE, look
 from pincal.types import Array
 from pincal.workspace.criteria import equal_sums
+from pincal.workspace.grid import Grid
 from pincal.workspace.inscribed import Inscribed
-from pincal.workspace.positions import Grid
 from pincal.workspace.region import Workspace
 
 #: What is dark is seen on dark ground too.
@@ -39,7 +39,7 @@ def _panels(count: int, edge: float, share: bool = False) -> tuple[Figure, list[
 
 def workspace_figure(workspace: Workspace, inscribed: Inscribed | None = None) -> Figure:
     """Return a figure of a workspace seen from above, in slices of equal z in space."""
-    levels, positions = _levels(workspace), workspace.asked
+    levels = _levels(workspace)
     figure, panels = _panels(len(levels), 4.5, share=True)
     names, bases = workspace.test.mechanism.leg_names, _bases(workspace)
     for axes, level in zip(panels, levels, strict=True):
@@ -61,10 +61,8 @@ def workspace_figure(workspace: Workspace, inscribed: Inscribed | None = None) -
     size = workspace.size
     if not workspace.count:
         size = "empty"
-    elif isinstance(positions, Grid):
-        size += f"; {len(levels)} of {positions.shape[2]} heights" if len(levels) > 1 else ""
-    elif positions.dimension == 3:
-        size += "; samples of all heights"
+    elif len(levels) > 1:
+        size += f"; {len(levels)} of {workspace.asked.shape[2]} heights"
     size += "" if bases else "; base points lie outside"
     name = workspace.test.mechanism.name
     figure.suptitle(f"{name}: {workspace.kind} workspace\n{size}")
@@ -87,20 +85,13 @@ def _draw_workspace(
 ) -> None:
     """Draw positions that count, at one height in space; the fundamental domain is darker."""
     grid, index = workspace.asked, np.flatnonzero(workspace.inside)
-    positions = grid.at(index)
     if level is not None:
-        at_level = np.abs(positions[:, 2] - level) <= 1e-9 * max(1.0, abs(level))
-        index, positions = index[at_level], positions[at_level]
+        at_level = np.abs(grid.at(index)[:, 2] - level) <= 1e-9 * max(1.0, abs(level))
+        index = index[at_level]
     colours = np.where(workspace.representative(index), DOMAIN, CARRIED)
-    rasterized = len(index) > PAGE.raster_from  # a vector picture stays small
-    if isinstance(grid, Grid):
-        cells = PolyCollection(
-            list(_cells(grid, index)), facecolors=colours, edgecolors="face", lw=0.2
-        )
-        cells.set_rasterized(rasterized)
-        axes.add_collection(cells)
-    else:
-        axes.scatter(positions[:, 0], positions[:, 1], c=colours, s=2, lw=0, rasterized=rasterized)
+    cells = PolyCollection(list(_cells(grid, index)), facecolors=colours, edgecolors="face", lw=0.2)
+    cells.set_rasterized(len(index) > PAGE.raster_from)  # a vector picture stays small
+    axes.add_collection(cells)
     if inscribed:
         x, y, z = map(float, inscribed.centre)
         height = 0.0 if level is None else z - level
@@ -116,7 +107,7 @@ def _draw_workspace(
 def _levels(workspace: Workspace) -> list[float | None]:
     """Return the heights at which to draw slices, nine at most, or None for the plane."""
     grid = workspace.asked
-    if not isinstance(grid, Grid) or len(grid.shape) < 3:
+    if len(grid.shape) < 3:
         return [None]
     counts = workspace.inside.reshape(grid.shape).any(axis=(0, 1))
     values = grid.axes[2].values

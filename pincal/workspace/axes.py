@@ -20,21 +20,11 @@ from pincal.symmetry.elements import SAME, Element
 from pincal.types import Array
 
 _AXIS = re.compile(r"^\s*(\w+)\s*(?:\[\s*([^\[\]]*?)\s*\])?\s*=\s*(.+?)\s*$")
-#: Values of one axis, samples or poses.
 
 
-@dataclass(frozen=True)
-class Most:
-    """What is refused as too many."""
-
-    values: int = 10_000_000
-    """Of an axis, samples, poses."""
-    orientations: int = 1_000_000
-    positions: int = 1_000_000_000
-    """Of a grid, a byte each."""
-
-
-MOST = Most()
+MOST = 10_000_000
+"""Values of an axis, or poses, beyond which they are refused."""
+_MOST_ORIENTATIONS = 1_000_000
 #: Units of all axes that a grid may have.
 DIMENSIONS = {
     **dict.fromkeys(("x", "y", "z", "radius"), "m"),
@@ -98,10 +88,8 @@ class Axis:
             )
         if step <= 0.0:
             raise WorkspaceError(f"axis {name!r}: the step is {step:g}; expected more than 0")
-        if (high - low) / step > MOST.values:
-            raise WorkspaceError(
-                f"axis {name!r} has more than {MOST.values:,} values; a larger step"
-            )
+        if (high - low) / step > MOST:
+            raise WorkspaceError(f"axis {name!r} has more than {MOST:,} values; a larger step")
         count = int(np.floor((high - low) / step + ALIKE)) + 1
         last = low + (count - 1) * step
         if abs(high - last) <= ALIKE * step:
@@ -228,8 +216,8 @@ class Orientations:
         if "tilt" in values and "azimuth" not in values:
             values["azimuth"] = _round("azimuth", np.radians(10.0)).values
         lists = [values.get(name, np.zeros(1)) for name in columns]
-        if math.prod(len(v) for v in lists) > MOST.orientations:
-            raise WorkspaceError(f"more than {MOST.orientations:,} orientations; take larger steps")
+        if math.prod(len(v) for v in lists) > _MOST_ORIENTATIONS:
+            raise WorkspaceError("more than 1,000,000 orientations; take larger steps")
         grid = np.stack(np.meshgrid(*lists, indexing="ij"), axis=-1).reshape(-1, 3)
         return cls.from_rotations(rotation_of(way, grid))
 

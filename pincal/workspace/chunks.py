@@ -6,11 +6,9 @@ is run again by another one, and counts once however often it was run.
 
 from __future__ import annotations
 
-import itertools
 import socket
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import TypeAlias
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -20,21 +18,7 @@ from pincal.model.checks import described
 
 Chunk: TypeAlias = tuple[int, int]
 Task: TypeAlias = Callable[[int, int], bytes]
-
-
-@dataclass(frozen=True)
-class Cluster:
-    """How a cluster is waited for."""
-
-    wait: float = 5.0
-    """For a scheduler to answer, [s]."""
-    patience: float = 10.0
-    """Until workers are looked for, [s]."""
-    ahead: int = 4
-    """Chunks handed to each core at a time."""
-
-
-_CLUSTER = Cluster()
+_WAIT = 5.0  # for a scheduler to answer, [s]
 
 
 def check_jobs(jobs: object) -> None:
@@ -86,59 +70,26 @@ def _on_cluster(task: Task, chunks: list[Chunk], scheduler: str) -> Iterator[tup
         raise WorkspaceError(
             "a Dask cluster needs the package distributed: python -m pip install 'pincal[cluster]'"
         ) from error
-    _reach(scheduler)
-    try:
-        client: Any = distributed.Client(  # type: ignore[no-untyped-call]
-            scheduler, timeout=_CLUSTER.wait
-        )
-    except (OSError, ValueError, TypeError, TimeoutError) as error:
-        raise WorkspaceError(f"no Dask scheduler answers at {scheduler}: {error}") from error
-    with client:
-        cores = sum(client.nthreads().values())
-        if not cores:
-            raise WorkspaceError(
-                f"the Dask scheduler at {scheduler} has no workers; start some with 'dask worker "
-                f"{scheduler} --nthreads 1 --nworkers 2'"
-            )
-        yield from _collect(client, distributed.wait, task, chunks, _CLUSTER.ahead * cores)
-
-
-def _reach(scheduler: str) -> None:
-    """Raise if nothing listens at an address: a client that waits in vain is slow to give up."""
     try:
         parts = urlsplit(scheduler if "://" in scheduler else f"tcp://{scheduler}")
         if not parts.hostname or not parts.port:
             raise ValueError("not an address")
-        socket.create_connection((parts.hostname, parts.port), _CLUSTER.wait).close()
-    except (OSError, ValueError) as error:
+        # a client that waits in vain is slow to give up
+        socket.create_connection((parts.hostname, parts.port), _WAIT).close()
+        client = distributed.Client(scheduler, timeout=_WAIT)  # type: ignore[no-untyped-call]
+    except (OSError, ValueError, TypeError) as error:
         raise WorkspaceError(
             f"no Dask scheduler answers at {scheduler}: {error}. Start one with 'dask scheduler' "
             "and give its address, such as tcp://host:8786"
         ) from error
-
-
-def _collect(
-    client: Any, wait: Any, task: Task, chunks: list[Chunk], ahead: int
-) -> Iterator[tuple[Chunk, bytes]]:
-    """Yield results as they come, with so many chunks handed out at a time.
-
-    Raises:
-        WorkspaceError: a chunk fails, or all workers are gone.
-    """
-    waiting = iter(chunks)
-    pending: set[Any] = set()
-    while True:
-        more = itertools.islice(waiting, ahead - len(pending))
-        pending |= {client.submit(_numbered, task, chunk, pure=False) for chunk in more}
-        if not pending:
-            return
-        try:
-            done = wait(pending, timeout=_CLUSTER.patience, return_when="FIRST_COMPLETED").done
-        except TimeoutError:
-            if not client.nthreads():
-                raise WorkspaceError("all workers of the Dask cluster are gone") from None
-            continue
-        for future in done:
+    with client:
+        if not client.nthreads():  # type: ignore[no-untyped-call]
+            raise WorkspaceError(
+                f"the Dask scheduler at {scheduler} has no workers; start some with 'dask worker "
+                f"{scheduler} --nthreads 1 --nworkers 2'"
+            )
+        futures = client.map(_numbered, [task] * len(chunks), chunks, pure=False)
+        for future in distributed.as_completed(futures):  # type: ignore[no-untyped-call]
             try:
                 result = future.result()
             except Exception as error:  # whatever a worker raised
@@ -147,4 +98,3 @@ def _collect(
                     "Workers need the same version of pincal, and memory enough"
                 ) from error
             yield result
-        pending -= done

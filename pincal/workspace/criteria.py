@@ -94,9 +94,9 @@ class Criteria:
                 "say which side is meant; move home, or count poses on both sides (--no-margins)"
             )
         self._legs = nominal_legs(mechanism)
-        found = [reach_of(leg, self.least.type1) for leg in self._legs]
-        self.reaches: tuple[Reach, ...] = tuple(reach for reach in found if reach)
-        self._exact = all(reach and reach.exact for reach in found)
+        reaches = [reach_of(leg, self.least.type1) for leg in self._legs]
+        self.reaches: tuple[Reach, ...] = tuple(reach for reach in reaches if reach)
+        self._exact = all(reach and reach.exact for reach in reaches)
         self.in_closed_form = self._type2 == -np.inf and self._exact
         """Whether the reaches decide alone."""
 
@@ -113,9 +113,9 @@ class Criteria:
 
     def _within(self, matrices: Array) -> Mask:
         """Return which poses count of those that the reaches allow."""
-        found = rods_margin(self.mechanism, matrices) if self._exact else None
-        if found is not None:
-            return np.asarray(found >= self._type2 - ROUNDING)
+        margin = rods_margin(self.mechanism, matrices) if self._exact else None
+        if margin is not None:
+            return np.asarray(margin >= self._type2 - ROUNDING)
         return self._counted(close_legs(self._legs, matrices))
 
     def at_readings(self, poses: Array, readings: Array) -> Mask:
@@ -141,23 +141,21 @@ class Criteria:
         """Return which poses count of those at which legs were closed."""
         with np.errstate(invalid="ignore"):
             inside = np.all(by_leg(closed, lambda legs: legs.reached), axis=0)
-            for leg, joints in zip(self._legs, by_leg(closed, lambda one: one.joints), strict=True):
+            for leg, joints in zip(
+                self._legs, by_leg(closed, lambda legs: legs.joints), strict=True
+            ):
                 inside &= ~beyond_limits(leg.leg, joints).any(axis=1)
             least = max(self.least.type1 - ROUNDING, _GRIP)
             inside &= (drive_margins(closed) >= least).all(axis=1)
             if self._type2 > -np.inf:
-                lines = by_leg(closed, lambda one: one.closure.constraint_by_pose)
+                lines = by_leg(closed, lambda legs: legs.closure.constraint_by_pose)
                 inside &= platform_margin(self.mechanism, lines) >= self._type2 - ROUNDING
         return inside
 
 
-def as_margins(given: Margins | None) -> Margins:
-    """Return margins that are given; without them, the default.
-
-    Raises:
-        WorkspaceError: something else.
-    """
-    return must_be(given or Margins(), Margins, "margins", WorkspaceError)
+def as_margins(least: Margins | None) -> Margins:
+    """Return margins, the default if not given."""
+    return must_be(least or Margins(), Margins, "margins", WorkspaceError)
 
 
 @lru_cache(maxsize=16)
@@ -167,11 +165,7 @@ def criteria_of(mechanism: Mechanism, least: Margins) -> Criteria:
 
 
 def refuse_readings(mechanism: Mechanism) -> None:
-    """Raise if readings do not follow from poses, so that positions cannot be asked one by one.
-
-    Raises:
-        WorkspaceError: naming what to do instead.
-    """
+    """Raise if readings do not follow from poses, so that positions cannot be asked one by one."""
     if mechanism.by_readings:
         raise WorkspaceError(
             f"poses of {mechanism.name!r} are made from readings, and do not fill a region of "
@@ -253,8 +247,8 @@ def articular_symmetry(
 
     Example:
         >>> import pincal
-        >>> found = pincal.articular_symmetry("5R", pincal.sample_workspace("5R", 50, seed=0))
-        >>> len(found) > 0
+        >>> checks = pincal.articular_symmetry("5R", pincal.sample_workspace("5R", 50, seed=0))
+        >>> len(checks) > 0
         True
     """
     mechanism = as_mechanism(mechanism)
@@ -263,7 +257,7 @@ def articular_symmetry(
     readings = articular_space(mechanism, poses)
     spread = np.ptp(platform.twists_between(poses[:1].repeat(len(poses), 0), poses), axis=0)
     aside = np.random.default_rng(seed).normal(size=poses.shape) * _ASIDE * spread
-    found = []
+    checks = []
     for element, permutation in list(zip(group.elements, group.permutations, strict=True))[1:]:
         permuted = np.empty_like(readings)
         permuted[:, list(permutation)] = readings
@@ -273,7 +267,6 @@ def articular_symmetry(
         off = platform.twists_between(carried[ok], solution.poses[ok])
         inside = in_workspace(mechanism, solution.poses[ok], least)
         worst = float(np.linalg.norm(off, axis=1).max(initial=0.0))
-        found.append(
-            ArticularSymmetry(element, int(ok.sum()), len(poses), worst, int(inside.sum()))
-        )
-    return tuple(found)
+        counts = int(ok.sum()), len(poses), worst, int(inside.sum())
+        checks.append(ArticularSymmetry(element, *counts))
+    return tuple(checks)

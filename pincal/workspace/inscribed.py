@@ -18,8 +18,8 @@ from scipy.spatial import KDTree, QhullError, Voronoi
 
 from pincal.errors import WorkspaceError
 from pincal.types import Array
-from pincal.workspace.positions import Grid
-from pincal.workspace.region import Workspace, at_edge, edges
+from pincal.workspace.grid import Grid, at_edge, edges
+from pincal.workspace.region import Workspace
 
 _ROUNDS = 60
 _NEAR = 1e-4  # of the radius, how near to the bound is enough; of a step, on the boundary
@@ -56,13 +56,13 @@ class Inscribed:
 
 
 def largest_inscribed(workspace: Workspace) -> Inscribed:
-    """Return the largest circle or ball inside a workspace that was asked on a grid.
+    """Return the largest circle or ball inside a workspace.
 
     Raises:
-        WorkspaceError: samples instead of a grid, a grid with one axis, or too few cells.
+        WorkspaceError: a grid with one axis, or too few cells.
     """
     grid = workspace.asked
-    if not isinstance(grid, Grid) or grid.dimension < 2:
+    if grid.dimension < 2:
         raise WorkspaceError("an inscribed circle or ball needs a grid with two or three axes")
     axes = _varying_axes(grid)
     if not workspace.count:

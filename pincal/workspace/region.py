@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from pincal.blas import on_one_thread
 from pincal.errors import WorkspaceError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.files.table import write_table
+from pincal.kinematics.closed_forms import Turned
 from pincal.kinematics.singularity import margins
 from pincal.model.checks import ROUNDING, described
 from pincal.model.mechanism import Mechanism
@@ -29,17 +30,99 @@ from pincal.types import Array, Mask
 from pincal.words.numbers import measured
 from pincal.workspace.axes import Orientations
 from pincal.workspace.chunks import run
-from pincal.workspace.criteria import Margins, as_margins, refuse_readings
-from pincal.workspace.positions import (
+from pincal.workspace.criteria import Criteria, Margins, as_margins, criteria_of, refuse_readings
+from pincal.workspace.grid import (
     BLOCK,
-    Carrier,
     Grid,
     Indices,
-    Positions,
-    PositionTest,
-    Samples,
+    at_edge,
+    blocks,
+    edges,
+    part_around,
     representatives,
 )
+
+KINDS = ("reachable", "constant-orientation", "total-orientation", "dexterous")
+_CHUNK = 1 << 22  # poses handed out at a time, where legs have a closed form
+
+
+_FIRST = 16  # orientations after which closed loops ask who is decided, then 8 times as many
+
+
+@dataclass(frozen=True)
+class PositionTest:
+    """Decides which positions are reached in any, or in every, orientation of a set."""
+
+    mechanism: Mechanism
+    orientations: Orientations
+    every: bool
+    least: Margins
+
+    @cached_property
+    def _criteria(self) -> Criteria:
+        return criteria_of(self.mechanism, self.least)
+
+    def __reduce__(self) -> tuple[type[PositionTest], tuple[object, ...]]:
+        """Pickle what is given, not what is cached: it goes to other processes often."""
+        return PositionTest, (self.mechanism, self.orientations, self.every, self.least)
+
+    @property
+    def in_closed_form(self) -> bool:
+        """Whether no loop needs to be closed to decide."""
+        return self._criteria.in_closed_form
+
+    def __call__(self, positions: Array) -> Mask:
+        """Return which positions, shape (N, 3), count."""
+        inside = np.empty(len(positions), dtype=bool)
+        for begin, end in blocks(len(positions), max(1, BLOCK // len(self.orientations))):
+            inside[begin:end] = self._decided(positions[begin:end])
+        return inside
+
+    @cached_property
+    def _turns(self) -> tuple[Array, list[Turned]]:
+        """Orientations as matrices, shape (O, 3, 3), and each leg's point turned by them.
+
+        Those that are likely to decide come first: the far ones if every one must be reached.
+        """
+        rotations = self.orientations.rotations
+        home = self.mechanism.platform.home_pose.rotation[0]
+        far = (home.inv() * rotations).magnitude()
+        R = rotations.as_matrix()[np.argsort(-far if self.every else far, kind="stable")]
+        return R, [reach.turned(R) for reach in self._criteria.reaches]
+
+    def _decided(self, positions: Array) -> Mask:
+        """Return which positions count: by closed forms first, then by closing legs."""
+        R, arms = self._turns
+        alive, possible = np.arange(len(positions)), np.ones((len(positions), len(R)), dtype=bool)
+        for reach, arm in zip(self._criteria.reaches, arms, strict=True):
+            if self.every:
+                held = reach.holds_all(positions[alive], arm)
+            else:
+                possible = possible & reach.holds_each(positions[alive], arm)
+                held = np.asarray(possible.any(axis=1))
+            alive, possible = alive[held], possible[held]
+        if not self.in_closed_form:
+            alive = alive[self._by_closing(positions[alive], possible)]
+        inside = np.zeros(len(positions), dtype=bool)
+        inside[alive] = True
+        return inside
+
+    def _by_closing(self, positions: Array, possible: Mask) -> Mask:
+        """Return which positions count, by closing the legs at possible pairs, shape (P,)."""
+        R, _ = self._turns
+        decided = np.zeros(len(positions), dtype=bool)  # failed if every, else reached
+        begin, width = 0, _FIRST
+        while begin < len(R) and not decided.all():
+            columns = slice(begin, begin + width)
+            open_rows = np.flatnonzero(~decided)
+            row, column = np.nonzero(possible[open_rows, columns])
+            row, column = open_rows[row], column + begin
+            matrices = np.broadcast_to(np.eye(4), (len(row), 4, 4)).copy()
+            matrices[:, :3, 3], matrices[:, :3, :3] = positions[row], R[column]
+            deciding = self._criteria(matrices) != self.every
+            decided[row[deciding]] = True
+            begin, width = begin + width, 8 * width
+        return decided != self.every
 
 
 def keep_side(
@@ -60,27 +143,24 @@ def keep_side(
     return tuple(element for element, ok in zip(group, same, strict=True) if ok)
 
 
-def usable(
-    group: tuple[Element, ...], positions: Positions, asked: Orientations
-) -> tuple[Element, ...]:
+def usable(group: tuple[Element, ...], grid: Grid, asked: Orientations) -> tuple[Element, ...]:
     """Return the elements of a group that map positions and orientations onto themselves.
 
     Raises:
         WorkspaceError: they are no group, so that orbits would not be what they stand for.
     """
-    turns = asked.rotations.as_matrix()
-    found = []
+    turns, mapping = asked.rotations.as_matrix(), []
     for element in group:
         move = element.positions(turns)
-        if move is not None and asked.maps(element) and positions.carrier(move):
-            found.append(element)
-    for first, second in product(found, found):
-        if not any(first.after(second).equals(one) for one in found):
+        if move is not None and asked.maps(element) and grid.carrier(move):
+            mapping.append(element)
+    for first, second in product(mapping, mapping):
+        if not any(first.after(second).equals(element) for element in mapping):
             raise WorkspaceError(
                 f"the elements that map these positions onto themselves are no group: {first} "
                 f"after {second} is missing. Compute all positions (symmetry=False, --no-symmetry)"
             )
-    return tuple(found)
+    return tuple(mapping)
 
 
 def moves_of(elements: tuple[Element, ...], asked: Orientations) -> tuple[Isometry, ...]:
@@ -89,141 +169,9 @@ def moves_of(elements: tuple[Element, ...], asked: Orientations) -> tuple[Isomet
     return tuple(move for element in elements if (move := element.positions(turns)) is not None)
 
 
-def edges(grid: Grid, inside: Mask) -> Indices:
-    """Return pairs of neighbours of which one counts, by number, shape (M, 2)."""
-    cells = inside.reshape(grid.shape)
-    found = []
-    for place, n in enumerate(grid.shape):
-        first, second = [slice(None)] * cells.ndim, [slice(None)] * cells.ndim
-        first[place], second[place] = slice(0, n - 1), slice(1, n)
-        differ = np.argwhere(cells[tuple(first)] != cells[tuple(second)])
-        found.append(_pairs(grid, differ, differ + np.eye(cells.ndim, dtype=np.int64)[place]))
-        if _closed(grid, place):
-            wrap = np.argwhere(cells.take([0], place) != cells.take([n - 1], place))
-            last = wrap.copy()
-            last[:, place] = n - 1
-            found.append(_pairs(grid, last, wrap))
-    return np.concatenate(found)
-
-
-def at_edge(grid: Grid, inside: Mask) -> Array:
-    """Return where positions that count end the grid, half a step outside, shape (M, 3), [m]."""
-    cells = inside.reshape(grid.shape)
-    found = [np.empty((0, 3))]
-    for place, axis in enumerate(grid.axes):
-        n = len(axis.values)
-        if n < 2 or axis.full_turn:
-            continue
-        for end, sign in ((0, -1.0), (n - 1, 1.0)):
-            if axis.name == "radius" and sign < 0 and axis.values[0] <= axis.step:
-                continue  # the centre is no edge
-            where = np.argwhere(cells.take([end], place))
-            where[:, place] = end
-            coordinates = [a.values[i] for a, i in zip(grid.axes, where.T, strict=True)]
-            coordinates[place] = coordinates[place] + sign * axis.step / 2
-            found.append(grid.cartesian(coordinates))
-    return np.concatenate(found)
-
-
-def part_around(grid: Grid, inside: Mask, home: Array) -> Mask:
-    """Return the positions that count and hang together with the one nearest to home, (N,).
-
-    Args:
-        grid: The grid.
-        inside: Which positions count, shape (N,).
-        home: Shape (3,), [m].
-    """
-    from scipy.ndimage import binary_propagation  # slow to import, and needed here only
-
-    whole = inside.reshape(grid.shape)
-    box = tuple(_extent(grid, whole, place) for place in range(whole.ndim))
-    cells = whole[box]
-    part = np.zeros(cells.shape, dtype=bool)
-    first = np.unravel_index(_nearest(grid, inside, home), grid.shape)
-    part[tuple(i - side.start for i, side in zip(first, box, strict=True))] = True
-    around = [place for place in range(cells.ndim) if _closed(grid, place)]
-    while True:
-        part = binary_propagation(part, mask=cells)
-        grown = False
-        for place in around:  # first and last value are neighbours
-            ends = part.take([0, -1], place).any(axis=place, keepdims=True)
-            for end in (0, -1):
-                where = [slice(None)] * cells.ndim
-                where[place] = slice(end, None) if end else slice(0, 1)
-                more = ends & cells[tuple(where)] & ~part[tuple(where)]
-                part[tuple(where)] |= more
-                grown |= bool(more.any())
-        if not grown:
-            break
-    result = np.zeros(grid.shape, dtype=bool)
-    result[box] = part
-    return result.ravel()
-
-
-def _extent(grid: Grid, cells: Mask, place: int) -> slice:
-    """Return the values of an axis between which cells count; all of one that closes."""
-    if _closed(grid, place):
-        return slice(0, cells.shape[place])
-    others = tuple(axis for axis in range(cells.ndim) if axis != place)
-    some = np.flatnonzero(cells.any(axis=others))
-    return slice(int(some[0]), int(some[-1]) + 1)
-
-
-def _nearest(grid: Grid, inside: Mask, home: Array) -> int:
-    """Return the number of the position that counts and is nearest to home."""
-    best, least = 0, np.inf
-    for begin in range(0, len(inside), BLOCK):
-        index = begin + np.flatnonzero(inside[begin : begin + BLOCK])
-        if len(index):
-            away = np.linalg.norm(grid.at(index) - home, axis=1)
-            place = int(np.argmin(away))
-            if away[place] < least:
-                best, least = int(index[place]), float(away[place])
-    return best
-
-
-def _closed(grid: Grid, place: int) -> bool:
-    """Return whether the first and last value of an axis are neighbours."""
-    axis = grid.axes[place]
-    return axis.name == "bearing" and axis.full_turn and len(axis.values) > 2
-
-
-def _pairs(grid: Grid, first: Indices, second: Indices) -> Indices:
-    """Return places on the axes as pairs of numbers, shape (M, 2)."""
-    ends = [np.ravel_multi_index(tuple(end.T), grid.shape) for end in (first, second)]
-    return np.stack(ends, axis=1).astype(np.int64)
-
-
-KINDS = ("reachable", "constant-orientation", "total-orientation", "dexterous")
-_CHUNK = 1 << 22  # poses handed out at a time, where legs have a closed form
-
-
-@dataclass(frozen=True)
-class _Task:
-    """Chunk of positions, by their numbers, to packed bits."""
-
-    test: PositionTest
-    positions: Positions
-    moves: tuple[Isometry, ...]
-
-    def __reduce__(self) -> tuple[type[_Task], tuple[object, ...]]:
-        return _Task, (self.test, self.positions, self.moves)
-
-    @cached_property
-    def lowest(self) -> Carrier:
-        return representatives(self.positions, self.moves)
-
-    def __call__(self, begin: int, end: int) -> bytes:
-        index = np.arange(begin, end)
-        own = index[self.lowest(index) == index]
-        inside = np.zeros(end - begin, dtype=bool)
-        inside[own - begin] = self.test(self.positions.at(own))
-        return np.packbits(inside).tobytes()
-
-
 @dataclass(frozen=True, repr=False, eq=False)
 class Workspace:
-    """Positions that count, of a grid or of samples.
+    """Positions of a grid that count.
 
     Example:
         >>> import pincal
@@ -235,7 +183,7 @@ class Workspace:
 
     kind: str
     test: PositionTest
-    asked: Positions
+    asked: Grid
     """The positions asked, that ``inside`` is about."""
     inside: Mask
     """Which positions count, by number, shape (n_asked,); not writable."""
@@ -264,16 +212,16 @@ class Workspace:
     @cached_property
     def cut(self) -> bool:
         """Whether positions that count lie at the edge of the grid: there may be more outside."""
-        return isinstance(self.asked, Grid) and len(at_edge(self.asked, self.inside)) > 0
+        return len(at_edge(self.asked, self.inside)) > 0
 
     @cached_property
     def apart(self) -> int:
-        """Number of positions on a grid that count but do not hang together with home's there.
+        """Number of positions that count but do not hang together with home's on the grid.
 
         They may belong to another aspect, or hang together by way of other heights and
-        orientations. 0 of samples.
+        orientations.
         """
-        if not isinstance(self.asked, Grid) or not self.inside.any():
+        if not self.inside.any():
             return 0
         home = self.test.mechanism.platform.home_pose.translation[0]
         return self.count - int(np.count_nonzero(part_around(self.asked, self.inside, home)))
@@ -281,11 +229,7 @@ class Workspace:
     @cached_property
     def measure(self) -> float:
         """Area [m²] or volume [m³]; a length [m] on a line."""
-        parts = (
-            self.asked.measures(begin + np.flatnonzero(self.inside[begin:end])).sum()
-            for begin, end in _chunks(len(self.inside), BLOCK)
-        )
-        return float(sum(parts))
+        return float(sum(self.asked.measures(index).sum() for index in self._numbers()))
 
     @property
     def unit(self) -> str:
@@ -294,21 +238,10 @@ class Workspace:
 
     @cached_property
     def uncertainty(self) -> float:
-        """By how much ``measure`` may be off.
-
-        On a grid at most, half a cell along the whole edge, of what lies on the grid (see
-        ``cut``); with samples the half width of the 95 % interval.
-        """
-        if isinstance(self.asked, Grid):
-            along = self.asked.measures(edges(self.asked, self.inside).ravel()).sum() / 4
-            one = self.asked.measures(np.array([self.asked.size - 1]))[0]  # may have been missed
-            return float(max(along, one))
-        orbits = (
-            len(self.inside) / len(self.asked.elements) if isinstance(self.asked, Samples) else 1
-        )
-        share = self.count / len(self.inside)
-        whole = float(self.asked.measures(np.zeros(1, np.int64))[0] * len(self.inside))
-        return 1.96 * whole * float(np.sqrt(share * (1 - share) / orbits))
+        """By how much ``measure`` is off at most: half a cell along the whole edge on the grid."""
+        along = self.asked.measures(edges(self.asked, self.inside).ravel()).sum() / 4
+        cell = self.asked.measures(np.array([self.asked.size - 1]))[0]  # may have been missed
+        return float(max(along, cell))
 
     def poses(self) -> Array:
         """Return the poses of a constant orientation workspace, coordinates of shape (count, dof).
@@ -329,15 +262,19 @@ class Workspace:
         Raises:
             FileError: the file exists and ``force`` is not set, or cannot be written.
         """
-        names = ("x", "y", "z")[: self.test.mechanism.platform.units.count("m")]
-        columns = {f"{name} [m]": self._column(place) for place, name in enumerate(names)}
+        names = ("x", "y", "z")[: self.test.mechanism.platform.lengths]
+
+        def column(place: int) -> Iterator[float]:
+            for index in self._numbers():
+                yield from self.asked.at(index)[:, place].tolist()
+
+        columns = {f"{name} [m]": column(place) for place, name in enumerate(names)}
         write_table(path, columns, force=force)
 
-    def _column(self, place: int) -> Iterator[float]:
-        """Yield one coordinate of the positions that count, a bounded number at a time."""
-        for begin, end in _chunks(len(self.inside), BLOCK):
-            index = begin + np.flatnonzero(self.inside[begin:end])
-            yield from self.asked.at(index)[:, place].tolist()
+    def _numbers(self) -> Iterator[Indices]:
+        """Yield the numbers of positions that count, a bounded number at a time."""
+        for begin, end in blocks(len(self.inside)):
+            yield begin + np.flatnonzero(self.inside[begin:end])
 
     def __str__(self) -> str:
         """Return a short page: the workspace, and what it was asked of."""
@@ -384,7 +321,7 @@ class Computing:
 def compute_workspace(
     mechanism: GivenMechanism,
     kind: str,
-    positions: Positions,
+    grid: Grid,
     orientations: Orientations | None = None,
     least: Margins | None = None,
     **options: Any,
@@ -398,7 +335,7 @@ def compute_workspace(
         mechanism: The mechanism.
         kind: ``reachable`` (in any orientation), ``constant-orientation`` (in the one given),
             ``total-orientation`` (in every one given) or ``dexterous`` (in every one there is).
-        positions: Where to ask.
+        grid: Where to ask.
         orientations: Orientations asked; if not given, home's for a constant orientation, and
             all round (5° apart in a plane, 30° in space) if reachable or dexterous.
         least: Margins from singularities.
@@ -411,41 +348,50 @@ def compute_workspace(
     """
     how, mechanism = Computing(**options), as_mechanism(mechanism)
     asked = _asked(mechanism, kind, orientations)
-    if not hasattr(positions, "at"):
-        raise WorkspaceError(f"positions: expected a Grid or Samples; got {described(positions)}")
-    _check_positions(mechanism, positions)
-    if how.connected and not isinstance(positions, Grid):
-        raise WorkspaceError("samples have no neighbours; ask on a grid what is connected")
+    if not isinstance(grid, Grid):
+        raise WorkspaceError(f"grid: expected a Grid; got {described(grid)}")
+    _check_grid(mechanism, grid)
     refuse_readings(mechanism)
     every = kind != "reachable"
     least = as_margins(least)
     group = symmetry_group(mechanism, ROUNDING, readings=False).elements
     elements: tuple[Element, ...] = (IDENTITY,)
     if how.symmetry:
-        elements = usable(keep_side(mechanism, group, least), positions, asked)
+        elements = usable(keep_side(mechanism, group, least), grid, asked)
     unused = tuple(e for e in group if e not in elements)
     moves = moves_of(elements, asked)
-    task = _Task(PositionTest(mechanism, asked, every, least), positions, moves)
-    task.test(positions.at(np.zeros(1, np.int64)))  # errors in the mechanism show here, not there
-    most = _CHUNK if task.test.in_closed_form else BLOCK
-    size = max(1, min(BLOCK, most // len(asked)))
-    inside, computed = np.zeros(positions.size, dtype=bool), 0
-    for done, (chunk, bits) in enumerate(
-        run(task, list(_chunks(positions.size, size)), how.jobs, how.scheduler), 1
-    ):
+    test = PositionTest(mechanism, asked, every, least)
+    test(grid.at(np.zeros(1, np.int64)))  # errors in the mechanism show here, not there
+    size = max(1, min(BLOCK, (_CHUNK if test.in_closed_form else BLOCK) // len(asked)))
+    inside, computed = np.zeros(grid.size, dtype=bool), 0
+    chunks = list(blocks(grid.size, size))
+    asking = run(partial(_asked_bits, test, grid, moves), chunks, how.jobs, how.scheduler)
+    for done, (chunk, bits) in enumerate(asking, 1):
         packed = np.frombuffer(bits, dtype=np.uint8)
         inside[slice(*chunk)] = np.unpackbits(packed, count=chunk[1] - chunk[0])
         if how.progress:
-            how.progress(min(done * size, positions.size))
-    for begin, end in _chunks(positions.size, BLOCK):
+            how.progress(min(done * size, grid.size))
+    lowest_of = representatives(grid, moves)
+    for begin, end in blocks(grid.size):
         index = np.arange(begin, end)
-        lowest = task.lowest(index)
+        lowest = lowest_of(index)
         computed += int(np.count_nonzero(lowest == index))
         inside[begin:end] = inside[lowest]
-    if how.connected and isinstance(positions, Grid) and inside.any():
-        inside = part_around(positions, inside, mechanism.platform.home_pose.translation[0])
+    if how.connected and inside.any():
+        inside = part_around(grid, inside, mechanism.platform.home_pose.translation[0])
     inside.setflags(write=False)
-    return Workspace(kind, task.test, positions, inside, elements, unused, computed)
+    return Workspace(kind, test, grid, inside, elements, unused, computed)
+
+
+def _asked_bits(
+    test: PositionTest, grid: Grid, moves: tuple[Isometry, ...], begin: int, end: int
+) -> bytes:
+    """Return which positions of a chunk count, as packed bits: of each orbit the lowest."""
+    index = np.arange(begin, end)
+    lowest = index[representatives(grid, moves)(index) == index]
+    inside = np.zeros(end - begin, dtype=bool)
+    inside[lowest - begin] = test(grid.at(lowest))
+    return np.packbits(inside).tobytes()
 
 
 def _asked(mechanism: Mechanism, kind: str, given: Orientations | None) -> Orientations:
@@ -475,22 +421,16 @@ def _asked(mechanism: Mechanism, kind: str, given: Orientations | None) -> Orien
     return Orientations.everywhere(platform)
 
 
-def _check_positions(mechanism: Mechanism, positions: Positions) -> None:
+def _check_grid(mechanism: Mechanism, grid: Grid) -> None:
     """Raise if positions leave the plane of the platform, or are of another scale."""
-    ends = positions.at(np.array([0, positions.size - 1]))
-    if mechanism.platform.units.count("m") < 3 and ends[:, 2].any():
+    ends = grid.at(np.array([0, grid.size - 1]))
+    if mechanism.platform.lengths < 3 and ends[:, 2].any():
         raise WorkspaceError(f"axis 'z': the platform of {mechanism.name!r} moves in a plane")
-    if isinstance(positions, Grid):
-        across = 2 * max(leg.reach for leg in mechanism.legs)
-        for axis in positions.axes:
-            if axis.name != "bearing" and axis.step > across:
-                raise WorkspaceError(
-                    f"axis {axis.name!r} has steps of {axis.step:g} m, more than the legs of "
-                    f"{mechanism.name!r} reach across ({across:.3g} m); is it in another unit, "
-                    f"such as '{axis.name} [mm]=…'?"
-                )
-
-
-def _chunks(size: int, step: int) -> Iterator[tuple[int, int]]:
-    for begin in range(0, size, step):
-        yield begin, min(begin + step, size)
+    across = 2 * max(leg.reach for leg in mechanism.legs)
+    for axis in grid.axes:
+        if axis.name != "bearing" and axis.step > across:
+            raise WorkspaceError(
+                f"axis {axis.name!r} has steps of {axis.step:g} m, more than the legs of "
+                f"{mechanism.name!r} reach across ({across:.3g} m); is it in another unit, "
+                f"such as '{axis.name} [mm]=…'?"
+            )

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -31,23 +30,24 @@ from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Platform
 from pincal.types import Array, Mask
 from pincal.workspace.axes import MOST
-from pincal.workspace.box import reach_box
 from pincal.workspace.criteria import Margins, as_margins, criteria_of, in_workspace
+from pincal.workspace.grid import reach_box
 
+_RARE = 0.05  # of drawn readings: of fewer that count, the next are drawn nearer to home
+_HALVINGS = 24  # of the range of readings: nearer than that, none counts
+_BATCH, _PART = 16_384, 2048  # poses that are drawn, and looked at, together
+_PILOT = 1_500  # accepted poses from which the box is tightened and connected
+_WIDEN = 0.1  # of the box around the accepted poses, on each side
+_MOST = 400  # batches without enough poses before giving up
+_FAR, _HITS = 64, 8  # batches without so many hits after which poses are drawn nearer to home
 _ROUNDS = 6  # the nearest neighbours first: poses that hang together already are not joined again
 
 
 class HomeComponent:
-    """Decides which poses are connected to home, from poses that count and a test for more."""
+    """Decides which poses are connected to home, whose pose counts."""
 
     def __init__(self, platform: Platform, poses: Array, counts: Callable[[Array], Mask]) -> None:
-        """Join sampled poses.
-
-        Args:
-            platform: The platform, whose home pose counts.
-            poses: Sampled poses that count, coordinates of shape (M, dof).
-            counts: Test for poses, shape (N, dof) to (N,).
-        """
+        """Join sampled poses that count, shape (M, dof), where the test lets the way count too."""
         self._platform = platform
         self._home = np.array([platform.home])
         poses = np.concatenate((self._home, poses))
@@ -77,33 +77,6 @@ class HomeComponent:
     def _points(self, poses: Array) -> Array:
         """Return poses as twists from home, in which near poses are near, shape (N, dof)."""
         return self._platform.twists_between(np.repeat(self._home, len(poses), axis=0), poses)
-
-
-@dataclass(frozen=True)
-class Effort:
-    """How poses are drawn."""
-
-    rare: float = 0.05
-    """Of readings that are drawn: of fewer that count, the next are drawn nearer to home."""
-    halvings: int = 24
-    """Of the range of readings: nearer than that, none counts."""
-    batch: int = 16_384
-    """Poses that are drawn together."""
-    part: int = 2048
-    """Poses that are looked at together."""
-    pilot: int = 1_500
-    """Accepted poses from which the box is tightened and connected."""
-    widen: float = 0.1
-    """Of the box around the accepted poses, on each side."""
-    most: int = 400
-    """Batches without enough poses before giving up."""
-    far: int = 64
-    """Batches without hits after which poses are drawn near home, nearer each time."""
-    hits: int = 8
-    """Accepted poses that say where to look closer."""
-
-
-_EFFORT = Effort()
 
 
 @on_one_thread
@@ -138,14 +111,14 @@ def sample_configurations(
     start = np.array(mechanism.platform.home)
     arm = all(not leg.passive for leg in mechanism.legs)
     poses, readings, total, halved = [], [], 0, 0
-    while halved < _EFFORT.halvings:
+    while halved < _HALVINGS:
         drawn = rng.uniform(low, high, (2 * count, len(low)))
         solution = forward(mechanism, drawn, np.tile(start, (len(drawn), 1)))
         rows = np.flatnonzero(solution.converged)
         if not arm:
             criteria = criteria_of(mechanism, as_margins(least))
             rows = rows[criteria.at_readings(solution.poses[rows], drawn[rows])]
-            if len(rows) < _EFFORT.rare * len(drawn):  # joints without limits turn round: nearer
+            if len(rows) < _RARE * len(drawn):  # joints without limits turn round: nearer
                 low, high = 0.5 * (low + home), 0.5 * (high + home)
                 halved += 1
         poses.append(solution.poses[rows])
@@ -196,21 +169,19 @@ def sample_workspace(
         (low, high, connected), rng.bit_generator.state = _explored(mechanism, int(seed), least)
     else:
         low, high, connected = _explore(mechanism, rng, least)
-    found = [np.empty((0, mechanism.platform.dof))]
-    total = 0
-    for _ in range(_EFFORT.most * (1 + count // _EFFORT.batch)):
-        drawn = rng.uniform(low, high, (_EFFORT.batch, mechanism.platform.dof))
-        for poses in np.split(drawn, _EFFORT.batch // _EFFORT.part):
-            kept = poses[in_workspace(mechanism, poses, least)]
-            kept = kept[connected(kept)]
-            found.append(kept)
-            total += len(kept)
+    accepted, total = [np.empty((0, mechanism.platform.dof))], 0
+    for _ in range(_MOST * (1 + count // _BATCH)):
+        drawn = rng.uniform(low, high, (_BATCH, mechanism.platform.dof))
+        for poses in np.split(drawn, _BATCH // _PART):
+            counting = poses[in_workspace(mechanism, poses, least)]
+            accepted.append(counting[connected(counting)])
+            total += len(accepted[-1])
             if total >= count:
                 break
         if progress:
             progress(min(total, count))
         if total >= count:
-            return np.concatenate(found)[:count]
+            return np.concatenate(accepted)[:count]
     raise WorkspaceError(
         f"only {total} of {count} poses found in the workspace; lower the margins or the count"
     )
@@ -235,7 +206,7 @@ def grid_poses(mechanism: GivenMechanism, count: int) -> Array:
             f"a grid over all coordinates of {mechanism.name!r} ("
             f"{', '.join(mechanism.platform.coordinates)}) would be too coarse; give the poses"
         )
-    samples = sample_workspace(mechanism, _EFFORT.pilot)
+    samples = sample_workspace(mechanism, _PILOT)
     across = max(round(count ** (1.0 / mechanism.platform.dof)), 1)
     ends = zip(samples.min(axis=0), samples.max(axis=0), strict=True)
     axes = [MaxNLocator(across).tick_values(low, high) for low, high in ends]
@@ -254,9 +225,9 @@ def _check_count(count: int) -> None:
     Raises:
         WorkspaceError: none, or too many.
     """
-    if not 1 <= count_of(count, "count", WorkspaceError) <= MOST.values:
+    if not 1 <= count_of(count, "count", WorkspaceError) <= MOST:
         raise WorkspaceError(
-            f"the number of poses is {count}; expected at least 1 and at most {MOST.values:,}"
+            f"the number of poses is {count}; expected at least 1 and at most {MOST:,}"
         )
 
 
@@ -274,32 +245,31 @@ def _explore(
 ) -> tuple[Array, Array, HomeComponent]:
     """Return lower and upper corners of a box around the workspace, and its part around home."""
     home = np.array(mechanism.platform.home)
-    reach = reach_box(mechanism)
+    low, high = reach = reach_box(mechanism)
     if not in_workspace(mechanism, home[None], least)[0]:
         raise WorkspaceError(_why_not_home(mechanism, least or Margins()))
 
     def counts(poses: Array) -> Mask:
         return in_workspace(mechanism, poses, least)
 
-    low, high = reach
-    kept = home[None]
-    for batch in range(_EFFORT.most):
-        if batch < _EFFORT.far or len(kept) > _EFFORT.hits:
-            poses = rng.uniform(low, high, (_EFFORT.batch, len(low)))
+    accepted = home[None]
+    for batch in range(_MOST):
+        if batch < _FAR or len(accepted) > _HITS:
+            poses = rng.uniform(low, high, (_BATCH, len(low)))
         else:  # strokes that are small against the machine
-            poses = _near_home(mechanism, rng, 0.5 ** (batch - _EFFORT.far))
-        kept = np.concatenate((kept, poses[counts(poses)]))
-        if len(kept) >= _EFFORT.pilot:
+            poses = _near_home(mechanism, rng, 0.5 ** (batch - _FAR))
+        accepted = np.concatenate((accepted, poses[counts(poses)]))
+        if len(accepted) >= _PILOT:
             break
-        if len(kept) > _EFFORT.hits:  # few: look closer to where they are
-            low, high = _around(kept, 0.5, *reach)
-    connected = HomeComponent(mechanism.platform, kept, counts)
+        if len(accepted) > _HITS:  # few: look closer to where they are
+            low, high = _around(accepted, 0.5, *reach)
+    connected = HomeComponent(mechanism.platform, accepted, counts)
     for _ in range(2):  # tighten to the part around home, and widen where the box cut
-        low, high = _around(kept[connected(kept)], _EFFORT.widen, *reach)
-        poses = rng.uniform(low, high, (2 * _EFFORT.batch, len(low)))
-        kept = np.concatenate((kept, poses[counts(poses)]))
-        connected = HomeComponent(mechanism.platform, kept[-2 * _EFFORT.pilot :], counts)
-    return *_around(kept[connected(kept)], _EFFORT.widen / 4, *reach), connected
+        low, high = _around(accepted[connected(accepted)], _WIDEN, *reach)
+        poses = rng.uniform(low, high, (2 * _BATCH, len(low)))
+        accepted = np.concatenate((accepted, poses[counts(poses)]))
+        connected = HomeComponent(mechanism.platform, accepted[-2 * _PILOT :], counts)
+    return *_around(accepted[connected(accepted)], _WIDEN / 4, *reach), connected
 
 
 def _near_home(mechanism: Mechanism, rng: np.random.Generator, part: float) -> Array:
@@ -307,8 +277,8 @@ def _near_home(mechanism: Mechanism, rng: np.random.Generator, part: float) -> A
     platform = mechanism.platform
     low, high = reach_box(mechanism)
     size = np.where([unit == "m" for unit in platform.units], high - low, 1.0)
-    twists = rng.uniform(-part * size, part * size, (_EFFORT.batch, platform.dof))
-    return platform.moved(np.tile(platform.home, (_EFFORT.batch, 1)), twists)
+    twists = rng.uniform(-part * size, part * size, (_BATCH, platform.dof))
+    return platform.moved(np.tile(platform.home, (_BATCH, 1)), twists)
 
 
 def _why_not_home(mechanism: Mechanism, least: Margins) -> str:
@@ -325,10 +295,10 @@ def _why_not_home(mechanism: Mechanism, least: Margins) -> str:
                     f"joint {joint.name!r} of {leg.name} is at {value:.4g} there, outside its "
                     f"limits {joint.lower:.4g} to {joint.upper:.4g}"
                 )
-    found = margins(mechanism, platform.home_pose)
+    distance = margins(mechanism, platform.home_pose)
     return start + (
-        f"its distances from singularities are {found.type1.min():.3g} (type 1, the drives' grip) "
-        f"and {found.type2[0]:.3g} (type 2, the platform's stiffness), the margins "
+        f"its distances from singularities are {distance.type1.min():.3g} (type 1, the drives' "
+        f"grip) and {distance.type2[0]:.3g} (type 2, the platform's stiffness), the margins "
         f"{least.type1:.3g} and {least.least_type2(mechanism):.3g}. Lower the margins ('pincal "
         "workspace --margin-type1 … --margin-type2 …') or move home"
     )

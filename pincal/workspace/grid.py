@@ -1,0 +1,363 @@
+"""Grids of positions at which a workspace is asked, that symmetry maps onto themselves.
+
+A grid is never held whole: positions are made from their numbers. An element of the mechanism's
+group that maps the grid onto itself makes one position of each orbit enough; the lowest number of
+an orbit represents it, so that these form a fundamental domain.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import label
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from pincal.errors import WorkspaceError
+from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
+from pincal.model.checks import ALIKE
+from pincal.model.mechanism import Mechanism
+from pincal.symmetry.detect import symmetry_group
+from pincal.symmetry.elements import SAME, Isometry
+from pincal.types import Array, Mask
+from pincal.workspace.axes import Axis
+
+Indices = NDArray[np.int64]
+#: Takes numbers of positions to those of their images.
+Carrier: TypeAlias = Callable[[Indices], Indices]
+POSITION_AXES = ("x", "y", "radius", "bearing", "z")
+BLOCK = 1 << 17
+"""Positions, or pairs of position and orientation, in memory at a time."""
+_MOST = 1_000_000_000  # positions, a byte each
+_ACROSS = {2: 200, 3: 60}  # steps of a grid in the plane, in space, across the box
+_CLOSER = 0.8  # of the extent, below which another look is worth while
+_AROUND = {2: 360, 3: 72}  # bearings of a polar grid, at least
+
+
+def blocks(size: int, step: int = BLOCK) -> Iterator[tuple[int, int]]:
+    """Yield the ends of parts of so many positions."""
+    for begin in range(0, size, step):
+        yield begin, min(begin + step, size)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Grid:
+    """Grid of positions: ``x, y`` or ``radius, bearing``, and ``z``."""
+
+    axes: tuple[Axis, ...]
+
+    def __post_init__(self) -> None:
+        names = [axis.name for axis in self.axes]
+        if names[:2] not in (["x", "y"], ["radius", "bearing"]) or names[2:] not in ([], ["z"]):
+            raise WorkspaceError(
+                "a grid of positions has the axes x, y (or radius, bearing) and, in space, z, "
+                f"each once; got {', '.join(names) or 'none'}"
+            )
+        for axis in self.axes:
+            steps = np.diff(axis.values)
+            if len(steps) and np.ptp(steps) > ALIKE * axis.step:
+                raise WorkspaceError(
+                    f"axis {axis.name!r} of positions is not evenly spaced; each value is "
+                    "a cell of one step"
+                )
+            if axis.name == "bearing" and axis.step * len(axis.values) > 2 * np.pi * (1 + ALIKE):
+                raise WorkspaceError(
+                    "axis 'bearing' goes round more than once, or its step does not divide the "
+                    "full turn; expected for example 'bearing [deg]=0:360:5'"
+                )
+        if self.size > _MOST:
+            raise WorkspaceError(f"a grid of {self.size:.3g} positions; at most {_MOST:.0e}")
+
+    def __repr__(self) -> str:
+        """Return the grid in a line."""
+        axes = ", ".join(repr(axis).removeprefix("Axis: ") for axis in self.axes)
+        return f"Grid: {self.size:,} positions; {axes}"
+
+    @classmethod
+    def of(cls, *axes: str | Axis) -> Grid:
+        """Return a grid from axes or their texts, in any order: ``"x=-1:1:0.1"``."""
+        parsed = [Axis.parse(axis) if isinstance(axis, str) else axis for axis in axes]
+        if unknown := [axis.name for axis in parsed if axis.name not in POSITION_AXES]:
+            raise WorkspaceError(f"axis {unknown[0]!r} is not one of positions: {POSITION_AXES}")
+        return cls(tuple(sorted(parsed, key=lambda axis: POSITION_AXES.index(axis.name))))
+
+    @property
+    def polar(self) -> bool:
+        """Whether the first axes are radius and bearing."""
+        return self.axes[0].name == "radius"
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Number of values of each axis."""
+        return tuple(len(axis.values) for axis in self.axes)
+
+    @property
+    def size(self) -> int:
+        """Number of positions."""
+        return math.prod(self.shape)
+
+    @property
+    def dimension(self) -> int:
+        """Number of axes with more than one value."""
+        return sum(n > 1 for n in self.shape)
+
+    def at(self, index: Indices) -> Array:
+        """Return positions by number, shape (N, 3), [m]."""
+        return self.cartesian(
+            [a.values[i] for a, i in zip(self.axes, self.split(index), strict=True)]
+        )
+
+    def cartesian(self, coordinates: Sequence[Array]) -> Array:
+        """Return positions from values along the axes, shape (N, 3), [m]."""
+        first, second, *rest = coordinates
+        if self.polar:
+            first, second = first * np.cos(second), first * np.sin(second)
+        third = rest[0] if rest else np.zeros_like(first)
+        return np.stack((first, second, third), axis=-1)
+
+    def measures(self, index: Indices) -> Array:
+        """Return the length, area or volume of cells: axes with one value do not count."""
+        result = np.ones(len(index))
+        for axis, i in zip(self.axes, self.split(index), strict=True):
+            if len(axis.values) > 1:
+                if axis.name == "radius":  # r dr, exact for the ring
+                    inner = np.maximum(axis.values[i] - axis.step / 2, 0.0)
+                    result *= ((axis.values[i] + axis.step / 2) ** 2 - inner**2) / 2
+                else:
+                    result *= axis.step
+        if self.polar and len(self.axes[0].values) == 1:
+            result *= self.axes[0].values[0]
+        return result
+
+    def carrier(self, move: Isometry) -> Carrier | None:
+        """Return what an isometry does to the numbers, or None if the grid does not map."""
+        Q, t = move.Q, move.t
+        axes = (*self.axes, Axis("z", np.zeros(1)))[:3]
+        values = [axis.values for axis in axes]
+        if self.polar:
+            across = (Q[:2, 2], Q[2, :2], t[:2] / max(1.0, float(values[0][-1])))
+            if max(np.abs(part).max() for part in across) > SAME:
+                return None
+            turned = np.arctan2(Q[1, 0], Q[0, 0]) + np.linalg.det(Q[:2, :2]).round() * values[1]
+            source = [0, 1, 2]
+            images: list[Array] = [values[0], turned, Q[2, 2] * values[2] + t[2]]
+        else:
+            quarters = Q.round()
+            if np.abs(Q - quarters).max() > SAME:  # only quarter turns and such
+                return None
+            # values that come to lie on each axis, in their own order
+            source = np.abs(quarters).argmax(axis=1).tolist()
+            images = [quarters[i, k] * values[k] + t[i] for i, k in enumerate(source)]
+        maps = [_match(axis, image) for axis, image in zip(axes, images, strict=True)]
+        if any(m is None for m in maps):
+            return None
+        shape = (*self.shape, 1)[:3]
+
+        def carry(index: Indices) -> Indices:
+            split = np.unravel_index(index, shape)
+            moved = tuple(m[split[k]] for m, k in zip(maps, source, strict=True) if m is not None)
+            return np.ravel_multi_index(moved, shape).astype(np.int64)
+
+        return carry
+
+    def split(self, index: Indices) -> tuple[Indices, ...]:
+        """Return the place of positions on each axis."""
+        return np.unravel_index(index, self.shape)
+
+    def closed(self, place: int) -> bool:
+        """Return whether the first and last value of an axis are neighbours."""
+        axis = self.axes[place]
+        return axis.name == "bearing" and axis.full_turn and len(axis.values) > 2
+
+
+def _match(axis: Axis, images: Array) -> Indices | None:
+    """Return which values of an axis equal its images, or None if they are not the same set."""
+    values, period = axis.values, 2 * np.pi if axis.name == "bearing" else np.inf
+    if len(images) != len(values):
+        return None
+    if np.isfinite(period):
+        images = values[0] + (images - values[0] + SAME) % period - SAME
+    index = np.searchsorted(values, images - SAME * max(1.0, float(np.abs(values).max())))
+    index = np.minimum(index, len(values) - 1)
+    size = float(np.ptp(values)) or 1.0
+    return index if np.abs(values[index] - images).max() <= 4 * SAME * max(1.0, size) else None
+
+
+@lru_cache(maxsize=4)  # asked for by every chunk
+def representatives(grid: Grid, moves: tuple[Isometry, ...]) -> Carrier:
+    """Return what takes numbers of positions to the lowest numbers of their orbits.
+
+    Args:
+        grid: The grid.
+        moves: A group of isometries that map it onto itself.
+    """
+    carriers = [carrier for move in moves if (carrier := grid.carrier(move))]
+
+    def lowest(index: Indices) -> Indices:
+        result = index
+        for carrier in carriers:
+            result = np.minimum(result, carrier(index))
+        return result
+
+    return lowest
+
+
+def at_edge(grid: Grid, inside: Mask) -> Array:
+    """Return where positions that count end the grid, half a step outside, shape (M, 3), [m]."""
+    cells = inside.reshape(grid.shape)
+    ends = [np.empty((0, 3))]
+    for place, axis in enumerate(grid.axes):
+        n = len(axis.values)
+        if n < 2 or axis.full_turn:
+            continue
+        for end, sign in ((0, -1.0), (n - 1, 1.0)):
+            if axis.name == "radius" and sign < 0 and axis.values[0] <= axis.step:
+                continue  # the centre is no edge
+            where = np.argwhere(cells.take([end], place))
+            where[:, place] = end
+            coordinates = [a.values[i] for a, i in zip(grid.axes, where.T, strict=True)]
+            coordinates[place] = coordinates[place] + sign * axis.step / 2
+            ends.append(grid.cartesian(coordinates))
+    return np.concatenate(ends)
+
+
+def edges(grid: Grid, inside: Mask) -> Indices:
+    """Return pairs of neighbours of which one counts, by number, shape (M, 2)."""
+    cells, pairs = inside.reshape(grid.shape), []
+    for place, n in enumerate(grid.shape):
+        differ = cells != np.roll(cells, -1, axis=place)
+        if not grid.closed(place):
+            differ[(slice(None),) * place + (-1,)] = False
+        first = np.flatnonzero(differ)
+        split = list(grid.split(first))
+        split[place] = (split[place] + 1) % n
+        pairs.append(np.stack((first, np.ravel_multi_index(tuple(split), grid.shape)), axis=1))
+    return np.concatenate(pairs)
+
+
+def part_around(grid: Grid, inside: Mask, home: Array) -> Mask:
+    """Return the positions that count and hang together with the one nearest to home, (N,).
+
+    Args:
+        grid: The grid.
+        inside: Which positions count, shape (N,).
+        home: Shape (3,), [m].
+    """
+    labels, count = label(inside.reshape(grid.shape))
+    numbers = np.arange(count + 1)
+    for place in filter(grid.closed, range(labels.ndim)):  # first and last value are neighbours
+        ends = labels.take(0, place).ravel(), labels.take(-1, place).ravel()
+        joined = (ends[0] > 0) & (ends[1] > 0)
+        graph = coo_array((joined[joined], (ends[0][joined], ends[1][joined])), [count + 1] * 2)
+        numbers = connected_components(graph, directed=False)[1]
+    nearest = [
+        index[np.argmin(np.linalg.norm(grid.at(index) - home, axis=1))]
+        for begin, end in blocks(len(inside))
+        if len(index := begin + np.flatnonzero(inside[begin:end]))
+    ]
+    distances = np.linalg.norm(grid.at(np.array(nearest)) - home, axis=1)
+    around = labels.ravel()[nearest[int(np.argmin(distances))]]
+    return inside & (numbers[labels] == numbers[around]).ravel()
+
+
+def reach_box(mechanism: Mechanism) -> tuple[Array, Array]:
+    """Return lower and upper corner, coordinates of the platform, of what all legs can reach.
+
+    Raises:
+        WorkspaceError: no pose is within reach of all legs.
+    """
+    least, most = np.array(mechanism.platform.bounds).T
+    lengths = mechanism.platform.lengths
+    least[:lengths], most[:lengths] = (ends[:lengths] for ends in _reach(mechanism))
+    return least, most
+
+
+def default_grid(mechanism: GivenMechanism, given: Iterable[str | Axis] = ()) -> Grid:
+    """Return a grid of positions within reach; polar if the mechanism has rotations.
+
+    Args:
+        mechanism: The mechanism.
+        given: Axes that are not to be as they would be; ``x`` or ``y`` make the grid square.
+
+    Raises:
+        WorkspaceError: axes that are wrong, or that the platform does not have.
+    """
+    mechanism = as_mechanism(mechanism)
+    axes = [Axis.parse(axis) if isinstance(axis, str) else axis for axis in given]
+    names = {axis.name for axis in axes}
+    spatial = mechanism.platform.lengths == 3
+    if "z" in names and not spatial:
+        raise WorkspaceError(f"axis 'z': the platform of {mechanism.name!r} moves in a plane")
+    low, high = _reach(mechanism)
+    n = 3 if spatial else 2
+    step = float((high - low)[:n].max()) / _ACROSS[n]
+    turns = sum(
+        not element.reflection and not element.base.t.any() and element.matrix[2, 2] > 1.0 - SAME
+        for element in symmetry_group(mechanism, readings=False).elements
+    )
+    if names & {"radius", "bearing"} or (turns > 1 and not names & {"x", "y"}):
+        around = 2 * turns * -(-_AROUND[n] // (2 * turns))
+        farthest = [
+            np.hypot(*leg.joints[0].placement.xyz[:2]) + leg.reach for leg in mechanism.legs
+        ]
+        rings = np.arange(step / 2, min(farthest), step)
+        turn = Axis.spaced("bearing", -np.pi, np.pi, 2 * np.pi / around)
+        defaults = {"radius": Axis("radius", rings), "bearing": turn}
+    else:
+        defaults = {name: _across(name, low[i], high[i], step) for i, name in enumerate("xy")}
+    if spatial:
+        defaults["z"] = _across("z", low[2], high[2], step)
+    missing = [axis for name, axis in defaults.items() if name not in names]
+    return Grid.of(*axes, *missing)
+
+
+def closer_grid(grid: Grid, inside: Mask, given: Iterable[str]) -> Grid | None:
+    """Return a grid of as many values around what counts, or None if that is no closer.
+
+    Args:
+        grid: The grid.
+        inside: Which of its positions count, shape (N,).
+        given: Names of axes that stay as they are.
+    """
+    if not inside.any():
+        return None
+    stay, cells = set(given), inside.reshape(grid.shape)
+    axes, closer = [], False
+    for place, axis in enumerate(grid.axes):
+        across = tuple(dimension for dimension in range(cells.ndim) if dimension != place)
+        occupied = axis.values[cells.any(axis=across)]
+        if axis.name in stay or axis.full_turn or len(axis.values) < 2:
+            axes.append(axis)
+            continue
+        low, high = float(occupied[0]) - 2 * axis.step, float(occupied[-1]) + 2 * axis.step
+        if axis.name == "radius" and low <= axis.step:
+            step = high / len(axis.values)
+            axes.append(
+                Axis("radius", step * (np.arange(len(axis.values), dtype=np.float64) + 0.5))
+            )
+        else:
+            axes.append(Axis(axis.name, np.linspace(low, high, len(axis.values))))
+        closer |= high - low < _CLOSER * float(np.ptp(axis.values))
+    return Grid(tuple(axes)) if closer else None
+
+
+def _across(name: str, low: float, high: float, step: float) -> Axis:
+    """Return an axis from end to end, in steps of about the size wanted."""
+    return Axis(name, np.linspace(low, high, round((high - low) / step) + 1))
+
+
+def _reach(mechanism: Mechanism) -> tuple[Array, Array]:
+    """Return the corners of a box that holds what all legs reach, shape (3,) each, [m]."""
+    low, high = np.full(3, -np.inf), np.full(3, np.inf)
+    for leg in mechanism.legs:
+        base = np.array(leg.joints[0].placement.xyz)
+        low, high = np.maximum(low, base - leg.reach), np.minimum(high, base + leg.reach)
+    if (low >= high)[: mechanism.platform.lengths].any():
+        raise WorkspaceError(f"no pose of {mechanism.name!r} is within reach of all its legs")
+    return low, high
