@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from arms import loaded
 from marks import quick, some_slow
 from measured import put
 from numpy.typing import NDArray
@@ -19,8 +18,8 @@ from scipy.spatial.transform import Rotation
 
 import pincal
 from pincal.calibration.hypotheses import plausibility
+from pincal.calibration.hypotheses.judging import Case
 from pincal.calibration.hypotheses.plausibility import check_copies, check_noise, check_plausible
-from pincal.calibration.hypotheses.sample import LegMeasurements, leg_fits
 from pincal.kinematics.closing import close
 from pincal.kinematics.closure import LegClosure
 from pincal.model.orientation import columns_of, rotation_of
@@ -539,41 +538,7 @@ def test_readings_at_their_cut_are_sound() -> None:
         replace(one, home=homes) if one.name == "shoulder" else one for one in leg.joints
     )
     near = replace(mechanism, legs=(replace(leg, joints=joints), *mechanism.legs[1:]))
-    sample = plausibility.sample_of(near, replace(data, readings=turned), pincal.Setup())
-    assert plausibility._turns(sample) == ()
-    sample = plausibility.sample_of(mechanism, replace(data, readings=turned), pincal.Setup())
-    assert [one.code for one in plausibility._turns(sample)] == ["whole-turns"]
-
-
-@pytest.mark.parametrize("name", ["3RRR", "6UPS", "3PRR", "ur5"])
-@pytest.mark.parametrize("free", [False, True])
-def test_sets_are_judged_together_as_each_alone(name: str, *, free: bool) -> None:
-    """Of alike legs and others, of one that deforms or closes a frame; with rows of no reading."""
-    mechanism = loaded(name) if name == "ur5" else pincal.load_mechanism(name)
-    if name == "3RRR":  # its platform points follow the temperature
-        warm = (("ob", pincal.Term("a", pincal.Share(10.0, 20.0), of="temperature")),)
-        legs = [
-            replace(leg, terms=warm, parameters=(*leg.parameters, ("a", 1e-3)))
-            for leg in mechanism.legs
-        ]
-        mechanism = replace(mechanism, legs=tuple(legs))
-    rng = np.random.default_rng(0)
-    if mechanism.by_readings:
-        readings = rng.uniform(-1.0, 1.0, (12, len(mechanism.reading_names)))
-        poses = pincal.forward(mechanism, readings).poses
-    else:
-        poses = pincal.sample_workspace(mechanism, 12, seed=1)
-        readings = pincal.inverse(mechanism, poses).readings
-    matrices, given = mechanism.platform.matrices(poses), []
-    for rows in (slice(0, 12), slice(0, 7), slice(7, 12), slice(3, 4), slice(0)):
-        for leg, columns in enumerate(mechanism.reading_columns):
-            seen = readings[rows, columns] + 1e-3 * rng.standard_normal()
-            seen[2:3] = np.nan
-            given.append(LegMeasurements(leg, matrices[rows], seen))
-    together = leg_fits(mechanism, given, free=free)
-    for one, found in zip(given, together, strict=True):
-        (alone,) = leg_fits(mechanism, [one], free=free)
-        assert found.bent == alone.bent
-        for key in ("gap", "left", "stroke"):
-            own, wanted = getattr(found, key), getattr(alone, key)
-            np.testing.assert_allclose(own, wanted, rtol=1e-6, atol=1e-9)
+    case = Case.of(near, replace(data, readings=turned), pincal.Setup())
+    assert plausibility._turns(case) == ()
+    case = Case.of(mechanism, replace(data, readings=turned), pincal.Setup())
+    assert [one.code for one in plausibility._turns(case)] == ["whole-turns"]

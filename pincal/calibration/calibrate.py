@@ -17,7 +17,6 @@ from pincal.calibration.assemble import assemble
 from pincal.calibration.calibration import Calibration, with_followed_influences
 from pincal.calibration.findings import blame_wrong_rows, findings_of
 from pincal.calibration.fits import Fits, fitted
-from pincal.calibration.hypotheses.faults import zeros_found, zeros_measured
 from pincal.calibration.hypotheses.plausibility import (
     check_copies,
     check_noise,
@@ -25,6 +24,8 @@ from pincal.calibration.hypotheses.plausibility import (
     implausible,
     misaligned,
     said,
+    zeros_found,
+    zeros_measured,
 )
 from pincal.calibration.options import AUTO, FOLDS, By, Options
 from pincal.calibration.result import CalibrationResult

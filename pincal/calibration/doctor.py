@@ -10,20 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
-
-import numpy as np
 
 from pincal.blas import on_one_thread
 from pincal.calibration.calibrate import check_result, run
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.hypotheses.plausibility import check_noise, hypotheses_of
-from pincal.calibration.hypotheses.ranking import Judged
-from pincal.calibration.hypotheses.sample import whole_sample
 from pincal.calibration.result import CalibrationResult
 from pincal.errors import MeasurementError, PincalError
 from pincal.finding import Finding
-from pincal.model.measurements import Measurements
 from pincal.model.setup import ORIGIN, Setup
 
 _FEW = 0.25  # of the rows: more that do not fit are no outliers
@@ -109,7 +103,8 @@ def _explained(calibration: Calibration) -> list[tuple[tuple[Finding, ...], Cali
     alternatives: list[tuple[tuple[Finding, ...], Calibration]] = []
     setup = calibration.options.setup
     for fault, judged in hypotheses_of(calibration.mechanism, calibration.measurements, setup):
-        mended = replace(calibration, measurements=_put_right(calibration, judged))
+        data = judged.hypothesis.right(calibration.mechanism, calibration.measurements)
+        mended = replace(calibration, measurements=data)
         framed = replace(setup, unknown_frame=setup.unknown_frame or judged.free)
         alternatives.append(((fault,), mended.with_options(setup=framed)))
     return alternatives
@@ -148,13 +143,3 @@ def _left_out(result: CalibrationResult) -> float:
     return sum(outlier.weight == 0.0 for outlier in result.outliers) / max(
         len(result.measurements), 1
     )
-
-
-def _put_right(calibration: Calibration, judged: Judged) -> Measurements:
-    """Return measurements of which every row is put right as a hypothesis has it."""
-    data = calibration.measurements
-    sample = whole_sample(calibration.mechanism, data, calibration.options.setup)
-    poses, readings = judged.hypothesis.put_right(sample)
-    poses = np.where(np.isfinite(data.poses), poses, np.nan)
-    changed: dict[str, Any] = {"poses": poses, "readings": readings}
-    return replace(data, **changed)

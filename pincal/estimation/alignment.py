@@ -30,7 +30,12 @@ _GROSS = 10.0  # times the usual miss from which a row says nothing of frame and
 
 
 def aligned(
-    problem: Problem, data: Measurements, state: State, placed: Mask
+    problem: Problem,
+    data: Measurements,
+    state: State,
+    placed: Mask,
+    *,
+    however_far: bool = False,
 ) -> tuple[External, Mask]:
     """Return the external unknowns that take the targets to where they were measured.
 
@@ -42,6 +47,7 @@ def aligned(
         data: The measurements.
         state: The nominal machine, poses where its readings put it.
         placed: Which poses the readings give, shape (N,).
+        however_far: Whether points may miss each other by much, or look mirrored.
 
     Returns:
         The unknowns, and which rows agree with the others on them, shape (N,).
@@ -56,7 +62,7 @@ def aligned(
     known = placed & np.isfinite(measured).all(axis=2)
     agreeing = known & _agreeing(problem, state, measured, known)
     frame, offsets, _ = _in_turn(problem, state, measured, agreeing.astype(float))
-    if observation.external.frame_rows:
+    if observation.external.frame_rows and not however_far:
         reached = (state.matrices[None, :, :3, :3] @ offsets[:, None, :, None])[..., 0]
         reached += state.matrices[:, :3, 3]
         _check_frame(reached[agreeing], measured[agreeing], frame, platform)

@@ -7,31 +7,20 @@ measurements is decided by one rule, in ``ranking``.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import partial
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from itertools import combinations, product
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pincal.calibration.calibration import Calibration
-from pincal.calibration.hypotheses.sample import (
-    RULE,
-    LegFit,
-    LegMeasurements,
-    Sample,
-    leg_fits,
-    placed,
-    sample_of,
-)
-from pincal.finding import Finding
-from pincal.kinematics.inverse import inverse
+from pincal.calibration.hypotheses.judging import QUESTIONED, Case, Hypothesis, LegFit, judge
+from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import WAYS, columns_of, rotation_of
-from pincal.types import Array, Index
+from pincal.types import Array
 
+Right = Callable[[Mechanism, Measurements], Measurements]
 #: For each unit of a header: what the numbers may be in, and the factor that puts them right.
 UNITS = {
     "m": {"mm": 1e-3, "m": 1e3},
@@ -45,334 +34,276 @@ REFLECTIONS = {
     "xz": np.eye(3)[[2, 1, 0]],
     "yz": np.eye(3)[[0, 2, 1]],
 }
+_SHIFTS = (1, -1, 2, -2)  # rows by which logs of poses and readings are out of step
+_ROUND = 0.03  # share by which readings may miss a whole multiple of what they should be
+_SCALES = (2.0, 4.0, 10.0, 100.0, 0.5, 0.25, 0.1, 0.01)  # tried where poses do not say it
 
 
-@dataclass(frozen=True)
-class Hypothesis:
-    """One thing that may have gone wrong."""
-
-    code: str
-    """Kebab case; its sentence and remedy are in ``pincal.words.faults``."""
-    right: Callable[[Sample], tuple[Array, Array]]
-    """Returns poses (N, dof) and readings (N, n_readings) put right."""
-    values: Mapping[str, Any] = field(default_factory=dict)
-    """What is wrong: names and numbers of which its sentence is made."""
-    by_leg: bool = False
-    """Whether it may concern the readings of some legs only."""
-    faults: int = 1
-    """How many things went wrong."""
-
-    def put_right(self, sample: Sample) -> tuple[Array, Array]:
-        """Return poses and readings put right."""
-        return self.right(sample)
-
-
-def single_faults(sample: Sample) -> Iterator[Hypothesis]:
+def single_faults(case: Case) -> Iterator[Hypothesis]:
     """Yield signs, orders, units, frames and shifts, one wrong at a time."""
-    mechanism = sample.mechanism
-    yield Hypothesis("sign-of-readings", _scaled_readings(-1.0), by_leg=True)
-    yield from _of_one_leg(mechanism)
-    yield from (hypothesis for hypothesis in _units(sample) if hypothesis.faults == 1)
-    yield from mirrored(sample)
-    if sample.oriented and "rad" in mechanism.platform.units:
-        yield from _angles(sample)
-        yield Hypothesis("orientation-inverted", partial(_inverted, False))
-        yield Hypothesis("pose-inverted", partial(_inverted, True))
-    yield from _exchanged(sample)
-    for shift in RULE.shifts:
-        yield Hypothesis("rows-shifted", partial(_shifted, shift), {"shift": shift})
+    turning = case.oriented and "rad" in case.mechanism.platform.units
+    yield Hypothesis("sign-of-readings", _readings_times(-1.0), by_leg=True)
+    yield from _columns_of_a_leg(case.mechanism)
+    yield from (hypothesis for hypothesis in units(case) if hypothesis.faults == 1)
+    yield from _mirrored(case.mechanism, turning)
+    if turning:
+        yield from _angles(case)
+        inverted = _posed(lambda r, R: (r, R.transpose(0, 2, 1)))
+        yield Hypothesis("orientation-inverted", inverted)
+        yield Hypothesis("pose-inverted", _posed(_inverted))
+    yield from _exchanged(case)
+    for shift in _SHIFTS:
+        yield Hypothesis("rows-shifted", _shifted(shift), {"shift": shift})
 
 
-def several_units(sample: Sample) -> Iterator[Hypothesis]:
-    """Yield units that are wrong in several kinds of columns at once."""
-    yield from (hypothesis for hypothesis in _units(sample) if hypothesis.faults > 1)
+def units(case: Case) -> Iterator[Hypothesis]:
+    """Yield what units may be wrong, in one kind of columns or in several together."""
+    mechanism = case.mechanism
+    coordinates, columns = np.array(mechanism.platform.units), np.array(mechanism.reading_units)
+    kinds = [("positions", "m", coordinates)]
+    kinds += [("orientations", "rad", coordinates)] if case.oriented else []
+    kinds += [("readings", "m", columns), ("readings", "rad", columns)]
+    kinds = [kind for kind in kinds if kind[1] in kind[2]]
+    for choice in product(*([None, *UNITS[unit].items()] for _, unit, _ in kinds)):
+        wrong = [(kind, how) for kind, how in zip(kinds, choice, strict=True) if how]
+        scales = np.ones(len(coordinates)), np.ones(len(columns))
+        for (name, unit, units_of_columns), (_, factor) in wrong:
+            scales[name == "readings"][units_of_columns == unit] = factor
+        if wrong:
+            yield Hypothesis(
+                "unit",
+                _scaled(*scales),
+                {"units": tuple((name, unit, written) for (name, unit, _), (written, _) in wrong)},
+                by_leg=all(name == "readings" for (name, _, _), _ in wrong),
+                faults=len(wrong),
+            )
 
 
 def zeros(offsets: Array) -> Hypothesis:
     """Return that readings are off by constants, shape (n_readings,), [rad] or [m]."""
-    return Hypothesis(
-        "reading-offset",
-        lambda one: (one.poses, one.readings - offsets),
-        {"offsets": tuple(offsets.tolist())},
-        by_leg=True,
-    )
+
+    def right(_: Mechanism, data: Measurements) -> Measurements:
+        return replace(data, readings=data.readings - offsets)
+
+    values = {"offsets": tuple(offsets.tolist())}
+    return Hypothesis("reading-offset", right, values, by_leg=True)
 
 
-def scales(factors: Array) -> Hypothesis:
-    """Return that readings are numbers times too large, factors of shape (n_readings,)."""
-    return Hypothesis(
-        "scale-of-readings",
-        _scaled_readings(1.0 / factors),
-        {"factors": tuple(factors.tolist())},
-        by_leg=True,
-    )
+def zeros_by_poses(case: Case, matrices: Array) -> Array:
+    """Return by which constants readings differ from the nominal ones, shape (n_readings,).
+
+    Medians; angles without whole turns.
+    """
+    differences = case.readings - case.nominal_readings(matrices)
+    offsets = np.zeros(differences.shape[1])
+    for column, unit in enumerate(case.mechanism.reading_units):
+        known = differences[np.isfinite(differences[:, column]), column]
+        if unit == "rad" and len(known):
+            middle = np.angle(np.exp(1j * known).mean())
+            known = middle + np.angle(np.exp(1j * (known - middle)))
+        offsets[column] = np.median(known) if len(known) else 0.0
+    return offsets
 
 
-def factors_of(sample: Sample, matrices: Array) -> Array:
+def scales(case: Case, matrices: Array | None) -> Iterator[Hypothesis]:
+    """Yield that readings have another scale than their header says, such as counts.
+
+    Args:
+        case: The measurements.
+        matrices: The nominal machine's poses that say by how much; usual scales are tried if None.
+    """
+    if case.mechanism.by_readings:
+        return
+    count = len(case.mechanism.reading_names)
+    by_poses = [] if matrices is None else [_factors(case, matrices)]
+    for factors in by_poses or [np.full(count, scale) for scale in _SCALES]:
+        values = {"factors": tuple(factors.tolist())}
+        right = _readings_times(1.0 / factors)
+        yield Hypothesis("scale-of-readings", right, values, by_leg=True)
+
+
+def _factors(case: Case, matrices: Array) -> Array:
     """Return how many times too large readings are, shape (n_readings,).
 
     By least absolute values; whole numbers, or parts of one, where it is nearly that: edges that
     are counted once or four times, a gear that is left out. 1 where none say, and where it is a
     unit or a sign: hypotheses of their own.
     """
-    nominal = inverse(sample.mechanism, sample.mechanism.platform.from_matrices(matrices)).readings
-    found, units = np.ones(nominal.shape[1]), sample.mechanism.reading_units
-    for column in range(len(found)):
-        given, own = sample.readings[:, column], nominal[:, column]
-        known = np.isfinite(given * own) & (own != 0.0)
+    nominal = case.nominal_readings(matrices)
+    factors = np.ones(nominal.shape[1])
+    for column, unit in enumerate(case.mechanism.reading_units):
+        measured, expected = case.readings[:, column], nominal[:, column]
+        known = np.isfinite(measured * expected) & (expected != 0.0)
         if not known.any():
             continue
-        ratios, weights = given[known] / own[known], np.abs(own[known])
+        ratios, weights = measured[known] / expected[known], np.abs(expected[known])
         order = np.argsort(ratios)
         sums = np.cumsum(weights[order])
         factor = float(ratios[order][np.searchsorted(sums, sums[-1] / 2)])
-        if factor > 0.0 and not any(
-            _nearly(factor, 1.0 / by) for by in UNITS[units[column]].values()
-        ):
+        if factor > 0.0 and not any(_nearly(factor, 1.0 / by) for by in UNITS[unit].values()):
             whole = round(factor) if factor > 1.0 else 1.0 / round(1.0 / factor)
-            found[column] = whole if _nearly(factor, whole) else factor
-    return found
+            factors[column] = whole if _nearly(factor, whole) else factor
+    return factors
 
 
-def _nearly(factor: float, other: float) -> bool:
-    return abs(factor / other - 1.0) < RULE.round
+def _nearly(factor: float, reference: float) -> bool:
+    return abs(factor / reference - 1.0) < _ROUND
 
 
-def offsets_of(sample: Sample, matrices: Array) -> Array:
-    """Return by which constants readings differ from the nominal ones, shape (n_readings,).
+def _posed(move: Callable[[Array, Array], tuple[Array, Array]]) -> Right:
+    """Return what moves positions (N, 3) and orientations (N, 3, 3), where they were measured."""
 
-    Medians; angles without whole turns.
-    """
-    nominal = inverse(sample.mechanism, sample.mechanism.platform.from_matrices(matrices)).readings
-    differences = sample.readings - nominal
-    for column, unit in enumerate(sample.mechanism.reading_units):
-        known = differences[np.isfinite(differences[:, column]), column]
-        if unit == "rad" and len(known):
-            middle = np.angle(np.exp(1j * known).mean())
-            known = middle + np.angle(np.exp(1j * (known - middle)))
-        differences[:, column] = np.median(known) if len(known) else 0.0
-    return differences[0]
+    def right(mechanism: Mechanism, data: Measurements) -> Measurements:
+        platform, measured = mechanism.platform, np.isfinite(data.poses)
+        matrices = platform.matrices(np.where(measured, data.poses, platform.home)).copy()
+        r, R = move(matrices[:, :3, 3], matrices[:, :3, :3])
+        matrices[:, :3, 3], matrices[:, :3, :3] = r, R
+        return replace(data, poses=np.where(measured, platform.from_matrices(matrices), np.nan))
+
+    return right
 
 
-def _scaled_readings(factors: Array | float) -> Callable[[Sample], tuple[Array, Array]]:
-    return lambda sample: (sample.poses, sample.readings * factors)
+def _inverted(r: Array, R: Array) -> tuple[Array, Array]:
+    """Return poses of the base seen from the platform."""
+    turns = R.transpose(0, 2, 1)
+    return -(turns @ r[:, :, None])[:, :, 0], turns
 
 
-def _of_one_leg(mechanism: Mechanism) -> Iterator[Hypothesis]:
+def _scaled(poses: Array, readings: Array) -> Right:
+    """Return what multiplies coordinates (dof,) and readings (n_readings,)."""
+    return lambda _, data: replace(
+        data, poses=data.poses * poses, readings=data.readings * readings
+    )
+
+
+def _readings_times(factors: Array | float) -> Right:
+    return lambda _, data: replace(data, readings=data.readings * factors)
+
+
+def _ordered(order: list[int]) -> Right:
+    """Return what puts columns of readings in an order."""
+    return lambda _, data: replace(data, readings=data.readings[:, order])
+
+
+def _shifted(shift: int) -> Right:
+    """Return what takes the readings that stand some rows below, or above, the poses."""
+
+    def right(_: Mechanism, data: Measurements) -> Measurements:
+        rows = np.arange(len(data)) + shift
+        inside = (rows >= 0) & (rows < len(data))
+        readings = np.full(data.readings.shape, np.nan)
+        readings[inside] = data.readings[rows[inside]]
+        return replace(data, readings=readings)
+
+    return right
+
+
+def of_legs(hypothesis: Hypothesis, legs: list[int]) -> Hypothesis:
+    """Return a hypothesis as of the readings of some legs only."""
+
+    def right(mechanism: Mechanism, data: Measurements) -> Measurements:
+        changed, readings = hypothesis.right(mechanism, data), data.readings.copy()
+        for columns in (mechanism.reading_columns[i] for i in legs):
+            readings[:, columns] = changed.readings[:, columns]
+        return replace(changed, readings=readings)
+
+    return replace(hypothesis, right=right)
+
+
+def _swapped(count: int, i: int, j: int) -> list[int]:
+    """Return the order 0 … count - 1 with two of them exchanged."""
+    return [{i: j, j: i}.get(k, k) for k in range(count)]
+
+
+def _columns_of_a_leg(mechanism: Mechanism) -> Iterator[Hypothesis]:
     """Yield one reading's sign, and two columns exchanged, of legs with several sensors."""
     names = mechanism.reading_names
-    for reading_column in mechanism.reading_columns:
-        columns = range(reading_column.start, reading_column.stop)
-        for one in columns if len(columns) > 1 else ():
-            signs = np.ones(len(names))
-            signs[one] = -1.0
-            yield Hypothesis("sign-of-column", _scaled_readings(signs), {"column": names[one]})
-        for one, other in combinations(columns, 2):
-            order = np.arange(len(names))
-            order[[one, other]] = other, one
-            values = {"columns": (names[one], names[other])}
-            yield Hypothesis("columns-exchanged", partial(_ordered, order), values)
+    for columns in (range(c.start, c.stop) for c in mechanism.reading_columns):
+        for i in columns if len(columns) > 1 else ():
+            signs = np.where(np.arange(len(names)) == i, -1.0, 1.0)
+            yield Hypothesis("sign-of-column", _readings_times(signs), {"column": names[i]})
+        for i, j in combinations(columns, 2):
+            right, values = _ordered(_swapped(len(names), i, j)), {"columns": (names[i], names[j])}
+            yield Hypothesis("columns-exchanged", right, values)
 
 
-def _ordered(order: Index, sample: Sample) -> tuple[Array, Array]:
-    return sample.poses, sample.readings[:, order]
-
-
-def mirrored(sample: Sample) -> Iterator[Hypothesis]:
+def _mirrored(mechanism: Mechanism, turning: bool) -> Iterator[Hypothesis]:
     """Yield left-handed frames: r → Q r, R → Q R Qᵀ for a reflection Q; and Q r with R as it is."""
-    platform = sample.mechanism.platform
     for axis, Q in REFLECTIONS.items():
-        if platform.space == 2 and Q[2, 2] < 1.0:
-            continue
-        for turned in (True, False) if sample.oriented and "rad" in platform.units else (True,):
-            values = {"axis": axis, "orientations_right": not turned}
-            yield Hypothesis("left-handed-frame", partial(_reflected, Q, turned), values)
+        if mechanism.platform.space == 3 or Q[2, 2] == 1.0:
+            for turned in (True, False) if turning else (True,):
+                values = {"axis": axis, "orientations_right": not turned}
+                yield Hypothesis("left-handed-frame", _reflected(Q, turned), values)
 
 
-def _reflected(Q: Array, turned: bool, sample: Sample) -> tuple[Array, Array]:
-    matrices = sample.matrices()
-    R = matrices[:, :3, :3]
-    return sample.moved(matrices[:, :3, 3] @ Q.T, Q @ R @ Q.T if turned else R), sample.readings
+def _reflected(Q: Array, turned: bool) -> Right:
+    return _posed(lambda r, R: (r @ Q.T, Q @ R @ Q.T if turned else R))
 
 
-def _inverted(whole: bool, sample: Sample) -> tuple[Array, Array]:
-    """Return the orientations, or whole poses, of the base seen from the platform."""
-    matrices = sample.matrices()
-    turns, r = matrices[:, :3, :3].transpose(0, 2, 1), matrices[:, :3, 3]
-    inverted = -(turns @ r[:, :, None])[:, :, 0]
-    return sample.moved(inverted if whole else r, turns), sample.readings
-
-
-def _angles(sample: Sample) -> Iterator[Hypothesis]:
+def _angles(case: Case) -> Iterator[Hypothesis]:
     """Yield signs and orders of the columns by which a spatial platform's orientation was given."""
-    for way in sample.ways if sample.mechanism.platform.turns == 3 else ():
+    written = (case.data.written,) if case.data.written else tuple(WAYS)
+    for way in written if case.mechanism.platform.turns == 3 else ():
         names, unit = WAYS[way]
         n = len(names)
-        for one in range(n) if unit == "rad" else ():
-            signs = np.where(np.arange(n) == one, -1.0, 1.0)
-            right = partial(_turned, way, np.arange(n), signs)
-            yield Hypothesis("sign-of-angle", right, {"column": names[one]})
-        swaps = [[{i: j, j: i}.get(k, k) for k in range(n)] for i, j in combinations(range(n), 2)]
+        for i in range(n) if unit == "rad" else ():
+            signs = np.where(np.arange(n) == i, -1.0, 1.0)
+            yield Hypothesis(
+                "sign-of-angle", _turned(way, [*range(n)], signs), {"column": names[i]}
+            )
+        swaps = [_swapped(n, i, j) for i, j in combinations(range(n), 2)]
         for order in [*swaps, [*range(1, n), 0], [n - 1, *range(n - 1)]]:
             moved = [(name, names[k]) for name, k in zip(names, order, strict=True)]
             values = {"order": tuple((name, column) for name, column in moved if name != column)}
-            right = partial(_turned, way, np.array(order), np.ones(n))
-            yield Hypothesis("angles-exchanged", right, values)
+            yield Hypothesis("angles-exchanged", _turned(way, order, np.ones(n)), values)
 
 
-def _turned(way: str, order: Index, signs: Array, sample: Sample) -> tuple[Array, Array]:
-    matrices = sample.matrices()
-    angles = columns_of(way, Rotation.from_matrix(matrices[:, :3, :3]))
-    turns = rotation_of(way, angles[:, order] * signs).as_matrix()
-    return sample.moved(matrices[:, :3, 3], turns), sample.readings
+def _turned(way: str, order: list[int], signs: Array) -> Right:
+    """Return what takes the columns of orientations in another order, and with other signs."""
+
+    def move(r: Array, R: Array) -> tuple[Array, Array]:
+        columns = columns_of(way, Rotation.from_matrix(R))
+        return r, rotation_of(way, columns[:, order] * signs).as_matrix()
+
+    return _posed(move)
 
 
-def _shifted(shift: int, sample: Sample) -> tuple[Array, Array]:
-    """Return the readings that stand some rows below, or above, the poses."""
-    shifted_rows = sample.rows + shift
-    inside = (shifted_rows >= 0) & (shifted_rows < len(sample.log))
-    right = np.full(sample.readings.shape, np.nan)
-    right[inside] = sample.log[shifted_rows[inside]]
-    return sample.poses, right
-
-
-def _units(sample: Sample) -> Iterator[Hypothesis]:
-    """Yield what units may be wrong, in one kind of columns or in several together."""
-    mechanism = sample.mechanism
-    coordinates, columns = np.array(mechanism.platform.units), np.array(mechanism.reading_units)
-    kinds = [("positions", "m", coordinates)]
-    kinds += [("orientations", "rad", coordinates)] if sample.oriented else []
-    kinds += [("readings", "m", columns), ("readings", "rad", columns)]
-    kinds = [kind for kind in kinds if kind[1] in kind[2]]
-    for choice in product(*([None, *UNITS[unit].items()] for _, unit, _ in kinds)):
-        wrong = [(kind, how) for kind, how in zip(kinds, choice, strict=True) if how]
-        scales = np.ones(len(coordinates)), np.ones(len(columns))
-        for (name, unit, units), (_, factor) in wrong:
-            scales[name == "readings"][units == unit] = factor
-        if wrong:
-            yield Hypothesis(
-                "unit",
-                partial(_scaled, *scales),
-                {"units": tuple((name, unit, given) for (name, unit, _), (given, _) in wrong)},
-                by_leg=all(name == "readings" for (name, _, _), _ in wrong),
-                faults=len(wrong),
-            )
-
-
-def _scaled(poses: Array, readings: Array, sample: Sample) -> tuple[Array, Array]:
-    return sample.poses * poses, sample.readings * readings
-
-
-def _exchanged(sample: Sample) -> Iterator[Hypothesis]:
+def _exchanged(case: Case) -> Iterator[Hypothesis]:
     """Yield the order of columns in which the legs fit best, if it is another than given.
 
     In an unknown frame, where legs cannot be judged one by one, all exchanges of two, and all legs
     one further or in reverse.
     """
-    mechanism = sample.mechanism
-    n = len(mechanism.legs)
-    if len(mechanism.reading_names) != n or n < 2:
+    names = case.mechanism.leg_names
+    n = len(names)
+    if len(case.mechanism.reading_names) != n or n < 2:
         return
-    if sample.free or not sample.oriented:
-        every = list(range(n))
-        turned = [every[k:] + every[:k] for k in ((1, n - 1) if n > 2 else ())]
-        pairs = combinations(every, 2)
-        swaps = [[{i: j, j: i}.get(k, k) for k in every] for i, j in pairs]
-        orders = [*swaps, *turned, *([every[::-1]] if n > 3 else [])]
+    every = list(range(n))
+    if case.alone:
+        orders = [_best_order(case)]
     else:
-        orders = [_best_order(sample)]
+        turned = [every[k:] + every[:k] for k in ((1, n - 1) if n > 2 else ())]
+        swaps = [_swapped(n, i, j) for i, j in combinations(every, 2)]
+        orders = [*swaps, *turned, *([every[::-1]] if n > 3 else [])]
     for order in orders:
-        moved = [(mechanism.leg_names[i], mechanism.leg_names[j]) for i, j in enumerate(order)]
-        moved = [(leg, column) for leg, column in moved if leg != column]
+        moved = tuple((names[i], names[j]) for i, j in enumerate(order) if i != j)
         if moved:
-            values = {"order": tuple(moved)}
-            yield Hypothesis("legs-exchanged", partial(_ordered, np.array(order)), values)
+            yield Hypothesis("legs-exchanged", _ordered(order), {"order": moved})
 
 
-def _best_order(sample: Sample) -> list[int]:
+def _best_order(case: Case) -> list[int]:
     """Return the column that each leg fits best, each to one leg; legs stay where they may."""
     from scipy.optimize import linear_sum_assignment  # slow to load: when needed
 
-    every, matrices = range(len(sample.mechanism.legs)), sample.matrices()
-    matrices[:, :3, 3] -= matrices[:, :3, :3] @ sample.offset
+    n = len(case.mechanism.legs)
+    every = np.arange(n)
 
     def cost(fit: LegFit) -> float:
-        return float(np.clip(fit.near, RULE.questioned * fit.stroke, 1.0)) if fit.rows > 1 else 1.0
+        return float(np.clip(fit.near, QUESTIONED * fit.stroke, 1.0)) if fit.rows > 1 else 1.0
 
-    rows = [LegMeasurements(i, matrices, sample.readings[:, [j]]) for i in every for j in every]
-    costs = [cost(leg_fit) for leg_fit in leg_fits(sample.mechanism, rows)]
-    table = np.reshape(costs, (len(every), len(every)))
-    stays = 1e-9 * np.eye(len(every))
-    return [int(j) for j in linear_sum_assignment(np.nan_to_num(table, nan=1.0) - stays)[1]]
-
-
-def zeros_found(calibration: Calibration, found: Sequence[Finding]) -> Array | None:
-    """Return where the search starts if zeros explain what does not fit, shape (n_params,).
-
-    None if something else may explain it, or if a zero is not identified.
-
-    Args:
-        calibration: What is to be identified.
-        found: Hypotheses that explain the measurements.
-    """
-    offsets = np.zeros(len(calibration.mechanism.reading_names))
-    for one in found:
-        if one.code != "reading-offset" or one.values["unknown_frame"]:
-            return None
-        for name, off, _ in one.values["offsets"]:
-            offsets[calibration.mechanism.reading_names.index(name)] = off
-    return _started(calibration, offsets) if len(found) == 1 else None
-
-
-def zeros_measured(calibration: Calibration) -> Array | None:
-    """Return where the search starts with the zeros that full poses show, shape (n_params,).
-
-    None without full poses, or if no zero is identified.
-    """
-    mechanism = calibration.mechanism
-    sample = sample_of(mechanism, calibration.measurements, calibration.options.setup)
-    if sample is None or mechanism.by_readings or sample.free or not sample.oriented:
-        return None
-    (poses_and_rows,) = placed([sample])
-    if poses_and_rows is None:
-        return None
-    offsets = offsets_of(sample, poses_and_rows[0])
-    identified = [index for index, _ in _zeros(calibration)]
-    return _started(
-        calibration, np.where(np.isin(np.arange(len(offsets)), identified), offsets, 0.0)
-    )
-
-
-def _started(calibration: Calibration, offsets: Array) -> Array | None:
-    """Return the nominal parameters with zeros of readings that are off, if all are identified."""
-    start = np.concatenate([leg.nominal for leg in calibration.mechanism.legs])
-    zeros = dict(_zeros(calibration))
-    for index in np.flatnonzero(offsets).tolist():
-        if index not in zeros:
-            return None
-        place, by_reading = zeros[index]
-        start[place] += by_reading * offsets[index]
-    return start if offsets.any() else None
-
-
-def _zeros(calibration: Calibration) -> list[tuple[int, tuple[int, float]]]:
-    """Return of each reading whose zero is identified: its parameter, and how that follows.
-
-    ψ = d k q + γ grows with γ; q = d k ψ + γ falls by d k of it. Zeros with priors, ties or terms,
-    or of several sensors, start at nominal.
-    """
-    unknowns = calibration.unknowns()
-    free = unknowns.map != 0.0
-    alone = free[:, free.sum(axis=0) == 1].sum(axis=1) == 1
-    found, first, index = [], 0, 0
-    for leg in calibration.mechanism.legs:
-        offsets = [sensor.offset for sensor in leg.sensors]
-        for sensor, name in zip(leg.sensors, offsets, strict=True):
-            if isinstance(name, str) and offsets.count(name) == 1 and not sensor.terms:
-                place = first + leg.parameter_names.index(name)
-                gain, _ = sensor.constants(leg.nominal_by_name)
-                if alone[place] and np.isinf(unknowns.priors[place]):
-                    found.append((index, (place, 1.0 if sensor.form == "reading" else -gain)))
-            index += 1
-        first += len(leg.parameters)
-    return found
+    costs = -1e-9 * np.eye(n)
+    orders = [np.roll(every, -k).tolist() for k in range(n)]
+    turned = [Hypothesis("legs-exchanged", _ordered(order)) for order in orders]
+    for order, judged in zip(orders, judge(case, turned), strict=True):
+        costs[every, order] += np.nan_to_num([cost(fit) for fit in judged.fits], nan=1.0)
+    return [int(j) for j in linear_sum_assignment(costs)[1]]

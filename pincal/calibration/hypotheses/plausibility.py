@@ -7,20 +7,24 @@ and those that then fit much better are named. If none does, nothing is identifi
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from scipy.special import fdtrc
 
-from pincal.calibration.hypotheses.ranking import (
+from pincal.calibration.calibration import Calibration
+from pincal.calibration.hypotheses.faults import zeros_by_poses
+from pincal.calibration.hypotheses.judging import (
+    QUESTIONED,
+    Case,
     Judged,
-    as_findings,
-    explanations,
     judge,
     other_side,
+    poses_as_measured,
 )
-from pincal.calibration.hypotheses.sample import RULE, Sample, placed, sample_of
+from pincal.calibration.hypotheses.ranking import as_findings, explanations
 from pincal.errors import MeasurementError
 from pincal.estimation.blocks.state import External
 from pincal.estimation.observability.gauge import frame_motions, unexplained
@@ -29,13 +33,20 @@ from pincal.finding import Finding
 from pincal.kinematics.closing import sensor_law
 from pincal.kinematics.closure import largest_size, nominal_legs
 from pincal.kinematics.configurations import legs_at
-from pincal.kinematics.inverse import inverse
 from pincal.model.checks import ROUNDING
 from pincal.model.measurements import Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.setup import ORIGIN, Setup, Target
 from pincal.types import Array
 from pincal.words.sentences import finding, sentence, sentences
+
+_STILL = 1e-3  # readings that differ by less hardly move, of a leg's size and [rad]
+_FOLLOWS = 0.5  # of the stroke: what is left of readings that follow the nominal ones
+_PAST = 0.1  # [rad] past half a turn from home that a joint may be read: readings have a cut there
+_SLIP = 10.0  # times the median that a row misses by, if fewer than one row in so many does
+_CHANCE = 1e-5  # probability of so much motion as one body by chance, above which it is none
+_MATTERS = 0.25  # of the platform's error: a motion of less is not worth a warning
+_ROWS_MOVED = 200  # enough, where the motion of a body is looked for
 
 
 def check_plausible(mechanism: Mechanism, data: Measurements, setup: Setup | None = None) -> None:
@@ -55,13 +66,13 @@ def implausible(
 
     Only rows with complete poses are looked at, and of a leg those with its reading.
     """
-    sample = sample_of(mechanism, data, setup or Setup())
-    if sample is None or not sample.oriented:
+    case = Case.of(mechanism, data, setup or Setup())
+    if case is None or not case.oriented:
         return ()
-    if faults := _still(sample):
+    if faults := _still(case):
         return faults
-    faults, as_measured = _explained(sample)
-    return faults or _strange(sample, as_measured)
+    explaining, as_measured = _explaining(case)
+    return as_findings(mechanism, as_measured, explaining) or _strange(case, as_measured)
 
 
 def explain_misfit(
@@ -82,23 +93,23 @@ def explain_misfit(
     if frame is not None and setup.targets[ORIGIN].unknown:
         x, y, z = frame.offsets[0].tolist()
         setup = replace(setup, targets={**setup.targets, ORIGIN: Target((x, y, z))})
-    sample = sample_of(mechanism, data, setup)
-    if sample is None:
+    case = Case.of(mechanism, data, setup)
+    if case is None:
         return ()
-    if faults := _still(sample):
+    if faults := _still(case):
         return faults
-    faults, as_measured = _explained(sample)
-    return faults or _slips(sample, as_measured)
+    explaining, as_measured = _explaining(case)
+    return as_findings(mechanism, as_measured, explaining) or _slips(case, as_measured)
 
 
 def hypotheses_of(
     mechanism: Mechanism, data: Measurements, setup: Setup | None = None
 ) -> list[tuple[Finding, Judged]]:
     """Return hypotheses that explain measurements that do not fit, each with what it says."""
-    sample = sample_of(mechanism, data, setup or Setup())
-    if sample is None:
+    case = Case.of(mechanism, data, setup or Setup())
+    if case is None:
         return []
-    explaining, as_measured = _explaining(sample)
+    explaining, as_measured = _explaining(case)
     return list(zip(as_findings(mechanism, as_measured, explaining), explaining, strict=True))
 
 
@@ -107,28 +118,23 @@ def said(findings: tuple[Finding, ...]) -> str:
     return sentences(findings)[0]
 
 
-def _explained(sample: Sample) -> tuple[tuple[Finding, ...], Judged]:
-    """Return hypotheses that explain measurements that do not fit, and how these fit as given."""
-    explaining, as_measured = _explaining(sample)
-    return as_findings(sample.mechanism, as_measured, explaining), as_measured
-
-
-def _explaining(sample: Sample) -> tuple[list[Judged], Judged]:
+def _explaining(case: Case) -> tuple[list[Judged], Judged]:
     """Return what explains measurements that do not fit, and how these fit as given."""
-    mechanism, as_measured = sample.mechanism, judge(sample)[0]
-    as_measured = replace(as_measured, elsewhere=other_side(mechanism, as_measured.matrices))
-    if as_measured.fits and not as_measured.questioned and as_measured.elsewhere <= 0.5:
+    (as_measured,) = judge(case)
+    elsewhere = other_side(case.mechanism, as_measured.matrices)
+    as_measured = replace(as_measured, elsewhere=elsewhere)
+    if as_measured.fits_well:
         return [], as_measured
-    if slips := _slips(sample, as_measured):  # few rows may be all that is wrong
-        (without_slips,) = judge(sample.part(np.flatnonzero(~np.isin(sample.rows, slips[0].rows))))
-        if without_slips.fits and not without_slips.questioned:
+    if slips := _slips(case, as_measured):  # few rows may be all that is wrong
+        sound = replace(case, rows=np.setdiff1d(case.rows, slips[0].rows))
+        if judge(sound)[0].fits_well:
             return [], as_measured
-    return explanations(sample, as_measured), as_measured
+    return explanations(case, as_measured), as_measured
 
 
-def _strange(sample: Sample, given: Judged) -> tuple[Finding, ...]:
+def _strange(case: Case, given: Judged) -> tuple[Finding, ...]:
     """Return what bars a fit though no hypothesis explains it."""
-    mechanism = sample.mechanism
+    mechanism = case.mechanism
     judged = [
         (leg, fit) for leg, fit in zip(mechanism.legs, given.fits, strict=False) if fit.rows > 1
     ]
@@ -138,91 +144,81 @@ def _strange(sample: Sample, given: Judged) -> tuple[Finding, ...]:
     if worst.gap > DIFFER:
         return (finding("not-this-mechanism", leg=leg.name, gap=worst.gap),)
     bent = tuple(
-        (leg.name, tuple(leg.moving[i].name for i in leg.passive), one.bent, one.rows)
-        for leg, one in judged
-        if not one.as_home
+        (leg.name, tuple(leg.moving[i].name for i in leg.passive), fit.bent, fit.rows)
+        for leg, fit in judged
+        if not fit.as_home
     )
     if bent:
         return (finding("other-working-mode", legs=bent),)
-    if turned := _turns(sample):
+    if turned := _turns(case):
         return turned
-    for leg, one in judged:
-        if one.near > max(RULE.follows * one.stroke, RULE.still):
+    for leg, fit in judged:
+        if fit.near > max(_FOLLOWS * fit.stroke, _STILL):
             return (
-                finding("readings-do-not-follow", leg=leg.name, left=one.near, stroke=one.stroke),
+                finding("readings-do-not-follow", leg=leg.name, left=fit.near, stroke=fit.stroke),
             )
     return ()
 
 
-def _still(sample: Sample) -> tuple[Finding, ...]:
+def _still(case: Case) -> tuple[Finding, ...]:
     """Return which readings are the same in all rows though the poses move their sensors."""
-    mechanism, readings = sample.mechanism, sample.readings
+    mechanism, readings = case.mechanism, case.readings
     still = np.ptp(readings, axis=0) == 0.0
-    (found,) = placed([sample])
-    if mechanism.by_readings or sample.free or found is None or not still.any():
+    if mechanism.by_readings or case.free or not still.any():
         return ()
-    nominal = inverse(mechanism, mechanism.platform.from_matrices(found[0])).readings
-    named = []
+    matrices = poses_as_measured(case)
+    if matrices is None:
+        return ()
+    nominal, named = case.nominal_readings(matrices), []
     for index, (leg, name) in enumerate(zip(mechanism.legs, mechanism.reading_names, strict=True)):
         known = nominal[np.isfinite(nominal[:, index]), index]
         unit = mechanism.reading_units[index]
         moved = float(np.ptp(known)) if len(known) > 1 else 0.0
-        if still[index] and moved > RULE.still * (1.0 if unit == "rad" else leg.size):
+        if still[index] and moved > _STILL * (1.0 if unit == "rad" else leg.size):
             named.append((name, float(readings[0, index]), unit, moved))
     return (finding("readings-still", readings=tuple(named)),) if named else ()
 
 
-def _turns(sample: Sample) -> tuple[Finding, ...]:
+def _turns(case: Case) -> tuple[Finding, ...]:
     """Return readings that are whole turns off the nominal ones, of the first such leg."""
-    mechanism, (found,) = sample.mechanism, placed([sample])
-    turning = any(leg.reading_units[0] == "rad" for leg in mechanism.legs)
-    if mechanism.by_readings or found is None or not turning:
+    mechanism, matrices = case.mechanism, poses_as_measured(case)
+    several = any(len(leg.active) > 1 for leg in mechanism.legs)
+    turning = "rad" in mechanism.reading_units and not several
+    if mechanism.by_readings or matrices is None or not turning:
         return ()
-    matrices, rows = found
-    nominal = inverse(mechanism, mechanism.platform.from_matrices(matrices)).readings
+    nominal = case.nominal_readings(matrices)
     for index, leg in enumerate(mechanism.legs):
         if leg.reading_units[0] != "rad":
             continue
-        given, expected = sample.readings[rows, index], nominal[:, index]
+        measured, expected = case.readings[:, index], nominal[:, index]
         gain, _ = leg.sensors[0].constants(leg.nominal_by_name)
         turn = 2 * np.pi * (abs(gain) if leg.sensors[0].form == "reading" else 1 / abs(gain))
-        if len(leg.active) > 1:
-            return ()
         law, (joint,) = sensor_law(nominal_legs(mechanism)[index]), leg.active
-        position = law.position(given[:, None])[:, 0] - leg.home[joint]
-        turned = np.nan_to_num(np.round((given - expected) / turn)) != 0.0
-        off = np.flatnonzero(turned & (np.abs(position) > np.pi + RULE.past))  # not at the cut
-        if len(off) and np.isfinite(given - expected).sum() > 1:
-            one = off[0]
-            values: dict[str, Any] = {
-                "leg": leg.name,
-                "reading": given[one],
-                "nominal": expected[one],
-            }
-            where = tuple(sample.rows[rows[off]].tolist())
-            return (finding("whole-turns", where, **values),)
+        position = law.position(measured[:, None])[:, 0] - leg.home[joint]
+        turned = np.nan_to_num(np.round((measured - expected) / turn)) != 0.0
+        off = np.flatnonzero(turned & (np.abs(position) > np.pi + _PAST))  # not at the cut
+        if len(off) and np.isfinite(measured - expected).sum() > 1:
+            values = {"reading": measured[off[0]], "nominal": expected[off[0]]}
+            return (finding("whole-turns", case.rows[off], leg=leg.name, **values),)
     return ()
 
 
-def _slips(sample: Sample, given: Judged) -> tuple[Finding, ...]:
+def _slips(case: Case, given: Judged) -> tuple[Finding, ...]:
     """Return which few rows miss machines near the nominal one much farther than the others.
 
     Where poses were measured in full: those filled in by forward kinematics vary in precision.
     """
-    if not sample.oriented or given.rows is None:
-        return ()
     judged = [leg_fit.left for leg_fit in given.fits if leg_fit.rows > 1]
-    if not judged:
+    if not case.oriented or not judged:
         return ()
     left = np.array(judged)
     usual = np.maximum(np.nanmedian(left, axis=1, keepdims=True), ROUNDING)
     times = np.nan_to_num(left / usual).max(axis=0)
-    far = np.flatnonzero(times > RULE.slip)
-    if not 0 < len(far) <= max(1.0, len(times) / RULE.slip):
+    far = np.flatnonzero(times > _SLIP)
+    if not 0 < len(far) <= max(1.0, len(times) / _SLIP):
         return ()
-    rows = sample.rows[given.rows]
-    worst = int(rows[np.argmax(times)])
-    return (finding("bad-rows", rows[far], worst=worst, times=float(times.max())),)
+    worst = int(case.rows[np.argmax(times)])
+    return (finding("bad-rows", case.rows[far], worst=worst, times=float(times.max())),)
 
 
 def check_copies(data: Measurements, *, every_pose: bool = False) -> None:
@@ -267,8 +263,8 @@ def check_noise(mechanism: Mechanism, noise: Noise) -> None:
     size = largest_size(mechanism.legs)
     turns = "rad" in mechanism.platform.units
     for what, given, unit, most in (
-        ("position", noise.position, "m", RULE.questioned * size),
-        ("orientation", noise.orientation, "rad", RULE.questioned if turns else np.inf),
+        ("position", noise.position, "m", QUESTIONED * size),
+        ("orientation", noise.orientation, "rad", QUESTIONED if turns else np.inf),
     ):
         if given > most:
             values: dict[str, Any] = {
@@ -294,7 +290,7 @@ def misaligned(
         poses: Measured or estimated, shape (N, dof), [m] and [rad].
         readings: Measured, shape (N, n_readings), [rad] or [m].
     """
-    rows = np.linspace(0, len(poses) - 1, min(RULE.rows_moved, len(poses))).astype(int)
+    rows = np.linspace(0, len(poses) - 1, min(_ROWS_MOVED, len(poses))).astype(int)
     read = readings[rows] if mechanism.by_readings else None
     if not np.isfinite(poses[rows]).all() or (read is not None and np.isnan(read).any()):
         return ()
@@ -312,7 +308,7 @@ def misaligned(
         chance, amounts = _as_one(gain, own, changes, scale)
         left = unexplained(platform, moved[:, :, None], own, size)[:, :, 0]
         share = 1.0 - ((left * lengths) ** 2).sum() / ((moved * lengths) ** 2).sum()
-        if chance > RULE.chance or share < RULE.matters:
+        if chance > _CHANCE or share < _MATTERS:
             continue
         turns = len(amounts) > space
         values: dict[str, Any] = {
@@ -352,3 +348,73 @@ def _as_one(gain: Array, motions: Array, changes: Array, scale: Array) -> tuple[
     inside, outside = along @ along, own @ own - along @ along
     amounts = np.linalg.lstsq(R, along, rcond=None)[0]
     return float(fdtrc(k, n - k, inside / k / (outside / (n - k)))), amounts
+
+
+def zeros_found(calibration: Calibration, faults: Sequence[Finding]) -> Array | None:
+    """Return where the search starts if zeros explain what does not fit, shape (n_params,).
+
+    None if something else may explain it, or if a zero is not identified.
+
+    Args:
+        calibration: What is to be identified.
+        faults: Hypotheses that explain the measurements.
+    """
+    offsets = np.zeros(len(calibration.mechanism.reading_names))
+    for fault in faults:
+        if fault.code != "reading-offset" or fault.values["unknown_frame"]:
+            return None
+        for name, off, _ in fault.values["offsets"]:
+            offsets[calibration.mechanism.reading_names.index(name)] = off
+    return _started(calibration, offsets) if len(faults) == 1 else None
+
+
+def zeros_measured(calibration: Calibration) -> Array | None:
+    """Return where the search starts with the zeros that full poses show, shape (n_params,).
+
+    None without full poses, or if no zero is identified.
+    """
+    mechanism = calibration.mechanism
+    case = Case.of(mechanism, calibration.measurements, calibration.options.setup)
+    matrices = None if case is None or not case.alone else poses_as_measured(case)
+    if case is None or matrices is None or mechanism.by_readings:
+        return None
+    offsets = zeros_by_poses(case, matrices)
+    identified = [index for index, _ in _zeros(calibration)]
+    return _started(
+        calibration, np.where(np.isin(np.arange(len(offsets)), identified), offsets, 0.0)
+    )
+
+
+def _started(calibration: Calibration, offsets: Array) -> Array | None:
+    """Return the nominal parameters with zeros of readings that are off, if all are identified."""
+    start = np.concatenate([leg.nominal for leg in calibration.mechanism.legs])
+    zeros = dict(_zeros(calibration))
+    for index in np.flatnonzero(offsets).tolist():
+        if index not in zeros:
+            return None
+        place, by_reading = zeros[index]
+        start[place] += by_reading * offsets[index]
+    return start if offsets.any() else None
+
+
+def _zeros(calibration: Calibration) -> list[tuple[int, tuple[int, float]]]:
+    """Return of each reading whose zero is identified: its parameter, and how that follows.
+
+    ψ = d k q + γ grows with γ; q = d k ψ + γ falls by d k of it. Zeros with priors, ties or terms,
+    or of several sensors, start at nominal.
+    """
+    unknowns = calibration.unknowns()
+    free = unknowns.map != 0.0
+    alone = free[:, free.sum(axis=0) == 1].sum(axis=1) == 1
+    found, first, index = [], 0, 0
+    for leg in calibration.mechanism.legs:
+        offsets = [sensor.offset for sensor in leg.sensors]
+        for sensor, name in zip(leg.sensors, offsets, strict=True):
+            if isinstance(name, str) and offsets.count(name) == 1 and not sensor.terms:
+                place = first + leg.parameter_names.index(name)
+                gain, _ = sensor.constants(leg.nominal_by_name)
+                if alone[place] and np.isinf(unknowns.priors[place]):
+                    found.append((index, (place, 1.0 if sensor.form == "reading" else -gain)))
+            index += 1
+        first += len(leg.parameters)
+    return found
