@@ -42,17 +42,15 @@ def test_every_parameter_is_drawn_as_large_as_it_is(kind: str) -> None:
     mechanism = pincal.load_mechanism(kind)
     for leg in mechanism.legs:
         found, _ = drawn(mechanism, leg)
-        names = [name for one in found for name in one.names]
+        names = [one.name for one in found if one.name]
         assert sorted(names) == sorted(leg.parameter_names)
         for one in found:
             if one.kind == "length":
-                value = leg.nominal_by_name[one.names[0]]
+                value = leg.nominal_by_name[one.name]
                 length = np.linalg.norm(one.line[-1] - one.line[0])
                 assert length == pytest.approx(abs(value), abs=1e-12)
             elif one.kind == "angle":
-                assert turned(one) == pytest.approx(
-                    abs(leg.nominal_by_name[one.names[0]]), abs=1e-9
-                )
+                assert turned(one) == pytest.approx(abs(leg.nominal_by_name[one.name]), abs=1e-9)
             else:
                 swept = turned(one) if one.corner is not None else np.ptp(one.line, axis=0)
                 gain, offset = leg.sensors[0].constants(leg.nominal_by_name)
@@ -75,7 +73,7 @@ def test_links_are_measured_from_joint_to_joint(kind: str) -> None:
     for leg in mechanism.legs:
         found, joints = drawn(mechanism, leg)
         places = skeleton(leg, joints)
-        (last,) = (one for one in found if one.names == ("L",))
+        (last,) = (one for one in found if one.name == "L")
         np.testing.assert_allclose(last.line, places[-2:], atol=1e-9)
 
 

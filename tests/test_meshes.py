@@ -11,7 +11,7 @@ from command_line import run
 
 import pincal
 from pincal.kinematics.readers import free_of_collision
-from pincal.show.view.bodies import MOST_FACES, coarser
+from pincal.show.view.meshes import MOST_FACES, coarser
 
 ARM = """
 j1 | revolute | 0 0 1 | 0 0 0.1

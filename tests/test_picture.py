@@ -20,10 +20,11 @@ from matplotlib.figure import Figure
 
 import pincal
 from pincal.files.mechanism_folders import bundled
-from pincal.show.pictures.parts import paint
+from pincal.show.pictures.painter import paint
 from pincal.show.pictures.picture import Picture
 from pincal.show.style import ACTIVE, PASSIVE
-from pincal.show.view.bodies import Shape, body
+from pincal.show.view.bodies import body
+from pincal.show.view.shapes import Shape
 
 IMAGES = Path(__file__).parents[1] / "docs" / "images"
 RED, BLUE = "#ff0000", "#0000ff"

@@ -6,7 +6,6 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
-from typing import get_args
 
 import numpy as np
 import pytest
@@ -22,13 +21,7 @@ import pincal
 from pincal.calibration.fits import fitted
 from pincal.cli.view import Kind
 from pincal.estimation.residuals.redundancy import Remainders, every_residual
-from pincal.kinematics.configurations import home_of
-from pincal.show.pictures.dimensions import MARK
-from pincal.show.pictures.figure import GAP, dimensions_at, draw_leg, shifts
-from pincal.show.pictures.sheet import LEVELS, colour_of
-from pincal.show.style import NOMINAL
-from pincal.show.view.scene import axes_of_view, scene
-from pincal.words.numbers import measured, minus
+from pincal.show.charts import LEVELS, colour_of
 
 NOISE = pincal.Noise(1e-4, 1e-4)
 
@@ -123,7 +116,7 @@ def test_axes_that_are_given_are_drawn_into(kind: str, result: pincal.Calibratio
 def test_command_draws_every_chart(result: pincal.CalibrationResult) -> None:
     """``pincal plot`` has a kind for each chart of ``result.plot``, and each says what it is."""
     kinds = {name for name in dir(result.plot) if not name.startswith("_")} - {"result"}
-    assert kinds == set(get_args(Kind))
+    assert kinds == set(Kind)
     assert all(getattr(result.plot, name).__doc__ for name in kinds)
 
 
@@ -296,22 +289,15 @@ def test_a_bed_shows_how_far_the_nozzle_is_off() -> None:
     assert values[row, column] == pytest.approx(1e3 * (there[2] - pose[0, 2]), abs=1e-3)
 
 
-def test_drawing_holds_every_value(result: pincal.CalibrationResult) -> None:
-    """A page of A4 with each identified value and ±, each nominal one, lines coloured by change."""
-    axes = result.plot.drawing()
-    width, height = axes.figure.get_size_inches()
-    assert width <= 210 / 25.4
-    assert height <= 297 / 25.4
-    texts = [text.get_text() for one in axes.figure.axes for text in one.texts]
-    for leg in result.legs:
-        for p in leg.parameters:
-            assert minus(p.text) in texts
-            assert any(minus(measured(p.nominal, 0.0, p.unit)) in text for text in texts)
-    feet = [" ".join(text.get_text().split()) for text in axes.figure.texts]
-    assert any("95 % interval" in text and "0.1 mm in position" in text for text in feet)
+def test_a_drawing_has_the_colours_of_changes(result: pincal.CalibrationResult) -> None:
+    """Dimensions of a leg are drawn in the colours of the changes of its parameters."""
+    axes = result.plot.drawing(leg="leg_2")
     drawn = {line.get_color() for line in axes.lines}
-    assert {colour_of(p) for p in result.legs[0].parameters if p.nominal} <= drawn | {NOMINAL}
+    leg = next(one for one in result.legs if one.name == "leg_2")
+    assert drawn == {colour_of(p) for p in leg.parameters if p.nominal}
     assert drawn & {colour for _, colour, _ in LEVELS}
+    with pytest.raises(pincal.MechanismError, match="leg_9"):
+        result.plot.drawing(leg="leg_9")
 
 
 def test_changes_have_the_colours_of_their_sizes(result: pincal.CalibrationResult) -> None:
@@ -341,9 +327,9 @@ def test_command_draws_in_the_width_asked_for(
     assert wrong.code == 2
     assert "residuals" in wrong.err
     assert "Value error" not in wrong.err
-    page = run("plot", tmp_path / "result", "drawing", "-o", tmp_path / "n.svg", "--width", "80")
-    assert page.code == 2
-    assert "a page of A4" in page.err
+    refused = run("plot", tmp_path / "result", "time", "-o", tmp_path / "n.svg", "--leg", "leg_1")
+    assert refused.code == 2
+    assert "drawing" in refused.err
     assert not (tmp_path / "n.svg").exists()
 
 
@@ -375,44 +361,3 @@ def test_steps_are_kept_and_old_results_load(
     assert old.costs == ()
     with pytest.raises(pincal.MeasurementError, match="steps of its search"):
         old.plot.convergence()
-
-
-@pytest.mark.parametrize("name", ["5R", "6UPS", "delta"])
-def test_drawings_are_apart(name: str) -> None:
-    """Base, leg and platform are moved along the leg by equal steps, their dimensions with them."""
-    mechanism = pincal.load_mechanism(name)
-    shown = scene(mechanism, home_of(mechanism))
-    leg = mechanism.leg_names[0]
-    apart = shifts(shown, leg)
-    T = mechanism.platform.matrices(shown.plan.poses)[0]
-    point = mechanism.leg(leg).point.placement.xyz
-    along = T[:3, :3] @ point + T[:3, 3] - mechanism.leg(leg).joints[0].placement.xyz
-    np.testing.assert_allclose(apart["leg"], GAP * along, atol=1e-12)
-    np.testing.assert_allclose(apart["platform"], 2 * apart["leg"], atol=1e-12)
-    parts = {one.part for _, one in dimensions_at(shown, 0, [leg])}
-    assert parts == ({"base", "leg", "platform"} if name == "6UPS" else {"base", "leg"})
-    axes, colours = (
-        Figure().subplots(),
-        dict.fromkeys(mechanism.leg(leg).parameter_names, "#123456"),
-    )
-    draw_leg(axes, shown, leg, colours)
-    V = axes_of_view(shown.planar)[:2]
-    lines = {line.get_gid(): line.get_xydata() for line in axes.lines}
-    for _, one in dimensions_at(shown, 0, [leg]):
-        if one.names and not one.beside and one.kind in ("length", "angle"):
-            expected = (one.line + apart[one.part]) @ V.T
-            np.testing.assert_allclose(lines[MARK + one.names[0]], expected, atol=1e-12)
-
-
-def test_labels_of_a_drawing_are_whole() -> None:
-    """A parameter's label stands in the table in one line or two, none of it cut off."""
-    mechanism = pincal.load_mechanism("linear_delta")
-    plan = pincal.sample_configurations(mechanism, 20, 0)
-    noise = pincal.Noise(1e-5)
-    data = pincal.simulate(mechanism, mechanism, plan, noise, 3).measurements
-    result = pincal.calibrate(mechanism, data, noise=noise, hold_undetermined=True)
-    page = result.plot.drawing().figure
-    text = " ".join(text.get_text() for one in page.axes for text in one.texts)
-    words = set(mechanism.label("leg_1", "endstop").split())
-    assert words <= set(text.split())
-    assert "…" not in text

@@ -7,6 +7,7 @@ import http.client
 import json
 import os
 import re
+import shutil
 import signal
 import socket
 import struct
@@ -28,7 +29,6 @@ from pincal.kinematics.readers import skeleton
 from pincal.model.home import link_placements
 from pincal.show.view.bodies import Body, body
 from pincal.show.view.scene import scene
-from pincal.symmetry.detect import in_domain
 
 MECHANISMS = ["5R", "3RRR", "6UPS", "4cable"]
 EVIL = "<script>alert('Ω \"é\"')</script>"
@@ -98,18 +98,22 @@ def test_cylinder_and_piston_reach_from_the_universal_joint_to_the_slider() -> N
     strokes = pincal.inverse(mechanism, poses).joints["leg_1"][:, 2]
     foot = drawn.placements[:, drawn.part("leg 1/link 1"), :3, 3]
     slider = drawn.placements[:, drawn.part("leg 1/link 3"), :3, 3]
-    z = np.array([[0, 0, 0, 1.0], [0, 0, 1.0, 1.0]]).T
-    rod, cylinder = (
-        np.einsum("nij,jk->nki", drawn.placements[:, drawn.part(f"leg 1/{name} 3")], z)[..., :3]
-        for name in ("rod", "cylinder")
-    )
-    assert np.allclose(rod[:, 0], slider, atol=1e-12)
-    assert np.allclose(rod[:, 1], cylinder[:, 0], atol=1e-12)
-    assert np.allclose(cylinder[:, 1], foot, atol=1e-12)
-    lengths = [np.linalg.norm(one[:, 1] - one[:, 0], axis=1) for one in (rod, cylinder)]
+
+    def ends(name: str) -> np.ndarray:
+        place = drawn.part(f"leg 1/{name} 3")
+        (shape,) = drawn.parts[place].shapes
+        half = shape.size[1] / 2
+        tips = shape.T_link_shape @ np.array([[0, 0, -half, 1.0], [0, 0, half, 1.0]]).T
+        return np.einsum("nij,jk->nki", drawn.placements[:, place], tips)[..., :3]
+
+    piston, cylinder = ends("rod"), ends("cylinder")
+    assert np.allclose(piston[:, 0], slider, atol=1e-12)
+    assert np.allclose(piston[:, 1], cylinder[:, 1], atol=1e-12)
+    assert np.allclose(cylinder[:, 0], foot, atol=1e-12)
+    lengths = [np.linalg.norm(one[:, 1] - one[:, 0], axis=1) for one in (piston, cylinder)]
     assert np.allclose(sum(lengths), strokes)
     assert np.ptp(lengths[1]) < 1e-12
-    assert 0.5 * strokes.min() < lengths[1][0] < strokes.min()
+    assert 0.3 * strokes.min() < lengths[1][0] < strokes.min()
 
 
 @pytest.mark.parametrize("name", ["delta", "linear_delta"])
@@ -154,15 +158,6 @@ def test_errors_are_magnified_to_first_order() -> None:
     assert np.allclose(
         moved[:, platform, :2, 3], 10 * errors, atol=1e-3 * np.abs(errors).max() * 10
     )
-
-
-@pytest.mark.parametrize("name", MECHANISMS)
-def test_images_of_the_domain_are_the_whole(name: str) -> None:
-    """Of the images of any position by the group's elements, one lies in the domain."""
-    group = pincal.symmetry_group(pincal.load_mechanism(name))
-    positions = np.random.default_rng(0).normal(size=(500, 2))
-    inside = [in_domain(group, positions @ e.matrix[:2, :2].T) for e in group.elements]
-    assert (np.sum(inside, axis=0) == 1).all()
 
 
 def evil(mechanism: pincal.Mechanism) -> pincal.Mechanism:
@@ -311,9 +306,10 @@ def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
     done("simulate", "3RRR", folder / "plan.csv", *noise, "-o", folder / "measured.csv")
     done("calibrate", "3RRR", folder / "measured.csv", *noise, "-o", folder / "result")
     (folder / "empty").mkdir()
-    (folder / "failed").mkdir()
+    shutil.copytree(folder / "result", folder / "failed")
     told = json.loads((folder / "result" / "result.json").read_text("utf-8"))
-    told |= {"converged": False, "calibrated_mechanism": None}
+    told["data"]["converged"] = told["converged"] = False
+    told["calibrated_mechanism"] = None
     (folder / "failed" / "result.json").write_text(json.dumps(told), "utf-8")
     (folder / "header.csv").write_text("x [m],y [m],phi [rad]\n", "utf-8")
     quoted = EVIL.replace('"', '""')
@@ -326,7 +322,7 @@ def test_html_holds_plan_workspace_and_result(work: Path, tmp_path: Path) -> Non
     arguments = [work / "plan.csv", work / "result", "--workspace", work / "workspace.csv"]
     done("view", "3RRR", *arguments, "--magnify", 50, "--html", tmp_path / "view.html")
     page = (tmp_path / "view.html").read_text("utf-8")
-    for text in ('"leg_3"', "300 positions", "fundamental domain of C3", "errors × 50", "plan.csv"):
+    for text in ('"leg_3"', "300 positions", "errors × 50", "plan.csv"):
         assert text in page
     assert run("view", "3RRR", "--html", tmp_path / "view.html").code == 2
     done("view", "3RRR", work / "measured.csv", "--html", tmp_path / "view.html", "--force")

@@ -18,7 +18,6 @@ import pincal
 from pincal.files.mechanism_folders import bundled
 from pincal.kinematics.readers import skeleton
 from pincal.show.style import DARK, LEGS
-from pincal.show.view.page import BY_ERROR
 from pincal.show.view.scene import scene
 from pincal.show.view.view import View
 from pincal.words.numbers import POSES, per_si
@@ -554,28 +553,3 @@ def test_slider_goes_from_nominal_to_identified(opened: Any) -> None:
         window.page.locator("#share").fill(str(share))
         expected = (1 - share) * ends[0] + share * ends[1]
         assert np.allclose(window.matrices(view, "identified"), expected, atol=1e-9)
-
-
-def test_weakest_direction_and_errors_of_a_result(opened: Any) -> None:
-    """The weakest slider mirrors the machine about the nominal one; clouds of errors show."""
-    mechanism = pincal.load_mechanism("5R")
-    truth = pincal.disturb(mechanism, 2e-3, seed=1)
-    shifts = np.random.default_rng(2).uniform(-0.3, 0.3, (30, 2))
-    some, noise = pincal.Plan(mechanism.platform.home + shifts), pincal.Noise(1e-4, 1e-4)
-    data = pincal.simulate(mechanism, truth, some, noise, 3).measurements
-    result = pincal.calibrate(mechanism, data, noise=noise)
-    view = pincal.view(mechanism, result.poses, identified=result.identified).with_result(result)
-    window = opened(view)
-    assert view.scene.overlay is not None
-    assert view.scene.overlay.weakest is not None
-    ends = view.scene.body.placements[0], view.scene.overlay.weakest.body.placements[0]
-    for share in (-1.0, 0.5, 1.0):
-        window.page.locator("#weakest").fill(str(share))
-        expected = (1 - share) * ends[0] + share * ends[1]
-        assert np.allclose(window.matrices(view, "weakest"), expected, atol=1e-9)
-    seen = """() => ["before", "after"].map((one) =>
-      window.pincal.viewer.scene_tree.find(["meshcat", "errors", one]).object.visible)"""
-    for when, expected in (("before", [1, 0]), ("after", [1, 1])):
-        window.page.get_by_label(BY_ERROR[when]).check()
-        assert window.page.evaluate(seen) == [bool(one) for one in expected]
-    assert window.clean(), (window.said, window.asked)

@@ -6,18 +6,17 @@ import sys
 import webbrowser
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime
 from enum import StrEnum
 from pathlib import Path
 from threading import Event
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Any
 
 import numpy as np
 import typer
 from matplotlib.figure import Figure
 
 from pincal.calibration.result import CalibrationResult
-from pincal.calibration.result_files import load_result, read_result
+from pincal.calibration.result_files import load_result
 from pincal.cli.app import command, remark, say, stderr, warn, working, wrote
 from pincal.cli.options import FORCE, Force, Mech, output_option
 from pincal.errors import FileError, MeasurementError
@@ -29,15 +28,13 @@ from pincal.kinematics.forward import forward
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.option import option
+from pincal.show.charts import Plots
 from pincal.show.pictures.files import drawing, picture_path, save_figure
 from pincal.show.pictures.picture import picture as draw_picture
-from pincal.show.pictures.sheet import sheet
-from pincal.show.result_tables import warnings
 from pincal.show.style import COLUMN, PAGE_WIDTH
 from pincal.show.view.scene import MAGNIFY, Scene
-from pincal.show.view.view import View
 from pincal.show.view.view import view as make_view
-from pincal.types import Array, Mask
+from pincal.types import Mask
 from pincal.words.wording import unreached
 
 Files = Annotated[
@@ -61,58 +58,57 @@ class SceneOptions:
     )
 
 
-@dataclass(frozen=True)
-class Contents:
-    """What is to be shown, as read from files."""
-
-    mechanism: Mechanism
-    plan: Plan | None
-    workspace: Array | None
-    identified: Mechanism | None
-    magnify: float
-    source: str
-    """Names of the files."""
-    result: CalibrationResult | None
-
-
-def _read(mech: str, files: Sequence[Path], options: SceneOptions) -> Contents:
-    """Return what files hold.
+def _read(
+    mech: str, files: Sequence[Path], options: SceneOptions
+) -> tuple[dict[str, Any], CalibrationResult | None]:
+    """Return what is to be shown, as arguments of ``pincal.view``, and the result among the files.
 
     Raises:
         BadParameter: more than one file of a kind; a factor without a result.
         PincalError: a file that cannot be read, or does not belong to the mechanism.
     """
-    folder = _only([path for path in files if is_folder(path)])
-    table = _only([path for path in files if not is_folder(path)])
-    if options.magnify is not None and folder is None:
+    folders = [path for path in files if is_folder(path)]
+    tables = [path for path in files if not is_folder(path)]
+    for paths in (folders, tables):
+        if len(paths) > 1:
+            names = " and ".join(map(str, paths))
+            raise typer.BadParameter(f"{names}: expected one POSES.csv and one RESULT at most")
+    if options.magnify is not None and not folders:
         raise typer.BadParameter("--magnify is for the errors of a RESULT, and none is given")
     mechanism = load_mechanism(mech)
-    identified = result = estimates = plan = workspace = None
-    if folder is not None:
-        identified, result = _identified(folder), load_result(folder)
-        estimates = folder / "poses.csv" if (folder / "poses.csv").is_file() else None
-    if table is not None:
-        plan = _plan(table, estimates, mechanism)
-    elif estimates is not None:
-        plan = read_poses(estimates, mechanism)
+    shown: dict[str, Any] = {"mechanism": mechanism}
+    shown["magnify"] = MAGNIFY if options.magnify is None else options.magnify
+    result = estimates = None
+    for folder in folders:
+        result = _result(folder)
+        shown["identified"] = result.identified
+        if (folder / "poses.csv").is_file():
+            estimates = folder / "poses.csv"
+            shown["poses"] = read_poses(estimates, mechanism)
+    for table in tables:
+        shown["poses"] = _plan(table, estimates, mechanism)
     if options.workspace is not None:
-        workspace = _positions(options.workspace, mechanism)
-    magnify = MAGNIFY if options.magnify is None else options.magnify
-    source = ", ".join(path.name for path in (table, folder) if path is not None)
-    return Contents(mechanism, plan, workspace, identified, magnify, source, result)
+        cloud = read_table(options.workspace)
+        axes = mechanism.platform.coordinates[: mechanism.platform.units.count("m")]
+        shown["workspace"] = np.column_stack([cloud.numbers(name, "m") for name in axes])
+    return shown, result
 
 
-def _only(paths: list[Path]) -> Path | None:
-    """Return the path of a kind, if there is one.
+def _result(folder: Path) -> CalibrationResult:
+    """Return the result in a folder.
 
     Raises:
-        BadParameter: there are several.
+        FileError: there is none, or it cannot be read.
+        MeasurementError: its fit did not converge.
     """
-    if len(paths) > 1:
-        raise typer.BadParameter(
-            f"{' and '.join(map(str, paths))}: expected one POSES.csv and one RESULT at most"
+    if not (folder / "result.json").is_file():
+        raise FileError(f"{folder} is no folder of 'pincal calibrate': it has no result.json")
+    result = load_result(folder)
+    if not result.converged:
+        raise MeasurementError(
+            f"{folder}: the fit did not converge, so there is no calibrated mechanism to show"
         )
-    return paths[0] if paths else None
+    return result
 
 
 def _plan(table: Path, estimates: Path | None, mechanism: Mechanism) -> Plan:
@@ -121,7 +117,11 @@ def _plan(table: Path, estimates: Path | None, mechanism: Mechanism) -> Plan:
     Raises:
         MeasurementError: no row holds a whole pose, and there is no result with estimates of it.
     """
-    plan = _rows(table, mechanism)
+    if mechanism.by_readings or not set(mechanism.reading_names) <= set(read_table(table).units):
+        plan = read_poses(table, mechanism, partial=True)
+    else:
+        measured = read_measurements(table, mechanism, partial=True)
+        plan = Plan(measured.poses, measured.sets, measured.readings)
     if mechanism.by_readings and plan.readings is not None:
         # they say where the mechanism is, in its own base frame
         solution = forward(mechanism, plan.readings)
@@ -129,7 +129,7 @@ def _plan(table: Path, estimates: Path | None, mechanism: Mechanism) -> Plan:
             raise MeasurementError(
                 f"{table}: {solution.reasons[0]} at {plan.place(0)}, and at all others"
             )
-        return _rows_of(replace(plan, poses=solution.poses), solution.converged)
+        return replace(plan, poses=solution.poses).rows(solution.converged)
     complete: Mask = np.isfinite(plan.poses).all(axis=1).astype(bool)
     if complete.all():
         return plan
@@ -155,40 +155,7 @@ def _plan(table: Path, estimates: Path | None, mechanism: Mechanism) -> Plan:
         f"{table}: {np.sum(~complete)} of {len(complete)} rows hold no whole pose, the first "
         f"is in {plan.place(int(np.argmin(complete)))}; only the others are drawn. {advice}"
     )
-    return _rows_of(plan, complete)
-
-
-def _rows_of(plan: Plan, chosen: Mask) -> Plan:
-    """Return the rows of a plan that a mask of shape (N,) chooses."""
-    rows = np.flatnonzero(chosen)
-    sets = None if plan.sets is None else tuple(plan.sets[row] for row in rows)
-    readings = None if plan.readings is None else plan.readings[rows]
-    return Plan(plan.poses[rows], sets, readings)
-
-
-def _rows(table: Path, mechanism: Mechanism) -> Plan:
-    """Return a plan or, where the table has all readings, measurements; NaN where there is none."""
-    if mechanism.by_readings or not set(mechanism.reading_names) <= set(read_table(table).units):
-        return read_poses(table, mechanism, partial=True)
-    return read_measurements(table, mechanism, partial=True)
-
-
-def _identified(folder: Path) -> Mechanism:
-    """Return the calibrated mechanism of a result folder."""
-    if not (folder / "result.json").is_file():
-        raise FileError(f"{folder} is no folder of 'pincal calibrate': it has no result.json")
-    if not read_result(folder).get("calibrated_mechanism"):
-        raise MeasurementError(
-            f"{folder}: the fit did not converge, so there is no calibrated mechanism to show"
-        )
-    return load_mechanism(folder)
-
-
-def _positions(path: Path, mechanism: Mechanism) -> Array:
-    """Return the positions in a CSV of 'pincal workspace', shape (M, 2) or (M, 3), [m]."""
-    table = read_table(path)
-    names = mechanism.platform.coordinates[: mechanism.platform.units.count("m")]
-    return np.column_stack([table.numbers(name, "m") for name in names])
+    return plan.rows(complete)
 
 
 @dataclass(frozen=True)
@@ -210,27 +177,18 @@ def view(mech: Mech, options: PageOptions, files: Files = None) -> None:
     The slider and the arrow keys go from pose to pose, the space bar plays. Without POSES.csv:
     home and some of the workspace, or the poses that RESULT estimated. With RESULT the
     calibrated machine is shown too, where it goes when the nominal model drives it, its errors
-    magnified; arrows go from measured to predicted points, the workspace is coloured by error, and
-    a slider moves the machine along the direction that the measurements determine least. The page
-    is served to this machine alone, until Ctrl-C.
+    magnified; arrows go from measured to predicted points. The page is served to this machine
+    alone, until Ctrl-C.
     """
     if options.html is not None and options.html.suffix.lower() not in (".html", ".htm"):
         raise FileError(f"{options.html} would be a page; give it the ending .html")
-    contents = _read(mech, files or [], options)
+    shown, result = _read(mech, files or [], options)
     if options.html is not None:
         refuse_existing(options.html, force=options.force)
     with working("placing the legs"):
-        page = make_view(
-            contents.mechanism,
-            contents.plan,
-            workspace=contents.workspace,
-            identified=contents.identified,
-            magnify=contents.magnify,
-            source=contents.source,
-        )
-        if contents.result is not None:
-            page = page.with_notices(tuple(warnings(contents.result)))
-            page = page.with_result(contents.result)
+        page = make_view(**shown, source=", ".join(path.name for path in files or []))
+        if result is not None:
+            page = page.with_result(result)
         if options.meshes is not None:
             page = page.with_meshes(options.meshes)
         page.html()
@@ -238,16 +196,11 @@ def view(mech: Mech, options: PageOptions, files: Files = None) -> None:
     if options.html is not None:
         page.save(options.html, force=options.force)
         wrote(options.html)
-    else:
-        _serve(page, open_browser=options.open)
-
-
-def _serve(page: View, *, open_browser: bool) -> None:
-    """Serve a view until Ctrl-C."""
+        return
     try:
         say(page.url)
         sys.stdout.flush()
-        if open_browser and not webbrowser.open(page.url):
+        if options.open and not webbrowser.open(page.url):
             stderr.print("no browser was found: open the address above in one")
         stderr.print("Ctrl-C ends")
         Event().wait()
@@ -279,20 +232,10 @@ def picture(
     their sets. With RESULT the calibrated machine is drawn too, its errors magnified. The same
     picture gives the same bytes.
     """
-    contents = _read(mech, files or [], options)
+    shown, _ = _read(mech, files or [], options)
     refuse_existing(picture_path(output), force=force)
     with working("drawing"):
-        image = draw_picture(
-            contents.mechanism,
-            contents.plan,
-            row=options.pose - 1,
-            workspace=contents.workspace,
-            identified=contents.identified,
-            magnify=contents.magnify,
-            dimensions=options.dimensions,
-        )
-        if contents.result is not None:
-            image = image.with_result(contents.result)
+        image = draw_picture(**shown, row=options.pose - 1, dimensions=options.dimensions)
         image.save(output, force=force)
     _say_unreached(image.scene)
     wrote(output)
@@ -307,23 +250,8 @@ def _say_unreached(scene: Scene) -> None:
         stderr.print(text)
 
 
-Kind = Literal[
-    "residuals",
-    "workspace",
-    "time",
-    "images",
-    "parameters",
-    "platform",
-    "correlation",
-    "singular",
-    "convergence",
-    "poses",
-    "error_map",
-    "bed",
-    "runs",
-    "drawing",
-]
-"""What is drawn: the names of ``result.plot``'s methods."""
+#: What is drawn: the charts of ``result.plot``.
+Kind = StrEnum("Kind", [name for name in vars(Plots) if name[0] != "_"])  # type: ignore[misc]
 Width = StrEnum("Width", {"column": f"{COLUMN:g}", "page": f"{PAGE_WIDTH:g}"})
 """Width of a figure, [mm]."""
 
@@ -341,9 +269,7 @@ def plot(
     result: Annotated[
         Path, typer.Argument(metavar="RESULT", help="Folder of 'pincal calibrate -o RESULT'.")
     ],
-    kind: Annotated[
-        Kind, typer.Argument(metavar="KIND", help=f"One of {', '.join(get_args(Kind))}.")
-    ],
+    kind: Annotated[Kind, typer.Argument(metavar="KIND", help=f"One of {', '.join(Kind)}.")],
     output: Annotated[Path, output_option("FILE.svg|pdf|png", "The figure.")],
     options: PlotOptions,
     force: Force = False,
@@ -356,23 +282,18 @@ def plot(
     platform: what changes move the platform by; correlation; singular: how well each direction is
     determined; convergence: residuals by step of the search; poses: accuracy by number of poses,
     with the bound; error_map: expected error over x and y; bed: z over a printer's bed; runs: runs
-    side by side; drawing: a leg with dimensions, and a table of all values, on A4.
+    side by side; drawing: a leg with dimensions.
     """
     calibrated = load_result(result)
     refuse_existing(picture_path(output), force=force)
     if options.leg and kind != "drawing":
         raise typer.BadParameter("--leg is for the kind 'drawing'")
-    if options.width and kind == "drawing":
-        raise typer.BadParameter("--width is for other kinds: a drawing is a page of A4")
+    inches = float(options.width or PAGE_WIDTH) / 25.4
+    height = max(0.62 * inches, 3.6 if kind == "platform" else 2.4)
     with working("drawing"):
-        if kind == "drawing":
-            today = datetime.now().astimezone().strftime("%Y-%m-%d")
-            figure = sheet(calibrated, options.leg, today)
-        else:
-            inches = float(options.width or PAGE_WIDTH) / 25.4
-            height = max(0.62 * inches, 3.6 if kind == "platform" else 2.4)
-            with drawing():
-                figure = Figure(figsize=(inches, height), layout="compressed")
-                getattr(calibrated.plot, kind)(figure.subplots())
+        with drawing():
+            axes = Figure(figsize=(inches, height), layout="compressed").subplots()
+            of_leg = {"leg": options.leg} if options.leg else {}
+            figure = getattr(calibrated.plot, kind)(axes, **of_leg).figure
         save_figure(figure, output, force=force, whole=True)
     wrote(output)

@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
+from pincal.calibration.leg_result import IdentifiedParameter
 from pincal.calibration.result import CalibrationResult
 from pincal.design.certificate import continuous_design
 from pincal.design.criteria import MeanVariance
@@ -23,9 +24,10 @@ from pincal.design.information import information_rows
 from pincal.design.platform_error import without_frames
 from pincal.errors import MeasurementError, WorkspaceError
 from pincal.estimation.observability.indices import RANK_TOLERANCE
-from pincal.kinematics.configurations import legs_at
+from pincal.kinematics.configurations import home_of, legs_at
 from pincal.model.measurements import Noise, Plan
 from pincal.show import residual_charts
+from pincal.show.pictures.figure import draw_scene
 from pincal.show.pictures.parts import (
     NORMAL,
     axis_name,
@@ -40,9 +42,9 @@ from pincal.show.pictures.parts import (
     room,
     wrapped,
 )
-from pincal.show.pictures.sheet import draw_dimensioned, sheet
 from pincal.show.result_tables import directions, parameters
-from pincal.show.style import EVERY, IDENTIFIED, MARKERS, NOMINAL, PAGE
+from pincal.show.style import EVERY, IDENTIFIED, INK, MARKERS, NOMINAL, PAGE
+from pincal.show.view.scene import scene
 from pincal.show.workspace_answers import error_maps, moved_apart
 from pincal.types import Array
 from pincal.words.numbers import SMALL, minus, per_si
@@ -307,6 +309,34 @@ def bed_heights(axes: Axes, result: CalibrationResult) -> Axes:
     return axes
 
 
+#: Changes over ± from which a colour is used, with what it says.
+LEVELS = (
+    (0.0, NOMINAL, "changed by less than its ±"),
+    (1.0, "#7352e8", "by 1 to 5 times its ±"),
+    (5.0, IDENTIFIED, "by more than 5 times its ±"),
+)
+
+
+def colour_of(p: IdentifiedParameter) -> str:
+    """Return the colour of a parameter by its change over half its 95 % interval."""
+    if not np.isfinite(p.half) or p.half <= 0.0:
+        return INK[0]
+    return [colour for least, colour, _ in LEVELS if abs(p.change) >= least * p.half][-1]
+
+
+def dimensioned(axes: Axes, result: CalibrationResult, leg: str = "") -> Axes:
+    """Draw the nominal mechanism, dimensions of a leg in the colours of their changes."""
+    mechanism = result.nominal
+    name = mechanism.leg(leg or mechanism.leg_names[0]).name
+    colours = {
+        p.name: colour_of(p)
+        for block in result.legs
+        for p in block.parameters
+        if block.name == name
+    }
+    return draw_scene(axes, scene(mechanism, home_of(mechanism)), 0, [name], colours)
+
+
 def _refuse_unexplained(result: CalibrationResult) -> None:
     """Raise if no accuracy can be promised.
 
@@ -399,8 +429,6 @@ class Plots:
     def drawing(self, ax: Axes | None = None, leg: str = "") -> Axes:
         """Draw a leg with its dimensions, lines in the colours of changes over their ±.
 
-        Without axes a page of A4 (``axes.figure``), with the values of all legs like it beneath.
-
         Args:
             ax: Where to draw.
             leg: Name of the leg, the first if not given.
@@ -408,8 +436,5 @@ class Plots:
         Raises:
             MechanismError: no such leg.
         """
-        if ax is None:
-            page: Axes = sheet(self.result, leg).axes[0]
-            return page
-        name = self.result.nominal.leg(leg or self.result.nominal.leg_names[0]).name
-        return draw_dimensioned(ax, self.result, name)
+        axes = ax or Figure((6.4, 5.0), layout="compressed").subplots()
+        return dimensioned(axes, self.result, leg)

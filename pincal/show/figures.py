@@ -20,6 +20,7 @@ from pincal.kinematics.readers import skeleton
 from pincal.model.measurements import EVERY_LEG, Plan
 from pincal.show import charts, residual_charts
 from pincal.show.answers import ReportFacts
+from pincal.show.pictures.figure import draw_scene
 from pincal.show.pictures.files import SvgFigure, svg_figure
 from pincal.show.pictures.parts import (
     NORMAL,
@@ -27,7 +28,6 @@ from pincal.show.pictures.parts import (
     before_after,
     draw_bars,
     draw_map,
-    draw_mechanism,
     draw_poses,
     draw_strokes,
     height_name,
@@ -35,9 +35,9 @@ from pincal.show.pictures.parts import (
     page_figure,
     wrapped,
 )
-from pincal.show.pictures.sheet import LEVELS, draw_dimensioned, kinds_of_legs
 from pincal.show.result_tables import noisy_series, whose
 from pincal.show.style import IDENTIFIED, PAGE
+from pincal.show.view.scene import scene
 from pincal.show.workspace_answers import ErrorMaps
 from pincal.types import Array
 from pincal.words.numbers import SMALL, STORED, per_si, shown_in
@@ -84,7 +84,7 @@ def _poses(facts: ReportFacts) -> Captioned:
     if plane := mechanism.platform.space == 2:
         drawn = page_figure(3.4)
         side, axes = drawn.subplots(1, 2)
-        draw_mechanism(side, mechanism)
+        draw_scene(side, scene(mechanism, home_of(mechanism)), 0, colours={})
         if facts.errors is not None and facts.errors.sampled:
             sampled = per_si("m", STORED) * facts.errors.poses[:, :2]
             dot = np.array((7e-3 * float(np.ptp(sampled[:, 0])), 0.0))
@@ -114,15 +114,16 @@ def _drawing(facts: ReportFacts) -> Captioned:
     result = facts.result
     leg = result.legs[0].name
     drawn = page_figure(4.6)
-    axes = draw_dimensioned(drawn.subplots(), result, leg)
+    axes = charts.dimensioned(drawn.subplots(), result, leg)
     if not axes.lines:  # nothing is drawn that can be seen: out of reach at home
         return None
-    keys = [Line2D([], [], color=colour, lw=3, label=text) for _, colour, text in LEVELS]
+    keys = [Line2D([], [], color=colour, lw=3, label=text) for _, colour, text in charts.LEVELS]
     _legend_below(drawn, keys, [str(key.get_label()) for key in keys])
-    alike_legs = ", those of the others alike" if len(kinds_of_legs(result)[0]) > 1 else ""
+    kinds = {tuple(p.name for p in leg_result.parameters) for leg_result in result.legs}
+    alike_legs = ", those of the others alike" if len(kinds) < len(result.legs) else ""
     return drawn, (
         f"Where the parameters of {leg} are{alike_legs}: lines in the colours of their changes. "
-        "Values stand in the table above; diamonds are parameters that are zero."
+        "Values stand in the table above; parameters that are zero have no line."
     )
 
 

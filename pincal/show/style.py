@@ -5,10 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numpy as np
-
-from pincal.types import Array
-
 #: Of legs, and of sets of poses that serve them; all colours here are held apart for people who
 #: lack a kind of cone by tests/test_style.py.
 LEGS = (
@@ -32,8 +28,6 @@ OUTLIER = "#c8091c"
 #: Positions of a fundamental domain, and those that follow from it.
 DOMAIN, CARRIED = "#520856", "#d8c3da"
 GROUND = "#d4d4d4"
-#: Errors from small to large (matplotlib's cividis, without the ends that vanish on a ground).
-ERRORS = ("#e0c949", "#b8a866", "#908b79", "#6e717a", "#4a5a7c", "#2d4a80")
 #: Lengths, angles, axes and their names in drawings; poses for every leg.
 DIMENSION = EVERY = "#222222"
 #: Each colour as it is on a dark ground.
@@ -116,10 +110,8 @@ class PictureStyle:
     """How far from it, in heights of the name."""
     arc: float = 0.055
     """Radius of the smallest angle drawn, of the scene's diagonal."""
-    leg_name_places: tuple[tuple[float, float], ...] = tuple(
-        (far, turn) for far in (13.0, 20.0, 28.0) for turn in (0.0, 30.0, -30.0, 65.0, -65.0)
-    )
-    """Where a leg's name is tried: how far from its foot, [point], and turned by what, [deg]."""
+    leg_distances: tuple[float, ...] = (11.0, 18.0, 26.0, 34.0)
+    """How far from its foot a leg's name is tried, [point]."""
     values: int = 6
     """Of parameters, in a line, at most."""
     title: int = 100
@@ -150,10 +142,3 @@ def dark_variables() -> str:
 def other_look(index: int) -> Look:
     """Return the look of a coordinate or a run by its number: no colour of a leg, but a marker."""
     return Look(DIMENSION, MARKERS[index % len(MARKERS)], HATCHES[index % len(HATCHES)])
-
-
-def shades(shares: Array) -> Array:
-    """Return colours of errors by their places on the scale from 0 to 1, (N,) to (N, 3)."""
-    stops = np.array([[int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)] for colour in ERRORS])
-    places = np.linspace(0.0, 1.0, len(stops))
-    return np.stack([np.interp(shares, places, channel) for channel in stops.T], axis=1)

@@ -20,9 +20,9 @@ function Labels({ data, viewer, pane, node, element, coloured, turned }) {
   const world = new THREE.Vector3();
 
   function placeLetters() {
-    const shown = { false: node("meshcat/base axes").object.visible, true: true };
+    const shown = { false: node("meshcat/mechanism/base/axes").object.visible, true: true };
     for (const { tag, moves, end } of letters) {
-      const { object } = node(moves ? "meshcat/mechanism/platform/body" : "meshcat/base axes");
+      const { object } = node(moves ? "meshcat/mechanism/platform/body" : "meshcat/mechanism/base/axes");
       world.set(...end).applyMatrix4(object.matrixWorld);
       const middle = world.clone().setFromMatrixPosition(object.matrixWorld).project(viewer.camera);
       world.project(viewer.camera);

@@ -44,6 +44,7 @@
     const [nominal, own] = [drawn.matrices[0], drawn.matrices[index]];
     const mixed = body.share !== 1 && nominal.length === own.length;
     body.objects.forEach((objects, part) => {
+      if (body.paths[part].includes("/base/")) return; // stands still
       let m = own ? own.subarray(12 * part, 12 * part + 12) : [NaN];
       if (mixed) m = m.map((value, i) => value * body.share + (1 - body.share) * nominal[12 * part + i]);
       for (const object of objects) {
@@ -67,7 +68,7 @@
     flat.matrixAutoUpdate = false;
     flat.matrix.set(1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1e-4, data.level + 5e-4 * size, 0, 0, 0, 1);
     machine.objects.forEach((objects, part) => {
-      if (machine.paths[part].endsWith("/frame")) return;
+      if (machine.paths[part].includes("/base/")) return;
       const shadow = objects[0].clone();
       shadow.traverse((one) => one.isMesh && (one.material = dark));
       objects.push(shadow);
@@ -112,8 +113,7 @@
     data.bodies.forEach(place);
     const [x, y, z] = drawn.matrices[0].subarray(12 * platform + 9, 12 * platform + 12);
     drop.geometry.setFromPoints([new THREE.Vector3(x, y, z), new THREE.Vector3(x, y, data.level)]);
-    const shown = data.bodies.filter(({ name }) => name !== "weakest");
-    const problems = shown.map(({ name }, i) => drawn.problems[i] && (i ? `${name}: ` : "") + drawn.problems[i]).filter(Boolean);
+    const problems = data.bodies.map(({ name }, i) => drawn.problems[i] && (i ? `${name}: ` : "") + drawn.problems[i]).filter(Boolean);
     find("problem").textContent = problems.length ? `Not drawn: ${problems.join("; ")}` : "";
     find("problem").hidden = !problems.length;
     drawn.values.forEach((value, i) => {
@@ -177,31 +177,19 @@
     boxes[path] = checkbox(find("layers"), name, shown, (on) => setVisible(path, on), colour);
   });
 
-  // Between the nominal machine and another one
+  // Between the nominal machine and the identified one
 
-  function between(name, id, least, ends, label) {
-    const index = data.bodies.findIndex((body) => body.name === name);
-    if (index < 0) return;
+  if (data.bodies.length > 1) {
     const line = element("label", "", find("layers"));
-    element("span", ends[0], line);
+    element("span", "nominal", line);
     const input = element("input", "", line);
-    Object.assign(input, { type: "range", id, className: "share", min: least, max: 1, step: 0.02, value: 1, ariaLabel: label });
-    element("span", ends[1], line);
+    Object.assign(input, { type: "range", id: "share", className: "share", min: 0, max: 1, step: 0.02, value: 1, ariaLabel: "from nominal to identified" });
+    element("span", "identified", line);
     input.addEventListener("input", () => {
-      data.bodies[index].share = input.valueAsNumber;
-      place(data.bodies[index], index);
-      if (!boxes[`meshcat/${name}`].checked) boxes[`meshcat/${name}`].click();
+      data.bodies[1].share = input.valueAsNumber;
+      place(data.bodies[1], 1);
+      if (!boxes["meshcat/identified"].checked) boxes["meshcat/identified"].click();
     });
-  }
-
-  between("identified", "share", 0, ["nominal", "identified"], "from nominal to identified");
-  between("weakest", "weakest", -1, ["−", "+"], "along the weakest direction");
-  if (data.errors) { // over the workspace, before and after, on one scale
-    const bar = element("p", "", find("layers"));
-    bar.className = "scale";
-    element("span", data.errors.ends[0], bar);
-    element("i", "", bar).style.background = `linear-gradient(to right, ${data.errors.colours.join(", ")})`;
-    element("span", data.errors.ends[1], bar);
   }
 
   const labels = Labels({ data, viewer, pane, node, element, coloured, turned });

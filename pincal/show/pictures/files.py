@@ -77,9 +77,7 @@ def _inline(svg: bytes) -> Any:
         for key, value in element.items():
             del element.attrib[key]
             name = etree.QName(key).localname
-            if (name == "href" or not key.startswith("{")) and (
-                name != "id" or value in used or value.startswith("dimension-")
-            ):
+            if (name == "href" or not key.startswith("{")) and (name != "id" or value in used):
                 element.set(name, "".join(value.split()) if value[:5] == "data:" else value)
         if (ground := element.attrib.pop("fill", "")) and ground != "none":  # behind a hatch
             element.set("style", f"fill: {ground}; {element.get('style', '')}")

@@ -1,29 +1,23 @@
-"""Parts of charts and pictures: maps, poses, bars and their names, shapes painted, into axes."""
+"""Parts of charts, drawn into axes: maps, poses, bars and their names."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from itertools import pairwise
 from textwrap import wrap
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection, PolyCollection
-from matplotlib.colors import ListedColormap, LogNorm, Normalize, to_rgb
-from matplotlib.contour import QuadContourSet
+from matplotlib.collections import LineCollection
+from matplotlib.colors import ListedColormap, LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from matplotlib.ticker import MaxNLocator
-from scipy.spatial import ConvexHull
 
-from pincal.kinematics.inverse import inverse
-from pincal.kinematics.readers import skeleton
 from pincal.model.measurements import EVERY_LEG, VERIFY, Plan
 from pincal.model.mechanism import Mechanism
-from pincal.show.style import EVERY, IDENTIFIED, NOMINAL, PAGE, PICTURE, Look, look, other_look
-from pincal.show.view.bodies import Body, Shape
+from pincal.show.style import EVERY, IDENTIFIED, NOMINAL, PAGE, Look, look, other_look
 from pincal.types import Array
 from pincal.words.numbers import STORED, amount, minus, per_si
 
@@ -87,7 +81,7 @@ def draw_map(
             x, y, masked, levels, colors=_LINES, linewidths=0.7, negative_linestyles="solid"
         )
         fmt = {level: minus(f"{level:.{places}f}") for level in levels}
-        for text in axes.clabel(lines, fmt=fmt, fontsize=7, manual=_label_places(lines)):
+        for text in axes.clabel(lines, fmt=fmt, fontsize=7):
             text.set_bbox(_PLATE)
     return image
 
@@ -100,47 +94,6 @@ def _round_levels(known: Array) -> tuple[Array, int]:
     ticks = MaxNLocator(3, steps=[1, 2, 5, 10]).tick_values(low, high)
     places = max(0, int(np.ceil(-np.log10(ticks[1] - ticks[0]) - 1e-9)))
     return ticks[(ticks > low) & (ticks < high)].round(places) + 0.0, places  # no -0
-
-
-def _label_places(lines: QuadContourSet) -> list[tuple[float, float]]:
-    """Return places for the lines' numbers: on the longest piece of each, on others with room."""
-    places: list[Array] = []
-    levels = [
-        [np.asarray(polygon) for polygon in p.to_polygons(closed_only=False)]
-        for p in lines.get_paths()
-    ]
-    every = [piece for pieces in levels for piece in pieces]
-    span = float(np.ptp(np.concatenate(every), axis=0).max()) if every else 0.0
-    for pieces in levels:
-        longest = max(map(len, pieces), default=0)
-        for rank, piece in enumerate(sorted(pieces, key=len, reverse=True)):
-            inner = piece[len(piece) // 6 : len(piece) - len(piece) // 6]  # not its ends
-            distances = [np.linalg.norm(inner - polygon, axis=1) for polygon in places]
-            far = np.min(distances, axis=0) if distances else np.full(len(inner), np.inf)
-            place = int(np.argmax(far)) if distances else len(inner) // 2
-            if rank == 0 or (2 * len(piece) > longest and far[place] > _NUMBER_DISTANCE * span):
-                places.append(inner[place])
-    return [(float(x), float(y)) for x, y in places]
-
-
-def draw_mechanism(axes: Axes, mechanism: Mechanism) -> None:
-    """Draw a planar mechanism at home, seen from above."""
-    solution = inverse(mechanism, np.array([mechanism.platform.home]))
-    corners = []
-    for index, leg in enumerate(mechanism.legs):
-        if not solution.reached[0, index]:
-            continue
-        points = per_si("m", STORED) * skeleton(leg, solution.joints[leg.name][0])[:, :2]
-        colour, base = look(index).colour, points[0]
-        axes.plot(*points.T, "-", color=colour, lw=2.5, zorder=2)
-        axes.plot(*base, "s", color=colour, ms=9, zorder=3)
-        axes.plot(*points[1:].T, "o", color="white", mec=colour, ms=6, zorder=3)
-        axes.annotate(leg.name, tuple(base), xytext=(6, -14), textcoords="offset points", size=8)
-        corners.append(points[-1])
-    if len({tuple(c.round(9)) for c in corners}) > 2:
-        axes.fill(*np.array(corners).T, color="0.5", alpha=0.4, zorder=1)
-    axes.margins(0.18)
-    axes.set(xlabel=axis_name("x"), ylabel=axis_name("y"), aspect="equal")
 
 
 def draw_poses(
@@ -286,127 +239,3 @@ def _named(names: Sequence[str], units: Sequence[str], width: float) -> list[str
 def label(name: str) -> str:
     """Return a name as a label that matplotlib does not leave out of legends."""
     return f" {name}" if name.startswith("_") else name
-
-
-_TURNS = np.linspace(0.0, 2 * np.pi, 16, endpoint=False)
-_CIRCLE = np.stack((np.cos(_TURNS), np.sin(_TURNS)), axis=1)
-_TOWARDS_LIGHT = np.array([0.3, 0.8, 0.5])  # where it comes from: right, up, towards the viewer
-_CORNERS = np.stack(np.meshgrid(*[[-0.5, 0.5]] * 3), axis=-1).reshape(-1, 3)
-
-#: Points whose hulls are a piece, whole and smaller by the edge, [m]; how bright it is; where
-#: between its farthest and its nearest point others are behind it.
-_Piece: TypeAlias = tuple[Array, Array, float, float]
-
-
-def placed(body: Body, row: int) -> list[tuple[Shape, Array]]:
-    """Return the shapes of a body at a pose, each with ``T_base_part``; those that are reached."""
-    return [
-        (shape, place)
-        for part, place in zip(body.parts, body.placements[row], strict=True)
-        for shape in part.shapes
-        if np.isfinite(place).all()
-    ]
-
-
-def paint(
-    axes: Axes, shapes: list[tuple[Shape, Array]], V: Array, edge: float, colour: str = ""
-) -> None:
-    """Paint shapes in their own colours, or in one that lets through what is behind.
-
-    Each piece is painted dark, and over it, smaller by the edge, in its colour; where a rod
-    was cut, the colour goes on into the next piece.
-
-    Args:
-        axes: Where to paint.
-        shapes: Shapes with ``T_base_part``, [m].
-        V: What points right, up and towards the viewer, shape (3, 3), rows in the base frame.
-        edge: Width of outlines, [m].
-        colour: One for all.
-    """
-    count = 1 if colour else PICTURE.pieces  # where pieces of one colour overlap they would show
-    pieces = [
-        (
-            outline @ V.T,
-            inner @ V.T,
-            np.minimum(bright * np.array(to_rgb(colour or shape.colour)), 1),
-            behind,
-        )
-        for shape, place in shapes
-        for outline, inner, bright, behind in _pieces(
-            shape, place @ shape.T_link_shape, V, edge, count
-        )
-    ]
-    pieces.sort(key=lambda piece: round(float(np.quantile(piece[0][:, 2], piece[3])), 9))
-    polygons = [
-        _hull(points[:, :2]) for outline, inner, *_ in pieces for points in (outline, inner)
-    ]
-    colours = [c for *_, fill, _ in pieces for c in (PICTURE.dark * fill, fill)]
-    opacity = 0.45 if colour else None
-    axes.add_collection(PolyCollection(polygons, facecolors=colours, lw=0, alpha=opacity))
-
-
-def _pieces(shape: Shape, T: Array, V: Array, edge: float, limit: int) -> list[_Piece]:
-    """Return the pieces of a shape, rods in so many at most."""
-    if shape.points is not None:
-        outline = shape.points @ T[:3, :3].T + T[:3, 3]
-        middle = outline.mean(axis=0)
-        least = 1.0 - 2.0 * edge / float(np.linalg.norm(outline - middle, axis=1).max())
-        return [(outline, middle + max(least, 0.5) * (outline - middle), 1.0, 0.25)]
-    thin = min(edge, min(shape.size) / 5)
-    if shape.kind == "box":
-        return _faces(shape, T, V, thin)
-    if shape.kind == "sphere":
-        directions = np.concatenate((_CIRCLE @ V[:2], V[2:]))
-        outline, inner = (T[:3, 3] + r * directions for r in (shape.size[0], shape.size[0] - thin))
-        return [(outline, inner, 1.0, 1.0)]
-    radius, length = shape.size
-    stretch = float(np.linalg.norm(T[:3, 2]))  # of the rod of a prismatic joint
-    if length * stretch < 1e-3 * edge:  # too short to be seen
-        return []
-    count = int(np.clip(np.ceil(length * stretch / (PICTURE.piece * radius)), 1, limit))
-    cuts = np.linspace(-length / 2, length / 2, count + 1)
-    thin = min(thin, length * stretch / 5)
-    end = length / 2 - thin / stretch
-    along = float(T[:3, 2] @ V[2]) / stretch  # cosine between the rod and the view
-    overlap = 2 * thin / stretch / max(np.sqrt(1.0 - along**2), 0.1)  # hides where it was cut
-    around = _CIRCLE @ T[:3, :2].T
-
-    def tube(radius: float, low: float, high: float) -> Array:
-        return np.concatenate([T[:3, 3] + radius * around + z * T[:3, 2] for z in (low, high)])
-
-    return [
-        (
-            tube(radius, low, high),
-            tube(radius - thin, max(low - overlap, -end), min(high + overlap, end)),
-            1.0,
-            1.0,
-        )
-        for low, high in pairwise(cuts)
-    ]
-
-
-def _faces(shape: Shape, T: Array, V: Array, thin: float) -> list[_Piece]:
-    """Return the faces of a box that are seen, those that face the light brighter."""
-    faces = []
-    size = np.array(shape.size)
-    for axis, towards in enumerate(V[2] @ T[:3, :3]):
-        if abs(towards) < 1e-6:  # edge on
-            continue
-        side = np.sign(towards)
-        corners = _CORNERS[_CORNERS[:, axis] == side / 2]
-        less = np.where(np.arange(3) == axis, 0.0, 2 * thin)
-        outline, inner = (corners * (size - cut) @ T[:3, :3].T + T[:3, 3] for cut in (0.0, less))
-        faces.append(
-            (outline, inner, 0.8 + 0.4 * float(side * T[:3, axis] @ V.T @ _TOWARDS_LIGHT), 1.0)
-        )
-    return faces
-
-
-def _hull(points: Array) -> Array:
-    """Return the corners of the convex hull of points in a plane, shape (n, 2), in order.
-
-    From the lowest on, so that rounding errors do not choose where the outline begins.
-    """
-    corners = points[ConvexHull(points).vertices]
-    first = int(np.lexsort(corners.round(9).T)[0])
-    return np.roll(corners, -first, axis=0)

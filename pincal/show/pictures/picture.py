@@ -6,7 +6,7 @@ Mechanisms in a plane are seen from above, others from the side, in parallel pro
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from matplotlib.axes import Axes
@@ -14,15 +14,13 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
-from pincal.calibration.result import CalibrationResult
 from pincal.errors import MeasurementError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.configurations import home_of
 from pincal.model.measurements import Plan
 from pincal.show.pictures.figure import draw_scene, scene_figure
 from pincal.show.pictures.files import figure_bytes, save_figure
-from pincal.show.view.calibrated import instrument
-from pincal.show.view.scene import MAGNIFY, Overlay, Scene, plan_of, scene
+from pincal.show.view.scene import MAGNIFY, Scene, plan_of, scene
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,11 +32,6 @@ class Picture:
     """Which pose the mechanism is drawn at."""
     dimensions: tuple[str, ...] = ()
     """Legs whose parameters are drawn as dimensions."""
-
-    def with_result(self, result: CalibrationResult) -> Picture:
-        """Return the picture with the tracker of a calibration where its place is known."""
-        overlay = Overlay(instrument=instrument(result))
-        return replace(self, scene=replace(self.scene, overlay=overlay))
 
     def draw(self, axes: Axes) -> Axes:
         """Draw into axes, best inside ``pincal.show.pictures.files.drawing()``."""

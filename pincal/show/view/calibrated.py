@@ -1,78 +1,119 @@
-"""A scene with what a calibration found: how it is worked out from the result."""
+"""A scene with what a calibration found: arrows of misses, and where instruments stand."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pincal.calibration.promise import pose_misses
 from pincal.calibration.result import CalibrationResult
-from pincal.errors import MeasurementError, PincalError
+from pincal.errors import MeasurementError
 from pincal.model.setup import ORIGIN
-from pincal.show.result_tables import directions, parameters
-from pincal.show.view.scene import (
-    Errors,
-    Instrument,
-    Misses,
-    Overlay,
-    Scene,
-    Station,
-    Weakest,
-    driven,
-    rounded_down,
-)
-from pincal.show.workspace_answers import WorkspaceErrors, workspace_errors
+from pincal.show.style import DIMENSION, IDENTIFIED, OUTLIER
+from pincal.show.view.scene import Layer, Scene, rounded_down
 from pincal.types import Array, Mask
 
-#: Of the scene's size: a long arrow, and how far a parameter moves along the weakest direction.
-_ARROW, _SWING = 0.08, 0.08
-_NAMED = 3
-_SHARES = (1.0, 0.3, 0.1, 0.03)  # of that motion, until the machine can be built
-_DRAWN = 0.5  # of the poses, at least
+_LONG, _LONGEST = 0.08, 0.5  # of the scene's size: a long arrow; where it is cut
+_HEAD = 0.2  # of an arrow's length
+_DEPTH = 0.3  # of what a camera sees, of the scene's size
 
 
-def calibrated(
-    scene: Scene, result: CalibrationResult, errors: WorkspaceErrors | None = None
-) -> Scene:
+@dataclass(frozen=True, eq=False)
+class Misses:
+    """From the measured to the predicted point of each row, after the calibration."""
+
+    measured: Array
+    """Of the platform, shape (n, 3), base frame, [m]."""
+    shifts: Array
+    """Predicted less measured, shape (n, 3), [m]."""
+    outlying: Mask
+    """Which rows are outliers, shape (n,)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Station:
+    """A tracker, a frame of measurements, or an instrument that says where it stands."""
+
+    name: str
+    T_base_station: Array
+    """Shape (4, 4), [m]; a camera looks along z."""
+    sees: tuple[float, float] | None = None
+    """Half width and half height of what a camera sees at a distance of 1; None if it is none."""
+
+
+def calibrated(scene: Scene, result: CalibrationResult) -> Scene:
     """Return a scene with what a calibration of its mechanism found.
 
-    Args:
-        scene: The mechanism at poses.
-        result: Its calibration; of one that did not converge, the places of instruments alone.
-        errors: Over the workspace, computed if not given.
+    Of one that did not converge, the places of instruments alone.
     """
-    if not result.converged:
-        placed = Overlay(instrument=instrument(result), stations=stations(result))
-        return replace(scene, overlay=placed)
-    size = float(np.linalg.norm(np.ptp(scene.bounds(), axis=0)))
-    overlay = Overlay(
-        misses(result, size),
-        _errors(result, workspace_errors(result) if errors is None else errors),
-        weakest(scene, result, size),
-        instrument(result),
-        stations(result),
-    )
-    return replace(scene, overlay=overlay)
+    size, layers = scene.size, []
+    misses = misses_of(result) if result.converged else None
+    if misses is not None:
+        layers += _arrow_layers(misses, size, 0.1 * size if scene.planar else 0.0)
+    for number, station in enumerate(stations(result), 1):
+        T = station.T_base_station
+        ends = scene.body.axis * np.stack((np.zeros((3, 3)), np.eye(3)), axis=1)
+        if station.sees:
+            ends = np.concatenate((ends, frustum(station.sees, _DEPTH * size)))
+        name = f"{station.name}, {np.linalg.norm(T[:3, 3]):.3g} m from the base frame"
+        lines = ends @ T[:3, :3].T + T[:3, 3]
+        layers.append(Layer(f"stations/{number}", name, lines, DIMENSION))
+    return replace(scene, layers=(*scene.layers, *layers))
 
 
-def misses(result: CalibrationResult, size: float) -> Misses | None:
-    """Return how rows miss what was measured of the platform's position; None if nothing was.
+def _arrow_layers(misses: Misses, size: float, lift: float) -> list[Layer]:
+    """Return arrows of rows that fit, and of outliers, magnified alike.
 
     Args:
-        result: The calibration.
-        size: Of what is drawn, [m].
+        misses: From where to where.
+        size: Of the scene, [m].
+        lift: Over the platform, where that is seen from above, [m].
     """
+    lengths = np.linalg.norm(misses.shifts, axis=1)
+    usual = lengths if misses.outlying.all() else lengths[~misses.outlying]
+    magnify = rounded_down(_LONG * size / max(float(np.quantile(usual, 0.95)), 1e-12 * size))
+    layers = []
+    for path, name, rows, colour in (
+        ("misses", "measured → predicted", ~misses.outlying, IDENTIFIED),
+        ("outlying", "outliers", misses.outlying, OUTLIER),
+    ):
+        if not rows.any():
+            continue
+        lines = arrows(misses.measured[rows], magnify * misses.shifts[rows], _LONGEST * size)
+        lines[..., 2] += lift
+        shortened = int((magnify * lengths[rows] > _LONGEST * size).sum())
+        text = f"{name}, errors × {magnify:,.12g}"
+        text += f", {shortened} longer than drawn" if shortened else ""
+        layers.append(Layer(path, text, lines, colour))
+    return layers
+
+
+def arrows(begin: Array, shifts: Array, longest: float) -> Array:
+    """Return arrows as three segments each, shafts first, shape (3n, 2, 3), [m].
+
+    Args:
+        begin: Where they begin, shape (n, 3).
+        shifts: From there to their tips, shape (n, 3).
+        longest: Length at which they are cut.
+    """
+    lengths = np.linalg.norm(shifts, axis=1, keepdims=True)
+    drawn = shifts * np.minimum(1.0, longest / np.maximum(lengths, 1e-300))
+    tips = begin + drawn
+    upright = np.abs(drawn[:, [2]]) > 0.9 * np.linalg.norm(drawn, axis=1, keepdims=True)
+    across = np.cross(drawn, np.where(upright, [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]))
+    heads = [tips - _HEAD * drawn + side * _HEAD * across for side in (-0.5, 0.5)]
+    return np.concatenate([np.stack((tips, end), axis=1) for end in (begin, *heads)])
+
+
+def misses_of(result: CalibrationResult) -> Misses | None:
+    """Return how rows miss what was measured of the platform's position; None if nothing was."""
     measured, shifts = _measured(result)
     rows = np.flatnonzero(np.isfinite(np.hstack((measured, shifts))).all(axis=1))
     if not len(rows):
         return None
-    bad = {outlier.row for outlier in result.outliers}
-    outlying = np.array([row in bad for row in rows.tolist()])
-    lengths = np.linalg.norm(shifts[rows], axis=1)
-    usual = lengths if outlying.all() else lengths[~outlying]
-    long = max(float(np.quantile(usual, 0.95)), 1e-12 * size)
-    return Misses(measured[rows], shifts[rows], outlying, rounded_down(_ARROW * size / long))
+    outlying = np.isin(rows, [outlier.row for outlier in result.outliers])
+    return Misses(measured[rows], shifts[rows], outlying)
 
 
 def _measured(result: CalibrationResult) -> tuple[Array, Array]:
@@ -108,64 +149,8 @@ def _measured(result: CalibrationResult) -> tuple[Array, Array]:
     return measured, shifts
 
 
-def _errors(result: CalibrationResult, errors: WorkspaceErrors) -> Errors | None:
-    """Return errors of position over the workspace; None where none can be promised."""
-    before, after = errors.before[:, 0], errors.after[:, 0]
-    rows = np.isfinite(before) & np.isfinite(after)
-    if not result.explained or not (rows & (np.fmax(before, after) > 0.0)).any():
-        return None
-    positions = result.nominal.platform.matrices(errors.poses[rows])[:, :3, 3]
-    return Errors(positions, before[rows], after[rows])
-
-
-def weakest(scene: Scene, result: CalibrationResult, size: float) -> Weakest | None:
-    """Return the machine off along its weakest direction.
-
-    None where nothing was identified, or where it cannot be built at half of the poses.
-
-    Args:
-        scene: The mechanism at poses.
-        result: The calibration.
-        size: Of what is drawn, [m].
-    """
-    ranked = directions(result)
-    if not len(ranked.values):
-        return None
-    every = {p.id: p for _, p in parameters(result)}
-    weakest = ranked.vectors[:, -1] / ranked.values[-1]
-    step = dict(zip(ranked.ids, (weakest * ranked.units).tolist(), strict=True))
-    largest = max(abs(v) * (size if every[i].unit == "rad" else 1.0) for i, v in step.items())
-    moved = {
-        leg.name: [p.nominal + step.get(p.id, 0.0) for p in leg.parameters] for leg in result.legs
-    }
-    shifted = scene.mechanism.with_parameters(
-        {leg: np.array(values) for leg, values in moved.items()}
-    )
-    order = np.argsort(-np.abs(weakest), kind="stable")
-    names = [ranked.ids[i] for i in order[:_NAMED]]
-    for share in _SHARES:  # where a machine that far off cannot be built, nearer
-        magnify = rounded_down(share * _SWING * size / max(largest, 1e-300))
-        try:
-            body = driven(scene, shifted, magnify).body
-        except PincalError:
-            continue
-        if np.isfinite(body.placements).all(axis=(1, 2, 3)).mean() >= _DRAWN:
-            return Weakest(body, magnify, ", ".join(names))
-    return None
-
-
-def instrument(result: CalibrationResult) -> Instrument | None:
-    """Return where the tracker stands; None if its place is not known."""
-    tracker = result.options.setup.tracker
-    if tracker is None:
-        return None
-    T_base_frame = _base_frame(result)
-    position = T_base_frame[:3, :3] @ np.array(tracker.at) + T_base_frame[:3, 3]
-    return Instrument(position, T_base_frame)
-
-
 def stations(result: CalibrationResult) -> tuple[Station, ...]:
-    """Return the frame of the measurements, where it was unknown, and instruments of one's own.
+    """Return the tracker, or the frame of the measurements where it was unknown, and instruments.
 
     Those that say where they stand, by a method ``stand(values)`` that returns
     T_frame_instrument, shape (4, 4); what a camera sees, by an attribute ``sees``.
@@ -173,8 +158,15 @@ def stations(result: CalibrationResult) -> tuple[Station, ...]:
     Raises:
         MeasurementError: an instrument that stands at no rigid transform.
     """
-    setup, T_base_frame, placed_stations = result.options.setup, _base_frame(result), []
-    if setup.unknown_frame and setup.tracker is None:
+    setup, placed_stations = result.options.setup, []
+    T_base_frame: Array = np.eye(4)
+    if result.outside is not None:
+        T_base_frame = np.asarray(np.linalg.inv(result.outside.frame), dtype=np.float64)
+    if setup.tracker is not None:
+        T = T_base_frame.copy()
+        T[:3, 3] += T[:3, :3] @ np.array(setup.tracker.at)
+        placed_stations.append(Station("tracker", T))
+    elif setup.unknown_frame:
         placed_stations.append(Station("frame of the measurements", T_base_frame))
     for device in setup.instruments:
         if (stand := getattr(device, "stand", None)) is None:
@@ -193,8 +185,19 @@ def stations(result: CalibrationResult) -> tuple[Station, ...]:
     return tuple(placed_stations)
 
 
-def _base_frame(result: CalibrationResult) -> Array:
-    """Return the frame of the measurements in the base frame, shape (4, 4)."""
-    if result.outside is None:
-        return np.eye(4)
-    return np.asarray(np.linalg.inv(result.outside.frame), dtype=np.float64)
+def frustum(sees: tuple[float, float], depth: float) -> Array:
+    """Return what a camera sees up to a depth, as segments in its frame, shape (9, 2, 3), [m].
+
+    Four edges from where it stands, the rectangle of its picture there, and a mark on the side
+    of the picture's top, which is towards −y.
+
+    Args:
+        sees: Half width and half height of that rectangle at a depth of 1.
+        depth: [m].
+    """
+    x, y = sees
+    corners = depth * np.array([[-x, -y, 1.0], [x, -y, 1.0], [x, y, 1.0], [-x, y, 1.0]])
+    edges = [(np.zeros(3), corner) for corner in corners]
+    edges += [(corners[i], corners[i - 1]) for i in range(4)]
+    edges.append((depth * np.array([0.0, -y, 1.0]), depth * np.array([0.0, -1.4 * y, 1.0])))
+    return np.array(edges)

@@ -20,35 +20,10 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from pincal.errors import MechanismError
-from pincal.show.style import (
-    CARRIED,
-    DARK,
-    DIMENSION,
-    DOMAIN,
-    ERRORS,
-    GROUND,
-    IDENTIFIED,
-    NOMINAL,
-    OUTLIER,
-    PAPER,
-    shades,
-)
-from pincal.show.view.bodies import GREY, Body, Shape
-from pincal.show.view.scene import (
-    Overlay,
-    Scene,
-    arrows,
-    axes_of_view,
-    cut,
-    frame_axes,
-    frustum,
-    grid_step,
-    ground,
-    moved,
-    set_colour,
-    stand,
-    tips,
-)
+from pincal.show.style import DARK, IDENTIFIED, PAPER
+from pincal.show.view.bodies import Body
+from pincal.show.view.scene import Layer, Scene, moved
+from pincal.show.view.shapes import GREY, Shape
 from pincal.types import Array
 from pincal.words.numbers import POSES, SMALL, per_si
 from pincal.words.wording import clean, rendered
@@ -61,13 +36,10 @@ import umsgpack
 
 #: How far sliders go: of the scene's size, and [rad].
 _SLIDER_RANGE = {"m": 0.25, "rad": 0.5}
-#: The workspace in colours of errors.
-BY_ERROR = {
-    "before": "workspace by error, nominal (before)",
-    "after": "workspace by error, identified, as expected",
-}
 #: Links and shadows on dark ground.
 SOLIDS_DARK = {GREY: "#8b929b", "#d9dce0": "#0b0d10"}
+#: Turns three.js' cylinders, which lie along y, to lie along z.
+_UPRIGHT = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 
 
 def page(
@@ -81,12 +53,12 @@ def page(
         notices: What to know first.
         served: Whether the page can ask for the scene off its poses (``answer``).
     """
-    data = _data(scene, source) | {"notices": list(notices)}
+    data = _data(scene) | {"source": source, "notices": list(notices)}
     text = json.dumps(data, ensure_ascii=False, separators=(",", ":"))
     return rendered(
         "view.html",
         title=scene.mechanism.name,
-        meshcat=viewer_script(),
+        meshcat=(Path(meshcat.viewer_assets_path()) / "dist" / "main.min.js").read_text("utf-8"),
         data=clean(text).replace("<", "\\u003c"),
         served=served,
     )
@@ -99,7 +71,7 @@ def answer(scene: Scene, row: int, shift: Array) -> str:
     except MechanismError as error:
         return json.dumps({"problem": str(error)})
     values = {(row["head"], row["name"]): row["values"][0] for row in _rows(moved_scene)}
-    bodies = [moved_scene.body] + ([moved_scene.identified.body] if moved_scene.identified else [])
+    bodies = _bodies(moved_scene).values()
     return json.dumps(
         {
             "problem": "",
@@ -110,43 +82,50 @@ def answer(scene: Scene, row: int, shift: Array) -> str:
     )
 
 
-def _data(scene: Scene, source: str) -> dict[str, Any]:
+def _bodies(scene: Scene) -> dict[str, Body]:
+    """Return the machines of a scene."""
+    identified = {"identified": scene.identified.body} if scene.identified else {}
+    return {"mechanism": scene.body, **identified}
+
+
+def _data(scene: Scene) -> dict[str, Any]:
     """Return all that the page's script needs, for JSON."""
     names = list(dict.fromkeys(scene.sets))
-    bodies = {"mechanism": scene.body}
-    if scene.identified:
-        bodies["identified"] = scene.identified.body
-    if scene.overlay and scene.overlay.weakest:
-        bodies["weakest"] = scene.overlay.weakest.body
-    V, bounds = axes_of_view(scene.planar), _bounds(scene)
+    bounds, ground = _bounds(scene), scene.ground()
     corners = np.array(list(product(*bounds.T)))
     return {
         "name": scene.mechanism.name,
         "description": scene.mechanism.description,
-        "source": source,
         "planar": scene.planar,
-        "towards": V[2].tolist(),
+        "towards": scene.axes[2].tolist(),
         "bounds": bounds.tolist(),
-        "half": (np.ptp(corners @ V[:2].T, axis=0) / 2).tolist(),
-        "grid": f"grid {1e3 * grid_step(scene):.6g} mm",
-        "commands": [base64.b64encode(command).decode() for command in commands(scene)],
-        "bodies": [_body(root, body) for root, body in bodies.items()],
-        "sets": [{"name": name, "colour": set_colour(scene, name)} for name in names],
+        "half": (np.ptp(corners @ scene.axes[:2].T, axis=0) / 2).tolist(),
+        "grid": ground.name,
+        "commands": [base64.b64encode(command).decode() for command in _commands(scene, [ground])],
+        "bodies": [
+            {
+                "name": root,
+                "paths": [f"meshcat/{root}/{part.path}" for part in body.parts],
+                "matrices": _columns(body),
+                "problems": list(body.problems),
+            }
+            for root, body in _bodies(scene).items()
+        ],
+        "sets": [{"name": name, "colour": scene.colour(name)} for name in names],
         "set": [names.index(name) for name in scene.sets],
         "rows": _rows(scene),
         "legs": [
             {
                 "name": leg.name,
-                "colour": set_colour(scene, leg.name),
+                "colour": scene.colour(leg.name),
                 "foot": list(leg.joints[0].placement.xyz),
             }
             for leg in scene.mechanism.legs
         ],
-        "layers": _layers(scene),
-        "errors": _errors(scene),
+        "layers": _panel(scene),
         "sliders": _sliders(scene),
         "level": scene.level,
-        "axis": frame_axes(scene)[0].size[1],
+        "axis": scene.body.axis,
         "dark": DARK | SOLIDS_DARK,
         "paper": PAPER,
     }
@@ -155,31 +134,13 @@ def _data(scene: Scene, source: str) -> dict[str, Any]:
 def _bounds(scene: Scene) -> Array:
     """Return least and largest coordinates of what is looked at first, shape (2, 3), [m].
 
-    The scene, the arrows of misses, and what stands no further from it than it is large.
+    The scene, and what of its layers stands no further from it than it is large.
     """
     bounds = scene.bounds()
-    if not scene.overlay:
-        return bounds
-    size = float(np.linalg.norm(np.ptp(bounds, axis=0)))
-    points = [bounds]
-    if scene.overlay.misses:
-        points.append(tips(scene.overlay.misses, size))
-    stands = [station.T_base_station[:3, 3] for station in scene.overlay.stations]
-    if scene.overlay.instrument:
-        stands.append(scene.overlay.instrument.position)
-    near = [p for p in stands if np.linalg.norm(p - np.clip(p, *bounds)) < size]
-    every = np.concatenate([*points, np.reshape(near, (-1, 3))])
-    return np.stack((every.min(axis=0), every.max(axis=0)))
-
-
-def _body(root: str, body: Body) -> dict[str, Any]:
-    """Return a body's paths, and its placements as columns of 3, N x n_parts x 4 x 3 doubles."""
-    return {
-        "name": root,
-        "paths": [f"meshcat/{root}/{part.path}" for part in body.parts],
-        "matrices": _columns(body),
-        "problems": list(body.problems),
-    }
+    points = np.concatenate([bounds, *(layer.points.reshape(-1, 3) for layer in scene.layers)])
+    away = np.linalg.norm(points - np.clip(points, *bounds), axis=1)
+    near = points[away <= scene.size]
+    return np.stack((near.min(axis=0), near.max(axis=0)))
 
 
 def _columns(body: Body) -> str:
@@ -194,24 +155,21 @@ def _sliders(scene: Scene) -> list[dict[str, Any]]:
     ``axis`` is the base's that a coordinate shifts along, -1 of all else.
     """
     mechanism, platform = scene.mechanism, scene.mechanism.platform
-    size = float(np.linalg.norm(np.ptp(scene.bounds(), axis=0)))
     if mechanism.by_readings:
-        moves = [
-            (name, unit, -1)
-            for name, unit in zip(mechanism.reading_names, mechanism.reading_units, strict=True)
-        ]
+        names, units = mechanism.reading_names, mechanism.reading_units
+        axes = [-1] * len(names)
     else:
-        rows = [row if row < 3 else -1 for row in platform.twist_rows]
-        moves = list(zip(platform.freedoms, platform.units, rows, strict=True))
+        names, units = platform.freedoms, platform.units
+        axes = [row if row < 3 else -1 for row in platform.twist_rows]
     return [
         {
             "name": name,
             "unit": POSES[unit],
             "scale": per_si(unit, POSES),
-            "most": _SLIDER_RANGE[unit] * (size if unit == "m" else 1.0),
+            "most": _SLIDER_RANGE[unit] * (scene.size if unit == "m" else 1.0),
             "axis": axis,
         }
-        for name, unit, axis in moves
+        for name, unit, axis in zip(names, units, axes, strict=True)
     ]
 
 
@@ -221,7 +179,7 @@ def _rows(scene: Scene) -> list[dict[str, Any]]:
     read = mechanism.reading_names, mechanism.reading_units
     groups = [("pose", platform.coordinates, platform.units, POSES, scene.plan.poses)]
     nominal = "readings, as given" if mechanism.by_readings else "readings of the nominal model"
-    groups.append((nominal, *read, POSES, scene.readings))
+    groups.append((nominal, *read, POSES, scene.body.readings))
     if scene.plan.readings is not None and not mechanism.by_readings:
         groups.append(("readings, as measured", *read, POSES, scene.plan.readings))
     if scene.identified:
@@ -242,86 +200,19 @@ def _rows(scene: Scene) -> list[dict[str, Any]]:
     ]
 
 
-def _layers(scene: Scene) -> list[dict[str, Any]]:
-    """Return what can be shown or hidden: paths, names, and what to say about them."""
-    layers: list[tuple[str, str, bool]] = [("mechanism", "mechanism", True)]
+def _panel(scene: Scene) -> list[dict[str, Any]]:
+    """Return what can be shown or hidden: path, name, whether it is shown first, its colour."""
+    lines: list[tuple[str, str, bool, str]] = [("mechanism", "mechanism", True, "")]
     if scene.identified:
-        text = f"identified, errors × {scene.identified.magnify:g}"
-        layers.append(("identified", text, True))
-    layers += [("sets", "poses, as dots", True), ("ghosts", "poses, as ghosts", False)]
-    if cloud := scene.cloud:
-        group = "" if cloud.domain.all() else cloud.group
-        layers.append(("cloud", _cloud_name(len(cloud.positions), cloud.total, group), True))
-    if scene.overlay:
-        layers += _overlay_layers(scene, scene.overlay)
-    layers += [("base axes", "base frame", True), ("grid", "grid", True)]
-    colours = {"identified": IDENTIFIED, "cloud": DOMAIN}
-    colours |= {"misses": IDENTIFIED, "outlying": OUTLIER, "weakest": NOMINAL}
+        name = f"identified, errors × {scene.identified.magnify:g}"
+        lines.append(("identified", name, True, IDENTIFIED))
+    lines += [("sets", "poses, as dots", True, ""), ("ghosts", "poses, as ghosts", False, "")]
+    lines += [(layer.path, layer.name, True, layer.colour) for layer in scene.layers]
+    lines += [("mechanism/base/axes", "base frame", True, ""), ("grid", "grid", True, "")]
     return [
-        {"path": f"meshcat/{path}", "name": name, "shown": shown, "colour": colours.get(path, "")}
-        for path, name, shown in layers
+        {"path": f"meshcat/{path}", "name": name, "shown": shown, "colour": colour}
+        for path, name, shown, colour in lines
     ]
-
-
-def _cloud_name(drawn: int, total: int, group: str) -> str:
-    """Return what a cloud of positions is.
-
-    Args:
-        drawn: How many positions are drawn.
-        total: Of how many.
-        group: Whose fundamental domain has the stronger colour; empty where there is none.
-    """
-    count = f"{drawn:,}" + (f" of {total:,}" if total > drawn else "")
-    share = f"; strong colour: fundamental domain of {group}" if group else ""
-    return f"workspace, {count} positions{share}"
-
-
-def _overlay_layers(scene: Scene, overlay: Overlay) -> list[tuple[str, str, bool]]:
-    """Return the layers of what a calibration found."""
-    layers = []
-    if misses := overlay.misses:
-        size = float(np.linalg.norm(np.ptp(scene.bounds(), axis=0)))
-        short = cut(misses, size)
-        for path, name, visible in (
-            ("misses", "measured → predicted", ~misses.outlying),
-            ("outlying", "outliers", misses.outlying),
-        ):
-            if visible.any():
-                shortened = int((visible & short).sum())
-                text = f"{name}, errors × {misses.magnify:,.12g}"
-                text += f", {shortened} longer than drawn" if shortened else ""
-                layers.append((path, text, True))
-    if overlay.errors:
-        layers += [(f"errors/{when}", entry, False) for when, entry in BY_ERROR.items()]
-    if weakest := overlay.weakest:
-        text = f"weakest direction, ±{weakest.magnify:.3g} of its standard errors: {weakest.named}"
-        layers.append(("weakest", text, False))
-    stands = [("instrument", "tracker", overlay.instrument.position)] if overlay.instrument else []
-    stands += [
-        (f"stations/{number}", station.name, station.T_base_station[:3, 3])
-        for number, station in enumerate(overlay.stations, 1)
-    ]
-    layers += [
-        (p, f"{name}, {np.linalg.norm(position):.3g} m from the base frame", True)
-        for p, name, position in stands
-    ]
-    return layers
-
-
-def _errors(scene: Scene) -> dict[str, Any] | None:
-    """Return the scale of errors over the workspace, None if there are none."""
-    if not (scene.overlay and scene.overlay.errors):
-        return None
-    scale, unit = per_si("m", SMALL), SMALL["m"]
-    ends = [f"{scale * limit:.2g} {unit}" for limit in scene.overlay.errors.limits]
-    return {"colours": list(ERRORS), "ends": ends}
-
-
-_I = np.eye(4)
-_WHITE = 0xFFFFFF
-_DEPTH = 0.3  # of what a camera sees, of the scene's size
-#: Turns three.js' cylinders, which lie along y, to lie along z.
-_UPRIGHT = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 
 
 class _Recorder:
@@ -335,146 +226,75 @@ class _Recorder:
 
 
 class _Dots(g.PointsMaterial):  # type: ignore[misc]
-    """Points of a size in pixels, near and far, of one colour or, if that is white, their own."""
+    """Points of a size in pixels, near and far."""
 
     def lower(self, object_data: Any) -> dict[str, Any]:
         lowered = super().lower(object_data)
-        return {**lowered, "sizeAttenuation": False, "vertexColors": self.color == _WHITE}
+        return {**lowered, "sizeAttenuation": False, "vertexColors": False}
 
 
-def commands(scene: Scene) -> list[bytes]:
-    """Return what draws a scene in meshcat's viewer, at no pose yet.
+def _commands(scene: Scene, layers: Sequence[Layer]) -> list[bytes]:
+    """Return what draws a scene and further layers in meshcat's viewer, at no pose yet.
 
     Paths below ``/meshcat``: ``mechanism`` and ``identified`` with their parts (``bodies.Part``);
-    ``sets/1`` and ``ghosts/1`` for the first set and so on; ``cloud``, ``base axes``, ``grid``;
-    of a calibration ``misses``, ``outlying``, ``errors/before``, ``errors/after``, ``weakest`` with
-    its parts, ``instrument``, ``stations/1`` and so on.
+    ``sets/1`` and ``ghosts/1`` for the first set and so on; those of layers.
     """
     recorder = _Recorder()
     draw = meshcat.Visualizer(window=recorder)
     for path in ("/Grid", "/Axes"):
         draw[path].set_property("visible", False)
-    _lines(draw["grid"], ground(scene), GROUND)
-    axes = frame_axes(scene)
-    _axes(draw["base axes"], axes)
     _draw_body(draw["mechanism"], scene.body)
-    _axes(draw["mechanism/platform/body/axes"], axes)
     if scene.identified:
         _draw_body(draw["identified"], scene.identified.body, IDENTIFIED, opacity=0.45)
-    if scene.cloud:
-        _dots(draw["cloud/domain"], scene.cloud.positions[scene.cloud.domain], DOMAIN, 2)
-        _dots(draw["cloud/carried"], scene.cloud.positions[~scene.cloud.domain], CARRIED, 2)
-    for number, (_, colour, positions, lines) in enumerate(scene.by_set(), 1):
-        _dots(draw[f"sets/{number}"], positions, colour, 7)
-        _lines(draw[f"ghosts/{number}"], lines, colour, opacity=0.45)
-    if scene.overlay:
-        _draw_overlay(draw, scene.overlay, scene)
+    for number, (name, colour, positions, lines) in enumerate(scene.by_set(), 1):
+        _draw_layer(draw, Layer(f"sets/{number}", name, positions, colour, 7))
+        _draw_layer(draw, Layer(f"ghosts/{number}", name, lines, colour), opacity=0.45)
+    for layer in (*layers, *scene.layers):
+        _draw_layer(draw, layer)
     return recorder.commands
 
 
-def _draw_overlay(draw: Any, overlay: Overlay, scene: Scene) -> None:
-    """Draw what a calibration found."""
-    size = float(np.linalg.norm(np.ptp(scene.bounds(), axis=0)))
-    if overlay.misses:
-        layers = (
-            ("misses", ~overlay.misses.outlying, IDENTIFIED),
-            ("outlying", overlay.misses.outlying, OUTLIER),
-        )
-        for path, shown, colour in layers:
-            if shown.any():
-                corners = arrows(overlay.misses, shown, size)
-                draw[path].set_object(_facets(corners), _matt(colour))
-                lift = 0.1 * size if scene.planar else 0.0  # seen from above, over the platform
-                draw[path].set_transform(np.array([*_I[:2], [0.0, 0.0, 1.0, lift], _I[3]]))
-    if overlay.errors:
-        for name in ("before", "after"):
-            colours = shades(overlay.errors.shares(getattr(overlay.errors, name)))
-            _dots(draw[f"errors/{name}"], overlay.errors.positions, colours, 4)
-    if overlay.weakest:
-        _draw_body(draw["weakest"], overlay.weakest.body, NOMINAL, opacity=0.6)
-    if overlay.instrument:
-        place = np.eye(4)
-        place[:3, 3] = overlay.instrument.position
-        for number, shape in enumerate(stand(size, scene.planar), 1):
-            node = draw[f"instrument/shape {number}"]
-            node.set_object(_geometry(shape), _matt(shape.colour))
-            turned = shape.T_link_shape @ (_UPRIGHT if shape.kind == "cylinder" else _I)
-            node.set_transform(place @ turned)
-        _axes(draw["instrument/frame"], frame_axes(scene))
-        draw["instrument/frame"].set_transform(overlay.instrument.T_base_frame)
-    for number, station in enumerate(overlay.stations, 1):
-        node = draw[f"stations/{number}"]
-        node.set_transform(station.T_base_station)
-        _axes(node["frame"], frame_axes(scene))
-        if station.sees:
-            _lines(node["sees"], frustum(station.sees, _DEPTH * size), DIMENSION)
-
-
-def viewer_script() -> str:
-    """Return meshcat's viewer, three.js and all."""
-    return (Path(meshcat.viewer_assets_path()) / "dist" / "main.min.js").read_text("utf-8")
+def _draw_layer(draw: Any, layer: Layer, opacity: float = 1.0) -> None:
+    """Draw dots or lines."""
+    geometry, colour = g.PointsGeometry(layer.points.reshape(-1, 3).T), int(layer.colour[1:], 16)
+    if layer.points.ndim == 2:
+        drawn = g.Points(geometry, _Dots(size=layer.pixels, color=colour))
+    else:
+        drawn = g.LineSegments(geometry, g.LineBasicMaterial(colour, opacity=opacity))
+    draw[layer.path].set_object(drawn)
 
 
 def _draw_body(draw: Any, body: Body, colour: str = "", opacity: float = 1.0) -> None:
-    """Draw the shapes of a body's parts, in their own colours or in one."""
+    """Draw the shapes of a body's parts, in their own colours or, but its base, in one."""
     for part in body.parts:
+        if colour and part.path.startswith("base/"):
+            continue
         for number, shape in enumerate(part.shapes, 1):
-            material = _matt(colour or shape.colour, opacity)
+            material = g.MeshLambertMaterial(int((colour or shape.colour)[1:], 16), opacity=opacity)
             if opacity < 1.0:
                 material.side = 0  # its backs are not seen through it, which are drawn apart
             node = draw[f"{part.path}/shape {number}"]
             node.set_object(_geometry(shape), material)
-            node.set_transform(shape.T_link_shape @ (_UPRIGHT if shape.kind == "cylinder" else _I))
+            cylinder = shape.kind == "cylinder"
+            node.set_transform(shape.T_link_shape @ (_UPRIGHT if cylinder else np.eye(4)))
 
 
 def _geometry(shape: Shape) -> Any:
-    if shape.points is not None and shape.faces is not None:
-        return _facets(shape.points[shape.faces])
-    if shape.points is not None:
-        return _hull(shape.points)
+    """Return a shape for meshcat; each triangle has corners of its own, so that edges are sharp."""
     if shape.kind == "box":
         return g.Box(shape.size)
     if shape.kind == "cylinder":
         radius, length = shape.size
         return g.Cylinder(length, radius)
-    return g.Sphere(*shape.size)
-
-
-def _hull(points: Array) -> Any:
-    """Return the hull of points, each triangle with corners of its own: edges are sharp."""
-    hull = ConvexHull(points)
-    corners = points[hull.simplices]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    inward = np.einsum("ij,ij->i", normals, hull.equations[:, :3]) < 0.0
-    corners[inward] = corners[inward][:, ::-1]
-    return _facets(corners)
-
-
-def _facets(corners: Array) -> Any:
-    """Return triangles (n, 3, 3) with corners of their own."""
+    if shape.points is None:
+        return g.Sphere(*shape.size)
+    if shape.faces is None:
+        hull = ConvexHull(shape.points)
+        corners = shape.points[hull.simplices]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        inward = np.einsum("ij,ij->i", normals, hull.equations[:, :3]) < 0.0
+        corners[inward] = corners[inward][:, ::-1]
+    else:
+        corners = shape.points[shape.faces]
     flat = corners.reshape(-1, 3)
     return g.TriangularMeshGeometry(flat, np.arange(len(flat)).reshape(-1, 3))
-
-
-def _axes(draw: Any, shapes: tuple[Shape, ...]) -> None:
-    """Draw the axes of a frame."""
-    for name, shape in zip("xyz", shapes, strict=True):
-        draw[name].set_object(_geometry(shape), _matt(shape.colour))
-        draw[name].set_transform(shape.T_link_shape @ _UPRIGHT)
-
-
-def _dots(draw: Any, positions: Array, colours: str | Array, pixels: float) -> None:
-    """Draw positions (N, 3) in one colour or in one for each, (N, 3)."""
-    colour = int(colours[1:], 16) if isinstance(colours, str) else _WHITE
-    geometry = g.PointsGeometry(positions.T, None if isinstance(colours, str) else colours.T)
-    draw.set_object(g.Points(geometry, _Dots(size=pixels, color=colour)))
-
-
-def _lines(draw: Any, segments: Array, colour: str, opacity: float = 1.0) -> None:
-    """Draw segments (n, 2, 3)."""
-    material = g.LineBasicMaterial(int(colour[1:], 16), opacity=opacity)
-    draw.set_object(g.LineSegments(g.PointsGeometry(segments.reshape(-1, 3).T), material))
-
-
-def _matt(colour: str, opacity: float = 1.0) -> Any:
-    return g.MeshLambertMaterial(int(colour[1:], 16), opacity=opacity)

@@ -12,7 +12,6 @@ from functools import cached_property
 from http import HTTPStatus
 from pathlib import Path
 from threading import Thread
-from typing import TYPE_CHECKING
 from urllib.parse import parse_qs, urlsplit
 from weakref import finalize
 
@@ -20,20 +19,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
+from pincal.calibration.result import CalibrationResult
 from pincal.errors import WorkspaceError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.configurations import home_of
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.show.page import Page
-from pincal.show.view.bodies import with_meshes
+from pincal.show.result_tables import warnings
 from pincal.show.view.calibrated import calibrated
+from pincal.show.view.meshes import with_meshes
+from pincal.show.view.page import answer, page
 from pincal.show.view.scene import MAGNIFY, Scene, plan_of, scene
 from pincal.workspace.sampling import sample_configurations
-
-if TYPE_CHECKING:
-    from pincal.calibration.result import CalibrationResult
-
 
 PATIENCE = 10.0  # seconds in which a client must say what it asks for, and take the answer
 
@@ -64,26 +62,17 @@ class View(Page):
     def with_result(self, result: CalibrationResult) -> View:
         """Return the view with what a calibration of this mechanism found.
 
-        Arrows from measured to predicted points, errors over the workspace before and after, the
-        weakest direction, and the tracker where its place is known.
+        Arrows from measured to predicted points, where instruments stand, its warnings.
         """
-        return View(calibrated(self.scene, result), self._source, self._notices)
-
-    def with_notices(self, notices: Sequence[str]) -> View:
-        """Return the view with what is to be known first, such as a result's ``warnings``."""
-        return View(self.scene, self._source, notices)
+        return View(calibrated(self.scene, result), self._source, warnings(result))
 
     @cached_property
     def _page(self) -> str:
-        from pincal.show.view.page import page  # imports meshcat: slow
-
         return page(self.scene, self._source, self._notices)
 
     @cached_property
     def url(self) -> str:
         """Where browsers of this machine find the page, until ``close`` or the process ends."""
-        from pincal.show.view.page import answer, page
-
         scene = self.scene
 
         def moved_answer(query: Mapping[str, list[str]]) -> str:
@@ -117,7 +106,7 @@ def view(
         poses: A plan or measurements, coordinates of shape (N, dof), [m] and [rad], or
             transforms; home and some of the workspace if not given. At most 2000.
         workspace: Positions or poses of a workspace, shape (M, n), x, y and, in space, z first,
-            [m]; a fundamental domain of the mechanism's symmetry group has the stronger colour.
+            [m].
         identified: The calibrated mechanism, shown where it goes when the nominal one's
             readings drive it.
         magnify: Factor on what differs between its parameters and the nominal ones.
