@@ -435,9 +435,15 @@ def test_wrong_uses_are_refused_and_nothing_is_written(tmp_path: Path) -> None:
         ((m, *out, "--poses", poses), "line 2: empty cell in column 'y'"),
         ((m, *out, "--poses", tmp_path / "none.csv"), "none.csv"),
         ((m, *out, "--units", "mm,counts"), "how many counts"),
-        ((m, *out, "--original", poses), "--original and --leg go with URDF"),
-        ((m, "-o", tmp_path / "c.py", "--poses", poses), "--poses goes with a table"),
-        ((m, "-o", tmp_path / "c.urdf", "--units", "mm"), "--units and --counts go with"),
+        ((m, *out, "--original", poses), "leave out --original: not for the format table"),
+        (
+            (m, "-o", tmp_path / "c.py", "--poses", poses),
+            "leave out --poses: not for the format python",
+        ),
+        (
+            (m, "-o", tmp_path / "c.urdf", "--units", "mm"),
+            "leave out --units: not for the format urdf",
+        ),
         ((m, "-o", filled, "--poses", filled, "--force"), "would replace"),
         ((m, "-o", poses), "exists"),
         ((m, "-o", tmp_path / "c.txt"), "does not say what to write"),

@@ -26,7 +26,6 @@ from typing import Annotated, Any, NoReturn
 import numpy as np
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.text import Text
 from typer.core import TyperArgument, TyperGroup
 
@@ -75,7 +74,7 @@ stderr = _Console(stderr=True, soft_wrap=True, **_PLAIN)  # warnings and errors
 _remarks = _Console(stderr=True, soft_wrap=True, **_PLAIN)  # all else that is no answer
 _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
 _LONGEST = 2000  # characters
-_printing = {"json": False}
+_state = {"json": False}
 _typed: list[str] = []
 
 
@@ -155,23 +154,23 @@ def command(
     """
 
     def register(function: Callable[..., None]) -> Callable[..., None]:
-        printing = AnswerPrinting if answers else Printing
-        arguments = inspect.signature(function, eval_str=True).parameters.values()
-        groups: dict[str, type] = {}
+        groups: dict[str, type] = {"": AnswerPrinting if answers else Printing}
         offered: list[inspect.Parameter] = []
-        for argument in arguments:
+        for argument in inspect.signature(function, eval_str=True).parameters.values():
             if is_dataclass(argument.annotation):
                 groups[argument.name] = argument.annotation  # type: ignore[assignment]
-                offered += option_parameters(groups[argument.name])
             else:
                 offered.append(argument.replace(kind=inspect.Parameter.KEYWORD_ONLY))
-        offered += option_parameters(printing)
+        for group in groups.values():
+            offered += option_parameters(group)
 
         @wraps(function)
         def run(**values: Any) -> None:
-            printed = filled(printing, values)
-            values |= {name: filled(group, values) for name, group in groups.items()}
-            with sparing_inputs(), _turned_down(printed.quiet, getattr(printed, "json", False)):
+            values |= {group: filled(kind, values) for group, kind in groups.items()}
+            printed = values.pop("")
+            _state["json"] = getattr(printed, "json", False)
+            stdout.quiet, _remarks.quiet = printed.quiet or _state["json"], printed.quiet
+            with sparing_inputs():
                 function(**values)
 
         run.__signature__ = inspect.Signature(offered)  # type: ignore[attr-defined]
@@ -182,23 +181,9 @@ def command(
     return register
 
 
-@contextmanager
-def _turned_down(quiet: bool, as_json: bool) -> Iterator[None]:
-    """Silence what was not asked for."""
-    stdout.quiet, _remarks.quiet, _printing["json"] = quiet or as_json, quiet, as_json
-    try:
-        yield
-    finally:
-        stdout.quiet, _remarks.quiet, _printing["json"] = False, False, False
-
-
 def answer(result: Mapping[str, Any] | Callable[[], Mapping[str, Any]]) -> None:
-    """Print a command's result as JSON, if that was asked for.
-
-    Args:
-        result: The result, or a function that makes it.
-    """
-    if _printing["json"]:
+    """Print a command's result, or what a function makes of it, as JSON if that was asked for."""
+    if _state["json"]:
         text = json_text(result() if callable(result) else result)
         answers = _Console(file=sys.stdout, soft_wrap=True, **_PLAIN)
         answers.print(Text(text))  # whole, whatever its length
@@ -240,18 +225,9 @@ def working(text: str) -> Iterator[Callable[[str], None]]:
 
 @contextmanager
 def counting(text: str, total: int) -> Iterator[Callable[[int], None]]:
-    """Show a bar with count and remaining time on a terminal, a plain line elsewhere (stderr).
-
-    Yields a function that takes how much is done.
-    """
-    if not _remarks.is_terminal or _remarks.quiet:
-        remark(f"{text} …")
-        yield lambda _: None
-        return
-    columns = (TextColumn(text), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=_remarks, transient=True) as progress:
-        task = progress.add_task(text, total=total)
-        yield lambda done: progress.update(task, completed=done)
+    """Show what is being done; yields a function that takes how much of it is."""
+    with working(text) as say_step:
+        yield lambda done: say_step(f"{text}: {done} of {total}")
 
 
 def remark(text: str) -> None:
@@ -277,6 +253,13 @@ def listen() -> None:
 def warn(text: str) -> None:
     """Say what to know first (stderr), however quiet."""
     stderr.print(f"warning: {text}", style="yellow")
+
+
+def fail(code: int, text: str = "") -> NoReturn:
+    """End a command that did its work with an exit code, and say why."""
+    if text:
+        warn(text)
+    raise typer.Exit(code)
 
 
 def wrote(path: str | Path) -> None:

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
-from itertools import zip_longest
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 import typer
 
-from pincal.cli.app import answer, command, remark, stdout, working, wrote
+from pincal.cli.app import command, remark, stdout, working, wrote
 from pincal.cli.options import (
     FORCE,
     SEED,
@@ -32,17 +31,17 @@ from pincal.errors import FileError, MeasurementError, SymmetryError
 from pincal.files.measurement_writing import write_plan
 from pincal.files.measurements import read_poses
 from pincal.files.mechanism_folders import MECHANISM_FILES, load_mechanism, write_mechanism
-from pincal.files.output import refuse_existing, writing_together
+from pincal.files.output import refuse_existing, refuse_existing_of, writing_together
 from pincal.kinematics.configurations import as_plan, check_reached
 from pincal.kinematics.readers import arm_free_of_collision
 from pincal.model.measurements import EVERY_LEG, VERIFY, Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.option import option
-from pincal.show.summary import drift_answer, drift_lines, poses_line, scale_answer
+from pincal.show.summary import drift_lines, poses_line
 from pincal.show.tables import choice_table, forecast_table, selection_table
 from pincal.words.numbers import reading_in
 from pincal.words.table import Table
-from pincal.workspace.sampling import sample_configurations, sample_workspace
+from pincal.workspace.sampling import sample_configurations
 
 _CONFIGURATIONS = 3000  # candidates, where all parameters are looked at together
 _POSES = 30_000  # candidates, where legs have poses of their own
@@ -85,7 +84,7 @@ class SelectOptions(PlanOptions):
     force: bool = option(False, FORCE)
 
 
-@command(answers=True)
+@command()
 def select(
     mech: Mech,
     output: Annotated[Path, output_option("PLAN.csv", "Poses to measure, with their sets.")],
@@ -116,9 +115,8 @@ def select(
         mechanism = mechanism.at_reference
     units = options.written_in(mechanism)
     refuse_existing(output, force=options.force)
-    choose = _choose_together if _for_all_legs(mechanism, options) else _choose_by_protocol
     with working("choosing poses") as progress:
-        plan, candidates, table, result = choose(mechanism, options, noise, progress)
+        plan, candidates, table = _choose(mechanism, options, noise, progress)
     if options.verify:
         plan = with_verification(mechanism, plan, candidates, options.verify, options.seed)
         remark(f"{options.verify} more poses of the set 'verify' are for no fit: they check it")
@@ -129,23 +127,17 @@ def select(
         remark(f"one pose is measured {len(plan) - count} times more, as the pose 'reference'")
     write_plan(plan, output, mechanism, units=units, force=options.force)
     stdout.print(table)
-    drifts = _drifts(mechanism, plan, options, noise)
-    for line in drift_lines(drifts):
+    for line in drift_lines(_drifts(mechanism, plan, options, noise)):
         stdout.print(line)
-    if result.get("unreachable"):
-        remark(f"{result['unreachable']} candidate poses are out of reach and were left out")
     wrote(output)
-    plan_answer = {"mechanism": mechanism.name, "plan": str(output), "poses": len(plan.poses)}
-    answer(
-        plan_answer | result | {"drift": [drift_answer(drift_effect) for drift_effect in drifts]}
-    )
 
 
-def _for_all_legs(mechanism: Mechanism, options: SelectOptions) -> bool:
-    """Return whether poses are chosen for the parameters of all legs together."""
-    partial = (
-        options.measure is not None or not options.read_setup().plain or options.goal == "platform"
-    )
+def _choose(
+    mechanism: Mechanism, options: SelectOptions, noise: Noise, progress: Callable[[str], None]
+) -> tuple[Plan, Plan, Table]:
+    """Choose poses by a protocol, or for all legs together; return plan, candidates and a table."""
+    setup = options.read_setup()
+    partial = options.measure is not None or not setup.plain or options.goal == "platform"
     together = mechanism.by_readings or partial or options.collision is not None
     if together and options.protocol is not None:
         raise typer.BadParameter(
@@ -153,13 +145,42 @@ def _for_all_legs(mechanism: Mechanism, options: SelectOptions) -> bool:
             "for the parameters; leave it out where something else is measured or wanted: poses "
             "are then common to all legs"
         )
-    return together
+    if options.candidates is None:
+        progress("sampling the workspace")
+        count = _CONFIGURATIONS if together else _POSES
+        candidates = sample_configurations(mechanism, count, options.seed)
+    else:
+        candidates = read_poses(options.candidates, mechanism)
+    search: dict[str, Any] = {"noise": noise, "seed": options.seed, "starts": options.starts}
+    search["progress"] = progress
+    if not together:
+        protocol = options.protocol or _protocol_of(mechanism)
+        chosen = select_poses(
+            mechanism, candidates.poses, options.count, protocol, jobs=options.jobs, **search
+        )
+        if chosen.unreachable:
+            remark(f"{chosen.unreachable} candidate poses are out of reach and were left out")
+        return chosen.plan, candidates, selection_table(chosen)
+    if options.candidates is not None:
+        check_reached(mechanism, candidates, str(options.candidates))
+    if options.collision is not None:
+        total = len(candidates)
+        candidates = arm_free_of_collision(mechanism, candidates, options.collision)
+        remark(f"{total - len(candidates)} of {total} candidates collide and were left out")
+    choice = select_configurations(
+        mechanism,
+        candidates,
+        options.count,
+        measured=options.measured(mechanism, setup),
+        setup=setup,
+        goal=options.goal,
+        **search,
+    )
+    return choice.plan, candidates, choice_table(mechanism, choice)
 
 
-def _protocol(mechanism: Mechanism, options: SelectOptions) -> Protocol:
-    """Return the protocol that is named, or the one that the mechanism's symmetry allows."""
-    if options.protocol is not None:
-        return options.protocol
+def _protocol_of(mechanism: Mechanism) -> Protocol:
+    """Return the protocol that the mechanism's symmetry allows."""
     try:
         selection_group(mechanism)
     except SymmetryError as error:
@@ -180,75 +201,6 @@ def _drifts(mechanism: Mechanism, plan: Plan, options: SelectOptions, noise: Noi
     return [drift(plan_forecast, plan) for plan_forecast in forecasts]
 
 
-def _choose_by_protocol(
-    mechanism: Mechanism, options: SelectOptions, noise: Noise, progress: Callable[[str], None]
-) -> tuple[Plan, Plan, Table, dict[str, Any]]:
-    """Choose poses by a protocol; return the plan, the candidates, a table, and JSON."""
-    protocol = _protocol(mechanism, options)
-    if options.candidates is None:
-        progress("sampling the workspace")
-        poses = sample_workspace(mechanism, _POSES, options.seed)
-    else:
-        poses = read_poses(options.candidates, mechanism).poses
-    chosen = select_poses(
-        mechanism,
-        poses,
-        options.count,
-        protocol,
-        noise=noise,
-        seed=options.seed,
-        starts=options.starts,
-        jobs=options.jobs,
-        progress=progress,
-    )
-    result = {
-        "protocol": chosen.protocol,
-        "candidates": chosen.candidates,
-        "unreachable": chosen.unreachable,
-        "efficiency": chosen.efficiency,
-        "legs": [asdict(leg) for leg in chosen.legs],
-    }
-    return chosen.plan, Plan(poses), selection_table(chosen), result
-
-
-def _choose_together(
-    mechanism: Mechanism, options: SelectOptions, noise: Noise, progress: Callable[[str], None]
-) -> tuple[Plan, Plan, Table, dict[str, Any]]:
-    """Choose configurations for all legs together; return what ``_choose_by_protocol`` does."""
-    setup = options.read_setup()
-    progress("sampling configurations")
-    if options.candidates is None:
-        candidates = sample_configurations(mechanism, _CONFIGURATIONS, options.seed)
-    else:
-        candidates = read_poses(options.candidates, mechanism)
-        check_reached(mechanism, candidates, str(options.candidates))
-    if options.collision is not None:
-        total = len(candidates)
-        candidates = arm_free_of_collision(mechanism, candidates, options.collision)
-        remark(f"{total - len(candidates)} of {total} candidates collide and were left out")
-    chosen = select_configurations(
-        mechanism,
-        candidates,
-        options.count,
-        noise=noise,
-        measured=options.measured(mechanism, setup),
-        setup=setup,
-        goal=options.goal,
-        seed=options.seed,
-        starts=options.starts,
-        progress=progress,
-    )
-    result = {
-        "goal": chosen.goal,
-        "candidates": chosen.candidates,
-        "efficiency": chosen.efficiency,
-        "rank": chosen.rank.rank,
-        "unknowns": chosen.rank.n_params,
-        "measured": chosen.measured,
-    }
-    return chosen.plan, candidates, choice_table(mechanism, chosen), result
-
-
 @dataclass(frozen=True)
 class ForecastOptions(PlanOptions):
     """What is asked of a plan."""
@@ -262,7 +214,7 @@ class ForecastOptions(PlanOptions):
     count: int = option(50, "Number of poses without a plan.", least=1)
 
 
-@command(answers=True)
+@command()
 def identifiability(
     mech: Mech,
     options: ForecastOptions,
@@ -297,52 +249,16 @@ def identifiability(
             poses = sample_configurations(mechanism, options.count, options.seed + 1)
     methods: list[Method] = ["all-legs"]
     methods += ["per-leg"] if options.method == "per-leg" else []
-    forecasts, errors, drifts, counts = [], [], [], []
-    for method in methods:
-        plan_forecast = forecast(mechanism, poses, noise, measured, setup, method)
-        error = plan_forecast.platform_error(workspace)
-        drift_effect = drift(plan_forecast, workspace, error)
-        forecasts.append(plan_forecast)
-        errors.append(error)
-        drifts.append(drift_effect)
-        if options.accuracy is not None:
-            counts.append(plan_forecast.poses_for(options.accuracy, workspace))
-    answers = [
-        {
-            "platform_error": {"position": error.position, "orientation": error.orientation},
-            "poses_for_accuracy": count,
-            "drift": drift_answer(drift_effect),
-        }
-        for error, count, drift_effect in zip_longest(errors, counts, drifts)
-    ]
-    together = forecasts[0]
+    forecasts = [forecast(mechanism, poses, noise, measured, setup, name) for name in methods]
+    errors = [each.platform_error(workspace) for each in forecasts]
+    drifts = [drift(each, workspace, error) for each, error in zip(forecasts, errors, strict=True)]
+    together, per_leg = forecasts[0], errors[1] if len(errors) > 1 else None
     scale = scale_effect(together, as_plan(mechanism, poses), workspace, noise, setup)
-    per_leg = dict(zip(methods, errors, strict=True)).get("per-leg")
     with reading_in(units.printed):
         stdout.print(forecast_table(together, errors[0], together.poses, per_leg, drifts, scale))
         if options.accuracy is not None:
+            counts = [each.poses_for(options.accuracy, workspace) for each in forecasts]
             stdout.print(poses_line(options.accuracy, *counts))
-    names = [(leg.name, name) for leg in mechanism.legs for name in leg.parameter_names]
-    answer(
-        {
-            "mechanism": mechanism.name,
-            "poses": together.poses,
-            "measured": together.measured,
-            "rank": together.rank.rank,
-            "unknowns": together.rank.n_params,
-            "condition": together.rank.condition,
-            "not_separable": together.rank.groups,
-            "weakly_determined": [asdict(pair) for pair in together.weak],
-            "freedoms_of_frames": together.gauge.shape[1],
-            "parameters": [
-                {"leg": leg, "name": name, "std": std}
-                for (leg, name), std in zip(names, together.std, strict=True)
-            ],
-            **answers[0],
-            "scale": scale_answer(scale),
-            "leg_by_leg": answers[1] if per_leg is not None else None,
-        }
-    )
 
 
 @dataclass(frozen=True)
@@ -362,7 +278,7 @@ class SimulateOptions(TableOptions):
     )
 
 
-@command(answers=True)
+@command()
 def simulate(
     mech: Mech,
     plan: Annotated[Path, typer.Argument(metavar="PLAN.csv", help="Poses to command.")],
@@ -380,22 +296,23 @@ def simulate(
     mechanism = options.load(mech)
     units = options.written_in(mechanism)
     truth = options.truth
-    disturbance_seed, noise_seed = np.random.SeedSequence(options.seed).spawn(2)
+    disturbed, measured = map(np.random.default_rng, np.random.SeedSequence(options.seed).spawn(2))
     outputs: list[tuple[Path, Sequence[str]]] = [(output, ())]
     if truth is not None and options.disturb is None and truth.is_dir():
-        true_mechanism = _same_kind(load_mechanism(truth), mechanism, truth)
+        true_mechanism = load_mechanism(truth)
+        kinds = [(m.leg_names, m.platform.kind) for m in (true_mechanism, mechanism)]
+        if kinds[0] != kinds[1]:
+            raise FileError(
+                f"{truth} holds {true_mechanism.name!r}, whose legs or platform differ from those "
+                f"of {mechanism.name!r}"
+            )
     else:
-        if truth is not None:
-            refuse_existing(truth, force=force, folder=MECHANISM_FILES)
-            outputs = [(truth, MECHANISM_FILES), (output, ())]
-        true_mechanism = disturb(
-            mechanism, options.disturb, np.random.default_rng(disturbance_seed)
-        )
+        outputs = [(truth, MECHANISM_FILES), *outputs] if truth is not None else outputs
+        true_mechanism = disturb(mechanism, options.disturb, disturbed)
+    refuse_existing_of(outputs, force=force)
     planned = read_poses(plan, true_mechanism)
-    refuse_existing(output, force=force)
     with working("simulating measurements"):
-        rng = np.random.default_rng(noise_seed)
-        simulation = simulate_measurements(mechanism, true_mechanism, planned, noise, rng)
+        simulation = simulate_measurements(mechanism, true_mechanism, planned, noise, measured)
     if not len(simulation.measurements):
         reason = simulation.unreachable[0][1]
         raise MeasurementError(f"{plan}: no planned pose can be measured ({reason})")
@@ -403,29 +320,9 @@ def simulate(
         write_plan(simulation.measurements, scratch[-1], mechanism, units=units)
         for folder in scratch[:-1]:
             write_mechanism(true_mechanism, folder)
-    for folder, _ in outputs[:-1]:
-        wrote(folder)
     for row, reason in simulation.unreachable:
         remark(f"{planned.place(row)} of the plan is not measured: {reason}")
-    unreached = [{"row": row + 1, "reason": reason} for row, reason in simulation.unreachable]
-    remark(f"{len(simulation.measurements)} poses measured, {len(unreached)} not reached")
-    wrote(output)
-    answer(
-        {
-            "mechanism": mechanism.name,
-            "measurements": str(output),
-            "truth": None if truth is None else str(truth),
-            "poses": len(simulation.measurements),
-            "not_reached": unreached,
-        }
-    )
-
-
-def _same_kind(truth: Mechanism, mechanism: Mechanism, path: Path) -> Mechanism:
-    """Return the truth if it has the mechanism's legs and platform."""
-    if (truth.leg_names, truth.platform.kind) != (mechanism.leg_names, mechanism.platform.kind):
-        raise FileError(
-            f"{path} holds {truth.name!r}, whose legs or platform differ from those of "
-            f"{mechanism.name!r}"
-        )
-    return truth
+    count, lost = len(simulation.measurements), len(simulation.unreachable)
+    remark(f"{count} poses measured, {lost} not reached")
+    for path, _ in outputs:
+        wrote(path)

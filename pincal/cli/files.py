@@ -11,11 +11,10 @@ from typing import Annotated, Literal
 import numpy as np
 import typer
 
-from pincal.calibration.result_files import read_result
 from pincal.cli.app import command, remark, say, stdout, warn, working, wrote
-from pincal.cli.kinematics import first_of, leave_if_lost, say_reference
+from pincal.cli.kinematics import fail_if_lost, first_of, say_reference
 from pincal.cli.mechanisms import warn_of_turns
-from pincal.cli.options import FORCE, Mech, TableOptions, output_option
+from pincal.cli.options import FORCE, Mech, TableOptions, output_option, refuse_options
 from pincal.errors import FileError, MeasurementError, MechanismError
 from pincal.files.measurement_writing import write_plan
 from pincal.files.measurements import read_poses
@@ -42,7 +41,6 @@ from pincal.formats.delta_printer import delta_printer
 from pincal.formats.figaroh import read_figaroh
 from pincal.formats.firmware import read_klipper, read_reprap, write_klipper, write_reprap
 from pincal.formats.mjcf import mjcf, read_mjcf
-from pincal.formats.tree import Tree
 from pincal.formats.tree_of import loops_urdf, loops_yaml, tree_of, unwritten
 from pincal.formats.urdf_tree import XACRO, loops_beside, read_loops, read_urdf
 from pincal.kinematics.closure import largest_size, nominal_legs
@@ -51,7 +49,6 @@ from pincal.kinematics.inverse import inverse
 from pincal.model.measurements import Measurements, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.option import option
-from pincal.types import Array
 from pincal.words.numbers import amount, counted, listed, reading_in
 from pincal.words.terms import AT_REFERENCE, NO_CORRECTION, NOT_IN_LAWS, OFFERS, WITH_COLUMNS
 from pincal.workspace.sampling import grid_poses, has_grid
@@ -59,7 +56,7 @@ from pincal.workspace.sampling import grid_poses, has_grid
 PROBING = "probing.csv"
 _LARGE = 20.0  # [m]
 _TREES = ("urdf", "mjcf")
-_CODE = ("python", "c")
+_CORRECTIONS = ("table", "python", "c")
 InputFormat = Literal["urdf", "mjcf", "klipper", "reprap", "marlin", "figaroh"]
 OutputFormat = Literal["urdf", "mjcf", "klipper", "reprap", "table", "python", "c"]
 #: Formats by the ending of a file.
@@ -84,6 +81,14 @@ _TO_CONVERT = {
     "of sdformat_tools)",
     ".xacro": f"a file of macros, which xacro expands to URDF: {XACRO}",
 }
+#: Options that some formats have, by format.
+_IMPORTS = {
+    "urdf": ("loops", "platform", "tip", "base"),
+    "mjcf": ("platform", "tip", "base"),
+    "figaroh": ("mech",),
+    "": ("probed",),
+}
+_EXPORTS = {"urdf": ("original", "leg"), "table": ("poses",)}
 _ROWS = 1000  # of a grid over the workspace, about
 _NO_NUMBER = re.compile(r"(?<![\w.-])[-+]?(?:nan|inf)(?![\w.-])", re.IGNORECASE)
 
@@ -120,23 +125,6 @@ class ImportOptions:
     mech: str | None = option(None, "Mechanism that a table belongs to.", metavar="MECH")
     force: bool = option(False, FORCE)
 
-    def typed(self, *names: str) -> list[str]:
-        """Return which of some options were typed, as they are typed."""
-        return [f"--{name}" for name in names if getattr(self, name) is not None]
-
-    def check_tree(self, form: InputFormat) -> None:
-        """Raise if options do not go together for URDF or MJCF.
-
-        Raises:
-            MechanismError: options of arms with those of loops, or loops that the file holds.
-        """
-        if self.tip is not None and (self.platform or self.loops):
-            raise MechanismError(
-                "--tip is for serial arms, --platform and --loops for closed loops"
-            )
-        if form == "mjcf" and self.loops is not None:
-            raise MechanismError("--loops goes with URDF; MJCF holds its loops in <equality>")
-
 
 @command("import")
 def import_(
@@ -172,40 +160,41 @@ def import_(
     if options.format is None and suffix in _TO_CONVERT:
         raise FileError(f"{file} is {_TO_CONVERT[suffix]}")
     form = options.format or INPUTS.get(suffix, "figaroh")
-    if form in _TREES:
-        if options.typed("mech", "probed"):
-            raise MechanismError(f"--mech and --probed have nothing to do with {file}")
-        remarks = _import_tree(file, output, form, options)
-    elif of_trees := options.typed("loops", "platform", "tip", "base"):
-        raise MechanismError(f"{of_trees[0]} goes with URDF or MJCF, not with {file}")
-    elif form == "figaroh":
+    foreign = {name for names in _IMPORTS.values() for name in names}
+    refuse_options(options, foreign.difference(_IMPORTS.get(form, _IMPORTS[""])), str(file))
+    if form == "figaroh":
         remarks = _import_table(file, output, options)
     else:
-        remarks = _import_printer(file, output, form, options)
+        read = _import_tree if form in _TREES else _import_printer
+        remarks = read(file, output, form, options)
     for text in remarks:
         warn(text)
     wrote(output)
+
+
+def _named_after(output: Path) -> str:
+    """Return a mechanism's name by its folder."""
+    return re.sub(r"\W+", "_", output.absolute().name).strip("_") or "mechanism"
 
 
 def _import_printer(
     file: Path, output: Path, form: InputFormat, options: ImportOptions
 ) -> tuple[str, ...]:
     """Write the mechanism of a delta printer to a folder, with the points that it probed."""
-    if options.mech is not None:
-        raise MechanismError(f"{file} describes its own mechanism; leave out --mech {options.mech}")
     if form == "klipper":
         printer, heights, readings = read_klipper(file)
     else:
-        firmware = (
-            options.format if options.format == "reprap" or options.format == "marlin" else None
-        )
-        printer = read_reprap(file, firmware)
-        heights, readings = np.empty(0), np.empty((0, 3))
-    name = re.sub(r"\W+", "_", output.absolute().name) or "printer"
-    mechanism = printer.mechanism(name, f"Linear delta of {file.name}.")
+        firmware = form if options.format and (form == "reprap" or form == "marlin") else None
+        printer, heights, readings = read_reprap(file, firmware), np.empty(0), np.empty((0, 3))
+    mechanism = printer.mechanism(_named_after(output), f"Linear delta of {file.name}.")
     if options.probed is not None:
-        readings = _readings_at(mechanism, options.probed)
-        heights = np.zeros(len(readings))
+        solution = inverse(mechanism, read_poses(options.probed, mechanism).poses)
+        readings, heights = solution.readings, np.zeros(len(solution.readings))
+        if lost := np.flatnonzero(~solution.reached.all(axis=1)).tolist():
+            raise MeasurementError(
+                f"{options.probed}: point {lost[0] + 1} is {solution.reason(lost[0])}, so the "
+                "firmware cannot have believed it to be there"
+            )
     with writing(output, force=options.force, folder=(*MECHANISM_FILES, PROBING)) as scratch:
         write_mechanism(mechanism, scratch)
         if len(heights):
@@ -222,64 +211,43 @@ def _import_table(file: Path, output: Path, options: ImportOptions) -> tuple[str
     """Write another tool's measurements as those of a mechanism."""
     if options.mech is None:
         raise MeasurementError(f"{file} is a table; say whose measurements they are: --mech MECH")
-    if options.probed is not None:
-        raise MeasurementError("--probed goes with a printer's configuration, not with a table")
     mechanism = load_mechanism(options.mech)
     data, remarks = read_figaroh(file, mechanism)
     write_plan(data, output, mechanism, force=options.force)
     return tuple(remarks)
 
 
-def _readings_at(mechanism: Mechanism, points: Path) -> Array:
-    """Return readings at points where the nozzle touched the bed, shape (N, 3)."""
-    solution = inverse(mechanism, read_poses(points, mechanism).poses)
-    lost = np.flatnonzero(~solution.reached.all(axis=1))
-    if len(lost):
-        raise MeasurementError(
-            f"{points}: point {lost[0] + 1} is {solution.reason(int(lost[0]))}, so the firmware "
-            "cannot have believed it to be there"
-        )
-    return solution.readings
-
-
 def _import_tree(
     file: Path, output: Path, form: InputFormat, options: ImportOptions
 ) -> tuple[str, ...]:
     """Write the mechanism of a URDF or MJCF file to a folder, and say what it is."""
-    options.check_tree(form)
-    remarks: tuple[str, ...] = ()
+    if options.tip is not None and (options.platform or options.loops):
+        raise MechanismError("--tip is for serial arms, --platform and --loops for closed loops")
+    remarks: list[str] = []
     if options.tip is not None:
         tree = read_urdf(file) if form == "urdf" else read_mjcf(file)
         mechanism = serial_arm(tree, options.tip, options.base)
     else:
-        tree, mechanism, remarks = _closed(file, form, options)
+        yaml = None if form == "mjcf" else options.loops or loops_beside(file)
+        tree = read_mjcf(file) if yaml is None else read_loops(file, yaml)
+        tree = replace(tree, slack=slack_of(file.read_text("utf-8")))
+        mechanism, found = closed_mechanism(tree, options.platform, options.base)
+        if yaml is not None:
+            say(f"loops closed by {yaml}")
+        closing, moved = closing_in_words(tree, mechanism)
+        remarks = [closing, *found] if moved else [*found]
+        say(*([] if moved else [closing]))
     drawn = {edge.joint.name for edge in tree.edges}
     unused = drawn - {joint.name for leg in mechanism.legs for joint in leg.joints}
-    remarks += tuple(text for name, text in tree.remarks.items() if name not in unused)
+    remarks += [text for name, text in tree.remarks.items() if name not in unused]
     size = largest_size(mechanism.legs)
     if size > _LARGE:
-        remarks += (f"the longest leg is {size:.4g} m: metres are expected; is this millimetres?",)
-    name = re.sub(r"\W+", "_", output.absolute().name).strip("_") or mechanism.name
-    save_mechanism(replace(mechanism, name=name), output, force=options.force)
+        remarks.append(
+            f"the longest leg is {size:.4g} m: metres are expected; is this millimetres?"
+        )
+    save_mechanism(replace(mechanism, name=_named_after(output)), output, force=options.force)
     _say_what_it_is(mechanism)
-    return remarks
-
-
-def _closed(
-    file: Path, form: InputFormat, options: ImportOptions
-) -> tuple[Tree, Mechanism, tuple[str, ...]]:
-    """Return tree and mechanism of a file with loops, and remarks; say how loops are closed."""
-    yaml = None if form == "mjcf" else options.loops or loops_beside(file)
-    tree = read_mjcf(file) if yaml is None else read_loops(file, yaml)
-    tree = replace(tree, slack=slack_of(file.read_text("utf-8")))
-    mechanism, remarks = closed_mechanism(tree, options.platform, options.base)
-    if yaml is not None:
-        say(f"loops closed by {yaml}")
-    closing, moved = closing_in_words(tree, mechanism)
-    if moved:
-        return tree, mechanism, (closing, *remarks)
-    say(closing)
-    return tree, mechanism, tuple(remarks)
+    return tuple(remarks)
 
 
 def _say_what_it_is(mechanism: Mechanism) -> None:
@@ -318,21 +286,6 @@ class ExportOptions(TableOptions):
     )
     force: bool = option(False, FORCE)
 
-    def check(self, form: OutputFormat) -> None:
-        """Raise if options do not go with a format.
-
-        Raises:
-            MechanismError: saying which.
-        """
-        if form not in _TREES and (self.original is not None or self.leg is not None):
-            raise MechanismError(f"--original and --leg go with URDF, not with {form}")
-        if form != "table" and self.poses is not None:
-            raise MechanismError(
-                f"--poses goes with a table of corrections (.csv), not with {form}"
-            )
-        if form != "table" and form not in _CODE and (self.units or self.counts):
-            raise MechanismError(f"--units and --counts go with corrections, not with {form}")
-
 
 @command("export")
 def export(
@@ -366,18 +319,73 @@ def export(
             ".cfg (Klipper), .g (RepRapFirmware), .csv (table of corrections), .py or .h (code), "
             "or say --format"
         )
-    options.check(form)
+    foreign = {"original", "leg", "poses"}.difference(_EXPORTS.get(form, ()))
+    foreign |= set() if form in _CORRECTIONS else {"units", "counts"}
+    refuse_options(options, foreign, f"the format {form}")
     mechanism = options.load(mech)
     if form == "table":
         _export_corrections(mechanism, output, options)
-    elif form == "python" or form == "c":
-        _export_code(mechanism, output, form, options)
+        return
+    files, remarks = _exported(mechanism, output, form, options)
+    with writing_together([(path, ()) for path in files], force=options.force) as scratch:
+        for path, data in zip(scratch, files.values(), strict=True):
+            path.write_bytes(data)
+    for text in remarks:
+        warn(text)
+    for path in files:
+        wrote(path)
+    if form not in _CORRECTIONS:
+        _offer_corrections(mech, mechanism, firmware=form not in _TREES)
+
+
+def _exported(
+    mechanism: Mechanism, output: Path, form: OutputFormat, options: ExportOptions
+) -> tuple[dict[Path, bytes], list[str]]:
+    """Return the files of a mechanism in another form, and what to know of them."""
+    if options.original is not None:
+        before = read_bytes(options.original, LARGEST_FILE["XML"], MechanismError)
+        data = calibrated_urdf(options.original, mechanism, options.leg)
+        if not _NO_NUMBER.search(before.decode(errors="replace")):
+            _check_numbers(mechanism, data.decode(errors="replace"))
+        lines = set(before.splitlines())
+        changed = sum(line not in lines for line in data.splitlines())
+        remark(f"{changed} lines are other than in {options.original}")
+        return {output: data}, list(unwritten(mechanism))
+    if options.leg is not None:
+        raise MechanismError("--leg goes with --original; the whole mechanism is written")
+    remarks: list[str] = []
+    if form == "python" or form == "c":
+        texts = {output: code_of(mechanism, LANGUAGES[form], options.written_in(mechanism))}
+        for closure in nominal_legs(mechanism):
+            warn_of_turns(closure)
+        deformed = [f"{leg.name}.{name}" for leg in mechanism.legs for name in leg.deformed]
+        if deformed:
+            remarks.append(NOT_IN_LAWS.format(parameters=first_of(deformed, ", ")))
     elif form in _TREES:
-        _export_tree(mechanism, output, form, options)
-        _offer_corrections(mech, mechanism)
+        tree, unwritten_parts = tree_of(mechanism)
+        remarks = [*unwritten_parts]
+        texts = {output: mjcf(tree) if form == "mjcf" else loops_urdf(tree)}
+        if form == "urdf" and tree.loops:
+            texts[output.with_suffix(".yaml")] = loops_yaml(tree)
     else:
-        _export_printer(mech, mechanism, output, form, force=options.force)
-        _offer_corrections(mech, mechanism, firmware=True)
+        printer = delta_printer(mechanism)
+        remarks = [*printer.remarks]
+        texts = {output: write_klipper(printer) if form == "klipper" else write_reprap(printer)}
+        say(texts[output].rstrip())
+    if form not in _CORRECTIONS:
+        _check_numbers(mechanism, *texts.values())
+    return {path: text.encode() for path, text in texts.items()}, remarks
+
+
+def _check_numbers(mechanism: Mechanism, *texts: str) -> None:
+    """Raise if numbers are to be written that no program can read."""
+    for text in texts:
+        if match := _NO_NUMBER.search(text):
+            raise MechanismError(
+                f"{mechanism.name}: {match.group()} would be written for a number, in "
+                f"line {text[: match.start()].count(chr(10)) + 1}; its parameters or frames are "
+                "far too large"
+            )
 
 
 def _offer_corrections(mech: str, mechanism: Mechanism, *, firmware: bool = False) -> None:
@@ -425,101 +433,4 @@ def _export_corrections(mechanism: Mechanism, output: Path, options: ExportOptio
     stdout.print(f"{counted(len(reached), 'pose')}: at most {limits} to add to a reading")
     wrote(output)
     places = [plan.place(row) for row in range(len(plan))]
-    leave_if_lost(options.poses or output, places, list(table.reasons), "pose")
-
-
-def _export_code(
-    mechanism: Mechanism, output: Path, form: Literal["python", "c"], options: ExportOptions
-) -> None:
-    """Write the laws of sensors as code."""
-    text = code_of(mechanism, LANGUAGES[form], options.written_in(mechanism))
-    with writing(output, force=options.force) as scratch:
-        scratch.write_text(text, encoding="utf-8")
-    for closure in nominal_legs(mechanism):
-        warn_of_turns(closure)
-    if deformed := [f"{leg.name}.{name}" for leg in mechanism.legs for name in leg.deformed]:
-        warn(NOT_IN_LAWS.format(parameters=first_of(deformed, ", ")))
-    wrote(output)
-
-
-def _export_printer(
-    mech: str, mechanism: Mechanism, output: Path, form: str, *, force: bool
-) -> None:
-    """Write a delta printer's configuration."""
-    printer = delta_printer(mechanism)
-    text = _finite(write_klipper(printer) if form == "klipper" else write_reprap(printer), mech)
-    with writing(output, force=force) as scratch:
-        scratch.write_text(text, encoding="utf-8")
-    say(text.rstrip())
-    for warning in (*printer.remarks, *_weak(Path(mech))):
-        warn(warning)
-    wrote(output)
-
-
-def _weak(folder: Path) -> list[str]:
-    """Return which lengths of a printer a calibration determined weakly."""
-    if not (folder / "result.json").is_file():
-        return []
-    pairs = read_result(folder).get("weakly_determined", ())
-    ends = [pair[end] for pair in pairs for end in ("first", "second")]
-    names = sorted({end.partition(".")[2] for end in ends})
-    if not names:
-        return []
-    return [
-        f"{' and '.join(names)} are weakly determined by these measurements: what moves along with "
-        "the other may be far from its true value (the calibration says by how much). If one of "
-        f"them is known, say so and calibrate again: --priors {names[0]}=SIGMA"
-    ]
-
-
-def _export_tree(mechanism: Mechanism, output: Path, form: str, options: ExportOptions) -> None:
-    """Write a mechanism as URDF or MJCF, or into a copy of the user's URDF."""
-    if options.original is not None:
-        if form != "urdf":
-            raise MechanismError("--original goes with URDF, not with MJCF")
-        _export_into(options.original, mechanism, output, options)
-        return
-    if options.leg is not None:
-        raise MechanismError("--leg goes with --original; the whole mechanism is written")
-    tree, remarks = tree_of(mechanism)
-    files = {output: mjcf(tree) if form == "mjcf" else loops_urdf(tree)}
-    if form == "urdf" and tree.loops:
-        files[output.with_suffix(".yaml")] = loops_yaml(tree)
-    for text in files.values():
-        _finite(text, mechanism.name)
-    with writing_together([(path, ()) for path in files], force=options.force) as scratch:
-        for path, text in zip(scratch, files.values(), strict=True):
-            path.write_text(text, encoding="utf-8")
-    for line in remarks:
-        warn(line)
-    for path in files:
-        wrote(path)
-
-
-def _export_into(
-    original: Path, mechanism: Mechanism, output: Path, options: ExportOptions
-) -> None:
-    """Write a copy of the user's URDF with the origins of calibrated joints."""
-    data = calibrated_urdf(original, mechanism, options.leg)
-    before = read_bytes(original, LARGEST_FILE["XML"], MechanismError)
-    if not _NO_NUMBER.search(before.decode(errors="replace")):
-        _finite(data.decode(errors="replace"), mechanism.name)
-    with writing(output, force=options.force) as scratch:
-        scratch.write_bytes(data)
-    for line in unwritten(mechanism):
-        warn(line)
-    lines = set(before.splitlines())
-    changed = sum(line not in lines for line in data.splitlines())
-    remark(f"{changed} lines are other than in {original}")
-    wrote(output)
-
-
-def _finite(text: str, name: str) -> str:
-    """Return what is to be written."""
-    if match := _NO_NUMBER.search(text):
-        raise MechanismError(
-            f"{name}: {match.group()} would be written for a number, in "
-            f"line {text[: match.start()].count(chr(10)) + 1}; its parameters or frames are far "
-            "too large"
-        )
-    return text
+    fail_if_lost(options.poses or output, places, list(table.reasons), "pose")

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import typer
 
-from pincal.cli.app import answer, command, remark, warn, wrote
+from pincal.cli.app import command, fail, remark, warn, wrote
 from pincal.cli.options import Force, Mech, TableOptions, output_option
 from pincal.files.measurement_writing import columns_of, reason_column, write_readings
 from pincal.files.measurements import read_poses, read_readings
@@ -21,11 +21,10 @@ from pincal.kinematics.inverse import inverse as solve_inverse
 from pincal.kinematics.inverse import outside_limits
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
-from pincal.types import Array
 from pincal.words.wording import LISTED
 
 
-@command(answers=True)
+@command()
 def inverse(
     mech: Mech,
     poses: Annotated[Path, typer.Argument(metavar="POSES.csv", help="Poses: x [m], y [m], …")],
@@ -46,27 +45,21 @@ def inverse(
     solution = solve_inverse(mechanism, plan.poses, influences)
     lost = np.atleast_1d(~solution.reached.all(axis=1))
     reasons = [solution.reason(row) if lost[row] else "" for row in range(len(lost))]
-    places = [plan.place(row) for row in range(len(lost))]
     values = np.where(lost[:, None], np.nan, solution.readings)
     write_readings(output, mechanism, values, influences, reasons=reasons, units=units, force=force)
     say_reference(mechanism, influences)
     wrote(output)
-    beyond = [
-        f"{place}: {', '.join(joints)}"
-        for place, joints in zip(places, outside_limits(mechanism, solution), strict=True)
-        if joints
-    ]
-    if beyond:
+    places = [plan.place(row) for row in range(len(lost))]
+    limits = zip(places, outside_limits(mechanism, solution), strict=True)
+    if beyond := [f"{place}: {', '.join(joints)}" for place, joints in limits if joints]:
         warn(
             f"{poses}: {len(beyond)} of {len(places)} poses are outside the limits of joints; "
             f"their readings are written all the same. {first_of(beyond)}"
         )
-    columns = _columns(mechanism.reading_names, mechanism.reading_units, values)
-    answer({"mechanism": mechanism.name, "readings": columns, "reasons": reasons})
-    leave_if_lost(poses, places, reasons, "pose")
+    fail_if_lost(poses, places, reasons, "pose")
 
 
-@command(answers=True)
+@command()
 def forward(
     mech: Mech,
     readings: Annotated[Path, typer.Argument(metavar="READINGS.csv", help="leg_1 [rad], …")],
@@ -101,16 +94,7 @@ def forward(
             f"(row {row + 1}, {mechanism.leg_names[leg]})"
         )
     wrote(output)
-    platform = mechanism.platform
-    answer(
-        {
-            "mechanism": mechanism.name,
-            "poses": _columns(platform.coordinates, platform.units, poses),
-            "gaps": _columns(mechanism.leg_names, ["m"] * len(mechanism.legs), solution.gap),
-            "reasons": reasons,
-        }
-    )
-    leave_if_lost(readings, [f"row {row + 1}" for row in range(len(lost))], reasons, "reading")
+    fail_if_lost(readings, [f"row {row + 1}" for row in range(len(lost))], reasons, "reading")
 
 
 def say_reference(mechanism: Mechanism, influences: Mapping[str, object]) -> None:
@@ -120,24 +104,18 @@ def say_reference(mechanism: Mechanism, influences: Mapping[str, object]) -> Non
         remark(f"{', '.join(missing)} not given: the machine is taken at their reference")
 
 
-def _columns(names: Sequence[str], units: Sequence[str], values: Array) -> dict[str, Any]:
-    """Return columns by name, with their units, for JSON."""
-    columns = zip(names, units, values.T, strict=True)
-    return {name: {"unit": unit, "values": column} for name, unit, column in columns}
-
-
 def first_of(lines: Sequence[str], between: str = "; ") -> str:
     """Return the first lines, and how many more there are."""
     end = f"{between}and {len(lines) - LISTED} more" if len(lines) > LISTED else ""
     return between.join(lines[:LISTED]) + end
 
 
-def leave_if_lost(path: Path, places: list[str], reasons: list[str], kind: str) -> None:
-    """Leave with exit code 1, and say why, if some rows have no solution."""
+def fail_if_lost(path: Path, places: Sequence[str], reasons: Sequence[str], kind: str) -> None:
+    """End with exit code 1, and say why, if some rows have no solution."""
     lost = [f"{place}: {reason}" for place, reason in zip(places, reasons, strict=True) if reason]
     if lost:
-        warn(
+        fail(
+            1,
             f"{path}: {len(lost)} of {len(places)} {kind}s without a solution; their rows are "
-            f"empty, with the reason. {first_of(lost)}"
+            f"empty, with the reason. {first_of(lost)}",
         )
-        raise typer.Exit(1)

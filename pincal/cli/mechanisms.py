@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -11,7 +12,7 @@ import numpy as np
 import typer
 
 from pincal.cli.app import answer, command, remark, stdout, warn, working, wrote
-from pincal.cli.options import SEED, Force, Mech, UnitOptions, output_option
+from pincal.cli.options import FORCE, SEED, Mech, UnitOptions, output_option
 from pincal.errors import FileError, SymmetryError
 from pincal.estimation.observability.indices import identifiability
 from pincal.files.mechanism_folders import bundled, load_mechanism
@@ -25,7 +26,7 @@ from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.option import option
 from pincal.model.sensor import turning
-from pincal.show.tables import group_table, near_table, nominal_table, symmetry_table
+from pincal.show.tables import near_table, nominal_table, symmetry_table
 from pincal.symmetry.breaks import no_symmetries
 from pincal.symmetry.detect import SymmetryGroup, nearest_group, symmetry_group
 from pincal.symmetry.elements import cyclic
@@ -34,25 +35,14 @@ from pincal.words.terms import TURNS_BACK
 from pincal.workspace.sampling import sample_configurations, sample_workspace
 
 
-@command(answers=True)
+@command()
 def mechanisms() -> None:
     """List the mechanisms that come with pincal."""
-    answers = []
     for name, folder in bundled().items():
         mechanism = load_mechanism(folder)
-        platform = mechanism.platform
-        coordinates = dict(zip(platform.coordinates, platform.units, strict=True))
-        stdout.print(f"{name:12s} {len(mechanism.legs)} legs, {', '.join(coordinates)}")
+        coordinates = ", ".join(mechanism.platform.coordinates)
+        stdout.print(f"{name:12s} {len(mechanism.legs)} legs, {coordinates}")
         stdout.print(f"{'':12s} {mechanism.description}")
-        answers.append(
-            {
-                "name": name,
-                "legs": mechanism.leg_names,
-                "coordinates": coordinates,
-                "description": mechanism.description,
-            }
-        )
-    answer({"mechanisms": answers})
 
 
 @command(answers=True)
@@ -150,10 +140,9 @@ class SymmetryOptions:
         None, "Claim a group, such as D6 or C3: fail if it is not.", metavar="D2n|Cn"
     )
     tolerance: float = option(1e-6, "Largest deviation, relative to its size or [rad].", least=0)
-    table: bool = option(False, "Also products, generators, subgroups and orbits.")
 
 
-@command(answers=True)
+@command()
 def symmetry(mech: Mech, options: SymmetryOptions) -> None:
     """Find the symmetry group of a mechanism.
 
@@ -162,7 +151,7 @@ def symmetry(mech: Mech, options: SymmetryOptions) -> None:
     largest group that it nearly has. With --group the exit code is 2 if the mechanism lacks an
     element of that group.
     """
-    claimed = _parse_group(options.group) if options.group is not None else None
+    claimed = options.group and _parse_group(options.group)
     mechanism = load_mechanism(mech)
     group = symmetry_group(mechanism, options.tolerance)
     with working("checking readings on sampled poses"):
@@ -171,61 +160,28 @@ def symmetry(mech: Mech, options: SymmetryOptions) -> None:
     stdout.print(symmetry_table(group, deviation, near))
     if len(near.group.elements) > len(group.elements):
         stdout.print(near_table(near))
-    legs = mechanism.leg_names
-    answers: dict[str, Any] = {
-        "mechanism": mechanism.name,
-        "group": group.name,
-        "elements": [
-            {
-                "element": str(element),
-                "carries": dict(zip(legs, (legs[index] for index in carried), strict=True)),
-            }
-            for element, carried in zip(group.elements, group.permutations, strict=True)
-        ],
-        "readings_follow_within": deviation,
-        "broken": [str(symmetry_break) for symmetry_break in group.breaks],
-        "nearest": {
-            "group": near.group.name,
-            "displacement": near.displacement,
-            "turn": near.turn,
-        },
-    }
-    if options.table:
-        for table in group_table(group):
-            stdout.print(table)
-        answers |= {
-            "table": group.table.tolist(),
-            "generators": [str(element) for element in group.generators],
-            "leg_orbits": group.leg_orbits,
-        }
-    answer(answers)
     if claimed:
-        _check_claim(claimed, group)
+        _check_claim(*claimed, group)
 
 
 def _parse_group(group: str) -> tuple[int, bool]:
     """Return the number of rotations of a claimed group, and whether it has mirrors."""
-    letter, order = group[:1].upper(), group[1:].lstrip("_")
-    least = {"D": 2, "C": 1}.get(letter, 0)
-    is_count = order.isdecimal() and len(order) <= 3  # no machine has a thousand legs
-    if not least or not is_count or int(order) < least or int(order) % least:
+    match = re.fullmatch(r"([CD])_?([1-9]\d{0,2})", group, re.ASCII | re.IGNORECASE)
+    mirrored = match is not None and match[1] in "dD"
+    if match is None or (mirrored and int(match[2]) % 2):
         raise typer.BadParameter(
             f"--group {group}: expected D and its order, twice the number of rotations, such as D6 "
             "for three rotations and three mirrors; or C and the number of rotations, such as C3"
         )
-    return int(order) // least, letter == "D"
+    return int(match[2]) // (1 + mirrored), mirrored
 
 
-def _check_claim(claimed: tuple[int, bool], group: SymmetryGroup) -> None:
-    """Raise if elements of a claimed group are missing.
-
-    The axis is that of the mechanism's own group, wherever it is.
-    """
-    order, mirrored = claimed
+def _check_claim(order: int, mirrored: bool, group: SymmetryGroup) -> None:
+    """Raise if elements of a claimed group, about the axis of the mechanism's own, are missing."""
     name = f"D{2 * order}" if mirrored else f"C{order}"
     if any(subgroup.name == name for subgroup in group.subgroups()):
         return
-    present = [str(element) for element in group.elements]
+    present = {str(element) for element in group.elements}
     missing = [text for text in map(str, cyclic(order)) if text not in present]
     mirrors = sum(element.reflection for element in group.elements)
     if mirrored and mirrors < order:
@@ -247,14 +203,14 @@ class StudyOptions:
 
     quick: bool = option(False, "Fewer draws, coarser grids: seconds, not minutes.")
     seed: int = option(0, SEED)
+    force: bool = option(False, FORCE)
 
 
-@command(answers=True)
+@command()
 def study(
     name: Annotated[str, typer.Argument(metavar="5R|3RRR|6UPS|errors|all", help="Which study.")],
     output: Annotated[Path, output_option("FOLDER", "Page, tables and figures.")],
     options: StudyOptions,
-    force: Force = False,
 ) -> None:
     """Compute a paper's figures and tables anew.
 
@@ -264,32 +220,24 @@ def study(
     CSV, figures as SVG and PNG; with 'all' one folder for each. The same seed
     gives the same text and tables; times are in figures only.
     """
-    studies = _installed()
-    names = studies.named(name)
-    folders = [output / study_name for study_name in names] if name == "all" else [output]
-    if name == "all" and not output.is_dir():
-        refuse_existing(output, force=False).mkdir()
-    for folder in folders:
-        refuse_existing(folder, force=force, folder=(STUDY,))
-    answers = []
-    for study_name, folder in zip(names, folders, strict=True):
+    installed = [n for n in ("pincal_studies", "studies") if (_ROOT / n / "catalogue.py").is_file()]
+    if not installed:
+        raise FileError(
+            f"the papers' studies are not installed: no folder pincal_studies or studies in {_ROOT}"
+            "; install pincal from its wheel, or run this in its sources"
+        )
+    studies = import_module(f"{installed[0]}.catalogue")
+    folders = dict.fromkeys(studies.named(name), output)
+    if name == "all":
+        folders = {study_name: output / study_name for study_name in folders}
+        if not output.is_dir():
+            refuse_existing(output, force=False).mkdir()
+    for folder in folders.values():
+        refuse_existing(folder, force=options.force, folder=(STUDY,))
+    for study_name, folder in folders.items():
         with working(f"study of the {study_name}") as progress:
             result = studies.run_study(study_name, options.seed, options.quick, progress)
-        with writing(folder, force=force, folder=(STUDY,)) as scratch:
+        with writing(folder, force=options.force, folder=(STUDY,)) as scratch:
             result.write(scratch)
         wrote(folder)
-        contents = {key: getattr(result, key) for key in ("name", "title", "paper", "tables")}
-        answers.append({**contents, "folder": str(folder)})
-    remark(f"read {folders[0] / 'study.md'}")
-    answer({"studies": answers})
-
-
-def _installed() -> Any:
-    """Return the catalogue of the studies, which stand beside pincal: installed or as sources."""
-    for name in ("pincal_studies", "studies"):
-        if (_ROOT / name / "catalogue.py").is_file():
-            return import_module(f"{name}.catalogue")
-    raise FileError(
-        f"the papers' studies are not installed: no folder pincal_studies or studies in {_ROOT}; "
-        "install pincal from its wheel, or run this in its sources"
-    )
+    remark(f"read {next(iter(folders.values())) / STUDY}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import Field, dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
@@ -11,7 +11,7 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 import numpy as np
 import typer
 
-from pincal.errors import MeasurementError
+from pincal.errors import MeasurementError, PincalError
 from pincal.files.mechanism_folders import load_mechanism
 from pincal.files.text import in_si
 from pincal.files.yaml import read_setup
@@ -90,6 +90,17 @@ def typed_name(option_field: Field[Any]) -> str:
     """Return the name of an option as the command line has it, without ``--``."""
     name = (option_field.metadata["option"].name or option_field.name).replace("_", "-")
     return f"no-{name}" if option_field.default is True else name
+
+
+def refuse_options(options: Any, names: Iterable[str], purpose: str) -> None:
+    """Raise if some options were typed that are not for a purpose."""
+    typed = [
+        f"--{typed_name(field)}"
+        for field in _option_fields(type(options))
+        if field.name in names and getattr(options, field.name) != field.default
+    ]
+    if typed:
+        raise PincalError(f"leave out {', '.join(typed)}: not for {purpose}")
 
 
 def _number_parser(declared: Option) -> Any:

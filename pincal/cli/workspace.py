@@ -2,31 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import typer
+from matplotlib.figure import Figure
 
-from pincal.cli.app import answer, command, counting, remark, stdout, working, wrote
-from pincal.cli.options import FORCE, SEED, Mech, output_option, typed_name
+from pincal.cli.app import command, counting, remark, stdout, working, wrote
+from pincal.cli.options import FORCE, SEED, Mech, output_option, refuse_options
 from pincal.errors import WorkspaceError
 from pincal.files.measurement_writing import write_plan
 from pincal.files.mechanism_folders import load_mechanism
-from pincal.files.output import refuse_existing, writing_together
+from pincal.files.output import refuse_existing_of, writing_together
 from pincal.files.table import write_table
 from pincal.model.mechanism import Mechanism
 from pincal.model.option import option, option_of
 from pincal.model.units import WRITTEN
-from pincal.show.pictures.files import save_figure
+from pincal.show.pictures.files import picture_path, save_figure
 from pincal.show.tables import articular_table, workspace_table
-from pincal.show.workspace_answers import (
-    articular_answer,
-    articular_columns,
-    orientation_name,
-    poses_answer,
-    region_answer,
-)
+from pincal.show.workspace_answers import articular_columns, orientation_name
 from pincal.show.workspace_plots import articular_figure, workspace_figure
 from pincal.workspace.axes import Axis, Orientations
 from pincal.workspace.criteria import Margins, articular_space, articular_symmetry, refuse_readings
@@ -71,31 +67,21 @@ class WorkspaceOptions:
     force: bool = option(False, FORCE)
 
     def check(self, output: Path) -> None:
-        """Raise if options do not go together, or files cannot be written.
-
-        Raises:
-            WorkspaceError: an unknown kind.
-            BadParameter: options that a kind of workspace does not have, or that contradict.
-            FileError: an output exists.
-        """
+        """Raise if options do not go together, or files cannot be written."""
         if self.kind not in ("poses", *KINDS, "articular"):
             raise WorkspaceError(
                 f"--kind {self.kind}: unknown; expected poses, {', '.join(KINDS)} or articular"
             )
-        changed = [field for field in fields(self) if getattr(self, field.name) != field.default]
-        foreign = _OF_OTHERS.get(self.kind, ("count",))
-        if wrong := [f"--{typed_name(field)}" for field in changed if field.name in foreign]:
-            raise typer.BadParameter(f"{', '.join(wrong)}: not for --kind {self.kind}")
+        refuse_options(self, _OF_OTHERS.get(self.kind, ("count",)), f"--kind {self.kind}")
         if not self.margins and (self.margin_type1 is not None or self.margin_type2 is not None):
             raise typer.BadParameter("--no-margins leaves no margin to set; give one or the other")
-        for path in self.outputs(output):
-            refuse_existing(path, force=self.force)
         if self.picture is not None:
-            _check_picture(self.picture, output)
+            picture_path(self.picture)
+        refuse_existing_of(self.outputs(output), force=self.force)
 
-    def outputs(self, output: Path) -> list[Path]:
+    def outputs(self, output: Path) -> list[tuple[Path, tuple[str, ...]]]:
         """Return the files that are written: the table and, if one is wanted, the picture."""
-        return [path for path in (output, self.picture) if path is not None]
+        return [(path, ()) for path in (output, self.picture) if path is not None]
 
     def least_margins(self) -> Margins:
         """Return the margins that are kept."""
@@ -109,15 +95,7 @@ class WorkspaceOptions:
         return places, [axis for axis in axes if axis not in places]
 
 
-def _check_picture(picture: Path, output: Path) -> None:
-    """Raise if a picture cannot be drawn there."""
-    if picture.suffix.lower() not in (".svg", ".png", ".pdf"):
-        raise typer.BadParameter(f"--picture {picture}: expected a name in .svg, .png or .pdf")
-    if picture.absolute() == output.absolute():
-        raise typer.BadParameter(f"--picture {picture}: is the output too")
-
-
-@command(answers=True)
+@command()
 def workspace(
     mech: Mech,
     output: Annotated[Path, output_option("OUTPUT.csv", "Poses or positions that count.")],
@@ -150,16 +128,12 @@ def _poses(mechanism: Mechanism, output: Path, options: WorkspaceOptions) -> Non
     count = options.count or _COUNT
     with counting("sampling the workspace", count) as done:
         plan = sample_configurations(mechanism, count, options.seed, options.least_margins(), done)
-    poses = plan.poses
     write_plan(plan, output, mechanism, units=WRITTEN, force=options.force)
-    platform = mechanism.platform
-    box = zip(
-        platform.coordinates, poses.min(axis=0), poses.max(axis=0), platform.units, strict=True
-    )
-    ranges = ", ".join(f"{name} {low:.3f} to {high:.3f} {unit}" for name, low, high, unit in box)
-    remark(f"{len(poses)} poses, {ranges}")
+    ends = zip(plan.poses.min(axis=0), plan.poses.max(axis=0), strict=True)
+    coordinates = zip(mechanism.platform.coordinates, ends, mechanism.platform.units, strict=True)
+    ranges = (f"{name} {low:.3f} to {high:.3f} {unit}" for name, (low, high), unit in coordinates)
+    remark(f"{len(plan)} poses, {', '.join(ranges)}")
     wrote(output)
-    answer(poses_answer(mechanism, poses))
 
 
 def _region(mechanism: Mechanism, output: Path, options: WorkspaceOptions) -> None:
@@ -190,18 +164,8 @@ def _region(mechanism: Mechanism, output: Path, options: WorkspaceOptions) -> No
     if options.inscribed and region.count:
         with working("looking for the largest circle or ball inside"):
             circle = largest_inscribed(region)
-    outputs = options.outputs(output)
-    with writing_together([(path, ()) for path in outputs], force=options.force) as (
-        table,
-        *pictures,
-    ):
-        region.save(table)
-        for picture in pictures:
-            save_figure(workspace_figure(region, circle), picture)
+    _write(options, output, region.save, lambda: workspace_figure(region, circle))
     stdout.print(workspace_table(region, circle, wanted=options.inscribed))
-    for path in outputs:
-        wrote(path)
-    answer(region_answer(region, circle))
 
 
 def _articular(mechanism: Mechanism, output: Path, options: WorkspaceOptions) -> None:
@@ -220,15 +184,27 @@ def _articular(mechanism: Mechanism, output: Path, options: WorkspaceOptions) ->
     readings = {name: articular_space(mechanism, poses) for name, poses in spaces.items()}
     with working("solving the forward kinematics of permuted readings"):
         checks = articular_symmetry(mechanism, spaces["all"][:2000], least)
-    outputs = options.outputs(output)
-    with writing_together([(path, ()) for path in outputs], force=options.force) as (
-        table,
-        *pictures,
-    ):
-        write_table(table, articular_columns(mechanism, spaces, readings))
-        for picture in pictures:
-            save_figure(articular_figure(mechanism, readings), picture)
+    columns = articular_columns(mechanism, spaces, readings)
+    _write(
+        options,
+        output,
+        lambda path: write_table(path, columns),
+        lambda: articular_figure(mechanism, readings),
+    )
     stdout.print(articular_table(mechanism, readings, checks))
-    for path in outputs:
+
+
+def _write(
+    options: WorkspaceOptions,
+    output: Path,
+    save: Callable[[Path], None],
+    draw: Callable[[], Figure],
+) -> None:
+    """Write a table and, if one is wanted, its picture."""
+    outputs = options.outputs(output)
+    with writing_together(outputs, force=options.force) as scratch:
+        save(scratch[0])
+        for picture in scratch[1:]:
+            save_figure(draw(), picture)
+    for path, _ in outputs:
         wrote(path)
-    answer(articular_answer(mechanism, readings, checks))

@@ -350,7 +350,7 @@ def _poses(table: TextTable, mechanism: Mechanism, *, partial: bool) -> Array:
             f"[{units[missing[0]]}]'; poses that were measured in part calibrate all legs together "
             f"only (without --method per-leg). The file has {', '.join(table.units)}"
         )
-    poses = table.array(units, blank=partial)
+    poses = table.array(units, blank=partial, optional=partial)
     if way in (None, "tilt-torsion"):
         return poses
     names, unit = WAYS[str(way)]

@@ -35,7 +35,13 @@ _FORM_KEYS = {
     "per": ("reference",),
 }
 _REQUIRED_KEYS = {"power": "range", "knots": "knot"}
-_FORMS: dict[str, Any] = {"power": Power, "knots": Knot, "per": Share}
+_FORMS: dict[str, Any] = {
+    "sine": Harmonic,
+    "cosine": Harmonic,
+    "power": Power,
+    "knots": Knot,
+    "per": Share,
+}
 _BLOCKS = ("parameters", "labels", "load")  # mappings of which each key has a line of its own
 
 
@@ -84,8 +90,8 @@ class TermSpec(Strict):
                 )
             if required not in values and form != "per":
                 raise MechanismError(f"{form!r} needs {required!r} beside it")
-            if form == "sine" or form == "cosine":
-                return Term(parameter, Harmonic(values.pop(form), form, **values), of=influence)
+            if form in ("sine", "cosine"):
+                values |= {"order": values.pop(form), "phase": form}
             return Term(parameter, _FORMS[form](**values), of=influence)
         except MechanismError as error:
             raise MechanismError(f"{place}, term {parameter!r}: {error}") from error

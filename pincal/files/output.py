@@ -72,6 +72,24 @@ def refuse_existing(path: str | Path, *, force: bool, folder: Sequence[str] = ()
     return real
 
 
+def refuse_existing_of(
+    outputs: Sequence[tuple[str | Path, Sequence[str]]], *, force: bool
+) -> list[Path]:
+    """Return where outputs may be written, each a path and its ``folder`` of ``refuse_existing``.
+
+    Raises:
+        FileError: one must not be replaced, or lies in another.
+    """
+    targets = [refuse_existing(path, force=force, folder=folder) for path, folder in outputs]
+    for first, second in combinations(targets, 2):
+        if first.is_relative_to(second) or second.is_relative_to(first):
+            raise FileError(
+                f"{first} and {second} are both written by this command and need places of their "
+                "own; choose another name for one of them"
+            )
+    return targets
+
+
 @contextmanager
 def writing(path: str | Path, *, force: bool = False, folder: Sequence[str] = ()) -> Iterator[Path]:
     """Yield a temporary path beside ``path``; what is there at the end takes its place.
@@ -105,7 +123,7 @@ def writing_together(
     shown: dict[str, str] = {}  # what messages call temporary paths
     try:
         with ExitStack() as scratch:
-            targets = _targets(outputs, force=force)
+            targets = refuse_existing_of(outputs, force=force)
             made = []
             for target, (named, folder) in zip(targets, outputs, strict=True):
                 place = Path(tempfile.mkdtemp(prefix=".pincal-", dir=target.parent))
@@ -115,7 +133,7 @@ def writing_together(
                 if folder:
                     made[-1].mkdir()
             yield made
-            _targets(outputs, force=force)  # another process may have been quicker
+            refuse_existing_of(outputs, force=force)  # another process may have been quicker
             changed = []
             for new, target, (_, folder) in zip(made, targets, outputs, strict=True):
                 if target.exists():
@@ -132,18 +150,6 @@ def writing_together(
         raise
     except OSError as error:
         raise FileError(f"cannot write {names}: {error.strerror or error}") from error
-
-
-def _targets(outputs: Sequence[tuple[str | Path, Sequence[str]]], *, force: bool) -> list[Path]:
-    """Return where outputs are written, links followed."""
-    targets = [refuse_existing(path, force=force, folder=folder) for path, folder in outputs]
-    for first, second in combinations(targets, 2):
-        if first.is_relative_to(second) or second.is_relative_to(first):
-            raise FileError(
-                f"{first} and {second} are both written by this command and need places of their "
-                "own; choose another name for one of them"
-            )
-    return targets
 
 
 def _unchanged(made: Path, target: Path, folder: Sequence[str]) -> bool:

@@ -94,19 +94,21 @@ class TextTable:
         text = {names[column][0]: cells for column, cells in self.text.items()}
         return replace(self, units=dict(names.values()), text=text)
 
-    def array(self, units: Mapping[str, str], *, blank: bool = False) -> Array:
+    def array(
+        self, units: Mapping[str, str], *, blank: bool = False, optional: bool = False
+    ) -> Array:
         """Return columns side by side in SI units, shape (N, n).
 
         Args:
             units: Dimension of each column, by its name: see ``numbers``.
-            blank: Whether columns may be missing and cells empty; they are NaN.
+            blank: Whether cells may be empty; they are NaN.
+            optional: Whether columns may be missing; they are NaN.
         """
-        unknown = np.full(len(self.lines), np.nan)
-        columns = [
-            unknown if blank and name not in self else self.numbers(name, unit, blank=blank)
-            for name, unit in units.items()
-        ]
-        return np.column_stack(columns) if columns else unknown[:, None][:, :0]
+        array = np.full((len(self.lines), len(units)), np.nan)
+        for place, (name, unit) in enumerate(units.items()):
+            if name in self or not optional:
+                array[:, place] = self.numbers(name, unit, blank=blank)
+        return array
 
     def numbers(self, column: str, dimension: str, *, blank: bool = False) -> Array:
         """Return a column in SI units, shape (N,).

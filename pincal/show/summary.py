@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -350,33 +349,6 @@ def scale_line(effect: ScaleEffect | None) -> list[str]:
         return [f"{text}; residuals would show it, by {effect.seen:.2g} standard deviations"]
     known = "that is taken into what is promised" if effect.said else _SAY_SCALE
     return [f"{text}, and no residual shows it ({effect.seen:.2g} standard deviations): {known}"]
-
-
-def scale_answer(effect: ScaleEffect | None) -> dict[str, Any] | None:
-    """Return what a wrong scale of the instrument would do, as JSON."""
-    if effect is None:
-        return None
-    return {
-        "relative": SCALE,
-        "standard_deviations": effect.seen,
-        "platform": {
-            "position": effect.platform.position,
-            "orientation": effect.platform.orientation,
-        },
-    }
-
-
-def drift_answer(drift: Drift) -> dict[str, Any]:
-    """Return what a drift over the run would do, as JSON."""
-    return {
-        "parameter": drift.worst if np.isfinite(drift.most) else None,
-        "standard_errors": drift.most,
-        "platform": {
-            "position": drift.platform.position,
-            "orientation": drift.platform.orientation,
-        },
-        "platform_share": drift.share,
-    }
 
 
 def _rank(forecast: Forecast) -> list[str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -287,29 +286,3 @@ def _nearness(near: NearestGroup) -> str:
         f"nearest group {size}: leg points are off by {amount(near.displacement, 'm')} at most, "
         f"axes by {amount(near.turn, 'rad')}"
     )
-
-
-def group_table(group: SymmetryGroup) -> tuple[Table, Table]:
-    """Return the products of a group's elements, and its generators, subgroups and orbits."""
-    count = len(group.elements)
-    letters = ["e", *(f"g{i}" for i in range(1, count))]
-    products = Table(
-        f"{group.name}: products, first the column's element, then the row's",
-        (Column(""), *(Column(letter) for letter in letters), Column("is")),
-        [
-            (letters[a], *(letters[int(b)] for b in row), str(group.elements[a]))
-            for a, row in enumerate(group.table)
-        ],
-        wrap=False,
-    )
-    parts = group.subgroups()
-    kinds = Counter((part.name, count // len(part.elements)) for part in parts)
-    facts = [
-        ("generators", "; ".join(map(str, group.generators)) or "none"),
-        *((f"orbit of {len(orbit)}", ", ".join(orbit)) for orbit in group.leg_orbits),
-        *(
-            (f"subgroup {name}", f"{times} of index {index}")
-            for (name, index), times in kinds.items()
-        ),
-    ]
-    return products, Table("generators, legs, subgroups", (Column("what"), Column("is")), facts)

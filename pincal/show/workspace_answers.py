@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -21,66 +20,8 @@ from pincal.types import Array
 from pincal.words.numbers import percent
 from pincal.words.sentences import finding
 from pincal.workspace.axes import Orientations
-from pincal.workspace.criteria import ArticularSymmetry, in_workspace
-from pincal.workspace.inscribed import Inscribed
-from pincal.workspace.region import Workspace
+from pincal.workspace.criteria import in_workspace
 from pincal.workspace.sampling import sample_configurations
-
-
-def poses_answer(mechanism: Mechanism, poses: Array) -> dict[str, Any]:
-    """Return how many poses were sampled, and between which coordinates they lie."""
-    platform = mechanism.platform
-    return {
-        "mechanism": mechanism.name,
-        "kind": "poses",
-        "count": len(poses),
-        "ranges": _ranges(platform.coordinates, platform.units, poses),
-    }
-
-
-def region_answer(region: Workspace, inscribed: Inscribed | None) -> dict[str, Any]:
-    """Return how large a workspace is, what was asked, and by which symmetry."""
-    test = region.test
-    return {
-        "mechanism": test.mechanism.name,
-        "kind": region.kind,
-        "measure": region.measure,
-        "uncertainty": region.uncertainty,
-        "unit": region.unit,
-        "count": region.count,
-        "asked": region.asked.size,
-        "apart_from_home": region.apart,
-        "cut_by_the_grid": region.cut,
-        "orientations": len(test.orientations),
-        "every_orientation": test.every,
-        "margins": {
-            "type1": test.least.type1,
-            "type2": test.least.least_type2(test.mechanism),
-        },
-        "computed": region.computed,
-        "elements": [str(element) for element in region.elements],
-        "unused_elements": [str(element) for element in region.unused],
-        "inscribed": None if inscribed is None else vars(inscribed),
-    }
-
-
-def articular_answer(
-    mechanism: Mechanism, spaces: Mapping[str, Array], checks: Sequence[ArticularSymmetry]
-) -> dict[str, Any]:
-    """Return the extent of spaces of readings, and whether permuted readings are reached."""
-    units = mechanism.reading_units
-    return {
-        "mechanism": mechanism.name,
-        "kind": "articular",
-        "spaces": {
-            name: {
-                "count": len(readings),
-                "ranges": _ranges(mechanism.reading_names, units, readings),
-            }
-            for name, readings in spaces.items()
-        },
-        "permuted_readings": [vars(check) | {"element": str(check.element)} for check in checks],
-    }
 
 
 def articular_columns(
@@ -110,18 +51,6 @@ def orientation_name(mechanism: Mechanism, orientation: Orientations) -> str:
     values = platform.from_matrices(matrices)[0] + 0.0
     turns = zip(platform.coordinates, platform.units, values, strict=True)
     return ", ".join(f"{name} = {value:.6g} rad" for name, unit, value in turns if unit == "rad")
-
-
-def _ranges(names: Sequence[str], units: Sequence[str], values: Array) -> dict[str, Any]:
-    """Return unit, least and largest value of each column; null where there is none."""
-    return {
-        name: {
-            "unit": unit,
-            "low": column.min(initial=np.inf),
-            "high": column.max(initial=-np.inf),
-        }
-        for name, unit, column in zip(names, units, values.T, strict=True)
-    }
 
 
 _ACROSS = {2: 45, 3: 25}  # cells of a map by the dimension of space
