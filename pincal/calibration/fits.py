@@ -66,6 +66,7 @@ def _said(problem: Problem) -> tuple[list[bool], dict[str, bool]]:
     return [bool(column.any()) for column in problem.observation.measured.T], known
 
 
+Tie = tuple[int, float] | None  # of the noise of readings to another, see ``Moments.tie``
 ROUNDS = 20  # of noise, or of frames, in turn with the legs
 _REFITS = 5  # with noise that was estimated
 _STILL = 1e-10  # of the machine's size, and [rad]: the frame moves no more
@@ -131,20 +132,22 @@ def fitted(calibration: Calibration, *, tied: bool = True, near: Near | None = N
     ):
         return one
     unit = noise.reading or assumed_noise(calibration.mechanism, exact=False).reading
-    found = noise  # before it is scaled
+    unscaled, tie = noise, None
     for _ in range(_REFITS):
         if not _sound(one):
             break
-        then = _noise_of(one, noise, unit)
-        if _alike(found, then):
+        estimate = _noise_of(one, noise, unit, tie)
+        if tie is None and (tie := _moments(one, estimate, unit).tie(estimate)):
+            estimate = _noise_of(one, noise, unit, tie)
+        if _alike(unscaled, estimate):
             break
-        noise, found, unit = then, then, then.reading or unit
+        noise, unscaled, unit = estimate, estimate, estimate.reading or unit
         one = search(calibration.with_noise(noise), tied, one)
         scale = float(np.mean([fit.noise_scale for fit in one.fits]))
         if abs(scale - 1.0) > SCALE_OFF and scale > 0.0:  # a group at its floor leaves that to all
             noise = Noise(*(scale * value for value in vars(noise).values()))
             one = search(calibration.with_noise(noise), tied, one)
-    return _with_variances(one, noise, unit)
+    return _with_variances(one, noise, unit, tie)
 
 
 def _sound(fits_of_all: Fits) -> bool:
@@ -153,15 +156,14 @@ def _sound(fits_of_all: Fits) -> bool:
     return all(fit.converged and fit.degrees_of_freedom > 0 for fit in fits)
 
 
-def _with_variances(fits_of_all: Fits, noise: Noise, unit: float) -> Fits:
+def _with_variances(fits_of_all: Fits, noise: Noise, unit: float, tie: Tie) -> Fits:
     """Return fits at noise that was estimated, with what that adds to their covariances."""
     if not _sound(fits_of_all):
         return fits_of_all
-    pairs = [(fit, fit.problem) for fit in fits_of_all.fits]
-    moments = Moments.of(pairs, noise.reading or unit)
+    moments = _moments(fits_of_all, None, noise.reading or unit)
     if moments.rounding:
         return fits_of_all
-    information, _ = moments.information(_beforehand(fits_of_all.calibration, noise))
+    information, _ = moments.information(_beforehand(fits_of_all.calibration, noise, tie))
     variances: Array = np.asarray(np.linalg.inv(information))
     fits = []
     for fit, part in zip(fits_of_all.fits, moments.parts, strict=True):
@@ -170,28 +172,27 @@ def _with_variances(fits_of_all: Fits, noise: Noise, unit: float) -> Fits:
     return replace(fits_of_all, fits=fits, variances=variances)
 
 
-def _beforehand(calibration: Calibration, noise: Noise) -> Beforehand:
+def _beforehand(calibration: Calibration, noise: Noise, tie: Tie) -> Beforehand:
     """Return what is assumed of the noise before it is estimated."""
     mechanism, data = calibration.mechanism, calibration.measurements
     exact = assumed_noise(mechanism, exact=bool(np.isfinite(data.poses).all())).reading == 0.0
-    return Beforehand.of(noise, assumed_noise(mechanism, exact=False), exact=exact)
+    return Beforehand.of(noise, assumed_noise(mechanism, exact=False), exact=exact, tie=tie)
 
 
-def _noise_of(fits_of_all: Fits, noise: Noise, unit: float) -> Noise:
+def _noise_of(fits_of_all: Fits, noise: Noise, unit: float, tie: Tie) -> Noise:
     """Return the noise that the residuals of fits show.
 
     Args:
         fits_of_all: The fits.
         noise: At which they were made.
         unit: Standard deviation of readings to try where they were exact.
+        tie: To which noise that of readings is tied, if it is.
     """
-    fits, calibration = fits_of_all.fits, fits_of_all.calibration
     for _ in range(ROUNDS):
-        problems = _problems(calibration.with_noise(noise), fits_of_all)
-        moments = Moments.of(list(zip(fits, problems, strict=True)), noise.reading or unit)
+        moments = _moments(fits_of_all, noise, noise.reading or unit)
         if moments.rounding:
             return noise
-        before = _beforehand(calibration, noise)
+        before = _beforehand(fits_of_all.calibration, noise, tie)
         estimate = estimated_noise(moments, noise, noise.reading or unit, before)
         if _alike(noise, estimate):
             break
@@ -204,15 +205,20 @@ def _alike(noise: Noise, estimate: Noise) -> bool:
     return all(abs(a - b) <= SETTLED * max(a, b) for a, b in changes)
 
 
-def _problems(calibration: Calibration, fits_of_all: Fits) -> list[Problem]:
-    """Return the problems of fits at a calibration's noise."""
-    if fits_of_all.latent:
-        return [calibration.latent_problem]
-    plain = calibration.options.setup.plain
-    measured_poses = calibration.given_poses(None if plain else fits_of_all.external)
-    names = list(calibration.mechanism.leg_names)
-    groups = [[names.index(leg.name) for leg in fit.problem.legs] for fit in fits_of_all.fits]
-    return [calibration.measured_problem(group, *measured_poses)[0] for group in groups]
+def _moments(fits_of_all: Fits, noise: Noise | None, unit: float) -> Moments:
+    """Return the moments of fits at some noise, or at their own; of readings over a unit."""
+    fits, calibration = fits_of_all.fits, fits_of_all.calibration
+    problems = [fit.problem for fit in fits]
+    if noise is not None:
+        calibration = calibration.with_noise(noise)
+        if fits_of_all.latent:
+            problems = [calibration.latent_problem]
+        else:
+            external = None if calibration.options.setup.plain else fits_of_all.external
+            poses, names = calibration.given_poses(external), calibration.mechanism.leg_names
+            groups = [[names.index(leg.name) for leg in problem.legs] for problem in problems]
+            problems = [calibration.measured_problem(group, *poses)[0] for group in groups]
+    return Moments.of(list(zip(fits, problems, strict=True)), unit)
 
 
 def _loss(calibration: Calibration) -> Loss | None:

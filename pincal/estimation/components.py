@@ -10,12 +10,12 @@ covariance is 2 F⁻¹.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from pincal.estimation.fit import Fit
-from pincal.estimation.problem import Problem
+from pincal.estimation.problem import Linear, Problem
 from pincal.estimation.residuals.losses import outlying
 from pincal.estimation.system import NormalEquations
 from pincal.kinematics.batches import over_rows
@@ -25,6 +25,9 @@ from pincal.types import Array
 _P, _O, _R = range(3)  # position, orientation, reading
 
 _BEFOREHAND = 1.0  # spread of variances about what is assumed of them, over the largest
+_TIED = 1e-6  # the same where that is not to be left
+_SENSOR = 0.25  # how far a sensor's own noise moves the platform, over the noise of that
+_SENSORS_ONLY = 3.0  # the same from which noise of readings is rather what the model lacks
 _LARGEST_STEP = 10.0  # factor by which a variance changes at once, at most
 _SMALLEST = 1e-3  # standard deviation over the largest, each over its unit, if it is not exact
 _ROUNDING = 1e-10  # standard deviation over the assumed one, below which residuals are rounding
@@ -46,6 +49,9 @@ class VarianceEquations:
     """Qᵀ V_g M V_h Q, shape (3, 3, n_free, n_free)."""
     back: Array
     """R⁻ᵀ Tᵀ: its columns squared are the variances of the unknowns, shape (n_free, n)."""
+    levers: Array
+    """How far noise of a reading's unit moves a coordinate of the platform, [m] and [rad],
+    shape (2,); NaN where there is none."""
 
 
 @dataclass(frozen=True)
@@ -91,6 +97,26 @@ class Moments:
         known = 2.0 * max(self.scale, 1e-300) ** 2
         return self.F / known + beforehand.information(self.scale), self.q / known
 
+    def tie(self, noise: Noise) -> tuple[int, float] | None:
+        """Return to which noise that of readings is tied if it moves the platform much farther.
+
+        What the model lacks looks like noise of the readings, and poses near singularities would
+        then judge the model. It belongs to what was measured of the platform: only repeated rows
+        may show sensors that are so noisy.
+
+        Returns:
+            The group, positions or orientations, and how much of its noise a sensor has; None if
+            readings are not so noisy, or nothing of the platform was measured.
+        """
+        measured = np.flatnonzero(np.diagonal(self.F)[:_R] > 0.0)
+        if not len(measured):
+            return None
+        group = int(measured[0])
+        lever = float(np.mean([part.levers[group] for part in self.parts]))
+        sizes = (noise.position, noise.orientation)
+        above = lever * noise.reading > _SENSORS_ONLY * sizes[group]
+        return (group, _SENSOR / lever) if above else None
+
     def variances(self, beforehand: Beforehand) -> Array:
         """Return the likeliest variances of groups, none below zero, relative, shape (3,)."""
         information, moments = self.information(beforehand)
@@ -119,19 +145,26 @@ class Beforehand:
     """Whether readings may be exact."""
     noisy: bool
     """Whether they are not."""
+    sizes: Array = field(default_factory=lambda: np.ones(3))
+    """Standard deviations to which variances are relative, [m], [rad] and that of readings."""
+    tie: tuple[int, float] | None = None
+    """The group to whose noise that of readings is tied, and by which factor."""
 
     @classmethod
-    def of(cls, noise: Noise, unit: Noise, *, exact: bool) -> Beforehand:
+    def of(
+        cls, noise: Noise, unit: Noise, *, exact: bool, tie: tuple[int, float] | None = None
+    ) -> Beforehand:
         """Return what is assumed beside some noise.
 
         Args:
             noise: The noise.
             unit: Standard deviations that are assumed to be alike.
             exact: Whether readings may be exact.
+            tie: See the field.
         """
         sizes = np.array([noise.position, noise.orientation, noise.reading or unit.reading])
         units = np.array([unit.position, unit.orientation, unit.reading])
-        return cls((sizes / units) ** 2, exact, noise.reading > 0.0)
+        return cls((sizes / units) ** 2, exact, noise.reading > 0.0, sizes, tie)
 
     def information(self, scale: float) -> Array:
         """Return the information on relative variances, shape (3, 3).
@@ -142,6 +175,11 @@ class Beforehand:
         largest = self.ratio[: 3 if self.noisy else 2].max() * max(scale, 1e-300)
         contrasts = np.array([[1.0, -1.0, 0.0], [0.0 if self.exact else -1.0, 0.0, 1.0]])
         rows = contrasts * self.ratio / (_BEFOREHAND * largest)
+        if self.tie is not None:
+            group, factor = self.tie
+            share = (factor * self.sizes[group] / self.sizes[_R]) ** 2
+            rows[1] = (np.eye(3)[_R] - share * np.eye(3)[group]) * self.ratio[_R]
+            rows[1] /= _TIED * largest
         return np.asarray(rows.T @ rows)
 
 
@@ -208,6 +246,7 @@ def _normal(fit: Fit, problem: Problem, readings: float) -> VarianceEquations:
     legs = replace(legs, sigma=np.full_like(legs.sigma, readings))
     by_reading = np.zeros((*linear.conditions.shape, n_readings))
     by_reading[:, : legs.n_rows] = legs.noise_root(linear.demands)[:, :, :n_readings]
+    levers = _levers(problem, linear, by_reading) / readings
     by_reading = linear.white(by_reading)
     W = linear.white.by_noise[:, :, n_readings : len(problem.quantities)]
     units = list(problem.quantities.values())[n_readings:]
@@ -238,4 +277,15 @@ def _normal(fit: Fit, problem: Problem, readings: float) -> VarianceEquations:
     q = np.array([float((np.einsum("nmk,nm->nk", part, white) ** 2).sum()) for part in U])
     spread = [[over_rows(a, b) - A @ B for b, B in pairs] for a, A in pairs]
     by_unknown = normal.orthonormal(fit.unknowns.map).T
-    return VarianceEquations(F, q, normal.left, np.array(P), np.array(spread), by_unknown)
+    return VarianceEquations(F, q, normal.left, np.array(P), np.array(spread), by_unknown, levers)
+
+
+def _levers(problem: Problem, linear: Linear, by_reading: Array) -> Array:
+    """Return how far readings move coordinates of the platform, [m] and [rad], shape (2,)."""
+    if not problem.latent:
+        return np.full(2, np.nan)
+    n_legs, units = problem.leg_block.n_rows, np.array(problem.platform.units)
+    moved = np.linalg.pinv(linear.by_pose[:, :n_legs]) @ by_reading[:, :n_legs]
+    squares = np.median((moved**2).sum(axis=2), axis=0)
+    means = [squares[units == unit].mean() if unit in units else np.nan for unit in ("m", "rad")]
+    return np.sqrt(means)
