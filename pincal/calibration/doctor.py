@@ -1,14 +1,14 @@
 """The doctor: faults of measurements put right one by one, and the calibration that then works.
 
-As measured; with what explains the misfit put right; in an unknown frame, of an unknown target too,
-faults put right there as well; of a machine known roughly; each of these also without rows that do
-not fit. A remedy works if its search converges and nothing contradicts it, rows held out and runs
-included: as ``pincal calibrate`` has it.
+As measured; with what explains the misfit put right; each of these without rows that do not fit;
+the same in an unknown frame, and of an unknown target too; of a machine known roughly. A remedy
+works if its search converges and nothing contradicts it, rows held out and runs included: as
+``pincal calibrate`` has it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from pincal.blas import on_one_thread
@@ -35,6 +35,8 @@ class Remedy:
     """None if calibration refused."""
     trouble: str
     """Why it was refused; empty if it was not."""
+    whatever_the_loss: bool = False
+    """Whether it was refused for what is so in most rows."""
 
     @property
     def works(self) -> bool:
@@ -64,38 +66,36 @@ def remedies(calibration: Calibration) -> Iterator[Remedy]:
     Args:
         calibration: Measurements and options as the user has them.
     """
-    for alternatives in _stages(calibration):
-        tried = [
-            remedy for findings, given in alternatives for remedy in _attempts(findings, given)
-        ]
-        yield from tried
-        if any(one.works for one in tried):
+    setup = calibration.options.setup
+    for known in (setup, *_wider(setup)):
+        given = calibration.with_options(setup=known)
+        first = _attempt((), given)
+        yield first
+        if first.works:
             return
-
-
-def _attempts(findings: tuple[Finding, ...], calibration: Calibration) -> list[Remedy]:
-    """Return what a calibration gives, and without the rows that do not fit if it fails."""
-    first = _attempt(findings, calibration)
-    lost = first.result is not None and not first.result.converged
-    if first.works or lost or calibration.options.loss != "none":
-        return [first]
-    fewer = _attempt(findings, calibration.with_options(loss="reject"))
-    use = fewer.result is not None and _left_out(fewer.result) <= _FEW
-    return [first, fewer] if use else [first]
-
-
-def _stages(
-    calibration: Calibration,
-) -> Iterator[Sequence[tuple[tuple[Finding, ...], Calibration]]]:
-    """Yield calibrations with what was put right in them; those of a list explain alike."""
-    yield [((), calibration)]
-    yield _explained(calibration)
-    for setup in _wider(calibration.options.setup):
-        wider = calibration.with_options(setup=setup)
-        yield [((), wider)]
-        yield _explained(wider)
+        tried = [_attempt(*alternative) for alternative in _explained(given)]
+        yield from tried
+        if any(remedy.works for remedy in tried):
+            return
+        tried = [fewer for remedy in (first, *tried) if (fewer := _rejecting(remedy))]
+        yield from tried
+        if any(remedy.works for remedy in tried):
+            return
     if not calibration.options.rough:
-        yield [((), calibration.with_options(rough=True))]
+        rough = _attempt((), calibration.with_options(rough=True))
+        yield rough
+        if not rough.works and (fewer := _rejecting(rough)):
+            yield fewer
+
+
+def _rejecting(remedy: Remedy) -> Remedy | None:
+    """Return what a remedy gives without rows that do not fit; None if there are many, or none."""
+    lost = remedy.result is not None and not remedy.result.converged
+    if remedy.whatever_the_loss or lost or remedy.calibration.options.loss != "none":
+        return None
+    fewer = _attempt(remedy.findings, remedy.calibration.with_options(loss="reject"))
+    use = fewer.result is not None and _left_out(fewer.result) <= _FEW
+    return fewer if use else None
 
 
 def _explained(calibration: Calibration) -> list[tuple[tuple[Finding, ...], Calibration]]:
@@ -125,7 +125,8 @@ def _attempt(findings: tuple[Finding, ...], calibration: Calibration) -> Remedy:
     try:
         result, _ = run(calibration)
     except PincalError as error:
-        return Remedy(findings, calibration, None, str(error))
+        refused = isinstance(error, MeasurementError)
+        return Remedy(findings, calibration, None, str(error), refused)
     try:
         if result.noise is not None:  # an estimate may be as large as what went wrong
             check_noise(calibration.mechanism, result.noise)
