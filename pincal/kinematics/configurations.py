@@ -56,19 +56,14 @@ def as_plan(mechanism: Mechanism, planned: Plan | Array) -> Plan:
     """Return a plan, with readings only where they do not follow from poses; or of poses."""
     if not isinstance(planned, Plan):
         return Plan(numbers_of(planned, "poses", MechanismError))
-    return Plan(
-        planned.poses,
-        planned.sets,
-        planned.readings if mechanism.by_readings else None,
-        influences=planned.influences,
-    )
+    readings = planned.readings if mechanism.by_readings else None
+    return Plan(planned.poses, planned.sets, readings, influences=planned.influences)
 
 
 def planned_influences(mechanism: Mechanism, plan: Plan) -> Array | None:
-    """Return the columns of influences of planned configurations, commanded in their order.
+    """Return the columns of influences of configurations commanded in order, (N, n_influences).
 
-    Shape (N, n_influences); None if no term depends on any. Poses are where the platform is, in the
-    base frame; NaN where that is not known.
+    None if no term depends on any. Poses, in the base frame, may be NaN.
     """
     if not mechanism.influences:
         return None
@@ -103,17 +98,15 @@ def joints_at(mechanism: Mechanism, planned: Plan | Array) -> InverseSolution:
     plan = as_plan(mechanism, planned)
     if plan.readings is None:
         return inverse(mechanism, plan.poses, planned_influences(mechanism, plan))
-    matrices = mechanism.platform.matrices(plan.poses)
+    matrices, influences = mechanism.platform.matrices(plan.poses), influences_of(mechanism, plan)
     joints, reached = {}, []
-    influences = influences_of(mechanism, plan)
     for index, leg in enumerate(nominal_legs(mechanism)):
         known = mechanism.known(index, plan.readings, influences)
         closed, positions = nearest_closure((leg,), matrices, (known,))
-        near = np.abs(closed.gap).max(axis=1) <= _CLOSES * leg.size
-        joints[leg.leg.name] = np.where(near[:, None], positions[:, : len(leg.leg.moving)], np.nan)
-        reached.append(near)
-    every = np.stack(reached, axis=1)
-    return InverseSolution(joints, plan.readings, every, mechanism.leg_names)
+        reached.append(np.abs(closed.gap).max(axis=1) <= _CLOSES * leg.size)
+        positions = positions[:, : len(leg.leg.moving)]
+        joints[leg.leg.name] = np.where(reached[-1][:, None], positions, np.nan)
+    return InverseSolution(joints, plan.readings, np.stack(reached, axis=1), mechanism.leg_names)
 
 
 def legs_at(mechanism: Mechanism, planned: Plan | Array) -> Legs:
@@ -134,19 +127,16 @@ def legs_at(mechanism: Mechanism, planned: Plan | Array) -> Legs:
         solved = solution.converged
         poses, readings = solution.poses[solved], readings[solved]
     demands = leg_demands(mechanism, replace(plan.rows(solved), poses=poses, readings=readings))
-    pose = np.concatenate([row.pose for row in demands], axis=1)
-    parameter = block_diagonal([row.parameter for row in demands])
-    reading = block_diagonal([row.reading for row in demands])
-    ok = np.isfinite(pose).all(axis=(1, 2)) & np.isfinite(parameter).all(axis=(1, 2))
+    rows = (
+        block_diagonal([row.parameter for row in demands]),
+        np.concatenate([row.pose for row in demands], axis=1),
+        block_diagonal([row.reading for row in demands]),
+    )
+    ok = np.isfinite(rows[0]).all(axis=(1, 2)) & np.isfinite(rows[1]).all(axis=(1, 2))
     reached = np.zeros(len(solved), dtype=bool)
     reached[np.flatnonzero(solved)[ok]] = True
     return Legs(
-        poses[ok],
-        None if readings is None else readings[ok],
-        reached,
-        parameter[ok],
-        pose[ok],
-        reading[ok],
+        poses[ok], None if readings is None else readings[ok], reached, *(row[ok] for row in rows)
     )
 
 
@@ -155,9 +145,7 @@ def leg_demands(mechanism: Mechanism, plan: Plan) -> list[Demand]:
     columns, legs = planned_influences(mechanism, plan), nominal_legs(mechanism)
     readings = influences = None
     if plan.readings is not None:
-        readings = [
-            plan.readings[:, columns_of_leg] for columns_of_leg in mechanism.reading_columns
-        ]
+        readings = [plan.readings[:, places] for places in mechanism.reading_columns]
     if columns is not None:
         influences = [mechanism.influences_at(index, columns) for index in range(len(legs))]
     placed = mechanism.platform.matrices(plan.poses)
@@ -184,12 +172,7 @@ def command(mechanism: Mechanism, planned: Plan | Array) -> tuple[Array, Array, 
 
 
 def check_reached(mechanism: Mechanism, planned: Plan | Array, name: str = "the plan") -> None:
-    """Raise if no planned configuration is in reach.
-
-    Args:
-        mechanism: The mechanism.
-        planned: Configurations.
-        name: Of the plan, for the message.
+    """Raise if no configuration of a plan, named for the message, is in reach.
 
     Raises:
         MeasurementError: none is.
@@ -205,33 +188,31 @@ def check_reached(mechanism: Mechanism, planned: Plan | Array, name: str = "the 
 def nearby(
     mechanism: Mechanism, planned: Plan | Array, count: int, size: float, seed: int = 0
 ) -> Plan:
-    """Return generic configurations about planned ones, as many rounds of them as give ``count``.
+    """Return generic configurations about planned ones, at least ``count``.
 
-    What moves the platform as frames would at a few poses need not do so elsewhere.
-
-    Args:
-        mechanism: The mechanism.
-        planned: Configurations that it reaches.
-        count: Least number of configurations.
-        size: Of the mechanism, [m].
-        seed: Of the draws.
+    What moves the platform as frames would at a few poses need not do so elsewhere. The planned
+    ones are in reach; the mechanism has a size [m].
     """
-    plan, platform = as_plan(mechanism, planned), mechanism.platform
-    rng = np.random.default_rng(seed)
+    plan, platform, rng = (
+        as_plan(mechanism, planned),
+        mechanism.platform,
+        np.random.default_rng(seed),
+    )
     rounds = -(-count // max(len(plan.poses), 1))
     poses = np.tile(plan.poses, (rounds, 1))
     influences = {
         name: _generic(np.tile(values, rounds), rng) for name, values in plan.influences.items()
     }
+
+    def drawn(units: tuple[str, ...]) -> Array:
+        scale = _ABOUT * np.array([size if unit == "m" else 1.0 for unit in units])
+        return scale * rng.standard_normal((len(poses), len(units)))
+
     if plan.readings is not None:
-        units = mechanism.reading_units
-        readings = np.tile(plan.readings, (rounds, 1))
-        readings = readings + _scale(units, size) * rng.standard_normal(readings.shape)
+        readings = np.tile(plan.readings, (rounds, 1)) + drawn(mechanism.reading_units)
         return Plan(poses, readings=readings, influences=influences)
-    matrices = platform.matrices(poses)
-    twists = _scale(platform.units, size) * rng.standard_normal(poses.shape)
-    moved = platform.from_matrices(platform.displaced(matrices, twists))
-    return Plan(moved, influences=influences)
+    moved = platform.displaced(platform.matrices(poses), drawn(platform.units))
+    return Plan(platform.from_matrices(moved), influences=influences)
 
 
 def _generic(values: Array, rng: np.random.Generator) -> Array:
@@ -241,7 +222,3 @@ def _generic(values: Array, rng: np.random.Generator) -> Array:
         return values
     filled = np.where(np.isfinite(values), values, known[0])
     return filled + (np.ptp(known) or 1.0) * rng.standard_normal(len(values))
-
-
-def _scale(units: tuple[str, ...], size: float) -> Array:
-    return _ABOUT * np.array([size if unit == "m" else 1.0 for unit in units])

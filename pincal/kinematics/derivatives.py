@@ -47,19 +47,11 @@ class Demand:
 
         They are −(∂e/∂ψ)⁻¹ times those of e, of least squares where e has more rows than readings.
         """
-
-        def turned(rows: Array) -> Array:
-            return -least_squares(self.reading, rows)
-
-        by_reading = -np.broadcast_to(
-            np.eye(self.reading.shape[2]), (len(self.value), *2 * self.reading.shape[2:])
-        )
-        return Demand(
-            turned(self.value[:, :, None])[:, :, 0],
-            turned(self.parameter),
-            turned(self.pose),
-            by_reading,
-        )
+        rows = (self.value[:, :, None], self.parameter, self.pose)
+        value, parameter, pose = (-least_squares(self.reading, row) for row in rows)
+        identity = np.eye(self.reading.shape[2])
+        by_reading = np.broadcast_to(-identity, (len(value), *identity.shape))
+        return Demand(value[:, :, 0], parameter, pose, by_reading)
 
 
 def demands(legs: Sequence[LegClosure], closure: Closure, known: Sequence[Array]) -> list[Demand]:
@@ -99,13 +91,12 @@ def _closed(
     readings: Sequence[Array] | None = None,
     influences: Sequence[Array] | None = None,
 ) -> tuple[Closure, list[Array], Mask]:
-    """Return closures of alike legs, what is known of each, and which rows are reached.
+    """Return closures of alike legs, readings and influences of each, and which rows are reached.
 
-    Known are readings, and influences if there are any; rows of each leg stand below those of the
-    one before.
+    Rows of each leg stand below those of the one before.
     """
     rows = rows_of_each(len(legs), len(matrices))
-    leg_influences = influences or [np.zeros((len(matrices[leg_rows]), 0)) for leg_rows in rows]
+    leg_influences = influences or [np.zeros((len(matrices) // len(legs), 0))] * len(legs)
     if readings is not None:
         known = [np.hstack(pair) for pair in zip(readings, leg_influences, strict=True)]
         closure, _ = nearest_closure(legs, matrices, known)
@@ -135,49 +126,27 @@ def leg_demands_at(
     forms = [(leg.form, len(poses)) for leg, poses in zip(legs, placed, strict=True)]
     demand_of: dict[int, Demand] = {}
     for places in grouped(forms, max(map(len, placed))):
-        columns = (
-            [values[i] for i in places] if values else None for values in (readings, influences)
-        )
-        group_demands = _demands_of(
-            [legs[i] for i in places], [placed[i] for i in places], *columns
-        )
-        demand_of |= zip(places, group_demands, strict=True)
+        group, parts = [legs[i] for i in places], []
+        for rows in list(chunks(len(placed[places[0]]))) or [slice(0)]:
+            matrices = stacked([placed[i][rows] for i in places])
+            columns = (
+                [values[i][rows] for i in places] if values else None
+                for values in (readings, influences)
+            )
+            closure, known, reached = _closed(group, matrices, *columns)
+            parts.append(demands(group, closure, known))
+            for part, at_rows in zip(parts[-1], np.split(reached, len(group)), strict=True):
+                if not at_rows.all():
+                    for values in vars(part).values():
+                        values[~at_rows] = np.nan
+        demand_of |= zip(places, map(_joined, zip(*parts, strict=True)), strict=True)
     return [demand_of[place] for place in range(len(legs))]
 
 
-def _demands_of(
-    legs: Sequence[LegClosure],
-    placed: Sequence[Matrices],
-    readings: Sequence[Array] | None,
-    influences: Sequence[Array] | None,
-) -> list[Demand]:
-    """Return what alike legs demand at as many poses each: see ``leg_demands_at``."""
-    count = len(placed[0])
-    complete: list[Demand] = []
-    for rows in chunks(count) if count else [slice(0)]:
-        matrices = stacked([leg_part[rows] for leg_part in placed])
-        columns = (
-            [leg_part[rows] for leg_part in leg_rows] if leg_rows else None
-            for leg_rows in (readings, influences)
-        )
-        closure, known, reached = _closed(legs, matrices, *columns)
-        parts = demands(legs, closure, known)
-        for leg_part, leg_rows in zip(parts, rows_of_each(len(legs), len(matrices)), strict=True):
-            if not reached[leg_rows].all():
-                for values in vars(leg_part).values():
-                    values[~reached[leg_rows]] = np.nan
-        if len(parts[0].value) == count:
-            return parts
-        complete = complete or [_room(leg_part, count) for leg_part in parts]
-        for leg_part, part in zip(complete, parts, strict=True):
-            for target, values in zip(vars(leg_part).values(), vars(part).values(), strict=True):
-                target[rows] = values
-    return complete
-
-
-def _room(part: Demand, count: int) -> Demand:
-    """Return room for what is demanded at so many poses, as at some."""
-    return Demand(*(np.empty((count, *values.shape[1:])) for values in vars(part).values()))
+def _joined(parts: Sequence[Demand]) -> Demand:
+    """Return demands of a leg below each other."""
+    columns = zip(*(vars(part).values() for part in parts), strict=True)
+    return parts[0] if len(parts) == 1 else Demand(*map(np.concatenate, columns))
 
 
 def leg_demand(
@@ -188,20 +157,11 @@ def leg_demand(
     readings: Array | None = None,
     influences: Array | None = None,
 ) -> Demand:
-    """Return what a leg demands at poses.
+    """Return what a leg demands at N poses, nominal parameters unless others are given.
 
-    With readings of inverse kinematics its value is zero, and all is NaN out of reach; with others
-    passive joints are where the leg closes best.
-
-    Args:
-        mechanism: The mechanism.
-        leg: Name of the leg.
-        poses: N platform poses.
-        parameters: Parameter values of the leg, shape (n_params,); nominal if not given.
-        readings: Of the leg at these poses, shape (N, n_active); those of inverse kinematics if
-            not given.
-        influences: Of the leg at these poses, shape (N, n_influences); at their reference if not
-            given.
+    With readings of inverse kinematics its value is zero, and all is NaN out of reach; with
+    readings given, shape (N, n_active), passive joints are where the leg closes best. Influences
+    have shape (N, n_influences); they are at their reference if not given.
 
     Raises:
         MechanismError: unknown leg; poses of a wrong shape, or not finite.

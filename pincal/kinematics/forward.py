@@ -22,7 +22,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from pincal.blas import on_one_thread
 from pincal.errors import MechanismError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
-from pincal.kinematics.batches import chunks, least_squares, product, repeated
+from pincal.kinematics.batches import chunks, least_squares, lengths, product, repeated
 from pincal.kinematics.closed_forms import is_line
 from pincal.kinematics.closing import (
     by_leg,
@@ -68,16 +68,20 @@ class MovingLegs:
         flat = joints.reshape(-1, joints.shape[2])
         return evaluate(self.legs, flat, repeated(matrices, len(self.legs)))
 
-    def in_mode(self, matrices: Array, rows: Index) -> Closure:
+    def in_mode(self, closure: Closure) -> Mask:
+        """Return where each leg is in its working mode, shape (L, N)."""
+        return in_home_modes(self.legs, closure).reshape(len(self.legs), -1)
+
+    def at(self, matrices: Array, rows: Index) -> Closure:
         """Return their closures at rows; lines that a step turned over are put back in mode."""
         closure = self.closed(matrices[rows], self.joints[:, rows])
-        turned_over = ~in_home_modes(self.legs, closure).reshape(len(self.legs), -1)
-        turned = [i for i, leg in enumerate(self.legs) if turned_over[i].any() and is_line(leg)]
-        for i in turned:
+        turned_over = ~self.in_mode(closure)
+        lines = [i for i, leg in enumerate(self.legs) if turned_over[i].any() and is_line(leg)]
+        for i in lines:
             lost, passive = rows[turned_over[i]], self.legs[i].leg.passive
             started = start_joints(self.legs[i], matrices[lost])[0]
             self.joints[i, lost[:, None], passive] = started[:, passive]
-        return self.closed(matrices[rows], self.joints[:, rows]) if turned else closure
+        return self.closed(matrices[rows], self.joints[:, rows]) if lines else closure
 
     def follow(self, closure: Closure, rows: Index, twists: Array) -> Array:
         """Let passive joints at rows follow twists of the poses, (n, dof); return how far, (n,)."""
@@ -98,28 +102,20 @@ class MovingLegs:
         gaps = np.abs(closure.gap - contradiction).max(axis=1).reshape(count, -1)
         return np.asarray((gaps / np.array([[leg.size] for leg in self.legs])).max(axis=0))
 
-    def all_in_mode(self, closure: Closure) -> Mask:
-        """Return where all legs are in their working modes, shape (N,)."""
-        modes = in_home_modes(self.legs, closure).reshape(len(self.legs), -1)
-        return np.asarray(modes.all(axis=0))
-
 
 def moving_legs(
     legs: Sequence[LegClosure], known: Sequence[Array], matrices: Array
 ) -> list[MovingLegs]:
     """Return legs with joints as readings say, passive ones near those that close them at poses.
 
-    Args:
-        legs: All legs, at their parameter values.
-        known: Of each leg readings, then influences, shape (N, n_active [+ n_influences]).
-        matrices: Poses ``T_base_platform``, shape (N, 4, 4).
+    Known are of each leg readings, then influences, shape (N, n_active [+ n_influences]).
     """
     groups = []
     for places in grouped([leg.form for leg in legs], len(matrices)):
-        group_legs = [legs[place] for place in places]
+        group = [legs[place] for place in places]
         group_known = [known[place] for place in places]
-        near = zip(group_legs, _joints_near(group_legs, matrices), group_known, strict=True)
-        groups.append(MovingLegs(places, group_legs, np.stack([driven(*start) for start in near])))
+        near = zip(group, _joints_near(group, matrices), group_known, strict=True)
+        groups.append(MovingLegs(places, group, np.stack([driven(*start) for start in near])))
     return groups
 
 
@@ -242,20 +238,18 @@ def _from_elsewhere(
     mechanism: Mechanism, readings: Array, columns: Array | None, solution: ForwardSolution
 ) -> ForwardSolution:
     """Return forward kinematics with rows searched again that were not found from home."""
+    poses, gap = solution.poses, solution.gap
     reasons = np.array(solution.reasons, dtype=object)
     for place in range(_STARTS):
         lost = np.flatnonzero(reasons != "")
         if not len(lost):
             break
-        known, poses = _around_home(mechanism)
-        near = mechanism.platform.transforms(poses[_nearest(known, readings[lost], place)])
-        influences = None if columns is None else columns[lost]
-        retried = _forward(mechanism, readings[lost], near, influences)
-        solution.poses[lost], solution.gap[lost], reasons[lost] = (
-            retried.poses,
-            retried.gap,
-            retried.reasons,
+        known, known_poses = _around_home(mechanism)
+        near = mechanism.platform.transforms(known_poses[_nearest(known, readings[lost], place)])
+        again = _forward(
+            mechanism, readings[lost], near, None if columns is None else columns[lost]
         )
+        poses[lost], gap[lost], reasons[lost] = again.poses, again.gap, again.reasons
     return replace(solution, converged=reasons == "", reasons=tuple(reasons))
 
 
@@ -289,15 +283,13 @@ def _around_home(mechanism: Mechanism) -> tuple[Array, Array]:
 
 def reading_range(mechanism: Mechanism) -> tuple[Array, Array, Array]:
     """Return least and largest readings of the active joints' limits, and home's, (n,) each."""
-    least, largest, home = [], [], []
+    ends = []
     for closure in nominal_legs(mechanism):
         leg = closure.leg
         joints = np.array([*joint_range(leg), leg.home])[:, leg.active]
-        read = sensor_law(closure).reading(joints)
-        least.append(read[:2].min(axis=0))
-        largest.append(read[:2].max(axis=0))
-        home.append(read[2])
-    return np.concatenate(least), np.concatenate(largest), np.concatenate(home)
+        ends.append(sensor_law(closure).reading(joints))
+    low, high, home = np.concatenate(ends, axis=1)
+    return np.minimum(low, high), np.maximum(low, high), home
 
 
 def _forward(
@@ -308,18 +300,15 @@ def _forward(
     known = [mechanism.known(leg, readings, columns) for leg in range(len(legs))]
     poses = np.full((len(readings), platform.dof), np.nan)
     gap = np.full((len(readings), len(legs)), np.nan)
-    reasons: list[str] = []
-    iterations = 0
+    reasons, iterations = np.full(len(readings), "", dtype=object), 0
     for rows in chunks(len(readings)):
-        chunk = [columns_of_leg[rows] for columns_of_leg in known]
-        matrices, chunk_reasons, chunk_gaps, steps = _solve(mechanism, legs, chunk, guess[rows])
-        solved = np.array([not reason for reason in chunk_reasons], dtype=bool)
+        at_rows = [columns_of_leg[rows] for columns_of_leg in known]
+        matrices, reasons[rows], gaps, steps = _solve(mechanism, legs, at_rows, guess[rows])
+        solved = reasons[rows] == ""
         poses[rows][solved] = platform.from_matrices(matrices[solved])
-        gap[rows][solved] = chunk_gaps[solved]
-        reasons += chunk_reasons
+        gap[rows][solved] = gaps[solved]
         iterations = max(iterations, steps)
-    converged = np.array([not reason for reason in reasons], dtype=bool)
-    return ForwardSolution(poses, converged, gap, iterations, tuple(reasons))
+    return ForwardSolution(poses, reasons == "", gap, iterations, tuple(reasons))
 
 
 def with_loads(
@@ -342,11 +331,10 @@ def with_loads(
         return influences
     drawing, known = mechanism.drawing, np.isfinite(readings).all(axis=1)
     legs = nominal_legs(drawing)
-    by_leg = [drawing.known(index, readings[known]) for index in range(len(legs))]
-    matrices = placed_by_arm(legs, by_leg)
+    matrices = placed_by_arm(legs, [drawing.known(i, readings[known]) for i in range(len(legs))])
     if matrices is None:
-        coordinates = np.full((len(readings), drawing.platform.dof), np.nan)
-        coordinates = coordinates if poses is None else poses.copy()
+        nowhere = np.full((len(readings), drawing.platform.dof), np.nan)
+        coordinates = nowhere if poses is None else poses.copy()
         lost = known & ~np.isfinite(coordinates).all(axis=1)
         if lost.any():
             coordinates[lost] = _reached(drawing, readings[lost])
@@ -354,9 +342,9 @@ def with_loads(
     loads = gravity_loads(drawing, readings[known], matrices)
     completed = influences.copy()
     for name in mechanism.loaded:
-        column = mechanism.influences.index(name)
-        column_values, computed = completed[known, column], loads[name.removeprefix(f"{LOAD}_")]
-        completed[known, column] = np.where(np.isnan(column_values), computed, column_values)
+        cells = known, mechanism.influences.index(name)
+        load = loads[name.removeprefix(f"{LOAD}_")]
+        completed[cells] = np.where(np.isnan(completed[cells]), load, completed[cells])
     return completed
 
 
@@ -388,78 +376,66 @@ def _solve(
     """
     matrices = placed_by_arm(legs, known)
     matrices = guess.as_matrix().copy() if matrices is None else matrices
-    groups = moving_legs(legs, known, matrices)
-    size = max(leg.size for leg in legs)
-    open_ = np.ones(len(matrices), dtype=bool)
-    steps = 0
-    while open_.any() and steps < _NEWTON.steps:
+    groups, size = moving_legs(legs, known, matrices), max(leg.size for leg in legs)
+    moving, steps = np.ones(len(matrices), dtype=bool), 0
+    while moving.any() and steps < _NEWTON.steps:
         steps += 1
-        rows = np.flatnonzero(open_)
-        closures = [group.in_mode(matrices, rows) for group in groups]
+        rows = np.flatnonzero(moving)
+        closures = [group.at(matrices, rows) for group in groups]
         twist = _platform_step(groups, closures)
-        linear, angular = _split(mechanism, twist)
-        length = np.maximum(np.linalg.norm(linear, axis=1) / size, np.linalg.norm(angular, axis=1))
+        full = np.zeros((len(rows), 6))
+        full[:, list(mechanism.platform.twist_rows)] = twist
+        length = np.maximum(lengths(full[:, :3]) / size, lengths(full[:, 3:]))
         with np.errstate(divide="ignore", invalid="ignore"):
             shorten = np.minimum(1.0, _NEWTON.largest / length)[:, None]
         moved = length
         for group, closure in zip(groups, closures, strict=True):
             moved = np.maximum(moved, group.follow(closure, rows, shorten * twist))
         finite = np.isfinite(moved)
-        good = rows[finite]
-        matrices[good, :3, 3] += (shorten * linear)[finite]
-        turn = Rotation.from_rotvec((shorten * angular)[finite]).as_matrix()
+        good, full = rows[finite], (shorten * full)[finite]
+        matrices[good, :3, 3] += full[:, :3]
+        turn = Rotation.from_rotvec(full[:, 3:]).as_matrix()
         matrices[good, :3, :3] = turn @ matrices[good, :3, :3]
-        open_[rows] = finite & (moved > _NEWTON.small)
-    return matrices, *_reasons(mechanism, groups, matrices, open_), steps
+        moving[rows] = finite & (moved > _NEWTON.small)
+    return matrices, *_reasons(mechanism, groups, matrices, moving), steps
 
 
 def placed_by_arm(legs: Sequence[LegClosure], known: Sequence[Array]) -> Array | None:
     """Return the poses that follow from a leg whose every joint is read, shape (N, 4, 4).
 
-    None if there is no such leg, or it ends in a point. Known are, leg by leg, readings and
-    influences.
+    None if there is no such leg. Known are, leg by leg, readings and influences.
     """
-    for leg, leg_known in zip(legs, known, strict=True):
-        if leg.leg.is_arm:
-            return arm_poses(leg, leg_known)
-    return None
+    arms = (pair for pair in zip(legs, known, strict=True) if pair[0].leg.is_arm)
+    return next((arm_poses(*pair) for pair in arms), None)
 
 
 def _platform_step(groups: Sequence[MovingLegs], closures: Sequence[Closure]) -> Array:
     """Return the twist that closes all legs to first order, shape (N, dof)."""
-    closed = [(legs.places, closure) for legs, closure in zip(groups, closures, strict=True)]
+    closed = [(group.places, closure) for group, closure in zip(groups, closures, strict=True)]
     lines = np.concatenate(by_leg(closed, lambda legs: legs.constraint_by_pose), axis=1)
     gaps = np.concatenate(by_leg(closed, lambda legs: legs.constraint), axis=1)
     return -least_squares(lines, gaps[:, :, None])[:, :, 0]
 
 
-def _split(mechanism: Mechanism, twist: Array) -> tuple[Array, Array]:
-    """Return linear and angular parts, each of shape (N, 3), of twists in platform freedoms."""
-    full = np.zeros((len(twist), 6))
-    full[:, list(mechanism.platform.twist_rows)] = twist
-    return full[:, :3], full[:, 3:]
-
-
 def _reasons(
-    mechanism: Mechanism, groups: Sequence[MovingLegs], matrices: Array, open_: Mask
+    mechanism: Mechanism, groups: Sequence[MovingLegs], matrices: Array, moving: Mask
 ) -> tuple[list[str], Array]:
     """Return why each row has no pose, an empty string where it has one, and the legs' gaps."""
     finite: Mask = np.asarray(np.isfinite(matrices).all(axis=(1, 2)))
     for group in groups:
-        finite = np.asarray(finite & np.isfinite(group.joints).all(axis=(0, 2)))
-    closures = []
+        finite &= np.isfinite(group.joints).all(axis=(0, 2))
+    closed = []
     for group in groups:
         homes = np.stack([leg.deformed(leg.leg.home[None]) for leg in group.legs])
-        closures.append(group.closed(matrices, np.where(finite[:, None], group.joints, homes)))
-    closes, in_mode = finite & ~open_, np.ones(len(finite), dtype=bool)
-    twist = _platform_step(groups, closures)
-    for group, closure in zip(groups, closures, strict=True):
-        closes &= group.closable(closure, twist) <= _NEWTON.closed
-        in_mode &= group.all_in_mode(closure)
-    closed = [(legs.places, closure) for legs, closure in zip(groups, closures, strict=True)]
+        joints = np.where(finite[:, None], group.joints, homes)
+        closed.append((group.places, group.closed(matrices, joints)))
+    twist = _platform_step(groups, [closure for _, closure in closed])
     lines = by_leg(closed, lambda legs: legs.constraint_by_pose)
-    in_mode &= platform_margin(mechanism, lines) > 0.0
+    gaps = np.stack(by_leg(closed, lambda legs: lengths(legs.gap)), axis=1)
+    closes = finite & ~moving & (gaps.max(axis=1) <= ROUGH * largest_size(mechanism.legs))
+    in_mode = platform_margin(mechanism, lines) > 0.0
+    for group, (_, closure) in zip(groups, closed, strict=True):
+        closes &= group.closable(closure, twist) <= _NEWTON.closed
+        in_mode &= group.in_mode(closure).all(axis=0)
     reasons = np.where(in_mode, "", "left the working or assembly mode of home")
-    gaps = np.stack(by_leg(closed, lambda legs: np.linalg.norm(legs.gap, axis=1)), axis=1)
-    closes &= gaps.max(axis=1) <= ROUGH * largest_size(mechanism.legs)
-    return [str(r) for r in np.where(closes, reasons, "no pose found that closes all legs")], gaps
+    return np.where(closes, reasons, "no pose found that closes all legs").tolist(), gaps

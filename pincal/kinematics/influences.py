@@ -41,23 +41,23 @@ def influence_columns(
     Raises:
         MeasurementError: a column on which nothing depends, or of a wrong shape.
     """
+    names = mechanism.influences
     if isinstance(measured, np.ndarray):
-        shape = (count, len(mechanism.influences))
-        return array_of(measured, shape, "influences", MeasurementError)
+        return array_of(measured, (count, len(names)), "influences", MeasurementError)
     measured = measured or {}
-    if unknown := [name for name in measured if name not in mechanism.influences]:
-        known = ", ".join(mechanism.influences) or "none"
+    if unknown := [name for name in measured if name not in names]:
         raise MeasurementError(
-            f"no term of {mechanism.name!r} depends on {unknown[0]!r}; its influences: {known}"
+            f"no term of {mechanism.name!r} depends on {unknown[0]!r}; its influences: "
+            f"{', '.join(names) or 'none'}"
         )
-    if not mechanism.influences:
+    if not names:
         return None
-    columns = np.full((count, len(mechanism.influences)), np.nan)
-    for place, name in enumerate(mechanism.influences):
-        if name in measured:
-            values = np.asarray(measured[name])
-            values = np.full(count, values) if values.ndim == 0 else values
-            columns[:, place] = array_of(values, (count,), f"influence {name!r}", MeasurementError)
+    columns = np.full((count, len(names)), np.nan)
+    for name in measured:
+        values = np.asarray(measured[name])
+        values = np.full(count, values) if values.ndim == 0 else values
+        checked = array_of(values, (count,), f"influence {name!r}", MeasurementError)
+        columns[:, names.index(name)] = checked
     if np.isinf(columns).any():
         raise MeasurementError("an influence is infinite; expected numbers, or NaN where not known")
     return columns
@@ -66,13 +66,8 @@ def influence_columns(
 def influences_of(mechanism: Mechanism, plan: Plan, readings: Array | None = None) -> Array | None:
     """Return the columns of influences of a plan's or measurements' rows, in order of time.
 
-    Args:
-        mechanism: The mechanism.
-        plan: The rows, with the influences that were given.
-        readings: Of each row, shape (N, n_readings); those of the plan if not given.
-
-    Returns:
-        Shape (N, n_influences); None if no term depends on any.
+    Shape (N, n_influences); None if no term depends on any. Readings, shape (N, n_readings), are
+    those of the plan if not given.
     """
     measured = own_influences(mechanism, plan.influences)
     columns = influence_columns(mechanism, measured, len(plan))
@@ -112,29 +107,17 @@ def sides(readings: Array, runs: Sequence[str] | None = None) -> Array:
     if not len(read):
         return sides_of_rows
     noise = _STILL * float(np.ptp(readings[read]))
-    begins = [0]
-    if runs is not None:
-        names = np.array(runs)[read]
-        begins += (1 + np.flatnonzero(names[1:] != names[:-1])).tolist()
-    for rows in np.split(read, begins[1:]):
-        sides_of_rows[rows] = _sides_of_run(readings[rows].tolist(), noise)
+    names = np.array(runs)[read] if runs is not None else np.zeros(len(read))
+    for rows in np.split(read, 1 + np.flatnonzero(names[1:] != names[:-1])):
+        side, turned = np.nan, readings[rows[0]]  # from where it last turned by more than noise
+        for row in rows:
+            moved = readings[row] - turned
+            if abs(moved) > noise and not moved * side > 0.0:
+                side = float(np.sign(moved))
+            if moved * side > 0.0:
+                turned = readings[row]  # the farthest so far
+            sides_of_rows[row] = side
     return sides_of_rows
-
-
-def _sides_of_run(readings: Sequence[float], noise: float) -> list[float]:
-    """Return the sides of one run, what moves by more than the noise from where it last turned.
-
-    However finely rows follow a motion, it has the same sides.
-    """
-    side, turned, sides_of_run = np.nan, readings[0], []
-    for reading in readings:
-        moved = reading - turned
-        if abs(moved) > noise and not moved * side > 0.0:
-            side = float(np.sign(moved))
-        if moved * side > 0.0:
-            turned = reading  # the farthest so far
-        sides_of_run.append(side)
-    return sides_of_run
 
 
 def gravity_loads(mechanism: Mechanism, readings: Array, matrices: Array) -> dict[str, Array]:
@@ -150,20 +133,21 @@ def gravity_loads(mechanism: Mechanism, readings: Array, matrices: Array) -> dic
         matrices: Poses that belong to them, ``T_base_platform``, shape (N, 4, 4).
     """
     load = mechanism.load or Load()
-    gravity = np.array(load.gravity)
     legs = [
-        _held(held, matrices, mechanism.known(index, readings), gravity)
-        for index, held in enumerate(nominal_legs(mechanism))
+        _held(leg, matrices, mechanism.known(index, readings), np.array(load.gravity))
+        for index, leg in enumerate(nominal_legs(mechanism))
     ]
-    of_joints: dict[str, Array] = {}
-    of_parameters: dict[str, Array] = {}
-    forces = _carrying(legs, _weight(mechanism, load, matrices))
+    force = load.mass * np.array(load.gravity)
+    arms = matrices[:, :3, :3] @ np.array(load.centre)
+    wrench = np.concatenate((np.broadcast_to(force, arms.shape), np.cross(arms, force)), axis=1)
+    forces = _carrying(legs, wrench[:, list(mechanism.platform.twist_rows)])
+    loads: dict[str, Array] = {}
     for leg, held, mu in zip(mechanism.legs, legs, forces, strict=True):
-        of_joints |= zip(leg.reading_names, (held.joints + _along(held.drive, mu)).T, strict=True)
-        ids = (f"{leg.name}.{name}" for name in leg.parameter_names)
+        by_joint = held.joints + _along(held.drive, mu)
         by_parameter = held.parameters + _along(held.parameter, mu)
-        of_parameters |= zip(ids, by_parameter.T, strict=True)
-    return of_joints | of_parameters
+        ids = (f"{leg.name}.{name}" for name in leg.parameter_names)
+        loads |= zip((*leg.reading_names, *ids), (*by_joint.T, *by_parameter.T), strict=True)
+    return loads
 
 
 @dataclass(frozen=True)
@@ -230,14 +214,6 @@ def _carrying(legs: Sequence[_Held], weight: Array) -> list[Array]:
 def _along(rows: Array, force: Array) -> Array:
     """Return Aᵀ λ of rows (N, m, k) and a force (N, m), shape (N, k)."""
     return np.einsum("nmk,nm->nk", rows, force)
-
-
-def _weight(mechanism: Mechanism, load: Load, matrices: Array) -> Array:
-    """Return what the platform loses in height with each freedom, times weight, shape (N, dof)."""
-    force = load.mass * np.array(load.gravity)
-    arms = matrices[:, :3, :3] @ np.array(load.centre)
-    wrench = np.concatenate((np.broadcast_to(force, arms.shape), np.cross(arms, force)), axis=1)
-    return wrench[:, list(mechanism.platform.twist_rows)]
 
 
 def _links(leg: LegClosure, joints: Array, gravity: Array) -> Array:

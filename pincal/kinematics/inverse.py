@@ -41,9 +41,7 @@ class InverseSolution:
 
     def reason(self, row: int) -> str:
         """Return why a pose has no solution, or an empty string if it has one."""
-        missing = [
-            name for name, ok in zip(self.leg_names, self.reached[row], strict=True) if not ok
-        ]
+        missing = [self.leg_names[place] for place in np.flatnonzero(~self.reached[row])]
         return f"out of reach of {', '.join(missing)} in its working mode" if missing else ""
 
     def __repr__(self) -> str:
@@ -55,11 +53,8 @@ class InverseSolution:
     def __str__(self) -> str:
         """Return a page: the poses that are out of reach, the first ones at least."""
         missed = np.flatnonzero(~self.reached.all(axis=1))
-        lines = [f"  pose {row + 1}: {self.reason(row)}" for row in missed[:ROWS]]
-        unlisted = len(missed) - len(lines)
-        return "\n".join(
-            [repr(self), *lines, *([f"  and {unlisted} more"] if unlisted > 0 else [])]
-        )
+        lines = [repr(self), *(f"  pose {row + 1}: {self.reason(row)}" for row in missed[:ROWS])]
+        return "\n".join(lines + [f"  and {len(missed) - ROWS} more"] * (len(missed) > ROWS))
 
 
 @on_one_thread
@@ -90,13 +85,8 @@ def inverse(
     columns = influence_columns(mechanism, influences, len(placed))
     if near is not None:
         near = {
-            leg.name: array_of(
-                near.get(leg.name),
-                (len(placed), len(leg.moving)),
-                f"joints of {leg.name} near the solution",
-                MechanismError,
-            )
-            for leg in mechanism.legs
+            name: array_of(near.get(name), (len(placed), n), f"joints of {name}", MechanismError)
+            for name, n in ((leg.name, len(leg.moving)) for leg in mechanism.legs)
         }
     solution = _inverse(mechanism, placed, columns, near)
     if columns is None or not needs_loads(mechanism, columns):
@@ -120,27 +110,19 @@ def _inverse(
     near: Mapping[str, Array] | None,
 ) -> InverseSolution:
     """Return inverse kinematics at given influences, shape (N, n_influences)."""
-    laws = [sensor_law(leg) for leg in nominal_legs(mechanism)]
-    count = len(placed)
+    laws, count = [sensor_law(leg) for leg in nominal_legs(mechanism)], len(placed)
     joints = {leg.name: np.empty((count, len(leg.moving))) for leg in mechanism.legs}
     readings = np.empty((count, len(mechanism.reading_names)))
     reached = np.empty((count, len(mechanism.legs)), dtype=bool)
-    for rows, closed in close_chunks(mechanism, placed, columns, near):
-        legs_closed = zip(
-            mechanism.legs,
-            laws,
-            by_leg(closed, lambda group: group.joints),
-            by_leg(closed, lambda group: group.reached),
-            strict=True,
-        )
-        for index, (leg, law, positions, ends) in enumerate(legs_closed):
-            joints[leg.name][rows] = positions
-            leg_influences = (
-                None if columns is None else mechanism.influences_at(index, columns[rows])
-            )
-            leg_readings = law.reading(positions[:, leg.active], leg_influences)
-            readings[rows, mechanism.reading_columns[index]] = leg_readings
-            reached[rows, index] = ends & np.isfinite(leg_readings).all(axis=1)
+    for rows, groups in close_chunks(mechanism, placed, columns, near):
+        positions = by_leg(groups, lambda group: group.joints)
+        ends = by_leg(groups, lambda group: group.reached)
+        for index, (leg, law) in enumerate(zip(mechanism.legs, laws, strict=True)):
+            joints[leg.name][rows] = positions[index]
+            at_rows = None if columns is None else mechanism.influences_at(index, columns[rows])
+            read = law.reading(positions[index][:, leg.active], at_rows)
+            readings[rows, mechanism.reading_columns[index]] = read
+            reached[rows, index] = ends[index] & np.isfinite(read).all(axis=1)
     return InverseSolution(joints, readings, reached, mechanism.leg_names)
 
 
@@ -163,24 +145,19 @@ def outside_limits(mechanism: Mechanism, solution: InverseSolution) -> list[tupl
 
 
 def reached(mechanism: Mechanism, poses: Poses) -> Mask:
-    """Return which legs reach poses in their working modes, shape (N, n_legs).
+    """Return which legs reach N poses in their working modes, shape (N, n_legs).
 
     A leg with a closed form is asked by it alone, about ten times faster than ``inverse``.
-
-    Args:
-        mechanism: The mechanism, at its nominal parameters.
-        poses: N platform poses: coordinates, shape (N, dof), [m] and [rad], or transforms.
 
     Raises:
         MechanismError: poses of a wrong shape, or not finite.
     """
-    placed = mechanism.platform.placed(poses)
-    legs = nominal_legs(mechanism)
+    placed, legs = mechanism.platform.placed(poses), nominal_legs(mechanism)
     in_reach = np.empty((len(placed), len(legs)), dtype=bool)
     for rows, matrices in matrix_chunks(placed):
         for index, leg in enumerate(legs):
-            solved = closed_form(leg) is not None
-            in_reach[rows, index] = (
-                start_joints(leg, matrices)[1] if solved else close((leg,), matrices).reached
-            )
+            if closed_form(leg):
+                in_reach[rows, index] = start_joints(leg, matrices)[1]
+            else:
+                in_reach[rows, index] = close((leg,), matrices).reached
     return in_reach
