@@ -26,9 +26,9 @@ from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.option import option
 from pincal.model.sensor import turning
-from pincal.show.tables import near_table, nominal_table, symmetry_table
+from pincal.show.tables import nominal_table, symmetry_table
 from pincal.symmetry.breaks import no_symmetries
-from pincal.symmetry.detect import SymmetryGroup, nearest_group, symmetry_group
+from pincal.symmetry.detect import SymmetryGroup, symmetry_group
 from pincal.symmetry.elements import cyclic
 from pincal.words.numbers import reading_in
 from pincal.words.terms import TURNS_BACK
@@ -147,19 +147,15 @@ def symmetry(mech: Mech, options: SymmetryOptions) -> None:
     """Find the symmetry group of a mechanism.
 
     Prints where each element carries the legs, how well readings follow (equivariance, on
-    sampled poses), what breaks the elements that fail, and how far the mechanism is from the
-    largest group that it nearly has. With --group the exit code is 2 if the mechanism lacks an
-    element of that group.
+    sampled poses), and what breaks the elements that fail. With --group the exit code is 2 if
+    the mechanism lacks an element of that group.
     """
     claimed = options.group and _parse_group(options.group)
     mechanism = load_mechanism(mech)
     group = symmetry_group(mechanism, options.tolerance)
     with working("checking readings on sampled poses"):
         deviation = group.equivariance(sample_workspace(mechanism, 300))
-    near = nearest_group(mechanism)
-    stdout.print(symmetry_table(group, deviation, near))
-    if len(near.group.elements) > len(group.elements):
-        stdout.print(near_table(near))
+    stdout.print(symmetry_table(group, deviation))
     if claimed:
         _check_claim(*claimed, group)
 

@@ -14,9 +14,9 @@ from pincal.design.simulate import Accuracy
 from pincal.model.mechanism import Mechanism
 from pincal.show.summary import drift_lines, forecast_lines, scale_line
 from pincal.symmetry.breaks import no_symmetries
-from pincal.symmetry.detect import NearestGroup, SymmetryGroup
+from pincal.symmetry.detect import SymmetryGroup
 from pincal.types import Array
-from pincal.words.numbers import STORED, amount, counted
+from pincal.words.numbers import STORED, counted
 from pincal.words.table import Cell, Column, Quantity, Table, Uncertainty, UnitOf, Value, columns
 from pincal.words.wording import mapped_diagonals
 from pincal.workspace.criteria import ArticularSymmetry
@@ -244,13 +244,11 @@ def articular_table(
     )
 
 
-def symmetry_table(group: SymmetryGroup, equivariance: float, near: NearestGroup) -> Table:
-    """Return a group's elements, where they carry the legs, what breaks others, how nearly."""
+def symmetry_table(group: SymmetryGroup, equivariance: float) -> Table:
+    """Return a group's elements, where they carry the legs, and what breaks others."""
     names = group.mechanism.leg_names
     lines = [f"readings follow within {equivariance:.2g} (Eq. 5: F(λ q) = λ F(q))"]
     lines += [f"no symmetry: {text}" for text in no_symmetries(group.breaks)]
-    if len(near.group.elements) > 1:
-        lines.append(_nearness(near))
     size = f"{group.name}, {counted(len(group.elements), 'element')}"
     return Table(
         f"{group.mechanism.name}: {size}, nominal geometry and modes",
@@ -261,28 +259,4 @@ def symmetry_table(group: SymmetryGroup, equivariance: float, near: NearestGroup
         ],
         "\n".join(lines),
         wrap=False,
-    )
-
-
-def near_table(near: NearestGroup) -> Table:
-    """Return how far a mechanism is from the group that it nearly has, element by element."""
-    group = near.group
-    return Table(
-        f"{group.mechanism.name}: nearest group {group.name}, "
-        f"{counted(len(group.elements), 'element')}",
-        (Column("element"), Column("legs' points off", "m"), Column("axes off", "rad")),
-        [
-            (str(element), points, axes)
-            for element, (points, axes) in zip(group.elements, near.each, strict=True)
-        ],
-        "readings are not compared",
-    )
-
-
-def _nearness(near: NearestGroup) -> str:
-    """Return how far a mechanism is from the nearest group, as a sentence."""
-    size = f"{near.group.name}, {counted(len(near.group.elements), 'element')}"
-    return (
-        f"nearest group {size}: leg points are off by {amount(near.displacement, 'm')} at most, "
-        f"axes by {amount(near.turn, 'rad')}"
     )

@@ -12,7 +12,6 @@ from pincal.errors import SymmetryError
 from pincal.kinematics.closing import home_mode
 from pincal.model.checks import ALIKE, EXACT
 from pincal.model.leg import Leg
-from pincal.model.mechanism import Mechanism
 from pincal.symmetry.candidates import NEARLY
 from pincal.symmetry.carry import canonical, carry
 from pincal.symmetry.elements import Element, Isometry, wrapped
@@ -60,23 +59,13 @@ def no_symmetries(breaks: Sequence[Break]) -> list[str]:
     return sentences
 
 
-def breaks_of(
-    mechanism: Mechanism, group: Sequence[Element], tolerance: float, readings: bool
-) -> tuple[Break, ...]:
-    """Return why elements that leg points suggest are not of a group.
-
-    Args:
-        mechanism: The mechanism.
-        group: Elements of its group.
-        tolerance: Within which it was found.
-        readings: Whether sensors were compared.
-    """
-    fits = Fits(mechanism, readings)
+def breaks_of(fits: Fits, group: Sequence[Element], tolerance: float) -> tuple[Break, ...]:
+    """Return why elements that leg points suggest are not of a group, found within a tolerance."""
     broken_elements = []
     for element in sorted(_meant(fits), key=place_of):
         if any(np.abs(element.matrix - member.matrix).max() < NEARLY for member in group):
             continue
-        turned_over = mechanism.platform.space == 3 and element.matrix[2, 2] < 0.0
+        turned_over = fits.mechanism.platform.space == 3 and element.matrix[2, 2] < 0.0
         if turned_over and fits.home_moves(element) > NEARLY * fits.points.size:
             continue  # a machine upside down is not what was meant
         if broken := _first_break(fits, element, tolerance):

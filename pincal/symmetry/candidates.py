@@ -16,6 +16,7 @@ from pincal.types import Array, Index
 
 NEARLY = 0.1
 """Of how far leg points are apart: a symmetry meant, though not kept."""
+_FITTED = 1e-3  # by which fits of one element differ
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,18 +40,21 @@ class Points:
     @cached_property
     def size(self) -> float:
         """Scale of the mechanism, wherever its frames are, [m]."""
-        platform_at_home = self.platform @ self.home[:3, :3].T + self.home[:3, 3]
-        spread = np.linalg.norm(self.base - self.base.mean(axis=0), axis=1).max()
-        return float(max(spread, np.linalg.norm(platform_at_home - self.base, axis=1).max())) or 1.0
+        away = float(np.linalg.norm(self.at_home - self.base, axis=1).max())
+        return max(_spread(self.base), away) or 1.0
+
+    @cached_property
+    def at_home(self) -> Array:
+        """Platform points in the base frame at home, shape (n_legs, 3), [m]."""
+        return self.platform @ self.home[:3, :3].T + self.home[:3, 3]
 
     @cached_property
     def spreads(self) -> tuple[float, float]:
         """Largest distance of base points from their centre, and of platform points, [m]."""
-        radii = [
-            float(np.linalg.norm(points - points.mean(axis=0), axis=1).max())
+        base, platform = (
+            spread if (spread := _spread(points)) > ALIKE * self.size else 0.0
             for points in (self.base, self.platform)
-        ]
-        base, platform = (spread if spread > ALIKE * self.size else 0.0 for spread in radii)
+        )
         return base or self.size, platform or base or self.size
 
     @cached_property
@@ -80,8 +84,7 @@ class Points:
             owners = np.tile(legs, 4)
             if self._rank(points) >= self._least_rank:
                 return points, owners
-        platform_at_home = self.platform @ self.home[:3, :3].T + self.home[:3, 3]
-        points, owners = np.concatenate((self.base, platform_at_home)), np.concatenate((legs, legs))
+        points, owners = np.concatenate((self.base, self.at_home)), np.concatenate((legs, legs))
         for anchor in (self.home[:3, 3], self.base.mean(axis=0) + self.size * np.eye(3)[2]):
             if self._rank(points) < self._least_rank:
                 points, owners = np.vstack((points, anchor)), np.append(owners, -1)
@@ -98,37 +101,29 @@ class Points:
         Returns:
             None if the points leave an axis open.
         """
-        space = self.mechanism.platform.space
-        to = dict(zip(legs, images, strict=True))
-        sources, its = list(legs), list(images)
+        space, to = self.mechanism.platform.space, dict(zip(legs, images, strict=True))
+        sources, targets = list(legs), list(images)
         if self._free:
-            pairs = [(points[sources], points[its]) for points in self._free]
+            pairs = [(points[sources], points[targets]) for points in self._free]
             if any(self._rank(first) < self._least_rank for first, _ in pairs):
                 return None
-            base, platform = (_procrustes(a, b, sign, space) for a, b in pairs)
-            return Element.of(base, platform)
+            return Element.of(*(_procrustes(a, b, sign, space) for a, b in pairs))
         points, owners = self._joined
         rows = [i for i, owner in enumerate(owners) if owner < 0 or owner in to]
-        targets = [i if owners[i] < 0 else self._row(i, to[int(owners[i])]) for i in rows]
         if self._rank(points[rows]) < self._least_rank:
             return None
-        base = _procrustes(points[rows], points[targets], sign, space)
+        after = [i + to[int(owners[i])] - owners[i] if owners[i] >= 0 else i for i in rows]
+        base = _procrustes(points[rows], points[after], sign, space)
         if self.mechanism.platform.turns:
             home_inverse = np.linalg.inv(self.home)
             return Element.of(base, Isometry.of(home_inverse @ base.matrix @ self.home))
-        return Element.of(
-            *(_shifted(base.Q, p[sources], p[its]) for p in (self.base, self.platform))
-        )
+        bodies = (self.base, self.platform)
+        return Element.of(*(_shifted(base.Q, p[sources], p[targets]) for p in bodies))
 
     def _rank(self, points: Array) -> int:
         """Return how many directions points span, seen from their centre."""
         s = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
         return int(np.count_nonzero(s > ALIKE * self.size))
-
-    def _row(self, row: int, leg: int) -> int:
-        """Return the row of another leg's point of the same kind."""
-        n = len(self.base)
-        return leg + n * (row // n)
 
     def distances(self, element: Element) -> Array:
         """Return how far carried legs' points are from others, over the spreads, shape (n, n)."""
@@ -148,8 +143,8 @@ class Points:
     @cached_property
     def candidates(self) -> list[Element]:
         """Elements that carry every leg's points near those of some leg, each once."""
-        legs, elements = _references(self), [Element(0.0)]
-        for images in _images(self, legs):
+        legs, elements = self._references(), [Element(0.0)]
+        for images in self._images(legs, []):
             for sign in (1.0, -1.0):
                 first = self.fitted(images, legs, sign)
                 if first is None:
@@ -157,17 +152,43 @@ class Points:
                 _, to = linear_sum_assignment(self.distances(first))
                 element = self.fitted(to.tolist(), range(len(to)), sign) or first
                 near = self.distances(element) <= NEARLY
-                if not (near.any(axis=0).all() and near.any(axis=1).all()):
-                    continue
-                if not any(_nearly_equal(element, known) for known in elements):
+                turns = np.stack((element.base.Q, element.platform.Q))
+                apart = (np.linalg.norm(turns - (e.base.Q, e.platform.Q)) for e in elements)
+                if near.any(axis=0).all() and near.any(axis=1).all() and min(apart) > _FITTED:
                     elements.append(element)
-        return [element for element in elements if self.keeps_freedoms(element)]
+        return [element for element in elements if self._keeps_freedoms(element)]
 
-    def keeps_freedoms(self, element: Element) -> bool:
+    def _references(self) -> list[int]:
+        """Return a few legs whose images fix an element, far from each other."""
+        places = np.hstack((self.base / self.spreads[0], self.platform / self.spreads[1]))
+        legs = [0]
+        while len(legs) < len(places) and self.fitted(legs, legs, 1.0) is None:
+            distances = np.linalg.norm(places[:, None] - places[legs], axis=2).min(axis=1)
+            distances[legs] = -1.0
+            legs.append(int(np.argmax(distances)))
+        return legs
+
+    def _images(self, legs: Sequence[int], images: list[int]) -> Iterator[list[int]]:
+        """Yield where legs may go, the first of them to images: distances between them stay."""
+        if len(images) == len(legs):
+            yield images
+            return
+        new, placed = legs[len(images)], legs[: len(images)]
+        for image in range(len(self.base)):
+            changes = [np.abs(d[new, placed] - d[image, images]) for d in self._apart]
+            if image not in images and np.max(changes, initial=0.0) <= 2.0 * NEARLY:
+                yield from self._images(legs, [*images, image])
+
+    @cached_property
+    def _apart(self) -> list[Array]:
+        """How far legs' points are from each other, over the spreads, shape (n, n) each."""
+        bodies = zip((self.base, self.platform), self.spreads, strict=True)
+        return [np.linalg.norm(p[:, None] - p, axis=2) / spread for p, spread in bodies]
+
+    def _keeps_freedoms(self, element: Element) -> bool:
         """Return whether the platform's poses are carried to poses that it can have."""
         platform = self.mechanism.platform
-        rng = np.random.default_rng(0)
-        twists = rng.uniform(-0.5, 0.5, (3, platform.dof))
+        twists = np.random.default_rng(0).uniform(-0.5, 0.5, (3, platform.dof))
         twists[:, : platform.lengths] *= self.size
         matrices = platform.displaced(platform.home_pose[[0, 0, 0]].as_matrix(), twists)
         carried = element.matrices(matrices)
@@ -176,47 +197,9 @@ class Points:
         return bool(np.abs(deviation).max() <= ALIKE)
 
 
-def _references(points: Points) -> list[int]:
-    """Return a few legs whose images fix an element, far from each other."""
-    places = np.hstack((points.base / points.spreads[0], points.platform / points.spreads[1]))
-    legs = [0]
-    while len(legs) < len(places) and points.fitted(legs, legs, 1.0) is None:
-        distances = np.linalg.norm(places[:, None] - places[legs], axis=2).min(axis=1)
-        remaining = [i for i in range(len(places)) if i not in legs]
-        legs.append(max(remaining, key=lambda i: (distances[i], -i)))
-    return legs
-
-
-def _images(points: Points, legs: list[int]) -> Iterator[list[int]]:
-    """Yield where some legs may go: distances between them stay."""
-    distances = [
-        np.linalg.norm(body[:, None] - body, axis=2) / spread
-        for body, spread in zip((points.base, points.platform), points.spreads, strict=True)
-    ]
-
-    def extend(images: list[int]) -> Iterator[list[int]]:
-        if len(images) == len(legs):
-            yield images
-            return
-        new = legs[len(images)]
-        for image in range(len(points.base)):
-            if image not in images and all(
-                abs(d[new, leg] - d[image, leg_image]) <= 2.0 * NEARLY
-                for d in distances
-                for leg, leg_image in zip(legs, images, strict=False)
-            ):
-                yield from extend([*images, image])
-
-    return extend([])
-
-
-def _nearly_equal(first: Element, second: Element) -> bool:
-    """Return whether two elements are the same but for how they were fitted."""
-    deviations = (
-        np.linalg.norm(a.Q - b.Q)
-        for a, b in ((first.base, second.base), (first.platform, second.platform))
-    )
-    return bool(max(deviations) <= 1e-3)
+def _spread(points: Array) -> float:
+    """Return the largest distance of points from their centre, [m]."""
+    return float(np.linalg.norm(points - points.mean(axis=0), axis=1).max())
 
 
 def _procrustes(first: Array, second: Array, sign: float, space: int) -> Isometry:

@@ -10,7 +10,6 @@ how the γ of the 3-RRR paper's Eq. 19 come about).
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -51,9 +50,8 @@ def on_body(
         context: What is said where it cannot be expressed.
     """
     old, new = values
-    mirrored = np.linalg.det(isometry.Q) < 0.0
     moved = isometry.matrix @ p.displacement(old) @ constant
-    if mirrored:
+    if np.linalg.det(isometry.Q) < 0.0:
         moved[:3, :3] = moved[:3, :3] @ LOCAL_MIRROR
     coordinates = _move_point(p.coordinates, isometry, old, new, context)
     result = Placement(coordinates)
@@ -62,14 +60,10 @@ def on_body(
         residual[:3, :3] = moved[:3, :3]
     if keeps_turn:
         residual[:3, :3] = constant[:3, :3]
-    if p.coordinates and not constant[:3, 3].any() and not _all_zero(coordinates, new):
+    corrections = not any(step.amount(new) for c in coordinates for step in c.steps)  # all zero
+    if p.coordinates and not constant[:3, 3].any() and not corrections:
         residual[:3, 3] = 0.0
     return result.at(new, residual)
-
-
-def _all_zero(coordinates: tuple[Coordinate, ...], values: dict[str, float]) -> bool:
-    """Return whether coordinates are corrections: all zero at nominal values."""
-    return not any(step.amount(values) for c in coordinates for step in c.steps)
 
 
 def _move_point(
@@ -89,7 +83,7 @@ def _move_point(
     moved = _moved_vector(coordinates[first:], G, old, context)
     result, components = list(coordinates[:first]), set()
     for c in coordinates[first:]:
-        before = [old[v] if isinstance(v, str) else v for v in c.values]
+        before = [_number(value, old) for value in c.values]
         after = _moved_values(c, before, moved, G, context)
         components |= set(_GIVES.get(c.kind, ""))
         result.append(
@@ -162,8 +156,7 @@ def mirror_coordinate(c: Coordinate, old: dict[str, float], new: dict[str, float
     *leading, last = c.values
     if _SIGNS.get(c.kind, -1) > 0:  # polar and spherical: the azimuth turns over
         return c
-    value = old[last] if isinstance(last, str) else last
-    return Coordinate(c.kind, (*leading, _set(last, -value, new)))
+    return Coordinate(c.kind, (*leading, _set(last, -_number(last, old), new)))
 
 
 def _set(value: Value, target: float, new: dict[str, float]) -> Value:
@@ -275,6 +268,7 @@ def canonical(leg: Leg) -> Leg:
 
 
 def _flip_axis(leg: Leg, index: int) -> Leg:
+    """Return the leg with a joint's axis to the positive side."""
     joint = leg.joints[index]
     axis = np.array(joint.axis)
     if axis[np.argmax(np.abs(axis))] > 0:
@@ -282,77 +276,69 @@ def _flip_axis(leg: Leg, index: int) -> Leg:
     flipped = replace(
         joint, axis=_triple(-axis), home=-joint.home, lower=-joint.upper, upper=-joint.lower
     )
-    parameters = leg.nominal_by_name
-    sensor = _sensor_of(leg, joint)
+    parameters, sensor = leg.nominal_by_name, _sensor_of(leg, joint)
     if sensor is not None:
-        offset = sensor.offset
+        offset, zero = sensor.offset, sensor.zero
         if sensor.form == "joint":
-            offset = _changed(offset, parameters, lambda value: -value)
-        for amplitude in {
-            term.parameter for term in sensor.terms if term.of != LOAD
-        }:  # turns itself
-            parameters[amplitude] = 0.0 - parameters[amplitude]
-        zero = sensor.zero if isinstance(sensor.zero, str) else 0.0 - sensor.zero
+            offset = _set(offset, -_number(offset, parameters), parameters)
+        for amplitude in {term.parameter for term in sensor.terms if term.of != LOAD}:
+            parameters[amplitude] = 0.0 - parameters[amplitude]  # loads turn over themselves
+        zero = zero if isinstance(zero, str) else 0.0 - zero
         sensor = replace(sensor, direction=-sensor.direction, zero=zero, offset=offset)
-    return _with(leg, index, flipped, sensor, parameters)
+    return _with(leg, flipped, sensor, parameters)
 
 
 def _absorb_turn(leg: Leg, index: int) -> Leg:
-    joint = leg.joints[index]
-    sensor = _sensor_of(leg, joint)
-    constant = joint.placement.rest(leg.nominal_by_name, leg.name).copy()
+    """Return the leg with a constant turn about a joint's own axis moved into its zero."""
+    joint, parameters = leg.joints[index], leg.nominal_by_name
+    constant = joint.placement.rest(parameters, leg.name).copy()
     axis = np.array(joint.axis)
-    if joint.kind != "revolute" or not np.allclose(constant[:3, :3] @ axis, axis, atol=1e-12):
+    if joint.kind != "revolute" or not np.allclose(constant[:3, :3] @ axis, axis, atol=ROUNDING):
         return leg
     turn = float(Rotation.from_matrix(constant[:3, :3]).as_rotvec() @ axis)
     if abs(turn) < 1e-15:
         return leg
     constant[:3, :3] = np.eye(3)
-    parameters = leg.nominal_by_name
+    sensor = _sensor_of(leg, joint)
     if sensor is None or isinstance(sensor.zero, str):  # home turns along
         turn = wrapped(joint.home + turn) - joint.home
     elif sensor.form == "joint":
-        _, offset = sensor.constants(parameters)
+        offset = _number(sensor.offset, parameters)
         turn = wrapped(offset + turn) - offset
-        offset_value = _changed(sensor.offset, parameters, lambda value: value + turn)
-        sensor = replace(sensor, offset=offset_value)
+        sensor = replace(sensor, offset=_set(sensor.offset, offset + turn, parameters))
     else:
         zero = float(sensor.zero)
         turn = wrapped(zero + turn) - zero
         sensor = replace(sensor, zero=zero + turn)
-    limited = joint.upper - joint.lower < 2 * np.pi
+    limits = turn if joint.upper - joint.lower < 2 * np.pi else 0.0
     turned = replace(
         joint,
         placement=joint.placement.at(parameters, constant),
         home=joint.home + turn,
-        lower=joint.lower + turn if limited else joint.lower,
-        upper=joint.upper + turn if limited else joint.upper,
+        lower=joint.lower + limits,
+        upper=joint.upper + limits,
     )
-    return _with(leg, index, turned, sensor, parameters)
+    return _with(leg, turned, sensor, parameters)
+
+
+def _with(leg: Leg, joint: Joint, sensor: Sensor | None, parameters: dict[str, float]) -> Leg:
+    """Return the leg with a joint, its sensor and parameters in place of those of their names."""
+    return replace(
+        leg,
+        joints=tuple(joint if old.name == joint.name else old for old in leg.joints),
+        sensors=tuple(sensor if sensor and old.joint == joint.name else old for old in leg.sensors),
+        parameters=tuple(parameters.items()),
+    )
+
+
+def _number(value: Value, parameters: dict[str, float]) -> float:
+    """Return a constant, or a parameter's value."""
+    return parameters[value] if isinstance(value, str) else value
 
 
 def _sensor_of(leg: Leg, joint: Joint) -> Sensor | None:
     """Return the sensor that reads a joint, or None."""
     return next((sensor for sensor in leg.sensors if sensor.joint == joint.name), None)
-
-
-def _with(
-    leg: Leg, index: int, joint: Joint, changed: Sensor | None, parameters: dict[str, float]
-) -> Leg:
-    joints = (*leg.joints[:index], joint, *leg.joints[index + 1 :])
-    sensors = tuple(
-        changed if changed is not None and sensor.joint == changed.joint else sensor
-        for sensor in leg.sensors
-    )
-    return replace(leg, joints=joints, sensors=sensors, parameters=tuple(parameters.items()))
-
-
-def _changed(value: Value, parameters: dict[str, float], change: Callable[[float], float]) -> Value:
-    """Return a constant changed, or a parameter's name after changing its nominal value."""
-    if not isinstance(value, str):
-        return change(value)
-    parameters[value] = change(parameters[value])
-    return value
 
 
 def _triple(vector: Array) -> tuple[float, float, float]:

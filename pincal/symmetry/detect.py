@@ -21,12 +21,10 @@ from pincal.model.checks import number_of
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
 from pincal.symmetry.breaks import Break, breaks_of, no_symmetries
-from pincal.symmetry.candidates import NEARLY
 from pincal.symmetry.elements import Element
 from pincal.symmetry.groups import (
     distinct,
     exact,
-    generators,
     group_name,
     largest_closed,
     place_of,
@@ -34,7 +32,7 @@ from pincal.symmetry.groups import (
     subgroups,
 )
 from pincal.symmetry.shapes import Fits, Permutation
-from pincal.types import Array, Index
+from pincal.types import Array
 
 
 @dataclass(frozen=True, repr=False)
@@ -54,29 +52,17 @@ class SymmetryGroup:
     @cached_property
     def breaks(self) -> tuple[Break, ...]:
         """Why the other elements that the leg points suggest fail."""
-        return breaks_of(self.mechanism, self.elements, self.tolerance, self.readings)
+        return breaks_of(Fits(self.mechanism, self.readings), self.elements, self.tolerance)
 
     @cached_property
     def name(self) -> str:
         """Name of the group: D_2n with its order 2n, C_n of rotations only, or Schoenflies'."""
         return group_name(self.elements)
 
-    @cached_property
-    def table(self) -> Index:
-        """Index of each product, shape (n, n): first the column's element, then the row's."""
-        return product_table(self.elements)
-
-    @property
-    def generators(self) -> tuple[Element, ...]:
-        """Elements whose products are all of the group; none for the identity alone."""
-        return tuple(self.elements[i] for i in generators(self.table))
-
     def subgroups(self) -> tuple[SymmetryGroup, ...]:
-        """Return all subgroups, the largest first.
-
-        The index of one is the number of elements over the number of its own.
-        """
-        return tuple(self.part(sorted(indices)) for indices in reversed(subgroups(self.table)))
+        """Return all subgroups, the largest first."""
+        closed = subgroups(product_table(self.elements))
+        return tuple(self.part(sorted(indices)) for indices in reversed(closed))
 
     def part(self, indices: Sequence[int]) -> SymmetryGroup:
         """Return the group of some elements, by index; they are closed."""
@@ -103,18 +89,18 @@ class SymmetryGroup:
         """
         names = self.mechanism.leg_names
         first = names.index(leg) if leg is not None else 0
-        carrier_by_leg: dict[int, Element] = {}
+        carriers: dict[int, Element] = {}
         for element, permutation in zip(self.elements, self.permutations, strict=True):
-            carrier_by_leg.setdefault(permutation[first], element)
-        for index, name in enumerate(names):
-            if leg is None and index not in carrier_by_leg:
-                broken = "; ".join(no_symmetries(self.breaks))
-                raise SymmetryError(
-                    f"no symmetry of {self.mechanism.name!r} carries leg 1 onto {name}"
-                    f"{broken and f' ({broken})'}. "
-                    "Choose poses for each leg on its own (--protocol independent)"
-                )
-        return tuple(carrier_by_leg[index] for index in sorted(carrier_by_leg))
+            carriers.setdefault(permutation[first], element)
+        if leg is None and len(carriers) < len(names):
+            missed = next(name for index, name in enumerate(names) if index not in carriers)
+            broken = "; ".join(no_symmetries(self.breaks))
+            raise SymmetryError(
+                f"no symmetry of {self.mechanism.name!r} carries leg 1 onto {missed}"
+                f"{broken and f' ({broken})'}. "
+                "Choose poses for each leg on its own (--protocol independent)"
+            )
+        return tuple(carriers[index] for index in sorted(carriers))
 
     def orbit(self, poses: Poses) -> Array:
         """Return the poses onto which each pose is carried, shape (n_elements, N, dof).
@@ -127,18 +113,14 @@ class SymmetryGroup:
     def equivariance(self, poses: Poses) -> float:
         """Return the largest |reading of a carried leg at carried poses − reading| (Eq. 5).
 
-        The identity carries nothing; readings need not follow from poses then.
-
-        Args:
-            poses: N poses that the mechanism reaches.
+        Poses are in reach. The identity carries nothing; readings need not follow from poses then.
         """
-        platform = self.mechanism.platform
         if len(self.elements) == 1:
             return 0.0
-        before = inverse(self.mechanism, poses).readings
-        columns, worst = self.mechanism.reading_columns, 0.0
+        mechanism, worst = self.mechanism, 0.0
+        before, columns = inverse(mechanism, poses).readings, mechanism.reading_columns
         for element, permutation in zip(self.elements, self.permutations, strict=True):
-            after = inverse(self.mechanism, element.poses(platform, poses)).readings
+            after = inverse(mechanism, element.poses(mechanism.platform, poses)).readings
             order = np.concatenate([np.r_[columns[index]] for index in permutation])
             worst = max(worst, float(np.abs(after[:, order] - before).max()))
         return worst
@@ -150,27 +132,8 @@ class SymmetryGroup:
 
     def __str__(self) -> str:
         """Return a page: the elements, and what breaks the others."""
-        lines = [f"{self.name}: {', '.join(str(e) for e in self.elements)}"]
-        return "\n".join(
-            lines + [f"  no symmetry: {sentence}" for sentence in no_symmetries(self.breaks)]
-        )
-
-
-__all__ = ["NearestGroup", "SymmetryGroup", "nearest_group", "symmetry_group"]
-
-
-@dataclass(frozen=True)
-class NearestGroup:
-    """The group that a mechanism would have if it were as symmetric as its leg points suggest."""
-
-    group: SymmetryGroup
-    """Nearest exact isometries, and where they carry the legs."""
-    displacement: float
-    """Largest displacement of any leg point from where its image is, [m]."""
-    turn: float
-    """Largest angle of any joint's axes from those of its image, [rad]."""
-    each: tuple[tuple[float, float], ...]
-    """The same of each element, [m] and [rad]."""
+        broken = (f"  no symmetry: {sentence}" for sentence in no_symmetries(self.breaks))
+        return "\n".join((f"{self.name}: {', '.join(map(str, self.elements))}", *broken))
 
 
 def symmetry_group(
@@ -193,9 +156,8 @@ def symmetry_group(
 def _group(mechanism: Mechanism, tolerance: float, readings: bool) -> SymmetryGroup:
     """Return the symmetry group of a mechanism, found once."""
     fits = Fits(mechanism, readings)
-    permuted = {e: fits.permutation(e, tolerance) for e in fits.points.candidates}
-    elements = [element for element, permutation in permuted.items() if permutation]
-    permutations = [permuted[element] for element in elements]
+    permuted = {e: p for e in fits.points.candidates if (p := fits.permutation(e, tolerance))}
+    elements, permutations = list(permuted), list(permuted.values())
     chosen = distinct(elements, permutations)
     while True:
         elements, permutations = [elements[i] for i in chosen], [permutations[i] for i in chosen]
@@ -208,20 +170,3 @@ def _group(mechanism: Mechanism, tolerance: float, readings: bool) -> SymmetryGr
             break
     group = SymmetryGroup(mechanism, tuple(elements), tuple(permutations), tolerance, readings)
     return group.part(sorted(chosen, key=lambda i: place_of(elements[i])))
-
-
-def nearest_group(mechanism: GivenMechanism) -> NearestGroup:
-    """Return the largest group that a mechanism nearly has, and how far it is from having it.
-
-    Nearly means that leg points are within a tenth of how far they are apart, and that legs bend
-    and are driven alike.
-    """
-    mechanism = as_mechanism(mechanism)
-    group = _group(mechanism, NEARLY, False)
-    fits = Fits(mechanism, False)
-    deviations = [
-        fits.measured(e, p) for e, p in zip(group.elements, group.permutations, strict=True)
-    ]
-    return NearestGroup(
-        group, max(m for m, _ in deviations), max(r for _, r in deviations), tuple(deviations)
-    )

@@ -171,16 +171,10 @@ class Element:
         return platform.from_matrices(self.matrices(platform.matrices(poses)))
 
     def positions(self, rotations: Array) -> Isometry | None:
-        """Return what it does to the platform's positions in all of some orientations alike.
+        """Return what it does to the platform's positions in all of some orientations, (N, 3, 3).
 
-        r → Q r + t − R' s, where s is the shift of the platform's isometry: one and the same only
-        where R' s is, such as if the platform's frame is on its axis.
-
-        Args:
-            rotations: ``R_base_platform``, shape (N, 3, 3).
-
-        Returns:
-            The isometry, or None if it depends on the orientation.
+        r → Q r + t − R' s, where s is the shift of the platform's isometry: None unless R' s is one
+        and the same, such as if the platform's frame is on its axis.
         """
         if not self.platform.t.any():
             return self.base
@@ -200,21 +194,21 @@ class Element:
         amount = float(np.linalg.norm(turn))
         axis = turn / amount if amount else turn
         axis = axis * _sign(axis)
-        upright = abs(abs(axis[2]) - 1.0) <= SAME
-        level = abs(axis[2]) <= SAME
+        upright, level = abs(abs(axis[2]) - 1.0) <= SAME, abs(axis[2]) <= SAME
+        triple = "(" + ", ".join(f"{v + 0.0:.4g}" for v in axis.round(9)) + ")"
         if self.reflection and abs(amount - np.pi) <= SAME:  # the axis is the mirror's normal
             if level:
                 return f"mirror at azimuth {_degrees(np.arctan2(-axis[0], axis[1]), 180.0)}"
-            return "mirror across z" if upright else f"mirror across {_triple(axis)}"
+            return f"mirror across {'z' if upright else triple}"
         if self.reflection:  # −1 times a turn by α is a rotoreflection by α + 180°
             amount += np.pi
-        name = "rotoreflection" if self.reflection else "rotation"
         turned = _degrees(amount * (1.0 if turn @ axis >= 0.0 else -1.0), 360.0)
+        name = f"{'rotoreflection' if self.reflection else 'rotation'} by {turned}"
         if upright:
-            return f"{name} by {turned}"
+            return name
         if level and not self.reflection:
-            return f"{name} by {turned} about azimuth {_degrees(np.arctan2(axis[1], axis[0]), 180)}"
-        return f"{name} by {turned} about {_triple(axis)}"
+            return f"{name} about azimuth {_degrees(np.arctan2(axis[1], axis[0]), 180)}"
+        return f"{name} about {triple}"
 
 
 def _about_z(angle: float, reflection: bool) -> Isometry:
@@ -235,10 +229,6 @@ def _sign(axis: Array) -> float:
 def _degrees(angle: float, period: float) -> str:
     value = float(f"{round(float(np.degrees(angle)), 9) % period:.4g}") % period
     return f"{value:.4g}°"
-
-
-def _triple(axis: Array) -> str:
-    return "(" + ", ".join(f"{v + 0.0:.4g}" for v in axis.round(9)) + ")"
 
 
 IDENTITY = Element(0.0)
@@ -262,7 +252,3 @@ def dihedral(n: int, azimuth: float = 0.0) -> tuple[Element, ...]:
         azimuth: Of the first mirror plane, [rad]; the others follow every half turn over n.
     """
     return cyclic(n) + tuple(Element.mirror(azimuth + np.pi * k / n) for k in range(n))
-
-
-#: What the package calls them by.
-rotations, mirror = Element.rotations, Element.mirror

@@ -92,17 +92,6 @@ def largest_closed(table: Table) -> list[int]:
     return sorted(every if every is not None else subgroups(table)[-1])
 
 
-def generators(table: Table) -> list[int]:
-    """Return a few elements whose products are all of a group."""
-    seeds: list[int] = []
-    reached = frozenset({0})
-    while len(reached) < len(table):
-        larger = {a: generated(table, [*seeds, a]) or reached for a in range(len(table))}
-        best = max(larger, key=lambda a: (len(larger[a]), -a))
-        seeds, reached = [*seeds, best], larger[best]
-    return seeds
-
-
 def exact(elements: Sequence[Element], centres: tuple[Array, Array], size: float) -> list[Element]:
     """Return the elements of a group with isometries that are a group to rounding errors.
 

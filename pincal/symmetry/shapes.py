@@ -261,11 +261,3 @@ class Fits:
         """Return the first difference that is more than a tolerance, or None."""
         compared = self.differences(index, element, image)
         return next((d for d in compared if d.exceeds(tolerance, self.points.size)), None)
-
-    def measured(self, element: Element, permutation: Permutation) -> tuple[float, float]:
-        """Return the largest deviation of carried legs in [m] and in [rad]."""
-        worst, standing = {"m": 0.0, "rad": 0.0, "1": 0.0}, self.standing(element)
-        for index, image in enumerate(permutation):
-            for difference in self.differences(index, element, standing[image]):
-                worst[difference.unit] = max(worst[difference.unit], difference.deviation or 0.0)
-        return worst["m"], worst["rad"]
