@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
+import argparse
 import shlex
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
-
-import typer
+from typing import Annotated
 
 from pincal.calibration.calibrate import prepared, run
 from pincal.calibration.calibration import Calibration
@@ -17,7 +16,7 @@ from pincal.calibration.options import AUTO, FOLDS, By, Options
 from pincal.calibration.result import CalibrationResult
 from pincal.calibration.result_files import REPORT, RESULT_FILES, as_json
 from pincal.calibration.terms.explain import explained
-from pincal.cli.app import answer, command, remark, say, stdout, typed, warn, working, wrote
+from pincal.cli.app import answer, command, fail, remark, say, stdout, typed, warn, working, wrote
 from pincal.cli.options import (
     FORCE,
     CountOptions,
@@ -41,10 +40,8 @@ from pincal.files.measurements import (
 from pincal.files.mechanism_folders import mechanism_files
 from pincal.files.output import refuse_existing
 from pincal.files.table import TextTable, write_table
-from pincal.model.mechanism import Mechanism
 from pincal.model.option import option
 from pincal.model.setup import ORIGIN
-from pincal.model.units import COUNTS, scale_of
 from pincal.show.explanation import (
     advice,
     explanation_lines,
@@ -147,13 +144,14 @@ def calibrate(
     wrote(output)
     answer(lambda: as_json(result))
     if undrawn:
-        warn(f"exit code 3, since the report could not be drawn ({undrawn}); the result is written")
-        raise typer.Exit(3)
+        fail(
+            3,
+            f"exit code 3, since the report could not be drawn ({undrawn}); the result is written",
+        )
     if not result.converged:
-        raise typer.Exit(1)
+        fail(1)
     if result.excess > 1.0 and not running.accept:
-        warn("exit code 1, since χ² contradicts the noise; --accept takes the result as it is")
-        raise typer.Exit(1)
+        fail(1, "exit code 1, since χ² contradicts the noise; --accept takes the result as it is")
 
 
 def _print_result(
@@ -171,13 +169,11 @@ def _print_result(
         weak = weak_lines(result.weak, result.nominal) if result.converged else []
         summary = [line for line in summary[1:] if line not in weak]
         if weak:
-            count = len(result.weak)
-            pairs = counted(count, "pair of parameters is", "pairs of parameters are")
-            summary.append(f"{pairs} weakly determined")
+            pairs = ("pair of parameters is", "pairs of parameters are")
+            summary.append(f"{counted(len(result.weak), *pairs)} weakly determined")
         place = "report.html in the result's folder, or --verbose" if drawn else "--verbose"
         notes = [*notes, f"parameters and residuals: {place}"]
-    tables = calibration_tables(result) if verbose else []
-    for part in (*verdict, *tables, *summary, *notes):
+    for part in (*verdict, *(calibration_tables(result) if verbose else []), *summary, *notes):
         stdout.print(part)
 
 
@@ -198,39 +194,40 @@ def explain(mech: Mech, measurements: Measured, options: Options, known: InputOp
         explanation = explained(known.calibration(mech, measurements, options))
     for text in warnings(explanation.result):
         warn(text)
-    stdout.print(screen_table(explanation))
-    stdout.print(models_table(explanation))
+    tables = screen_table(explanation), models_table(explanation)
+    for table in tables:
+        stdout.print(table)
     say(*explanation_lines(explanation))
-    line = _command_with_terms(explanation.terms)
-    if line:
+    line = ""
+    if explanation.terms:
+        added = (word for term in explanation.terms for word in ("--terms", term))
+        line = _retyped("calibrate", *added)
         say(f"  {line}")
     choice = explanation.choice
     answer(
         {
             "verdict": explanation.verdict,
-            "terms": list(explanation.terms),
+            "terms": explanation.terms,
             "command": line or None,
-            "candidates": screen_table(explanation).records(),
-            "models": models_table(explanation).records(),
-            "slips": [asdict(slip) | {"size": slip.size.tolist()} for slip in choice.slips],
-            "noise_at_least": [asdict(bound) for bound in choice.bounds],
+            "candidates": tables[0].records(),
+            "models": tables[1].records(),
+            "slips": choice.slips,
+            "noise_at_least": choice.bounds,
             "folds_left_out": [fold + 1 for fold, _ in choice.lost],
         }
     )
 
 
-def _command_with_terms(terms: tuple[str, ...]) -> str:
-    """Return the command that calibrates with terms, empty if there are none."""
-    if not terms:
-        return ""
-    words = shlex.split(typed())
-    words[words.index("explain")] = "calibrate"
-    while "--terms" in words:  # those that were tried
-        place = words.index("--terms")
-        del words[place : place + 2]
-    words = [word for word in words if not word.startswith("--terms=")]
-    added = [word for term in terms for word in ("--terms", term)]
-    return shlex.join([*words, *added, "-o", "RESULT"])
+def _retyped(command_name: str, *added: str, files: Mapping[Path, Path] | None = None) -> str:
+    """Return what was typed as another command with further options, and with other files."""
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    for option_name in ("--terms", "-o"):  # those that were tried, and another output
+        parser.add_argument(option_name, *["--output"] * (option_name == "-o"), action="append")
+    for flag in ("--force", "--json", "--quiet"):
+        parser.add_argument(flag, action="store_true")
+    _, words = parser.parse_known_args(shlex.split(typed())[2:])
+    words = [str((files or {}).get(Path(word), word)) for word in words]
+    return shlex.join(["pincal", command_name, *words, *added, "-o", "RESULT"])
 
 
 @command(answers=True)
@@ -258,48 +255,61 @@ def doctor(
         refuse_existing(output, force=force)
     data = read_measurements(table, mechanism, setup, partial=True)
     options = Options(noise=known.noise_of(mechanism, data, setup), setup=setup)
-    calibration = prepared(mechanism, data, options)
     tries: list[Remedy] = []
     with working("trying what may be wrong") as progress:
-        for remedy in remedies(calibration):
+        for remedy in remedies(prepared(mechanism, data, options)):
             tries.append(remedy)
             progress(tried(remedy))
-    working_remedies = [remedy for remedy in tries if remedy.works]
+    cures = [remedy for remedy in tries if remedy.works]
     stdout.print(remedy_table(tries))
     say(*advice(tries))
     lines: list[str] = []
-    if len(working_remedies) == 1:
-        (remedy,) = working_remedies
-        counts = _counts(mechanism, table, remedy)
+    if len(cures) == 1:
         mended = measurements
-        if remedy.mends and not counts:
+        if cures[0].mends:
             mended = output or Path("MENDED.csv")
             if output is None:
                 lines.append(f"{typed()} -o MENDED.csv")
             else:
-                _write_mended(output, table, calibration, remedy, force=force)
+                _write_mended(output, table, cures[0].calibration, force=force)
         elif output is not None:
             remark(f"options are enough: {output} is not written, take {measurements}")
-        lines.append(_calibrate_line(mech, str(mended), known, remedy, counts))
+        lines.append(_calibrate_line(cures[0], known, {measurements: mended}))
         say("this works:", *(f"  {line}" for line in lines))
-    elif working_remedies:
+    elif cures:
         stdout.print(
-            f"{len(working_remedies)} of these work alike, and the measurements do not say which "
+            f"{len(cures)} of these work alike, and the measurements do not say which "
             "is true: look at the machine, and mend the source"
         )
     else:
-        _say_that_nothing_works(mech, measurements, known, tries)
-    answer({"commands": lines, "tried": [_remedy_answer(remedy) for remedy in tries]})
-    if len(working_remedies) != 1:
-        raise typer.Exit(1)
+        stdout.print("nothing of this makes the measurements fit the mechanism")
+        converged = [remedy for remedy in tries if remedy.result and remedy.result.converged]
+        if converged:
+            line = f"pincal explain {mech} {measurements}"
+            stdout.print(f"the mechanism may lack a term: {line} looks for it")
+        near = [remedy for remedy in converged if not remedy.mends]
+        if near and near[0].result and near[0].result.excess == 1.0:
+            line = _calibrate_line(near[0], known)
+            say("this converges, and promises nothing:", f"  {line}")
+    outcomes = [
+        {
+            "what": tried(remedy),
+            "codes": [finding.code for finding in remedy.findings],
+            "works": remedy.works,
+            "reduced_chi2": remedy.result.reduced_chi2 if remedy.result else None,
+            "trouble": remedy.trouble or None,
+        }
+        for remedy in tries
+    ]
+    answer({"commands": lines, "tried": outcomes})
+    if len(cures) != 1:
+        fail(1)
 
 
-def _write_mended(
-    output: Path, table: TextTable, calibration: Calibration, remedy: Remedy, *, force: bool
-) -> None:
-    """Write the measurements that a remedy put right, and the columns that mean nothing here."""
+def _write_mended(output: Path, table: TextTable, calibration: Calibration, *, force: bool) -> None:
+    """Write measurements that were put right, and the columns that mean nothing here."""
     mechanism, setup = calibration.mechanism, calibration.options.setup
-    data, known_columns = remedy.calibration.measurements, setup.columns(mechanism)
+    data, known_columns = calibration.measurements, setup.columns(mechanism)
     written = dict(columns_of(mechanism, data, data.written or "tilt-torsion", setup))
     known_columns = known_columns | tilt_column(mechanism, known_columns)
     for name, cells in unknown_columns(table, mechanism, known_columns).items():
@@ -309,68 +319,14 @@ def _write_mended(
     wrote(output)
 
 
-def _say_that_nothing_works(
-    mech: str, measurements: Path, known: InputOptions, tries: Sequence[Remedy]
-) -> None:
-    """Say what to try where no remedy makes the measurements fit."""
-    stdout.print("nothing of this makes the measurements fit the mechanism")
-    converged = [remedy for remedy in tries if remedy.result and remedy.result.converged]
-    if converged:
-        line = f"pincal explain {mech} {measurements}"
-        stdout.print(f"the mechanism may lack a term: {line} looks for it")
-    near = [remedy for remedy in converged if not remedy.mends]
-    if near and near[0].result and near[0].result.excess == 1.0:
-        line = _calibrate_line(mech, str(measurements), known, near[0])
-        say("this converges, and promises nothing:", f"  {line}")
-
-
-def _remedy_answer(remedy: Remedy) -> dict[str, Any]:
-    """Return what became of a remedy, for JSON."""
-    return {
-        "what": tried(remedy),
-        "codes": [finding.code for finding in remedy.findings],
-        "works": remedy.works,
-        "reduced_chi2": remedy.result.reduced_chi2 if remedy.result else None,
-        "trouble": remedy.trouble or None,
-    }
-
-
-def _counts(mechanism: Mechanism, table: TextTable, remedy: Remedy) -> list[str]:
-    """Return ``--counts`` that put readings in counts right; empty if other readings are wrong."""
-    wrong = [finding for finding in remedy.findings if finding.code == "scale-of-readings"]
-    factors = {name: factor for finding in wrong for name, factor, _ in finding.values["factors"]}
-    if not factors or any(table.units.get(name) != COUNTS for name in factors):
-        return []
-    units = dict(zip(mechanism.reading_names, mechanism.reading_units, strict=True))
-    scales = {
-        name: scale_of(counts * factors.get(name, 1.0), units[name])
-        for name, counts in mechanism.counts.items()
-    }
-    if set(scales) == set(units) and len(set(scales.values())) == 1:
-        return list(set(scales.values()))
-    return [f"{name}={scale}" for name, scale in scales.items()]
-
-
 def _calibrate_line(
-    mech: str,
-    measurements: str,
-    known: InputOptions,
-    remedy: Remedy,
-    counts: Sequence[str] = (),
+    remedy: Remedy, known: InputOptions, files: Mapping[Path, Path] | None = None
 ) -> str:
     """Return the command by which to calibrate after a remedy."""
-    options = remedy.calibration.options
-    values: dict[str, Any] = {"setup": known.setup_file}
-    values |= {noise.name: getattr(known, noise.name) for noise in fields(NoiseOptions)}
-    words = ["pincal", "calibrate", mech, measurements]
-    for name, value in values.items():
-        words += [] if value is None else [f"--{name.replace('_', '-')}", str(value)]
-    for scale in counts or known.counts:
-        words += ["--counts", scale]
+    options, as_typed = remedy.calibration.options, known.read_setup()
+    words = ["--unknown-frame"] * (options.setup.unknown_frame and not known.unknown_frame)
     unknown_target = options.setup.targets[ORIGIN].unknown
-    said_by_file = known.read_setup().targets[ORIGIN].unknown and not known.unknown_target
-    words += ["--unknown-frame"] if options.setup.unknown_frame else []
-    words += ["--unknown-target"] if unknown_target and not said_by_file else []
-    words += ["--rough"] if options.rough else []
+    words += ["--unknown-target"] * (unknown_target and not as_typed.targets[ORIGIN].unknown)
+    words += ["--rough"] * options.rough
     words += ["--loss", str(options.loss)] if options.loss != "none" else []
-    return shlex.join([*words, "-o", "RESULT"])
+    return _retyped("calibrate", *words, files=files)

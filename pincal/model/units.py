@@ -161,12 +161,6 @@ def counts_of(texts: Iterable[str], readings: Mapping[str, str]) -> dict[str, fl
     return counts
 
 
-def scale_of(per: float, dimension: str) -> str:
-    """Return counts of one rad or m as ``--counts`` takes them: ``4096/turn``, ``12.5/mm``."""
-    unit = "turn" if dimension == "rad" else "mm"
-    return f"{per * UNITS[unit][1]:.9g}/{unit}"
-
-
 def scale_said(column: str, dimension: str) -> str:
     """Return how to say how many counts are in one unit of a reading."""
     name = column.removeprefix("sigma_")
