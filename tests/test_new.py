@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import csv
-import io
-import json
 import re
 import shlex
 from pathlib import Path
@@ -110,7 +108,7 @@ def test_a_bundled_mechanism_is_that_of_its_dimensions(name: str) -> None:
 def made(kind: str, folder: Path, *more: object) -> Outcome:
     """Run ``pincal new`` with a folder, few poses and no questions."""
     counts = ("--count", 16, "--verify", 2)
-    return done("new", kind, *more, *counts, "--defaults", "-o", folder)
+    return done("new", kind, *more, *counts, "-o", folder)
 
 
 @pytest.mark.parametrize("kind", some_slow(KINDS, "hexapod", "cable-8", "delta"))
@@ -290,7 +288,7 @@ IMPOSSIBLE = {
     "hexapod --longest 100mm": "expected more than shortest",
     "hexapod --base-half-angle 30deg --platform-half-angle 30deg": "singular",
     "hexapod --base-half-angle 70deg": "expected 0 deg to 60 deg",
-    "hexapod --rod 300mm": "--rod is no dimension of a hexapod",
+    "hexapod --rod 300mm": "rod is no dimension of a hexapod",
     "delta --rod 100mm --height 500mm": "too short or too long for the home pose",
     "delta --arm-up 1rad": "outside its limits",
     "linear-delta --rod 200mm": "does not reach from a tower",
@@ -307,7 +305,7 @@ IMPOSSIBLE = {
 
 @pytest.mark.parametrize("typed", IMPOSSIBLE)
 def test_what_cannot_be_is_refused_and_nothing_is_written(typed: str, tmp_path: Path) -> None:
-    outcome = run("new", *shlex.split(typed), "--defaults", "-o", tmp_path / "own")
+    outcome = run("new", *shlex.split(typed), "-o", tmp_path / "own")
     assert outcome.code == 2
     assert IMPOSSIBLE[typed] in outcome.trouble
     assert contents(tmp_path) == {}
@@ -315,48 +313,24 @@ def test_what_cannot_be_is_refused_and_nothing_is_written(typed: str, tmp_path: 
 
 def test_a_number_without_a_unit_is_refused(tmp_path: Path) -> None:
     """250 may be meant in mm, and would be metres elsewhere."""
-    outcome = run("new", "hexapod", "--base-radius", "250", "--defaults", "-o", tmp_path / "own")
+    outcome = run("new", "hexapod", "--base-radius", "250", "-o", tmp_path / "own")
     assert outcome.code == 2
     assert "'250': expected a number, with one of m, cm, mm" in outcome.err
 
 
-def test_dimensions_are_asked_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Plain numbers are mm; nonsense is asked again; the line that is printed says the same."""
-    typed = "five-bar\n300\nlong\n-1\n0.2m\n\n\n200\n"
-    monkeypatch.setattr("sys.stdin", io.StringIO(typed))
-    first = done("new", "--height", "250mm", "--count", 6, "--verify", 0, "-o", tmp_path / "one")
-    assert "length of the driving links [225 mm]: " in first.err
-    assert "'long': expected a number" in first.err
+def test_dimensions_that_are_not_given_are_said(tmp_path: Path) -> None:
+    """They are in proportion, and the line that is printed makes the same mechanism."""
+    given = ("--motor-distance", "300mm", "--height", "250mm", "--driving-link", "0.2m")
+    first = made("five-bar", tmp_path / "one", *given)
     bar = pincal.load_mechanism(tmp_path / "one")
     assert bar.parameters["leg_2.A_x"].nominal == pytest.approx(0.15)
     assert bar.parameters["leg_1.l"].nominal == pytest.approx(0.2)
-    assert bar.parameters["leg_1.L"].nominal == pytest.approx(0.33)
-    assert bar.legs[0].joints[0].upper == pytest.approx(np.radians(200))
-    (line,) = (one for one in first.err.splitlines() if "the same again: " in one)
-    again = shlex.split(line.partition("again: pincal ")[2])
+    (line,) = (one for one in first.err.splitlines() if "all of them: " in one)
+    again = shlex.split(line.partition("all of them: pincal ")[2])
     again[again.index("-o") + 1] = str(tmp_path / "two")
     done(*again, "--count", 6, "--verify", 0)
     two = pincal.load_mechanism(tmp_path / "two")
     np.testing.assert_allclose(two.parameters.values, bar.parameters.values, atol=1e-12)
-
-
-def test_without_anybody_to_ask_a_missing_dimension_is_an_error(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("sys.stdin", io.StringIO(""))
-    outcome = run("new", "delta", "--base-radius", "200mm", "-o", tmp_path / "own")
-    assert outcome.code == 2
-    assert "is not given: --platform-radius, or --defaults" in outcome.err
-    assert contents(tmp_path) == {}
-
-
-def test_the_answer_as_json(tmp_path: Path) -> None:
-    outcome = made("3-RRR", tmp_path / "own", "--base-radius", "400mm", "--json")
-    found = json.loads(outcome.out)
-    assert found["dimensions"]["base_radius"] == pytest.approx(0.4)
-    assert found["dimensions"]["platform_radius"] == pytest.approx(0.1)
-    assert found["parameters"] == 24
-    assert found["poses"] == 18
 
 
 @pytest.mark.parametrize("name", ["3RRR", "3_rrr", "LinearDelta", "linear_delta", "Hexapod"])
@@ -404,7 +378,7 @@ def test_planned_poses_are_where_the_machine_works(
     tmp_path: Path, architecture: str, low: tuple[float, ...], high: tuple[float, ...]
 ) -> None:
     """In the frame of the cables, above the bed."""
-    run("new", architecture, "--defaults", "-o", tmp_path / "own")
+    run("new", architecture, "-o", tmp_path / "own")
     mechanism = pincal.load_mechanism(tmp_path / "own")
     poses = pincal.Plan.from_csv(tmp_path / "own" / "plan.csv", mechanism).poses[:, :3]
     assert (poses >= low).all()
