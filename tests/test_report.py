@@ -607,13 +607,6 @@ def test_calibrate_writes_the_report(work: Path) -> None:
     assert warned.err.count("\n") == 1
 
 
-def test_answers_as_json() -> None:
-    """With --json stdout is one JSON document, and with --quiet stderr is empty."""
-    outcome = done("check", "5R", "--json", "--quiet")
-    assert "legs" in json.loads(outcome.out)
-    assert outcome.err == ""
-
-
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
     """Chromium without a network."""

@@ -45,31 +45,25 @@ def demo(
         raise FileError(f"{output} is not empty; choose another, or say --force to write there")
     candidates, plan = output / "candidates.csv", output / "plan.csv"
     truth, measured = output / "truth", output / "measurements.csv"
-    alone, result = output / "per_leg", output / "result"
-    position = f"{_NOISE * largest_size(mechanism.legs):.0e}"
-    noise = ["--noise-position", f"{float(position):g}", "--noise-orientation", "1e-4"]
+    position = float(f"{_NOISE * largest_size(mechanism.legs):.0e}")
+    noise: list[object] = ["--noise-position", f"{position:g}", "--noise-orientation", "1e-4"]
     if mechanism.redundant:  # readings that are too many cannot be exact
-        noise += ["--noise-reading", f"{float(position):g}"]
+        noise += ["--noise-reading", f"{position:g}"]
     forced = ["--force"] * force
-    seeded = ["--seed", seed]
-    run_step("workspace", mech, "--count", "30000", *seeded, "-o", candidates, *forced)
-    choice = ["--count", "24", "--candidates", candidates, *seeded]
-    run_step("select", mech, *choice, "-o", plan, *forced)
-    simulated = [*noise, *seeded, "--truth", truth, "-o", measured]
-    run_step("simulate", mech, plan, *simulated, *forced)
-    run_step("calibrate", mech, measured, *noise, "--method", "per-leg", "-o", alone, *forced)
-    run_step("calibrate", mech, measured, *noise, "-o", result, *forced)
+    drawn = ["--seed", seed, *forced]
+    run_step("workspace", mech, "--count", 30000, *drawn, "-o", candidates)
+    run_step("select", mech, "--count", 24, "--candidates", candidates, *drawn, "-o", plan)
+    run_step("simulate", mech, plan, *noise, *drawn, "--truth", truth, "-o", measured)
+    results = {"each leg alone": output / "per_leg", "all together": output / "result"}
+    for method, folder in zip(("per-leg", "all-legs"), results.values(), strict=True):
+        run_step("calibrate", mech, measured, *noise, "--method", method, "-o", folder, *forced)
     stdout.print(
         "\nThe true machine, driven by the nominal and by the calibrated models:", style="bold"
     )
-    poses = read_poses(candidates, mechanism).poses
-    true_mechanism = load_mechanism(truth)
-    models = {
-        "nominal": mechanism,
-        "each leg alone": load_mechanism(alone / "mechanism"),
-        "all together": load_mechanism(result / "mechanism"),
-    }
+    poses, true_mechanism = read_poses(candidates, mechanism).poses, load_mechanism(truth)
+    models = {"nominal": mechanism}
+    models |= {name: load_mechanism(folder) for name, folder in results.items()}
     with working("driving the true machine over the workspace"):
         errors = {name: accuracy(model, true_mechanism, poses) for name, model in models.items()}
     stdout.print(accuracy_table(errors, "rad" in mechanism.platform.units))
-    say(f"All files are in {output}; open {result / 'report.html'}")
+    say(f"All files are in {output}; open {output / 'result' / 'report.html'}")

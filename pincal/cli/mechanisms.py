@@ -6,12 +6,12 @@ import re
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import typer
 
-from pincal.cli.app import answer, command, remark, stdout, warn, working, wrote
+from pincal.cli.app import command, remark, stdout, warn, working, wrote
 from pincal.cli.options import FORCE, SEED, Mech, UnitOptions, output_option
 from pincal.errors import FileError, SymmetryError
 from pincal.estimation.observability.indices import identifiability
@@ -45,7 +45,7 @@ def mechanisms() -> None:
         stdout.print(f"{'':12s} {mechanism.description}")
 
 
-@command(answers=True)
+@command()
 def check(mech: Mech, options: UnitOptions) -> None:
     """Say whether a mechanism is sound.
 
@@ -54,31 +54,20 @@ def check(mech: Mech, options: UnitOptions) -> None:
     mechanism = load_mechanism(mech)
     with reading_in(options.written_in(mechanism).printed):
         stdout.print(nominal_table(mechanism))
-    closures = [_check_closure(leg, mechanism) for leg in mechanism.legs]
+    for leg in mechanism.legs:
+        _check_closure(leg, mechanism)
     with working("sampling the workspace"):
         plan = sample_configurations(mechanism, 500)
-    legs = [
-        closure | _check_observability(index, mechanism, plan)
-        for index, closure in enumerate(closures)
-    ]
-    group = symmetry_group(mechanism)
+    for index, leg in enumerate(mechanism.legs):
+        _check_observability(index, leg, mechanism, plan)
     if len(mechanism.legs) > 1:
-        stdout.print(f"symmetry: {group}")
-    answer(
-        {
-            "mechanism": mechanism.name,
-            "legs": legs,
-            "labels": mechanism.used_labels,
-            "symmetry": group.name,
-        }
-    )
+        stdout.print(f"symmetry: {symmetry_group(mechanism)}")
 
 
-def _check_closure(leg: Leg, mechanism: Mechanism) -> dict[str, Any]:
-    """Say how well a leg closes at home, and whether others read its URDF alike; return it."""
-    platform = mechanism.platform
-    closure = LegClosure(leg, platform)
-    home = platform.home_pose.as_matrix()
+def _check_closure(leg: Leg, mechanism: Mechanism) -> None:
+    """Say how well a leg closes at home, and whether others read its URDF alike."""
+    closure = LegClosure(leg, mechanism.platform)
+    home = mechanism.platform.home_pose.as_matrix()
     gap = float(np.abs(closure.evaluate(leg.home[None], home).gap).max())
     tips, expected = tips_by_reader(leg), closure.tips(leg.home[None])[0]
     difference = max(float(np.abs(tip - expected).max()) for tip in tips.values())
@@ -87,18 +76,11 @@ def _check_closure(leg: Leg, mechanism: Mechanism) -> dict[str, Any]:
         close = f"home is rough, it closes within {gap:.2g} m only and fixes the side of bending"
     stdout.print(f"{leg.name}: {close}")
     stdout.print(f"{leg.name}: URDF read alike by {' and '.join(tips)} within {difference:.2g} m")
-    turns = warn_of_turns(closure)
-    return {
-        "name": leg.name,
-        "home_gap": gap,
-        "readers_differ_by": difference,
-        "turns_back_at": turns,
-    }
+    warn_of_turns(closure)
 
 
-def _check_observability(index: int, mechanism: Mechanism, plan: Plan) -> dict[str, Any]:
-    """Say which parameters of a leg full poses determine, and return it."""
-    leg = mechanism.legs[index]
+def _check_observability(index: int, leg: Leg, mechanism: Mechanism, plan: Plan) -> None:
+    """Say which parameters of a leg full poses determine."""
     columns = mechanism.reading_columns[index]
     readings = None if plan.readings is None else plan.readings[:, columns]
     rows = leg_demand(mechanism.at_reference, leg.name, plan.poses, readings=readings)
@@ -114,22 +96,15 @@ def _check_observability(index: int, mechanism: Mechanism, plan: Plan) -> dict[s
         f"{leg.name}: {rank.rank} of {rank.n_params} parameters observable from full poses "
         f"(condition {rank.condition:.3g}){words}"
     )
-    return {
-        "parameters": dict(zip(leg.parameter_names, leg.nominal.tolist(), strict=True)),
-        "rank": rank.rank,
-        "condition": rank.condition,
-        "not_separable": rank.groups,
-    }
 
 
-def warn_of_turns(closure: LegClosure) -> list[float]:
-    """Say where q(ψ) of a leg's sensors turns back; return the readings, NaN where it does not."""
+def warn_of_turns(closure: LegClosure) -> None:
+    """Say at which reading q(ψ) of a leg's sensors turns back, if it does."""
     leg = closure.leg
     turns = turning(sensor_law(closure), *(end[leg.active] for end in joint_range(leg)))
     for name, unit, reading in zip(leg.reading_names, leg.reading_units, turns, strict=True):
         if np.isfinite(reading):
             warn(TURNS_BACK.format(reading=name, unit=unit, where=reading))
-    return [float(reading) for reading in turns]
 
 
 @dataclass(frozen=True)

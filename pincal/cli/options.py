@@ -207,15 +207,15 @@ class NoiseOptions:
         position, orientation = self.noise_position, self.noise_orientation
         if position is None and orientation is None and self.noise_reading is None:
             return None
-        angles = np.array([unit == "rad" for unit in mechanism.platform.units])
-        single_angles = set(data.extra) & set(SINGLE_ANGLES)
-        measured = np.isfinite(data.poses)
-        lengths = set(data.extra) - single_angles
-        lengths_measured = bool(measured[:, ~angles].any() or lengths)
+        platform = mechanism.platform
+        columns = zip(platform.coordinates, platform.units, data.poses.T, strict=True)
+        units = {name: unit for name, unit, values in columns if np.isfinite(values).any()}
+        units |= {name: "rad" if name in SINGLE_ANGLES else "m" for name in data.extra}
         if setup.tracker is not None:  # says how well positions were measured
-            lengths_measured = bool(lengths - set(setup.points(mechanism.platform)))
-        needed = {"--noise-position": position} if lengths_measured else {}
-        if measured[:, angles].any() or single_angles:
+            known = {*platform.coordinates[: platform.lengths], *setup.points(platform)}
+            units = {name: unit for name, unit in units.items() if name not in known}
+        needed = {"--noise-position": position} if "m" in units.values() else {}
+        if "rad" in units.values():
             needed["--noise-orientation"] = orientation
         if None in needed.values():
             raise MeasurementError(
