@@ -141,7 +141,7 @@ def joints_along(tree: Tree, steps: Sequence[Step], normal: Array | None = None)
             joints.append(joint)
             continue
         near, far = (joint.placement, edge.at_child)[:: 1 if forward else -1]
-        T_far_joint: Array = np.linalg.inv(far.origin())
+        T_far_joint = np.asarray(np.linalg.inv(far.origin()))
         if not edge.moves:
             name = f"{name}_back" if edge in tree.edges else name
             joints += _offset(name, near.origin() @ T_far_joint)
