@@ -89,7 +89,7 @@ class LegRows:
 
         They are zero at an image that is an earlier one of its pose, which is measured once.
         """
-        matrices = self.mechanism.platform.form.matrices(self.poses[places])
+        matrices = self.mechanism.platform.matrices(self.poses[places])
         rows = {}
         for leg in dict.fromkeys(self.legs):
             closure, images = LegClosure(self.mechanism.leg(leg), self.mechanism.platform), []

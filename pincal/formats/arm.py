@@ -86,7 +86,7 @@ def arm(name: str, joints: tuple[Joint, ...], description: str = "") -> Mechanis
         stems = bare
     point = Joint(identifiers((*(joint.name for joint in joints), "tip", _TOOL))[-1], "fixed")
     leg = displaced_leg("arm", joints, moving, point, "frame", stems, _AXES, _TOOL)
-    free = Platform("spatial", (0.0,) * 6)
+    free = Platform.at_origin("spatial")
     home = free.from_matrices(LegClosure(leg, free).frame(leg.home[None]))[0]
     return Mechanism(name, Platform("spatial", tuple(home.tolist())), (leg,), description)
 

@@ -294,7 +294,7 @@ def _idle(leg: Leg, kind: str) -> str | None:
 
     Freedoms are ranked, not counted, at random configurations.
     """
-    closure = LegClosure(leg, Platform(kind, (0.0,) * Platform.dof_of(kind)))
+    closure = LegClosure(leg, Platform.at_origin(kind))
     spread = [1.0 if joint.turns else leg.size for joint in leg.moving]
     q = leg.home + np.random.default_rng(0).uniform(-0.3, 0.3, (8, len(spread))) * spread
     poses = closure.frame(q) if leg.closes == "frame" else np.tile(np.eye(4), (len(q), 1, 1))

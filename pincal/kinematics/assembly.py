@@ -44,7 +44,7 @@ def assembled(
     Raises:
         MechanismError: no such configuration was found.
     """
-    free = Platform(kind, (0.0,) * Platform.dof_of(kind))
+    free = Platform.at_origin(kind)
     size = largest_size(legs) or 1.0
     pose, joints, gap = _closed(legs, free, size, _SINGULAR)
     ends = zip(legs, joints, strict=True)
@@ -122,7 +122,7 @@ def opening(legs: Sequence[Leg], kind: str | PlatformKind) -> float:
 
     Where whole frames meet, their turn counts times the leg's size.
     """
-    free = Platform(kind, (0.0,) * Platform.dof_of(kind))
+    free = Platform.at_origin(kind)
     closures = [LegClosure(leg, free) for leg in legs]
     joints = [leg.home[None] for leg in legs]
     pose = _fitted(closures, joints, free)

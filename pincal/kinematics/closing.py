@@ -82,7 +82,7 @@ def _samples(leg: Leg, platform: Platform) -> tuple[KDTree, Array, float]:
     if leg.closes == "frame":
         tree = KDTree(_places(closure, closure.frame(joints)))
     else:
-        tree = KDTree(closure.tips(joints)[:, list(platform.closure_rows)])
+        tree = KDTree(closure.tips(joints)[:, : platform.space])
     gaps = tree.query(tree.data, [2])[0]
     return tree, joints, _OUT_OF_REACH * float(gaps.max())
 
@@ -92,7 +92,7 @@ def _places(closure: LegClosure, matrices: Array) -> Array:
 
     The axes' tips are as far from the point as the leg is long.
     """
-    points = closure.targets(matrices)[:, list(closure.platform.closure_rows)]
+    points = closure.targets(matrices)[:, : closure.platform.space]
     if closure.leg.closes == "point":
         return points
     axes = matrices[:, :3, :3].reshape(len(matrices), 9)

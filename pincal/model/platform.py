@@ -43,97 +43,29 @@ class PlatformKind:
         count = len(must_be(self.freedoms, Sequence, label, MechanismError))
         freedoms = names_of(self.freedoms, count, label, MechanismError)
         object.__setattr__(self, "freedoms", freedoms)
-        ordered = tuple(name for name in TWIST if name in freedoms)
-        if freedoms != ordered or not freedoms:
-            raise MechanismError(
-                f"{label}: {', '.join(freedoms) or 'none'}; expected some of {', '.join(TWIST)}, "
-                "in this order"
+        lengths = tuple(name for name in freedoms if not name.startswith("r"))
+        expected = ""
+        if not freedoms or freedoms != tuple(name for name in TWIST if name in freedoms):
+            expected = f"; expected some of {', '.join(TWIST)}, in this order"
+        elif lengths != TWIST[: len(lengths)]:
+            expected = (
+                "; a platform moves along x, along x and y, or along x, y and z: choose the base's "
+                "axes so"
             )
-        if freedoms[: self.lengths] != TWIST[: self.lengths]:
-            raise MechanismError(
-                f"{label}: {', '.join(freedoms)}; a platform moves along x, along x and y, or "
-                "along "
-                "x, y and z: choose the base's axes so"
+        elif len(freedoms) - len(lengths) == 2:
+            expected = (
+                "; turns about two axes are turns about a third as well: give all three, the legs "
+                "hold what the platform does not do"
             )
-        if len(freedoms) - self.lengths == 2:
-            raise MechanismError(
-                f"{label}: {', '.join(freedoms)}; turns about two axes are turns about a third as "
-                "well: give all three, the legs hold what the platform does not do"
-            )
-
-    @cached_property
-    def lengths(self) -> int:
-        """Number of coordinates that are positions; they come first."""
-        return sum(not name.startswith("r") for name in self.freedoms)
-
-    @property
-    def turns(self) -> int:
-        """Number of coordinates that are angles: none, one or three."""
-        return len(self.freedoms) - self.lengths
-
-    @cached_property
-    def coordinates(self) -> tuple[str, ...]:
-        """Names of the coordinates: positions; ``phi``, or azimuth, tilt and torsion."""
-        angles = {0: (), 1: ("phi",), 3: WAYS["tilt-torsion"][0]}[self.turns]
-        return (*self.freedoms[: self.lengths], *angles)
-
-    @cached_property
-    def units(self) -> tuple[str, ...]:
-        """Units of the coordinates, and of the freedoms in the same order."""
-        return ("m",) * self.lengths + ("rad",) * self.turns
-
-    @cached_property
-    def twist_rows(self) -> tuple[int, ...]:
-        """Rows of a twist (linear first) that the platform can move in, one per freedom."""
-        return tuple(TWIST.index(name) for name in self.freedoms)
-
-    @cached_property
-    def closure_rows(self) -> tuple[int, ...]:
-        """Rows of the loop closure that are kept: two in a plane, three in space."""
-        plane = self.lengths == 2 and set(self.freedoms) <= {"x", "y", "rz"}
-        return (0, 1) if plane else (0, 1, 2)
-
-    @cached_property
-    def bounds(self) -> tuple[tuple[float, float], ...]:
-        """Least and largest value of each coordinate, infinite for lengths."""
-        angles = (_TURN,) if self.turns == 1 else (_TURN, _TILT, _TURN)[: self.turns]
-        return (_ANY,) * self.lengths + angles
-
-    @property
-    def _axis(self) -> int:
-        """Axis of the one turn."""
-        return self.twist_rows[-1] - 3
-
-    def matrices(self, coordinates: Array) -> Array:
-        """Return ``T_base_platform`` of coordinates, shape (N, dof) to (N, 4, 4)."""
-        T = np.zeros((4, 4, len(coordinates)))  # memory runs along the poses: see ``batches``
-        T[range(4), range(4)] = 1.0
-        T[: self.lengths, 3] = coordinates[:, : self.lengths].T
-        if self.turns == 1:
-            j, k = (self._axis + 1) % 3, (self._axis + 2) % 3
-            T[k, j], T[j, j] = sine_and_cosine(coordinates[:, -1])
-            T[k, k], T[j, k] = T[j, j], -T[k, j]
-        elif self.turns == 3:
-            T[:3, :3] = tilted(coordinates[:, self.lengths :])
-        return T.transpose(2, 0, 1)
-
-    def from_matrices(self, matrices: Array) -> Array:
-        """Return the coordinates of homogeneous matrices, shape (N, 4, 4) to (N, dof)."""
-        columns = list(matrices[:, : self.lengths, 3].T)
-        R = matrices[:, :3, :3]
-        if self.turns == 1:
-            j, k = (self._axis + 1) % 3, (self._axis + 2) % 3
-            columns.append(np.arctan2(R[:, k, j], R[:, j, j]))
-        elif self.turns == 3:
-            columns += list(columns_of("tilt-torsion", Rotation.from_matrix(R)).T)
-        return np.stack(columns, axis=1)
+        if expected:
+            raise MechanismError(f"{label}: {', '.join(freedoms) or 'none'}{expected}")
 
 
 @dataclass(frozen=True)
 class PoseMatrices:
     """Matrices of N poses, made of the rows that are asked for: no others fill memory."""
 
-    form: PlatformKind
+    platform: Platform
     poses: RigidTransform | Array
     """Coordinates, shape (N, dof), or transforms."""
 
@@ -144,7 +76,7 @@ class PoseMatrices:
         """Return ``T_base_platform`` of some, shape (s, 4, 4)."""
         poses = self.poses[rows]
         if not isinstance(poses, RigidTransform):
-            return self.form.matrices(poses)
+            return self.platform.matrices_of(poses)
         entries = poses.as_matrix().transpose(1, 2, 0)
         return np.ascontiguousarray(entries).transpose(2, 0, 1)  # memory runs along the poses
 
@@ -215,69 +147,68 @@ class Platform:
         return one_line("Platform", repr(self.kind), f"home={triple(self.home)}")
 
     @staticmethod
-    def dof_of(kind: str | PlatformKind) -> int:
-        """Return the number of freedoms of a kind of platform."""
-        return len((KINDS[kind] if isinstance(kind, str) else kind).freedoms)
+    def at_origin(kind: str | PlatformKind) -> Platform:
+        """Return a platform of a kind whose home coordinates are zero."""
+        form = KINDS[kind] if isinstance(kind, str) else kind
+        return Platform(kind, (0.0,) * len(form.freedoms))
 
-    @property
-    def coordinates(self) -> tuple[str, ...]:
-        """Names of the coordinates."""
-        return self.form.coordinates
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        """Units of the coordinates, and of the twist rows in the same order."""
-        return self.form.units
-
-    @property
+    @cached_property
     def lengths(self) -> int:
         """Number of coordinates that are positions; they come first."""
-        return self.form.lengths
+        return sum(not name.startswith("r") for name in self.form.freedoms)
 
     @property
     def turns(self) -> int:
         """Number of coordinates that are angles: none, one or three."""
-        return self.form.turns
+        return self.dof - self.lengths
+
+    @property
+    def dof(self) -> int:
+        """Number of freedoms."""
+        return len(self.form.freedoms)
+
+    @cached_property
+    def coordinates(self) -> tuple[str, ...]:
+        """Names of the coordinates: positions; ``phi``, or azimuth, tilt and torsion."""
+        angles = {0: (), 1: ("phi",), 3: WAYS["tilt-torsion"][0]}[self.turns]
+        return (*self.form.freedoms[: self.lengths], *angles)
 
     @property
     def freedoms(self) -> tuple[str, ...]:
         """Names of the twist rows: three turns are rx, ry, rz in base axes, one is phi."""
         return self.form.freedoms if self.turns == 3 else self.coordinates
 
-    @property
+    @cached_property
+    def units(self) -> tuple[str, ...]:
+        """Units of the coordinates, and of the twist rows in the same order."""
+        return ("m",) * self.lengths + ("rad",) * self.turns
+
+    @cached_property
     def bounds(self) -> tuple[tuple[float, float], ...]:
         """Least and largest value of each coordinate, infinite for lengths."""
-        return self.form.bounds
+        angles = (_TURN,) if self.turns == 1 else (_TURN, _TILT, _TURN)[: self.turns]
+        return (_ANY,) * self.lengths + angles
 
-    @property
+    @cached_property
     def twist_rows(self) -> tuple[int, ...]:
         """Rows of a twist (linear first) that the platform can move in, one per freedom."""
-        return self.form.twist_rows
-
-    @property
-    def closure_rows(self) -> tuple[int, ...]:
-        """Rows of the loop closure that are kept: two in a plane, three in space."""
-        return self.form.closure_rows
-
-    def closing(self, closes: str) -> tuple[int, ...]:
-        """Return the rows of a twist in which a leg closes a ``"point"`` or a ``"frame"``."""
-        if closes == "point":
-            return self.closure_rows
-        return (0, 1, 5) if self.space == 2 else (0, 1, 2, 3, 4, 5)
-
-    def equations(self, leg: Leg) -> int:
-        """Return how many equations a leg demands of a pose, passive joints eliminated."""
-        return len(self.closing(leg.closes)) - len(leg.passive)
+        return tuple(TWIST.index(name) for name in self.form.freedoms)
 
     @property
     def space(self) -> int:
         """Dimension of the space that the mechanism moves in: 2 or 3."""
-        return len(self.closure_rows)
+        plane = self.lengths == 2 and set(self.form.freedoms) <= {"x", "y", "rz"}
+        return 2 if plane else 3
 
-    @property
-    def dof(self) -> int:
-        """Number of freedoms."""
-        return len(self.coordinates)
+    def closing(self, closes: str) -> tuple[int, ...]:
+        """Return the rows of a twist in which a leg closes a ``"point"`` or a ``"frame"``."""
+        if self.space == 2:
+            return (0, 1) if closes == "point" else (0, 1, 5)
+        return (0, 1, 2) if closes == "point" else (0, 1, 2, 3, 4, 5)
+
+    def equations(self, leg: Leg) -> int:
+        """Return how many equations a leg demands of a pose, passive joints eliminated."""
+        return len(self.closing(leg.closes)) - len(leg.passive)
 
     def transforms(self, poses: Poses) -> RigidTransform:
         """Return poses ``T_base_platform`` of length N; rigid transforms pass unchanged.
@@ -293,24 +224,46 @@ class Platform:
         return RigidTransform(self.matrices(poses), normalize=False, copy=False)
 
     def placed(self, poses: Poses) -> PoseMatrices:
-        """Return poses whose matrices are made where they are asked for: see ``transforms``.
-
-        Raises:
-            MechanismError: wrong shape, or a coordinate that is not a finite number.
-        """
+        """Return poses whose matrices are made where they are asked for: see ``transforms``."""
         if not isinstance(poses, RigidTransform):
-            return PoseMatrices(self.form, self.checked(poses))
+            return PoseMatrices(self, self.checked(poses))
         if poses.single:
             raise MechanismError("poses are N transforms; got a single one: put it in brackets")
-        return PoseMatrices(self.form, poses)
+        return PoseMatrices(self, poses)
 
     def matrices(self, poses: Poses) -> Array:
-        """Return poses as homogeneous matrices, shape (N, 4, 4); see ``transforms``.
-
-        Raises:
-            MechanismError: wrong shape, or a coordinate that is not a finite number.
-        """
+        """Return poses as homogeneous matrices, shape (N, 4, 4); see ``transforms``."""
         return self.placed(poses)[:]
+
+    def matrices_of(self, coordinates: Array) -> Array:
+        """Return ``T_base_platform`` of sound coordinates, shape (N, dof) to (N, 4, 4)."""
+        T = np.zeros((4, 4, len(coordinates)))  # memory runs along the poses: see ``batches``
+        T[range(4), range(4)] = 1.0
+        T[: self.lengths, 3] = coordinates[:, : self.lengths].T
+        if self.turns == 1:
+            j, k = self._across
+            T[k, j], T[j, j] = sine_and_cosine(coordinates[:, -1])
+            T[k, k], T[j, k] = T[j, j], -T[k, j]
+        elif self.turns == 3:
+            T[:3, :3] = tilted(coordinates[:, self.lengths :])
+        return T.transpose(2, 0, 1)
+
+    def from_matrices(self, matrices: Array) -> Array:
+        """Return the coordinates of homogeneous matrices, shape (N, 4, 4) to (N, dof)."""
+        columns = list(matrices[:, : self.lengths, 3].T)
+        R = matrices[:, :3, :3]
+        if self.turns == 1:
+            j, k = self._across
+            columns.append(np.arctan2(R[:, k, j], R[:, j, j]))
+        elif self.turns == 3:
+            columns += list(columns_of("tilt-torsion", Rotation.from_matrix(R)).T)
+        return np.stack(columns, axis=1)
+
+    @property
+    def _across(self) -> tuple[int, int]:
+        """Axes across that of the one turn."""
+        axis = self.twist_rows[-1] - 3
+        return (axis + 1) % 3, (axis + 2) % 3
 
     def checked(self, poses: object) -> Array:
         """Return coordinates of poses, shape (N, dof), their shape and numbers checked.
@@ -334,10 +287,6 @@ class Platform:
         if not isinstance(poses, RigidTransform):
             return numbers_of(poses, "poses", MechanismError)
         return self.from_matrices(poses.as_matrix())
-
-    def from_matrices(self, matrices: Array) -> Array:
-        """Return the coordinates of homogeneous matrices, shape (N, 4, 4) to (N, dof)."""
-        return self.form.from_matrices(matrices)
 
     def moved(self, poses: Array, twists: Array) -> Array:
         """Return poses moved by small twists at the platform's origin, axes of the base.

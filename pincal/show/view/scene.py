@@ -74,7 +74,7 @@ class Scene:
     @property
     def planar(self) -> bool:
         """Whether all moves in the x-y plane."""
-        return len(self.mechanism.platform.closure_rows) == 2
+        return self.mechanism.platform.space == 2
 
     @property
     def axes(self) -> Array:
