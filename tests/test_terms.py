@@ -24,7 +24,6 @@ from pincal.kinematics.closure import LegClosure, joint_range
 from pincal.kinematics.configurations import planned_influences
 from pincal.kinematics.derivatives import Demand
 from pincal.kinematics.influences import influences_of, sides
-from pincal.model.sensor import turning
 from pincal.model.terms import Load
 
 EXACT = pincal.Noise(1e-7, 1e-7, 1e-7)
@@ -405,7 +404,7 @@ def test_readings_that_mean_two_positions_are_said(tmp_path: Path) -> None:
         own = machine.with_parameters({"leg_2.a_0": amplitude})
         leg = LegClosure(own.legs[1], own.platform)
         law = sensor_law(leg)
-        (where,) = turning(law, *(end[leg.leg.active] for end in joint_range(leg.leg)))
+        (where,) = law.turning(*(end[leg.leg.active] for end in joint_range(leg.leg)))
         assert np.isfinite(where) == turns
         if turns:
             before, at = law.slopes(np.array([[where - 2e-2], [where]]))[:, 0]

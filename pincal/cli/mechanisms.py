@@ -25,7 +25,6 @@ from pincal.model.leg import Leg
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.option import option
-from pincal.model.sensor import turning
 from pincal.show.tables import nominal_table, symmetry_table
 from pincal.symmetry.breaks import no_symmetries
 from pincal.symmetry.detect import SymmetryGroup, symmetry_group
@@ -101,7 +100,7 @@ def _check_observability(index: int, leg: Leg, mechanism: Mechanism, plan: Plan)
 def warn_of_turns(closure: LegClosure) -> None:
     """Say at which reading q(ψ) of a leg's sensors turns back, if it does."""
     leg = closure.leg
-    turns = turning(sensor_law(closure), *(end[leg.active] for end in joint_range(leg)))
+    turns = sensor_law(closure).turning(*(end[leg.active] for end in joint_range(leg)))
     for name, unit, reading in zip(leg.reading_names, leg.reading_units, turns, strict=True):
         if np.isfinite(reading):
             warn(TURNS_BACK.format(reading=name, unit=unit, where=reading))

@@ -13,7 +13,7 @@ import numpy as np
 from pincal.errors import MechanismError
 from pincal.model.checks import EXACT, LARGEST
 from pincal.model.orientation import SINGLE_ANGLES, WAYS
-from pincal.model.sensor import check_terms
+from pincal.model.sensor import term_faults
 
 if TYPE_CHECKING:
     from pincal.model.leg import Joint, Leg
@@ -47,10 +47,7 @@ def check_leg(leg: Leg) -> None:
     Raises:
         MechanismError: the first fault.
     """
-    for fault in _joint_faults(leg):
-        raise MechanismError(f"{leg.name}: {fault}")
-    check_terms(leg, leg.placed)
-    for fault in _parameter_faults(leg):
+    for fault in chain(_joint_faults(leg), term_faults(leg), _parameter_faults(leg)):
         raise MechanismError(f"{leg.name}: {fault}")
     for joint in (*leg.joints, leg.point):
         joint.placement.rest(leg.nominal_by_name, f"{leg.name}, joint {joint.name!r}")
@@ -70,12 +67,8 @@ def _joint_faults(leg: Leg) -> Iterator[str]:
     if len(set(names)) != len(names):
         yield f"joint names repeat: {names}"
     moving, read = [joint.name for joint in leg.moving], [sensor.joint for sensor in leg.sensors]
-    for name in read:
-        if name not in moving:
-            yield (
-                f"active joint {name!r} is not a moving joint of the leg; it has "
-                f"{', '.join(moving)}"
-            )
+    for name in [name for name in read if name not in moving]:
+        yield f"active joint {name!r} is not a moving joint of the leg; it has {', '.join(moving)}"
     if not read or len(set(read)) != len(read):
         yield (
             f"its sensors read {', '.join(read) or 'nothing'}; expected one sensor or more, each "
@@ -115,73 +108,59 @@ def check_mechanism(mechanism: Mechanism) -> None:
     Raises:
         MechanismError: the first fault.
     """
-    faults = (_leg_name_faults, _column_faults, _load_faults, _reading_faults, _leg_faults)
-    for fault in chain.from_iterable(of_topic(mechanism) for of_topic in faults):
+    title = mechanism.name
+    if not (title and title.isprintable() and len(title) <= 100):
+        raise MechanismError(f"{title!r} is no name for a mechanism")
+    for fault in chain(_name_faults(mechanism), _load_faults(mechanism)):
+        raise MechanismError(f"mechanism {title!r}: {fault}")
+    for fault in _leg_faults(mechanism):
         raise MechanismError(fault)
 
 
-def _leg_name_faults(mechanism: Mechanism) -> Iterator[str]:
-    """Yield what is wrong with the names of the mechanism and its legs."""
-    names = mechanism.leg_names
+def _name_faults(mechanism: Mechanism) -> Iterator[str]:
+    """Yield what is wrong with names of legs, and of readings and influences, columns of tables."""
+    names, readings = mechanism.leg_names, mechanism.reading_names
     if not names:
-        yield f"mechanism {mechanism.name!r} has no legs"
+        yield "it has no legs"
     if len(set(names)) != len(names):
-        yield f"mechanism {mechanism.name!r}: leg names repeat: {list(names)}"
-    if not (mechanism.name and mechanism.name.isprintable() and len(mechanism.name) <= 100):
-        yield f"{mechanism.name!r} is no name for a mechanism"
-
-
-def _column_faults(mechanism: Mechanism) -> Iterator[str]:
-    """Yield which readings and influences cannot head columns of a table."""
-    readings = mechanism.reading_names
+        yield f"leg names repeat: {list(names)}"
     for name in readings:
         if name in RESERVED or name.startswith("sigma_"):
             yield (
-                f"mechanism {mechanism.name!r}: a reading named {name!r} cannot be distinguished "
-                f"from that column of a pose; rename its joint or leg ({name}_joint, say)"
+                f"a reading named {name!r} cannot be distinguished from that column of a pose; "
+                f"rename its joint or leg ({name}_joint, say)"
             )
     for name in mechanism.influences:
         if name in RESERVED or name in readings:
             yield (
-                f"mechanism {mechanism.name!r}: a term depends on {name!r}, which is another "
-                "column of tables; name the influence otherwise"
+                f"a term depends on {name!r}, which is another column of tables; name the "
+                "influence otherwise"
             )
-    for name in mechanism.influences:
-        bracketed = name != name.strip() or not name or set("[]") & set(name)
-        if bracketed or name.startswith(("sigma_", "cov_")):
+        if name != name.strip() or not name or re.search(r"[][]|^(sigma|cov)_", name):
             yield (
-                f"mechanism {mechanism.name!r}: a term depends on {name!r}, which heads no column "
-                "of a table; expected a name such as temperature: no brackets, no blanks around "
-                "it, not sigma_… or cov_…"
+                f"a term depends on {name!r}, which heads no column of a table; expected a name "
+                "such as temperature: no brackets, no blanks around it, not sigma_… or cov_…"
             )
+    if len(set(readings)) != len(readings):
+        yield (
+            f"names of readings repeat: {', '.join(readings)}; a leg's only sensor is named after "
+            "the leg, several ones after their joints"
+        )
+    if "platform" in names:
+        yield "'platform' names the platform's file; name the leg otherwise"
 
 
 def _load_faults(mechanism: Mechanism) -> Iterator[str]:
     """Yield what is wrong with what weighs on the mechanism."""
-    ids = {parameter.id for parameter in mechanism.parameters}
+    ids = mechanism.parameters.ids
     for name, _ in () if mechanism.load is None else mechanism.load.drawn:
         if name not in ids:
-            yield (
-                f"mechanism {mechanism.name!r}: the load's drawing has {name!r}, which is no "
-                "parameter"
-            )
+            yield f"the load's drawing has {name!r}, which is no parameter"
     if mechanism.load is None and mechanism.loaded:
         yield (
-            f"mechanism {mechanism.name!r}: a term depends on a load, but what weighs on the "
-            "mechanism is not said; give 'load' (mass, centre, gravity)"
+            "a term depends on a load, but what weighs on the mechanism is not said; give 'load' "
+            "(mass, centre, gravity)"
         )
-
-
-def _reading_faults(mechanism: Mechanism) -> Iterator[str]:
-    """Yield whether readings, or a leg and the platform, share a name."""
-    readings = mechanism.reading_names
-    if len(set(readings)) != len(readings):
-        yield (
-            f"mechanism {mechanism.name!r}: names of readings repeat: {', '.join(readings)}; a "
-            "leg's only sensor is named after the leg, several ones after their joints"
-        )
-    if "platform" in mechanism.leg_names:
-        yield "'platform' names the platform's file; name the leg otherwise"
 
 
 def _leg_faults(mechanism: Mechanism) -> Iterator[str]:
@@ -196,15 +175,13 @@ def _leg_faults(mechanism: Mechanism) -> Iterator[str]:
                 f"{sharing.name} and {leg.name} share the platform point {leg.point.name!r}, so "
                 "it must be the same for both and have no parameters; give each leg its own point"
             )
-    for leg in mechanism.legs:
-        rows, passive = len(mechanism.platform.closing(leg.closes)), len(leg.passive)
-        if passive >= rows:
+        if mechanism.platform.equations(leg) <= 0:
             yield (
-                f"{leg.name} has {passive} passive joints for {rows} rows of its closure: it "
-                "demands nothing of the platform; read another of its joints, or leave it out"
+                f"{leg.name} has {len(leg.passive)} passive joints for "
+                f"{len(mechanism.platform.closing(leg.closes))} rows of its closure: it demands "
+                "nothing of the platform; read another of its joints, or leave it out"
             )
-    for leg in mechanism.legs if mechanism.platform.space == 2 else ():
-        for joint in leg.joints:
+        for joint in leg.joints if mechanism.platform.space == 2 else ():
             if _leaves_plane(joint):
                 yield (
                     f"{leg.name}: joint {joint.name!r} leaves the plane; in a planar mechanism "
@@ -215,9 +192,7 @@ def _leg_faults(mechanism: Mechanism) -> Iterator[str]:
 
 def _leaves_plane(joint: Joint) -> bool:
     """Return whether a joint would move the leg out of the x-y plane of the base."""
-    if abs(abs(joint.placement.origin()[2, 2]) - 1.0) > EXACT:
-        return True
+    across = abs(abs(joint.placement.origin()[2, 2]) - 1.0) <= EXACT
     height = abs(joint.axis[2])
-    if joint.kind == "fixed":
-        return False
-    return not (abs(height - 1.0) < EXACT if joint.turns else height < EXACT)
+    flat = abs(height - 1.0) < EXACT if joint.turns else height < EXACT
+    return not (across and (flat or joint.kind == "fixed"))

@@ -44,30 +44,25 @@ def check_home(leg: Leg, platform: Platform) -> None:
     gap, turn = _gap_and_turn(leg, platform)
     if max(gap, leg.size * turn) <= ROUGH * leg.size:
         return
-    gap_text = (
+    how = (
         f"its tip is {gap:.2g} m from the platform's point {leg.point.name!r}, the leg is "
         f"{leg.size:.2g} m long; expected a tenth of that at most"
         if gap >= leg.size * turn
         else f"its tip is turned by {turn:.2g} rad against the platform's frame "
         f"{leg.point.name!r}; expected {ROUGH:g} rad at most"
     )
-    angles = {f"{joint.name} of {leg.name}": joint.home for joint in leg.moving if joint.turns}
-    angles |= {
-        f"{name} of the platform": value
-        for name, value, unit in zip(
-            platform.coordinates, platform.home, platform.units, strict=True
-        )
-        if unit == "rad"
-    }
-    large = {name: value for name, value in angles.items() if abs(value) > 2 * np.pi}
-    question = "".join(
+    angles = [(f"{joint.name} of {leg.name}", joint.home) for joint in leg.moving if joint.turns]
+    named = list(zip(platform.coordinates, platform.home, strict=True))[platform.lengths :]
+    angles += [(f"{name} of the platform", value) for name, value in named]
+    questions = [
         f". {name} is {value:g} at home: radians are expected; is this degrees "
         f"({np.radians(value):.6g} rad)?"
-        for name, value in list(large.items())[:1]
-    )
+        for name, value in angles
+        if abs(value) > 2 * np.pi
+    ]
     raise MechanismError(
-        f"{leg.name} does not close at home: {gap_text}. Correct 'home' of {leg.name} or of the "
-        f"platform{question}"
+        f"{leg.name} does not close at home: {how}. Correct 'home' of {leg.name} or of the "
+        f"platform{''.join(questions[:1])}"
     )
 
 

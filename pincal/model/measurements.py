@@ -19,7 +19,10 @@ from pincal.model.setup import Setup
 from pincal.types import Array, Index, Mask
 
 EVERY_LEG = "all"
-_COLUMNS = ("poses", "lines", "written", "extra", "sigma_extra", "covariances", "influences")
+#: Fields that are not named where a table shows itself.
+_COLUMNS = {"poses", "readings", "lines", "written", "extra", "sigma_extra", "covariances"} | {
+    "influences"
+}
 VERIFY = "verify"
 SMALLEST_SIGMA = 1e-50
 """Standard deviation, [m] or [rad], below which powers of weights overflow; 0 is exact."""
@@ -52,7 +55,7 @@ class Noise:
         for name, entry in vars(self).items():
             value = number_of(entry, f"the noise of {name}", MeasurementError)
             object.__setattr__(self, name, value)
-            if not (value == 0.0 or SMALLEST_SIGMA <= value <= LARGEST):
+            if value != 0.0 and not SMALLEST_SIGMA <= value <= LARGEST:
                 raise MeasurementError(
                     f"the noise of {name} is {value}; expected a standard deviation, 0 or more "
                     f"({SMALLEST_SIGMA:g} to {LARGEST:g}, or 0 for what is exact)"
@@ -89,38 +92,34 @@ class Plan:
     def __post_init__(self) -> None:
         poses = array_of(self.poses, ("N", "dof"), "poses", MeasurementError)
         object.__setattr__(self, "poses", poses)
-        self._check({"readings": ("n_readings",)}, ("sets", "places"))
-        self._check_columns("influences")
+        self._check({"readings": ("n_readings",)}, ("sets", "places"), ("influences",))
 
-    def _check_columns(self, *names: str) -> None:
-        """Make mappings of columns ones of arrays, one number for each row.
-
-        Raises:
-            MeasurementError: something else, or another number of rows.
-        """
-        for name in names:
-            columns = must_be(getattr(self, name), Mapping, name, MeasurementError)
-            arrays = {
-                column: array_of(values, (len(self),), f"{name} {column!r}", MeasurementError)
-                for column, values in columns.items()
-            }
-            object.__setattr__(self, name, arrays)
-
-    def _check(self, arrays: Mapping[str, tuple[int | str, ...]], names: Sequence[str]) -> None:
-        """Make fields arrays and tuples with one entry for each row of the poses.
+    def _check(
+        self,
+        arrays: Mapping[str, tuple[int | str, ...]],
+        names: Sequence[str],
+        columns: Sequence[str],
+    ) -> None:
+        """Make fields arrays, tuples, and mappings of arrays, with one entry for each pose.
 
         Raises:
             MeasurementError: something else, or another number of rows.
         """
-        count = len(self.poses)
+        count, checked = len(self.poses), dict[str, Any]()
         for name, shape in arrays.items():
             if (values := getattr(self, name)) is not None:
-                array = array_of(values, (count, *shape), name, MeasurementError)
-                object.__setattr__(self, name, array)
+                checked[name] = array_of(values, (count, *shape), name, MeasurementError)
         for name in names:
             if (values := getattr(self, name)) is not None:
-                one_a_row = names_of(values, count, name, MeasurementError)
-                object.__setattr__(self, name, one_a_row)
+                checked[name] = names_of(values, count, name, MeasurementError)
+        for name in columns:
+            named = must_be(getattr(self, name), Mapping, name, MeasurementError)
+            checked[name] = {
+                column: array_of(values, (count,), f"{name} {column!r}", MeasurementError)
+                for column, values in named.items()
+            }
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
 
     @staticmethod
     @attached
@@ -190,15 +189,16 @@ class Plan:
         """Return the first rows for notebooks."""
 
     def __repr__(self) -> str:
-        more = [name for name, value in vars(self).items() if value is not None]
-        has = [name for name in more if name not in _COLUMNS]
-        has += [*getattr(self, "extra", ()), *self.influences]
+        has = [name for name, value in vars(self).items() if value is not None]
+        has = [name for name in has if name not in _COLUMNS]
         poses = f"{counted(len(self), 'row')}: {counted(self.poses.shape[1], 'coordinate')}"
         if lacks := int(np.isnan(self.poses).any(axis=1).sum()):
             poses += f" (not all in {counted(lacks, 'row')})"
         if self.readings is not None:
             poses += f", {counted(self.readings.shape[1], 'reading')}"
-        return one_line(type(self).__name__, poses, *(name for name in has if name != "readings"))
+        return one_line(
+            type(self).__name__, poses, *has, *getattr(self, "extra", ()), *self.influences
+        )
 
     def __len__(self) -> int:
         return len(self.poses)
@@ -230,16 +230,12 @@ class Plan:
     @property
     def verifying(self) -> Mask:
         """Which rows no fit follows, ``set`` being ``verify``, shape (N,)."""
-        if self.sets is None:
-            return np.zeros(len(self.poses), dtype=bool)
-        return np.array([set_name == VERIFY for set_name in self.sets], dtype=bool)
+        return np.array([name == VERIFY for name in self.serving], dtype=bool)
 
     def serves(self, leg: str) -> Mask:
         """Return which poses were chosen for a leg, shape (N,)."""
-        if self.sets is None:
-            return np.ones(len(self.poses), dtype=bool)
-        served = (s in (leg, EVERY_LEG, "") or leg in s.split("+") for s in self.sets)
-        return np.fromiter(served, dtype=bool, count=len(self.sets))
+        served = (leg in name.split("+") or name in (EVERY_LEG, "") for name in self.serving)
+        return np.array(list(served), dtype=bool)
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -275,8 +271,8 @@ class Measurements(Plan):
         self._check(
             {"sigma_poses": (dof,), "sigma_readings": (self.readings.shape[1],)},
             ("runs",),
+            ("extra", "sigma_extra", "covariances"),
         )
-        self._check_columns("extra", "sigma_extra", "covariances")
         if lone := [pair for pair in self.covariances if pair.count(",") != 1]:
             raise MeasurementError(f"covariance of {lone[0]!r}; expected a pair such as 'x,y'")
 

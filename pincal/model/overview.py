@@ -32,47 +32,44 @@ def counted(count: int, noun: str) -> str:
 
 def page(mechanism: Mechanism) -> str:
     """Return a mechanism on a page: platform, legs, and a table of its nominal parameters."""
-    platform = mechanism.platform
+    platform, legs = mechanism.platform, mechanism.legs
     home = zip(platform.coordinates, platform.home, platform.units, strict=True)
-    lines = [
-        f"{mechanism.name}{': ' * bool(mechanism.description)}{mechanism.description}",
-        f"platform {platform.kind}, at home "
-        + ", ".join(f"{name} = {value:.6g} {unit}" for name, value, unit in home),
-        *_columns(
-            [
-                [
-                    leg.name,
-                    leg.joint_letters,
-                    f"reads {', '.join(leg.reading_names)}",
-                    f"closes a {leg.closes}",
-                ]
-                for leg in mechanism.legs
-            ]
-        ),
-        "",
-        f"nominal parameters, {len(mechanism.parameters)} in all:",
+    at_home = ", ".join(f"{name} = {value:.6g} {unit}" for name, value, unit in home)
+    rows = [
+        (
+            leg.name,
+            leg.joint_letters,
+            f"reads {', '.join(leg.reading_names)}",
+            f"closes a {leg.closes}",
+        )
+        for leg in legs
     ]
-    units = {name: unit for leg in mechanism.legs for name, unit in leg.units.items()}
-    names = dict.fromkeys(name for leg in mechanism.legs for name in leg.parameter_names)
-    legs = [leg.nominal_by_name for leg in mechanism.legs]
-    grid = [["", *mechanism.leg_names]]
-    grid += [
-        [f"{name} [{units[name]}]", *(f"{leg[name]:.6g}" if name in leg else "" for leg in legs)]
-        for name in names
-    ]
+    units = {name: unit for leg in legs for name, unit in leg.units.items()}
+    names = dict.fromkeys(name for leg in legs for name in leg.parameter_names)
+    values = [leg.nominal_by_name for leg in legs]
+    grid = [("", *mechanism.leg_names)]
+    for name in names:
+        cells = (f"{of_leg[name]:.6g}" if name in of_leg else "" for of_leg in values)
+        grid.append((f"{name} [{units[name]}]", *cells))
     if len(legs) > len(names):
-        grid = [list(row) for row in zip(*grid, strict=True)]
+        grid = list(zip(*grid, strict=True))
     table = _columns(grid)
-    lines += table[: ROWS + 1]
-    lines += [f"… and {len(table) - ROWS - 1} rows more"] * (len(table) > ROWS + 1)
-    lines += [f"  {key}: {text}" for key, text in mechanism.used_labels.items()]
-    return "\n".join(lines)
+    return "\n".join(
+        (
+            f"{mechanism.name}{': ' * bool(mechanism.description)}{mechanism.description}",
+            f"platform {platform.kind}, at home {at_home}",
+            *_columns(rows),
+            "",
+            f"nominal parameters, {len(mechanism.parameters)} in all:",
+            *table[: ROWS + 1],
+            *[f"… and {len(table) - ROWS - 1} rows more"] * (len(table) > ROWS + 1),
+            *(f"  {key}: {text}" for key, text in mechanism.used_labels.items()),
+        )
+    )
 
 
 def _columns(rows: Sequence[Sequence[str]]) -> list[str]:
     """Return rows of cells as lines whose cells are below each other."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return [
-        "  " + "  ".join(f"{cell:{w}}" for cell, w in zip(row, widths, strict=True)).rstrip()
-        for row in rows
-    ]
+    lines = ("  ".join(map(str.ljust, row, widths)) for row in rows)
+    return [f"  {line}".rstrip() for line in lines]

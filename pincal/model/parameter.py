@@ -100,8 +100,7 @@ def labels_of(labels: object, name: str) -> tuple[tuple[str, str], ...]:
         if not (isinstance(text, str) and text.isprintable() and 0 < len(text) <= LONGEST_LABEL):
             raise MechanismError(
                 f"{context}: that of {str(key)[:80]!r} is {str(text)[:80]!r}; expected a few "
-                "words, "
-                f"{LONGEST_LABEL} letters at most"
+                f"words, {LONGEST_LABEL} letters at most"
             )
     return tuple((str(key), str(text)) for key, text in texts.items())
 
@@ -116,9 +115,6 @@ def listed(names: Iterable[str], limit: int = 6) -> str:
 
 def unknown_id(key: str, ids: tuple[str, ...]) -> str:
     """Return one sentence on an id that no parameter has, with those that may be meant."""
-    near = get_close_matches(key, ids, 3)
-    near = (
-        near or [parameter_id for parameter_id in ids if parameter_id.partition(".")[2] == key][:3]
-    )
+    near = get_close_matches(key, ids, 3) or [i for i in ids if i.partition(".")[2] == key][:3]
     meant = f"did you mean {' or '.join(map(repr, near))}?" if near else f"ids are {listed(ids)}"
     return f"no parameter {key!r}; {meant}"

@@ -8,7 +8,7 @@ them, NaN or no column, is at its reference, where its terms are zero.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal
 
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 
 STEPS = 50
+"""Of Newton's method, at most, from a position to its reading."""
+_GRID, _OF_A_PERIOD = 2000, 24  # readings at which a law is tried for where it turns back
 
 
 @dataclass(frozen=True)
@@ -41,24 +43,19 @@ class PlacedTerm:
     amplitude: float
 
     def basis(self, known: Array) -> Array:
-        """Return b at what is known of rows, shape (N, n_columns) to (N,)."""
+        """Return b at what is known of rows, shape (N, n_columns) to (N,); 0 at its reference."""
+        if self.column >= known.shape[1]:
+            return np.zeros(len(known))
         column = known[:, self.column]
         b = self.term.basis(column)
         return np.where(np.isfinite(column), b, 0.0) if self.term.of else b
 
 
-def add_terms(terms: Iterable[PlacedTerm], known: Array, to: Array) -> None:
-    """Add a b of terms whose columns are known, shape (N, n_columns), to targets (N, n)."""
+def _add_terms(terms: Iterable[PlacedTerm], known: Array, to: Array) -> Array:
+    """Return targets (N, n), to which a b of terms is added."""
     for term in terms:
-        if term.column < known.shape[1]:
-            to[:, term.target] += term.amplitude * term.basis(known)
-
-
-def add_bases(terms: Iterable[PlacedTerm], known: Array, to: Array) -> None:
-    """Add b, derivatives by amplitudes, likewise: to targets by parameters (N, n, n_params)."""
-    for term in terms:
-        if term.column < known.shape[1]:
-            to[:, term.target, term.parameter] += term.basis(known)
+        to[:, term.target] += term.amplitude * term.basis(known)
+    return to
 
 
 @dataclass(frozen=True)
@@ -85,20 +82,18 @@ class SensorLaw:
             influences: Influence quantities, shape (N, n_influences); at reference if not given.
         """
         readings = (joints - self.start) / self.slope
-        for _ in range(STEPS if self.terms else 0):
+        if not self.terms:
+            return readings
+        for _ in range(STEPS):
             known = readings if influences is None else np.hstack((readings, influences))
             step = (joints - self.position(known)) / self.slopes(known)
             readings = readings + step
             size = np.maximum(1.0, np.abs(readings))
             going = np.abs(step) > 4.0 * np.finfo(float).eps * size
             if not going.any():
-                break
-        else:
-            if self.terms:  # that are not small: q(ψ) is not monotonic
-                readings = np.where(
-                    going & (np.abs(step) > np.sqrt(np.finfo(float).eps) * size), np.nan, readings
-                )
-        return readings
+                return readings
+        lost = np.abs(step) > np.sqrt(np.finfo(float).eps) * size  # q(ψ) is not monotonic there
+        return np.where(lost, np.nan, readings)
 
     def position(self, known: Array) -> Array:
         """Return the active joints' positions of readings ψ, shape (N, n_active).
@@ -106,9 +101,8 @@ class SensorLaw:
         Args:
             known: Readings, and behind them influences, shape (N, n_active [+ n_influences]).
         """
-        joints = self.slope * known[:, : len(self.slope)] + self.start
-        add_terms(self.terms, known, joints)
-        return joints
+        linear = self.slope * known[:, : len(self.slope)] + self.start
+        return _add_terms(self.terms, known, linear)
 
     def slopes(self, known: Array) -> Array:
         """Return ∂q/∂ψ at given readings, shape (N, n_active), or (n_active,) if everywhere."""
@@ -137,15 +131,33 @@ class SensorLaw:
         readings, places = known.T[: len(self.slope), None], self.parameter_places
         by_slope, by_start = self.slope_by_parameter[:, places], self.start_by_parameter[:, places]
         derivatives = (by_slope[:, :, None] * readings + by_start[:, :, None]).transpose(2, 0, 1)
-        add_bases(self._own_terms, known, derivatives)
+        for term in self.terms:
+            place = np.searchsorted(places, term.parameter)
+            derivatives[:, term.target, place] += term.basis(known)
         return derivatives
 
-    @cached_property
-    def _own_terms(self) -> tuple[PlacedTerm, ...]:
-        """The terms, their parameters counted among ``parameter_places``."""
-        places = np.searchsorted(self.parameter_places, [term.parameter for term in self.terms])
-        pairs = zip(self.terms, places.tolist(), strict=True)
-        return tuple(replace(term, parameter=place) for term, place in pairs)
+    def turning(self, low: Array, high: Array) -> Array:
+        """Return the first reading at which q(ψ) turns back, shape (n_active,); NaN for none.
+
+        By ∂q/∂ψ on a grid over the joint's range, fine enough for the shortest harmonic of a
+        machine; what terms of influences add does not depend on the reading.
+
+        Args:
+            low: Least positions of the active joints, shape (n_active,), [rad] or [m].
+            high: Largest ones.
+        """
+        first, last = np.sort([(end - self.start) / self.slope for end in (low, high)], axis=0)
+        waves = [
+            (last - first)[placed.target] * placed.term.basis.rate / (2.0 * np.pi)
+            for placed in self.terms
+            if isinstance(placed.term.basis, Harmonic)
+        ]
+        count = int(max([_GRID, *(_OF_A_PERIOD * wave for wave in waves)]))
+        # shorter waves are met at other phases, period by period
+        readings = np.linspace(first, last, min(count, 500 * _GRID) + 1)
+        back = np.broadcast_to(self.slopes(readings), readings.shape) * np.sign(self.slope) <= 0.0
+        where = readings[back.argmax(axis=0), np.arange(len(first))]
+        return np.where(back.any(axis=0), where, np.nan)
 
 
 @dataclass(frozen=True)
@@ -178,9 +190,8 @@ class Sensor:
         counts = self.counts_per_unit
         if counts is not None and not 1.0 / LARGEST <= counts <= LARGEST:
             raise MechanismError(
-                f"sensor of {self.joint!r}: {counts!r} counts of one unit; expected a number "
-                "above 0 "
-                "(which way it counts is the direction)"
+                f"sensor of {self.joint!r}: {counts!r} counts of one unit; expected a number above "
+                "0 (which way it counts is the direction)"
             )
 
     @property
@@ -293,108 +304,57 @@ class Deformations:
         Args:
             influences: Of the leg, shape (N, n_influences); zero where NaN, or none are given.
         """
-        deformations = np.zeros((len(influences), len(self.parameters)))
-        add_terms(self.terms, influences, deformations)
-        return deformations
+        return _add_terms(self.terms, influences, np.zeros((len(influences), len(self.parameters))))
 
     def by_parameter(self, influences: Array) -> Array:
         """Return ∂ε/∂φ, shape (N, n_deformed, n_params): that of an amplitude is its b."""
         derivatives = np.zeros((len(influences), len(self.parameters), self.n_parameters))
-        add_bases(self.terms, influences, derivatives)
+        for term in self.terms:
+            derivatives[:, term.target, term.parameter] += term.basis(influences)
         return derivatives
 
 
-def check_terms(leg: Leg, placed: Mapping[str, str]) -> None:
-    """Raise if a term of a leg's sensors or parameters cannot be one.
+def term_faults(leg: Leg) -> Iterator[str]:
+    """Yield why a term of a leg's sensors or parameters cannot be one.
 
-    Args:
-        leg: The leg.
-        placed: Units of the parameters of its placements, by name.
-
-    Raises:
-        MechanismError: one of a parameter is of no length or angle, or follows a reading or a side
-            of approach; an amplitude that is a parameter of a placement or sensor itself, or that
-            terms of different units share.
+    One of a parameter is of no length or angle, or follows a reading or a side of approach; an
+    amplitude is a parameter of a placement or sensor itself, or terms of different units share it.
     """
-    of_sensors = {
-        constant
-        for s in leg.sensors
-        for constant in (s.gain, s.offset)
-        if isinstance(constant, str)
-    }
+    placed = leg.placed
+    of_sensors = {name for sensor in leg.sensors for name in (sensor.gain, sensor.offset)}
     for name, term in leg.terms:
-        context = f"{leg.name}: term {term.parameter!r} of parameter {name!r}"
+        owner = f"term {term.parameter!r} of parameter {name!r}"
         if name in of_sensors and name not in placed:
-            raise MechanismError(
-                f"{context}: that is the sensor's, whose position terms are added to as it is; "
-                "give "
+            yield (
+                f"{owner}: that is the sensor's, whose position terms are added to as it is; give "
                 "the term to the sensor (sensors: terms)"
             )
-        if name not in placed:
-            raise MechanismError(
-                f"{context}: no placement has such a parameter; expected one of "
-                f"{', '.join(placed) or 'none'}"
-            )
+        elif name not in placed:
+            expected = ", ".join(placed) or "none"
+            yield f"{owner}: no placement has such a parameter; expected one of {expected}"
         if not term.of:
-            raise MechanismError(
-                f"{context} depends on a reading; a parameter's depends on an influence: of a "
-                "column such as 'temperature', or of 'load'"
+            yield (
+                f"{owner} depends on a reading; a parameter's depends on an influence: of a column "
+                "such as 'temperature', or of 'load'"
             )
         if term.of == APPROACH:
-            raise MechanismError(
-                f"{context} depends on the side of approach, which is a joint's; give the term "
-                "to a "
+            yield (
+                f"{owner} depends on the side of approach, which is a joint's; give the term to a "
                 "sensor, or name a column of your own"
             )
-    units: dict[str, str] = {}
-    for owner, term, unit in _amplitudes(leg, placed):
-        context = f"{leg.name}: term {term.parameter!r} of {owner}"
-        if term.parameter in placed or term.parameter in of_sensors:
-            raise MechanismError(
-                f"{context}: its amplitude is also a parameter of a placement or sensor; name the "
-                "amplitude otherwise"
-            )
-        if units.setdefault(term.parameter, unit) != unit:
-            raise MechanismError(
-                f"{context}: its amplitude, [{unit}], is also that of another term, "
-                f"[{units[term.parameter]}]; name one of them otherwise"
-            )
-
-
-def _amplitudes(leg: Leg, placed: Mapping[str, str]) -> Iterator[tuple[str, Term, str]]:
-    """Yield owners of a leg's terms, for messages, the terms, and the units of their amplitudes."""
-    for sensor, unit in zip(leg.sensors, leg.reading_units, strict=True):
-        for term in sensor.terms:
-            yield f"sensor {sensor.joint!r}", term, term.unit or unit
-    for name, term in leg.terms:
-        yield f"parameter {name!r}", term, term.unit or placed[name]
-
-
-_POINTS = 2000
-_OF_A_PERIOD = 24
-
-
-def turning(law: SensorLaw, low: Array, high: Array) -> Array:
-    """Return the first reading at which q(ψ) turns back, shape (n_active,); NaN where it does not.
-
-    By ∂q/∂ψ on a grid over the joint's range, fine enough for the shortest harmonic of a machine;
-    what terms of influences add does not depend on the reading.
-
-    Args:
-        law: The law at parameter values.
-        low: Least positions of the active joints, shape (n_active,), [rad] or [m].
-        high: Largest ones.
-    """
-    first, last = np.sort([(end - law.start) / law.slope for end in (low, high)], axis=0)
-    waves = [
-        (last - first)[placed.target] * placed.term.basis.rate / (2.0 * np.pi)
-        for placed in law.terms
-        if isinstance(placed.term.basis, Harmonic)
+    amplitudes = [
+        (f"sensor {sensor.joint!r}", term, term.unit or unit)
+        for sensor, unit in zip(leg.sensors, leg.reading_units, strict=True)
+        for term in sensor.terms
     ]
-    count = int(max([_POINTS, *(_OF_A_PERIOD * wave for wave in waves)]))
-    count = min(count, 500 * _POINTS)  # shorter waves are met at other phases, period by period
-    readings = np.linspace(first, last, count + 1)
-    reversed_ = np.broadcast_to(law.slopes(readings), readings.shape) * np.sign(law.slope) <= 0.0
-    return np.where(
-        reversed_.any(axis=0), readings[reversed_.argmax(axis=0), np.arange(len(first))], np.nan
-    )
+    amplitudes += [(f"parameter {n!r}", term, term.unit or placed[n]) for n, term in leg.terms]
+    units: dict[str, str] = {}
+    for of, term, unit in amplitudes:
+        owner = f"term {term.parameter!r} of {of}: its amplitude"
+        if term.parameter in placed or term.parameter in of_sensors:
+            yield f"{owner} is also a parameter of a placement or sensor; name it otherwise"
+        if units.setdefault(term.parameter, unit) != unit:
+            yield (
+                f"{owner}, [{unit}], is also that of another term, [{units[term.parameter]}]; name "
+                "one of them otherwise"
+            )

@@ -92,20 +92,16 @@ def checked(condition: Condition, instrument: Instrument, count: int) -> Conditi
         MeasurementError: another shape, or something else than a condition.
     """
     r, p = len(instrument.columns), len(instrument.parameters)
+    shapes = {"value": (count, r), "by_pose": (count, r, 6), "by_parameter": (count, r, p)}
     if not isinstance(condition, Condition):
         raise MeasurementError(
             f"instrument {instrument.name!r} gave {type(condition).__name__}; expected a "
             "pincal.Condition"
         )
-    for name, shape in (
-        ("value", (count, r)),
-        ("by_pose", (count, r, 6)),
-        ("by_parameter", (count, r, p)),
-    ):
-        if (shape_given := np.shape(getattr(condition, name))) != shape:
+    for name, expected in shapes.items():
+        if (shape := np.shape(getattr(condition, name))) != expected:
             raise MeasurementError(
-                f"{name} of instrument {instrument.name!r} has shape {shape_given}; expected "
-                f"{shape}"
+                f"{name} of instrument {instrument.name!r} has shape {shape}; expected {expected}"
             )
     return condition
 
@@ -140,9 +136,8 @@ class Image:
             count_of(pixels, "size of an image [px]", MeasurementError, 1)
         if not number_of(self.scale, "scale of an image", MeasurementError) > 0.0:
             raise MeasurementError(f"scale of an image is {self.scale:g}; expected more than 0")
-        for name, columns in must_be(
-            self.points, Mapping, "points of an image", MeasurementError
-        ).items():
+        must_be(self.points, Mapping, "points of an image", MeasurementError)
+        for name, columns in self.points.items():
             if isinstance(columns, str) or len(columns) != 2:
                 raise MeasurementError(
                     f"point {name!r} of an image has the columns {columns!r}; expected two: one "
@@ -199,18 +194,13 @@ class Tracker:
             points: Positions in the frame of the measurements, shape (N, 3), [m].
         """
         x, y, z = ray = (points - self.at).T
-        level = np.hypot(x, y)
+        azimuth, level = np.arctan2(y, x), np.hypot(x, y)
+        c, s = np.cos(azimuth), np.sin(azimuth)
         length = np.hypot(level, z)
-        safe_level = np.where(level > 0.0, level, 1.0)
-        c, s = (
-            np.where(level > 0.0, x / safe_level, 1.0),
-            np.where(level > 0.0, y / safe_level, 0.0),
-        )
-        along = np.where(length > 0.0, ray / np.where(length > 0.0, length, 1.0), 0.0)
-        return np.stack(
-            (along.T, np.column_stack((-y, x, 0 * z)), np.column_stack((-z * c, -z * s, level))),
-            axis=2,
-        )
+        along = ray / np.where(length > 0.0, length, 1.0)
+        turned = np.column_stack((-y, x, 0 * z))
+        raised = np.column_stack((-z * c, -z * s, level))
+        return np.stack((along.T, turned, raised), axis=2)
 
 
 @dataclass(frozen=True)
@@ -353,46 +343,44 @@ class Setup:
         names = {"tracker", "target", *self.targets}
         for instrument in self.instruments:
             must_be(instrument, Instrument, "an instrument", MeasurementError)
-            if instrument.name in names or not instrument.name.isidentifier():
+            name = instrument.name
+            if name in names or not name.isidentifier():
                 raise MeasurementError(
-                    f"an instrument is named {instrument.name!r}; expected a word that no "
-                    "target and no "
+                    f"an instrument is named {name!r}; expected a word that no target and no "
                     "other instrument has"
                 )
-            names.add(instrument.name)
+            names.add(name)
             for column, unit in instrument.columns.items():
                 if unit not in ("m", "rad"):
                     raise MeasurementError(
-                        f"column {column!r} of instrument {instrument.name!r} is in {unit!r}; "
-                        "expected m "
-                        "or rad"
+                        f"column {column!r} of instrument {name!r} is in {unit!r}; expected m or "
+                        "rad"
                     )
-            if isinstance(instrument, Camera):
-                image_columns = {c for pair in instrument.image.points.values() for c in pair}
-                if unknown := sorted(image_columns - set(instrument.columns)):
-                    raise MeasurementError(
-                        f"the image of instrument {instrument.name!r} has a column {unknown[0]!r}; "
-                        f"expected its own: {listed(instrument.columns)}"
-                    )
+            pairs = instrument.image.points.values() if isinstance(instrument, Camera) else ()
+            if unknown := sorted({c for pair in pairs for c in pair} - set(instrument.columns)):
+                raise MeasurementError(
+                    f"the image of instrument {name!r} has a column {unknown[0]!r}; "
+                    f"expected its own: {listed(instrument.columns)}"
+                )
             for parameter in instrument.parameters:
-                if parameter.owner != instrument.name:
+                if parameter.owner != name:
                     raise MeasurementError(
-                        f"parameter {parameter.id!r} is of instrument {instrument.name!r}; "
-                        "expected "
-                        f"'{instrument.name}.{parameter.name}'"
+                        f"parameter {parameter.id!r} is of instrument {name!r}; expected "
+                        f"'{name}.{parameter.name}'"
                     )
 
     def __repr__(self) -> str:
         targets = [n + " (unknown)" * t.unknown for n, t in self.targets.items() if t != Target()]
+        named = {
+            "targets": targets,
+            "distances": self.distances,
+            "instruments": [instrument.name for instrument in self.instruments],
+        }
         return one_line(
             "Setup",
             "unknown frame" if self.unknown_frame else "base frame",
-            f"targets {listed(targets)}" if targets else "",
-            f"distances {listed(self.distances)}" if self.distances else "",
-            f"instruments {listed(instrument.name for instrument in self.instruments)}"
-            if self.instruments
-            else "",
-            "" if self.tracker is None else "tracker",
+            *(f"{kind} {listed(names)}" for kind, names in named.items() if names),
+            "tracker" if self.tracker else "",
             "systematic uncertainties" if self.systematic != Systematic() else "",
         )
 
@@ -435,34 +423,29 @@ class Setup:
                     f"leg of {mechanism.name!r} is {size:.3g} m; expected metres: is this "
                     "millimetres?"
                 )
-        points = self.points(mechanism.platform)
-        columns = points | dict.fromkeys(self.distances, "m")
-        taken_twice = set(points) & set(self.distances)
+        platform, legs = mechanism.platform, set(mechanism.leg_names)
+        columns = dict(self.points(platform))
+        named = [*columns, *self.distances]
         for instrument in self.instruments:
-            taken_twice |= set(columns) & set(instrument.columns)
+            if instrument.name in legs:
+                raise MeasurementError(
+                    f"an instrument is named {instrument.name!r}, as a leg of {mechanism.name!r}; "
+                    "choose another name"
+                )
+            named += instrument.columns
             columns |= instrument.columns
-        platform = mechanism.platform
-        taken = {
-            *mechanism.leg_names,
-            *mechanism.reading_names,
-            *platform.coordinates,
-            *platform.freedoms,
-            "set",
-            "run",
-        }
-        if owners := {instrument.name for instrument in self.instruments} & set(
-            mechanism.leg_names
-        ):
+        columns = dict.fromkeys(self.distances, "m") | columns
+        taken = {*legs, *mechanism.reading_names, *platform.coordinates, *platform.freedoms}
+        taken |= {"set", "run", "pose", "rx", "ry", "rz", *self.polar}
+        taken |= {name for names, _ in WAYS.values() for name in names}
+        ambiguous = [
+            name
+            for name in columns
+            if name in taken or name.startswith("sigma_") or named.count(name) > 1
+        ]
+        if ambiguous:
             raise MeasurementError(
-                f"an instrument is named {sorted(owners)[0]!r}, as a leg of {mechanism.name!r}; "
-                "choose another name"
-            )
-        taken |= {"pose", "rx", "ry", "rz", *(n for names, _ in WAYS.values() for n in names)}
-        taken |= {name for name in columns if name.startswith("sigma_")} | set(self.polar)
-        taken |= taken_twice
-        if ambiguous := taken & set(columns):
-            raise MeasurementError(
-                f"the setup names a column {sorted(ambiguous)[0]!r}, which means something else in "
+                f"the setup names a column {min(ambiguous)!r}, which means something else in "
                 "measurements; choose another name"
             )
         return columns

@@ -11,16 +11,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from pincal.errors import MechanismError
 from pincal.types import Array
-
-if TYPE_CHECKING:
-    from scipy.interpolate import CubicSpline
-
 
 APPROACH = "approach"
 LOAD = "load"
@@ -68,12 +65,6 @@ class Power:
     """A power of the reading over a range: what a screw or belt is off, as a polynomial.
 
     1 at ``centre`` + ``range``; powers 0 and 1 are offset and gain, which sensors have.
-
-    Example:
-        >>> import pincal
-        >>> bend = pincal.Term("bend", pincal.Power(power=2, range=1.5))
-        >>> bend.basis.power
-        2
     """
 
     power: int
@@ -104,12 +95,6 @@ class Knot:
 
     Outside the first and last knot the table goes on straight; if ``periodic``, the last knot is
     the first again, and has no amplitude of its own.
-
-    Example:
-        >>> import pincal
-        >>> hat = pincal.Knot(knots=(0.0, 1.0, 2.0), knot=1)
-        >>> pincal.Term("table_1", hat).parameter
-        'table_1'
     """
 
     knots: tuple[float, ...]
@@ -129,8 +114,6 @@ class Knot:
 
     @cached_property
     def _spline(self) -> CubicSpline:
-        from scipy.interpolate import CubicSpline  # slow to import, and needed here only
-
         values = np.zeros(len(self.knots))
         values[self.knot] = 1.0
         if self.periodic and self.knot == 0:
@@ -156,12 +139,6 @@ class Share:
 
     ``per`` may be negative, as for a coordinate that is: all lengths of a leg that grow by one
     share a of them have terms with the amplitude a, each by ``per`` over its length.
-
-    Example:
-        >>> import pincal
-        >>> warm = pincal.Term("grows", pincal.Share(per=10.0, reference=20.0), of="temperature")
-        >>> warm.of
-        'temperature'
     """
 
     per: float = 1.0
