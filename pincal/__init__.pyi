@@ -36,7 +36,7 @@ from .model.placement import Placement
 from .model.platform import Platform, PlatformKind
 from .model.sensor import Sensor
 from .model.setup import Condition, Distance, Image, Instrument, Setup, Systematic, Target, Tracker
-from .model.terms import Harmonic, Knot, Load, Power, Share, Term
+from .model.terms import Harmonic, Load, Power, Share, Term
 from .show.pictures.picture import picture
 from .show.view.view import view
 from .symmetry.detect import symmetry_group
@@ -65,7 +65,6 @@ __all__ = [
     "Inscribed",
     "Instrument",
     "Joint",
-    "Knot",
     "Leg",
     "Load",
     "Loss",

@@ -112,7 +112,7 @@ def test_corrections_of_grown_links_are_those_of_the_machine_grown_by_hand(name:
 
 def test_corrections_of_a_sensor_are_roots_of_its_law() -> None:
     """With geometry as it is, the joint is where it was: its law is solved by SciPy there."""
-    machine = with_forms(pincal.load_mechanism("5R"), "sine", "table")
+    machine = with_forms(pincal.load_mechanism("5R"), "sine", "power")
     poses = workspace("5R", 4)
     plain = pincal.inverse(machine.without_terms, poses)
     found = plain.readings + pincal.corrections(machine, poses).readings
@@ -341,7 +341,7 @@ def test_what_an_export_leaves_out_is_offered_and_the_command_works(tmp_path: Pa
 
 def test_joints_of_the_exported_urdf_become_readings_by_the_code(tmp_path: Path) -> None:
     """What a controller does: joints of the URDF at a pose, readings of these by the code."""
-    machine = with_forms(pincal.load_mechanism("5R"), "sine", "table", "temperature", "backlash")
+    machine = with_forms(pincal.load_mechanism("5R"), "sine", "power", "temperature", "backlash")
     machine.save(tmp_path / "m")
     done("export", tmp_path / "m", "-o", tmp_path / "m.urdf")
     done("export", tmp_path / "m", "-o", tmp_path / "c.py")

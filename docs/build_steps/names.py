@@ -5,7 +5,7 @@ from __future__ import annotations
 GROUPS = {
     "Mechanisms": "load_mechanism new_mechanism Mechanism Leg Joint Placement Parameter Platform "
     "PlatformKind generate",
-    "Sensors and terms": "Sensor Term Harmonic Power Knot Share Load",
+    "Sensors and terms": "Sensor Term Harmonic Power Share Load",
     "Kinematics": "inverse forward margins identification_jacobian",
     "Workspace": "sample_workspace sample_configurations compute_workspace Workspace Grid "
     "Orientations Margins free_of_collision largest_inscribed Inscribed",

@@ -22,7 +22,7 @@ from pincal.model.mechanism import Mechanism
 from pincal.model.placement import Coordinate
 from pincal.model.platform import KINDS, Platform, PlatformKind
 from pincal.model.sensor import Sensor
-from pincal.model.terms import Harmonic, Knot, Load, Power, Share, Term
+from pincal.model.terms import Harmonic, Load, Power, Share, Term
 
 FORMAT = 1
 Value = Name | Number
@@ -31,17 +31,9 @@ _FORM_KEYS = {
     "sine": ("period",),
     "cosine": ("period",),
     "power": ("range", "centre"),
-    "knots": ("knot", "periodic"),
     "per": ("reference",),
 }
-_REQUIRED_KEYS = {"power": "range", "knots": "knot"}
-_FORMS: dict[str, Any] = {
-    "sine": Harmonic,
-    "cosine": Harmonic,
-    "power": Power,
-    "knots": Knot,
-    "per": Share,
-}
+_FORMS: dict[str, Any] = {"sine": Harmonic, "cosine": Harmonic, "power": Power, "per": Share}
 _BLOCKS = ("parameters", "labels", "load")  # mappings of which each key has a line of its own
 
 
@@ -54,9 +46,6 @@ class TermSpec(Strict):
     power: int | None = None
     range: Number | None = None
     centre: Number | None = None
-    knots: Annotated[tuple[Number, ...], Field(max_length=1000)] | None = None
-    knot: int | None = None
-    periodic: bool | None = None
     of: Annotated[str, Field(min_length=1, max_length=100)] | None = None
     per: Number | None = None
     reference: Number | None = None
@@ -78,7 +67,6 @@ class TermSpec(Strict):
         form = " and ".join(forms) or "none"
         keys = _FORM_KEYS.get(form, ())
         odd = [key for key in values if key not in (form, *keys)]
-        required = _REQUIRED_KEYS.get(form, form)
         try:
             if len(forms) != 1:
                 raise MechanismError(
@@ -88,8 +76,8 @@ class TermSpec(Strict):
                 raise MechanismError(
                     f"{odd[0]!r} does not go with {form!r}; expected {', '.join(keys)}"
                 )
-            if required not in values and form != "per":
-                raise MechanismError(f"{form!r} needs {required!r} beside it")
+            if form == "power" and "range" not in values:
+                raise MechanismError("'power' needs 'range' beside it")
             if form in ("sine", "cosine"):
                 values |= {"order": values.pop(form), "phase": form}
             return Term(parameter, _FORMS[form](**values), of=influence)

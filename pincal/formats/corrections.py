@@ -12,13 +12,12 @@ around them. Back they go by secants.
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from string import Template
 from typing import TypeVar
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from pincal.errors import MechanismError
 from pincal.files.measurement_writing import Columns, columns_of, reason_column
@@ -31,8 +30,8 @@ from pincal.kinematics.influences import own_influences
 from pincal.kinematics.inverse import inverse
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
-from pincal.model.sensor import STEPS, PlacedTerm
-from pincal.model.terms import APPROACH, LOAD, Harmonic, Knot, Power, Share
+from pincal.model.sensor import STEPS
+from pincal.model.terms import APPROACH, LOAD, Harmonic, Power, Share, Term
 from pincal.model.units import COUNTS, SI, UNITS, Units
 from pincal.types import Array
 
@@ -143,10 +142,8 @@ class Language:
     """Before a comment."""
     head: str
     tail: str
-    helpers: Mapping[str, str]
-    """By name, those that some law calls are written."""
-    table: str
-    row: str
+    known: str
+    """A function that laws with further arguments call."""
     law: str
     argument: str
     """How an argument is declared."""
@@ -156,30 +153,15 @@ PYTHON = Language(
     mark="#",
     head='''"""Readings of joints' positions, and positions of readings."""
 
-from math import cos, floor, nan, sin
+from math import cos, nan, sin
 ''',
     tail="",
-    helpers={
-        "known": '''
+    known='''
 
 def known(term):
     """Return a term; 0 where what it depends on is not known (nan)."""
     return 0.0 if term != term else term
 ''',
-        "spline": '''
-
-def spline(value, table, rows):
-    """Return a table at a value; rows are a start, and coefficients of powers 0 to 3."""
-    k = 0
-    while k + 1 < rows and table[k + 1][0] <= value:
-        k += 1
-    start, a, b, c, d = table[k]
-    x = value - start
-    return a + x * (b + x * (c + x * d))
-''',
-    },
-    table="\n\n$name = (\n$rows)\n",
-    row="    ({}),\n",
     law='''
 
 def ${name}_joint(reading$declared):
@@ -213,28 +195,13 @@ C = Language(
 #include <math.h>
 """,
     tail="\n#endif\n",
-    helpers={
-        "known": """
+    known="""
 // A term; 0 where what it depends on is not known (NAN).
 static inline double known(double term)
 {
     return term != term ? 0.0 : term;
 }
 """,
-        "spline": """
-// A table at a value; rows are a start, and coefficients of powers 0 to 3.
-static inline double spline(double value, const double table[][5], int rows)
-{
-    int k = 0;
-    while (k + 1 < rows && table[k + 1][0] <= value)
-        ++k;
-    const double *p = table[k], x = value - p[0];
-    return p[1] + x * (p[2] + x * (p[3] + x * p[4]));
-}
-""",
-    },
-    table="\nstatic const double $name[$count][5] = {\n$rows};\n",
-    row="    {{{}}},\n",
     law="""
 // The position [$unit] of joint $joint at a reading [$read_in].
 static inline double ${name}_joint(double reading$declared)
@@ -309,14 +276,13 @@ def code_of(mechanism: Mechanism, language: Language, units: Units = SI) -> str:
             gain = float(law.slope[index]) * per_joint / per_reading
             start = float(law.start[index]) * per_joint
             placed = [term for term in law.terms if term.target == index]
-            terms, tables = _terms(name, placed, arguments, per_joint, per_reading)
             used = {arguments[term.term.of]: term.term.of for term in placed if term.term.of}
             legend |= used
-            for table, rows in tables.items():
-                lines = (language.row.format(", ".join(map(repr, row))) for row in rows.tolist())
-                body += Template(language.table).substitute(
-                    name=table, count=len(rows), rows="".join(lines)
-                )
+            terms = [
+                f"{term.amplitude * per_joint!r} * "
+                + _form(term.term, arguments.get(term.term.of, "reading"), per_reading)
+                for term in placed
+            ]
             body += Template(language.law).substitute(
                 name=name,
                 joint=leg.leg.sensors[index].joint,
@@ -331,80 +297,36 @@ def code_of(mechanism: Mechanism, language: Language, units: Units = SI) -> str:
                 steps=STEPS,
                 small=_SMALL,
             )
-    helpers = [text for name, text in language.helpers.items() if f"{name}(" in body]
     comments = [f"Sensors of {mechanism.name!a}, written by pincal."]
     comments += [
         f"{name}: {_MEANS.get(of, f'column {of!a} of the measurements')}; nan: its terms are 0."
         for name, of in legend.items()
     ]
     comment = "".join(f"{language.mark} {line}\n" for line in comments)
-    return "".join((comment, language.head, *helpers, body, language.tail))
+    return "".join((comment, language.head, language.known * bool(legend), body, language.tail))
 
 
-def _terms(
-    name: str,
-    placed: Iterable[PlacedTerm],
-    arguments: Mapping[str, str],
-    per_joint: float,
-    per_reading: float,
-) -> tuple[list[str], dict[str, Array]]:
-    """Return the terms of a sensor's law as expressions, and the tables that these name.
-
-    Tables are cubics between knots: rows of a start and coefficients of powers 0 to 3, shape
-    (n, 5). The first row is for all below the first knot.
+def _form(term: Term, x: str, per: float) -> str:
+    """Return a term as code by ``x``: the reading, of which ``per`` are one rad or m, or a column.
 
     Raises:
-        MechanismError: a term that is a function of one's own.
+        MechanismError: a function of one's own.
     """
-    terms: list[str] = []
-    errors: dict[tuple[str, tuple[float, ...], bool], Array] = {}
-
-    def add(expression: str, column: str) -> None:
-        terms.append(f"known({expression})" if column else expression)
-
-    def argument_of(of: str) -> tuple[str, float]:
-        return (arguments[of], 1.0) if of else ("reading", per_reading)
-
-    for term in placed:
-        column, basis, amplitude = term.term.of, term.term.basis, term.amplitude * per_joint
-        if not term.term.has_form:
-            raise MechanismError(
-                f"{name}: the term of {term.term.parameter!r} is a function of your own, "
-                "which cannot be written in another language; a table over poses (.csv) holds it"
-            )
-        if isinstance(basis, Knot):
-            zeros = np.zeros(len(basis.knots))
-            errors.setdefault((column, basis.knots, basis.periodic), zeros)[basis.knot] += amplitude
-        else:
-            add(f"{amplitude!r} * {_form(basis, *argument_of(column))}", column)
-    tables: dict[str, Array] = {}
-    for (column, knots, periodic), values in errors.items():
-        x, per = argument_of(column)
-        scaled = per * np.array(knots)
-        if periodic:  # back into the first period
-            values[-1] = values[0]
-            first, period = float(scaled[0]), float(np.ptp(scaled))
-            x = f"{x} - {period!r} * floor(({x} - {first!r}) / {period!r})"
-        table = f"{name}_table_{len(tables) + 1}"
-        spline = CubicSpline(scaled, values, bc_type="periodic" if periodic else "natural")
-        ends = np.zeros((2, 5))  # straight outside the knots
-        ends[:, 0], ends[:, 1] = scaled[[0, -1]], values[[0, -1]]
-        ends[:, 2] = spline(ends[:, 0], 1)
-        pieces = np.column_stack((scaled[:-1], spline.c[::-1].T))
-        tables[table] = np.concatenate((ends[:1], pieces, ends[1:]))
-        add(f"spline({x}, {table}, {len(tables[table])})", column)
-    return terms, tables
-
-
-def _form(basis: object, x: str, per: float) -> str:
-    """Return a form of terms as code, by ``x`` in a unit of which ``per`` are one rad or m."""
+    basis, per = term.basis, 1.0 if term.of else per
+    if not term.has_form:
+        raise MechanismError(
+            f"the term of {term.parameter!r} is a function of your own, which cannot be written in "
+            "another language; a table over poses (.csv) holds it"
+        )
     if isinstance(basis, Harmonic):
         function = "sin" if basis.phase == "sine" else "cos"
-        return f"{function}({basis.rate / per!r} * {x})"
-    if isinstance(basis, Power):
-        return f"pow(({x} - {basis.centre * per!r}) / {basis.range * per!r}, {basis.power})"
-    assert isinstance(basis, Share)
-    return f"(({x} - {basis.reference * per!r}) / {basis.per * per!r})"
+        form = f"{function}({basis.rate / per!r} * {x})"
+    elif isinstance(basis, Power):
+        form = f"pow(({x} - {basis.centre * per!r}) / {basis.range * per!r}, {basis.power})"
+    else:
+        assert isinstance(basis, Share)
+        form = f"(({x} - {basis.reference * per!r}) / {basis.per * per!r})"
+    return f"known({form})" if term.of else form
 
 
 def _identifier(text: str, taken: Collection[str]) -> str:

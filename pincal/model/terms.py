@@ -10,11 +10,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from pincal.errors import MechanismError
 from pincal.types import Array
@@ -90,50 +88,6 @@ class Power:
 
 
 @dataclass(frozen=True)
-class Knot:
-    """One knot of a table of errors, cubic between knots: 1 at its own, 0 at all others.
-
-    Outside the first and last knot the table goes on straight; if ``periodic``, the last knot is
-    the first again, and has no amplitude of its own.
-    """
-
-    knots: tuple[float, ...]
-    """Ascending, [rad] or [m]."""
-    knot: int
-    """Index of its own, from 0."""
-    periodic: bool = False
-
-    def __post_init__(self) -> None:
-        count = len(self.knots) - self.periodic
-        if len(self.knots) < 3 or not (np.diff(self.knots) > 0.0).all():
-            raise MechanismError(
-                f"a table's knots are {list(self.knots)}; expected three or more, ascending"
-            )
-        if not 0 <= self.knot < count:
-            raise MechanismError(f"knot {self.knot!r} of a table that has {count}, from 0")
-
-    @cached_property
-    def _spline(self) -> CubicSpline:
-        values = np.zeros(len(self.knots))
-        values[self.knot] = 1.0
-        if self.periodic and self.knot == 0:
-            values[-1] = 1.0
-        return CubicSpline(self.knots, values, bc_type="periodic" if self.periodic else "natural")
-
-    def _inside(self, value: Array) -> Array:
-        return value if self.periodic else np.clip(value, self.knots[0], self.knots[-1])
-
-    def __call__(self, value: Array) -> Array:
-        """Return the cardinal spline."""
-        inside = self._inside(value)
-        return np.asarray(self._spline(inside) + (value - inside) * self._spline(inside, 1))
-
-    def slope(self, value: Array) -> Array:
-        """Return its derivative."""
-        return np.asarray(self._spline(self._inside(value), 1))
-
-
-@dataclass(frozen=True)
 class Share:
     """A column's excess over a reference, in so many units: 1 at ``reference`` + ``per``.
 
@@ -164,7 +118,7 @@ def _positive(name: str, value: float) -> None:
         raise MechanismError(f"{name} is {value!r}; expected a number above 0")
 
 
-FORMS = (Harmonic, Power, Knot, Share)
+FORMS = (Harmonic, Power, Share)
 """Forms that a mechanism's folder may hold."""
 
 
