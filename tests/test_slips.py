@@ -16,7 +16,6 @@ from measured import workspace
 import pincal
 from pincal.calibration.calibrate import prepared, started
 from pincal.calibration.fits import fitted
-from pincal.calibration.terms.screen import bounds, step_of
 from pincal.estimation.residuals.courses import Slip, slips
 
 NOISE = pincal.Noise(2e-5, 2e-5, 2e-5)
@@ -139,51 +138,16 @@ def test_a_reflector_that_slipped_on_an_arm_is_named() -> None:
     assert not result.promises
 
 
-def test_explain_says_slips_and_steps_in_words(tmp_path: Path) -> None:
+def test_explain_says_slips_in_words(tmp_path: Path) -> None:
     plain, data = measured("3RRR")
     data = _of_frame(plain, data, np.arange(COUNT) >= ROW)
-    readings = np.round(data.readings / 1e-4) * 1e-4
-    replace(data, readings=readings).to_csv(tmp_path / "d.csv", plain)
+    data.to_csv(tmp_path / "d.csv", plain)
     noise = ("--noise-position", "20um", "--noise-orientation", 2e-5, "--noise-reading", 1e-5)
     more = ("--folds", 2, "--terms", "backlash")
     out = done("explain", "3RRR", tmp_path / "d.csv", *noise, *more).out
     assert f"from data row {ROW + 1} on the frame of the measurements" in out
     assert "in the axes of the measurements): look for a tracker, a tripod or a base" in out
     assert "mend that first" in out
-    assert "leg_1 comes in steps of 0.1 mrad: its noise is 0.0289 mrad at least" in out
-    assert "and 0.01 mrad is reckoned with: give it as its noise" in out
-
-
-@pytest.mark.parametrize("step", [1e-6, 2.5e-4, np.pi / 2048])
-def test_steps_of_columns_are_found(step: float) -> None:
-    draw = np.random.default_rng(0)
-    values = draw.uniform(-1.0, 1.0, 60)
-    assert step_of(values) == 0.0
-    assert step_of(np.round(values / step) * step + 0.1234567) == pytest.approx(step, rel=1e-6)
-    assert step_of(np.round(values[:5] / step) * step) == 0.0  # too few to say
-
-
-@pytest.mark.parametrize("gain", quick(1, [0.5, 1.0]))
-def test_play_bounds_the_noise_of_a_reading(gain: float) -> None:
-    """Half of the play that a reading has is its noise, however it is geared."""
-    plain, data = measured("3RRR", gain=gain)
-    side = np.sign(np.diff(data.readings[:, 1], prepend=np.nan))
-    readings = data.readings.copy()
-    readings[:, 1] -= 1e-4 * np.nan_to_num(side)
-    found = pincal.explain(
-        plain, replace(data, readings=readings), noise=NOISE, folds=2, terms="backlash"
-    )
-    (one,) = (one for one in found.choice.bounds if one.cause == "play")
-    assert one.quantity == "leg_2"
-    assert one.size == pytest.approx(2e-4, rel=0.2)
-    assert one.least == pytest.approx(1e-4, rel=0.2)
-    assert one.too_small
-
-
-def test_fine_steps_are_not_said() -> None:
-    plain, data = measured("3RRR")
-    readings = np.round(data.readings / 1e-6) * 1e-6
-    assert not bounds(prepared(plain, replace(data, readings=readings), noise=NOISE))
 
 
 def test_one_row_is_no_slip() -> None:

@@ -212,7 +212,6 @@ def explain(mech: Mech, measurements: Measured, options: Options, known: InputOp
             "candidates": tables[0].records(),
             "models": tables[1].records(),
             "slips": choice.slips,
-            "noise_at_least": choice.bounds,
             "folds_left_out": [fold + 1 for fold, _ in choice.lost],
         }
     )

@@ -10,7 +10,7 @@ from pincal.calibration.doctor import Remedy
 from pincal.calibration.terms.choice import LEVEL
 from pincal.calibration.terms.explain import Explanation
 from pincal.calibration.terms.kinds import GROWTH, ORDER, parts_of, term_said
-from pincal.calibration.terms.screen import Bound, Candidate
+from pincal.calibration.terms.screen import Candidate
 from pincal.estimation.residuals.courses import Slip
 from pincal.finding import Finding
 from pincal.model.setup import ORIGIN
@@ -119,7 +119,6 @@ def explanation_lines(explanation: Explanation) -> list[str]:
         lines.append(words.NO_TERM)
     if explanation.result.nominal.load is None and explanation.result.nominal.platform.space == 3:
         lines.append(words.NO_LOAD)
-    lines += [bound_line(item) for item in explanation.choice.bounds]
     models = explanation.choice.models
     lines += [
         words.LOST.format(fold=fold + 1, why=reason) for fold, reason in explanation.choice.lost
@@ -194,15 +193,6 @@ def _vector(slip: Slip) -> str:
     )
     axes = "the platform's axes" if slip.what == "target" else "the axes of the measurements"
     return f"{amount(float(np.linalg.norm(slip.size)), slip.unit)} ({', '.join(parts)}, in {axes})"
-
-
-def bound_line(bound: Bound) -> str:
-    """Return what noise is surely there, and that it is not reckoned with."""
-    size, least, reckoned = (
-        amount(v, bound.unit) for v in (bound.size, bound.least, bound.reckoned)
-    )
-    text = words.BOUNDS[bound.cause].format(quantity=bound.quantity, size=size, least=least)
-    return words.TOO_SMALL.format(bound=text, reckoned=reckoned) if bound.too_small else text
 
 
 def _is_length(explanation: Explanation, candidate: Candidate) -> bool:

@@ -93,13 +93,6 @@ MEND = (
     "mend that first: measure what came after a slip again, or name the parts in a column run; "
     "while it is there other terms may only follow it"
 )
-BOUNDS = {
-    "steps": (
-        "{quantity} comes in steps of {size}: its noise is {least} at least, a step over √12"
-    ),
-    "play": ("{quantity}: with a play of {size} that no term models its noise is {least} at least"),
-}
-TOO_SMALL = "{bound}, and {reckoned} is reckoned with: give it as its noise, or model its cause"
 LOST = "fold {fold} is left out of the comparison, the other rows do not determine it: {why}"
 NO_TERM = (
     "a drift in the order of rows is no term that can be commanded: find what moves, measure "

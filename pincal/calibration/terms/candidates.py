@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -57,84 +56,76 @@ def with_terms(
             measured.
     """
     parts = {pair: [(place, pair[1]) for place in parts_of(pair[0], mechanism)] for pair in kinds}
-    pairs = list(dict.fromkeys(one for part in parts.values() for one in part))
-    wanted: dict[str, list[Kind]] = {}
+    pairs = list(dict.fromkeys(single for part in parts.values() for single in part))
     for place, kind in pairs:
         check_place(place, kind, mechanism)
     data = with_influences(mechanism, measurements, [kind for _, kind in pairs])
-    idle = idle_places(mechanism, data)
+    idle, wanted = idle_places(mechanism, data), dict[str, list[Kind]]()
     for place, kind in pairs:
         if kind.name != GRAVITY or place not in idle:
             wanted.setdefault(place, []).append(kind)
-    legs, labels, column = [], list(mechanism.labels), 0
+    legs, labels = [], list(mechanism.labels)
     ids: dict[tuple[str, Kind], tuple[str, ...]] = dict.fromkeys(pairs, ())
-    for leg in mechanism.legs:
-        grown = _Extended(leg)
-        for index, reading in enumerate(leg.reading_names):
-            for kind in wanted.get(reading, ()):
-                for one in _terms(leg, index, kind, data.readings[:, column], data):
-                    grown.at_sensor(index, one, (reading, kind))
-            column += 1
-        for name in leg.placed:
-            id_ = f"{leg.name}.{name}"
-            for kind in wanted.get(id_, ()):
-                one = _of_influence(name, id_, kind, data)
-                label = f"of {name} {_label(one, leg.placed[name])}"
-                grown.at_parameters({name: one}, label, (id_, kind))
-        for kind in wanted.get(GROWTH, ()):
-            one = _of_influence(GROWTH, "", kind, data)
-            label = f"share of all lengths {_label(one, '')}"
-            grown.at_parameters(_in_proportion(one, leg), label, (GROWTH, kind))
-        legs.append(grown.leg)
-        labels += grown.labels
-        for pair, names in grown.ids.items():
-            ids[pair] += tuple(names)
-    found = {pair: tuple(id_ for one in part for id_ in ids[one]) for pair, part in parts.items()}
-    return replace(mechanism, legs=tuple(legs), labels=tuple(labels)), found
+    for leg, columns in zip(mechanism.legs, mechanism.reading_columns, strict=True):
+        extended_leg = leg
+        for pair, terms, label in _lacking(leg, wanted, data, data.readings[:, columns]):
+            if (longer := _with_amplitude(extended_leg, terms)) is not extended_leg:
+                id_ = f"{leg.name}.{longer.parameter_names[-1]}"
+                ids[pair] += (id_,)
+                labels.append((id_, label))
+                extended_leg = longer
+        legs.append(extended_leg)
+    named = {pair: tuple(id_ for part in parts[pair] for id_ in ids[part]) for pair in parts}
+    return replace(mechanism, legs=tuple(legs), labels=tuple(labels)), named
 
 
-class _Extended:
-    """A leg that gets more terms, and the amplitudes that they bring."""
+def _lacking(
+    leg: Leg, wanted: Mapping[str, Sequence[Kind]], data: Measurements, readings: Array
+) -> Iterator[tuple[tuple[str, Kind], dict[int | str, Term], str]]:
+    """Yield places and kinds with their terms, all of one amplitude, and what that is.
 
-    def __init__(self, leg: Leg) -> None:
-        self.leg = leg
-        self.labels: list[tuple[str, str]] = []
-        self.ids: dict[tuple[str, Kind], list[str]] = {}
+    Terms are those of sensors, by index, or of parameters, by name. Readings of the leg have shape
+    (N, n_sensors).
+    """
+    for index, reading in enumerate(leg.reading_names):
+        for kind in wanted.get(reading, ()):
+            for term in _terms(leg, index, kind, readings[:, index], data):
+                yield (reading, kind), {index: term}, _label(term, leg.reading_units[index])
+    for name, unit in leg.placed.items():
+        id_ = f"{leg.name}.{name}"
+        for kind in wanted.get(id_, ()):
+            term = _of_influence(name, id_, kind, data)
+            yield (id_, kind), {name: term}, f"of {name} {_label(term, unit)}"
+    for kind in wanted.get(GROWTH, ()):
+        term = _of_influence(GROWTH, "", kind, data)
+        terms = _in_proportion(term, leg)
+        yield (GROWTH, kind), terms, f"share of all lengths {_label(term, '')}"
 
-    def at_sensor(self, index: int, term: Term, pair: tuple[str, Kind]) -> None:
-        """Add a term to a sensor, unless it has it."""
-        sensor = self.leg.sensors[index]
-        if _what(term) in map(_what, sensor.terms):
-            return
-        term = self._named(term, _label(term, self.leg.reading_units[index]), pair)
-        sensors = list(self.leg.sensors)
-        sensors[index] = replace(sensor, terms=(*sensor.terms, term))
-        self._grow(term, sensors=tuple(sensors))
 
-    def at_parameters(self, terms: Mapping[str, Term], label: str, pair: tuple[str, Kind]) -> None:
-        """Add terms to parameters, all with one amplitude, unless they have them."""
-        had: dict[str, dict[str, object]] = {}
-        for name, one in self.leg.terms:
-            had.setdefault(one.parameter, {})[name] = _what(one)
-        if not terms or {name: _what(term) for name, term in terms.items()} in had.values():
-            return
-        named = self._named(next(iter(terms.values())), label, pair)
-        more = ((name, replace(term, parameter=named.parameter)) for name, term in terms.items())
-        self._grow(named, terms=(*self.leg.terms, *more))
-
-    def _named(self, term: Term, label: str, pair: tuple[str, Kind]) -> Term:
-        """Return a term whose amplitude has a name of its own."""
-        name = term.parameter
-        while name in self.leg.parameter_names:
-            name += "_term"
-        id_ = f"{self.leg.name}.{name}"
-        self.labels.append((id_, label))
-        self.ids.setdefault(pair, []).append(id_)
-        return replace(term, parameter=name)
-
-    def _grow(self, term: Term, **changes: Any) -> None:
-        more = (*self.leg.parameters, (term.parameter, 0.0))
-        self.leg = replace(self.leg, parameters=more, **changes)
+def _with_amplitude(leg: Leg, terms: Mapping[int | str, Term]) -> Leg:
+    """Return a leg with terms that share one amplitude, its last parameter; as it is with them."""
+    places: list[tuple[int | str, Term]]
+    places = [(i, term) for i, sensor in enumerate(leg.sensors) for term in sensor.terms]
+    by_amplitude: dict[str, dict[int | str, object]] = {}
+    for place, term in (*places, *leg.terms):
+        by_amplitude.setdefault(term.parameter, {})[place] = _what(term)
+    if not terms or {i: _what(term) for i, term in terms.items()} in by_amplitude.values():
+        return leg
+    name = next(iter(terms.values())).parameter
+    while name in leg.parameter_names:
+        name += "_term"
+    named = {place: replace(term, parameter=name) for place, term in terms.items()}
+    sensors = tuple(
+        replace(sensor, terms=(*sensor.terms, named[i])) if i in named else sensor
+        for i, sensor in enumerate(leg.sensors)
+    )
+    of_parameters = tuple((place, term) for place, term in named.items() if isinstance(place, str))
+    return replace(
+        leg,
+        sensors=sensors,
+        terms=(*leg.terms, *of_parameters),
+        parameters=(*leg.parameters, (name, 0.0)),
+    )
 
 
 def extended(calibration: Calibration, pairs: Sequence[tuple[str, Kind]]) -> Calibration:
@@ -153,13 +144,9 @@ def extended(calibration: Calibration, pairs: Sequence[tuple[str, Kind]]) -> Cal
 
 
 def tied_by(ids: Mapping[tuple[str, Kind], Sequence[str]]) -> tuple[str, ...]:
-    """Return the names of amplitudes that are one for all legs: of growth.
-
-    Args:
-        ids: Of amplitudes, by place and kind.
-    """
-    every = [own for (place, _), own in ids.items() if place == GROWTH and len(own) > 1]
-    return tuple(dict.fromkeys(own[0].partition(".")[2] for own in every))
+    """Return the names of amplitudes that are one for all legs: those of growth."""
+    every = [names for (place, _), names in ids.items() if place == GROWTH and len(names) > 1]
+    return tuple(dict.fromkeys(names[0].partition(".")[2] for names in every))
 
 
 def _what(term: Term) -> tuple[object, ...]:
@@ -200,13 +187,9 @@ def _terms(
 
 
 def _of_influence(stem: str, owner: str, kind: Kind, measurements: Measurements) -> Term:
-    """Return the term of a kind that follows an influence.
+    """Return the term of a kind that follows an influence, of a reading or a parameter's id.
 
-    Args:
-        stem: With what the amplitude's name begins; nothing if empty.
-        owner: Reading, or id of the parameter, that has the term.
-        kind: The kind.
-        measurements: Say over what range it is scaled.
+    Its amplitude's name begins with the stem; measurements say over what range it is scaled.
 
     Raises:
         MeasurementError: a column that was not measured.
@@ -228,9 +211,9 @@ def _of_influence(stem: str, owner: str, kind: Kind, measurements: Measurements)
     return Term(name, Share(half, centre), of=kind.name)
 
 
-def _in_proportion(term: Term, leg: Leg) -> dict[str, Term]:
+def _in_proportion(term: Term, leg: Leg) -> dict[int | str, Term]:
     """Return a term by each length of a leg, in proportion to it: a share of all lengths."""
-    basis, by_length = term.basis, {}
+    basis, by_length = term.basis, dict[int | str, Term]()
     for name, unit in leg.placed.items():
         value = leg.nominal_by_name[name]
         if isinstance(basis, Share) and unit == "m" and value:
@@ -239,12 +222,7 @@ def _in_proportion(term: Term, leg: Leg) -> dict[str, Term]:
 
 
 def _label(term: Term, unit: str) -> str:
-    """Return what an amplitude is, in a few words.
-
-    Args:
-        term: The term.
-        unit: Of the reading.
-    """
+    """Return what an amplitude of a reading or parameter in a unit is, in a few words."""
     basis = term.basis
     if isinstance(basis, Harmonic):
         return f"{basis.phase} of {basis.order:g} times the reading"
@@ -276,19 +254,18 @@ def with_influences(
             "mechanism.yaml: 'load: {mass: …, centre: […], gravity: […]}'"
         )
     names = {APPROACH: mechanism.reading_names, LOAD: mechanism.load_names}
-    given = measurements.influences
-    own = sorted(
+    known = measurements.influences
+    missing = sorted(
         influence
         for influence in asked_for
-        if any(f"{influence}_{one}" not in given for one in names[influence])
+        if any(f"{influence}_{name}" not in known for name in names[influence])
     )
-    if not own:
+    if not missing:
         return measurements
     drawing = mechanism.drawing
-    legs = tuple(_with_each(leg, own) for leg in drawing.legs)
-    asked = replace(drawing, legs=legs)
-    columns = planned_influences(asked, replace(measurements, influences={}))
-    return replace(measurements, influences={**by_name(asked, columns), **given})
+    following = replace(drawing, legs=tuple(_with_each(leg, missing) for leg in drawing.legs))
+    columns = planned_influences(following, replace(measurements, influences={}))
+    return replace(measurements, influences={**by_name(following, columns), **known})
 
 
 def with_columns(calibration: Calibration, kinds: Iterable[Kind]) -> Measurements:
@@ -297,12 +274,10 @@ def with_columns(calibration: Calibration, kinds: Iterable[Kind]) -> Measurement
     Loads are those where the platform is, wherever it was measured from. Errors are those of
     ``with_influences`` and ``located``.
     """
-    every_kind, data, mechanism = list(kinds), calibration.measurements, calibration.mechanism
+    tried, data, mechanism = list(kinds), calibration.measurements, calibration.mechanism
     missing = {f"{LOAD}_{name}" for name in mechanism.load_names} - set(data.influences)
-    weigh = (
-        missing and mechanism.load is not None and any(one.name == GRAVITY for one in every_kind)
-    )
-    completed = with_influences(mechanism, located(calibration) if weigh else data, every_kind)
+    weigh = missing and mechanism.load is not None and any(kind.name == GRAVITY for kind in tried)
+    completed = with_influences(mechanism, located(calibration) if weigh else data, tried)
     return replace(data, influences=completed.influences)
 
 
@@ -327,20 +302,11 @@ def idle_places(mechanism: Mechanism, measurements: Measurements) -> set[str]:
 
 def _with_each(leg: Leg, influences: Sequence[str]) -> Leg:
     """Return a leg whose every joint, length and angle follows influences of its own."""
-    sensors = tuple(
-        replace(
-            sensor,
-            terms=tuple(
-                Term(f"{influence}_{i}", Share(), of=influence) for influence in influences
-            ),
-        )
-        for i, sensor in enumerate(leg.sensors)
-    )
-    placed = leg.placed if LOAD in influences else ()
-    terms = tuple((name, Term(f"{LOAD}_{name}", Share(), of=LOAD)) for name in placed)
-    every = [*(term for sensor in sensors for term in sensor.terms), *(one for _, one in terms)]
-    more = tuple((one.parameter, 0.0) for one in every)
-    return replace(leg, sensors=sensors, terms=terms, parameters=(*leg.parameters, *more))
+    for influence in influences:
+        places = [*range(len(leg.sensors)), *(leg.placed if influence == LOAD else ())]
+        for place in places:
+            leg = _with_amplitude(leg, {place: Term(f"{influence}_{place}", Share(), of=influence)})
+    return leg
 
 
 def _range(values: Array) -> tuple[float, float]:

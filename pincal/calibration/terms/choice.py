@@ -20,20 +20,16 @@ from pincal.calibration.missed import misses_of, per_row, predictions
 from pincal.calibration.options import FOLDS, clusters, folds_of
 from pincal.calibration.terms.candidates import extended, with_columns
 from pincal.calibration.terms.kinds import ORDER, Kind
-from pincal.calibration.terms.screen import Bound, Candidate, bounds, screen
+from pincal.calibration.terms.screen import Candidate, screen
 from pincal.errors import MeasurementError, PincalError
 from pincal.estimation.residuals.courses import Slip, slips
-from pincal.model.measurements import Measurements
 from pincal.types import Array
-
-TROUBLE = (PincalError, np.linalg.LinAlgError)
-"""What rows that do not determine a model raise."""
-
 
 LEVEL = 0.01
 """Probability by chance, of all tests of a screen, below which a term is tried."""
 _MOST_TERMS = 8  # one after the other
 _PINNED = 1e-12  # how well a parameter that is as drawn is known, [m], [rad] or [1]
+_TROUBLE = (PincalError, np.linalg.LinAlgError)  # what rows that do not determine a model raise
 
 
 @dataclass(frozen=True)
@@ -41,121 +37,35 @@ class Step:
     """A model and its fit."""
 
     added: tuple[tuple[str, Kind], ...]
+    """All terms that the mechanism given has not: place and kind."""
     chance: float
-    """Of the last term, when it was added: by the screen, the number of tests taken in."""
+    """Probability by chance of the last term when it was added, the number of tests taken in."""
     calibration: Calibration
-    found: Fits
+    fits: Fits
 
     @property
     def parameters(self) -> int:
-        """Free parameters: not those that are as drawn."""
-        unknowns = [fit.unknowns for fit in self.found.fits]
+        """Number of free parameters: not those that are as drawn."""
+        unknowns = [fit.unknowns for fit in self.fits.fits]
         return sum(
             unknown.map.shape[1] - int((unknown.priors <= _PINNED).sum()) for unknown in unknowns
         )
 
-    @property
-    def equations(self) -> int:
-        """Residuals that the fits follow."""
-        fits = self.found.fits
-        return int(sum(fit.last.equations[fit.weights > 0.0].sum() for fit in fits))
+    def errors(self, unseen: Calibration) -> Array:
+        """Return errors at rows not seen: shape (N, 4).
 
-    @property
-    def chi2(self) -> float:
-        """Of all residuals, at the noise of the geometry's fit."""
-        return float(sum(fit.chi2 for fit in self.found.fits))
-
-
-def grown(
-    calibration: Calibration,
-    screened: Sequence[Candidate],
-    pairs: Sequence[tuple[str, Kind]],
-    most: int = _MOST_TERMS,
-) -> list[Step]:
-    """Return models that grow by the likeliest term each time, until none is likely.
-
-    Args:
-        calibration: Of the geometry, its noise as it is.
-        screened: The screen of its residuals.
-        pairs: Readings, and kinds of term that they may lack.
-        most: How many at most.
-    """
-    steps: list[Step] = []
-    added: tuple[tuple[str, Kind], ...] = ()
-    while len(steps) < most:
-        likely = [one for one in screened if one.corrected < LEVEL and one.kind.name != ORDER]
-        if not likely:
-            break
-        added = (*added, (likely[0].reading, likely[0].kind))
-        larger = replace(extended(calibration, added), start=None)
-        try:
-            fits = _identified(larger)
-        except TROUBLE:  # what the rows do not determine
-            break
-        steps.append(Step(added, likely[0].corrected, larger, fits))
-        screened = screen(fits, pairs)
-    return steps
-
-
-def held_out(
-    unseen: Calibration,
-    seen: Sequence[Calibration],
-    pairs: Sequence[tuple[str, Kind]],
-    most: int,
-) -> list[tuple[Array, Array]]:
-    """Return ``squares`` and misses (see ``per_row``) of rows held out, by each model.
-
-    Args:
-        unseen: The rows held out.
-        seen: Calibrations of the others: of the machine as drawn, and of its geometry.
-        pairs: Readings, and kinds of term that they may lack.
-        most: How many terms at most.
-
-    Raises:
-        PincalError, LinAlgError: these rows do not determine the geometry.
-    """
-    steps = [Step((), 1.0, one, _identified(one)) for one in seen]
-    steps += grown(seen[1], screen(steps[1].found, pairs), pairs, most)
-    parts = []
-    for step in steps:
-        there = replace(unseen, mechanism=step.calibration.mechanism)
-        try:
-            misses = per_row(misses_of(there, step.found), len(there.measurements))
-            parts.append((squares(step.found, there), misses))
-        except TROUBLE:
-            if len(parts) < len(seen):
-                raise
-            break  # as a path that ended
-    return parts
-
-
-def _identified(calibration: Calibration) -> Fits:
-    """Return fits that converged.
-
-    Raises:
-        PincalError, LinAlgError: rows that do not determine the model, or a search without end.
-    """
-    fits = fitted(calibration)
-    if not all(fit.converged for fit in fits.fits):
-        raise MeasurementError("the search does not converge")
-    return fits
-
-
-def squares(seen: Fits, unseen: Calibration) -> Array:
-    """Return squared white residuals at rows not seen, and how many they are, shape (N, 2)."""
-    total = np.zeros((len(unseen.measurements), 2))
-    for one, linear in predictions(seen, unseen):
-        legs = [unseen.mechanism.leg_names.index(leg.name) for leg in one.problem.legs]
-        rows = np.flatnonzero(unseen.used[:, legs].any(axis=1))
-        if seen.latent:
-            rows = np.arange(len(total))
-        total[rows, 0] += linear.squares
-        total[rows, 1] += linear.equations
-    return total
-
-
-DRAWN, ALIGNED, GEOMETRY = "as drawn", "rigid alignment", "geometry"
-"""The machine as drawn, where it stands known or found; its parameters identified."""
+        Squared white residuals and how many they are; by how much targets are missed, [m] and
+        [rad].
+        """
+        there = replace(unseen, mechanism=self.calibration.mechanism)
+        count = len(there.measurements)
+        errors = np.hstack((np.zeros((count, 2)), per_row(misses_of(there, self.fits), count)))
+        for fit, linear in predictions(self.fits, there):
+            legs = [there.mechanism.leg_names.index(leg.name) for leg in fit.problem.legs]
+            serves = there.used[:, legs].any(axis=1) | self.fits.latent
+            errors[serves, 0] += linear.squares
+            errors[serves, 1] += linear.equations
+        return errors
 
 
 @dataclass(frozen=True)
@@ -168,9 +78,9 @@ class Model:
     added: tuple[tuple[str, Kind], ...]
     """All terms that the mechanism given has not: place and kind."""
     chance: float
-    """Of the last term, when it was added: by the screen, the number of tests taken in."""
+    """Probability by chance of the last term when it was added, the number of tests taken in."""
     parameters: int
-    """Free parameters."""
+    """Number of free parameters."""
     held_out: float
     """Root mean square of white residuals of held-out rows, [σ of the noise]; NaN where no fold
     can be identified."""
@@ -180,7 +90,7 @@ class Model:
     """Root mean square by which positions of targets are missed at held-out rows, [m]; NaN where
     none were measured."""
     orientation: float
-    """The same of the measured orientation, [rad]."""
+    """Root mean square by which the measured orientation is missed there, [rad]."""
     bic: float
     """Schwarz's criterion, χ² + k ln n of n residuals, at the noise of the geometry's fit."""
 
@@ -195,12 +105,8 @@ class Choice:
     """Index of the simplest within one standard error of the best."""
     candidates: tuple[Candidate, ...]
     """The screen of the geometry's residuals."""
-    calibration: Calibration
-    """Of the model that was chosen; of the geometry, if the machine as drawn was."""
     slips: tuple[Slip, ...] = ()
     """What slipped or drifted, unless a term explains it better; rows those of the measurements."""
-    bounds: tuple[Bound, ...] = ()
-    """Noise that is surely there."""
     lost: tuple[tuple[int, str], ...] = ()
     """Folds, from 0, without whose rows the geometry is not identified, and why: they are left out
     of the comparison."""
@@ -230,56 +136,96 @@ def choose(calibration: Calibration, pairs: Sequence[tuple[str, Kind]]) -> Choic
             "joint) are not; leave that out, and name the terms that it is to have (--terms)"
         )
     data = with_columns(calibration, [kind for _, kind in pairs])
-    calibration = replace(calibration, measurements=data)
     choosing_rows = np.flatnonzero(~data.verifying)
+    calibration = replace(calibration, measurements=data)
     if len(choosing_rows) < len(data):
         calibration = calibration.rows(choosing_rows)
-        data = calibration.measurements
     fits = fitted(calibration)
-    first = fits.calibration.at_this_noise()
-    screened = tuple(screen(fits, pairs))
-    pinned = dict.fromkeys(
-        (parameter.id for parameter in calibration.mechanism.parameters), _PINNED
-    )
-    drawn = first.with_options(priors=pinned)
-    tried = [Step((), 1.0, drawn, fitted(drawn)), Step((), 1.0, first, fits)]
-    tried += grown(first, screened, pairs)
-    slipped = tuple(replace(slip, row=int(choosing_rows[slip.row])) for slip in _slips(tried[1:]))
-    slips_and_bounds = (slipped, bounds(fits.calibration, screened))
-    groups = folds_of(data, calibration.options.folds or FOLDS, "turn")
-    lost = []
-    squares = np.full((len(tried), len(data), 2), np.nan)
-    misses = np.full((len(tried), len(data), 2), np.nan)
+    geometry = fits.calibration.at_this_noise()
+    parameters = calibration.mechanism.parameters
+    drawn = geometry.with_options(priors={parameter.id: _PINNED for parameter in parameters})
+    steps = [Step((), 1.0, drawn, fitted(drawn)), Step((), 1.0, geometry, fits)]
+    candidates = screen(fits, pairs)
+    steps += _grown(geometry, candidates, pairs, _MOST_TERMS)
+    slipped = [replace(slip, row=int(choosing_rows[slip.row])) for slip in _slips(steps[1:])]
+    groups = folds_of(calibration.measurements, calibration.options.folds or FOLDS, "turn")
+    errors, lost = np.full((len(steps), len(groups), 4), np.nan), []
     for fold in range(int(groups.max()) + 1):
-        first.options.report(f"models on held-out rows, fold {fold + 1} of {groups.max() + 1}")
+        geometry.options.report(f"models on held-out rows, fold {fold + 1} of {groups.max() + 1}")
         held_rows = np.flatnonzero(groups == fold)
-        seen_rows = [
-            calibration.rows(groups != fold).at_this_noise() for calibration in (drawn, first)
-        ]
+        seen = [whole.rows(groups != fold).at_this_noise() for whole in (drawn, geometry)]
         try:
-            parts = held_out(first.rows(held_rows), seen_rows, pairs, len(tried) - 2)
-        except TROUBLE as error:
+            parts = _errors_of_fold(geometry.rows(held_rows), seen, pairs, len(steps) - 2)
+        except _TROUBLE as error:
             lost.append((fold, str(error)))
             continue
-        for place in range(len(tried)):  # a path that ended stays where it is
-            squares[place, held_rows], misses[place, held_rows] = parts[min(place, len(parts) - 1)]
-    known = np.isfinite(squares[0, :, 0])
-    if not known.any():
-        models = tuple(_model(one, index, np.nan, 0.0, misses) for index, one in enumerate(tried))
-        return Choice(models, 1, screened, first, *slips_and_bounds, tuple(lost))
-    models, chosen = _compared(tried, squares[:, known], misses[:, known], data.rows(known))
-    own = tried[max(chosen, 1)].calibration
-    return Choice(models, chosen, screened, own, *slips_and_bounds, tuple(lost))
+        parts += parts[-1:] * (len(steps) - len(parts))  # a path that ended stays where it is
+        errors[:, held_rows] = parts[: len(steps)]
+    models, chosen = _compared(steps, errors, clusters(calibration.measurements))
+    return Choice(models, chosen, tuple(candidates), tuple(slipped), tuple(lost))
+
+
+def _grown(
+    geometry: Calibration,
+    candidates: Sequence[Candidate],
+    pairs: Sequence[tuple[str, Kind]],
+    most: int,
+) -> list[Step]:
+    """Return models that grow by the likeliest term of a screen, until none is likely, or most."""
+    steps: list[Step] = []
+    while len(steps) < most:
+        likely = [term for term in candidates if term.corrected < LEVEL and term.kind.name != ORDER]
+        if not likely:
+            break
+        added = (*(steps[-1].added if steps else ()), likely[0].pair)
+        larger = replace(extended(geometry, added), start=None)
+        try:
+            fits = _identified(larger)
+        except _TROUBLE:  # what the rows do not determine
+            break
+        steps.append(Step(added, likely[0].corrected, larger, fits))
+        candidates = screen(fits, pairs)
+    return steps
+
+
+def _errors_of_fold(
+    unseen: Calibration,
+    seen: Sequence[Calibration],
+    pairs: Sequence[tuple[str, Kind]],
+    most: int,
+) -> list[Array]:
+    """Return errors of rows held out by each model, of the machine as drawn and its geometry first.
+
+    Raises:
+        PincalError, LinAlgError: the rows seen do not determine the geometry.
+    """
+    steps = [Step((), 1.0, calibration, _identified(calibration)) for calibration in seen]
+    errors = [step.errors(unseen) for step in steps]
+    for step in _grown(seen[1], screen(steps[1].fits, pairs), pairs, most):
+        try:
+            errors.append(step.errors(unseen))
+        except _TROUBLE:
+            break  # as a path that ended
+    return errors
+
+
+def _identified(calibration: Calibration) -> Fits:
+    """Return fits that converged.
+
+    Raises:
+        PincalError, LinAlgError: rows that do not determine the model, or a search without end.
+    """
+    fits = fitted(calibration)
+    if not all(fit.converged for fit in fits.fits):
+        raise MeasurementError("the search does not converge")
+    return fits
 
 
 def _slips(steps: Sequence[Step]) -> list[Slip]:
     """Return what slipped or drifted, its rows those of the measurements.
 
-    By the residuals of the geometry; or, while a term is likelier than the clearest slip, of the
-    model with that term: a slip may only follow it, as terms may follow a slip.
-
-    Args:
-        steps: The geometry, and models that grow by the likeliest term each time.
+    By the residuals of the geometry, the first step; or, while a term is likelier than the clearest
+    slip, of the model with that term: a slip may only follow it, as terms may follow a slip.
     """
     slipped: list[Slip] = []
     for index, step in enumerate(steps):
@@ -287,68 +233,60 @@ def _slips(steps: Sequence[Step]) -> list[Slip]:
             break
         slipped = [
             replace(slip, row=int(fit.rows[slip.row]))
-            for fit in step.found.fits
+            for fit in step.fits.fits
             for slip in slips(fit)
         ]
-    noise_given = (
-        steps[0].found.calibration.options.noise is not None
-    )  # or estimated with slips in it
-    return slipped if noise_given else slipped[:1]
+    noise_given = steps[0].fits.calibration.options.noise is not None
+    return slipped if noise_given else slipped[:1]  # or estimated with slips in it
 
 
 def _compared(
-    tried: Sequence[Step], squares: Array, misses: Array, data: Measurements
+    steps: Sequence[Step], errors: Array, places: Sequence[str]
 ) -> tuple[tuple[Model, ...], int]:
     """Return models, and the index of the simplest within one standard error of the best.
 
     Args:
-        tried: Models by their size, the machine as drawn first, then its geometry.
-        squares: Sums of squared white residuals of rows, held out, and how many they are, shape
-            (n_models, N, 2).
-        misses: By how much targets are missed there, shape (n_models, N, 2), [m] and [rad].
-        data: The rows, of which those of one pose go together.
+        steps: Models by their size, the machine as drawn first, then its geometry.
+        errors: Of held-out rows (see ``Step.errors``), shape (n_models, N, 4); NaN of folds lost.
+        places: Poses of the rows: those of one go together.
     """
-    _, cluster = np.unique(clusters(data), return_inverse=True)
-    count = float(squares[0, :, 1].sum())
-    sums = np.stack(
-        [np.bincount(cluster, weights=squares_of_model[:, 0]) for squares_of_model in squares]
-    )
-    means = sums.sum(axis=1) / count
-    best = int(np.argmin(means))
-    several = sums.shape[1] > 1
-    spread = (sums - sums[best]).std(axis=1, ddof=int(several)) * np.sqrt(sums.shape[1]) / count
-    chosen = int(np.flatnonzero(means - means[best] <= spread)[0])
-    models = (
-        _model(one, index, float(mean), float(wide), misses)
-        for index, (one, mean, wide) in enumerate(zip(tried, means, spread, strict=True))
-    )
+    known = np.isfinite(errors[0, :, 0])
+    chosen, means, spread = 1, np.full(len(steps), np.nan), np.zeros(len(steps))
+    if known.any():
+        squares, count = errors[:, known, 0], float(errors[0, known, 1].sum())
+        _, cluster = np.unique(np.array(places)[known], return_inverse=True)
+        sums = np.stack([np.bincount(cluster, weights=of_model) for of_model in squares])
+        means = sums.sum(axis=1) / count
+        best, poses = int(np.argmin(means)), sums.shape[1]
+        spread = (sums - sums[best]).std(axis=1, ddof=int(poses > 1)) * np.sqrt(poses) / count
+        chosen = int(np.flatnonzero(means - means[best] <= spread)[0])
+    outside = bool(steps[0].calibration.observation.external.names)
+    names = ["rigid alignment" if outside else "as drawn", "geometry"]
+    names += ["{} {}".format(*step.added[-1]) for step in steps[2:]]
+    models = []
+    for step, name, mean, wide, of_model in zip(steps, names, means, spread, errors, strict=True):
+        position, orientation = (_root_mean_square(column) for column in of_model.T[2:])
+        chi2, equations = _chi2(step.fits)
+        models.append(
+            Model(
+                name=name,
+                added=step.added,
+                chance=step.chance,
+                parameters=step.parameters,
+                held_out=float(np.sqrt(mean)),
+                spread=float(wide / (2.0 * np.sqrt(mean))) if mean > 0.0 else 0.0,
+                position=position,
+                orientation=orientation,
+                bic=chi2 + step.parameters * float(np.log(equations)),
+            )
+        )
     return tuple(models), chosen
 
 
-def _model(one: Step, index: int, mean: float, wide: float, misses: Array) -> Model:
-    """Return a model.
-
-    Args:
-        one: The model and its fit by all rows.
-        index: Its place among all.
-        mean: Mean square of white residuals held out.
-        wide: Standard error of how much larger that is than the best model's.
-        misses: By how much targets are missed there, shape (n_models, N, 2), [m] and [rad].
-    """
-    position, orientation = (_root_mean_square(column) for column in misses[index].T)
-    outside = bool(one.calibration.observation.external.names)
-    names = (ALIGNED if outside else DRAWN, GEOMETRY)
-    return Model(
-        name=names[index] if index < 2 else "{} {}".format(*one.added[-1]),
-        added=one.added,
-        chance=one.chance,
-        parameters=one.parameters,
-        held_out=float(np.sqrt(mean)),
-        spread=float(wide / (2.0 * np.sqrt(mean))) if mean > 0.0 else 0.0,
-        position=position,
-        orientation=orientation,
-        bic=float(one.chi2 + one.parameters * np.log(one.equations)),
-    )
+def _chi2(fits: Fits) -> tuple[float, int]:
+    """Return χ² of all residuals, at the noise of the geometry's fit, and how many they are."""
+    counts = [fit.last.equations[fit.weights > 0.0].sum() for fit in fits.fits]
+    return float(sum(fit.chi2 for fit in fits.fits)), int(sum(counts))
 
 
 def _root_mean_square(values: Array) -> float:
