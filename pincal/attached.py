@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 Method = TypeVar("Method", bound=Callable[..., Any])
 
 DONE_BY = {
-    "CalibrationResult.__str__": "pincal.show.notebook.result_text",
+    "CalibrationResult.__str__": "pincal.show.answers.result_text",
     "CalibrationResult._repr_html_": "pincal.show.notebook.result_html",
     "CalibrationResult.compared": "pincal.calibration.calibrate.with_runs",
     "CalibrationResult.plot": "pincal.show.charts.Plots",
@@ -24,21 +24,16 @@ DONE_BY = {
     "CalibrationResult.save": "pincal.calibration.result_files.save_result",
     "CalibrationResult.validated": "pincal.calibration.calibrate.with_validation",
     "Explanation.__str__": "pincal.show.explanation.explanation_page",
-    "Forecast._repr_html_": "pincal.show.notebook.forecast_html",
     "Measurements.from_csv": "pincal.files.measurements.read_measurements",
     "Measurements.from_dataframe": "pincal.files.measurements.read_measurements",
     "Mechanism._repr_html_": "pincal.show.notebook.mechanism_html",
     "Mechanism.from_urdf": "pincal.formats.arm.load_arm",
     "Mechanism.save": "pincal.files.mechanism_folders.save_mechanism",
-    "Plan._repr_html_": "pincal.show.notebook.plan_html",
     "Plan.from_csv": "pincal.files.measurements.read_poses",
     "Plan.from_dataframe": "pincal.files.measurements.read_poses",
     "Plan.to_csv": "pincal.files.measurement_writing.write_plan",
     "Plan.to_dataframe": "pincal.files.measurement_writing.dataframe_of",
-    "RunComparison._repr_html_": "pincal.show.notebook.runs_html",
-    "Selection._repr_html_": "pincal.show.notebook.selection_html",
     "Setup.from_yaml": "pincal.files.yaml.read_setup",
-    "Validation._repr_html_": "pincal.show.notebook.validation_html",
 }
 """Function or class that is called with what a method is called with, its object first."""
 

@@ -830,8 +830,9 @@ def test_the_verdict_comes_first(work: Path, monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(pincal.cli.app.stdout, "width", 80)
     line = ["calibrate", "--no-report", "3RRR", "measured.csv", *NOISE, "--folds", 0]
     said = done(*line, "-o", "short").out.splitlines()
-    assert said[0].startswith("platform, root mean square")
-    assert len(said) <= 14
+    assert said[0].startswith(("✓ 3RRR: ", "⚠ 3RRR: "))
+    assert said[-1].startswith("next: pincal ")
+    assert len(said) <= 16
     assert max(map(len, said)) <= 80
 
 
@@ -840,7 +841,7 @@ def test_nothing_is_lost_at_80_columns(work: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(pincal.cli.app.stdout, "width", 80)
     line = ["calibrate", "--no-report", "3RRR", "measured.csv", *NOISE, "--folds", 0, "--verbose"]
     said = done(*line, "-o", "long").out
-    assert said.startswith("platform, root mean square")
+    assert said.startswith(("✓ 3RRR: ", "⚠ 3RRR: "))
     assert "…" not in said
     for leg in ("leg_1", "leg_2", "leg_3"):
         assert f"{leg} " in said

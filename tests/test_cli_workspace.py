@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 from command_line import contents, done, run
-from marks import some_slow
 
 import pincal
 from pincal.files.table import read_table
@@ -72,28 +70,6 @@ def test_pictures_of_every_kind_of_positions(more: list[object], tmp_path: Path)
     done("workspace", "6UPS", *spatial, "--picture", tmp_path / "s.png", "-o", tmp_path / "s.csv")
 
 
-@pytest.mark.slow
-def test_articular_space(tmp_path: Path) -> None:
-    """Poses and readings over the workspace and at three orientations, and the check."""
-    picture = tmp_path / "a.png"
-    outcome = done("workspace", "3RRR", "--kind", "articular", "--count", 500, "--axis",
-                   "phi=0,0.4,0.6", "--picture", picture, "-o", tmp_path / "a.csv")  # fmt: skip
-    assert "rotation by 120°: 500 of 500 permuted readings solved, 500 in the" in outcome.out
-    assert picture.read_bytes().startswith(b"\x89PNG")
-    table = read_table(tmp_path / "a.csv")
-    spaces = table.text["space"]
-    assert list(dict.fromkeys(spaces)) == ["all", *(f"phi = {v} rad" for v in ("0", "0.4", "0.6"))]
-    mechanism = pincal.load_mechanism("3RRR")
-    poses = np.stack(
-        [table.numbers("x", "m"), table.numbers("y", "m"), table.numbers("phi", "rad")]
-    )
-    readings = pincal.inverse(mechanism, poses.T).readings
-    written = [table.numbers(leg, "rad") for leg in mechanism.leg_names]
-    np.testing.assert_allclose(readings, np.stack(written, axis=1), atol=1e-12)
-    at = np.array([s == "phi = 0.4 rad" for s in spaces])
-    np.testing.assert_allclose(poses[2, at], 0.4, atol=1e-12)
-
-
 @pytest.mark.parametrize(
     ("line", "words"),
     [
@@ -111,8 +87,6 @@ def test_articular_space(tmp_path: Path) -> None:
         ("--kind reachable --axis x=-500:500:10 --axis y=-500:500:10", ["'x'", "[mm]"]),
         ("--kind dexterous --axis phi=0:1:0.1", ["total-orientation"]),
         ("--kind reachable --picture w.csv", ["w.csv", ".svg"]),
-        ("--kind articular --connected --jobs 2", ["--connected, --jobs", "articular"]),
-        ("--kind articular --axis x=0:1:0.1", ["orientations"]),
         ("--kind poses --picture w.png", ["--picture: not for --kind poses"]),
         ("--kind reachable --picture w.bmp", ["w.bmp", ".svg"]),
         ("--kind reachable --picture none/w.png", ["none"]),
@@ -142,9 +116,6 @@ def test_an_empty_workspace_is_a_result(tmp_path: Path) -> None:
     assert (tmp_path / "w.csv").read_text() == "x [m],y [m]\n"
     spatial = ["--axis", "z=9", "--axis", "x=0", "--axis", "y=0", "--picture", tmp_path / "s.png"]
     done("workspace", "6UPS", "--kind", "reachable", *spatial, "-o", tmp_path / "s.csv")
-    none = ["--kind", "articular", "--count", 50, "--axis", "phi [deg]=200"]
-    outcome = done("workspace", "3RRR", *none, "-o", tmp_path / "a.csv")
-    assert re.search(r"phi = -2.79253 rad +0 ", outcome.out)
 
 
 def test_a_cut_workspace_says_so(tmp_path: Path) -> None:
@@ -156,17 +127,6 @@ def test_a_cut_workspace_says_so(tmp_path: Path) -> None:
     assert "not used" in outcome.out
     outcome = done(*line, "-o", tmp_path / "whole.csv")
     assert "cut off" not in outcome.out
-
-
-@pytest.mark.parametrize("name", some_slow(["5R", "6UPS"], "6UPS"))
-def test_articular_space_of_other_numbers_of_legs(name: str, tmp_path: Path) -> None:
-    """Neighbouring legs are drawn in pairs."""
-    turn = ["--axis", "tilt [deg]=10", "--axis", "azimuth=0"] if name == "6UPS" else []
-    done("workspace", name, "--kind", "articular", "--count", 200, *turn, "--picture",
-         tmp_path / "a.png", "-o", tmp_path / "a.csv")  # fmt: skip
-    spaces = set(read_table(tmp_path / "a.csv").text["space"])
-    named = "azimuth = 0 rad, tilt = 0.174533 rad, torsion = 0 rad"
-    assert spaces == {"all", *([named] if turn else [])}
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from matplotlib.quiver import Quiver
 from measured import machine
 
 import pincal
-from pincal.show.residual_charts import camera_residuals
+from pincal.show.charts import camera_residuals
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "23_camera_images.py"
 

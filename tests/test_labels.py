@@ -13,8 +13,7 @@ from command_line import done
 import pincal
 from pincal.files.mechanism_folders import bundled
 from pincal.show.report import report
-from pincal.show.result_tables import parameters_table
-from pincal.show.tables import nominal_table
+from pincal.show.tables import nominal_table, parameters_table
 
 FIVE_BAR = pincal.load_mechanism("5R")
 OWN = replace(FIVE_BAR, labels={"l": "crank", "leg_2.l": "short crank", "none": "of nothing"})

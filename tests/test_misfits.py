@@ -19,7 +19,7 @@ from pincal.calibration.hypotheses.plausibility import (
     said,
 )
 from pincal.estimation.observability.indices import DIFFER, plausible_changes
-from pincal.show.workspace_answers import errors_at
+from pincal.show.workspace_errors import errors_at
 
 FRAME = pincal.Setup(unknown_frame=True)
 KINDS = ["5R", "3RRR", "6UPS"]

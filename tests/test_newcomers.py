@@ -8,14 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import done, run
+from command_line import run
 from measured import machine
 from scipy.spatial.transform import Rotation
 
 import pincal
-from pincal.show.result_tables import outside_table, parameters_table
-from pincal.show.tables import articular_table
-from pincal.show.workspace_plots import workspace_figure
+from pincal.show.tables import outside_table, parameters_table
+from pincal.show.workspaces import workspace_figure
 from pincal.workspace.axes import Axis
 from pincal.workspace.grid import default_grid
 from pincal.workspace.region import compute_workspace
@@ -105,17 +104,6 @@ def test_a_small_workspace_fills_its_picture() -> None:
         assert (left < min(points) < max(points) < right) == bases
         assert right - left < 4.0 * reach
         assert ("base points lie outside" in figure.get_suptitle()) is not bases
-
-
-def test_articular_all_is_said_to_be_a_sample(tmp_path: Path) -> None:
-    """In the table; spaces of an orientation are whole grids."""
-    out = done(
-        *("workspace", "5R", "--kind", "articular", "--count", 50, "-o", tmp_path / "a.csv")
-    ).out
-    assert "all: 50 random poses, so the space reaches a little farther" in out
-    mechanism = pincal.load_mechanism("5R")
-    whole = articular_table(mechanism, {"phi = 0 rad": np.zeros((3, 2))}, ())
-    assert "random" not in whole.caption
 
 
 def test_a_folder_to_import_is_asked_about(tmp_path: Path) -> None:

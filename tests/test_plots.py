@@ -15,12 +15,9 @@ from lxml import etree
 from matplotlib.axes import Axes
 from matplotlib.contour import QuadContourSet
 from matplotlib.figure import Figure
-from measured import machine, seen_from_elsewhere
 
 import pincal
-from pincal.calibration.fits import fitted
 from pincal.cli.view import Kind
-from pincal.estimation.residuals.redundancy import Remainders, every_residual
 from pincal.show.charts import LEVELS, colour_of
 
 NOISE = pincal.Noise(1e-4, 1e-4)
@@ -57,20 +54,6 @@ def test_changes_over_their_uncertainty(result: pincal.CalibrationResult) -> Non
     assert len(axes.containers[0]) == len(axes.containers[1]) - 1
 
 
-def test_correlations(result: pincal.CalibrationResult) -> None:
-    """The image holds the correlations of all that was identified, its axes the ids."""
-    axes = result.plot.correlation()
-    (image,) = axes.images
-    free = np.diagonal(result.covariance) > 0.0
-    own = result.covariance[np.ix_(free, free)]
-    std = np.sqrt(np.diagonal(own))
-    np.testing.assert_allclose(image.get_array(), own / np.outer(std, std))
-    names = [label.get_text() for label in axes.get_xticklabels()]
-    assert len(names) == free.sum()
-    assert names[0].startswith("leg_1.")
-    assert "leg_1.k" not in names
-
-
 def _lines_are_where_they_say(axes: Axes) -> None:
     """Check that contours lie at the values that their numbers name, at most four."""
     (lines,) = (one for one in axes.collections if isinstance(one, QuadContourSet))
@@ -97,12 +80,12 @@ def test_expected_errors_over_the_workspace(
     def fail(*_: object) -> None:
         raise pincal.WorkspaceError("none")
 
-    monkeypatch.setattr("pincal.show.workspace_answers.sample_configurations", fail)
+    monkeypatch.setattr("pincal.show.workspace_errors.sample_configurations", fail)
     with pytest.raises(pincal.WorkspaceError, match="no workspace"):
         result.plot.error_map()
 
 
-@pytest.mark.parametrize("kind", ["residuals", "parameters", "correlation"])
+@pytest.mark.parametrize("kind", ["residuals", "parameters"])
 def test_axes_that_are_given_are_drawn_into(kind: str, result: pincal.CalibrationResult) -> None:
     """And returned; names that matplotlib would hide stay visible."""
     hidden = tuple(replace(leg, name=f"_{leg.name}") for leg in result.legs)
@@ -159,8 +142,6 @@ def test_every_kind_of_result_plots(case: str, tmp_path: Path) -> None:
     assert np.isfinite(white).mean() > 0.9
     bars = [bar for one in result.plot.parameters().containers for bar in one]
     assert len(bars) == sum(p.high > p.low for leg in result.legs for p in leg.parameters)
-    (image,) = result.plot.correlation().images
-    assert np.abs(image.get_array()).max() <= 1.0 + 1e-9
     if mechanism.by_readings:
         with pytest.raises(pincal.WorkspaceError, match="follow from readings"):
             result.plot.error_map()
@@ -193,54 +174,8 @@ def test_changes_move_the_platform_by_what_perturbed_machines_do(
     assert len(bars) == sum(p.high > p.low for leg in result.legs for p in leg.parameters)
 
 
-def test_accuracy_by_poses_ends_at_the_promise_and_above_the_bound(
-    result: pincal.CalibrationResult,
-) -> None:
-    """All rows give the result's own expected error; no number of rows is below the bound."""
-    curve, bound = result.plot.poses().lines
-    x, y = curve.get_data()
-    over = pincal.sample_configurations(result.nominal, 300)
-    assert x[-1] == len(result.measurements)
-    assert y[-1] == pytest.approx(1e3 * result.expected_error(over).position, rel=0.05)
-    least = dict(zip(*bound.get_data(), strict=True))
-    assert all(own >= 0.999 * least[n] for n, own in zip(x, y, strict=True))
-    assert y[-1] < y[0]
-
-
-def test_singular_values_are_those_of_scaled_columns(result: pincal.CalibrationResult) -> None:
-    """Of the search's own white rows, columns of unit length, by SVD; the largest first."""
-    (line,) = result.plot.singular().lines
-    fit = fitted(result.calibration).fits[0]
-    J = fit.last.jacobian @ fit.unknowns.map
-    rows = J.reshape(-1, J.shape[2])
-    expected = np.linalg.svd(rows / np.linalg.norm(rows, axis=0), compute_uv=False)
-    np.testing.assert_allclose(line.get_ydata(), expected, rtol=1e-3)
-
-
-def test_what_rows_alone_do_not_make_is_not_drawn_by_their_number() -> None:
-    """Priors, and residuals that contradict the noise, are refused, not drawn too well."""
-    mechanism, _, data = machine("3RRR")
-    with_priors = pincal.calibrate(mechanism, data, noise=NOISE, tolerance={"m": 1e-4, "rad": 1e-4})
-    wrong = pincal.calibrate(mechanism, data, noise=pincal.Noise(1e-6, 1e-6, 5e-7))
-    for one in (with_priors, wrong):
-        with pytest.raises(pincal.MeasurementError):
-            one.plot.poses()
-
-
-def test_accuracy_by_poses_ends_at_the_promise_in_an_unknown_frame() -> None:
-    """What frames take up is no error of the machine, and bars at the platform leave it out."""
-    mechanism, _, data = machine("3RRR")
-    seen = seen_from_elsewhere(mechanism, data)
-    setup = pincal.Setup(unknown_frame=True)
-    result = pincal.calibrate(mechanism, seen, noise=NOISE, setup=setup)
-    curve, _ = result.plot.poses().lines
-    over = pincal.sample_configurations(result.nominal, 300)
-    expected = 1e3 * result.expected_error(over).position
-    assert curve.get_ydata()[-1] == pytest.approx(expected, rel=0.05)
-
-
-def test_residuals_over_workspace_and_time(result: pincal.CalibrationResult) -> None:
-    """Each row once, where it was measured, by its largest residual; means of tenths of them."""
+def test_residuals_over_the_workspace(result: pincal.CalibrationResult) -> None:
+    """Each row once, where it was measured, by its largest residual."""
     axes = result.plot.workspace()
     points = axes.collections[0]
     np.testing.assert_allclose(points.get_offsets(), result.poses)
@@ -248,25 +183,12 @@ def test_residuals_over_workspace_and_time(result: pincal.CalibrationResult) -> 
     own = [leg.residuals / one for leg, one in zip(result.legs, spread, strict=True)]
     white = np.abs(own)
     np.testing.assert_allclose(points.get_array(), white.max(axis=0))
-    (line, *_) = result.plot.time().lines
-    leg = result.legs[0]
-    first = (leg.residuals / leg.sigma)[:3].sum()
-    assert len(line.get_ydata()) == 10
-    assert abs(line.get_ydata()[0]) > abs(first) / np.sqrt(3)  # the fit took up a part of them
-    fit = fitted(result.calibration).fits[0]
-    _, follows, (own, *_) = every_residual(fit)
-    factors = np.zeros(follows.shape[:2])
-    factors[:3, own] = 1.0 / leg.sigma[:3, None]
-    spread = np.sqrt(Remainders.of(fit, follows).of_sum(factors))
-    assert line.get_ydata()[0] == pytest.approx(first / spread, rel=1e-6)
 
 
 def test_a_bed_needs_x_y_and_z(result: pincal.CalibrationResult) -> None:
-    """A five-bar has no bed, and no runs were compared: both are refused with what is needed."""
+    """A five-bar has no bed: it is refused with what is needed."""
     with pytest.raises(pincal.WorkspaceError, match="x, y and z"):
         result.plot.bed()
-    with pytest.raises(pincal.MeasurementError, match="no runs"):
-        result.plot.runs()
 
 
 def test_a_bed_shows_how_far_the_nozzle_is_off() -> None:
@@ -327,30 +249,16 @@ def test_command_draws_in_the_width_asked_for(
     assert wrong.code == 2
     assert "residuals" in wrong.err
     assert "Value error" not in wrong.err
-    refused = run("plot", tmp_path / "result", "time", "-o", tmp_path / "n.svg", "--leg", "leg_1")
+    refused = run("plot", tmp_path / "result", "bed", "-o", tmp_path / "n.svg", "--leg", "leg_1")
     assert refused.code == 2
     assert "drawing" in refused.err
     assert not (tmp_path / "n.svg").exists()
 
 
-def test_convergence_falls_to_the_fit(result: pincal.CalibrationResult) -> None:
-    """A line for the fit: it never rises, and ends at the root of reduced χ²."""
-    (line, level) = result.plot.convergence().lines
-    values = np.asarray(line.get_ydata(), dtype=np.float64)
-    assert len(values) > 2
-    assert values[0] > 5.0 * values[-1]
-    assert (np.diff(values) <= 1e-6 * values[:-1]).all()
-    assert values[-1] == pytest.approx(np.sqrt(result.reduced_chi2), rel=1e-3)
-    assert list(level.get_ydata()) == [1.0, 1.0]
-    data = result.measurements
-    legs = pincal.calibrate(result.nominal, data, noise=NOISE, method="per-leg")
-    assert [one.get_label() for one in legs.plot.convergence().lines[:2]] == ["leg_1", "leg_2"]
-
-
 def test_steps_are_kept_and_old_results_load(
     result: pincal.CalibrationResult, tmp_path: Path
 ) -> None:
-    """The steps come back from a file; a file without them loads, and its plot is refused."""
+    """The steps come back from a file; a file without them loads."""
     folder = result.save(tmp_path / "result")
     assert pincal.load_result(folder).costs == result.costs
     path = folder / "result.json"
@@ -359,5 +267,3 @@ def test_steps_are_kept_and_old_results_load(
     path.write_text(json.dumps(kept), encoding="utf-8")
     old = pincal.load_result(folder)
     assert old.costs == ()
-    with pytest.raises(pincal.MeasurementError, match="steps of its search"):
-        old.plot.convergence()

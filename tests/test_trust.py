@@ -19,7 +19,7 @@ from pincal.calibration.calibration import Calibration
 from pincal.calibration.fits import Near, fitted
 from pincal.calibration.missed import least_of_folds
 from pincal.calibration.options import Options, folds_of
-from pincal.show.summary import check_lines
+from pincal.show.answers import check_lines
 from pincal.words.numbers import amount
 from pincal.words.sentences import finding, sentence
 

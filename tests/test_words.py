@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import re
@@ -12,10 +13,11 @@ from typing import Any
 import numpy as np
 import pytest
 from lxml import html as lxml_html
+from rich.console import Console
 
 from pincal import load_mechanism
 from pincal.estimation.observability.identifiable import WeakPair
-from pincal.show.summary import weak_lines
+from pincal.show.answers import weak_lines
 from pincal.words.faults import HYPOTHESES, cause
 from pincal.words.findings import VALUE_MEANINGS
 from pincal.words.numbers import (
@@ -31,7 +33,7 @@ from pincal.words.numbers import (
     uncertainty,
 )
 from pincal.words.sentences import WORDINGS, finding, sentence, sentences
-from pincal.words.table import Cell, Column, Quantity, Table, Uncertainty
+from pincal.words.table import Cell, Column, Table, quantity
 
 EVIL = '<b>"é"\'&amp;|*_$x$\0'
 BANNED = ("told", "tell", "hollow", "accused", "doubtful", "stands", "eased", "shaken", "settled")
@@ -127,21 +129,21 @@ def table() -> Table:
         Column("unit"),
     )
     rows = [
-        (EVIL, "l", 1.25e-3, 12, Quantity(0.5, "m", 1e-5), Cell("m", "mm")),
+        (EVIL, "l", 1.25e-3, 12, quantity(0.5, "m", 1e-5), Cell("m", "mm")),
         (EVIL, "L", math.nan, 9, Cell(0.25, "a quarter"), None),
-        ("b", "l", 0.0, 8, Uncertainty(1e-9, "m"), ""),
+        ("b", "l", 0.0, 8, Cell(1e-9, uncertainty(1e-9, "m")), ""),
     ]
     return Table("A title", columns, rows, caption="A caption.", grouped=True)
 
 
 def test_a_table_shows_the_same_everywhere(table: Table) -> None:
-    """Terminal, page and Markdown hold the same cells; a group's name is said once."""
+    """Terminal and page hold the same cells; a group's name is said once."""
     cells = table.cells()
     assert [row[0] for row in cells] == [EVIL, "", "b"]
     assert cells[0][2:] == ["1.2500", "12", "500.000", "mm"]
     assert cells[1][2:] == ["", "9", "a quarter", ""]
     assert cells[2][4] == "< 0.0001"
-    page = lxml_html.fromstring(table.html())
+    page = lxml_html.fromstring(table.__html__())
     assert [one.text_content() for one in page.iter("th")][:6] == [
         "leg", "name", "rms [mm]", "poses", "value", "unit",
     ]  # fmt: skip
@@ -155,34 +157,39 @@ def test_a_table_shows_the_same_everywhere(table: Table) -> None:
     assert text.startswith("A title")
     assert text.rstrip().endswith("A caption.")
     assert "500.000" in text
-    lines = table.markdown().splitlines()
-    assert lines[0] == "| leg | name | rms \\[mm\\] | poses | value | unit |"
-    assert len(lines) == 5
-    assert all(line.replace("\\|", "").count("|") == 7 for line in lines)
+
+
+@pytest.mark.parametrize("width", [60, 80, 100])
+def test_words_of_a_table_are_whole(width: int) -> None:
+    """Where the longest words of all columns fit, cells are broken between words alone."""
+    words = [f"leg_{i}.backlash" for i in range(9)]
+    rows = [(words[i], " ".join(words), " and ".join(words[:3]), 1e-3 * i) for i in range(3)]
+    heads = (Column("reading"), Column("amplitudes"), Column("likely cause"), Column("F", "m"))
+    buffer = io.StringIO()
+    Console(file=buffer, width=width).print(Table("A title", heads, rows))
+    lines = buffer.getvalue().splitlines()
+    assert max(map(len, lines)) <= width
+    assert set(" ".join(lines).split()) <= {"A", "title", "and", "reading", "amplitudes", "likely",
+        "cause", "F", "[mm]", "0", "1", "2", *words, *(word for line in lines for word in line.split()
+        if set(word) == {"─"})}  # fmt: skip
 
 
 def test_a_table_is_data(table: Table) -> None:
-    """Records and DataFrames hold raw SI numbers, every group's name, and null for no number."""
+    """Records hold raw SI numbers, every group's name, and null for no number."""
     records = table.records()
     assert [one["leg"] for one in records] == [EVIL, EVIL, "b"]
     assert records[0]["rms"] == 1.25e-3
     assert records[0]["value"] == 0.5
     assert (records[1]["rms"], records[1]["value"]) == (None, 0.25)
     assert json.loads(json.dumps(records, allow_nan=False)) == records
-    pandas = pytest.importorskip("pandas")
-    frame = table.to_dataframe()
-    assert isinstance(frame, pandas.DataFrame)
-    np.testing.assert_array_equal(frame["rms"], [1.25e-3, math.nan, 0.0])
-    assert frame["value"][0] == 0.5
 
 
 def test_a_table_without_rows() -> None:
     """Heads alone are a table too."""
     empty = Table("None", (Column("a"), Column("b", "m")), [])
     assert empty.aligned == ("left", "left")
-    assert empty.markdown().count("\n") == 2
     assert "b [mm]" in str(empty)
-    assert "<tbody>" in empty.html()
+    assert "<tbody>" in empty.__html__()
 
 
 #: What all hypotheses have.

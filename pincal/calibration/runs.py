@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pincal.attached import attached
 from pincal.calibration.covariance import exceeded
 from pincal.errors import MeasurementError
 from pincal.estimation.residuals.losses import UNLIKELY
@@ -42,10 +41,6 @@ class RunComparison:
     near 1 if runs differ by their noise only."""
     p_value: float
     """Probability of such a spread, or a larger one, by noise alone."""
-
-    @attached
-    def _repr_html_(self) -> str:
-        """Return the spread of parameters over runs for notebooks."""
 
     def __repr__(self) -> str:
         return (

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pincal.attached import attached
 from pincal.blas import on_one_thread
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.covariance import chi2_freedoms, confidence, exceeded
@@ -65,10 +64,6 @@ class Validation:
     targets: tuple[Missed, ...] = ()
     """How far each measured target is missed at held-out rows: mean, root mean square, largest,
     and intervals by a bootstrap of poses."""
-
-    @attached
-    def _repr_html_(self) -> str:
-        """Return held-out rows beside those of the fit for notebooks."""
 
     def __repr__(self) -> str:
         return (

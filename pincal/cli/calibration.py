@@ -42,19 +42,19 @@ from pincal.files.output import refuse_existing
 from pincal.files.table import TextTable, write_table
 from pincal.model.option import option
 from pincal.model.setup import ORIGIN
-from pincal.show.explanation import (
-    advice,
-    explanation_lines,
-    models_table,
-    remedy_table,
-    screen_table,
-    tried,
+from pincal.show.answers import (
+    accuracy_table,
+    next_steps,
+    remarks,
+    supporting_lines,
+    verdict,
+    warnings,
 )
+from pincal.show.explanation import advice, explanation_lines, remedy_table, tried
 from pincal.show.report import report
-from pincal.show.result_tables import calibration_tables, warnings
-from pincal.show.summary import calibration_summary, verdict_lines, weak_lines
-from pincal.show.workspace_answers import WorkspaceErrors
-from pincal.words.numbers import counted, reading_in
+from pincal.show.tables import calibration_tables, models_table, screen_table
+from pincal.show.workspace_errors import WorkspaceErrors
+from pincal.words.numbers import reading_in
 
 
 @dataclass(frozen=True)
@@ -129,7 +129,7 @@ def calibrate(
             page = report(
                 result, command=typed(), files=files, notes=notes, units=running.units or ""
             )
-            errors = page.facts.errors
+            errors = page.errors
             if running.report:
                 progress("drawing the report")
                 page.save(output / REPORT)
@@ -138,10 +138,9 @@ def calibrate(
     with reading_in(units.printed):
         for text in warnings(result):
             warn(text)
-        _print_result(
-            result, errors, notes, verbose=running.verbose, drawn=running.report and not undrawn
-        )
+        _print_result(result, errors, notes, verbose=running.verbose)
     wrote(output)
+    say(f"next: {'; '.join(next_steps(result, mech, str(measurements), str(output)))}")
     answer(lambda: as_json(result))
     if undrawn:
         fail(
@@ -160,20 +159,15 @@ def _print_result(
     notes: Sequence[str],
     *,
     verbose: bool,
-    drawn: bool,
 ) -> None:
-    """Print a result, its accuracy first; with all tables if it is to be verbose."""
-    verdict = verdict_lines(result, errors)
-    summary = [line for line in calibration_summary(result, errors) if line not in verdict]
-    if not verbose:
-        weak = weak_lines(result.weak, result.nominal) if result.converged else []
-        summary = [line for line in summary[1:] if line not in weak]
-        if weak:
-            pairs = ("pair of parameters is", "pairs of parameters are")
-            summary.append(f"{counted(len(result.weak), *pairs)} weakly determined")
-        place = "report.html in the result's folder, or --verbose" if drawn else "--verbose"
-        notes = [*notes, f"parameters and residuals: {place}"]
-    for part in (*verdict, *(calibration_tables(result) if verbose else []), *summary, *notes):
+    """Print a result: the verdict and its accuracy; with all tables if it is to be verbose."""
+    line, style = verdict(result, errors)
+    stdout.print(line, style=style)
+    if errors is not None:
+        stdout.print(accuracy_table(result, errors))
+        notes = [*remarks(result, errors), *notes]
+    details = [*calibration_tables(result), *supporting_lines(result, errors)]
+    for part in (*(details if verbose else []), *notes):
         stdout.print(part)
 
 

@@ -37,8 +37,8 @@ from pincal.kinematics.readers import arm_free_of_collision
 from pincal.model.measurements import EVERY_LEG, VERIFY, Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.option import option
-from pincal.show.summary import drift_lines, poses_line
-from pincal.show.tables import choice_table, forecast_table, selection_table
+from pincal.show.forecasts import drift_lines, forecast_lines, poses_line, scale_lines
+from pincal.show.tables import choice_table, selection_table, standard_errors
 from pincal.words.numbers import reading_in
 from pincal.words.table import Table
 from pincal.workspace.sampling import sample_configurations
@@ -255,7 +255,10 @@ def identifiability(
     together, per_leg = forecasts[0], errors[1] if len(errors) > 1 else None
     scale = scale_effect(together, as_plan(mechanism, poses), workspace, noise, setup)
     with reading_in(units.printed):
-        stdout.print(forecast_table(together, errors[0], together.poses, per_leg, drifts, scale))
+        stdout.print(standard_errors(together))
+        lines = forecast_lines(together, errors[0], together.poses, per_leg)
+        for line in (*lines, *drift_lines(drifts), *scale_lines(scale)):
+            stdout.print(line)
         if options.accuracy is not None:
             counts = [each.poses_for(options.accuracy, workspace) for each in forecasts]
             stdout.print(poses_line(options.accuracy, *counts))

@@ -277,12 +277,9 @@ def plot(
     """Draw a figure of a calibration.
 
     One column or a page wide, letters of 7 to 9 points. residuals: by row; workspace: where they
-    were measured; time: their means over the run; images: over those of cameras;
-    parameters: changes in units of their ±;
-    platform: what changes move the platform by; correlation; singular: how well each direction is
-    determined; convergence: residuals by step of the search; poses: accuracy by number of poses,
-    with the bound; error_map: expected error over x and y; bed: z over a printer's bed; runs: runs
-    side by side; drawing: a leg with dimensions.
+    were measured; images: over those of cameras; parameters: changes in units of their ±;
+    platform: what changes move the platform by; error_map: expected error over x and y; bed: z over
+    a printer's bed; drawing: a leg with dimensions.
     """
     calibrated = load_result(result)
     refuse_existing(picture_path(output), force=force)

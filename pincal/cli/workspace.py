@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import typer
-from matplotlib.figure import Figure
 
 from pincal.cli.app import command, counting, remark, stdout, working, wrote
 from pincal.cli.options import FORCE, SEED, Mech, output_option, refuse_options
@@ -16,32 +14,30 @@ from pincal.errors import WorkspaceError
 from pincal.files.measurement_writing import write_plan
 from pincal.files.mechanism_folders import load_mechanism
 from pincal.files.output import refuse_existing_of, writing_together
-from pincal.files.table import write_table
 from pincal.model.mechanism import Mechanism
 from pincal.model.option import option, option_of
 from pincal.model.units import WRITTEN
 from pincal.show.pictures.files import picture_path, save_figure
-from pincal.show.tables import articular_table, workspace_table
-from pincal.show.workspace_answers import articular_columns, orientation_name
-from pincal.show.workspace_plots import articular_figure, workspace_figure
+from pincal.show.tables import workspace_table
+from pincal.show.workspaces import workspace_figure
 from pincal.workspace.axes import Axis, Orientations
-from pincal.workspace.criteria import Margins, articular_space, articular_symmetry, refuse_readings
+from pincal.workspace.criteria import Margins, refuse_readings
 from pincal.workspace.grid import POSITION_AXES, Grid, closer_grid, default_grid
 from pincal.workspace.inscribed import largest_inscribed
 from pincal.workspace.region import KINDS, Workspace, compute_workspace
-from pincal.workspace.sampling import sample_configurations, sample_workspace
+from pincal.workspace.sampling import sample_configurations
 
 _COUNT = 30_000
 _OF_REGIONS = ("symmetry", "connected", "inscribed", "jobs", "scheduler")
 #: Options that a kind of workspace does not have; of regions that is the number of poses.
-_OF_OTHERS = {"poses": (*_OF_REGIONS, "axis", "picture"), "articular": _OF_REGIONS}
+_OF_OTHERS = {"poses": (*_OF_REGIONS, "axis", "picture")}
 
 
 @dataclass(frozen=True)
 class WorkspaceOptions:
     """What is looked for, and options."""
 
-    kind: str = option("poses", f"What to find: poses, {', '.join(KINDS)} or articular.")
+    kind: str = option("poses", f"What to find: poses, {', '.join(KINDS)}.")
     axis: tuple[str, ...] = option(
         (),
         "Axis of the grid, as often as needed: 'x [mm]=-500:500:10' (low:high:step), 'z=1.8', "
@@ -49,9 +45,7 @@ class WorkspaceOptions:
         "tilt, torsion; rx, ry, rz; yaw, pitch, roll. Those not given: what the legs reach.",
         metavar="AXIS",
     )
-    count: int | None = option(
-        None, "Number of poses (poses, articular) [default: 30000].", least=1
-    )
+    count: int | None = option(None, "Number of poses [default: 30000].", least=1)
     seed: int = option(0, SEED)
     margin_type1: float | None = option(None, option_of(Margins, "type1"))
     margin_type2: float | None = option(None, option_of(Margins, "type2"))
@@ -68,10 +62,8 @@ class WorkspaceOptions:
 
     def check(self, output: Path) -> None:
         """Raise if options do not go together, or files cannot be written."""
-        if self.kind not in ("poses", *KINDS, "articular"):
-            raise WorkspaceError(
-                f"--kind {self.kind}: unknown; expected poses, {', '.join(KINDS)} or articular"
-            )
+        if self.kind not in ("poses", *KINDS):
+            raise WorkspaceError(f"--kind {self.kind}: unknown; expected poses, {', '.join(KINDS)}")
         refuse_options(self, _OF_OTHERS.get(self.kind, ("count",)), f"--kind {self.kind}")
         if not self.margins and (self.margin_type1 is not None or self.margin_type2 is not None):
             raise typer.BadParameter("--no-margins leaves no margin to set; give one or the other")
@@ -110,16 +102,13 @@ def workspace(
     reachable, constant-orientation, total-orientation, dexterous: positions reached in
     any orientation, in the one given, in every one given, in every one there is, one by one.
 
-    articular: poses and sensor readings over the workspace, with the check that permuted
-    readings are reached too; --axis phi=0,0.4,0.6 adds workspaces of constant orientation.
-
     Not given, axes hold what the legs reach, drawn close around what counts.
     """
     options.check(output)
     mechanism = load_mechanism(mech)
     if options.kind != "poses":
         refuse_readings(mechanism)
-    find = {"poses": _poses, "articular": _articular}.get(options.kind, _region)
+    find = _poses if options.kind == "poses" else _region
     find(mechanism, output, options)
 
 
@@ -164,47 +153,11 @@ def _region(mechanism: Mechanism, output: Path, options: WorkspaceOptions) -> No
     if options.inscribed and region.count:
         with working("looking for the largest circle or ball inside"):
             circle = largest_inscribed(region)
-    _write(options, output, region.save, lambda: workspace_figure(region, circle))
-    stdout.print(workspace_table(region, circle, wanted=options.inscribed))
-
-
-def _articular(mechanism: Mechanism, output: Path, options: WorkspaceOptions) -> None:
-    """Write poses and readings, over the whole workspace and at constant orientations."""
-    least, count, (places, turns) = options.least_margins(), options.count or _COUNT, options.axes()
-    if places and not turns:
-        raise WorkspaceError("positions by --axis need orientations to ask there, such as phi=0.4")
-    grid = default_grid(mechanism, places)
-    rotations = Orientations.of(mechanism.platform, *turns).rotations if turns else []
-    with counting("sampling the workspace", count) as done:
-        spaces = {"all": sample_workspace(mechanism, count, options.seed, least, done)}
-    for rotation in rotations:
-        orientation = Orientations.from_rotations(rotation)
-        region = compute_workspace(mechanism, "constant-orientation", grid, orientation, least)
-        spaces[orientation_name(mechanism, orientation)] = region.poses()
-    readings = {name: articular_space(mechanism, poses) for name, poses in spaces.items()}
-    with working("solving the forward kinematics of permuted readings"):
-        checks = articular_symmetry(mechanism, spaces["all"][:2000], least)
-    columns = articular_columns(mechanism, spaces, readings)
-    _write(
-        options,
-        output,
-        lambda path: write_table(path, columns),
-        lambda: articular_figure(mechanism, readings),
-    )
-    stdout.print(articular_table(mechanism, readings, checks))
-
-
-def _write(
-    options: WorkspaceOptions,
-    output: Path,
-    save: Callable[[Path], None],
-    draw: Callable[[], Figure],
-) -> None:
-    """Write a table and, if one is wanted, its picture."""
     outputs = options.outputs(output)
     with writing_together(outputs, force=options.force) as scratch:
-        save(scratch[0])
+        region.save(scratch[0])
         for picture in scratch[1:]:
-            save_figure(draw(), picture)
+            save_figure(workspace_figure(region, circle), picture)
     for path, _ in outputs:
         wrote(path)
+    stdout.print(workspace_table(region, circle, wanted=options.inscribed))

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 
-from pincal.attached import attached
 from pincal.blas import on_one_thread
 from pincal.design.information import (
     Estimable,
@@ -120,10 +119,6 @@ class Forecast(Estimable):
             },
             index=pd.Index(parameter_ids(self.mechanism), name="parameter"),
         )
-
-    @attached
-    def _repr_html_(self) -> str:
-        """Return the standard errors to expect for notebooks."""
 
     def __repr__(self) -> str:
         rank = f"rank {self.rank.rank} of {self.rank.n_params}"

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
-from pincal.attached import attached
 from pincal.blas import on_one_thread
 from pincal.design.orbits import (
     merged,
@@ -120,10 +119,6 @@ class Selection:
             for leg in self.legs
         ]
         return pd.DataFrame(rows, index=pd.Index([leg.leg for leg in self.legs], name="leg"))
-
-    @attached
-    def _repr_html_(self) -> str:
-        """Return what each leg gets, and the first poses, for notebooks."""
 
     def __repr__(self) -> str:
         size = f"{len(self.plan.poses)} poses of {self.candidates}"

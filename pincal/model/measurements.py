@@ -184,10 +184,6 @@ class Plan:
     ) -> Any:
         """Return a pandas DataFrame with the columns of a CSV file, units in brackets."""
 
-    @attached
-    def _repr_html_(self) -> str:
-        """Return the first rows for notebooks."""
-
     def __repr__(self) -> str:
         has = [name for name, value in vars(self).items() if value is not None]
         has = [name for name in has if name not in _COLUMNS]

@@ -1,180 +1,457 @@
-"""The first screen of a report: is it better, by how much, can it be relied on."""
+"""What a calibration means: the verdict first, then its accuracy, what supports it, what next."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import gammaincinv
 
 from pincal.calibration.result import CalibrationResult
-from pincal.estimation.observability.indices import r_diagonal
-from pincal.kinematics.derivatives import leg_demand
-from pincal.show import summary
-from pincal.show.result_tables import noisy_series, turns, unpromised, warnings
-from pincal.show.workspace_answers import ErrorMaps, WorkspaceErrors, error_maps, workspace_errors
-from pincal.types import Array
-from pincal.words.numbers import SMALL, amount, capital, counted, rounded, shown_in
-from pincal.words.sentences import WORDINGS
-from pincal.words.wording import rendered
+from pincal.calibration.validation import MISSES, Validation
+from pincal.design.platform_error import platform_error
+from pincal.estimation.observability.identifiable import WeakPair
+from pincal.model.measurements import Noise
+from pincal.model.mechanism import Mechanism
+from pincal.model.setup import ORIGIN
+from pincal.show.tables import calibration_tables
+from pincal.show.workspace_errors import WorkspaceErrors, workspace_errors
+from pincal.words.numbers import (
+    amount,
+    capital,
+    chance,
+    counted,
+    listed,
+    number,
+    percent,
+    rounded,
+    size,
+)
+from pincal.words.sentences import WORDINGS, finding, sentence
+from pincal.words.table import Cell, Column, Table, Value
+from pincal.words.wording import UNCOVERED, missed_line, noise_in_words
+
+_MOST_PAIRS = 3  # weak pairs that are named
+_QUANTITIES = {"position": "m", "orientation": "rad"}
+_MARKS = {"good": "✓", "care": "⚠", "bad": "✗"}
+_STYLES = {"good": "bold green", "care": "bold yellow", "bad": "bold red"}
+_FRAMES = ", but for where the base and platform frames lie"
 
 
-@dataclass(frozen=True)
-class ReportFacts:
-    """A calibration, what it was made from, and what follows from it."""
+class Answer(NamedTuple):
+    """A question that people ask, its answer in few words, and what supports it."""
 
-    result: CalibrationResult
-    errors: WorkspaceErrors | None
-    """None if the fit did not converge."""
-
-    @cached_property
-    def poses(self) -> Array:
-        """Poses of all rows in the base frame, shape (N, dof)."""
-        return self.result.poses
-
-    @property
-    def turns(self) -> bool:
-        """Whether the platform has an orientation."""
-        return turns(self.result)
-
-    @cached_property
-    def observability(self) -> dict[str, dict[str, float]]:
-        """|R_ii| of each identified parameter at the poses used, by leg.
-
-        Of what it moves the readings by, [rad/unit] or [m/unit]; where poses do not determine
-        readings, of what it moves the leg's end by, [m/unit].
-        """
-        by_leg, machine = {}, self.result.identified
-        for leg, columns in zip(self.result.legs, machine.reading_columns, strict=True):
-            free = [i for i, p in enumerate(leg.parameters) if p.std > 0.0]
-            rows = np.unique(leg.rows)
-            read = self.result.measurements.readings
-            readings = read[rows][:, columns] if machine.by_readings else None
-            demand = leg_demand(machine, leg.name, self.poses[rows], readings=readings)
-            demand = demand if machine.by_readings else demand.as_joint()
-            C = demand.parameter.reshape(-1, len(leg.parameters))
-            C = C[np.isfinite(C).all(axis=1)][:, free]
-            names = [leg.parameters[i].name for i in free]
-            by_leg[leg.name] = dict(zip(names, r_diagonal(C).tolist(), strict=True))
-        return by_leg
-
-    @cached_property
-    def maps(self) -> ErrorMaps | None:
-        """Errors over the workspace; None where none was found, or none can be promised."""
-        return None if self.errors is None else error_maps(self.result, self.errors)
+    question: str
+    verdict: str
+    tone: str
+    """``"good"``, ``"care"``, ``"bad"``, or empty of what is neither."""
+    parts: Sequence[str | list[str] | Table]
+    """Paragraphs, lists and tables."""
 
 
-def report_facts(result: CalibrationResult) -> ReportFacts:
-    """Return what follows from a calibration."""
-    return ReportFacts(result, workspace_errors(result) if result.converged else None)
+def answers(
+    result: CalibrationResult, errors: WorkspaceErrors | None, notes: Sequence[str] = ()
+) -> list[Answer]:
+    """Return whether it is better, by how much, whether to rely on it, and what next.
+
+    Args:
+        result: The calibration.
+        errors: The platform's over the workspace; None if the fit did not converge.
+        notes: Sentences on what was not done, and why.
+    """
+    if errors is None:
+        wording = WORDINGS["not-converged"]
+        failed = Answer("Is it better?", "There is no result", "bad", [wording.means])
+        return [failed, _next(result)]
+    return [
+        _better(result, errors),
+        _accuracy(result, errors),
+        _reliable(result, notes),
+        _next(result),
+    ]
 
 
-def warning_lines(result: CalibrationResult) -> list[str]:
-    """Return what the reader should know first."""
-    if result.converged:
-        return warnings(result)
-    return [f"The fit {result.message}", *warnings(result)]
+def verdict(result: CalibrationResult, errors: WorkspaceErrors | None) -> tuple[str, str]:
+    """Return the verdict in a line, and its style in a terminal."""
+    better, *others, _ = answers(result, errors)
+    tones = {better.tone, *(answer.tone for answer in others)}
+    tone = next(tone for tone in ("bad", "care", "good") if tone in tones)
+    first, *following = [answer.verdict for answer in others or [better]]
+    words = [first, *(text[:1].lower() + text[1:] for text in following)]
+    if result.converged and result.degrees_of_freedom:
+        words.append(f"χ² {rounded(result.reduced_chi2)}")
+    return f"{_MARKS[tone]} {result.nominal.name}: {' · '.join(words)}", _STYLES[tone]
 
 
-@dataclass(frozen=True)
-class Answers:
-    """The three answers; their sentences are the page's."""
+def _better(result: CalibrationResult, errors: WorkspaceErrors) -> Answer:
+    """Return whether the machine is better: by what the platform's errors fall."""
+    question = "Is it better?"
+    if not result.explained:
+        wording = WORDINGS["residuals-too-large" if result.corrects else "not-corrected"]
+        words = "Residuals fell, but are still" if result.corrects else "Residuals are"
+        text = f"{words} {_excess(result)}. {wording.means}"
+        return Answer(question, "Not shown" if result.corrects else "No", "bad", [text])
+    count = len(errors.units)
+    before, after, limit = (
+        np.array(sizes)[:count]
+        for sizes in (errors.mean_before(), errors.mean_after(), errors.limit)
+    )
+    ratios = before / after
+    if min(ratios) >= 2.0:
+        text = f"Expect the platform's error to be smaller by a factor of {_factors(ratios)}"
+        text += f", with 95 % confidence {_factors(before / limit)} at least" * result.promises
+        sound = result.promises and result.degrees_of_freedom
+        return Answer(question, *(("Yes", "good") if sound else ("Probably", "care")), [f"{text}."])
+    if max(ratios) > 1.0:
+        text = "What the calibration corrects is little more than what it does not know: more or "
+        text += "better measurements are needed."
+        return Answer(question, "Hardly", "bad", [text])
+    text = "The correction is smaller than its own uncertainty."
+    return Answer(question, "No sign of it", "bad", [text])
 
-    facts: ReportFacts
-    notes: Sequence[str]
-    """What was not done, and why."""
 
-    def __html__(self) -> str:
-        """Return the section for a page."""
-        return rendered(
-            "answers.html",
-            answers=self,
-            result=self.facts.result,
-            errors=self.facts.errors,
-            unpromised=unpromised(self.facts.result),
-            wordings=WORDINGS,
-            summary=summary,
-            amount=amount,
-            shown_in=shown_in,
-            small=SMALL,
-            capital=capital,
-            counted=counted,
+def _factors(ratios: Sequence[float]) -> str:
+    """Return factors in position and, where the platform turns, in orientation."""
+    shown = [rounded(ratio) for ratio in ratios]
+    if len(set(shown)) == 1:
+        return shown[0]
+    return f"{shown[0]} (position) and {shown[1]} (orientation)"
+
+
+def _excess(result: CalibrationResult) -> str:
+    return f"{result.excess:.3g} times as large as the noise given makes them"
+
+
+def _accuracy(result: CalibrationResult, errors: WorkspaceErrors) -> Answer:
+    """Return by how much the platform is off: before, as expected, held out."""
+    lines = [f"{capital(line)}." for line in platform_lines(result, errors)]
+    if not result.explained:
+        shown = WORDINGS["residuals-too-large"].title
+        return Answer("By how much?", shown, "", [accuracy_table(result, errors), *lines])
+    before, after = (sizes()[0] for sizes in (errors.mean_before, errors.mean_after))
+    text = f"{number(before, 'm')} → {amount(after, 'm')}"
+    text += f" (95 %: ≤ {number(errors.limit[0], 'm')})" if result.promises else " or more"
+    return Answer("By how much?", text, "", [accuracy_table(result, errors), *lines])
+
+
+def accuracy_table(result: CalibrationResult, errors: WorkspaceErrors) -> Table:
+    """Return the platform's errors: of the nominal and the calibrated machine, and held out.
+
+    Of the model alone where it can be promised; held-out rows miss by what they miss.
+    """
+    names, rows = list(errors.units.items()), dict[str, dict[tuple[str, str], float]]()
+    if result.explained:
+        sizes = {"nominal": errors.mean_before(), "calibrated": errors.mean_after()}
+        sizes |= {"95 %: below": errors.limit} if result.promises else {}
+        rows = {head: dict(zip(names, values, strict=False)) for head, values in sizes.items()}
+    region = f" {errors.where}{_FRAMES * result.moves_frames}" if rows else ""
+    if result.validation is not None and result.validation.fit <= MISSES:
+        held_out = {}
+        for missed in result.validation.targets:
+            name = "position" if missed.unit == "m" else "orientation"
+            target = "" if missed.target == ORIGIN else f" of {missed.target}"
+            held_out[name + target, missed.unit] = missed.rms
+        rows |= {"held out": held_out} if held_out else {}
+        names = list(dict.fromkeys([*names, *held_out]))
+    cells: list[list[Value]] = [
+        [
+            head,
+            *(
+                Cell(row[name], number(row[name], name[1])) if name in row else None
+                for name in names
+            ),
+        ]
+        for head, row in rows.items()
+    ]
+    return Table(
+        f"Error of the platform, root mean square{region}",
+        (Column(""), *(Column(name, unit) for name, unit in names)),
+        cells,
+        "held out: at rows not fitted, measuring noise included" * ("held out" in rows),
+    )
+
+
+def _reliable(result: CalibrationResult, notes: Sequence[str]) -> Answer:
+    """Return whether the result can be relied on: warnings, χ², held-out rows, runs, outliers."""
+    lines = [*noise_lines(result), *check_lines(result)]
+    if result.outliers:
+        lines.append(f"{counted(len(result.outliers), 'row does', 'rows do')} not fit the others")
+    lines = [f"{capital(line)}." for line in lines] + list(notes)
+    question = "Can I rely on it?"
+    if count := len(warnings(result)):
+        warned = f"{'one warning' if count == 1 else f'{count} warnings'}"
+        if result.promises:
+            return Answer(question, f"With care: {warned}", "care", [lines])
+        return Answer(question, f"Not as it is: {warned}", "bad", [lines])
+    if result.validation is None:
+        return Answer(question, "Not tested on rows left out", "care", [lines])
+    return Answer(question, "No problems found", "good", [lines])
+
+
+def next_steps(
+    result: CalibrationResult, mech: str = "MECH", data: str = "DATA.csv", folder: str = "RESULT"
+) -> list[str]:
+    """Return the commands that come next."""
+    codes = {finding.code for finding in result.findings}
+    if not result.converged or not result.corrects:
+        return [f"pincal doctor {mech} {data}"]
+    if codes & {"wrong-rows", "outliers"} and result.loss == "none":
+        return [f"pincal calibrate {mech} {data} --loss reject -o {folder}"]
+    if not result.promises:
+        return [f"pincal explain {mech} {data}"]
+    return [f"pincal view {folder}", f"pincal inverse {folder} POSES.csv -o READINGS.csv"]
+
+
+def _next(result: CalibrationResult) -> Answer:
+    """Return what to do next."""
+    steps = next_steps(result)
+    purpose = "Use it" if len(steps) > 1 else "Look into it"
+    return Answer("What next?", purpose, "", [steps])
+
+
+# What supports the answers, one line each
+
+
+def warnings(result: CalibrationResult) -> list[str]:
+    """Return what to know first; what several legs share is said once, with their names."""
+    legs: dict[str, list[str]] = {}
+    for text in result.warnings:
+        name, colon, text_of_leg = text.partition(": ")
+        of_leg = bool(colon) and name in result.nominal.leg_names
+        legs.setdefault(text_of_leg if of_leg else text, []).extend([name] if of_leg else [])
+    lines = [f"{', '.join(names)}: {text}" if names else text for text, names in legs.items()]
+    return lines if result.converged else [f"The fit {result.message}", *lines]
+
+
+def unpromised(result: CalibrationResult) -> str:
+    """Return why no limit is promised, in titles of findings; empty if one is."""
+    titles = dict.fromkeys(WORDINGS[finding.code].title for finding in result.contradictions)
+    return ", ".join(title[:1].lower() + title[1:] for title in titles)
+
+
+def supporting_lines(result: CalibrationResult, errors: WorkspaceErrors | None) -> list[str]:
+    """Return all that a calibration means, beside its tables: for terminals, and in Python."""
+    lines = [f"{method_line(result)}; {result.message}", *noise_lines(result)]
+    if not result.converged:
+        return lines
+    lines += platform_lines(result, errors) if errors is not None else []
+    lines += [*check_lines(result), *tie_lines(result), *weak_lines(result.weak, result.nominal)]
+    lines += [f"fixed by choice, {gauge_line(result)}"] if result.gauge else []
+    data = result.measurements
+    unused = len(data) - min(leg.n_poses for leg in result.legs)
+    if unused and not result.options.every_pose and data.sets is not None:
+        lines.append(sentence(finding("unused-poses", unused=unused, total=len(data))))
+    return lines
+
+
+def gauge_line(result: CalibrationResult) -> str:
+    """Return what no such measurement can determine, and how it was chosen."""
+    freedoms = "; ".join(map(sentence, result.gauge))
+    return f"of equal parameters those nearest to nominal: {freedoms}"
+
+
+def method_line(result: CalibrationResult) -> str:
+    """Return how parameters were identified."""
+    options = result.options
+    if options.latent:
+        return "all legs together, the poses estimated with the parameters"
+    if options.method == "all-legs":
+        return "all legs together, the poses taken as measured"
+    has_sets = result.measurements.sets is not None and not options.every_pose
+    poses = "the poses of its set" if has_sets else "all poses"
+    return f"each leg alone by {poses}, taken as measured"
+
+
+def noise_lines(result: CalibrationResult) -> list[str]:
+    """Return how residuals compare with the noise, what all rows share, and tolerances found."""
+    dof, line = result.degrees_of_freedom, ""
+    if result.noise_source in ("estimated", "repeats"):
+        line = f"noise {noise_line(result)}; "
+    if not dof:
+        line = (
+            "as many unknowns as measured values: residuals vanish whatever the machine is, and "
+            "show nothing; measure more poses"
         )
-
-    @cached_property
-    def _ratios(self) -> dict[str, list[float]]:
-        """By what the errors of position and orientation fall: as expected, and surely."""
-        if (errors := self.facts.errors) is None:
-            return {}
-        sizes = errors.mean_before(), errors.mean_after(), errors.limit
-        before, after, limit = np.array(sizes)[:, : 1 + self.facts.turns]
-        ratios = {"expected": before / after, "sure": before / limit}
-        return {name: factors.tolist() for name, factors in ratios.items()}
-
-    def times(self, name: str) -> str:
-        """Return factors in position and, where the platform turns, in orientation."""
-        shown = [f"{rounded(ratio)} times" for ratio in self._ratios[name]]
-        if len(set(shown)) == 1:
-            return shown[0]
-        return f"{shown[0]} (position) and {shown[1]} (orientation)"
-
-    @property
-    def better(self) -> tuple[str, str]:
-        """Whether it is better, and the look of that: ``"good"``, ``"care"`` or ``"bad"``."""
-        result, ratios = self.facts.result, self._ratios["expected"]
-        if not result.explained:
-            return "Not shown" if result.corrects else "No", "bad"
-        if min(ratios) >= 2.0:
-            checked = bool(result.degrees_of_freedom) and result.promises
-            return ("Yes", "good") if checked else ("Probably", "care")
-        return "Hardly" if max(ratios) > 1.0 else "No sign of it", "bad"
-
-    @property
-    def residuals(self) -> str:
-        """What became of the residuals, where they could have been anything else than zero."""
-        if not self.facts.result.degrees_of_freedom:
-            return "Residuals are zero, since there are as many unknowns as measured values."
-        series = noisy_series(self.facts.result)
-        quantities = [block.name for block in series if not block.of_leg]
-        names = ", ".join([*(["all legs"] if len(quantities) < len(series) else []), *quantities])
-        if len(units := {block.unit for block in series}) > 1:
-            before, after = (np.sqrt(np.mean(block**2)) for block in self.facts.result.whitened)
-            unit = "standard deviations"
-        else:
-            (si,) = units
-            sizes = np.sqrt(np.mean([np.square(block.rms) for block in series], axis=0))
-            before, after, unit = shown_in(sizes[0], si), shown_in(sizes[1], si), SMALL[si]
-        return (
-            f"At the {'estimated' if quantities else 'measured'} poses, residuals went from "
-            f"{before:.3g} to {after:.3g} {unit} (root mean square, {names})."
-        )
-
-    @property
-    def reliable(self) -> tuple[str, str]:
-        """Whether it can be relied on, and the look of that."""
-        result = self.facts.result
-        if count := len(warnings(result)):
-            warned = f"{'one warning' if count == 1 else f'{count} warnings'} above"
-            sound = result.promises
-            return (f"With care: {warned}", "care") if sound else (f"Not as it is: {warned}", "bad")
-        if result.validation is None:
-            return "Not tested on rows left out", "care"
-        return "Nothing speaks against it", "good"
-
-    @property
-    def chi2(self) -> str:
-        """How the residuals compare with the noise."""
-        result, dof = self.facts.result, self.facts.result.degrees_of_freedom
-        line = capital(summary.noise_line(result))
-        if result.noise_source == "estimated":
-            return f"{line}; so residuals cannot contradict it."
-        if not dof:
-            return f"{line}."
-        text = f"Reduced χ² {rounded(result.reduced_chi2, 3)} on {dof} degrees of freedom"
+    elif result.noise_source != "estimated":
+        line += f"reduced χ² {rounded(result.reduced_chi2, 3)} on {dof} degrees of freedom"
         if result.loss == "none":
             free = result.chi2_freedoms
             low, high = 2.0 * gammaincinv(free / 2.0, (0.025, 0.975)) / free
-            text += f"; {low:.2f} to {high:.2f} is expected by the noise"
-        return text + "."
+            line += f"; {low:.2f} to {high:.2f} is expected by the noise"
+    return [line.removesuffix("; "), *systematic_lines(result), *_tolerances(result)]
+
+
+_NOISE_SOURCES = {
+    "given": "as given",
+    "rows": "of each row, in the measurements; medians",
+    "repeats": "from rows that were measured repeatedly",
+    "estimated": "estimated from the residuals, since none was given",
+}
+
+
+def noise_line(result: CalibrationResult) -> str:
+    """Return where the noise comes from, and standard deviations of what was measured."""
+    noise, observed = result.noise, result.calibration.observation
+    if noise is None:
+        data, units = result.measurements, np.array(result.nominal.platform.units)
+        poses = data.sigma_poses
+        parts = [None if poses is None else poses[:, units == unit] for unit in ("m", "rad")]
+        medians = [
+            float(np.nanmedian(part)) if part is not None and np.isfinite(part).any() else 0.0
+            for part in (*parts, data.sigma_readings)
+        ]
+        noise = Noise(*medians)
+    columns = zip(observed.units, observed.measured.T, strict=True)
+    measured = {unit for unit, values in columns if values.any()}
+    sizes = noise_in_words(
+        noise.position if "m" in measured else None,
+        noise.orientation if "rad" in measured else None,
+        noise.reading,
+        sorted(set(result.nominal.reading_units)),
+    )
+    return f"{_NOISE_SOURCES[result.noise_source]}: σ {sizes}"
+
+
+def systematic_lines(result: CalibrationResult) -> list[str]:
+    """Return what is off by the same in all rows, if anything is said to be."""
+    if result.systematic is None or not result.converged:
+        return []
+    part, total = (
+        platform_error(
+            result.identified, covariance, result.poses, frames=result.frames_moved
+        ).where_determined[0]
+        for covariance in (result.systematic, result.covariance)
+    )
+    scale, share = result.options.setup.systematic, (part / total) ** 2 if total else 0.0
+    parts = [f"{1e6 * scale.relative:.3g} µm/m of all lengths"] if scale.relative else []
+    parts += [f"{amount(scale.target, 'm')} of each known target"] if scale.target else []
+    return [
+        f"every ± holds what more rows do not make smaller, {listed(parts)}: {100 * share:.2g} % "
+        "of the platform's expected mean square error of position"
+    ]
+
+
+def tie_lines(result: CalibrationResult) -> list[str]:
+    """Return whether ties hold."""
+    return [
+        f"tie of {tie.name}: {'holds' if tie.holds else 'contradicted'} "
+        f"({chance(tie.p_value)}, {tie.restrictions} parameters fewer)"
+        for tie in result.ties
+    ]
+
+
+def platform_lines(result: CalibrationResult, errors: WorkspaceErrors) -> list[str]:
+    """Return what limits the platform's accuracy: why none is promised, where, what is left out."""
+    if not errors.expected.determined.any():
+        return ["platform: not determined anywhere, since what was held moves it at every pose"]
+    if not result.explained:
+        before = errors.mean_before()
+        differs = size(before[0], before[1] if len(errors.units) > 1 else None)
+        failed = "" if result.corrects else ", and hardly fell"
+        return [
+            f"platform: the calibrated model differs from the nominal one by {differs}, but no "
+            f"accuracy can be promised of it: residuals are {_excess(result)}{failed}"
+        ]
+    lines = []
+    if not result.promises:
+        lines.append(f"platform: no limit is promised: {unpromised(result)}")
+    if result.begun is not result.nominal:
+        lines.append("platform: the nominal model is taken with the zeros of motors as found")
+    if errors.beyond is not None:
+        lines.append(sentence(errors.beyond))
+    if result.promises and errors.inside.uncovered:
+        lines.append(sentence(finding("promise-leaves-out", what=errors.inside.uncovered)))
+    return lines
+
+
+def check_lines(result: CalibrationResult) -> list[str]:
+    """Return how held-out rows and runs compare."""
+    lines, validation = [], result.validation
+    if validation is not None:
+        folds, count = validation.folds, validation.rows
+        rows = f"{folds} folds" if folds > 1 else f"{count} rows of the set verify"
+        lines += [f"{held_out_line(validation)} ({rows})", *missed_lines(validation)]
+    if result.runs is not None:
+        lines.append(
+            f"{len(result.runs.runs)} runs: parameters spread {result.runs.ratio:.2f} times as "
+            f"much as their standard errors say ({chance(result.runs.p_value)})"
+        )
+    return lines
+
+
+def held_out_line(validation: Validation) -> str:
+    """Return how rows that a fit has not seen compare with its own, where these fit at all."""
+    if validation.fit > MISSES:
+        return (
+            "held-out rows show nothing: the fit misses even its own rows by "
+            f"{validation.fit:.3g} σ. Look at the warnings first"
+        )
+    return (
+        f"held-out rows miss by {validation.held_out:.2f} σ, those of the fit by "
+        f"{validation.fit:.2f} σ; {validation.expected:.2f} σ are expected held out"
+    )
+
+
+def missed_lines(validation: Validation) -> list[str]:
+    """Return how far targets are missed at held-out rows, measuring noise included."""
+    targets = validation.targets if validation.fit <= MISSES else ()
+    return [missed_line(**vars(target)) for target in targets]
+
+
+def weak_lines(pairs: Sequence[WeakPair], mechanism: Mechanism) -> list[str]:
+    """Return which pairs of parameters are weakly determined; legs alike in one line."""
+    units = {p.id: p.unit for p in mechanism.parameters}
+    groups: dict[tuple[str, str], list[WeakPair]] = {}
+    for pair in pairs:
+        leg, _, name = pair.first.rpartition(".")
+        other_leg, _, second = pair.second.rpartition(".")
+        names = (name, second) if leg == other_leg else (pair.first, pair.second)
+        groups.setdefault(names, []).append(pair)
+    lines = []
+    for shown, alike_pairs in groups.items():
+        worst, legs = alike_pairs[0], [pair.first.rpartition(".")[0] for pair in alike_pairs]
+        ids, owner = (worst.first, worst.second), ""
+        if len(legs) == 1:
+            shown = ids
+        elif shown != ids:
+            owner = f" of {'every leg' if len(legs) == len(mechanism.legs) else ', '.join(legs)}"
+        known = []
+        for id_, name, exact, std in zip(ids, shown, worst.known, worst.std, strict=True):
+            after, before = amount(exact, units[id_]), number(std, units[id_])
+            if number(exact, units[id_]) != before:
+                known.append(f"{after} instead of {before} for {name}")
+        first, second = shown
+        lines.append(
+            f"{first} and {second}{owner} are weakly determined together, correlation "
+            f"{worst.correlation:+.3f}: if the other one were known, the standard error would be "
+            f"{' and '.join(known)}"
+        )
+    if (omitted := len(lines) - _MOST_PAIRS) > 0:
+        lines[_MOST_PAIRS:] = [f"and {counted(omitted, 'more such pair')}"]
+    return lines
+
+
+def remarks(result: CalibrationResult, errors: WorkspaceErrors) -> list[str]:
+    """Return where and against what no limit is promised, and tolerances that were found."""
+    parts = []
+    if errors.beyond is not None:
+        parts.append(f"outside the measured region ({percent(1.0 - errors.share)})")
+    parts += [UNCOVERED[code] for code in errors.inside.uncovered]
+    lines = [f"not covered by the limit: {', '.join(parts)}"] if parts and result.promises else []
+    return [*lines, *_tolerances(result)]
+
+
+def _tolerances(result: CalibrationResult) -> list[str]:
+    return [sentence(finding) for finding in result.findings if finding.code == "tolerance-found"]
+
+
+def result_text(result: CalibrationResult) -> str:
+    """Return a calibration as a page of text: the verdict, accuracy, tables, what to know."""
+    errors = workspace_errors(result) if result.converged else None
+    parts = [verdict(result, errors)[0]]
+    if errors is not None:
+        tables = [accuracy_table(result, errors), *calibration_tables(result)]
+        parts += map(str, tables)
+    parts.append("\n".join(supporting_lines(result, errors)))
+    return "\n\n".join([*parts, *(f"warning: {warning}" for warning in warnings(result))])

@@ -1,32 +1,28 @@
 """Charts of a calibration: what a metrologist asks, each question drawn into axes once.
 
 ``Plots`` is the registry, and ``result.plot``: the command ``pincal plot`` draws these by name, the
-report takes some of them. Charts of residuals are drawn in ``residual_charts``.
+report takes some of them. Residuals after the fit are drawn over their standard deviations there,
+σ√(1−h) of leverage h.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+from matplotlib.patches import Patch, Rectangle
 
 from pincal.calibration.leg_result import IdentifiedParameter
 from pincal.calibration.result import CalibrationResult
-from pincal.design.certificate import continuous_design
-from pincal.design.criteria import MeanVariance
-from pincal.design.information import information_rows
 from pincal.design.platform_error import without_frames
 from pincal.errors import MeasurementError, WorkspaceError
-from pincal.estimation.observability.indices import RANK_TOLERANCE
 from pincal.kinematics.configurations import home_of, legs_at
-from pincal.model.measurements import Noise, Plan
-from pincal.show import residual_charts
+from pincal.model.measurements import Plan
+from pincal.model.setup import Camera
 from pincal.show.pictures.figure import draw_scene
 from pincal.show.pictures.parts import (
     NORMAL,
@@ -38,27 +34,211 @@ from pincal.show.pictures.parts import (
     legend_beside,
     levels,
     marks,
-    name_places,
     room,
     wrapped,
 )
-from pincal.show.result_tables import directions, parameters
-from pincal.show.style import EVERY, IDENTIFIED, INK, MARKERS, NOMINAL, PAGE
-from pincal.show.view.scene import scene
-from pincal.show.workspace_answers import error_maps, moved_apart
+from pincal.show.series import Series, noisy_series, observed_series
+from pincal.show.style import EVERY, IDENTIFIED, INK, NOMINAL, OUTLIER
+from pincal.show.view.scene import rounded_down, scene
+from pincal.show.workspace_errors import bed, error_maps, moved_apart
 from pincal.types import Array
-from pincal.words.numbers import SMALL, minus, per_si
+from pincal.words.numbers import SMALL, STORED, per_si
+from pincal.words.wording import clean
 from pincal.workspace.criteria import in_workspace
 from pincal.workspace.sampling import sample_configurations
 
 _SAMPLES = 300  # of the workspace
-_STEPS = 12  # numbers of poses
-_NAMED = 3  # parameters of a direction
 _CELLS = 31  # of a bed, along each side
-_AGREEMENT = 0.02  # by which the error of all rows may differ from the result's own
 _BAR = 0.125  # height of a bar with its name, [inch]
 _LEGEND = 0.35  # height of a legend of two lines, [inch]
+#: Between which levels residuals lie if noise alone makes them.
+_LEVEL = "95 %"
+_REJECTED = 12  # rows that a title names
+_NAMED = 6  # outliers that are named
+_GAP = 0.08  # between images, of the widest
+_ARROW = 0.07  # length of a typical large arrow, of the widest image
+_LARGE = 0.9  # share of arrows that are shorter
 _EXPECTED = f"expected error of position [{SMALL['m']}]"
+
+
+def residuals(axes: Axes, result: CalibrationResult) -> Axes:
+    """Draw residuals after the calibration in standard deviations, against the row.
+
+    Those of the legs or, if their readings are exact, of the platform as measured. A residual's
+    standard deviation is that of its noise less what the fit takes up of it, σ√(1−h) of its
+    leverage h: one that shares what is missed with others is judged as hard as any. Dashed
+    lines: between which 95 of 100 are. Outliers are ringed; rows that were rejected are named.
+    """
+    for index, series in enumerate(noisy_series(result)):
+        style, noisy = marks(index, of_leg=series.of_leg), series.sigma > 0.0
+        points = series.rows[noisy] + 1, series.standardised[noisy]
+        axes.plot(*points, **style, ls="", ms=3, label=label(series.name))
+    levels(axes, NORMAL, _LEVEL)
+    axes.set(xlabel="data row", ylabel=_residual(result))
+    _mark_outliers(axes, result)
+    _name_undrawn(axes, result)
+    return legend_beside(axes)
+
+
+def _mark_outliers(axes: Axes, result: CalibrationResult) -> None:
+    """Ring outliers, cross rejected rows at the upper edge, and name the worst."""
+    worst = _worst_of_rows(result)
+    ring: dict[str, Any] = {"marker": "o", "ms": 8, "mfc": "none", "mew": 1.2}
+    cross: dict[str, Any] = {"marker": "X", "ms": 6, "clip_on": False}
+    for rank, outlier in enumerate(result.outliers):
+        row, value = outlier.row + 1, float(worst[outlier.row])
+        place, coordinates, style = (row, value), axes.transData, ring
+        if not np.isfinite(value):
+            place, coordinates, style = (row, 1.0), axes.get_xaxis_transform(), cross
+        axes.plot(*place, color=OUTLIER, transform=coordinates, **style)
+        if rank < _NAMED:
+            offset: dict[str, Any] = {"xytext": (6, 2), "textcoords": "offset points"}
+            axes.annotate(str(row), place, xycoords=coordinates, **offset, size=7)
+
+
+def workspace(axes: Axes, result: CalibrationResult) -> Axes:
+    """Draw each row's largest residual where it was measured, x and y; outliers are ringed."""
+    worst = np.abs(_worst_of_rows(result))
+    positions = per_si("m", STORED) * result.poses[:, :2]
+    known = np.isfinite(worst) & np.isfinite(positions).all(axis=1)
+    x, y = positions[known].T
+    points = axes.scatter(x, y, c=worst[known], s=26, cmap="cividis_r", vmin=0.0, vmax=4.0, lw=0)
+    bar = axes.figure.colorbar(points, ax=axes, extend="max")
+    bar.set_label(wrapped(f"largest {_residual(result)} of the row", room(axes)[1]))
+    if rows := [outlier.row for outlier in result.outliers if outlier.row < len(positions)]:
+        axes.plot(*positions[rows].T, "o", ms=9, mfc="none", mec=OUTLIER, mew=1.3, label="outlier")
+        axes.legend()
+    _name_undrawn(axes, result)
+    axes.set(xlabel=axis_name("x"), ylabel=axis_name("y"), aspect="equal")
+    return axes
+
+
+class CameraResiduals(NamedTuple):
+    """What a camera saw, and how far that is off."""
+
+    camera: Camera
+    points: Array
+    """Points as seen, from the upper left corner, shape (N, 2), [px]."""
+    misses: Array
+    """Predicted less seen, shape (N, 2), [px]."""
+    size: Array
+    """The larger of the two, standardised, shape (N,); NaN where nothing checks either."""
+
+
+def camera_residuals(result: CalibrationResult) -> list[CameraResiduals]:
+    """Return what each camera of a result saw; empty if none measured."""
+    by_name = {series.name: series for series in observed_series(result)}
+    every_camera = []
+    for camera in result.options.setup.instruments:
+        if not isinstance(camera, Camera):
+            continue
+        pairs = camera.image.points.values()
+        parts = [
+            _point_residuals(camera, by_name[u], by_name[v], result.measurements.extra, (u, v))
+            for u, v in pairs
+            if u in by_name and v in by_name
+        ]
+        if parts:
+            columns = (np.concatenate(column) for column in zip(*parts, strict=True))
+            every_camera.append(CameraResiduals(camera, *columns))
+    return every_camera
+
+
+def _point_residuals(
+    camera: Camera, right: Series, down: Series, extra: Any, pair: tuple[str, str]
+) -> tuple[Array, Array, Array]:
+    """Return places, errors and sizes of a point where both of its columns were measured."""
+    rows, first, second = np.intersect1d(right.rows, down.rows, return_indices=True)
+    points = camera.image.at(*(np.asarray(extra[column])[rows] for column in pair))
+    misses = camera.image.scale * np.stack((right.after[first], down.after[second]), axis=1)
+    return points, misses, np.fmax(*np.abs((right.standardised[first], down.standardised[second])))
+
+
+def images(axes: Axes, result: CalibrationResult) -> Axes:
+    """Draw residuals as arrows over the images of cameras, magnified, with their scale.
+
+    Of instruments with an ``image`` (``pincal.Image``), side by side: from each point as seen
+    towards where it is predicted, coloured by the residual over its standard deviation.
+
+    Raises:
+        MeasurementError: no camera measured.
+    """
+    if not (cameras := camera_residuals(result)):
+        raise MeasurementError(
+            f"{result.nominal.name}: no camera measured it: no instrument of the setup has an "
+            "image; expected one with a pincal.Image as its 'image'"
+        )
+    sizes = np.array([view.camera.image.size for view in cameras], dtype=np.float64)
+    widest, highest = sizes.max(axis=0)
+    gap = _GAP * widest
+    step = np.array([widest + gap, highest + 2 * gap])
+    columns = min(len(cameras), 2)
+    lengths = np.concatenate([np.linalg.norm(view.misses, axis=1) for view in cameras])
+    magnified = rounded_down(_ARROW * widest / max(float(np.quantile(lengths, _LARGE)), 1e-12))
+    for index, (view, size) in enumerate(zip(cameras, sizes, strict=True)):
+        corner = step * (index % columns, index // columns)
+        axes.add_patch(Rectangle(tuple(corner), *size, fill=False, ec="0.6", lw=0.8))
+        rms = float(np.sqrt((view.misses**2).sum(axis=1).mean()))
+        title = f"{clean(view.camera.name)}: {len(view.points)} points, {rms:.2g} px"
+        axes.text(float(corner[0]), float(corner[1]) - 0.2 * gap, title, size=8, va="bottom")
+        arrows = axes.quiver(
+            *(corner + view.points).T,
+            *(magnified * view.misses).T,
+            np.where(np.isfinite(view.size), view.size, 0.0),
+            cmap="cividis_r",
+            clim=(0.0, 4.0),
+            angles="xy",
+            scale_units="xy",
+            scale=1.0,
+            width=0.0025,
+        )
+    low = -(-len(cameras) // columns) * step[1] - gap
+    pixels = rounded_down(_ARROW * widest / magnified)
+    axes.plot((0.0, magnified * pixels), (low, low), color=INK[0], lw=1.5, solid_capstyle="butt")
+    key = f"  {pixels:g} px of residual, predicted less seen"
+    axes.text(magnified * pixels, low, key, size=8, va="center")
+    bar = axes.figure.colorbar(arrows, ax=axes, extend="max", shrink=0.8)
+    bar.set_label(wrapped(f"larger {_residual(result)} of the point", 0.8 * room(axes)[1]))
+    axes.set(xlim=(-0.02 * widest, columns * step[0] - gap + 0.02 * widest), aspect="equal")
+    axes.set_ylim(low + 0.5 * gap, -gap)
+    axes.set_axis_off()
+    _name_undrawn(axes, result)
+    return axes
+
+
+def _worst_of_rows(result: CalibrationResult) -> Array:
+    """Return the largest standardised residual of each row, signed, NaN where none is noisy."""
+    series = noisy_series(result)
+    rows = np.concatenate([residuals.rows for residuals in series])
+    values = np.concatenate([residuals.standardised for residuals in series])
+    order = np.argsort(np.where(np.isfinite(values), np.abs(values), -1.0), kind="stable")
+    worst = np.full(len(result.measurements), np.nan)
+    worst[rows[order]] = values[order]
+    return worst
+
+
+def _residual(result: CalibrationResult) -> str:
+    """Return what a residual is divided by: σ√(1−h), or σ where old files hold no leverages."""
+    known = all(series.redundancy is not None for series in noisy_series(result))
+    return "residual / (σ√(1−h))" if known else "residual / σ"
+
+
+def _name_undrawn(axes: Axes, result: CalibrationResult) -> None:
+    """Say which rows were rejected, and how many residuals nothing checks: neither is drawn."""
+    worst, lines = _worst_of_rows(result), []
+    outliers = {outlier.row for outlier in result.outliers}
+    if rows := sorted(row for row in outliers if not np.isfinite(worst[row])):
+        names = ", ".join(str(row + 1) for row in rows[:_REJECTED])
+        dots = " …" if len(rows) > _REJECTED else ""
+        lines.append(f"rejected, not drawn: rows {names}{dots}")
+    unchecked = sum(
+        int((~np.isfinite(series.standardised) & (series.sigma > 0.0)).sum())
+        for series in noisy_series(result)
+    )
+    if unchecked:
+        lines.append(f"{unchecked} not drawn: the fit follows them")
+    if lines:
+        axes.set_title("\n".join(lines), fontsize=8)
 
 
 def changes(axes: Axes, result: CalibrationResult) -> Axes:
@@ -66,10 +246,10 @@ def changes(axes: Axes, result: CalibrationResult) -> Axes:
 
     Bars longer than 1 are changes that the measurements show; fixed ones have none.
     """
-    values: dict[str, dict[str, float]] = {leg.name: {} for leg in result.legs}
-    for leg, p in parameters(result):
-        if 0.0 < p.std < np.inf:
-            values[leg.name][p.name] = p.change / p.half
+    values = {}
+    for leg in result.legs:
+        identified = (p for p in leg.parameters if 0.0 < p.std < np.inf)
+        values[leg.name] = {p.name: p.change / p.half for p in identified}
     draw_bars(axes, values)
     levels(axes, 1.0, "±")
     axes.set_ylabel(wrapped("change / half width of its 95 % interval", room(axes)[1]))
@@ -86,130 +266,20 @@ def expected_errors(axes: Axes, result: CalibrationResult) -> Axes:
         WorkspaceError: no workspace was found with the default margins.
     """
     nominal = result.nominal
-    _refuse_unexplained(result)
+    if not result.explained:
+        raise MeasurementError(
+            f"{nominal.name}: residuals are {result.excess:.3g} times as large as the noise given "
+            "makes them, so no accuracy can be promised and none is drawn"
+        )
     if (maps := error_maps(result)) is None:
         if nominal.by_readings:
             raise WorkspaceError(
                 f"{nominal.name}: its poses follow from readings: errors over x and y are not drawn"
             )
         raise WorkspaceError(f"{nominal.name}: no workspace was found to draw errors over x and y")
-    middle = len(maps.heights) // 2
-    image = draw_map(axes, (maps.x, maps.y), per_si("m") * maps.after[middle, ..., 0])
+    image = draw_map(axes, (maps.x, maps.y), per_si("m") * maps.after[..., 0])
     axes.figure.colorbar(image, ax=axes, label=wrapped(_EXPECTED, room(axes)[1]))
-    height = height_name(maps.heights[middle])
-    axes.set(xlabel=axis_name("x"), ylabel=axis_name("y"), title=height)
-    return axes
-
-
-def correlations(axes: Axes, result: CalibrationResult) -> Axes:
-    """Draw the correlations of all parameters that were identified."""
-    covariance = result.covariance
-    std = np.sqrt(np.diagonal(covariance))
-    free = np.flatnonzero(np.isfinite(std) & (std > 0.0))
-    rho = covariance[np.ix_(free, free)] / np.outer(std[free], std[free])
-    image = axes.imshow(rho, vmin=-1.0, vmax=1.0, cmap="RdBu_r")
-    axes.figure.colorbar(image, ax=axes, label="correlation")
-    ids = [p.id for _, p in parameters(result)]
-    places, names = list(range(len(free))), [ids[i] for i in free]
-    capacity = int(min(room(axes)) / PAGE.line_small)  # letters stay large
-    if len(free) > capacity and len(result.legs) > 1:  # legs alone
-        owners = [name.rpartition(".")[0] for name in names]
-        places = [i for i in places if i == 0 or owners[i] != owners[i - 1]]
-        names = [owners[i] for i in places]
-    elif len(free) > capacity:
-        step = -(-len(free) // capacity)
-        places, names = places[::step], names[::step]
-    axes.set_xticks(places, names, rotation=90, fontsize=7)
-    axes.set_yticks(places, names, fontsize=7)
-    return axes
-
-
-def singular_values(axes: Axes, result: CalibrationResult) -> Axes:
-    """Draw singular values of the identification Jacobian, and name the weakest direction."""
-    ranked = directions(result)
-    count = np.arange(1, len(ranked.values) + 1)
-    axes.semilogy(count, ranked.values, MARKERS[0], color=IDENTIFIED, ms=4)
-    _plain(axes.yaxis)
-    weakest = ranked.vectors[:, -1]
-    largest = np.argsort(-np.abs(weakest), kind="stable")[:_NAMED]
-    shares = (f"{minus(f'{weakest[i]:+.2f}')}\u00a0{ranked.ids[i]}" for i in largest)
-    axes.set_title(wrapped(f"weakest: {' '.join(shares)}", room(axes)[0]), fontsize=7)
-    fixed = len(ranked.ids) - len(ranked.values)
-    axes.set_xlabel("direction" + (f" ({fixed} more are fixed by choice)" if fixed else ""))
-    axes.set_ylabel(wrapped("singular value (columns scaled)", room(axes)[1]))
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    return axes
-
-
-def step_by_step(axes: Axes, result: CalibrationResult) -> Axes:
-    """Draw the root of the cost per degree of freedom after each step of the search.
-
-    One line for all legs, or one for each. 1 is what the noise alone makes.
-
-    Raises:
-        MeasurementError: a result that was saved before steps were kept.
-    """
-    if not result.costs:
-        raise MeasurementError(
-            f"{result.nominal.name}: this result does not hold the steps of its search; calibrate "
-            "again"
-        )
-    names = [leg.name for leg in result.legs]
-    of_leg = len(names) == len(result.costs)
-    if not of_leg:
-        names = [f"fit {number}" for number in range(1, len(result.costs) + 1)]
-    for index, (name, costs) in enumerate(zip(names, result.costs, strict=True)):
-        style = marks(index, of_leg=of_leg)
-        if len(result.costs) == 1:
-            style["color"] = IDENTIFIED
-        axes.plot(np.arange(len(costs)), np.sqrt(costs), **style, ms=4, lw=1, label=label(name))
-    axes.set_yscale("log")
-    axes.axhline(1.0, color="0.5", lw=0.8, ls="--", zorder=0)
-    _plain(axes.yaxis)
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
-    axes.set_xlabel("step of the search")
-    axes.set_ylabel(wrapped("residuals, root mean square [σ]", room(axes)[1]))
-    return axes if len(result.costs) == 1 else legend_beside(axes)
-
-
-def by_poses(axes: Axes, result: CalibrationResult) -> Axes:
-    """Draw the expected error of the platform's position after the first n rows, and the bound.
-
-    The bound: no choice of n of the measured poses, repeated at will, does better.
-
-    Raises:
-        MeasurementError: noise differs between rows, residuals contradict it, or more than the
-            rows made the result.
-        WorkspaceError: no workspace was found.
-    """
-    _refuse_unexplained(result)
-    rows, C, promised = _information(result)
-    n, counts = rows.shape[2], np.arange(len(rows)) + 1
-    numbers, errors = [], []
-    for count in np.unique(np.geomspace(max(2, n // rows.shape[1]), len(rows), _STEPS).astype(int)):
-        first_rows = rows[:count].reshape(-1, n)
-        if np.linalg.matrix_rank(first_rows) == n:
-            half = np.linalg.solve(first_rows.T @ first_rows, C)
-            numbers.append(count)
-            errors.append(float(np.sqrt((half * C).sum())))
-    if not errors or abs(errors[-1] / promised - 1.0) > _AGREEMENT:
-        raise MeasurementError(
-            f"{result.nominal.name}: more than the rows and their noise made this result (priors, "
-            "legs alone, a loss), so what fewer rows would give is not drawn"
-        )
-    scale = per_si("m")
-    bound = continuous_design((rows,), MeanVariance(C)).bound
-    least = np.sqrt(np.exp(-bound) / counts)
-    first = numbers[0] - 1
-    axes.loglog(
-        numbers, scale * np.array(errors), "o-", color=IDENTIFIED, ms=4, label="first n rows"
-    )
-    axes.loglog(counts[first:], scale * least[first:], "--", color=EVERY, lw=1, label="bound")
-    _plain(axes.yaxis)
-    axes.set_xticks([n for n in numbers if n >= 1.25 * numbers[0] or n == numbers[0]][::3])
-    _plain(axes.xaxis)
-    axes.set(xlabel="poses n", ylabel=wrapped(_EXPECTED, room(axes)[1]))
-    axes.legend()
+    axes.set(xlabel=axis_name("x"), ylabel=axis_name("y"), title=height_name(maps.height))
     return axes
 
 
@@ -225,7 +295,8 @@ def at_platform(axes: Axes, result: CalibrationResult) -> Axes:
     moved = without_frames(result.identified, columns.poses, columns.gain, result.frames_moved)
     gain = moved[:, : result.nominal.platform.lengths]
     per_unit = np.sqrt((gain**2).sum(axis=1).mean(axis=0))  # [m] per unit of each parameter
-    identified = zip((p for _, p in parameters(result)), per_unit.tolist(), strict=True)
+    parameters = [p for leg in result.legs for p in leg.parameters]
+    identified = zip(parameters, per_unit.tolist(), strict=True)
     bars = [(p, factor) for p, factor in identified if 0.0 < p.std < np.inf]
     bars.sort(key=lambda bar: abs(bar[0].change) * bar[1])
     count, capacity = len(bars), int((room(axes)[1] - _LEGEND) / _BAR)
@@ -251,30 +322,6 @@ def at_platform(axes: Axes, result: CalibrationResult) -> Axes:
     return axes
 
 
-def compared_runs(axes: Axes, result: CalibrationResult) -> Axes:
-    """Draw the parameters of each run less their mean, in standard errors.
-
-    Raises:
-        MeasurementError: runs were not compared.
-    """
-    if (comparison := result.runs) is None:
-        raise MeasurementError(
-            f"{result.nominal.name}: no runs were compared; measurements need several runs, and "
-            "result.compared() compares them"
-        )
-    known = comparison.predicted > 0.0
-    share = np.sqrt(1.0 - 1.0 / len(comparison.values))  # a run is in the mean, too
-    deviations = (comparison.values - comparison.values.mean(axis=0))[:, known]
-    standardised = deviations / (share * comparison.predicted[known])
-    places = np.arange(deviations.shape[1])
-    for index, (name, values) in enumerate(zip(comparison.runs, standardised, strict=True)):
-        axes.plot(places, values, **marks(index, of_leg=False), ls="", ms=4, label=label(name))
-    axes.axhspan(-NORMAL, NORMAL, color="0.92", zorder=0, label=residual_charts.LEVEL)
-    name_places(axes, np.array(comparison.names)[known].tolist())
-    axes.set_ylabel(wrapped("run less mean / its standard error", room(axes)[1]))
-    return legend_beside(axes)
-
-
 def bed_heights(axes: Axes, result: CalibrationResult) -> Axes:
     """Draw by how much the nominal model misses z over the bed of a printer.
 
@@ -290,11 +337,7 @@ def bed_heights(axes: Axes, result: CalibrationResult) -> Axes:
     if machine.by_readings:
         raise WorkspaceError(f"{machine.name}: its poses follow from readings, so no bed is drawn")
     samples = sample_configurations(result.nominal, 1000).poses
-    low, high = samples.min(axis=0), samples.max(axis=0)
-    x, y = (np.linspace(low[i], high[i], _CELLS) for i in (0, 1))
-    grid = np.tile(np.array(platform.home), (_CELLS, _CELLS, 1))
-    grid[..., 0], grid[..., 1] = x, y[:, None]
-    poses = grid.reshape(-1, platform.dof)
+    x, y, poses = bed(machine, samples, _CELLS)
     inside = in_workspace(result.nominal, poses)
     if not inside.any():
         raise WorkspaceError(f"{machine.name}: no workspace at the height of home")
@@ -327,65 +370,10 @@ def colour_of(p: IdentifiedParameter) -> str:
 def dimensioned(axes: Axes, result: CalibrationResult, leg: str = "") -> Axes:
     """Draw the nominal mechanism, dimensions of a leg in the colours of their changes."""
     mechanism = result.nominal
-    name = mechanism.leg(leg or mechanism.leg_names[0]).name
-    colours = {
-        p.name: colour_of(p)
-        for block in result.legs
-        for p in block.parameters
-        if block.name == name
-    }
+    parameters = result.leg(leg or mechanism.leg_names[0]).parameters
+    colours = {p.name: colour_of(p) for p in parameters}
+    name = leg or mechanism.leg_names[0]
     return draw_scene(axes, scene(mechanism, home_of(mechanism)), 0, [name], colours)
-
-
-def _refuse_unexplained(result: CalibrationResult) -> None:
-    """Raise if no accuracy can be promised.
-
-    Raises:
-        MeasurementError: residuals contradict the noise given.
-    """
-    if not result.explained:
-        raise MeasurementError(
-            f"{result.nominal.name}: residuals are {result.excess:.3g} times as large as the noise "
-            "given makes them, so no accuracy can be promised and none is drawn"
-        )
-
-
-def _plain(axis: Axis) -> None:
-    """Write numbers of an axis of decades as they are read: 1, 2 and 5 of each."""
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axis.set_minor_formatter(NullFormatter())
-
-
-def _information(result: CalibrationResult) -> tuple[Array, Array, float]:
-    """Return white rows of each pose, C with L = C Cᵀ, and the result's own error, [m].
-
-    Rows, shape (N, r, n), are in coordinates of the n directions that all of them determine; L is
-    of the platform's position over the workspace, without what motions of frames explain.
-    """
-    machine, noise = result.identified, result.noise
-    if not isinstance(noise, Noise):
-        raise MeasurementError(
-            f"{machine.name}: noise differs between rows; expected one noise for all of them"
-        )
-    readings = result.measurements.readings if machine.by_readings else None
-    measured = legs_at(machine, Plan(result.poses, readings=readings))
-    rows = information_rows(machine, measured, noise, None, result.options.setup).rows
-    n = len(result.covariance)
-    std = np.sqrt(np.diagonal(result.covariance))
-    free = np.append(np.isfinite(std) & (std > 0.0), np.ones(rows.shape[2] - n, dtype=bool))
-    sampled = legs_at(machine, sample_configurations(result.nominal, _SAMPLES))
-    moved = without_frames(machine, sampled.poses, sampled.gain, result.frames_moved)
-    gain = moved[:, : machine.platform.lengths]
-    C = np.zeros((len(free), gain.shape[0] * gain.shape[1]))
-    C[:n] = gain.reshape(-1, n).T / np.sqrt(len(gain))
-    promised = float(np.sqrt((C[:n] * (result.covariance @ C[:n])).sum()))
-    rows, C = rows[..., free], C[free]
-    flat = rows.reshape(-1, rows.shape[2])
-    size = np.maximum(np.linalg.norm(flat, axis=0), 1e-300)
-    _, s, V = np.linalg.svd(flat / size, full_matrices=False)
-    determined = V[s > RANK_TOLERANCE * s.max()].T
-    return rows / size @ determined, determined.T @ (C / size[:, None]), promised
 
 
 def _chart(
@@ -412,19 +400,13 @@ class Plots:
 
     result: CalibrationResult
 
-    residuals = _chart(residual_charts.residuals)
-    workspace = _chart(residual_charts.workspace, 5.0, 4.2)
-    time = _chart(residual_charts.time)
-    images = _chart(residual_charts.images)
+    residuals = _chart(residuals)
+    workspace = _chart(workspace, 5.0, 4.2)
+    images = _chart(images)
     parameters = _chart(changes)
     platform = _chart(at_platform, 6.4, 4.6)
-    correlation = _chart(correlations, 5.4, 4.8)
-    singular = _chart(singular_values)
-    convergence = _chart(step_by_step)
-    poses = _chart(by_poses)
     error_map = _chart(expected_errors, 5.0, 4.2)
     bed = _chart(bed_heights, 5.0, 4.2)
-    runs = _chart(compared_runs, 6.4, 4.0)
 
     def drawing(self, ax: Axes | None = None, leg: str = "") -> Axes:
         """Draw a leg with its dimensions, lines in the colours of changes over their ±.

@@ -7,76 +7,87 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from functools import cached_property
+from functools import cached_property, partial
 from hashlib import file_digest
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
+from markupsafe import Markup
 
 from pincal import __version__
 from pincal.calibration.result import CalibrationResult
 from pincal.errors import FileError
 from pincal.model.measurements import EVERY_LEG
 from pincal.model.units import SI, Units
-from pincal.show import result_tables, summary
-from pincal.show.answers import Answers, ReportFacts, report_facts, warning_lines
+from pincal.show import answers, tables
 from pincal.show.figures import figure
 from pincal.show.page import Page
+from pincal.show.series import readings_exact
 from pincal.show.style import dark_variables
-from pincal.words.numbers import counted, reading_in
-from pincal.words.wording import rendered
+from pincal.show.workspace_errors import WorkspaceErrors, workspace_errors
+from pincal.words.numbers import capital, reading_in
+from pincal.words.wording import clean, rendered
 
-_LIBRARIES = ("pin", "numpy", "scipy")
+_MOST_OUTLIERS = 50  # that are listed
 
 
 @dataclass(frozen=True)
 class Origin:
     """Where a result comes from."""
 
-    command: str
+    command: str = ""
     """As it was typed; empty if it was not."""
-    files: tuple[tuple[str, str], ...]
+    files: tuple[tuple[str, str], ...] = ()
     """Files that were read, and their SHA-256."""
-    notes: tuple[str, ...]
+    notes: tuple[str, ...] = ()
     """What was not done, and why."""
-    date: str
+    date: str = ""
+
+
+class Section(NamedTuple):
+    """A section of a page."""
+
+    name: str
+    """Its place, for links."""
+    title: str
+    parts: list[Any]
+    """Paragraphs, lists of lines, facts by name, tables and figures."""
 
 
 class Report(Page):
     """A report: a page to save, or to see in a notebook."""
 
-    def __init__(self, facts: ReportFacts, origin: Origin, units: Units = SI) -> None:
-        self.facts = facts
+    def __init__(
+        self,
+        result: CalibrationResult,
+        errors: WorkspaceErrors | None,
+        origin: Origin,
+        units: Units = SI,
+    ) -> None:
+        self.result = result
+        self.errors = errors
         self.origin = origin
         self.units = units
 
     @cached_property
     def _page(self) -> str:
-        versions = [f"{name} {version(name)}" for name in _LIBRARIES]
-        result = self.facts.result
+        result, errors, origin = self.result, self.errors, self.origin
+        parts = [origin.date, f"{len(result.measurements)} rows", answers.method_line(result)]
         with reading_in(self.units.printed):
             return rendered(
                 "report.html",
-                facts=self.facts,
-                result=result,
-                origin=self.origin,
-                about={
-                    "minimised": minimised(result),
-                    "rows": rows(result),
-                    "columns": columns(result),
-                },
-                figure=lambda name: figure(name, self.facts),
-                summary=summary,
-                tables=result_tables,
-                warnings=warning_lines(result),
-                dark=dark_variables(),
-                answers=Answers(self.facts, self.origin.notes),
-                versions=[
-                    f"pincal {__version__}",
-                    *versions,
-                    f"Python {platform.python_version()}",
+                name=result.nominal.name,
+                description=result.nominal.description,
+                subtitle=" · ".join([*parts, result.message]),
+                warnings=answers.warnings(result),
+                answers=answers.answers(result, errors, origin.notes),
+                sections=[
+                    section._replace(parts=[part for part in section.parts if part])
+                    for section in _sections(result, errors, origin)
                 ],
+                dark=dark_variables(),
             )
 
 
@@ -109,7 +120,8 @@ def report(
     origin = Origin(command, hashes, tuple(notes), today if date is None else date)
     nominal = result.nominal
     read = Units.of(units, nominal.counts, nominal.reading_names)
-    return Report(report_facts(result), origin, read)
+    errors = workspace_errors(result) if result.converged else None
+    return Report(result, errors, origin, read)
 
 
 def _sha256(path: Path) -> str:
@@ -125,36 +137,117 @@ def _sha256(path: Path) -> str:
         raise FileError(f"cannot read {path}: {error.strerror or error}") from error
 
 
-def minimised(result: CalibrationResult) -> str:
-    """Return which residuals were minimised."""
-    if result.options.latent:
-        return (
-            "predicted less measured readings and quantities of the platform, weighted by the noise"
-        )
-    if result.options.residual == "joint":
-        return "joint residuals: predicted less measured readings, not weighted"
-    return "closure residuals: by how much a leg misses the platform point, weighted by the noise"
+def _sections(
+    result: CalibrationResult, errors: WorkspaceErrors | None, origin: Origin
+) -> list[Section]:
+    """Return the sections of a report, those of numbers only where the fit converged."""
+    drawn = partial(figure, result=result, errors=errors)
+    measured = Section(
+        "measured",
+        "What was measured, and how well",
+        [_measured(result), drawn("poses")],
+    )
+    libraries = ", ".join(f"{name} {version(name)}" for name in ("pin", "numpy", "scipy"))
+    reproduction = Section(
+        "reproduction",
+        "How to reproduce it",
+        [
+            Markup("<pre><code>{}</code></pre>").format(clean(origin.command)),
+            f"Made on {origin.date} with pincal {__version__}, {libraries}, Python "
+            f"{platform.python_version()}. No random choice is involved.",
+            tables.files_table(origin.files) if origin.files else None,
+        ],
+    )
+    if not result.converged:
+        return [measured, reproduction]
+    exact = readings_exact(result)
+    return [
+        measured,
+        Section(
+            "parameters",
+            "Parameters",
+            [
+                tables.parameters_table(result),
+                drawn("changes"),
+                drawn("drawing"),
+                tables.outside_table(result) if result.external else None,
+                [f"{line}." for line in answers.weak_lines(result.weak, result.nominal)],
+            ],
+        ),
+        Section(
+            "residuals",
+            "Residuals before and after",
+            [
+                "Readings were taken as exact: the legs close by construction, and what the model "
+                "leaves over is by how much the platform misses what was measured of it."
+                if exact
+                else tables.legs_table(result),
+                tables.observed_table(result) if result.observed else None,
+                drawn("residuals"),
+                drawn("images") if result.options.setup.instruments else None,
+            ],
+        ),
+        Section("platform", "Error of the platform", [drawn("maps") or _no_maps(result)]),
+        Section("outliers", "What was rejected or weighted down", _outliers(result)),
+        Section("checks", "Held-out rows, ties and runs", _checks(result, origin)),
+        reproduction,
+    ]
 
 
-def rows(result: CalibrationResult) -> str:
-    """Return how many rows there are, of which sets, runs and poses."""
-    data = result.measurements
-    parts = [f"{len(data)}"]
+def _measured(result: CalibrationResult) -> dict[str, str]:
+    """Return what was measured, and how it was used, as facts."""
+    nominal, data = result.nominal, result.measurements
+    readings = zip(nominal.reading_names, nominal.reading_units, strict=True)
+    facts = {
+        "rows": str(len(data)),
+        "of the platform": _columns(result),
+        "readings": ", ".join(f"{name} [{unit}]" for name, unit in readings),
+        "noise": answers.noise_line(result),
+        "identified": answers.method_line(result),
+    }
     for name, values in (("sets", data.sets), ("runs", data.runs)):
         if values is not None:
             counts = Counter("every leg" if value in ("", EVERY_LEG) else value for value in values)
-            parts.append(f"{name}: {', '.join(f'{value} {n}' for value, n in counts.items())}")
-    if data.places is not None:
-        counts = Counter(name for name in data.places if name)
-        repeated = sum(n > 1 for n in counts.values())
-        parts.append(f"{counted(repeated, 'pose')} measured more than once")
-    return "; ".join(parts)
+            facts[name] = ", ".join(f"{value} {count}" for value, count in counts.items())
+    if result.options.setup.plain:
+        positions = ", ".join(nominal.platform.coordinates[: nominal.platform.lengths])
+        facts["frame"] = f"positions {positions} are of the platform's frame in the base frame"
+    if result.gauge:
+        facts["fixed by choice"] = answers.gauge_line(result)
+    return facts
 
 
-def columns(result: CalibrationResult) -> str:
+def _columns(result: CalibrationResult) -> str:
     """Return which quantities of the platform were measured, and how often if not always."""
     data, platform = result.measurements, result.nominal.platform
     measured = dict(zip(platform.coordinates, data.poses.T, strict=True)) | dict(data.extra)
     counts = {name: int(np.isfinite(values).sum()) for name, values in measured.items()}
     often = {name: "" if n == len(data) else f" ({n} rows)" for name, n in counts.items() if n}
     return ", ".join(map("".join, often.items())) or "nothing"
+
+
+def _no_maps(result: CalibrationResult) -> str:
+    """Return why there are no maps."""
+    reason = "no workspace was found with the default margins"
+    if not result.explained:
+        reason = "no accuracy can be promised"
+    elif result.nominal.by_readings:
+        reason = "its poses are made from readings, and do not fill a plane"
+    return f"No maps: {reason}."
+
+
+def _outliers(result: CalibrationResult) -> list[Any]:
+    """Return which rows were rejected or weighted down."""
+    text = "No robust loss was used" if result.loss == "none" else f"Robust loss: {result.loss}"
+    if not result.outliers:
+        return [f"{text}; no row stands out from the others."]
+    text += f"; rows that do not fit the others: {len(result.outliers)}."
+    return [text, tables.outliers_table(result, _MOST_OUTLIERS)]
+
+
+def _checks(result: CalibrationResult, origin: Origin) -> list[Any]:
+    """Return what ties, held-out rows and runs show, and notes on what was not done."""
+    lines = [capital(line) for line in (*answers.tie_lines(result), *answers.check_lines(result))]
+    lines = [f"{line}." for line in (*lines, *origin.notes)]
+    runs = [tables.runs_table(result.runs)] if result.runs is not None else []
+    return [lines or ["No rows were held out, and no ties tested."], *runs]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 #: Of legs, and of sets of poses that serve them; all colours here are held apart for people who
@@ -60,65 +59,11 @@ TOWARDS_VIEWER = (0.45, -0.85, 0.42)
 COLUMN, PAGE_WIDTH = 80.0, 170.0
 
 
-@dataclass(frozen=True)
-class PageStyle:
-    """Sizes of figures on pages."""
-
-    width: float = PAGE_WIDTH / 25.4
-    """Across a page, [inch]."""
-    height: float = 9.5
-    """At most, [inch]."""
-    small: float = 0.065
-    """Width of a letter of labels, [inch]."""
-    line_small: float = 0.115
-    """Height of a line of names along an axis, [inch]."""
-    raster_from: int = 1500
-    """Points from which they are drawn as pixels: a vector picture stays small."""
-
-
-@dataclass(frozen=True)
-class PictureStyle:
-    """Sizes in pictures of mechanisms."""
-
-    width: float = 5.2
-    """Of the figure, [inch]."""
-    heights: tuple[float, float] = (1.8, 6.0)
-    """Least and most of what is drawn, [inch]."""
-    legend: float = 0.5
-    """Height for the legend below, [inch]."""
-    letters: int = 28
-    """Of the longest name."""
-    line: int = 75
-    """Letters of a legend's line."""
-    edge: float = 0.0025
-    """Thickness of outlines, of the scene's diagonal."""
-    dark: float = 0.55
-    """Brightness of an outline, of its shape's."""
-    piece: float = 10.0
-    """Length of a rod's piece, of its radius."""
-    pieces: int = 12
-    """Of a rod, at most."""
-    name: float = 8.5
-    """Height of a parameter's name, [point]."""
-    letter: float = 0.58
-    """Width of a letter of such a name, of its height."""
-    room: float = 1.25
-    """Of a figure, over what is left for the mechanism."""
-    along: tuple[float, ...] = (0.5, 0.35, 0.65, 0.2, 0.8, 0.05, 0.95)
-    """Where along a dimension its name is tried, by its length."""
-    name_distances: tuple[float, ...] = (1.0, -1.0, 1.8, -1.8, 2.8, -2.8, 4.0, -4.0)
-    """How far from it, in heights of the name."""
-    arc: float = 0.055
-    """Radius of the smallest angle drawn, of the scene's diagonal."""
-    leg_distances: tuple[float, ...] = (11.0, 18.0, 26.0, 34.0)
-    """How far from its foot a leg's name is tried, [point]."""
-    values: int = 6
-    """Of parameters, in a line, at most."""
-    title: int = 100
-    """Letters of a line of them."""
-
-
-PAGE, PICTURE = PageStyle(), PictureStyle()
+PAGE_INCHES, PAGE_HEIGHT = PAGE_WIDTH / 25.4, 9.5  # of a figure across a page, at most, [inch]
+LETTER_WIDTH, LINE_HEIGHT = 0.065, 0.115  # of labels, of names along an axis, [inch]
+RASTER_FROM = 1500  # points from which they are drawn as pixels: a vector picture stays small
+#: Width of a mechanism's picture, least and most height of what is drawn, [inch].
+PICTURE_WIDTH, PICTURE_HEIGHTS = 5.2, (1.8, 6.0)
 
 
 class Look(NamedTuple):

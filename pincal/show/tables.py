@@ -1,4 +1,4 @@
-"""Tables of mechanisms, plans, forecasts, groups and workspaces."""
+"""All tables that people see, in the units in which they read them: columns, rows, a caption."""
 
 from __future__ import annotations
 
@@ -6,22 +6,34 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from pincal.design.forecast import Drift, Forecast, ScaleEffect
-from pincal.design.platform_error import PlatformError
+from pincal.calibration.leg_result import IdentifiedParameter
+from pincal.calibration.result import CalibrationResult
+from pincal.calibration.runs import RunComparison
+from pincal.calibration.terms.explain import Explanation
+from pincal.calibration.terms.screen import Candidate
+from pincal.design.forecast import Forecast
 from pincal.design.select import Selection
 from pincal.design.select_configurations import ConfigurationChoice
 from pincal.design.simulate import Accuracy
 from pincal.model.mechanism import Mechanism
-from pincal.show.summary import drift_lines, forecast_lines, scale_line
+from pincal.show.series import Series, legs_series, observed_series, readings_exact
 from pincal.symmetry.breaks import no_symmetries
 from pincal.symmetry.detect import SymmetryGroup
-from pincal.types import Array
-from pincal.words.numbers import STORED, counted
-from pincal.words.table import Cell, Column, Quantity, Table, Uncertainty, UnitOf, Value, columns
-from pincal.words.wording import mapped_diagonals
-from pincal.workspace.criteria import ArticularSymmetry
+from pincal.words.numbers import (
+    SMALL,
+    STORED,
+    VALUES,
+    chance,
+    counted,
+    shown_in,
+    uncertainty,
+)
+from pincal.words.table import Cell, Column, Table, Value, columns, quantity
+from pincal.words.wording import NAMED, mapped_diagonals
 from pincal.workspace.inscribed import Inscribed
 from pincal.workspace.region import Workspace
+
+# Mechanisms and their symmetry
 
 
 def nominal_table(mechanism: Mechanism) -> Table:
@@ -31,17 +43,43 @@ def nominal_table(mechanism: Mechanism) -> Table:
     for name in names:
         unit = next(leg.units[name] for leg in mechanism.legs if name in leg.units)
         nominal = (leg.nominal_by_name.get(name) for leg in mechanism.legs)
-        values = (None if value is None else Quantity(value, unit) for value in nominal)
-        grid.append([name, *values, UnitOf(unit)])
+        values = (None if v is None else quantity(v, unit, units=STORED) for v in nominal)
+        grid.append([name, *values, STORED[unit]])
     if len(mechanism.legs) > len(names):
         grid = [list(row) for row in zip(*grid, strict=True)]
     heads, *rows = grid
-    title, labels = f"{mechanism.name}: nominal parameters", mechanism.labelled
-    return Table(title, columns(*map(str, heads), units=STORED), rows, labels)
+    title = f"{mechanism.name}: nominal parameters"
+    return Table(title, columns(*map(str, heads)), rows, mechanism.labelled)
+
+
+def symmetry_table(group: SymmetryGroup, equivariance: float) -> Table:
+    """Return a group's elements, where they carry the legs, and what breaks others."""
+    names = group.mechanism.leg_names
+    lines = [f"readings follow within {equivariance:.2g} (Eq. 5: F(λ q) = λ F(q))"]
+    lines += [f"no symmetry: {text}" for text in no_symmetries(group.breaks)]
+    size = f"{group.name}, {counted(len(group.elements), 'element')}"
+    return Table(
+        f"{group.mechanism.name}: {size}, nominal geometry and modes",
+        columns("element", *(f"{name} to" for name in names)),
+        [
+            (str(element), *(names[i] for i in permutation))
+            for element, permutation in zip(group.elements, group.permutations, strict=True)
+        ],
+        "\n".join(lines),
+    )
+
+
+# Plans and forecasts
 
 
 def selection_table(selection: Selection) -> Table:
     """Return what a selection gives each leg."""
+    caption = (
+        "efficiency: (det / det of the continuous D-optimal bound)^(1/n), at most 1; "
+        "O1: of the unweighted Jacobian, over the number of parameters"
+    )
+    if selection.mapped:
+        caption += f"\n{mapped_diagonals(selection.diagonals_differ)}"
     return Table(
         f"{len(selection.plan.poses)} poses, {selection.protocol} selection from "
         f"{selection.candidates} candidates",
@@ -50,21 +88,14 @@ def selection_table(selection: Selection) -> Table:
             (leg.leg, leg.poses, leg.efficiency, leg.indices.O1_per_parameter, leg.condition)
             for leg in selection.legs
         ],
-        "\n".join(
-            (
-                "efficiency: (det / det of the continuous D-optimal bound)^(1/n), at most 1; "
-                "O1: of the unweighted Jacobian, over the number of parameters",
-                *([mapped_diagonals(selection.diagonals_differ)] if selection.mapped else []),
-            )
-        ),
+        caption,
     )
 
 
-GOALS = {
+_GOALS = {
     "parameters": "all parameters together",
     "platform": "the platform's accuracy over the candidates",
 }
-"""What configurations are chosen for."""
 
 
 def choice_table(mechanism: Mechanism, chosen: ConfigurationChoice) -> Table:
@@ -72,17 +103,15 @@ def choice_table(mechanism: Mechanism, chosen: ConfigurationChoice) -> Table:
     rank = chosen.rank
     lost = rank.n_params - rank.rank
     words = f"; {lost} directions are not observable at any candidate" if lost else ""
-    candidates = Cell(chosen.candidates, f"{chosen.candidates:,}")
-    determined = Cell(rank.rank, f"{rank.rank} of {rank.n_params}")
     row = (
         len(chosen.plan.poses),
-        candidates,
+        Cell(chosen.candidates, f"{chosen.candidates:,}"),
         chosen.efficiency,
-        determined,
+        Cell(rank.rank, f"{rank.rank} of {rank.n_params}"),
         ", ".join(chosen.measured),
     )
     return Table(
-        f"{mechanism.name}: configurations for {GOALS[chosen.goal]}{words}",
+        f"{mechanism.name}: configurations for {_GOALS[chosen.goal]}{words}",
         columns("poses", "of", "efficiency:.3f", "rank", "measured"),
         [row],
     )
@@ -90,74 +119,48 @@ def choice_table(mechanism: Mechanism, chosen: ConfigurationChoice) -> Table:
 
 def accuracy_table(errors: Mapping[str, Accuracy], turns: bool) -> Table:
     """Return platform errors by model, the nominal one first, and by what the others are better."""
-    keep = slice(None, None if turns else 2)
-    rows: list[list[Value]] = []
-    better: list[list[Value]] = []
-    before: list[float] = []
-    for name, accuracy in errors.items():
-        sizes = [accuracy.position, accuracy.worst_position, accuracy.orientation][keep]
-        rows.append([name, *sizes, accuracy.unreachable])
-        ratios = [old / new for old, new in zip(before, sizes, strict=False)]
-        times: list[Value] = [Cell(ratio, f"{ratio:.1f} times") for ratio in ratios]
-        better += [[f"{name}: better by", *times, None]] if before else []
-        before = before or sizes
-    names = {"position rms": "m", "worst": "m", "orientation rms": "rad"}
-    shown = [Column(name, unit, ".4f") for name, unit in names.items()]
+    sizes = {
+        name: [accuracy.position, accuracy.worst_position, accuracy.orientation][: 2 + turns]
+        for name, accuracy in errors.items()
+    }
+    nominal, *others = sizes
+    rows: list[list[Value]] = [[name, *sizes[name], errors[name].unreachable] for name in sizes]
+    for name in others:
+        ratios = np.divide(sizes[nominal], sizes[name]).tolist()
+        times = (Cell(ratio, f"{ratio:.1f} times") for ratio in ratios)
+        rows.append([f"{name}: better by", *times, None])
+    heads = ("position rms [m]:.4f", "worst [m]:.4f", "orientation rms [rad]:.4f")[: 2 + turns]
     return Table(
-        f"platform error over the workspace, {next(iter(errors.values())).poses} poses",
-        (Column("model"), *shown[keep], Column("not reached")),
-        [*rows, *better],
+        f"platform error over the workspace, {errors[nominal].poses} poses",
+        columns("model", *heads, "not reached"),
+        rows,
     )
 
 
-def forecast_table(
-    forecast: Forecast,
-    error: PlatformError,
-    planned: int,
-    alone: PlatformError | None = None,
-    drifts: Sequence[Drift] = (),
-    scale: ScaleEffect | None = None,
-) -> Table:
-    """Return what a plan will give: standard errors by parameter and leg, and what they mean.
-
-    Args:
-        forecast: The forecast.
-        error: Of the platform over the workspace.
-        planned: Number of poses in the plan.
-        alone: The same error with each leg calibrated alone, if that can be.
-        drifts: What a drift over the run would do; then the same of each leg alone.
-        scale: What a wrong scale of the instrument would do.
-    """
-    lines = (
-        *forecast_lines(forecast, error, planned, alone),
-        *drift_lines(drifts),
-        *scale_line(scale),
-    )
-    return standard_errors(forecast, "\n".join(lines))
-
-
-def standard_errors(forecast: Forecast, caption: str = "") -> Table:
-    """Return the standard errors of a forecast by parameter and leg, with what is said beneath."""
+def standard_errors(forecast: Forecast) -> Table:
+    """Return the standard errors of a forecast by parameter and leg."""
     mechanism = forecast.mechanism
-    names = [(leg.name, name) for leg in mechanism.legs for name in leg.parameter_names]
-    errors = dict(zip(names, forecast.std.tolist(), strict=True))
+    ids = [(leg.name, name) for leg in mechanism.legs for name in leg.parameter_names]
+    errors = dict(zip(ids, forecast.std.tolist(), strict=True))
     units = {name: leg.units[name] for leg in mechanism.legs for name in leg.parameter_names}
 
-    def cell(leg: str, name: str, unit: str) -> Value:
+    def cell(leg: str, name: str) -> Value:
         if (std := errors.get((leg, name))) is None:
             return None
-        return Uncertainty(std, unit) if std < np.inf else Cell(std, "—")
+        return Cell(std, uncertainty(std, units[name], SMALL) if std < np.inf else "—")
 
     return Table(
         f"{mechanism.name}: standard errors (1 σ) from {forecast.poses} poses, measured: "
         f"{', '.join(forecast.measured) or 'nothing'}",
-        (Column("parameter"), Column("unit"), *(Column(leg) for leg in mechanism.leg_names)),
+        columns("parameter", "unit", *mechanism.leg_names),
         [
-            (name, UnitOf(unit), *(cell(leg, name, unit) for leg in mechanism.leg_names))
+            (name, SMALL[unit], *(cell(leg, name) for leg in mechanism.leg_names))
             for name, unit in units.items()
         ],
-        caption,
     )
+
+
+# Workspaces
 
 
 def workspace_table(
@@ -173,90 +176,251 @@ def workspace_table(
     positions, test = workspace.asked, workspace.test
     name = {1: "length", 2: "area", 3: "volume"}[positions.dimension or 1]
     separate = f"; {workspace.apart:,} of them apart from home's" if workspace.apart else ""
-    least, type2 = test.least, test.least.least_type2(test.mechanism)
+    type2 = test.least.least_type2(test.mechanism)
     sides = "both sides of type 2" if type2 == -np.inf else f"type 2 ≥ {type2:.3g}"
     every = "in every one of" if test.every else "in any of"
+    symmetry = f"{workspace.computed:,} positions computed"
+    if len(workspace.elements) > 1:
+        elements = ", ".join(map(str, workspace.elements))
+        symmetry += f", the others by {len(workspace.elements)} elements: {elements}"
+    if workspace.unused:
+        unused = ", ".join(map(str, workspace.unused))
+        symmetry += f"; not used, or not a symmetry of these positions and orientations: {unused}"
     facts = [
         (name, f"{workspace.size} (at most: half a cell along the edge)"),
         ("positions", f"{workspace.count:,} of {positions.size:,} count{separate}"),
         ("orientations", f"{every} {len(test.orientations):,}"),
-        ("margins", f"type 1 ≥ {least.type1:.3g}, {sides}"),
-        ("symmetry", _by_symmetry(workspace)),
+        ("margins", f"type 1 ≥ {test.least.type1:.3g}, {sides}"),
+        ("symmetry", symmetry),
     ]
     if workspace.cut:
         facts.append(("", "cut off by the edge of the grid: widen the axes to see the whole"))
     if inscribed is None and wanted:
         facts.append(("largest inscribed", "none: no position counts"))
     if inscribed:
-        centre = ", ".join(
-            f"{v + 0.0:.4f}" for v in inscribed.centre[: len(positions.axes)].round(6)
-        )
-        body = "ball" if positions.dimension == 3 else "circle"
-        loose = inscribed.bound > 1.001 * inscribed.radius
-        touches = f"; none is larger than {inscribed.bound:.4f} m" if loose else ""
-        touches += "; it touches the edge of the grid" if inscribed.at_edge else ""
-        radius = f"radius {inscribed.radius:.4f} m around ({centre}) m{touches}"
-        facts.append((f"largest {body}", radius))
+        middle = inscribed.centre[: len(positions.axes)].round(6) + 0.0
+        centre = ", ".join(f"{value:.4f}" for value in middle)
+        text = f"radius {inscribed.radius:.4f} m around ({centre}) m"
+        if inscribed.bound > 1.001 * inscribed.radius:
+            text += f"; none is larger than {inscribed.bound:.4f} m"
+        text += "; it touches the edge of the grid" * inscribed.at_edge
+        facts.append((f"largest {'ball' if positions.dimension == 3 else 'circle'}", text))
     title = f"{test.mechanism.name}: {workspace.kind} workspace"
     return Table(title, columns("what", "is"), facts, heads=False)
 
 
-def _by_symmetry(workspace: Workspace) -> str:
-    """Return which elements were used, and which were not."""
-    used = ", ".join(str(e) for e in workspace.elements)
-    text = f"{workspace.computed:,} positions computed"
-    if len(workspace.elements) > 1:
-        text += f", the others by {len(workspace.elements)} elements: {used}"
-    if workspace.unused:
-        unused = ", ".join(str(e) for e in workspace.unused)
-        text += f"; not used, or not a symmetry of these positions and orientations: {unused}"
-    return text
+# Calibrations
+
+_MOST_SIGMAS = 1e6  # standard errors, above which their number says nothing
+_HEADS = ("nominal", "identified", "± 95 %", "unit")
 
 
-def articular_table(
-    mechanism: Mechanism,
-    spaces: Mapping[str, Array],
-    checks: Sequence[ArticularSymmetry],
-) -> Table:
-    """Return the extent of spaces of readings, and whether permuted readings are reached."""
-    rows: list[tuple[Value, ...]] = []
-    for name, readings in spaces.items():
-        heads: tuple[Value, Value] = (name, Cell(len(readings), f"{len(readings):,}"))
-        read = zip(mechanism.reading_names, mechanism.reading_units, readings.T, strict=True)
-        for reading, unit, column in read:
-            low, high = (column.min(), column.max()) if len(column) else (np.nan, np.nan)
-            ends = (Cell(float(low), f"{low:.3f}"), Cell(float(high), f"{high:.3f} [{unit}]"))
-            rows.append((*heads, reading, *ends))
-            heads = ("", None)
-    sampled = f"{len(spaces['all']):,} random poses" if "all" in spaces else ""
-    lines = [f"all: {sampled}, so the space reaches a little farther"] * bool(sampled)
-    lines += [
-        f"{check.element}: {check.solved} of {check.asked} permuted readings solved, "
-        f"{check.inside} in the workspace, at most {check.off:.2g} from the carried pose"
-        for check in checks
+def calibration_tables(result: CalibrationResult) -> list[Table]:
+    """Return all tables of a calibration that a terminal shows."""
+    tables = [parameters_table(result), legs_table(result)]
+    tables += [outside_table(result)] if result.external else []
+    tables += [observed_table(result)] if result.observed else []
+    tables += [outliers_table(result)] if result.outliers and result.loss != "none" else []
+    return tables
+
+
+def parameters_table(result: CalibrationResult) -> Table:
+    """Return identified parameters with 95 % intervals and changes."""
+    rows = [
+        (leg.name, p.name, *_values(p), *_change(p), p.given.replace("fixed", ""))
+        for leg in result.legs
+        for p in leg.parameters
     ]
+    heads = columns("leg", "parameter", *_HEADS, "change", "change [σ]", "given")
+    if not any(row[-1] for row in rows):
+        rows, heads = [row[:-1] for row in rows], heads[:-1]
+    caption = "change [σ]: by how many standard errors the parameter moved" + _chosen(result)
     return Table(
-        f"{mechanism.name}: articular-variables space",
-        columns("space", "poses", "leg", "from", "to"),
+        f"{result.nominal.name}: parameters, nominal and identified",
+        heads,
         rows,
-        "\n".join(lines if checks else [*lines, "no symmetry but the identity"]),
-        wrap=False,
+        "; ".join(filter(None, (caption, result.nominal.labelled))),
+        grouped=True,
     )
 
 
-def symmetry_table(group: SymmetryGroup, equivariance: float) -> Table:
-    """Return a group's elements, where they carry the legs, and what breaks others."""
-    names = group.mechanism.leg_names
-    lines = [f"readings follow within {equivariance:.2g} (Eq. 5: F(λ q) = λ F(q))"]
-    lines += [f"no symmetry: {text}" for text in no_symmetries(group.breaks)]
-    size = f"{group.name}, {counted(len(group.elements), 'element')}"
+def _chosen(result: CalibrationResult) -> str:
+    """Return what values and ± depend on, where freedoms were fixed by choice."""
+    if not result.gauge:
+        return ""
+    return (
+        ". Values and ± depend on what was fixed by choice, of equal parameters those nearest to "
+        "nominal; errors of the platform do not"
+    )
+
+
+def _values(p: IdentifiedParameter) -> tuple[Value, ...]:
+    """Return nominal and identified value, the 95 % interval, and the unit."""
+    interval = Cell(None, "∞" if p.half else p.given or "held")
+    if p.half > 0.0 and np.isfinite(p.std):
+        interval = Cell(p.half, uncertainty(p.half, p.unit))
+    values = (quantity(value, p.unit, p.half, VALUES) for value in (p.nominal, p.identified))
+    return (*values, interval, VALUES[p.unit])
+
+
+def _change(p: IdentifiedParameter) -> tuple[Value, Value]:
+    """Return how far a parameter moved, in its unit and in standard errors."""
+    moved = quantity(p.change, p.unit, p.half, VALUES, "+")
+    moved = Cell(p.change, "") if p.given == "fixed" else moved
+    if not 0.0 < p.std < np.inf:
+        return moved, None
+    sigmas = p.change / p.std
+    return moved, Cell(sigmas, f"{sigmas:+.1f}" if abs(sigmas) < _MOST_SIGMAS else "> 1e6")
+
+
+def outside_table(result: CalibrationResult) -> Table:
+    """Return the unknowns outside the mechanism: frames and targets."""
     return Table(
-        f"{group.mechanism.name}: {size}, nominal geometry and modes",
-        (Column("element"), *(Column(f"{name} to") for name in names)),
+        "Outside the mechanism",
+        columns("unknown", "start", *_HEADS[1:]),
+        [(p.id, *_values(p)) for p in result.external],
+        "tracker: where the base is in the frame of the measurements (rx, ry, rz a rotation "
+        "vector); others: where what was measured is on the platform; start: where the search "
+        f"began, measured positions laid on those of the nominal machine{_chosen(result)}",
+    )
+
+
+_SIZES = ("rms before", "rms after", "σ", "unit")
+
+
+def legs_table(result: CalibrationResult) -> Table:
+    """Return residuals of each leg, if it can miss anything, and its rank and condition."""
+    exact = readings_exact(result)
+    caption = "condition: of the leg's whitened identification Jacobian, columns scaled"
+    return Table(
+        f"Legs: {'readings were taken as exact' if exact else 'residuals, rank and condition'}",
+        columns("leg", *([] if exact else _SIZES), "poses", "rank", "condition:.3g"),
         [
-            (str(element), *(names[i] for i in permutation))
-            for element, permutation in zip(group.elements, group.permutations, strict=True)
+            (
+                leg.name,
+                *(() if exact else _sizes(series)),
+                leg.n_poses,
+                Cell(leg.rank, f"{leg.rank} of {len(leg.parameters)}"),
+                leg.condition,
+            )
+            for leg, series in zip(result.legs, legs_series(result), strict=True)
         ],
-        "\n".join(lines),
-        wrap=False,
+        caption if exact else f"σ: what the noise alone makes of residuals; {caption}",
+    )
+
+
+def observed_table(result: CalibrationResult) -> Table:
+    """Return how the measured quantities of the platform fit, where poses are unknowns."""
+    return Table(
+        "The platform as measured, at the estimated poses",
+        columns("measured", "rows", *_SIZES),
+        [(series.name, len(series.rows), *_sizes(series)) for series in observed_series(result)],
+    )
+
+
+def _sizes(series: Series) -> tuple[Value, ...]:
+    """Return root mean squares before and after, σ, and the unit."""
+    sizes = (Cell(rms, f"{shown_in(rms, series.unit):.4f}") for rms in series.rms)
+    return (*sizes, SMALL[series.unit])
+
+
+def outliers_table(result: CalibrationResult, most: int = 20) -> Table:
+    """Return the worst of the rows that do not fit."""
+    every = {leg.name for leg in result.legs}
+    omitted = len(result.outliers) - most
+    return Table(
+        f"Rows that do not fit, the worst first (robust loss: {result.loss})",
+        columns("data row", "residual [σ]:.1f", "weight:.2f", "of", "what"),
+        [
+            (
+                outlier.row + 1,
+                outlier.sigma,
+                Cell(0.0, "rejected") if outlier.weight == 0.0 else outlier.weight,
+                "all legs" if set(outlier.legs) == every else ", ".join(outlier.legs),
+                f"{outlier.quantity} off by {outlier.off:.1f} σ",
+            )
+            for outlier in result.outliers[:most]
+        ],
+        f"and {omitted} more in result.json" * (omitted > 0),
+    )
+
+
+def files_table(files: Sequence[tuple[str, str]]) -> Table:
+    """Return files that were read, and their SHA-256."""
+    return Table("Files read, and their SHA-256", columns("file", "SHA-256"), files)
+
+
+def runs_table(runs: RunComparison) -> Table:
+    """Return the spread of parameters over runs against their standard errors."""
+    return Table(
+        "Spread of the parameters over the runs, against their standard errors, in SI",
+        columns("parameter", "spread:.3g", "predicted:.3g"),
+        list(zip(runs.names, runs.spread.tolist(), runs.predicted.tolist(), strict=True)),
+    )
+
+
+# What explains a calibration that does not fit
+
+
+def screen_table(explanation: Explanation) -> Table:
+    """Return what was tried, the least probable by chance first."""
+    candidates = explanation.choice.candidates
+    caption = "amplitude: as one step of the fit would find it, at the scale in which the term is "
+    caption += "added"
+    if len(candidates) > NAMED:
+        caption += f"; {len(candidates) - NAMED} more are less clear"
+    return Table(
+        f"{explanation.result.nominal.name}: what geometry does not explain",
+        columns("reading", "term", "amplitudes", "off χ² [%]:.1f", "F:.3g", "chance"),
+        [
+            (candidate.reading, str(candidate.kind), *_amplitudes(candidate))
+            for candidate in candidates[:NAMED]
+        ],
+        caption,
+    )
+
+
+def _amplitudes(candidate: Candidate) -> tuple[Value, ...]:
+    """Return the clear amplitudes of a candidate, its share of χ², F, and its chance."""
+    if not candidate.rank:
+        return Cell(None, "taken up by geometry"), None, None, None
+    single_leg = len({id_.partition(".")[0] for id_ in candidate.names}) == 1
+    unit, parts = candidate.unit, []
+    for id_, size, std in zip(candidate.names, candidate.amplitudes, candidate.std, strict=True):
+        if abs(size) > 2.0 * std:
+            name = id_.partition(".")[2] if single_leg else id_
+            parts.append(f"{name} {quantity(size, unit, std).text} {SMALL[unit]}")
+    shown = chance(candidate.corrected)
+    return ", ".join(parts) or "unclear", 100.0 * candidate.share, candidate.F, shown
+
+
+def models_table(explanation: Explanation) -> Table:
+    """Return the models compared on rows held out, the one that was chosen marked."""
+    choice = explanation.choice
+    sizes = {
+        name: unit
+        for name, unit in (("position", "m"), ("orientation", "rad"))
+        if all(np.isfinite(getattr(model, name)) for model in choice.models)
+    }
+    heads = columns("", "model", "chance", "free", "held out [σ]:.3f", "±:.3f")
+    misses = [Column(name, unit, ".3g") for name, unit in sizes.items()]
+    rows = [
+        (
+            "→" if index == choice.chosen else "",
+            model.name if index < 2 else f"+ {model.name}",
+            chance(model.chance) if index > 1 else "",
+            model.parameters,
+            model.held_out,
+            model.spread or None,
+            *(getattr(model, name) for name in sizes),
+            model.bic,
+        )
+        for index, model in enumerate(choice.models)
+    ]
+    return Table(
+        "Models on rows held out",
+        (*heads, *misses, *columns("BIC:.1f")),
+        rows,
+        "chance: when the term was added; free: parameters; held out: white residuals of rows that "
+        "the fit has not seen; ±: against the best",
     )

@@ -115,9 +115,9 @@ _SIGN = "Change {}, or the sensor's 'direction' in mechanism.yaml"
 _ORDER = "Correct the order of columns"
 
 
-def _hypothesis(title: str, value_names: str, *words: str) -> Wording:
+def _hypothesis(title: str, value_names: str, says: str, means: str, remedy: str) -> Wording:
     """Return the wording of a hypothesis, which has values that all hypotheses have."""
-    return Wording(title, value_names + _COMMON, *words, severity="error")
+    return Wording(title, value_names + _COMMON, says, means, remedy, "error")
 
 
 HYPOTHESES: dict[str, Wording] = {

@@ -1,4 +1,7 @@
-"""Numbers as people read them: in handy units, to the digits that their uncertainty leaves."""
+"""Numbers as people read them: in handy units, to the digits that their uncertainty leaves.
+
+Values are SI with their unit, ``"m"``, ``"rad"`` or ``"1"``; ``units`` say in what they are read.
+"""
 
 from __future__ import annotations
 
@@ -12,33 +15,24 @@ from pincal.model.units import UNITS
 _CHOSEN_UNITS: ContextVar[Mapping[str, str]] = ContextVar("units asked for")  # by SI unit
 
 
-class Read(Mapping[str, str]):
-    """In which unit numbers of a kind are read, by SI unit: the usual one, or what is asked for."""
-
-    def __init__(self, m: str, rad: str, one: str = "") -> None:
-        self._usual = {"m": m, "rad": rad, "1": one}
+class ReadUnits(dict[str, str]):
+    """The unit in which numbers are read, by SI unit: the usual one, or what is asked for."""
 
     def __getitem__(self, unit: str) -> str:
-        return _CHOSEN_UNITS.get({}).get(unit) or self._usual[unit]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._usual)
-
-    def __len__(self) -> int:
-        return len(self._usual)
+        return _CHOSEN_UNITS.get({}).get(unit) or super().__getitem__(unit)
 
 
 #: Values of parameters: as in mechanism.yaml, but lengths in mm.
-VALUES = Read("mm", "rad")
+VALUES = ReadUnits({"m": "mm", "rad": "rad", "1": ""})
 #: Small quantities: errors, residuals, standard deviations.
-SMALL = Read("mm", "mrad")
+SMALL = ReadUnits({"m": "mm", "rad": "mrad", "1": ""})
 #: Poses and readings.
-POSES = Read("mm", "°")
+POSES = ReadUnits({"m": "mm", "rad": "°", "1": ""})
 #: As they are stored.
-STORED = Read("m", "rad", "1")
-#: Of values whose uncertainty is not known, the last digit shown; and that past which nobody
-#: measures, 0.1 µm and 0.1 µrad: [m], [rad]; [1].
-_LAST, _FINEST = 1e-6, {"1": 1e-9, "m": 1e-7, "rad": 1e-7}
+STORED = ReadUnits({"m": "m", "rad": "rad", "1": "1"})
+_LAST = 1e-6  # last digit shown of values whose uncertainty is not known, [m], [rad]
+#: Below what nobody measures, [1], [m], [rad].
+_FINEST = {"1": 1e-9, "m": 1e-7, "rad": 1e-7}
 
 
 @contextmanager
@@ -51,23 +45,19 @@ def reading_in(units: Mapping[str, str]) -> Iterator[None]:
         _CHOSEN_UNITS.reset(token)
 
 
-def per_si(unit: str, units: Mapping[str, str] = SMALL) -> float:
-    """Return how many of the unit in which it is read a number has of one SI unit."""
-    return 1.0 / _factor(units[unit])
-
-
 def shown_in(value: float, unit: str, units: Mapping[str, str] = SMALL) -> float:
     """Return a number of SI units in those in which it is read."""
-    return value / _factor(units[unit])
+    return value / UNITS[units[unit] or "1"][1]
 
 
-def _factor(read: str) -> float:
-    return UNITS[read or "1"][1]
+def per_si(unit: str, units: Mapping[str, str] = SMALL) -> float:
+    """Return how many of the unit in which it is read a number has of one SI unit."""
+    return shown_in(1.0, unit, units)
 
 
 def _digits(read: str, last: float) -> int:
     """Return how many digits behind the point show what is as small in SI units."""
-    return max(round(log10(_factor(read) / last)), 0)
+    return max(round(log10(UNITS[read or "1"][1] / last)), 0)
 
 
 def _finest(read: str) -> int:
@@ -90,26 +80,22 @@ def amount(value: float, unit: str, digits: int = 3, units: Mapping[str, str] = 
 
 def number(value: float, unit: str, digits: int = 3, units: Mapping[str, str] = SMALL) -> str:
     """Return what ``amount`` does, without the unit; less than anybody measures is a bound."""
-    shown, finest = shown_in(value, unit, units), _finest(units[unit])
-    if units[unit] and _is_below(abs(value), unit, units):
-        return _below(finest)
-    return rounded(round(shown, finest) if units[unit] else shown, digits)
+    if not (read := units[unit]):
+        return rounded(value, digits)
+    bound = _bound(abs(value), unit, units)
+    return bound or rounded(round(shown_in(value, unit, units), _finest(read)), digits)
 
 
-def _is_below(value: float, unit: str, units: Mapping[str, str]) -> bool:
-    """Return whether a size is not zero, and the last digit that anybody measures shows zero."""
-    return 0.0 < shown_in(value, unit, units) < 0.5 * 10.0 ** -_finest(units[unit])
-
-
-def _below(digits: int) -> str:
-    """Return the bound of what is less than the last of some digits shows."""
-    return f"< {10.0**-digits:.{digits}f}"
+def _bound(value: float, unit: str, units: Mapping[str, str]) -> str:
+    """Return ``< 0.0001`` of a size above zero that nobody measures, else an empty string."""
+    least = 10.0 ** -(digits := _finest(units[unit]))
+    return f"< {least:.{digits}f}" if 0.0 < shown_in(value, unit, units) < 0.5 * least else ""
 
 
 def size(position: float, orientation: float | None = None) -> str:
     """Return an error of the platform in mm and, if it turns, mrad."""
-    parts = [amount(position, "m")]
-    return " and ".join(parts if orientation is None else [*parts, amount(orientation, "rad")])
+    turn = "" if orientation is None else f" and {amount(orientation, 'rad')}"
+    return amount(position, "m") + turn
 
 
 def rounded(value: float, digits: int = 2) -> str:
@@ -138,9 +124,9 @@ def listed(words: Iterable[object], last: str = "and") -> str:
     return f"{', '.join(first)} {last} {end}" if first else end
 
 
-def counted(count: int, one: str, many: str = "") -> str:
+def counted(count: int, singular: str, plural: str = "") -> str:
     """Return a number of things: ``1 row``, ``2 rows``."""
-    return f"{count} {one if count == 1 else many or one + 's'}"
+    return f"{count} {singular if count == 1 else plural or singular + 's'}"
 
 
 def capital(text: str) -> str:
@@ -154,15 +140,8 @@ def measured(value: float, half: float, unit: str = "1", units: Mapping[str, str
     """Return value ± uncertainty to two digits of the latter, with the unit: ``1.23 ± 0.45 mm``.
 
     Without an uncertainty, the value to the digits of its unit.
-
-    Args:
-        value: In SI.
-        half: Half width of its interval, or its standard error, in SI.
-        unit: Of both.
-        units: In which they are read.
     """
-    known = half > 0.0 and isfinite(half)
-    sure = f" ± {uncertainty(half, unit, units)}" if known else ""
+    sure = f" ± {uncertainty(half, unit, units)}" if half > 0.0 and isfinite(half) else ""
     return f"{fixed(value, half, unit, units)}{sure} {units[unit]}".strip()
 
 
@@ -172,20 +151,14 @@ def minus(text: str) -> str:
 
 
 def uncertainty(half: float, unit: str, units: Mapping[str, str] = VALUES) -> str:
-    """Return an uncertainty of SI units to two digits; less than anybody measures is a bound."""
-    if _is_below(half, unit, units):
-        return _below(_finest(units[unit]))
-    return fixed(half, half, unit, units)
+    """Return an uncertainty to two digits; less than anybody measures is a bound."""
+    return _bound(half, unit, units) or fixed(half, half, unit, units)
 
 
 def fixed(
-    value: float,
-    half: float,
-    unit: str,
-    units: Mapping[str, str] = VALUES,
-    sign: str = "",
+    value: float, half: float, unit: str, units: Mapping[str, str] = VALUES, sign: str = ""
 ) -> str:
-    """Return a value of SI units, as it is read, to two digits of an uncertainty.
+    """Return a value, as it is read, to two digits of an uncertainty.
 
     Args:
         value: In SI.
@@ -194,7 +167,6 @@ def fixed(
         units: In which they are read.
         sign: ``"+"`` to write the sign of what is positive too.
     """
-    known = half > 0.0 and isfinite(half)
-    read = units[unit]
+    read, known = units[unit], half > 0.0 and isfinite(half)
     digits = decimals(shown_in(half, unit, units), read) if known else _digits(read, _LAST)
     return f"{shown_in(value, unit, units):{sign}.{digits}f}"

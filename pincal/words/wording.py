@@ -92,7 +92,7 @@ def groups_in_words(groups: Sequence[tuple[str, ...]], most: int = LISTED) -> st
     """Return which parameters move together, ``most`` groups and how many more there are."""
     parts = list(map(group_in_words, groups))
     if len(parts) > most + 1:
-        parts[most:] = [f"and {len(parts) - most} more (result.json)"]
+        parts[most:] = [f"and {len(parts) - most} more"]
     return "; ".join(parts)
 
 

@@ -19,19 +19,27 @@ from pincal.show.pictures.dimensions import Dimension, dimensions_of, symbol
 from pincal.show.pictures.files import drawing
 from pincal.show.pictures.names import Names, draw_dimensions
 from pincal.show.pictures.painter import paint
-from pincal.show.style import ACTIVE, IDENTIFIED, MARKERS, PASSIVE, PICTURE
+from pincal.show.style import ACTIVE, IDENTIFIED, MARKERS, PASSIVE, PICTURE_HEIGHTS, PICTURE_WIDTH
 from pincal.show.view.scene import Scene
 from pincal.types import Array
 from pincal.words.numbers import amount, counted, minus
 from pincal.words.wording import clean
+
+_LEGEND = 0.5  # height for the legend below, [inch]
+_LETTERS = 28  # of the longest name
+_LINE = 75  # letters of a legend's line
+_EDGE = 0.0025  # thickness of outlines, of the scene's diagonal
+_ARC = 0.055  # radius of the smallest angle drawn, of the scene's diagonal
+_VALUES = 6  # of parameters, in a line, at most
+_TITLE = 100  # letters of a line of them
 
 
 def scene_figure(scene: Scene, row: int, legs: Sequence[str] = ()) -> Figure:
     """Return a figure of a scene, the mechanism at one of its poses; all else as of a picture."""
     with drawing():
         width, height = np.ptp(_extent(scene, row, _dimensions(scene, row, legs)), axis=0)
-        inches = PICTURE.legend + np.clip(PICTURE.width * height / width, *PICTURE.heights)
-        figure = Figure(figsize=(PICTURE.width, float(inches)), layout="constrained")
+        inches = _LEGEND + np.clip(PICTURE_WIDTH * height / width, *PICTURE_HEIGHTS)
+        figure = Figure(figsize=(PICTURE_WIDTH, float(inches)), layout="constrained")
         draw_scene(figure.subplots(), scene, row, legs)
     return figure
 
@@ -54,7 +62,7 @@ def draw_scene(
     """
     V, dimensions = scene.axes, _dimensions(scene, row, legs)
     low, high = _extent(scene, row, dimensions)
-    edge = PICTURE.edge * float(np.linalg.norm(high - low))
+    edge = _EDGE * float(np.linalg.norm(high - low))
     ground = scene.ground()
     for layer in (ground, *scene.layers):
         points = layer.points @ V[:2].T
@@ -107,7 +115,7 @@ def _dimensions(scene: Scene, row: int, legs: Sequence[str]) -> list[tuple[str, 
     if not np.isfinite(joints[legs[0]]).all():  # nothing is drawn there, as is said
         return []
     T_base_platform = mechanism.platform.matrices(poses)[0]
-    size = PICTURE.arc * float(np.linalg.norm(np.ptp(_extent(scene, row, ()), axis=0)))
+    size = _ARC * float(np.linalg.norm(np.ptp(_extent(scene, row, ()), axis=0)))
     return [
         (name if len(legs) > 1 else "", dimension)
         for name, closure in zip(mechanism.leg_names, nominal_legs(mechanism), strict=True)
@@ -139,7 +147,7 @@ def _dot(colour: str, label: str, marker: str = "o") -> Line2D:
 
 def _short(name: str) -> str:
     """Return a name, its middle left out where there is no room for it."""
-    limit = PICTURE.letters
+    limit = _LETTERS
     return clean(name if len(name) <= limit else f"{name[: limit - 9]}…{name[-8:]}")
 
 
@@ -178,7 +186,7 @@ def _write_legend(axes: Axes, handles: Sequence[Line2D]) -> None:
         handles=handles,
         loc="upper center",
         bbox_to_anchor=(0.5, 0.0),
-        ncols=int(np.clip(PICTURE.line / longest, 1, 3)),
+        ncols=int(np.clip(_LINE / longest, 1, 3)),
         frameon=False,
         handlelength=1.2,
         columnspacing=1.4,
@@ -198,6 +206,6 @@ def _write_values(axes: Axes, scene: Scene, legs: Sequence[str]) -> None:
             text = f" = {minus(text)}" + f" ({label})" * bool(label)
             values.append(symbol(key, index) + text)
             longest = max(longest, len(key + index + text))
-    columns = int(np.clip(PICTURE.title / longest, 1, PICTURE.values))
+    columns = int(np.clip(_TITLE / longest, 1, _VALUES))
     lines = [",  ".join(values[i : i + columns]) for i in range(0, len(values), columns)]
     axes.set_title("\n".join(lines), size=7.5, pad=14.0, parse_math=True)

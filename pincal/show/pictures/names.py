@@ -11,9 +11,15 @@ from matplotlib.axes import Axes
 from matplotlib.patches import FancyArrowPatch
 
 from pincal.show.pictures.dimensions import Dimension, symbol
-from pincal.show.style import DIMENSION, PICTURE
+from pincal.show.style import DIMENSION, PICTURE_HEIGHTS, PICTURE_WIDTH
 from pincal.types import Array
 
+_NAME_HEIGHT = 8.5  # of a parameter's name, [point]
+_LETTER = 0.58  # width of a letter of such a name, of its height
+_ROOM = 1.25  # of a figure, over what is left for the mechanism
+_ALONG = (0.5, 0.35, 0.65, 0.2, 0.8, 0.05, 0.95)  # where a name is tried, by a dimension's length
+_NAME_DISTANCES = (1.0, -1.0, 1.8, -1.8, 2.8, -2.8, 4.0, -4.0)  # from it, in heights of the name
+_LEG_DISTANCES = (11.0, 18.0, 26.0, 34.0)  # of a leg's name from its foot, [point]
 #: What a name over another costs, and one that leaves the axes, in hidden points of lines.
 _OVERLAP, _OUTSIDE = 300.0, 100.0
 _RANK = 0.4  # what the next place costs
@@ -30,10 +36,10 @@ class Names:
             links: Segments that names should not hide, shape (n, 2, 2), right and up, [m].
         """
         low, high = np.array((axes.get_xlim(), axes.get_ylim())).T
-        paper = 72.0 * np.array((PICTURE.width, PICTURE.heights[1]))
+        paper = 72.0 * np.array((PICTURE_WIDTH, PICTURE_HEIGHTS[1]))
         self.axes = axes
         self._limits = low, high
-        self.point = PICTURE.room * float(np.max((high - low) / paper))
+        self.point = _ROOM * float(np.max((high - low) / paper))
         """What a point of the paper is in the picture, [m]; legend and values take some room."""
         self.middle = links.mean(axis=(0, 1)) if len(links) else (low + high) / 2
         self._boxes = np.zeros((0, 2, 2))
@@ -52,7 +58,7 @@ class Names:
     def half(self, text: str, size: float) -> Array:
         """Return half the width and height of a name of a size in points, shape (2,), [m]."""
         shown = re.sub(r"[${}_]", "", re.sub(r"\\mathit|\\[a-z]+", "x", text).replace("x{", ""))
-        return 0.5 * size * self.point * np.array((PICTURE.letter * (len(shown) + 0.8), 1.4))
+        return 0.5 * size * self.point * np.array((_LETTER * (len(shown) + 0.8), 1.4))
 
     def write(self, text: str, places: Array, size: float, **style: Any) -> None:
         """Write a name at one of some places, shape (n, 2), the first that hides least."""
@@ -74,7 +80,7 @@ class Names:
     def write_beside(self, text: str, point: Array, directions: Array, size: float = 8.0) -> None:
         """Write a name away from a point, in one of some directions, shape (n, 2)."""
         reach = np.abs(directions) @ self.half(text, size)
-        steps = self.point * np.array(PICTURE.leg_distances)
+        steps = self.point * np.array(_LEG_DISTANCES)
         places = point + (steps[:, None] + reach)[..., None] * directions
         self.write(text, places.reshape(-1, 2), size)
 
@@ -101,20 +107,20 @@ def draw_dimensions(
         text = symbol(dimension.name, leg) if dimension.name else ""
         if dimension.kind == "reading":
             text = rf"$\psi$ ({text})" if text else r"$\psi$"
-        half, places = names.half(text, PICTURE.name), []
-        for along in PICTURE.along:
+        half, places = names.half(text, _NAME_HEIGHT), []
+        for along in _ALONG:
             index = int(along * (len(line) - 1))
             across = _across(line[min(index + 1, len(line) - 1)] - line[max(index - 1, 0)])
             reach = 1.1 * float(np.abs(across) @ half)
-            places += [line[index] + k * reach * across for k in PICTURE.name_distances]
+            places += [line[index] + k * reach * across for k in _NAME_DISTANCES]
         ground = {"fc": "white", "ec": "none", "alpha": 0.75, "pad": 0.6}
         style = {"color": DIMENSION, "parse_math": True, "bbox": ground}
-        names.write(text, np.array(places), PICTURE.name, **style)
+        names.write(text, np.array(places), _NAME_HEIGHT, **style)
 
 
 def _draw_line(names: Names, dimension: Dimension, V: Array, colour: str) -> Array:
     """Draw a dimension without its name; return points of its line as drawn, shape (n, 2)."""
-    axes, height = names.axes, PICTURE.name * names.point
+    axes, height = names.axes, _NAME_HEIGHT * names.point
     line = dimension.line @ V[:2].T
     thin = []
     if dimension.beside:

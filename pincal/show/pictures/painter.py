@@ -11,10 +11,12 @@ from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgb
 from scipy.spatial import ConvexHull
 
-from pincal.show.style import PICTURE
 from pincal.show.view.shapes import Shape
 from pincal.types import Array
 
+_DARK = 0.55  # brightness of an outline, of its shape's
+_PIECE = 10.0  # length of a rod's piece, of its radius
+_PIECES = 12  # of a rod, at most
 _TURNS = np.linspace(0.0, 2 * np.pi, 16, endpoint=False)
 _CIRCLE = np.stack((np.cos(_TURNS), np.sin(_TURNS)), axis=1)
 _CORNERS = np.stack(np.meshgrid(*[[-0.5, 0.5]] * 3), axis=-1).reshape(-1, 3)
@@ -39,7 +41,7 @@ def paint(
         edge: Width of outlines, [m].
         colour: One for all.
     """
-    count = 1 if colour else PICTURE.pieces  # where pieces of one colour overlap they would show
+    count = 1 if colour else _PIECES  # where pieces of one colour overlap they would show
     pieces = []
     for shape, place in shapes:
         fill = np.array(to_rgb(colour or shape.colour))
@@ -48,7 +50,7 @@ def paint(
             pieces.append((round(depth, 9), _hull(outline @ V[:2].T), _hull(inner @ V[:2].T), fill))
     pieces.sort(key=lambda piece: piece[0])
     polygons = [polygon for _, outline, inner, _ in pieces for polygon in (outline, inner)]
-    colours = [c for *_, fill in pieces for c in (PICTURE.dark * fill, fill)]
+    colours = [c for *_, fill in pieces for c in (_DARK * fill, fill)]
     opacity = 0.45 if colour else None
     axes.add_collection(PolyCollection(polygons, facecolors=colours, lw=0, alpha=opacity))
 
@@ -71,7 +73,7 @@ def _pieces(shape: Shape, T: Array, V: Array, edge: float, limit: int) -> list[_
     stretch = float(np.linalg.norm(T[:3, 2]))  # of the rod of a prismatic joint
     if length * stretch < 1e-3 * edge:  # too short to be seen
         return []
-    count = int(np.clip(np.ceil(length * stretch / (PICTURE.piece * radius)), 1, limit))
+    count = int(np.clip(np.ceil(length * stretch / (_PIECE * radius)), 1, limit))
     cuts = np.linspace(-length / 2, length / 2, count + 1)
     thin = min(thin, length * stretch / 5)
     end = length / 2 - thin / stretch

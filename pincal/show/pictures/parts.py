@@ -17,7 +17,17 @@ from matplotlib.ticker import MaxNLocator
 
 from pincal.model.measurements import EVERY_LEG, VERIFY, Plan
 from pincal.model.mechanism import Mechanism
-from pincal.show.style import EVERY, IDENTIFIED, NOMINAL, PAGE, Look, look, other_look
+from pincal.show.style import (
+    EVERY,
+    LETTER_WIDTH,
+    LINE_HEIGHT,
+    PAGE_HEIGHT,
+    PAGE_INCHES,
+    RASTER_FROM,
+    Look,
+    look,
+    other_look,
+)
 from pincal.types import Array
 from pincal.words.numbers import STORED, amount, minus, per_si
 
@@ -40,12 +50,7 @@ _LIGHT = ListedColormap(colormaps["cividis"](np.linspace(0.35, 1.0, 128)))
 
 def page_figure(height: float) -> Figure:
     """Return a figure as wide as a page; its height [inch] is at most that of one."""
-    return Figure(figsize=(PAGE.width, min(height, PAGE.height)), layout="constrained")
-
-
-def before_after(index: int) -> Look:
-    """Return the look of what nominal parameters give (0), and identified ones (1)."""
-    return (Look(NOMINAL, "o", "//"), Look(IDENTIFIED, "s", ""))[index]
+    return Figure(figsize=(PAGE_INCHES, min(height, PAGE_HEIGHT)), layout="constrained")
 
 
 def draw_map(
@@ -120,7 +125,7 @@ def draw_poses(
         name_shown = {EVERY_LEG: "every leg", VERIFY: "verify (not fitted)"}.get(
             name, f"set {name}"
         )
-        rasterized, points = len(poses) > PAGE.raster_from, scale * poses[:, projection]
+        rasterized, points = len(poses) > RASTER_FROM, scale * poses[:, projection]
         unfilled: dict[str, Any] = (
             {"mfc": "none", "color": colour} if name == VERIFY else {"color": colour}
         )
@@ -204,21 +209,21 @@ def height_name(value: float | None) -> str:
 def room(axes: Axes) -> tuple[float, float]:
     """Return about how wide and high axes will be beside their labels, [inch]."""
     figure, place = axes.get_figure(root=True), axes.get_position()
-    size = figure.get_size_inches() if figure else (PAGE.width, PAGE.height)
+    size = figure.get_size_inches() if figure else (PAGE_INCHES, PAGE_HEIGHT)
     return float(size[0] * place.width), float(size[1] * place.height)
 
 
 def wrapped(text: str, inches: float) -> str:
     """Return a label in as many lines as it needs in a length; no-break spaces stay whole."""
-    line = max(int(inches / PAGE.small), 12)
+    line = max(int(inches / LETTER_WIDTH), 12)
     return "\n".join(wrap(text, line, break_long_words=False, break_on_hyphens=False))
 
 
 def name_places(axes: Axes, names: Sequence[str], units: Sequence[str] = ()) -> None:
     """Write names below places 0, 1, … of an axis, upright where they are many."""
     figure = axes.get_figure(root=True)
-    width = min(PAGE.width, figure.get_figwidth() if figure else PAGE.width)
-    step = max(1, int(np.ceil(len(names) * PAGE.line_small / (_AXES_SHARE * width))))  # large type
+    width = min(PAGE_INCHES, figure.get_figwidth() if figure else PAGE_INCHES)
+    step = max(1, int(np.ceil(len(names) * LINE_HEIGHT / (_AXES_SHARE * width))))  # large type
     axes.set_xticks(range(0, len(names), step), _named(names, units, width)[::step])
     if _upright(names, width):
         axes.tick_params(axis="x", labelrotation=90, labelsize=7)
@@ -226,7 +231,7 @@ def name_places(axes: Axes, names: Sequence[str], units: Sequence[str] = ()) -> 
 
 def _upright(names: Sequence[str], width: float) -> bool:
     """Return whether names side by side would touch, in a figure of a width, [inch]."""
-    side_by_side = len(names) * PAGE.small * (1 + max(map(len, names), default=0))
+    side_by_side = len(names) * LETTER_WIDTH * (1 + max(map(len, names), default=0))
     return len(names) > 2 * width or side_by_side > _AXES_SHARE * width
 
 

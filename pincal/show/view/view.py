@@ -25,8 +25,8 @@ from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.configurations import home_of
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
+from pincal.show.answers import warnings
 from pincal.show.page import Page
-from pincal.show.result_tables import warnings
 from pincal.show.view.calibrated import calibrated
 from pincal.show.view.meshes import with_meshes
 from pincal.show.view.page import answer, page

@@ -1,8 +1,7 @@
-"""Answers about a workspace, in SI units: its size, and errors of a calibration there."""
+"""Errors of the platform over a workspace, before and after a calibration, in SI units."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -19,42 +18,10 @@ from pincal.model.mechanism import Mechanism
 from pincal.types import Array
 from pincal.words.numbers import percent
 from pincal.words.sentences import finding
-from pincal.workspace.axes import Orientations
 from pincal.workspace.criteria import in_workspace
 from pincal.workspace.sampling import sample_configurations
 
-
-def articular_columns(
-    mechanism: Mechanism, spaces: Mapping[str, Array], readings: Mapping[str, Array]
-) -> dict[str, list[str] | list[float]]:
-    """Return a table of poses and readings, with the space that each is of."""
-    platform = mechanism.platform
-    parts = [
-        (platform.coordinates, platform.units, spaces),
-        (mechanism.reading_names, mechanism.reading_units, readings),
-    ]
-    columns: dict[str, list[str] | list[float]] = {
-        "space": [name for name, poses in spaces.items() for _ in poses]
-    }
-    for names, units, values in parts:
-        every = np.concatenate(list(values.values()))
-        for name, unit, column in zip(names, units, every.T, strict=True):
-            columns[f"{name} [{unit}]"] = column.tolist()
-    return columns
-
-
-def orientation_name(mechanism: Mechanism, orientation: Orientations) -> str:
-    """Return an orientation in the platform's coordinates, as text."""
-    platform = mechanism.platform
-    matrices = np.eye(4)[None].copy()
-    matrices[:, :3, :3] = orientation.rotations.as_matrix()
-    values = platform.from_matrices(matrices)[0] + 0.0
-    turns = zip(platform.coordinates, platform.units, values, strict=True)
-    return ", ".join(f"{name} = {value:.6g} rad" for name, unit, value in turns if unit == "rad")
-
-
 _ACROSS = {2: 45, 3: 25}  # cells of a map by the dimension of space
-
 _MENTIONED = 0.01  # share of the workspace outside the measured region, below which it is not said
 
 
@@ -88,6 +55,12 @@ class WorkspaceErrors:
     def share(self) -> float:
         """Share of the poses that are reached which lies in the measured region."""
         return float(self.expected.within.sum()) / max(self.expected.poses, 1)
+
+    @property
+    def units(self) -> dict[str, str]:
+        """SI units of the platform's errors by their names."""
+        every = {"position": "m", "orientation": "rad"}
+        return {name: unit for name, unit in every.items() if unit in ("m", *self.expected.units)}
 
     @property
     def where(self) -> str:
@@ -131,10 +104,10 @@ class ErrorMaps:
     """Shape (n,), [m]."""
     y: Array
     """Shape (n,), [m]."""
-    heights: tuple[float | None, ...]
-    """z of each map, [m]; None in a plane."""
+    height: float | None
+    """z in the middle of the workspace, [m]; None in a plane."""
     before: Array
-    """Position [m] and orientation [rad] of the nominal model, shape (n_heights, n, n, 2)."""
+    """Position [m] and orientation [rad] of the nominal model, shape (n, n, 2)."""
     after: Array
     """To expect of the identified one, of the same shape."""
 
@@ -149,32 +122,38 @@ def error_maps(
         errors: Those at samples of the workspace, computed if not given.
     """
     nominal, platform = result.nominal, result.nominal.platform
-    if not result.explained:
+    if not result.explained or nominal.by_readings:
         return None
-    if errors is None:
-        errors = workspace_errors(result)
-    if not errors.sampled or nominal.by_readings:
+    errors = errors or workspace_errors(result)
+    if not errors.sampled:
         return None
-    samples, n = errors.poses, _ACROSS[platform.space]
-    low, high = samples.min(axis=0), samples.max(axis=0)
-    x, y = (np.linspace(low[i], high[i], n) for i in (0, 1))
-    heights: tuple[float | None, ...] = (None,)
-    if platform.space == 3:
-        heights = tuple(float(z) for z in np.quantile(samples[:, 2], (0.25, 0.5, 0.75)))
-    poses = np.tile(platform.home, (len(heights), n, n, 1))
-    poses[..., 0], poses[..., 1] = x, y[:, None]
-    for place, height in enumerate(heights):
-        if height is not None:
-            poses[place, ..., 2] = height
-    flat = poses.reshape(-1, platform.dof)
-    inside = in_workspace(nominal, flat)
+    height = float(np.median(errors.poses[:, 2])) if platform.space == 3 else None
+    x, y, poses = bed(nominal, errors.poses, _ACROSS[platform.space], height)
+    inside = in_workspace(nominal, poses)
     if not inside.any():
         return None
-    errors_inside = errors_at(result, flat[inside])
-    sizes_flat = np.full((2, len(flat), 2), np.nan)
-    sizes_flat[:, inside] = errors_inside.before, errors_inside.after
-    before, after = sizes_flat.reshape(2, len(heights), n, n, 2)
-    return ErrorMaps(x, y, heights, before, after)
+    errors_inside = errors_at(result, poses[inside])
+    maps = np.full((2, len(poses), 2), np.nan)
+    maps[:, inside] = errors_inside.before, errors_inside.after
+    before, after = maps.reshape(2, len(y), len(x), 2)
+    return ErrorMaps(x, y, height, before, after)
+
+
+def bed(
+    mechanism: Mechanism, samples: Array, count: int, height: float | None = None
+) -> tuple[Array, Array, Array]:
+    """Return a grid over the x and y of samples, at a height: x, y, and poses, (n_y · n_x, dof).
+
+    The other coordinates are as at home.
+    """
+    low, high = samples.min(axis=0), samples.max(axis=0)
+    x, y = (np.linspace(low[i], high[i], count) for i in (0, 1))
+    home = np.array(mechanism.platform.home)
+    poses = np.tile(home, (count, count, 1))
+    poses[..., 0], poses[..., 1] = x, y[:, None]
+    if height is not None:
+        poses[..., 2] = height
+    return x, y, poses.reshape(-1, len(home))
 
 
 def workspace_errors(result: CalibrationResult) -> WorkspaceErrors:

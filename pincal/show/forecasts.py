@@ -1,0 +1,119 @@
+"""What a plan promises, in sentences and for scripts: rank, platform error, drift, scale."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pincal.design.forecast import SCALE, Drift, Forecast, ScaleEffect
+from pincal.design.platform_error import PlatformError
+from pincal.estimation.residuals.losses import CLEAR
+from pincal.show.answers import weak_lines
+from pincal.words.numbers import amount, listed
+from pincal.words.wording import groups_in_words
+
+_BEST = "the best that any calibration can reach; 'pincal calibrate' does"
+_SAY_SCALE = (
+    "no poses separate it from gains and lengths. Say how well the scale is known "
+    "(systematic: {scale: …} in the setup), or measure lengths that are known"
+)
+_MATTERS = 0.5, 1.0  # standard errors: a bias by drift that adds an eighth to what noise leaves
+_VERDICTS = (
+    "that does not matter beside the noise",
+    "that matters little; a drift twice as large would",
+    "that matters: measure in turns (pincal select writes such an order), or again in parts",
+)
+_PER_LEG = "with --method per-leg, which takes each leg alone by the poses of its set"
+
+
+def forecast_lines(
+    forecast: Forecast, error: PlatformError, planned: int, alone: PlatformError | None = None
+) -> list[str]:
+    """Return what a plan determines, and what error of the platform that gives.
+
+    Args:
+        forecast: The forecast.
+        error: Of the platform over the workspace.
+        planned: Number of poses in the plan.
+        alone: The same error with each leg calibrated alone, if that can be.
+    """
+    lines = [*_rank_lines(forecast), *weak_lines(forecast.weak, forecast.mechanism)]
+    best = f"; {_BEST}" if error.position < np.inf else ""
+    lines.append(f"platform over the workspace: {_expected(error)}{best}")
+    if alone is not None:
+        lines.append(f"{_PER_LEG}: {_expected(alone)}")
+    if forecast.poses < planned:
+        lines.append(f"{planned - forecast.poses} of {planned} poses are out of reach")
+    return lines
+
+
+def _rank_lines(forecast: Forecast) -> list[str]:
+    """Return what is not determined: first what is no fault of the plan, then what is."""
+    rank, count = forecast.rank, forecast.gauge.shape[1]
+    start = f"rank {rank.rank} of {rank.n_params}"
+    lines = [start if count else f"{start}, condition {rank.condition:.3g}"]
+    if count:
+        group_name = f" ({groups_in_words(rank.groups)})" if len(rank.groups) == 1 else ""
+        lines = [
+            f"{start}: {count} {'is a freedom' if count == 1 else 'are freedoms'} of frames, or of "
+            f"redundant parameters{group_name}, which such measurements cannot determine. Of "
+            "equal parameters those nearest to nominal are meant, and errors of the platform are "
+            "what no motion of the base or platform frame explains"
+        ]
+    if forecast.lost.shape[1]:
+        lines.append(f"not determined (—): {groups_in_words(rank.groups)}")
+    return lines
+
+
+def _expected(error: PlatformError) -> str:
+    """Return an error of the platform, and what of it is not determined."""
+    sizes = {"position": (error.position, "m")}
+    if "rad" in error.units:
+        sizes["orientation"] = (error.orientation, "rad")
+    known = [amount(value, unit) for value, unit in sizes.values() if value < np.inf]
+    lost = [f"{name} not determined" for name, (value, _) in sizes.items() if not value < np.inf]
+    return ", ".join([*([f"root mean square {listed(known)}"] if known else []), *lost])
+
+
+def drift_lines(drifts: Sequence[Drift]) -> list[str]:
+    """Return what a drift over the run would do, of all legs together and of each leg alone."""
+    heads = (
+        "a drift of each measured quantity by one σ over the run, in this order",
+        "the same with --method per-leg",
+    )
+    lines = []
+    for head, drift in zip(heads, drifts, strict=False):
+        if not np.isfinite(drift.most):  # nothing is determined that could be off
+            continue
+        text = f"{head}: {drift.worst} off by {drift.most:.2g} standard errors"
+        if np.isfinite(drift.share):
+            text += f", the platform by {drift.share:.2g} of its expected error"
+        size = max(drift.most, float(np.nan_to_num(drift.share)))
+        lines.append(f"{text}: {_VERDICTS[int(np.searchsorted(_MATTERS, size))]}")
+    return lines
+
+
+def scale_lines(effect: ScaleEffect | None) -> list[str]:
+    """Return what a wrong scale of the instrument would do.
+
+    Nothing if no lengths are measured, or the platform is not determined in the first place.
+    """
+    if effect is None or not np.isfinite(effect.platform.position):
+        return []
+    text = f"all lengths measured {1e6 * SCALE:.0f} µm/m too long: the platform off by "
+    text += amount(effect.platform.position, "m")
+    if effect.seen > CLEAR:
+        return [f"{text}; residuals would show it, by {effect.seen:.2g} standard deviations"]
+    known = "that is taken into what is promised" if effect.said else _SAY_SCALE
+    return [f"{text}, and no residual shows it ({effect.seen:.2g} standard deviations): {known}"]
+
+
+def poses_line(accuracy: float, needed: float, alone: float | None = None) -> str:
+    """Return how many poses an accuracy [m] takes, also with each leg alone if that is known."""
+    poses = f"{needed:,.0f} poses like these" if np.isfinite(needed) else "no number of poses"
+    text = f"for {amount(accuracy, 'm', 6)}: {poses}"
+    text += "" if alone is None else f", {alone:,.0f} with --method per-leg"
+    if 1e5 < needed < np.inf:
+        text += ", which nobody measures: that takes less noise, not more poses"
+    return text
