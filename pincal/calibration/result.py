@@ -111,7 +111,7 @@ class CalibrationResult:
     gauge_directions: Array | None = None
     """Directions of the legs' parameters along which that choice was made, shape (n, n_gauge)."""
     frames_moved: Array | None = None
-    """Motions of frames that these are (see ``estimation.observability.frames.frames_moved``)."""
+    """Motions of frames that these are (see ``estimation.observability.gauge.split_frames``)."""
     undetermined_directions: Array | None = None
     """Directions of the legs' parameters that were held near nominal, as far as machines may
     differ, shape (n, n_lost)."""

@@ -17,7 +17,7 @@ import numpy as np
 from pincal.errors import MeasurementError
 from pincal.estimation.blocks.observation import Observation
 from pincal.estimation.blocks.state import ExternalUnknowns
-from pincal.estimation.observability.gauge import frames_moved, split_frames
+from pincal.estimation.observability.gauge import split_frames
 from pincal.estimation.observability.indices import (
     GENERIC,
     Identifiability,
@@ -328,7 +328,7 @@ def apart_from_frames(mechanism: Mechanism, legs: Legs, lost: Array) -> tuple[Ar
     reached = Plan(legs.poses, readings=legs.readings)
     near = legs_at(mechanism, nearby(mechanism, reached, GENERIC, size))
     matrices = platform.matrices(near.poses)
-    gauge, undetermined = split_frames(platform, matrices, near.gain, lost, size)
+    gauge, undetermined, moved = split_frames(platform, matrices, near.gain, lost, size)
     if gauge.shape[1]:  # which does not count: what is lost takes no part of it
         undetermined = undetermined - gauge @ np.linalg.lstsq(gauge, undetermined, rcond=None)[0]
-    return gauge, undetermined, frames_moved(platform, matrices, near.gain, gauge)
+    return gauge, undetermined, moved

@@ -20,8 +20,8 @@ from pincal.estimation.observability.indices import (
     DIFFER,
     NEGLIGIBLE,
     RANK_TOLERANCE,
-    derivatives_near,
     identifiability,
+    jacobian_near,
     lost_directions,
     plausible_changes,
 )
@@ -78,55 +78,14 @@ def unexplained(platform: Platform, twists: Array, motions: Array, size: float) 
     return (targets - U @ (U.T @ targets)).reshape(twists.shape) / scale
 
 
-def reach(gain: Array, directions: Array) -> Array:
-    """Return how far directions would move the platform if parameters did not compensate, (k,)."""
-    return np.linalg.norm(np.abs(gain) @ np.abs(directions), axis=(0, 1))
-
-
-def still(gain: Array, directions: Array) -> int:
-    """Return how many of the directions' combinations do not move the platform at all.
-
-    Args:
-        gain: ∂(pose)/∂(parameter), shape (N, dof, n).
-        directions: Columns, shape (n, k).
-    """
-    far = reach(gain, directions)
-    moved = (gain @ directions).reshape(-1, directions.shape[1]) / np.where(far > 0.0, far, 1.0)
-    s = (
-        np.linalg.svd(np.linalg.qr(moved, mode="r"), compute_uv=False)
-        if moved.size
-        else moved[:0, 0]
-    )
-    return directions.shape[1] - int((s > _STILL).sum())
-
-
-def frames_moved(platform: Platform, matrices: Array, gain: Array, directions: Array) -> Array:
-    """Return by which motions of the frames directions move the platform, shape (k, n_moved).
-
-    Combinations of the columns of ``frame_motions``: unlike directions of parameters, which only
-    move frames at the parameters where they were found, these are frame motions anywhere.
-    Directions that do not move the platform have no part in it.
-
-    Args:
-        platform: The platform.
-        matrices: Poses ``T_base_platform``, shape (N, 4, 4).
-        gain: ∂(pose)/∂(parameter) there, shape (N, dof, n).
-        directions: Columns that only move frames, shape (n, n_directions).
-    """
-    motions = frame_motions(platform, matrices)
-    flat = motions.reshape(-1, motions.shape[2])
-    far = reach(gain, directions)
-    moved = (gain @ directions / np.where(far > 0.0, far, 1.0)).reshape(len(flat), -1)
-    if not moved.size:
-        return np.zeros((motions.shape[2], 0))
-    _, s, axes = np.linalg.svd(np.linalg.qr(moved, mode="r"))
-    return np.asarray(np.linalg.lstsq(flat, moved @ axes[s > _STILL].T, rcond=None)[0])
-
-
 def split_frames(
     platform: Platform, matrices: Array, gain: Array, directions: Array, size: float
-) -> tuple[Array, Array]:
-    """Return the part of directions of parameters that only moves frames, and the other part.
+) -> tuple[Array, Array, Array]:
+    """Return the part of directions of parameters that only moves frames, the other part, and how.
+
+    How the former move the platform is said by combinations of the columns of ``frame_motions``,
+    shape (k, n_moved), fewer where the platform stays: unlike directions of parameters, which only
+    move frames at the parameters where they were found, these are frame motions anywhere.
 
     Args:
         platform: The platform.
@@ -144,22 +103,32 @@ def split_frames(
             "the legs do not hold the platform at any of these poses (type-2 singularities), so "
             "what parameters do to it is not determined; take other poses"
         )
-    matrices, gain = matrices[held], gain[held]
+    gain, motions = gain[held], frame_motions(platform, matrices[held])
     moved = gain @ directions
-    residual = unexplained(platform, moved, frame_motions(platform, matrices), size)
-    scale = np.maximum(np.linalg.norm(moved, axis=(0, 1)), _STILL * reach(gain, directions))
+    scale = np.maximum(np.linalg.norm(moved, axis=(0, 1)), _STILL * _reach(gain, directions))
     scale[scale == 0.0] = 1.0
-    flat = (
-        (residual / scale).reshape(-1, residual.shape[2])
-        if residual.size
-        else np.zeros((1, residual.shape[2]))
-    )
-    flat = np.linalg.qr(flat, mode="r")  # the same singular values and axes, quicker
-    _, s, axes = np.linalg.svd(flat, full_matrices=True)
-    only = np.ones(directions.shape[1], dtype=bool)
-    only[: len(s)] = s <= NEGLIGIBLE
+    s, axes = _axes(unexplained(platform, moved, motions, size) / scale)
     turned = directions / scale @ axes.T
-    return turned[:, only], turned[:, ~only]
+    gauge, others = turned[:, s <= NEGLIGIBLE], turned[:, s > NEGLIGIBLE]
+    far = _reach(gain, gauge)
+    moved = gain @ gauge / np.where(far > 0.0, far, 1.0)
+    s, axes = _axes(moved)
+    flat = motions.reshape(-1, motions.shape[2])
+    along = moved.reshape(len(flat), gauge.shape[1]) @ axes[s > _STILL].T
+    return gauge, others, np.asarray(np.linalg.lstsq(flat, along, rcond=None)[0])
+
+
+def _reach(gain: Array, directions: Array) -> Array:
+    """Return how far directions would move the platform if parameters did not compensate, (k,)."""
+    return np.linalg.norm(np.abs(gain) @ np.abs(directions), axis=(0, 1))
+
+
+def _axes(columns: Array) -> tuple[Array, Array]:
+    """Return singular values of columns over all poses, (N, dof, k), and axes in rows, (k, k)."""
+    n, dof, k = columns.shape
+    flat = np.linalg.qr(columns.reshape(n * dof, k), mode="r")  # the same values and axes, quicker
+    _, values, axes = np.linalg.svd(flat, full_matrices=True)
+    return np.concatenate((values, np.zeros(k - len(values)))), axes
 
 
 _TARGETS = 1e-6  # how much targets count beside parameters in what is nearest to nominal
@@ -179,7 +148,7 @@ class Gauge:
     """The directions in the legs' parameters, columns of shape (n_params, n_gauge); None if there
     are none."""
     frames: Array
-    """Motions of frames that these are (see ``frames_moved``), shape (k, n_moved)."""
+    """Motions of frames that these are (see ``split_frames``), shape (k, n_moved)."""
 
 
 def find_gauge(mechanism: Mechanism, problem: Problem, unknowns: Unknowns) -> Gauge:
@@ -189,9 +158,8 @@ def find_gauge(mechanism: Mechanism, problem: Problem, unknowns: Unknowns) -> Ga
         ObservabilityError: what is measured leaves parameters undetermined at any poses; the
             message names them.
     """
-    generic = derivatives_near(mechanism, problem, unknowns, generic=True)
-    n_legs, T = generic.leg_parameter.shape[2], unknowns.map
-    J = generic.jacobian(unknowns)
+    platform, T = mechanism.platform, unknowns.map
+    legs, J = jacobian_near(mechanism, problem, unknowns, generic=True)
     if not len(J):
         raise ObservabilityError(
             "no machine near the nominal one reaches the poses as measured; check their frame, "
@@ -199,22 +167,20 @@ def find_gauge(mechanism: Mechanism, problem: Problem, unknowns: Unknowns) -> Ga
         )
     lost, lengths = lost_directions(J)
     directions = lost / lengths
-    size = largest_size(problem.legs)
-    gain = -np.linalg.pinv(generic.leg_pose) @ generic.leg_parameter
+    size, n_legs, gain = largest_size(problem.legs), legs.parameter.shape[2], legs.gain
     moved = (directions @ T.T)[:, :n_legs].T
-    _, inside = split_frames(mechanism.platform, generic.matrices, gain, moved, size)
+    _, inside, frames = split_frames(platform, platform.matrices(legs.poses), gain, moved, size)
     if inside.shape[1]:
         follows = gain.reshape(-1, n_legs) @ T[:n_legs]
         raise ObservabilityError(
             f"what is measured leaves parameters undetermined at any poses: "
             f"{_undetermined(mechanism, J, unknowns, moved, inside.shape[1], follows)}"
         )
-    n_still = still(gain, moved) if len(lost) else 0
-    findings = _freedoms(len(lost) - n_still, mechanism, unknowns, directions @ T.T)
+    n_still = len(lost) - frames.shape[1]
+    findings = _freedoms(frames.shape[1], mechanism, unknowns, directions @ T.T)
     if n_still:
         groups = identifiability(gain.reshape(-1, n_legs), unknowns.labels[:n_legs]).groups
         findings.append(finding("redundant-parameters", count=n_still, groups=groups))
-    frames = frames_moved(mechanism.platform, generic.matrices, gain, moved)
     nearest = (directions @ T.T * _weights(mechanism, problem)) @ T
     return Gauge(directions, nearest, tuple(findings), moved if findings else None, frames)
 

@@ -20,8 +20,8 @@ from pincal.estimation.observability.indices import (
     DIFFER,
     NEGLIGIBLE,
     RANK_TOLERANCE,
-    derivatives_near,
     identifiability,
+    jacobian_near,
     lost_directions,
     plausible_changes,
 )
@@ -224,7 +224,7 @@ def _plausible(mechanism: Mechanism, problem: Problem) -> Array:
 def _jacobian(mechanism: Mechanism, problem: Problem, unknowns: Unknowns) -> Array:
     """Return the Jacobian in the free unknowns that says what is unobservable, shape (m, n)."""
     if problem.latent:
-        return derivatives_near(mechanism, problem, unknowns, generic=False).jacobian(unknowns)
+        return jacobian_near(mechanism, problem, unknowns, generic=False)[1]
     return _rows(problem, unknowns, problem.start(unknowns.start))
 
 

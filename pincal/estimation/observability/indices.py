@@ -13,9 +13,11 @@ import numpy as np
 from scipy.linalg import qr
 
 from pincal.estimation.problem import Problem
+from pincal.estimation.rows import white_rows
 from pincal.estimation.unknowns import Unknowns
+from pincal.kinematics.batches import block_diagonal
 from pincal.kinematics.closure import largest_size
-from pincal.kinematics.configurations import legs_at, nearby
+from pincal.kinematics.configurations import Legs, legs_at, nearby
 from pincal.model.checks import ROUNDING
 from pincal.model.leg import Leg
 from pincal.model.measurements import Plan
@@ -162,41 +164,13 @@ def identifiability(C: Array, names: Sequence[str]) -> Identifiability:
 GENERIC = 200  # configurations, at least
 
 
-@dataclass(frozen=True)
-class Derivatives:
-    """Derivatives at poses that all legs have."""
-
-    matrices: Array
-    """``T_base_platform``, shape (N, 4, 4)."""
-    leg_pose: Array
-    """Of the legs, over the mechanism's size, shape (N, k, dof)."""
-    leg_parameter: Array
-    """Shape (N, k, n_params)."""
-    seen_pose: Array
-    """Of what is measured, shape (N, r, dof)."""
-    seen_parameter: Array
-    """By all parameters and external unknowns, shape (N, r, n)."""
-
-    def jacobian(self, unknowns: Unknowns) -> Array:
-        """Return what the free unknowns do to the measurements, poses eliminated: (m, n_free).
-
-        Rows of priors are below those of the measurements.
-        """
-        T = unknowns.map
-        n_external = T.shape[0] - self.leg_parameter.shape[2]
-        legs = np.pad(self.leg_parameter, ((0, 0), (0, 0), (0, n_external)))
-        parameter = np.concatenate((legs, self.seen_parameter), axis=1)
-        pose = np.concatenate((self.leg_pose, self.seen_pose), axis=1)
-        Q = np.linalg.qr(pose, mode="complete")[0]
-        free = Q[:, :, pose.shape[2] :].transpose(0, 2, 1) @ parameter
-        _, prior = unknowns.prior_rows(unknowns.start)
-        return np.concatenate((free.reshape(-1, T.shape[0]) @ T, prior))
-
-
-def derivatives_near(
+def jacobian_near(
     mechanism: Mechanism, problem: Problem, unknowns: Unknowns, *, generic: bool
-) -> Derivatives:
-    """Return derivatives at the start's poses or readings, or at generic ones about them.
+) -> tuple[Legs, Array]:
+    """Return what legs do at the start's poses or readings, or at generic ones about them.
+
+    And what the free unknowns do to all that is measured there, over the mechanism's size, poses
+    eliminated, rows of priors below: shape (m, n_free).
 
     Args:
         mechanism: The nominal mechanism.
@@ -205,35 +179,33 @@ def derivatives_near(
         generic: Whether configurations are moved about, and everything is measured in every row
             that is measured in some row.
     """
-    platform = mechanism.platform
-    start = problem.start(unknowns.start)
-    size = largest_size(problem.legs)
+    start, block = problem.start(unknowns.start), problem.leg_block
     chosen = np.arange(len(start.matrices))
     if generic:  # the same ones in whatever order rows were measured
-        chosen = np.lexsort((*start.matrices[:, :3, 3].T, *problem.leg_block.readings.T))[:GENERIC]
-    planned = Plan(
-        platform.from_matrices(start.matrices[chosen]),
-        readings=problem.leg_block.readings[chosen] if mechanism.by_readings else None,
-        influences={name: values[chosen] for name, values in problem.leg_block.influences.items()},
+        chosen = np.lexsort((*start.matrices[:, :3, 3].T, *block.readings.T))[:GENERIC]
+    plan = Plan(
+        mechanism.platform.from_matrices(start.matrices[chosen]),
+        readings=block.readings[chosen] if mechanism.by_readings else None,
+        influences={name: values[chosen] for name, values in block.influences.items()},
     )
-    values = (start.parameters[columns] for columns in problem.leg_block.columns)
+    values = (start.parameters[columns] for columns in block.columns)
     started = mechanism.with_parameters(dict(zip(mechanism.leg_names, values, strict=True)))
-    legs = legs_at(started, nearby(started, planned, GENERIC, size) if generic else planned)
-    matrices = platform.matrices(legs.poses)
-    rows = chosen[np.flatnonzero(legs.reached) % len(chosen)]
+    size = largest_size(problem.legs)
+    legs = legs_at(started, nearby(started, plan, GENERIC, size) if generic else plan)
     observation = problem.observation.anywhere() if generic else problem.observation
+    rows = chosen[np.flatnonzero(legs.reached) % len(chosen)]
+    matrices = mechanism.platform.matrices(legs.poses)
     _, seen_pose, by_external = observation.at(rows).residuals(matrices, start.external)
-    outer = np.zeros((*seen_pose.shape[:2], len(unknowns.names)))
-    outer[:, :, legs.parameter.shape[2] :] = by_external
-    per = np.array([1.0 / size if unit == "m" else 1.0 for unit in observation.units])
-    ok = np.isfinite(seen_pose).all(axis=(1, 2)) & np.isfinite(outer).all(axis=(1, 2))
-    return Derivatives(
-        matrices[ok],
-        legs.pose[ok] / size,
-        legs.parameter[ok] / size,
-        seen_pose[ok] * per[:, None],
-        outer[ok] * per[:, None],
-    )
+    per = np.array([1.0 / size if unit == "m" else 1.0 for unit in observation.units])[:, None]
+    # ┌ A          0        ┐  legs            ┌ B ┐
+    # └ 0  by external      ┘  what is seen    └ B ┘
+    pose = np.concatenate((legs.pose / size, seen_pose * per), axis=1)
+    parameter = block_diagonal((legs.parameter / size, by_external * per))
+    alike = np.broadcast_to(np.eye(pose.shape[1]), (len(pose), *2 * pose.shape[1:2]))
+    free = white_rows(pose, alike)(parameter)
+    free = free[np.isfinite(free).all(axis=(1, 2))].reshape(-1, parameter.shape[2])
+    _, prior = unknowns.prior_rows(unknowns.start)
+    return legs, np.concatenate((free @ unknowns.map, prior))
 
 
 def lost_directions(J: Array) -> tuple[Array, Array]:

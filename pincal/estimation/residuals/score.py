@@ -58,8 +58,8 @@ class Change:
 
 
 @dataclass(frozen=True)
-class Errors:
-    """Errors of measured quantities that are 1 in each row, as white rows see them."""
+class ErrorRows:
+    """ErrorRows of measured quantities that are 1 in each row, as white rows see them."""
 
     white: Array
     """W, shape (n_used, m, f)."""
@@ -68,10 +68,10 @@ class Errors:
     along: Array
     """Wᵀ M r of each row, shape (n_used, f)."""
 
-    def part(self, columns: Sequence[int]) -> Errors:
+    def part(self, columns: Sequence[int]) -> ErrorRows:
         """Return some of the errors."""
         chosen = list(columns)
-        return Errors(self.white[:, :, chosen], self.taken[:, :, chosen], self.along[:, chosen])
+        return ErrorRows(self.white[:, :, chosen], self.taken[:, :, chosen], self.along[:, chosen])
 
 
 @dataclass(frozen=True)
@@ -111,10 +111,10 @@ class Residuals:
         rows = np.flatnonzero(fit.good)
         return cls(rows, left, fit.Q, fit.normal.left, fit.degrees_of_freedom)
 
-    def errors(self, W: Array) -> Errors:
+    def errors(self, W: Array) -> ErrorRows:
         """Return errors by their white rows, shape (n_used, m, f)."""
         along = (W.transpose(0, 2, 1) @ self.left[:, :, None])[:, :, 0]
-        return Errors(W, self.Q.transpose(0, 2, 1) @ W, along)
+        return ErrorRows(W, self.Q.transpose(0, 2, 1) @ W, along)
 
     def chance(self, inside: float, rank: int) -> float:
         """Return the probability of a part of χ² of some rank, or of a larger one."""
@@ -123,7 +123,7 @@ class Residuals:
         return float(fdtrc(rank, free, ratio))
 
     def form(
-        self, errors: Errors, courses: Sequence[Array], *, common: bool = False
+        self, errors: ErrorRows, courses: Sequence[Array], *, common: bool = False
     ) -> ResidualForm:
         """Return what residuals say of errors with amplitudes as large as each other.
 
@@ -194,14 +194,14 @@ class Residuals:
         hidden = (V[:, ~resolved] ** 2).sum(axis=1) > RANK_TOLERANCE
         return C, C.T @ over_rows(W, self.left[:, :, None])[:, 0], hidden
 
-    def size(self, error: Errors, course: Array) -> float:
+    def size(self, error: ErrorRows, course: Array) -> float:
         """Return how large one error of some course is, shape (n_used,)."""
         taken = course @ error.taken[:, :, 0]
         squares = (error.white**2).sum(axis=(1, 2))
         information = float(course**2 @ squares - taken @ taken)
         return float(course @ error.along[:, 0]) / information if information > 0.0 else 0.0
 
-    def step(self, errors: Errors) -> Change:
+    def step(self, errors: ErrorRows) -> Change:
         """Return the clearest step of f errors at once, from one row on."""
         f, gram = errors.white.shape[2], errors.white.transpose(0, 2, 1) @ errors.white
         none = Change(1.0, 0, np.zeros(f), 0.0)
