@@ -10,7 +10,7 @@ import pincal
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.fits import fitted
 from pincal.calibration.options import Options
-from pincal.estimation.adjusted import adjusted
+from pincal.estimation.solver import adjusted
 
 NOISE = pincal.Noise(1e-4, 1e-4, 1e-3)
 

@@ -10,12 +10,18 @@ import numpy as np
 from scipy.special import chdtri
 
 from pincal.errors import ObservabilityError
-from pincal.estimation.adjusted import adjusts, last_steps
 from pincal.estimation.blocks.state import State
 from pincal.estimation.observability.identifiable import check_information, check_rank
 from pincal.estimation.problem import Linear, Problem
 from pincal.estimation.residuals.losses import FALSE_ALARM, outlying
-from pincal.estimation.solver import SLOW, SolverResult, search, solve_poses
+from pincal.estimation.solver import (
+    SLOW,
+    SolverResult,
+    adjusts,
+    last_steps,
+    search,
+    solve_poses,
+)
 from pincal.estimation.start import near_start
 from pincal.estimation.system import ROWS_FOLLOW, NormalEquations, System
 from pincal.estimation.unknowns import Unknowns

@@ -19,7 +19,7 @@ import numpy as np
 from pincal.errors import MeasurementError
 from pincal.estimation.blocks.legs import LegBlock
 from pincal.estimation.blocks.observation import Observation
-from pincal.estimation.blocks.state import Entry, Follow, State
+from pincal.estimation.blocks.state import Entry, State
 from pincal.estimation.rows import NoNoiseError, WhiteRows, white_rows
 from pincal.kinematics.batches import block_diagonal, chunks
 from pincal.kinematics.derivatives import Demand
@@ -41,8 +41,6 @@ class Linear:
     """Values of the unknowns, joints where the legs close best."""
     demands: tuple[Demand, ...]
     """What each leg demands."""
-    follow: Follow
-    """Returns the legs' joints after a step."""
     conditions: Array
     """Residuals e of all blocks, shape (N, k), [m] and [rad]."""
     entries: tuple[Entry, ...]
@@ -231,7 +229,6 @@ class Problem:
         return Linear(
             state=state,
             demands=legs.demands,
-            follow=legs.follow,
             conditions=np.concatenate([part.value for part in parts], axis=1),
             entries=tuple(entries),
             by_pose=np.concatenate([part.by_pose for part in parts], axis=1),
@@ -257,7 +254,7 @@ class Problem:
             twists = linear.white.pose_step(linear.after(step))
             carried = self.leg_block.carried(linear.demands, step, twists, parameters)
             matrices = self.platform.displaced(matrices, twists) if carried is None else carried
-        return State(parameters, matrices, linear.follow(step, twists), external)
+        return State(parameters, matrices, state.joints, external)
 
 
 def spread(count: int, max_rows: int) -> Index:

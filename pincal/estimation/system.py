@@ -28,6 +28,8 @@ class System:
     """Rows that take part, shape (N,); all if not given."""
     held_scale: float | None = None
     """Scale of the noise that a loss goes by; by the rows in the middle if not given."""
+    adjusted: bool = False
+    """Whether conditions are those at adjusted readings."""
     unit: float = 1.0
     """Typical standard deviation of residuals that are minimised unweighted, [rad] or [m]."""
 
@@ -186,13 +188,6 @@ class NormalEquations:
     def fall(self, step: Array) -> float:
         """Return by how much the cost falls by a step, shape (n,), to first order."""
         return float(self.c @ self.c - ((self.c + self.R @ (step * self.lengths)) ** 2).sum())
-
-    def solve(self, gradient: Array, damping: float) -> Array:
-        """Return (JᵀJ + damping)⁻¹ g of a gradient of shape (n,), shape (n,)."""
-        damped = np.concatenate((self.R, np.sqrt(damping) * np.eye(len(self.c))))
-        R = np.asarray(np.linalg.qr(damped, mode="r"))
-        half = np.linalg.solve(R.T, gradient / self.lengths)
-        return np.asarray(np.linalg.solve(R, half)) / self.lengths
 
     def step(self, damping: float = 0.0) -> Array:
         """Return the least-squares step, shape (n,); damping relative to squares of columns."""

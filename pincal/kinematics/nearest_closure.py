@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from pincal.kinematics.batches import lengths, product, stacked
-from pincal.kinematics.closing import driven, sensor_law, start_joints
+from pincal.kinematics.closing import driven, start_joints
 from pincal.kinematics.closure import Closure, LegClosure, Newton, evaluate, rows_of_each
 from pincal.model.checks import EXACT
 from pincal.types import Array, Mask
@@ -77,50 +77,6 @@ def _nearest(
         if np.abs(step / scales).max(initial=0.0) <= newton.small:
             break
     return closed, joints
-
-
-def followed(
-    legs: Sequence[LegClosure],
-    closed: Closure,
-    known: Sequence[Array],
-    parameters: Sequence[Array],
-    twists: Array,
-) -> Array:
-    """Return how far passive joints of alike legs follow changes, to first order.
-
-    Where first order says nothing, near a singularity, they stay.
-
-    Args:
-        legs: L legs of one form, at their parameter values.
-        closed: Their nearest closures there.
-        known: Of each leg readings and influences, as for ``nearest_closure``.
-        parameters: Of each leg the change of its parameters, shape (n_params,).
-        twists: Of the poses, shape (N, dof).
-
-    Returns:
-        Shape (L N, n_passive).
-    """
-    change = np.empty_like(closed.gap)
-    driven_by = np.empty((len(change), len(legs[0].leg.active)))
-    parts = zip(legs, known, parameters, strict=True)
-    for rows, (leg, leg_known, delta) in zip(
-        rows_of_each(len(legs), len(change)), parts, strict=True
-    ):
-        law = sensor_law(leg)
-        driven_by[rows] = law.by_parameter(leg_known) @ delta[law.parameter_places]
-        by_parameter = closed.parameter[rows]
-        change[rows] = by_parameter @ delta
-        if leg.leg.deformed:
-            rates = leg.deformations.by_parameter(leg_known[:, len(leg.leg.sensors) :]) @ delta
-            deforming = by_parameter[:, :, leg.deformations.parameters]
-            change[rows] += product(deforming, rates[:, :, None])[:, :, 0]
-    change += product(closed.active, driven_by[:, :, None])[:, :, 0]
-    change += product(closed.pose, np.tile(twists, (len(legs), 1))[:, :, None])[:, :, 0]
-    step = closed.passive_step(change)
-    with np.errstate(invalid="ignore"):
-        far = (~(np.abs(step / _scales(legs, len(step))) <= NEWTON.largest)).any(axis=1)
-    step[far] = 0.0
-    return step
 
 
 def _scales(legs: Sequence[LegClosure], rows: int) -> Array:

@@ -4,8 +4,7 @@ The closure residual is Nᵀ c at a pose and a reading, passive joints chosen to
 planar dyad, the platform point's distance from the elbow less L. It exists out of reach and stays
 finite near type-1 singularities. The joint residual is predicted less measured reading (3-RRR
 paper, Eq. 24) and exists within reach only. Legs that differ only in where they begin are
-evaluated in one call, rows of each below those of the one before: a call costs more than the
-kinematics of some hundred rows.
+evaluated in one call: a call costs more than the kinematics of some hundred rows.
 """
 
 from __future__ import annotations
@@ -13,23 +12,22 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal, TypeVar
+from typing import Literal
 
 import numpy as np
 
 from pincal.errors import MeasurementError
-from pincal.estimation.blocks.state import BlockRows, Follow, State
-from pincal.kinematics.batches import repeated
+from pincal.estimation.blocks.state import BlockRows, State
+from pincal.kinematics.batches import block_diagonal, repeated
 from pincal.kinematics.closing import close, grouped, sensor_law
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.derivatives import Demand, demands
-from pincal.kinematics.nearest_closure import arm_poses, followed, nearest_closure
+from pincal.kinematics.nearest_closure import arm_poses, nearest_closure
 from pincal.model.leg import Leg
 from pincal.model.platform import Platform
 from pincal.types import Array, Index, Mask
 
 Residual = Literal["closure", "joint"]
-T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -40,8 +38,6 @@ class LegBlockRows(BlockRows):
     """What each leg demands, with its derivatives by readings."""
     joints: tuple[Array, ...]
     """Joint positions of each leg, deformations behind them, shape (N, n_joints [+ n_deformed])."""
-    follow: Follow
-    """Returns the joints after a step of all unknowns and twists of the poses."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +51,7 @@ class LegBlock:
     """Readings [rad] or [m] of each leg, then its influences, (N, n_active [+ n_influences])."""
     kind: Residual
     data_rows: Index
-    """Rows of the measurements, counted from 0, for messages, shape (N,)."""
+    """Rows of the measurements, counted from 0, shape (N,)."""
     used: Mask
     """Which row serves which leg, shape (N, n_legs)."""
     sigma: Array
@@ -115,10 +111,9 @@ class LegBlock:
     @property
     def influences(self) -> dict[str, Array]:
         """Influence quantities of all legs by column, each of shape (N,)."""
-        pairs = zip(self.legs, self.known, strict=True)
         return {
             name: values
-            for leg, known in pairs
+            for leg, known in zip(self.legs, self.known, strict=True)
             for name, values in zip(leg.influences, known[:, len(leg.sensors) :].T, strict=False)
         }
 
@@ -160,42 +155,32 @@ class LegBlock:
             MeasurementError: joint residual, and a pose out of reach.
             MechanismError: a homed sensor, and a home pose out of reach.
         """
-        evaluated = self._predicted if self.kind == "joint" else self._closed
-        of_legs, joints, follow = evaluated(state)
-        active = self.active[:, :, None]
-        by_pose = np.concatenate([leg_demand.pose for leg_demand in of_legs], axis=1)
-        by_parameter = []
-        for leg_demand, rows, columns, used in zip(
-            of_legs, self.leg_rows, self.columns, self.used.T, strict=True
-        ):
-            values = leg_demand.parameter
-            values = values if used.all() else np.where(used[:, None, None], values, 0.0)
-            by_parameter.append((rows, columns, values))
+        of_legs, joints = (self._predicted if self.kind == "joint" else self._closed)(state)
+        value = np.concatenate([demand.value for demand in of_legs], axis=1)
+        by_pose = np.concatenate([demand.pose for demand in of_legs], axis=1)
+        by_pose = np.where(self.active[:, :, None], by_pose, 0.0)
+        parts = zip(of_legs, self.leg_rows, self.columns, self.used.T, strict=True)
+        by_parameter = tuple(
+            (rows, columns, np.where(used[:, None, None], demand.parameter, 0.0))
+            for demand, rows, columns, used in parts
+        )
         return LegBlockRows(
-            np.where(
-                self.active,
-                np.concatenate([leg_demand.value for leg_demand in of_legs], axis=1),
-                0.0,
-            ),
-            np.where(active, by_pose, 0.0)[:, :, : None if self.pose_roots is None else 0],
-            tuple(by_parameter),
+            np.where(self.active, value, 0.0),
+            by_pose[:, :, : None if self.pose_roots is None else 0],
+            by_parameter,
             self.noise_root(of_legs),
             tuple(of_legs),
-            joints,
-            follow,
+            tuple(joints),
         )
 
     def noise_root(self, of_legs: Sequence[Demand]) -> Array:
         """Return S of what the legs demand, shape (N, n_rows, n_readings [+ dof])."""
-        roots = self.pose_roots
-        n_pose_columns = 0 if roots is None else roots.shape[2]
-        noise = np.zeros((*self.active.shape, self.n_readings + n_pose_columns))
-        for leg_demand, rows, columns in zip(
-            of_legs, self.leg_rows, self.reading_columns, strict=True
-        ):
-            noise[:, rows, columns] = leg_demand.reading * self.sigma[:, None, columns]
-            if roots is not None:
-                noise[:, rows, self.n_readings :] = leg_demand.pose @ roots
+        pairs = zip(of_legs, self.reading_columns, strict=True)
+        by_reading = [demand.reading * self.sigma[:, None, columns] for demand, columns in pairs]
+        noise = block_diagonal(by_reading)
+        if self.pose_roots is not None:
+            by_pose = np.concatenate([demand.pose for demand in of_legs], axis=1)
+            noise = np.concatenate((noise, by_pose @ self.pose_roots), axis=2)
         return np.where(self.active[:, :, None], noise, 0.0)
 
     def carried(
@@ -212,12 +197,12 @@ class LegBlock:
             twists: Steps of the poses, shape (N, dof).
             parameters: Parameters of all legs after the step, shape (n_params,).
         """
-        for leg, leg_demand, known, columns in zip(
+        for leg, demand, known, columns in zip(
             self.legs, of_legs, self.known, self.columns, strict=True
         ):
             if leg.is_arm and self.platform.dof == 6:
-                gap = leg_demand.value + leg_demand.parameter @ step[columns]
-                gap += (leg_demand.pose @ twists[:, :, None])[:, :, 0]
+                gap = demand.value + demand.parameter @ step[columns]
+                gap += (demand.pose @ twists[:, :, None])[:, :, 0]
                 return arm_poses(LegClosure(leg, self.platform, parameters[columns]), known, gap)
         return None
 
@@ -232,33 +217,23 @@ class LegBlock:
         pairs = zip(self.legs, self.columns, strict=True)
         return [LegClosure(leg, self.platform, parameters[columns]) for leg, columns in pairs]
 
-    def _closed(self, state: State) -> tuple[list[Demand], tuple[Array, ...], Follow]:
-        """Return what the legs demand where they close best, their joints, and how these follow."""
+    def _closed(self, state: State) -> tuple[list[Demand], list[Array]]:
+        """Return what the legs demand where they close best, and their joints there."""
         closures, matrices = self._closures(state.parameters), state.matrices
         before = state.joints or (None,) * len(closures)
-        groups, joints, of_legs = [], dict[int, Array](), dict[int, Demand]()
+        joints, of_legs = dict[int, Array](), dict[int, Demand]()
         for places in self._alike:
             legs, known = [closures[i] for i in places], [self.known[i] for i in places]
             near = [before[i] for i in places]
             closed, nearest = nearest_closure(legs, repeated(matrices, len(legs)), known, near)
-            nearest = nearest.reshape(len(legs), len(matrices), nearest.shape[1])
-            groups.append((places, legs, known, closed, nearest))
-            joints |= zip(places, nearest, strict=True)
+            by_leg = nearest.reshape(len(legs), len(matrices), nearest.shape[1])
+            joints |= zip(places, by_leg, strict=True)
             of_legs |= zip(places, demands(legs, closed, known), strict=True)
+        every = range(len(closures))
+        return [of_legs[i] for i in every], [joints[i] for i in every]
 
-        def follow(step: Array, twists: Array) -> tuple[Array, ...]:
-            moved = dict[int, Array]()
-            for places, legs, known, closed, nearest in groups:
-                positions = nearest.reshape(-1, nearest.shape[2]).copy()
-                steps = [step[self.columns[i]] for i in places]
-                positions[:, legs[0].leg.passive] += followed(legs, closed, known, steps, twists)
-                moved |= zip(places, positions.reshape(nearest.shape), strict=True)
-            return in_order(moved)
-
-        return list(in_order(of_legs)), in_order(joints), follow
-
-    def _predicted(self, state: State) -> tuple[list[Demand], tuple[Array, ...], Follow]:
-        """Return predicted less measured readings of the legs, their joints, and these again.
+    def _predicted(self, state: State) -> tuple[list[Demand], list[Array]]:
+        """Return predicted less measured readings of the legs, and their joints.
 
         Raises:
             MeasurementError: a pose out of reach.
@@ -280,12 +255,7 @@ class LegBlock:
             (rows,) = demands((closure,), closed.closure, (predicted,))
             of_legs.append(replace(rows.as_joint(), value=reading - measured))
             joints.append(closed.joints)
-        return of_legs, tuple(joints), lambda *_: tuple(joints)
-
-
-def in_order(of_places: dict[int, T]) -> tuple[T, ...]:
-    """Return values by the order of their places, 0 … n - 1."""
-    return tuple(of_places[place] for place in range(len(of_places)))
+        return of_legs, joints
 
 
 def slices(sizes: Sequence[int]) -> list[slice]:

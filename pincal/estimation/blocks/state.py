@@ -7,7 +7,6 @@ platform's; and the parameters of instruments.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -18,8 +17,6 @@ from pincal.model.platform import Platform
 from pincal.model.setup import ORIGIN, Setup
 from pincal.types import Array, Index
 
-Follow = Callable[[Array, Array], tuple[Array, ...]]
-"""Returns joints of each leg, near those after a step of all unknowns and twists of the poses."""
 Entry = tuple[slice, slice, Array]
 """Rows, columns and derivatives, shape (N, rows, columns); other columns do not move these rows."""
 
