@@ -2,8 +2,8 @@
 
 Positions of targets u = T_frame_base (r + R t), single coordinates of them, orientations,
 single angles, distances |u − P|, and what further instruments read. Rows are predicted less
-measured, in the frame of the measurements; derivatives are by the platform's twist in base axes
-and by the external unknowns.
+measured. Each follows the twist of the platform in the frame of the measurements, of which the
+twist in base axes and that of the frame itself are parts.
 
 A single angle without a standard deviation of its own is part of an orientation, whose noise is
 a small turn ω. Near a pole the angle follows it by J = ∂angle/∂ω, 1/h long. Its row is h times
@@ -32,6 +32,10 @@ from pincal.types import Array, Index, Mask
 
 Entry = tuple[Array, Array]
 """A function of orientations, shape (N,), and its derivative by turns, shape (N, 3)."""
+Predicted = tuple[Array, Array, Array]
+"""Rows, shape (N, k), derivatives by the platform's twist in the frame of the measurements, (N, k,
+6), and by external unknowns but for that frame, (N, k, n_external)."""
+_TWIST = (0, 1, 2, 3, 4, 5)
 _CROSS = np.cross(np.eye(3)[:, None], np.eye(3)).transpose(0, 2, 1)  # matrices of e_a ×
 
 
@@ -100,42 +104,33 @@ class Observation:
         """
         platform = self.platform = mechanism.platform
         self.setup = setup
-        count, lengths = len(data), platform.lengths
         for name, purpose in setup.required.items():
             if name not in data.extra:
                 raise MeasurementError(f"no column {name!r}, {purpose}")
+        none, lengths = np.full(len(data), np.nan), platform.lengths
         scalars = dict(zip(platform.coordinates[:lengths], data.poses.T, strict=False))
-        for column in setup.columns(mechanism):
-            scalars[column] = data.extra.get(column, np.full(count, np.nan))
-        instrument_units = {
-            column: unit
-            for instrument in setup.instruments
-            for column, unit in instrument.columns.items()
-        }
-        self._instrument_values = _columns([scalars.pop(name) for name in instrument_units], count)
+        scalars |= {name: data.extra.get(name, none) for name in setup.columns(mechanism)}
+        units = {name: u for own in setup.instruments for name, u in own.columns.items()}
+        conditions = [scalars.pop(name) for name in units]
         self.orientations = _orientations(platform, data)
         """Measured orientations, shape (N, 3, 3); NaN where not measured in full."""
         oriented = _oriented(self.orientations)
         angles = _single_angles(platform, data, oriented)
+        turns = platform.freedoms[lengths:]
+        self.names = (*scalars, *angles, *turns, *units)
+        """Names of the r quantities, as columns of measurements or freedoms of the platform."""
+        n_angles, n_turns = len(angles), len(turns)
+        self.units = (*["m"] * len(scalars), *["rad"] * (n_angles + n_turns), *units.values())
+        known = [*scalars.values(), *angles.values(), *[np.where(oriented, 0.0, np.nan)] * n_turns]
+        table = np.column_stack([np.empty((len(data), 0)), *known, *conditions])
+        self.measured: Mask = np.isfinite(table)
+        """Which quantity is measured in which row, shape (N, r)."""
+        self._values = np.where(self.measured, table, 0.0)
+        self._values[:, len(scalars) :] = 0.0  # of which predictions are less what was measured
+        self._conditions = table[:, len(known) :]
         self._angle_names = tuple(angles)
         self._angles, self._follow_turn = _angles(angles, data, oriented | (platform.turns < 3))
         """Measured single angles, [rad], and which have the noise of a turn, (N, angles)."""
-        turn_names = platform.freedoms[lengths:]
-        self.names = (*scalars, *angles, *turn_names, *instrument_units)
-        """Names of the r quantities, as columns of measurements or freedoms of the platform."""
-        self.units = (
-            *("m" for _ in scalars),
-            *("rad" for _ in (*angles, *turn_names)),
-            *instrument_units.values(),
-        )
-        values = _columns([*scalars.values(), *angles.values()], count)
-        turns = np.repeat(oriented[:, None], len(turn_names), axis=1)
-        self.measured: Mask = np.concatenate(
-            (np.isfinite(values), turns, np.isfinite(self._instrument_values)), axis=1
-        )
-        """Which quantity is measured in which row, shape (N, r)."""
-        self._values = np.where(np.isfinite(values), values, 0.0)
-        self._values[:, len(scalars) :] = 0.0
         self._turn_rows = [row - 3 for row in platform.twist_rows if row >= 3]
         self.external = ExternalUnknowns(platform, setup, bool(oriented.any() or angles))
         self.noise = RowNoise(np.zeros(self.measured.shape))
@@ -170,15 +165,9 @@ class Observation:
 
     def at(self, rows: Index) -> Observation:
         """Return the observation at some rows."""
-        return self._with(
-            measured=self.measured[rows],
-            noise=self.noise.rows(rows),
-            orientations=self.orientations[rows],
-            _values=self._values[rows],
-            _angles=self._angles[rows],
-            _follow_turn=self._follow_turn[rows],
-            _instrument_values=self._instrument_values[rows],
-        )
+        arrays = ("measured", "orientations", "_values", "_angles", "_follow_turn", "_conditions")
+        parts = {name: getattr(self, name)[rows] for name in arrays}
+        return self._with(noise=self.noise.rows(rows), **parts)
 
     def with_noise(self, noise: RowNoise) -> Observation:
         """Return the observation with other noise of its quantities."""
@@ -228,17 +217,15 @@ class Observation:
         errors = [np.zeros((len(matrices), r, 0))]
         if setup.systematic.relative:
             lengths = np.array([unit == "m" for unit in self.units], dtype=bool)
-            lengths[r - self._instrument_values.shape[1] :] = False
-            value, _, _ = self.residuals(matrices, external)
-            value[:, : self._values.shape[1]] += self._values
+            lengths[r - self._conditions.shape[1] :] = False
+            value = self.residuals(matrices, external)[0] + self._values
             errors.append(setup.systematic.relative * np.where(lengths, value, 0.0)[:, :, None])
         if setup.systematic.target:
             free = {name: replace(target, unknown=True) for name, target in setup.targets.items()}
             unknowns = ExternalUnknowns(self.platform, replace(setup, targets=free), False)
-            first = len(unknowns.frame_rows)
             known = [
-                first + column
-                for column, entry in enumerate(unknowns.offset_entries)
+                column
+                for column, entry in enumerate(unknowns.offset_entries, len(unknowns.frame_rows))
                 if entry not in self.external.offset_entries
             ]
             _, _, by_external = self._with(external=unknowns).residuals(matrices, external)
@@ -263,79 +250,65 @@ class Observation:
             Residuals, shape (N, r), [m] and [rad], their derivatives by the platform's twist,
             (N, r, dof), and by the external unknowns, (N, r, n_external).
         """
-        value, by_pose, by_external = self._predicted(matrices, external)
-        value[:, : self._values.shape[1]] -= self._values
-        if self.setup.instruments:
-            instruments = self._instruments(matrices, external)
-            value, by_pose, by_external = (
-                np.concatenate(pair, axis=1)
-                for pair in zip((value, by_pose, by_external), instruments, strict=True)
-            )
+        seen, frame = external.frame @ matrices, external.frame[:3, :3]
+        rows = [*self._points(seen, external), self._turned(seen[:, :3, :3], external)]
+        rows += self._instruments(seen, external)
+        value, by_twist, by_external = (
+            np.concatenate(part, axis=1) for part in zip(*rows, strict=True)
+        )
+        by_base, by_frame = np.zeros((6, 6)), np.zeros((len(matrices), 6, 6))
+        by_base[:3, :3] = by_base[3:, 3:] = frame
+        by_frame[:, :3] = point_velocity(matrices[:, :3, 3] @ frame.T, _TWIST)
+        by_frame[:, 3:, 3:] = np.eye(3)
+        turned = self.external.frame_rows
+        by_external[:, :, : len(turned)] = by_twist @ by_frame[:, :, list(turned)]
         measured = self.measured[:, :, None]
         return (
-            np.where(self.measured, value, 0.0),
-            np.where(measured, by_pose, 0.0),
+            np.where(self.measured, value - self._values, 0.0),
+            np.where(measured, by_twist @ by_base[:, list(self.platform.twist_rows)], 0.0),
             np.where(measured, by_external, 0.0),
         )
 
-    def _predicted(self, matrices: Array, external: External) -> tuple[Array, Array, Array]:
-        """Return predictions (of angles: less measured) and derivatives of all rows."""
-        R, F = matrices[:, :3, :3], external.frame[:3, :3]
-        unknowns, axes, n_frame = self.external, self.platform.space, len(self.external.frame_rows)
-        points, by_pose, by_external = {}, {}, {}
+    def _points(self, seen: Array, external: External) -> list[Predicted]:
+        """Return rows of coordinates of targets and of distances, platforms seen in the frame."""
+        unknowns, R, points = self.external, seen[:, :3, :3], dict[str, Predicted]()
         for index, target in enumerate(self.setup.targets):
             arm = R @ external.offsets[index]
-            moved = (matrices[:, :3, 3] + arm) @ F.T
-            points[target] = moved + external.frame[:3, 3]
-            by_pose[target] = F @ point_velocity(arm, self.platform.twist_rows)
-            by_external[target] = np.zeros((len(R), 3, len(unknowns)))
-            by_external[target][:, :, :n_frame] = point_velocity(moved, unknowns.frame_rows)
-            for column, (target_index, axis) in enumerate(unknowns.offset_entries, n_frame):
-                if target_index == index:
-                    by_external[target][:, :, column] = (F @ R)[:, :, axis]
-        rows = [
-            (points[target][:, :axes], by_pose[target][:, :axes], by_external[target][:, :axes])
-            for target in self.setup.targets
-        ]
+            by_external = np.zeros((len(R), 3, len(unknowns)))
+            for column, (owner, axis) in enumerate(
+                unknowns.offset_entries, len(unknowns.frame_rows)
+            ):
+                if owner == index:
+                    by_external[:, :, column] = R[:, :, axis]
+            points[target] = (seen[:, :3, 3] + arm, point_velocity(arm, _TWIST), by_external)
+        axes = self.platform.space
+        rows = [(u[:, :axes], D[:, :axes], E[:, :axes]) for u, D, E in points.values()]
         for distance in self.setup.distances.values():
-            ray = points[distance.target] - np.array(distance.point)
+            point, by_twist, by_external = points[distance.target]
+            ray = point - np.array(distance.point)
             length = np.linalg.norm(ray, axis=1)[:, None]
             with np.errstate(invalid="ignore", divide="ignore"):
                 unit = (ray / length)[:, None]
-            rows.append(
-                (length, unit @ by_pose[distance.target], unit @ by_external[distance.target])
-            )
-        rows.append(self._turned(R, F, external))
-        value, pose, outer = (np.concatenate(parts, axis=1) for parts in zip(*rows, strict=True))
-        return value, pose, outer
+            rows.append((length, unit @ by_twist, unit @ by_external))
+        return rows
 
-    def _turned(self, R: Array, F: Array, external: External) -> tuple[Array, Array, Array]:
+    def _turned(self, R: Array, external: External) -> Predicted:
         """Return rows of single angles and of orientations, less what was measured."""
-        unknowns, dof, n = self.external, self.platform.dof, len(self.external)
-        predicted = F @ R @ external.turn
-        by_pose = np.zeros((len(R), 3, dof))  # turns of the prediction, outer axes
-        for column, row in enumerate(self.platform.twist_rows):
-            if row >= 3:
-                by_pose[:, :, column] = F[:, row - 3]
-        by_external = np.zeros((len(R), 3, n))
-        for column, row in enumerate(unknowns.frame_rows):
-            if row >= 3:
-                by_external[:, row - 3, column] = 1.0
-        for column, axis in enumerate(unknowns.turn_axes, unknowns.turn_columns.start):
-            by_external[:, :, column] = (F @ R)[:, :, axis]
-        value, by_turn = np.zeros((len(R), 0)), np.zeros((len(R), 0, 3))
-        for column in range(len(self._angle_names)):
-            missed, slope, _ = self._angle(column, predicted)
-            value = np.column_stack((value, missed))
-            by_turn = np.concatenate((by_turn, slope[:, None]), axis=1)
+        unknowns, predicted = self.external, R @ external.turn
+        parts = [self._angle(column, predicted) for column in range(len(self._angle_names))]
+        values = [value[:, None] for value, _, _ in parts]
+        slopes = [slope[:, None] for _, slope, _ in parts]
         if self._turn_rows:
             oriented = _oriented(self.orientations)
             error = np.zeros((len(R), 3))
             error[oriented] = turn_between(predicted[oriented], self.orientations[oriented])
-            value = np.column_stack((value, error[:, self._turn_rows]))
-            slopes = inverse_left_jacobian(error)[:, self._turn_rows]
-            by_turn = np.concatenate((by_turn, slopes), axis=1)
-        return value, by_turn @ by_pose, by_turn @ by_external
+            values.append(error[:, self._turn_rows])
+            slopes.append(inverse_left_jacobian(error)[:, self._turn_rows])
+        by_turn = np.concatenate([np.zeros((len(R), 0, 3)), *slopes], axis=1)
+        by_external = np.zeros((*by_turn.shape[:2], len(unknowns)))
+        by_external[:, :, unknowns.turn_columns] = by_turn @ R[:, :, list(unknowns.turn_axes)]
+        value = np.concatenate([np.zeros((len(R), 0)), *values], axis=1)
+        return value, np.pad(by_turn, ((0, 0), (0, 0), (3, 0))), by_external
 
     def _angle(self, column: int, predicted: Array) -> tuple[Array, Array, Array]:
         """Return the row of a single angle, its derivative by turns, and by those that are noise.
@@ -349,41 +322,20 @@ class Observation:
         along = h * slope
         return row, np.where(follows, along + missed * by_turn, slope), along
 
-    def _instruments(self, matrices: Array, external: External) -> tuple[Array, Array, Array]:
-        """Return the conditions of the instruments, and derivatives as those of all rows."""
-        platform, unknowns, frame = self.platform, self.external, external.frame
-        count = len(matrices)
-        # Twists of the platform in the frame's axes, by its own in base axes and by the frame's.
-        by_base, by_frame = np.zeros((6, 6)), np.zeros((count, 6, 6))
-        by_base[:3, :3] = by_base[3:, 3:] = frame[:3, :3]
-        by_frame[:, :3] = point_velocity(matrices[:, :3, 3] @ frame[:3, :3].T, tuple(range(6)))
-        by_frame[:, 3:, 3:] = np.eye(3)
+    def _instruments(self, seen: Array, external: External) -> list[Predicted]:
+        """Return the conditions of the instruments."""
         rows, first_row, first = [], 0, 0
         for instrument in self.setup.instruments:
             last_row, last = first_row + len(instrument.columns), first + len(instrument.parameters)
-            measured = self._instrument_values[:, first_row:last_row]
-            condition = instrument.evaluate(
-                frame @ matrices, external.instruments[first:last], measured
-            )
-            condition = checked(condition, instrument, count)
-            by_external = np.zeros((*condition.value.shape, len(unknowns)))
-            by_external[:, :, : len(unknowns.frame_rows)] = (condition.by_pose @ by_frame)[
-                :, :, list(unknowns.frame_rows)
-            ]
-            own_columns = slice(*(unknowns.own_columns.start + end for end in (first, last)))
-            by_external[:, :, own_columns] = condition.by_parameter
-            by_pose = condition.by_pose @ by_base[:, list(platform.twist_rows)]
-            rows.append((condition.value, by_pose, by_external))
+            measured = self._conditions[:, first_row:last_row]
+            condition = instrument.evaluate(seen, external.instruments[first:last], measured)
+            condition = checked(condition, instrument, len(seen))
+            by_external = np.zeros((*condition.value.shape, len(self.external)))
+            own = slice(*(self.external.own_columns.start + end for end in (first, last)))
+            by_external[:, :, own] = condition.by_parameter
+            rows.append((condition.value, condition.by_pose, by_external))
             first_row, first = last_row, last
-        value, by_pose, by_external = (
-            np.concatenate(parts, axis=1) for parts in zip(*rows, strict=True)
-        )
-        return value, by_pose, by_external
-
-
-def _columns(values: Sequence[Array], count: int) -> Array:
-    """Return columns beside each other, shape (count, n)."""
-    return np.column_stack([np.empty((count, 0)), *values])
+        return rows
 
 
 def _single_angles(platform: Platform, data: Measurements, oriented: Mask) -> dict[str, Array]:
