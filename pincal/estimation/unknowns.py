@@ -62,6 +62,11 @@ class Unknowns:
         sigma = self.priors[known]
         return (parameters[known] - self.nominal[known]) / sigma, self.map[known] / sigma[:, None]
 
+    def free_rows(self, J: Array) -> Array:
+        """Return rows of all unknowns, shape (…, n), by the free ones, those of priors below."""
+        _, prior = self.prior_rows(self.start)
+        return np.concatenate((J.reshape(-1, J.shape[-1]) @ self.map, prior))
+
     def held(self, directions: Array) -> Unknowns:
         """Return the unknowns less the freedom to move along directions of z.
 

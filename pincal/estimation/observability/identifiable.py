@@ -15,7 +15,6 @@ from math import sqrt
 import numpy as np
 
 from pincal.errors import MeasurementError, ObservabilityError
-from pincal.estimation.blocks.state import State
 from pincal.estimation.observability.indices import (
     DIFFER,
     NEGLIGIBLE,
@@ -38,10 +37,7 @@ from pincal.words.wording import NAMED
 _CLEARLY = 3.0  # times what noise makes of information: less is none
 _ENOUGH_POSES = 500  # poses to judge by: both grow alike with their number
 _TAKES_PART = 0.1  # share of a direction's largest entry, from which a parameter is named
-NOT_THIS_MACHINE = (
-    "They are hardly this machine's: check signs, units, the order of the readings, the frame of "
-    "the poses, and rows that are far off (--loss cauchy)"
-)
+_WEAKLY = 3.0  # times better that one would be known with the other: correlation 0.943
 
 
 def check_rank(
@@ -66,12 +62,13 @@ def check_rank(
             "pose; a leg may be folded or stretched there"
         )
     J = linear.triangle
-    _, prior = unknowns.prior_rows(unknowns.start)
-    total = identifiability(np.concatenate((J @ unknowns.map, prior)), unknowns.free_labels)
+    total = identifiability(unknowns.free_rows(J), unknowns.free_labels)
     if ended and not total.complete:
         raise ObservabilityError(
             "the search ran away: the measurements determine the parameters at their nominal "
-            f"values, but not where it ended ({total.describe()}). {NOT_THIS_MACHINE}"
+            f"values, but not where it ended ({total.describe()}). They are hardly this machine's: "
+            "check signs, units, the order of the readings, the frame of the poses, and rows that "
+            "are far off (--loss cauchy)"
         )
     if not total.complete:
         raise ObservabilityError(
@@ -80,10 +77,8 @@ def check_rank(
             "one of them, make it a constant in mechanism.yaml, or hold it as near to nominal as "
             "can be (--hold-undetermined; leave out --method per-leg)"
         )
-    by_leg = (
-        identifiability(J[:, columns], leg.parameter_names)
-        for leg, columns in zip(problem.legs, problem.leg_block.columns, strict=True)
-    )
+    pairs = zip(problem.legs, problem.leg_block.columns, strict=True)
+    by_leg = [identifiability(J[:, columns], leg.parameter_names) for leg, columns in pairs]
     return [(leg.rank, leg.condition) for leg in by_leg]
 
 
@@ -120,15 +115,11 @@ def _by_noise_only(problem: Problem, unknowns: Unknowns, linear: Linear, scale: 
     state = linear.state
     matrices = problem.platform.displaced(state.matrices, _pose_draws(part, linear))
     drawn = part.evaluate(replace(state, matrices=matrices)).noise_by_parameter
-    start, T = linear.noise_by_parameter, unknowns.map
-    _, prior = unknowns.prior_rows(unknowns.start)
-    information_rows = np.concatenate(
-        (linear.triangle @ T, prior)
-    )  # that of the rows here: W Wᵀ = 1
-    difference = ((drawn - start) @ T).reshape(-1, T.shape[1])
-    lengths = np.linalg.norm(information_rows, axis=0)
-    _, information, directions = np.linalg.svd(information_rows / lengths, full_matrices=False)
-    made = scale * np.linalg.norm(difference / lengths @ directions.T, axis=0)
+    difference = (drawn - linear.noise_by_parameter) @ unknowns.map
+    rows = unknowns.free_rows(linear.triangle)  # that of the rows here: W Wᵀ = 1
+    lengths = np.linalg.norm(rows, axis=0)
+    _, information, directions = np.linalg.svd(rows / lengths, full_matrices=False)
+    made = scale * np.linalg.norm(difference / lengths @ directions.T, axis=(0, 1))
     return np.asarray(directions[information < _CLEARLY * made])
 
 
@@ -147,9 +138,8 @@ def _pose_draws(problem: Problem, linear: Linear) -> Array:
 def taking_part(names: Sequence[str], directions: Array) -> tuple[str, ...]:
     """Return which unknowns take part in directions, rows of shape (k, n)."""
     size = np.abs(directions).max(axis=0)
-    return tuple(
-        name for name, part in zip(names, size, strict=True) if part > _TAKES_PART * size.max()
-    )
+    parts = zip(names, size > _TAKES_PART * size.max(), strict=True)
+    return tuple(name for name, takes_part in parts if takes_part)
 
 
 @dataclass(frozen=True)
@@ -181,35 +171,28 @@ def hold_unobservable(mechanism: Mechanism, problem: Problem, unknowns: Unknowns
     J = _jacobian(mechanism, problem, unknowns)
     lost, lengths = lost_directions(J)
     held = unknowns.held(lost * lengths) if len(lost) else unknowns
-    weak, scale = weakly_determined(mechanism, problem, held)
+    weak, scale = _weakly_determined(mechanism, problem, held)
     moved = [(lost / lengths) @ unknowns.map.T, (weak * scale) @ held.map.T]
-    plausible = _plausible(mechanism, problem)
-    directions = np.concatenate(moved).T
+    directions, plausible = np.concatenate(moved).T, _plausible(mechanism, problem)
     directions = directions / np.abs(directions / plausible[:, None]).max(axis=0, initial=0.0)
     groups = identifiability(J, unknowns.free_labels).groups if len(lost) else ()
     names = taking_part(held.free_labels, weak) if len(weak) else ()
     return HeldUnknowns(held.held(weak / scale) if len(weak) else held, directions, groups, names)
 
 
-def weakly_determined(
+def _weakly_determined(
     mechanism: Mechanism, problem: Problem, unknowns: Unknowns
 ) -> tuple[Array, Array]:
     """Return along which directions noise moves parameters farther than machines may differ.
 
     Rows of shape (k, n_free), in unknowns over their scale, and these scales: by how much machines
-    may differ, shape (n_free,).
-
-    Args:
-        mechanism: The nominal mechanism.
-        problem: The problem, at its start.
-        unknowns: Of the problem, none unobservable.
+    may differ, shape (n_free,). None of the unknowns may be unobservable.
     """
-    T, plausible = unknowns.map, _plausible(mechanism, problem)
     state = problem.start(unknowns.start)
     if problem.latent:
         state = poses_at_rest(problem, state)
-    scale = 1.0 / np.abs(T / plausible[:, None]).max(axis=0)
-    rows = _rows(problem, unknowns, state) * scale
+    scale = 1.0 / np.abs(unknowns.map / _plausible(mechanism, problem)[:, None]).max(axis=0)
+    rows = unknowns.free_rows(problem.evaluate(state).jacobian) * scale
     _, information, axes = np.linalg.svd(np.linalg.qr(rows, mode="r"), full_matrices=True)
     return axes[int((information > 1.0).sum()) :], scale
 
@@ -225,14 +208,7 @@ def _jacobian(mechanism: Mechanism, problem: Problem, unknowns: Unknowns) -> Arr
     """Return the Jacobian in the free unknowns that says what is unobservable, shape (m, n)."""
     if problem.latent:
         return jacobian_near(mechanism, problem, unknowns, generic=False)[1]
-    return _rows(problem, unknowns, problem.start(unknowns.start))
-
-
-def _rows(problem: Problem, unknowns: Unknowns, state: State) -> Array:
-    """Return the whitened Jacobian of a problem in the free unknowns, rows of priors below."""
-    J = problem.evaluate(state).jacobian @ unknowns.map
-    _, prior = unknowns.prior_rows(unknowns.start)
-    return np.concatenate((J.reshape(-1, J.shape[2]), prior))
+    return unknowns.free_rows(problem.evaluate(problem.start(unknowns.start)).jacobian)
 
 
 def check_weakly_determined(
@@ -244,11 +220,10 @@ def check_weakly_determined(
         ObservabilityError: that is so; the message names what.
     """
     lost, _ = lost_directions(_jacobian(mechanism, problem, unknowns))
-    if len(lost):
-        return
-    weak, _ = weakly_determined(mechanism, problem, unknowns)
-    if len(weak):
-        raise _weak(taking_part(unknowns.free_labels, weak)) from cause
+    if not len(lost):
+        weak, _ = _weakly_determined(mechanism, problem, unknowns)
+        if len(weak):
+            raise _weak(taking_part(unknowns.free_labels, weak)) from cause
 
 
 def check_covariance(
@@ -271,12 +246,10 @@ def check_covariance(
     """
     n, limit = problem.leg_block.n_parameters, plausible_changes(mechanism, problem.legs)
     std = np.sqrt(np.diagonal(covariance))[:n]
-    moved = np.abs(
-        optimum.last.state.parameters - np.concatenate([leg.nominal for leg in problem.legs])
-    )
+    nominal = np.concatenate([leg.nominal for leg in problem.legs])
+    moved = np.abs(optimum.last.state.parameters - nominal) > limit
     far = std > limit
-    anything = (2.0 * std > limit / DIFFER) & (moved > limit)
-    if anything.any() if optimum.converged else far.any():
+    if (moved & (2.0 * std > limit / DIFFER)).any() if optimum.converged else far.any():
         ids = [f"{leg.name}.{name}" for leg in problem.legs for name in leg.parameter_names]
         raise _weak([parameter for parameter, weak in zip(ids, far, strict=True) if weak])
 
@@ -291,9 +264,6 @@ def _weak(ids: Sequence[str]) -> ObservabilityError:
         f"(in orientation above all), hold {them} as near to nominal as can be "
         "(--hold-undetermined), or say how well nominal values are known (--priors)"
     )
-
-
-_WEAKLY = 3.0  # times better that one would be known with the other: correlation 0.943
 
 
 @dataclass(frozen=True)
@@ -335,7 +305,6 @@ def weak_pairs(
     rho = np.clip(covariance / np.outer(scale, scale), -1.0, 1.0)
     directions = np.zeros((len(std), 0)) if gauge is None else gauge
     directions = directions[:, directions.any(axis=0)]  # the others move no parameter
-
     names = [parameter.partition(".") for parameter in ids]
 
     def known(place: int, second: int) -> float:
@@ -343,26 +312,19 @@ def weak_pairs(
         rows = [i for i, parts in enumerate(names) if same_leg and parts[2] == names[second][2]]
         return _known(covariance, directions, place, [i for i in rows or [second] if finite[i]])
 
-    pairs = [
-        WeakPair(
-            ids[i],
-            ids[j],
-            float(rho[i, j]),
-            (float(std[i]), float(std[j])),
-            (known(i, j), known(j, i)),
-        )
-        for i, j in np.argwhere(np.triu(np.abs(rho) > sqrt(1.0 - _WEAKLY**-2), 1)).tolist()
-    ]
+    pairs = []
+    for i, j in np.argwhere(np.triu(np.abs(rho) > sqrt(1.0 - _WEAKLY**-2), 1)).tolist():
+        stds, knowns = (float(std[i]), float(std[j])), (known(i, j), known(j, i))
+        pairs.append(WeakPair(ids[i], ids[j], float(rho[i, j]), stds, knowns))
     weak = [pair for pair in pairs if _WEAKLY <= pair.gain < 1.0 / NEGLIGIBLE]  # else tied
     return tuple(sorted(weak, key=lambda pair: -pair.gain))
 
 
-def _known(covariance: Array, gauge: Array, place: int, fixed: Sequence[int]) -> float:
+def _known(covariance: Array, gauge: Array, place: int, fixed: list[int]) -> float:
     """Return the standard error of one parameter if others were known, frames still unknown."""
-    moved = gauge[list(fixed)] / np.linalg.norm(gauge, axis=0)
-    axes, size, _ = np.linalg.svd(moved)
+    axes, size, _ = np.linalg.svd(gauge[fixed] / np.linalg.norm(gauge, axis=0))
     unmoved = axes[:, int((size > RANK_TOLERANCE).sum()) :].T  # combinations no frame can move
-    across = unmoved @ covariance[list(fixed)]
-    inner = across[:, list(fixed)] @ unmoved.T
+    across = unmoved @ covariance[fixed]
+    inner = across[:, fixed] @ unmoved.T
     gained = across[:, place] @ np.linalg.pinv(inner, hermitian=True) @ across[:, place]
     return float(np.sqrt(max(covariance[place, place] - gained, 0.0)))

@@ -203,9 +203,7 @@ def jacobian_near(
     parameter = block_diagonal((legs.parameter / size, by_external * per))
     alike = np.broadcast_to(np.eye(pose.shape[1]), (len(pose), *2 * pose.shape[1:2]))
     free = white_rows(pose, alike)(parameter)
-    free = free[np.isfinite(free).all(axis=(1, 2))].reshape(-1, parameter.shape[2])
-    _, prior = unknowns.prior_rows(unknowns.start)
-    return legs, np.concatenate((free @ unknowns.map, prior))
+    return legs, unknowns.free_rows(free[np.isfinite(free).all(axis=(1, 2))])
 
 
 def lost_directions(J: Array) -> tuple[Array, Array]:
@@ -254,7 +252,9 @@ def changes_of(leg: Leg, size: float) -> Array:
 
     Lengths by a share of ``size``, gains of themselves, angles of a radian, numbers of 1.
     """
-    scales = {name: size if leg.units[name] == "m" else 1.0 for name, _ in leg.parameters}
     gains = {sensor.gain for sensor in leg.sensors}
-    scales |= {name: abs(value) or 1.0 for name, value in leg.parameters if name in gains}
-    return DIFFER * np.array(list(scales.values()))
+    scales = [
+        (abs(value) or 1.0) if name in gains else size if leg.units[name] == "m" else 1.0
+        for name, value in leg.parameters
+    ]
+    return DIFFER * np.array(scales)
