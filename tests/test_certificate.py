@@ -9,13 +9,10 @@ import pytest
 from measured import workspace
 
 import pincal
-from pincal.design import criteria as candidates
-from pincal.design import search as leg_rows
 from pincal.design.certificate import continuous_design, derivatives
 from pincal.design.criteria import Determinant, MeanVariance
 from pincal.design.exchange import exchange
 from pincal.design.information import leg_rows as leg_rows_of
-from pincal.design.search import LegRows, in_memory
 from pincal.kinematics.derivatives import leg_demand
 
 
@@ -84,29 +81,6 @@ def test_no_swap_of_two_improves_a_set() -> None:
     for kept in combinations(chosen.tolist(), 8):
         for other in set(range(60)) - set(chosen.tolist()):
             assert value([*kept, other]) <= log_det + 1e-9
-
-
-@pytest.mark.parametrize("protocol", ["symmetric", "orbits", "common"])
-def test_rows_that_are_not_held_choose_the_same(
-    monkeypatch: pytest.MonkeyPatch, protocol: str
-) -> None:
-    """More candidates than memory holds: evaluated chunk by chunk, the same poses are chosen."""
-    mechanism, poses = pincal.load_mechanism("3RRR"), workspace("3RRR", 3000)
-    whole = pincal.select_poses(mechanism, poses, 12, protocol, starts=2)  # type: ignore[arg-type]
-    monkeypatch.setattr(leg_rows, "IN_MEMORY", 1000)
-    monkeypatch.setattr(candidates, "_CHUNK", 700)
-    parts = pincal.select_poses(mechanism, poses, 12, protocol, starts=2)  # type: ignore[arg-type]
-    np.testing.assert_allclose(parts.plan.poses, whole.plan.poses, atol=1e-12)
-    assert parts.efficiency == pytest.approx(whole.efficiency, abs=1e-9)
-
-
-def test_cores_evaluate_the_same_rows(monkeypatch: pytest.MonkeyPatch) -> None:
-    """On two processes the rows are those of one, to the last bit."""
-    monkeypatch.setattr(leg_rows, "_TASK", 150)
-    mechanism = pincal.load_mechanism("3RRR")
-    rows = LegRows(mechanism, workspace("3RRR", 400), mechanism.leg_names, pincal.Noise())
-    for alone, together in zip(in_memory(rows)[:], in_memory(rows, jobs=2)[:], strict=True):
-        np.testing.assert_array_equal(alone, together)
 
 
 def test_candidates_out_of_reach_carry_no_weight_and_are_not_chosen() -> None:

@@ -22,7 +22,7 @@ from pincal.design.orbits import (
     selection_group,
     smallest,
 )
-from pincal.design.search import LegRows
+from pincal.design.search import Search, SelectionOptions
 from pincal.estimation.observability.indices import indices
 from pincal.kinematics.derivatives import leg_demand
 
@@ -264,8 +264,9 @@ def test_orbits_are_as_good_as_all_legs_together() -> None:
     found, _ = orbit_of(elements, mechanism.platform.matrices(poses))
     names = mechanism.leg_names
     images = mechanism.platform.from_matrices(found.reshape(-1, 4, 4))
-    every = block_diagonal(list(LegRows(mechanism, images, names, pincal.Noise())[:]))
-    (orbits,) = LegRows(mechanism, poses, ("leg_1",), pincal.Noise(), elements)[:]
+    search = Search(mechanism, poses, 1, SelectionOptions())
+    every = block_diagonal(list(search.rows(images, names)))
+    (orbits,) = search.rows(poses, ("leg_1",), elements)
     common = continuous_design((every,)).bound / len(mechanism.legs)
     own = continuous_design((orbits,)).bound - orbits.shape[2] * np.log(len(elements))
     assert own == pytest.approx(common, abs=2e-2)

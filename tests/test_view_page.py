@@ -278,7 +278,7 @@ def test_a_served_page_moves_off_its_poses(name: str, opened: Any) -> None:
     window, first = opened(view, served=True), view.scene.plan.rows([0])
     if mechanism.by_readings:
         shift = np.array([0.02, -0.01, 0.03])
-        readings = view.scene.readings[:1] + shift
+        readings = view.scene.body.readings[:1] + shift
         pose = pincal.forward(mechanism, readings).poses
     else:
         shift = np.array([0.02, -0.01, 0.03, 0.02, -0.03, 0.04])[
@@ -359,7 +359,7 @@ def test_layers_and_sets_can_be_hidden(opened: Any) -> None:
         ("poses, as ghosts", "ghosts", False),
         ("poses, as dots", "sets", True),
         ("identified, errors × 30", "identified", True),
-        ("workspace, 100 positions; strong colour: fundamental domain of C3", "cloud", True),
+        ("workspace, 100 positions", "cloud", True),
         ("leg_1, 3 poses", "sets/1", True),
     ):
         box = window.page.get_by_label(label)

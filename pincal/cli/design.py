@@ -73,7 +73,6 @@ class SelectOptions(PlanOptions):
     )
     goal: Goal = option("parameters", "Best for the parameters, or for the calibrated platform.")
     starts: int = option(5, "Starts of the search; the best is kept.", least=1)
-    jobs: int = option(1, "Processes, with a protocol; -1 for one a core.", most=1024)
     verify: int = option(
         0, "Random poses beside them, by which the calibration is checked.", least=0
     )
@@ -155,9 +154,7 @@ def _choose(
     search["progress"] = progress
     if not together:
         protocol = options.protocol or _protocol_of(mechanism)
-        chosen = select_poses(
-            mechanism, candidates.poses, options.count, protocol, jobs=options.jobs, **search
-        )
+        chosen = select_poses(mechanism, candidates.poses, options.count, protocol, **search)
         if chosen.unreachable:
             remark(f"{chosen.unreachable} candidate poses are out of reach and were left out")
         return chosen.plan, candidates, selection_table(chosen)

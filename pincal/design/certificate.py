@@ -17,11 +17,9 @@ import numpy as np
 from scipy.linalg import qr
 
 from pincal.design.criteria import (
-    Candidates,
     Criterion,
     Determinant,
     Parts,
-    as_candidates,
     gradient,
     inverse_roots,
     largest,
@@ -78,34 +76,28 @@ class ContinuousDesign:
         return float(np.exp((value - self.bound) / self.degree) / count)
 
 
-def continuous_design(
-    rows: Candidates | Parts,
-    criterion: Criterion | None = None,
-    factors: Parts | None = None,
-) -> ContinuousDesign:
+def continuous_design(rows: Parts, criterion: Criterion | None = None) -> ContinuousDesign:
     """Return a nearly optimal continuous design and its bound.
 
     Args:
         rows: Rows that each candidate contributes, of each part of the parameters, shape (M, r, n).
         criterion: Criterion to maximise; log det if not given.
-        factors: Triangles of all rows (see ``triangles``), if they are known.
 
     Raises:
         ObservabilityError: all candidates together leave a parameter undetermined.
     """
-    candidates, criterion = as_candidates(rows), criterion or Determinant()
-    factors = triangles(candidates) if factors is None else factors
+    criterion, factors, total = criterion or Determinant(), triangles(rows), len(rows[0])
     if any(map(_lacks_rank, factors)):
         raise ObservabilityError("the candidate poses leave a parameter undetermined")
     # In these coordinates the information of equal weights is 1.
-    turns = tuple(np.linalg.inv(factor) * np.sqrt(len(candidates)) for factor in factors)
+    turns = tuple(np.linalg.inv(factor) * np.sqrt(total) for factor in factors)
     turned = criterion.transformed(turns)
     n = sum(len(turn) for turn in turns)
     degree, gap = criterion.degree(n), 1.0
-    support = _first_support(candidates, turns, max(_FIRST, 4 * n))
+    support = _first_support(rows, turns, max(_FIRST, 4 * n))
     weights = np.full(len(support), 1.0 / len(support))
     for _ in range(_ROUNDS):
-        parts = _turned(candidates[support], turns)
+        parts = _turned(rows, support, turns)
         weights = _interior_point(parts, weights, turned, gap)
         carrying = weights > 0.0
         support, weights = support[carrying], weights[carrying]
@@ -114,7 +106,7 @@ def continuous_design(
             turn @ root @ turned.direction(root[None])[0]
             for turn, root in zip(turns, roots, strict=True)
         )
-        slopes = gradient(candidates, tangents)
+        slopes = gradient(rows, tangents)
         gap = float(slopes.max()) / degree - 1.0
         if gap <= TOLERANCE:
             break
@@ -126,8 +118,8 @@ def continuous_design(
         weights = np.append((1.0 - share) * weights, equal)
     carrying = weights > 0.0
     roots = np.sqrt(weights[carrying])[:, None, None]
-    value = criterion.value(tuple(part * roots for part in candidates[support[carrying]]))
-    all_weights = np.zeros(len(candidates))
+    value = criterion.value(tuple(part[support[carrying]] * roots for part in rows))
+    all_weights = np.zeros(total)
     all_weights[support] = weights
     bound = value + degree * float(np.log1p(max(0.0, gap)))
     return ContinuousDesign(all_weights, slopes, value, bound, degree)
@@ -141,25 +133,25 @@ def _lacks_rank(factor: Array) -> bool:
     )
 
 
-def _first_support(candidates: Candidates, turns: Parts, size: int) -> Index:
+def _first_support(rows: Parts, turns: Parts, size: int) -> Index:
     """Return the candidates of largest leverage, and some that together have full rank.
 
     The largest may be copies of few; candidates drawn by leverage determine all that all determine.
     """
-    leverage = gradient(candidates, turns)
+    leverage = gradient(rows, turns)
     cumulated = np.cumsum(leverage)
     levels = (np.arange(_SAMPLE) + 0.5) / _SAMPLE * cumulated[-1]
     sample = np.unique(np.searchsorted(cumulated, levels))
     support = [largest(leverage, size)]
-    for part in _turned(candidates[sample], turns):
+    for part in _turned(rows, sample, turns):
         r, n = part.shape[1:]
         _, pivots = qr(part.reshape(-1, n).T, mode="r", pivoting=True)
         support.append(sample[pivots[:n] // r])
     return np.unique(np.concatenate(support))
 
 
-def _turned(rows: Parts, turns: Parts) -> Parts:
-    return tuple(part @ turn for part, turn in zip(rows, turns, strict=True))
+def _turned(rows: Parts, places: Index, turns: Parts) -> Parts:
+    return tuple(part[places] @ turn for part, turn in zip(rows, turns, strict=True))
 
 
 def _inverse_root(rows: Array, weights: Array) -> Array:

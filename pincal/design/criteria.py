@@ -18,7 +18,6 @@ into parts, and their determinants multiply. Rows are a tuple with an array for 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Protocol, TypeAlias
 
@@ -133,65 +132,30 @@ class MeanVariance:
             return np.where(regular & (ratio > 0.0), -np.log(ratio), -np.inf)
 
 
-class Candidates(Protocol):
-    """Rows of candidates, by their places: in memory, or evaluated when they are asked for."""
-
-    def __len__(self) -> int:
-        """Return the number of candidates."""
-
-    def __getitem__(self, places: Index | slice) -> Parts:
-        """Return the rows of some candidates, shape (s, r, n) for each part."""
-
-
-@dataclass(frozen=True)
-class RowArrays:
-    """Rows in memory."""
-
-    parts: Parts
-    """Shape (M, r, n) each."""
-
-    def __len__(self) -> int:
-        """See ``Candidates``."""
-        return len(self.parts[0])
-
-    def __getitem__(self, places: Index | slice) -> Parts:
-        """See ``Candidates``."""
-        return tuple(part[places] for part in self.parts)
-
-
-def as_candidates(rows: Candidates | Parts) -> Candidates:
-    """Return rows of candidates, which may be given as arrays."""
-    return RowArrays(rows) if isinstance(rows, tuple) else rows
-
-
-def _row_chunks(candidates: Candidates) -> Iterator[tuple[slice, Parts]]:
-    for chunk in chunks(len(candidates), _CHUNK):
-        yield chunk, candidates[chunk]
-
-
-def triangles(candidates: Candidates) -> Parts:
+def triangles(rows: Parts) -> Parts:
     """Return a triangle R of each part, shape (n, n) or less: Rᵀ R is the Gram of all rows."""
-    by_chunk = [[_triangle(part) for part in parts] for _, parts in _row_chunks(candidates)]
-    return tuple(_triangle(np.concatenate(factors)) for factors in zip(*by_chunk, strict=True))
+    return tuple(map(_triangle, rows))
 
 
 def _triangle(rows: Array) -> Array:
     return np.asarray(np.linalg.qr(rows.reshape(-1, rows.shape[-1]), mode="r"))
 
 
-def gradient(candidates: Candidates, turns: Parts) -> Array:
+def gradient(rows: Parts, turns: Parts) -> Array:
     """Return |Aⱼ T|² of each candidate, summed over the parts, shape (M,).
 
     With T = R H it is the change of the value by a small weight on the candidate.
 
     Args:
-        candidates: Rows of M candidates.
+        rows: Rows of M candidates.
         turns: T of each part, shape (n, k).
     """
-    total = np.zeros(len(candidates))
-    for chunk, parts in _row_chunks(candidates):
-        for part, turn in zip(parts, turns, strict=True):
-            turned = (part.reshape(-1, len(turn)) @ turn).reshape(len(part), -1)
+    total = np.zeros(len(rows[0]))
+    for part, turn in zip(rows, turns, strict=True):
+        for chunk in chunks(len(part), _CHUNK):
+            turned = (part[chunk].reshape(-1, len(turn)) @ turn).reshape(
+                chunk.stop - chunk.start, -1
+            )
             total[chunk] += np.einsum("mk,mk->m", turned, turned)
     return total
 

@@ -1,9 +1,9 @@
 """Exchange of candidates: one of a set is swapped for another as long as that gains something.
 
 Fedorov (1972); of robot poses Sun and Hollerbach (2008). A criterion is concave in M, so that a
-swap gains less than its gradients differ: swaps are ranked by that, the most promising tried
-exactly, and no swap is overlooked by leaving out those that promise nothing. All starts are
-swapped at once.
+swap gains less than its gradients differ, and about that less half of how they bend. Swaps are
+ranked by the second and tried exactly; none is overlooked, as those that promise nothing by the
+first gain nothing. All starts are swapped at once.
 """
 
 from __future__ import annotations
@@ -12,11 +12,9 @@ import numpy as np
 
 from pincal.design.certificate import continuous_design
 from pincal.design.criteria import (
-    Candidates,
     Criterion,
     Determinant,
     Parts,
-    as_candidates,
     gradient,
     inverse_roots,
     largest,
@@ -26,10 +24,9 @@ from pincal.kinematics.batches import chunks
 from pincal.model.checks import ROUNDING
 from pincal.types import Array, Index
 
-_POOL = 200  # candidates that swaps come from, at least; by as many the pool grows
+_POOL = 100  # candidates that swaps come from, at least; by as many the pool grows
 _POOL_PER_CHOSEN = 4  # candidates in the pool for each of a set, at least
-_RANDOM = 50  # further candidates in the pool, drawn from all
-_TRIED = 8  # weakest members that are swapped for as many of the strongest candidates
+_RANDOM = 30  # further candidates in the pool, drawn from all
 _CHUNK = 4096  # swaps that are tried together
 _SWAPS = 1000  # swaps of a set between two looks at all candidates, at most
 _LOOKS = 100  # looks at all candidates, at most
@@ -39,12 +36,11 @@ _WEIGHTED = (0.95, 0.7)  # share of priority by which the first and the last sta
 
 
 def best_choice(
-    rows: Candidates | Parts,
+    rows: Parts,
     count: int,
     rng: np.random.Generator,
     starts: int,
     criterion: Criterion | None = None,
-    factors: Parts | None = None,
 ) -> tuple[Index, float]:
     """Return the best choice of candidates, and its efficiency against the bound on any choice.
 
@@ -55,18 +51,17 @@ def best_choice(
         rng: Source of the random starts.
         starts: Number of starts.
         criterion: Criterion to maximise; log det if not given.
-        factors: See ``continuous_design``.
 
     Raises:
         ObservabilityError: the candidates leave a parameter undetermined, or are too few.
     """
-    design = continuous_design(rows, criterion, factors)
+    design = continuous_design(rows, criterion)
     chosen, value = exchange(rows, count, design.priority, rng, starts, criterion)
     return chosen, design.efficiency(value, count)
 
 
 def exchange(
-    rows: Candidates | Parts,
+    rows: Parts,
     count: int,
     priority: Array,
     rng: np.random.Generator,
@@ -91,16 +86,15 @@ def exchange(
     Raises:
         ObservabilityError: fewer candidates than the set is to have.
     """
-    candidates, criterion = as_candidates(rows), criterion or Determinant()
-    if len(candidates) < count:
+    criterion, total = criterion or Determinant(), len(rows[0])
+    if total < count:
         raise ObservabilityError(
-            f"{len(candidates)} candidates are in reach, no two of them alike; {count} are to be "
-            "chosen"
+            f"{total} candidates are in reach, no two of them alike; {count} are to be chosen"
         )
     size = max(_POOL, _POOL_PER_CHOSEN * count)
-    drawn = rng.integers(len(candidates), size=_RANDOM)
+    drawn = rng.integers(total, size=_RANDOM)
     pool = np.union1d(largest(priority, size), drawn)
-    raw = candidates[pool]
+    raw = tuple(part[pool] for part in rows)
     scales = tuple(1.0 / np.linalg.norm(part, axis=(0, 1)) for part in raw)
     scaled = criterion.transformed(tuple(map(np.diag, scales)))
     best, best_value, near = np.arange(0), -np.inf, priority[pool]
@@ -116,11 +110,11 @@ def exchange(
             scale[:, None] * (root @ scaled.direction(root))[0]
             for root, scale in zip(_roots(parts, best[None]), scales, strict=True)
         )
-        slopes = gradient(candidates, turns)
+        slopes = gradient(rows, turns)
         better = np.flatnonzero(slopes > slopes[pool[best]].min())
         joining = np.setdiff1d(better[largest(slopes[better], size)], pool)
         pool = np.concatenate((pool, joining))
-        raw = tuple(map(np.concatenate, zip(raw, candidates[joining], strict=True)))
+        raw = tuple(part[pool] for part in rows)
         near = np.isin(np.arange(len(pool)), best).astype(float)
     return np.sort(pool[best]), best_value
 
@@ -149,51 +143,72 @@ def _swapped(rows: Parts, sets: Index, criterion: Criterion) -> Index:
 
     Swaps of a set that lacks rank are judged beside a ridge.
     """
-    sets, total = sets.copy(), len(rows[0])
-
-    def improved(active: Index, tried: int) -> Index:
-        """Swap in some sets, and return those that it improves."""
-        leaving, coming, gain = _best_swaps(rows, sets[active], criterion, tried)
-        better = gain > _GAIN
-        sets[active[better], leaving[better]] = coming[better]
-        return active[better]
-
-    active = np.arange(len(sets) if sets.shape[1] < total else 0)
+    sets = sets.copy()
+    active = np.arange(len(sets) if sets.shape[1] < len(rows[0]) else 0)
     for _ in range(_SWAPS):
         if not len(active):
             break
-        promising = active
-        for _ in range(_SWAPS):
-            promising = improved(promising, _TRIED)
-            if not len(promising):
-                break
-        _, first = np.unique(np.sort(sets[active], axis=1), axis=0, return_index=True)
-        active = improved(active[first], total)
+        leaving, coming, gain = _best_swaps(rows, sets[active], criterion)
+        better = gain > _GAIN
+        sets[active[better], leaving[better]] = coming[better]
+        active = active[better]
     return sets
 
 
-def _best_swaps(
-    rows: Parts, sets: Index, criterion: Criterion, tried: int
-) -> tuple[Index, Index, Array]:
-    """Return where in each set a candidate leaves, which one comes, and what that gains, (S,)."""
-    index, roots = np.arange(len(sets)), _roots(rows, sets)
+def _best_swaps(rows: Parts, sets: Index, criterion: Criterion) -> tuple[Index, Index, Array]:
+    """Return where in each set a candidate leaves, which one comes, and what that gains, (S,).
+
+    For each that leaves, the one that promises most to second order is tried exactly; where none
+    gains, all that promise anything to first order.
+    """
+    roots = _roots(rows, sets)
     W = tuple(part @ root[:, None] for part, root in zip(rows, roots, strict=True))
     V = tuple(
         part @ criterion.direction(root)[:, None] for part, root in zip(W, roots, strict=True)
     )
+    promise, estimate = _promises(W, V, sets, criterion.order)
+    worthy = promise > _GAIN
+    first = np.zeros(worthy.shape, dtype=bool)
+    strongest = np.where(worthy, estimate, -np.inf).argmax(axis=2)
+    np.put_along_axis(first, strongest[:, :, None], True, axis=2)
+    best, gain = np.zeros((len(sets), 2), dtype=np.int64), np.full(len(sets), -np.inf)
+    for tried in (worthy & first, worthy):
+        owner, out, coming = np.nonzero(tried & (gain <= _GAIN)[:, None, None])
+        exact = _gains(W, V, owner, np.column_stack((sets[owner, out], coming)), criterion)
+        order = np.argsort(exact, kind="stable")
+        best[owner[order]] = np.column_stack((out, coming))[order]
+        gain[owner[order]] = exact[order]
+    return best[:, 0], best[:, 1], gain
+
+
+def _promises(W: Parts, V: Parts, sets: Index, order: int) -> tuple[Array, Array]:
+    """Return what swaps gain to first and to second order, shape (S, count, P).
+
+    Args:
+        W: Rows of candidates times the root R of the inverse of each set, shape (S, P, r, n).
+        V: W times the criterion's direction, shape (S, P, r, k).
+        sets: Members, shape (S, count).
+        order: Of the criterion.
+    """
+    index = np.arange(len(sets))[:, None]
     slopes = np.sum([(part * part).sum(axis=(2, 3)) for part in V], axis=0)
-    inside = np.take_along_axis(slopes, sets, axis=1)
-    np.put_along_axis(slopes, sets, -np.inf, axis=1)
-    weakest = np.argsort(inside, axis=1)[:, :tried]
-    strongest = np.argsort(-slopes, axis=1)[:, :tried]
-    lost = np.take_along_axis(inside, weakest, axis=1)[:, :, None]
-    promise = np.take_along_axis(slopes, strongest, axis=1)[:, None] - lost
-    owner, i, j = np.nonzero(promise > _GAIN)
-    pairs = np.column_stack((sets[owner, weakest[owner, i]], strongest[owner, j]))
-    gain = np.full(promise.shape, -np.inf)
-    gain[owner, i, j] = _gains(W, V, owner, pairs, criterion)
-    i, j = np.divmod(gain.reshape(len(sets), -1).argmax(axis=1), promise.shape[2])
-    return weakest[index, i], strongest[index, j], gain[index, i, j]
+    bend = np.zeros((*sets.shape, slopes.shape[1]))
+    for w, v in zip(W, V, strict=True):
+        S, P, r, _ = w.shape
+        K, Q = (
+            part[index, sets].reshape(S, -1, part.shape[3]) @ part.reshape(S, P * r, -1).mT
+            for part in (w, v)
+        )
+        bend -= 2.0 * (K * Q).reshape(S, -1, r, P, r).sum(axis=(2, 4))
+        own = ((w @ w.mT) * (v @ v.mT)).sum(axis=(2, 3))
+        bend += own[:, None] + own[index, sets][:, :, None]
+    promise = slopes[:, None] - slopes[index, sets][:, :, None]
+    np.put_along_axis(
+        promise, np.broadcast_to(sets[:, None], (*sets.shape, sets.shape[1])), -np.inf, axis=2
+    )
+    with np.errstate(invalid="ignore"):
+        estimate = promise - 0.5 * (1 + order) * bend + 0.5 * order * promise**2
+    return promise, estimate
 
 
 def _gains(W: Parts, V: Parts, owners: Index, pairs: Index, criterion: Criterion) -> Array:

@@ -154,8 +154,7 @@ def select_poses(
             is there twice counts once, whatever its whole turns and its last digits.
         count: Poses for each leg; with ``orbits``, number of orbits; with ``common``, poses.
         protocol: See the module.
-        **options: ``noise``, ``seed``, ``starts``, ``jobs``, ``scheduler``, ``progress``: see
-            ``SelectionOptions``.
+        **options: ``noise``, ``seed``, ``starts``, ``progress``: see ``SelectionOptions``.
 
     Raises:
         ObservabilityError: too few poses for the parameters, too few candidates in reach, or

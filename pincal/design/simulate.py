@@ -109,57 +109,46 @@ def simulate(
     plan, noise = read_poses(plan, mechanism), as_noise(noise)
     rng = generator_of(seed, MeasurementError)
     count, platform = len(plan.poses), mechanism.platform
-    drive = _taken if mechanism.redundant else _driven
-    poses, readings, influences, reasons = drive(mechanism, truth, plan)
+    if mechanism.redundant:
+        poses, solution = plan.poses, inverse(truth, plan.poses, planned_influences(truth, plan))
+        readings = solution.readings
+        causes = [solution.reason(row) for row in range(count)]
+        reasons = [f"true mechanism: {reason}" if reason else "" for reason in causes]
+    else:
+        _, readings, poses, reasons = _driven(mechanism, truth, plan)
     rows = np.flatnonzero([not reason for reason in reasons])
+    measured = replace(plan.rows(rows), poses=poses[rows])
+    if not mechanism.redundant:
+        measured = replace(measured, readings=readings[rows])
+    influences = by_name(truth, planned_influences(truth, measured))
     # One draw for each planned pose, so that a lost pose does not shift the others' noise.
     pose_noise = noise.of_poses(mechanism) * rng.standard_normal((count, platform.dof))
     reading_noise = noise.reading * rng.standard_normal((count, len(mechanism.reading_names)))
     measurements = Measurements(
-        poses=platform.moved(poses[rows], pose_noise[rows]),
+        poses=platform.moved(measured.poses, pose_noise[rows]),
         readings=readings[rows] + reading_noise[rows],
-        sets=None if plan.sets is None else tuple(plan.sets[row] for row in rows),
-        places=None if plan.places is None else tuple(plan.places[row] for row in rows),
-        influences={name: values[rows] for name, values in influences.items()},
+        sets=measured.sets,
+        places=measured.places,
+        influences={**measured.influences, **influences},
     )
     lost = tuple((row, reason) for row, reason in enumerate(reasons) if reason)
     return Simulation(measurements, rows, lost)
 
 
 def _driven(
-    mechanism: Mechanism, truth: Mechanism, planned: Plan
-) -> tuple[Array, Array, dict[str, Array], list[str]]:
-    """Return true poses, readings of nominal commands, influences, and why some have no pose."""
-    targets, readings, reasons = command(mechanism, planned)
-    driven = np.flatnonzero([not reason for reason in reasons])
+    model: Mechanism, truth: Mechanism, planned: Plan
+) -> tuple[Array, Array, Array, list[str]]:
+    """Return commanded poses and readings, true poses, and why some rows have none, else empty."""
+    targets, readings, reasons = command(model, planned)
+    rows = np.flatnonzero([not reason for reason in reasons])
     reasons = [reason and f"nominal mechanism: {reason}" for reason in reasons]
-    commanded = replace(planned.rows(driven), readings=readings[driven])
-    solution = forward(truth, readings[driven], targets[driven], influences_of(truth, commanded))
-    influences = planned_influences(truth, replace(commanded, poses=solution.poses))
-    reached = None if influences is None else np.full((len(reasons), influences.shape[1]), np.nan)
-    if reached is not None:
-        reached[driven] = influences
-    for row, reason in zip(driven, solution.reasons, strict=True):
+    commanded = replace(planned.rows(rows), readings=readings[rows])
+    solution = forward(truth, readings[rows], targets[rows], influences_of(truth, commanded))
+    for row, reason in zip(rows, solution.reasons, strict=True):
         reasons[row] = f"true mechanism: {reason}" if reason else ""
-    poses = np.full(planned.poses.shape, np.nan)
-    poses[driven] = solution.poses
-    return poses, readings, _columns(truth, planned, reached), reasons
-
-
-def _taken(
-    _: Mechanism, truth: Mechanism, planned: Plan
-) -> tuple[Array, Array, dict[str, Array], list[str]]:
-    """Return planned poses, true readings there, influences, and why a pose is not reached."""
-    influences = planned_influences(truth, planned)
-    solution = inverse(truth, planned.poses, influences)
-    causes = [solution.reason(row) for row in range(len(planned.poses))]
-    reasons = [f"true mechanism: {reason}" if reason else "" for reason in causes]
-    return planned.poses, solution.readings, _columns(truth, planned, influences), reasons
-
-
-def _columns(truth: Mechanism, planned: Plan, influences: Array | None) -> dict[str, Array]:
-    """Return the influences of rows by column: those of the plan, and those that worked."""
-    return {**planned.influences, **by_name(truth, influences)}
+    poses = np.full(targets.shape, np.nan)
+    poses[rows] = solution.poses
+    return targets, readings, poses, reasons
 
 
 @dataclass(frozen=True, repr=False)
@@ -196,13 +185,10 @@ def platform_errors(model: Mechanism, truth: Mechanism, poses: Plan | Poses) -> 
     """
     platform = model.platform
     plan = poses if isinstance(poses, Plan) else Plan(platform.coordinates_of(poses))
-    targets, readings, reasons = command(model, plan)
+    targets, _, reached, reasons = _driven(model, truth, plan)
+    rows = np.flatnonzero([not reason for reason in reasons])
     errors = np.full(targets.shape, np.nan)
-    driven = np.flatnonzero([not reason for reason in reasons])
-    commanded = replace(plan.rows(driven), readings=readings[driven])
-    solution = forward(truth, readings[driven], targets[driven], influences_of(truth, commanded))
-    reached = driven[solution.converged]
-    errors[reached] = platform.twists_between(targets[reached], solution.poses[solution.converged])
+    errors[rows] = platform.twists_between(targets[rows], reached[rows])
     return errors
 
 
