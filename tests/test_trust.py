@@ -17,8 +17,8 @@ import pincal
 from pincal.calibration.calibrate import compare_runs
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.fits import Near, fitted
-from pincal.calibration.missed import least_of_folds
 from pincal.calibration.options import Options, folds_of
+from pincal.calibration.validation import least_of_folds
 from pincal.show.answers import check_lines
 from pincal.words.numbers import amount
 from pincal.words.sentences import finding, sentence

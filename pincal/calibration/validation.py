@@ -11,26 +11,26 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import bdtrc, betaincinv, chdtri
 
 from pincal.blas import on_one_thread
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.covariance import chi2_freedoms, confidence, exceeded
 from pincal.calibration.findings import lacking, rounding
 from pincal.calibration.fits import Fits, Near, fitted
-from pincal.calibration.missed import (
-    Missed,
-    Misses,
-    Predicted,
-    least_of_folds,
-    missed,
-    misses_of,
-    predictions,
-)
+from pincal.calibration.missed import Missed, missed, misses_of
 from pincal.calibration.options import FOLDS, By, folds_of
 from pincal.calibration.promise import UNEXPLAINED
+from pincal.design.platform_error import DRAWS
 from pincal.errors import MeasurementError
+from pincal.estimation.fit import Fit
+from pincal.estimation.problem import Linear
 from pincal.estimation.residuals.losses import UNLIKELY
+from pincal.estimation.solver import solve_poses
+from pincal.estimation.start import placed, poses_at_rest
+from pincal.estimation.system import NormalEquations
 from pincal.finding import Finding
+from pincal.types import Array, Index
 from pincal.words.numbers import chance
 from pincal.words.sentences import finding, sentences
 from pincal.words.wording import missed_line
@@ -102,46 +102,40 @@ def held_out(
         whole = _converged(calibration, "the fit of the rows that fit")
         calibration = whole.calibration
     groups = folds_of(calibration.measurements, folds, by)
-    every = bool((groups >= 0).all())  # rows to verify with are in no fit
-    total = sum(fit.chi2 for fit in whole.fits) if every else None
-    count = int(groups.max()) + 1
-    parts: list[Predicted] = []
-    misses: list[tuple[Calibration, Misses]] = []
-    chances = []
+    count, of_folds, misses, chances = int(groups.max()) + 1, np.zeros(4), [], []
+    dof = sum(fit.degrees_of_freedom for fit in whole.fits)
+    chi2 = sum(fit.chi2 for fit in whole.fits)
+    total = chi2 if (groups >= 0).all() else None  # rows to verify with are in no fit
     for fold in range(count):
         calibration.options.report(f"held-out rows, fold {fold + 1} of {count}")
-        seen_rows = groups != fold
-        seen_rows_alone = calibration.rows(seen_rows).at_this_noise()
+        seen_rows, unseen = groups != fold, calibration.rows(groups == fold)
         near = Near.of(whole, seen_rows) if whole.latent else None
-        fold_fits = _converged(seen_rows_alone, f"fold {fold + 1} of {count}", near)
-        unseen = calibration.rows(groups == fold)
-        own = [Predicted.of(one, linear) for one, linear in predictions(fold_fits, unseen)]
-        chances.append(_chance(fold_fits, own, total))
-        parts += own
-        misses.append((unseen, misses_of(unseen, fold_fits)))
-    equations = sum(part.equations for part in parts)
-    dof = sum(fit.degrees_of_freedom for fit in whole.fits)
-    fit = sum(fit.chi2 for fit in whole.fits) / max(dof, 1)
-    unit = 1.0 if calibration.noise.known else max(fit, 1e-300)  # noise that was estimated
-    growth = sum(part.unknown for part in parts) / equations
-    held = np.sqrt(sum(part.squares for part in parts) / equations / unit)
-    expected = np.sqrt(fit / unit * (1.0 + growth))
-    p_value = least_of_folds(min(chances), whole.fits, groups, known=calibration.noise.known)
-    readable = not rounding(whole)
-    remarks = lacking(whole) if readable else []
-    if readable and p_value < UNLIKELY and np.sqrt(fit / unit) <= MISSES:
-        remarks.append(
-            finding(
-                "held-out-worse", held_out=float(held), expected=float(expected), p_value=p_value
-            )
-        )
+        seen = calibration.rows(seen_rows).at_this_noise()
+        fits = _converged(seen, f"fold {fold + 1} of {count}", near)
+        sums = _sums(predictions(fits, unseen))
+        chances.append(_chance(fits, sums, total))
+        misses.append((unseen, misses_of(unseen, fits)))
+        of_folds += sums
+    known = calibration.noise.known
+    unit = 1.0 if known else max(chi2 / max(dof, 1), 1e-300)  # noise that was estimated
+    _, squares, unknown, equations = of_folds
+    fit = float(np.sqrt(chi2 / max(dof, 1) / unit))
+    held = float(np.sqrt(squares / equations / unit))
+    expected = float(fit * np.sqrt(1.0 + unknown / equations))
+    p_value = least_of_folds(min(chances), whole.fits, groups, known=known)
+    remarks = []
+    if not rounding(whole):
+        remarks = lacking(whole)
+        if p_value < UNLIKELY and fit <= MISSES:
+            worse = finding("held-out-worse", held_out=held, expected=expected, p_value=p_value)
+            remarks.append(worse)
     targets = missed(misses_of(calibration.rows(calibration.counts), whole), misses)
     return Validation(
         folds=count,
         rows=int((groups >= 0).sum()),
-        fit=float(np.sqrt(fit / unit)),
-        held_out=float(held),
-        expected=float(expected),
+        fit=fit,
+        held_out=held,
+        expected=expected,
         p_value=p_value,
         position=_both(targets, "m"),
         orientation=_both(targets, "rad"),
@@ -164,7 +158,45 @@ def _converged(calibration: Calibration, what: str, near: Near | None = None) ->
     return fits
 
 
-def _chance(fits_of_all: Fits, parts: Sequence[Predicted], total: float | None) -> float:
+def predictions(fits_of_all: Fits, unseen: Calibration) -> list[tuple[Fit, Linear]]:
+    """Return fits with their residuals and derivatives at rows that they have not seen."""
+    if fits_of_all.latent:
+        (fit,) = fits_of_all.fits
+        problem, external = unseen.latent_problem, fit.last.state.external
+        state = placed(problem, unseen.measurements, fit.parameters, external)
+        linear = problem.evaluate(poses_at_rest(problem, state))
+        return [(fit, solve_poses(problem, linear)[0])]
+    names = list(unseen.mechanism.leg_names)
+    measured_poses = unseen.given_poses(fits_of_all.external)
+    pairs = []
+    for fit in fits_of_all.fits:
+        group = [names.index(leg.name) for leg in fit.problem.legs]
+        problem, _ = unseen.measured_problem(group, *measured_poses)
+        pairs.append((fit, problem.evaluate(problem.start(fit.parameters))))
+    return pairs
+
+
+def _sums(predicted: Sequence[tuple[Fit, Linear]]) -> Array:
+    """Return sums over rows that fits have not seen, noise of unit variance, shape (4,).
+
+    Σ rᵀ (1 + J C Jᵀ)⁻¹ r; Σ rᵀ r; Σ tr(J C Jᵀ), by which the squares grow as the fits do not know
+    all; and the number of equations.
+    """
+    sums = np.zeros(4)
+    for fit, linear in predicted:
+        J, r = linear.jacobian, linear.residuals
+        spread = J @ (fit.covariance / fit.noise_scale**2) @ J.transpose(0, 2, 1)
+        weighed = np.linalg.solve(np.eye(J.shape[1]) + spread, r[:, :, None])[:, :, 0]
+        sums += (
+            (r * weighed).sum(),
+            (r**2).sum(),
+            np.einsum("nkk->", spread),
+            linear.equations.sum(),
+        )
+    return sums
+
+
+def _chance(seen: Fits, sums: Array, total: float | None) -> float:
     """Return the probability that rows miss a fit so far, or farther, if the model is right.
 
     χ² of all rows is larger than that of the rows seen by a χ² of its own, independent of theirs;
@@ -172,19 +204,18 @@ def _chance(fits_of_all: Fits, parts: Sequence[Predicted], total: float | None) 
     Σ rᵀ (1 + J C Jᵀ)⁻¹ r, which curvature spoils where a region is left out.
 
     Args:
-        fits_of_all: The fits of the rows seen.
-        parts: What they predict of the others.
+        seen: The fits of the rows seen.
+        sums: What they predict of the others (see ``_sums``), shape (4,).
         total: χ² of all rows at this noise; by the first order if not given.
     """
-    equations = sum(part.equations for part in parts)
-    fits = fits_of_all.fits
-    dof = sum(fit.degrees_of_freedom for fit in fits)
-    share = 1.0 if fits_of_all.latent else chi2_freedoms(fits_of_all.fits) / max(dof, 1)
-    chi2_seen = sum(fit.chi2 for fit in fits)
-    inside = sum(part.statistic for part in parts) if total is None else max(total - chi2_seen, 0.0)
+    statistic, _, _, equations = sums.tolist()
+    dof = sum(fit.degrees_of_freedom for fit in seen.fits)
+    share = 1.0 if seen.latent else chi2_freedoms(seen.fits) / max(dof, 1)
+    chi2_seen = sum(fit.chi2 for fit in seen.fits)
+    inside = statistic if total is None else max(total - chi2_seen, 0.0)
     ratio, own_ratio = inside / equations, chi2_seen / max(dof, 1)
-    if fits_of_all.calibration.noise.known:
-        known = confidence(fits_of_all).of_chi2
+    if seen.calibration.noise.known:
+        known = confidence(seen).of_chi2
         if exceeded(own_ratio, share * dof, known) >= UNEXPLAINED:  # else the noise is not as given
             return exceeded(ratio, share * equations, known)
     if not own_ratio > 0.0:
@@ -194,8 +225,72 @@ def _chance(fits_of_all: Fits, parts: Sequence[Predicted], total: float | None) 
 
 def _both(targets: Sequence[Missed], unit: str) -> tuple[float, float] | None:
     """Return root mean square misses of all targets, in the fit and held out; None without any."""
-    own = [target for target in targets if target.unit == unit]
-    if not own:
+    squares = [(target.fit**2, target.rms**2) for target in targets if target.unit == unit]
+    if not squares:
         return None
-    fit, held = np.sqrt(np.mean([(one.fit**2, one.rms**2) for one in own], axis=0)).tolist()
+    fit, held = np.sqrt(np.mean(squares, axis=0)).tolist()
     return fit, held
+
+
+_RANK = 1e-10  # least share of a direction in a fold
+
+
+def least_of_folds(least: float, fits: Sequence[Fit], groups: Index, *, known: bool) -> float:
+    """Return the probability that the least of all folds' probabilities is so small, or smaller.
+
+    By draws from what the model would make of noise; where none is as small, what independent folds
+    would give (Šidák 1967) if that is less.
+
+    Args:
+        least: The least probability of a fold.
+        fits: Of all rows.
+        groups: The fold of each row of the measurements, shape (N,); below 0 in none.
+        known: Whether the scale of the noise is known, else folds are compared with the others.
+    """
+    count = int(groups.max()) + 1
+    bound = float(bdtrc(0, count, least))
+    if count < 2 or (groups < 0).any():
+        return bound
+    random = np.random.default_rng(0)
+    parts = [_drawn(fit, groups[fit.rows], count, random) for fit in fits]
+    inside, own, equations = (np.sum(one, axis=0) for one in zip(*parts, strict=True))
+    dof = sum(fit.degrees_of_freedom for fit in fits)
+    if known:
+        unlikely = inside >= chdtri(equations, least)
+    else:  # of a share x of all, or more: the chance that 1 − x follows a beta distribution
+        rest = own.sum(axis=1, keepdims=True) - inside
+        share = betaincinv(0.5 * (dof - equations), 0.5 * equations, least)
+        unlikely = (rest > 0.0) & (inside * share >= rest * (1.0 - share))
+    below = int(unlikely.any(axis=1).sum())
+    return (1 + below) / (1 + DRAWS) if below else min(bound, 1 / (1 + DRAWS))
+
+
+def _drawn(
+    fit: Fit, folds: Index, count: int, random: np.random.Generator
+) -> tuple[Array, Array, Array]:
+    """Return drawn statistics and squared residuals of folds, (draws, count), their equations."""
+    used = fit.weights > 0.0
+    J = np.where(used[:, None, None], fit.last.jacobian @ fit.unknowns.map, 0.0)
+    _, prior = fit.unknowns.prior_rows(fit.parameters)
+    normal = NormalEquations.of(fit.system.triangle(fit.last, used.astype(float), white=True))
+    Q = normal.orthonormal(J).transpose(0, 2, 1)
+    roots, equations = [], []  # draws need no more than single precision
+    for fold in range(count):
+        part = Q[folds == fold]
+        share, V = np.linalg.eigh(np.einsum("nim,njm->ij", part, part))
+        has = share > _RANK
+        root = np.sqrt(share[has])[:, None] * V[:, has].T
+        roots.append((root.astype(np.float32), (1.0 - share[has]).astype(np.float32)))
+        equations.append(int(fit.last.equations[folds == fold][used[folds == fold]].sum()))
+    drawn = [random.standard_normal((DRAWS, len(left)), np.float32) for _, left in roots]
+    taken = sum(u @ root for u, (root, _) in zip(drawn, roots, strict=True))
+    if len(prior):
+        held = normal.orthonormal(prior).astype(np.float32)
+        taken = taken + random.standard_normal((DRAWS, len(prior)), np.float32) @ held
+    inside, squared = np.empty((DRAWS, count)), np.empty((DRAWS, count))
+    for fold, (u, (root, left)) in enumerate(zip(drawn, roots, strict=True)):
+        squares = np.square(u - taken @ root.T)
+        rest = random.chisquare(max(equations[fold] - len(left), 1e-9), DRAWS)
+        inside[:, fold] = squares @ (1.0 / np.maximum(left, _RANK)) + rest
+        squared[:, fold] = squares.sum(axis=1) + rest
+    return inside, squared, np.array(equations, dtype=float)
