@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pytest
 from command_line import done
-from marks import quick
 from measured import workspace
 
 import pincal
@@ -27,18 +26,17 @@ def leg_after_leg(count: int) -> tuple[pincal.Mechanism, pincal.Plan]:
     return mechanism, pincal.Plan(workspace("3RRR", 3 * count), sets)
 
 
-@pytest.mark.parametrize("method", quick(1, ["all-legs", "per-leg"]))
-def test_the_shift_is_that_of_calibrations(method: Literal["all-legs", "per-leg"]) -> None:
+def test_the_shift_is_that_of_calibrations() -> None:
     """Mean of calibrations with a drift less those of the same noise without: as forecast, to 2 %.
 
     Of a reading and of a coordinate, in standard errors, of the largest shift.
     """
     mechanism, plan = leg_after_leg(12)
-    found = drift(pincal.forecast(mechanism, plan, NOISE, method=method), plan)
+    found = drift(pincal.forecast(mechanism, plan, NOISE), plan)
     when = np.linspace(-0.5, 0.5, len(plan))
 
     def fitted(data: pincal.Measurements) -> pincal.CalibrationResult:
-        return pincal.calibrate(mechanism, data, noise=NOISE, method=method)
+        return pincal.calibrate(mechanism, data, noise=NOISE)
 
     for column, field, place, sigma in (
         (1, "readings", 1, NOISE.reading),
@@ -58,20 +56,6 @@ def test_the_shift_is_that_of_calibrations(method: Literal["all-legs", "per-leg"
         mean, told = np.mean(shifts, axis=0), found.shifts[:, column] / std
         off = np.abs(np.sign(mean @ told) * told - mean).max()
         assert off < 0.02 * np.abs(mean).max()
-
-
-def test_in_turns_a_drift_averages_out() -> None:
-    """Leg after leg the platform of legs calibrated alone is off three times as far, and more.
-
-    Of many poses: what each leg takes for its own place does not fall with their number, as the
-    standard errors do, with which it is compared.
-    """
-    mechanism, plan = leg_after_leg(100)
-    shares = [
-        drift(pincal.forecast(mechanism, one, NOISE, method="per-leg"), plan).share
-        for one in (plan, in_turns(plan))
-    ]
-    assert shares[0] > 3.0 * shares[1]
 
 
 def test_rows_to_verify_with_take_time() -> None:
@@ -126,7 +110,6 @@ def test_the_command_line_says_it(tmp_path: Path) -> None:
     said = done("select", *given, "--count", 12, "--starts", 1, "--reference", 6)
     assert "as the pose 'reference'" in said.err
     assert "a drift of each measured quantity" in said.out
-    assert "the same with --method per-leg" in said.out
     assert "that does not matter beside the noise" in " ".join(said.out.split())
     plan = pincal.Plan.from_csv(tmp_path / "plan.csv", "3RRR")
     assert plan.places is not None
@@ -180,5 +163,5 @@ def test_whether_a_drift_matters_is_said(relative: float, says: str) -> None:
         replace(found, most=relative, share=0.1),
         replace(found, most=0.0, share=relative),
     ):
-        (line,) = drift_lines([one])
+        (line,) = drift_lines(one)
         assert says in line

@@ -113,48 +113,6 @@ def test_frames_that_are_not_measured_are_chosen_alike(
     np.testing.assert_allclose(found.std, std, rtol=1e-5)
 
 
-@pytest.mark.parametrize(("name", "dealt"), [("5R", True), ("3RRR", False), ("linear_delta", True)])
-def test_each_leg_alone_gives_the_covariance_of_per_leg(name: str, dealt: bool) -> None:
-    """``calibrate`` leg by leg, on exact data: the poses of each leg's set, nothing shared."""
-    mechanism = pincal.load_mechanism(name)
-    poses = workspace(name, 60)
-    sets = tuple(mechanism.leg_names[row % len(mechanism.legs)] for row in range(60))
-    plan = pincal.Plan(poses, sets if dealt else None)
-    exact = pincal.simulate(mechanism, mechanism, plan, pincal.Noise(0.0, 0.0, 0.0)).measurements
-    result = pincal.calibrate(mechanism, exact, noise=NOISE, method="per-leg")
-    found = pincal.forecast(mechanism, plan, NOISE, method="per-leg")
-    np.testing.assert_allclose(found.covariance, result.covariance, rtol=1e-6, atol=1e-18)
-    expected = result.expected_error(poses)
-    assert found.platform_error(poses).position == pytest.approx(expected.position, rel=1e-6)
-    best = pincal.forecast(mechanism, poses, NOISE)
-    assert best.platform_error(poses).position < expected.position
-    assert found.poses_for(expected.position / 2.001, poses) == pytest.approx(240, abs=1)
-    share = 1 if plan.sets is None else len(mechanism.legs)
-    assert found.poses_for(1.0, poses) == share * len(mechanism.legs[0].parameters)
-
-
-def test_what_is_printed_is_said_of_which_method(tmp_path: Path) -> None:
-    """The bound is that of the default; the larger error of each leg alone is beside it."""
-    mechanism = pincal.load_mechanism("5R")
-    poses = workspace("5R", 30)
-    plan = pincal.Plan(poses, ("leg_1", "leg_2") * 15)
-    plan.to_csv(tmp_path / "plan.csv", mechanism)
-    outcome = done(
-        "identifiability", "5R", tmp_path / "plan.csv", "--accuracy", 1e-4, "--method", "per-leg"
-    )
-    said = " ".join(outcome.out.split())
-    own = pincal.forecast(mechanism, plan, method="per-leg")
-    over = pincal.sample_configurations(mechanism, 1000, 0)
-    alone = 1e3 * own.platform_error(over).position
-    best = 1e3 * pincal.forecast(mechanism, plan).platform_error(over).position
-    assert best < 0.9 * alone
-    assert f"{best:.3g} mm; the best that any calibration can reach;" in said
-    assert f"each leg alone by the poses of its set: root mean square {alone:.3g} mm" in said
-    assert f"{own.poses_for(1e-4, over):.0f} with --method per-leg" in said
-    outcome = done("identifiability", "5R", tmp_path / "plan.csv", "--measure", "x")
-    assert "alone" not in outcome.out
-
-
 def test_what_positions_alone_do_not_tell(poses: dict[str, np.ndarray]) -> None:
     """The platform's frame may turn: platform azimuths move together, all else stays known."""
     mechanism = pincal.load_mechanism("3RRR")
@@ -277,46 +235,19 @@ def test_the_command(tmp_path: Path, poses: dict[str, np.ndarray]) -> None:
     assert run("identifiability", "3RRR", "--measure", "nothing").code == 2
 
 
-@pytest.mark.parametrize(
-    ("name", "options", "message"),
-    [
-        ("3RRR", {"measured": ["x", "y"]}, "whole poses in the base frame"),
-        ("3RRR", {"setup": pincal.Setup(unknown_frame=True)}, "whole poses in the base frame"),
-        ("3RPS", {}, "determine the readings"),
-        ("3RRR", {"noise": pincal.Noise(0.0, 0.0, 0.0)}, "no noise at all"),
-        ("3RRR", {"method": "each"}, "no method 'each'; expected all-legs or per-leg"),
-    ],
-)
-def test_each_leg_alone_takes_whole_poses(name: str, options: dict, message: str) -> None:
-    """What a leg alone cannot be calibrated with is refused, and the other method named."""
-    mechanism = pincal.load_mechanism(name)
-    plan = pincal.sample_configurations(mechanism, 20, 0)
-    with pytest.raises(pincal.MeasurementError, match=message):
-        pincal.forecast(mechanism, plan, **({"method": "per-leg"} | options))
-
-
-def test_a_leg_without_enough_poses_of_its_own() -> None:
-    """Its parameters are named, their errors and the platform's infinite; the others' are not."""
+def test_measurements_without_noise_are_refused() -> None:
+    """What is exact has no information that could be weighed."""
     mechanism = pincal.load_mechanism("3RRR")
-    poses = pincal.sample_workspace(mechanism, 30, seed=0)
-    plan = pincal.Plan(poses, ("leg_1",) * 10 + ("leg_2",) * 15 + ("leg_3",) * 5)
-    found = pincal.forecast(mechanism, plan, NOISE, method="per-leg")
-    assert (found.rank.rank, found.lost.shape[1]) == (21, 3)
-    assert {name.split(".")[0] for group in found.rank.groups for name in group} == {"leg_3"}
-    assert np.isfinite(found.std[:16]).all()
-    assert np.isinf(found.std[16:]).any()
-    assert found.platform_error(poses).position == np.inf
-    none = pincal.Plan(poses, ("leg_1",) * 15 + ("leg_2",) * 15)
-    found = pincal.forecast(mechanism, none, NOISE, method="per-leg")
-    assert np.isinf(found.std[16:]).all()
-    assert np.isinf(found.poses_for(1e-3, poses))
+    plan = pincal.sample_configurations(mechanism, 20, 0)
+    with pytest.raises(pincal.MeasurementError, match="no noise at all"):
+        pincal.forecast(mechanism, plan, pincal.Noise(0.0, 0.0, 0.0))
 
 
 def test_what_people_see(poses: dict[str, np.ndarray]) -> None:
     """A line, a page of forty lines, and a frame with a row for each parameter."""
     pandas = pytest.importorskip("pandas")
     found = pincal.forecast(pincal.load_mechanism("6UPS"), poses["6UPS"], NOISE, ["x", "y", "z"])
-    assert repr(found) == "Forecast('6UPS', all-legs, 40 poses, rank 45 of 48)"
+    assert repr(found) == "Forecast('6UPS', 40 poses, rank 45 of 48)"
     assert len(str(found).splitlines()) <= 40
     assert "leg_1." in str(found)
     frame = found.to_dataframe()

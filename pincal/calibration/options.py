@@ -9,7 +9,6 @@ from typing import Any, Final, Literal, get_args
 
 import numpy as np
 
-from pincal.design.information import Method
 from pincal.errors import MeasurementError
 from pincal.estimation.blocks.legs import Residual
 from pincal.estimation.residuals.losses import Loss, LossName, loss_of
@@ -91,6 +90,8 @@ def _regions(readings: Array, count: int) -> Index:
     return found
 
 
+Method = Literal["all-legs", "per-leg"]
+"""All legs together from every row, or each leg alone."""
 Poses = Literal["own", "all"]
 Progress = Callable[[str], None] | None
 AUTO: Final = "auto"

@@ -20,8 +20,7 @@ from pincal.cli.options import (
     TableOptions,
     output_option,
 )
-from pincal.design.forecast import Drift, drift, forecast, scale_effect
-from pincal.design.information import Method
+from pincal.design.forecast import drift, forecast, scale_effect
 from pincal.design.orbits import selection_group
 from pincal.design.select import Protocol, in_turns, select_poses, with_reference, with_verification
 from pincal.design.select_configurations import Goal, select_configurations
@@ -34,7 +33,7 @@ from pincal.files.mechanism_folders import MECHANISM_FILES, load_mechanism, writ
 from pincal.files.output import refuse_existing, refuse_existing_of, writing_together
 from pincal.kinematics.configurations import as_plan, check_reached
 from pincal.kinematics.readers import arm_free_of_collision
-from pincal.model.measurements import EVERY_LEG, VERIFY, Noise, Plan
+from pincal.model.measurements import Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.option import option
 from pincal.show.forecasts import drift_lines, forecast_lines, poses_line, scale_lines
@@ -126,8 +125,13 @@ def select(
         remark(f"one pose is measured {len(plan) - count} times more, as the pose 'reference'")
     write_plan(plan, output, mechanism, units=units, force=options.force)
     stdout.print(table)
-    for line in drift_lines(_drifts(mechanism, plan, options, noise)):
-        stdout.print(line)
+    setup = options.read_setup()
+    try:
+        expected = forecast(mechanism, plan, noise, options.measured(mechanism, setup), setup)
+    except MeasurementError:  # noise that leaves something exact: only its ratios chose the poses
+        pass
+    else:
+        stdout.print(*drift_lines(drift(expected, plan)), sep="\n")
     wrote(output)
 
 
@@ -186,25 +190,10 @@ def _protocol_of(mechanism: Mechanism) -> Protocol:
     return "symmetric"
 
 
-def _drifts(mechanism: Mechanism, plan: Plan, options: SelectOptions, noise: Noise) -> list[Drift]:
-    """Return what a drift over the run would do: of all legs, and of each alone if it has a set."""
-    setup, leg_sets = options.read_setup(), set(plan.sets or ()) - {EVERY_LEG, VERIFY}
-    try:
-        forecasts = [forecast(mechanism, plan, noise, options.measured(mechanism, setup), setup)]
-        if leg_sets:
-            forecasts.append(forecast(mechanism, plan, noise, method="per-leg"))
-    except MeasurementError:  # noise that leaves something exact: only its ratios chose the poses
-        return []
-    return [drift(plan_forecast, plan) for plan_forecast in forecasts]
-
-
 @dataclass(frozen=True)
 class ForecastOptions(PlanOptions):
     """What is asked of a plan."""
 
-    method: Method = option(
-        "all-legs", "per-leg: say also what each leg alone gives, by its own poses."
-    )
     accuracy: float | None = option(
         None, "Wanted root mean square position error over the workspace [m], or as 20um.", unit="m"
     )
@@ -227,8 +216,7 @@ def identifiability(
     calibrate' will give it (the Cramér-Rao bound: the best that any calibration can reach), and
     the platform error over the workspace; with --accuracy how many poses that takes; what a drift
     over the run would do if poses are measured in the plan's order, and a wrong scale of the
-    instrument. With --method per-leg also what 'pincal calibrate --method per-leg' will give, where
-    poses are measured in full.
+    instrument.
 
     Positions are of the platform's origin in the robot's base frame, unless --unknown-frame,
     --unknown-target or --setup say otherwise.
@@ -244,21 +232,18 @@ def identifiability(
         workspace = sample_configurations(mechanism, 1000, options.seed)
         if plan is None:
             poses = sample_configurations(mechanism, options.count, options.seed + 1)
-    methods: list[Method] = ["all-legs"]
-    methods += ["per-leg"] if options.method == "per-leg" else []
-    forecasts = [forecast(mechanism, poses, noise, measured, setup, name) for name in methods]
-    errors = [each.platform_error(workspace) for each in forecasts]
-    drifts = [drift(each, workspace, error) for each, error in zip(forecasts, errors, strict=True)]
-    together, per_leg = forecasts[0], errors[1] if len(errors) > 1 else None
-    scale = scale_effect(together, as_plan(mechanism, poses), workspace, noise, setup)
+    expected = forecast(mechanism, poses, noise, measured, setup)
+    error = expected.platform_error(workspace)
+    drifted = drift(expected, workspace, error)
+    scale = scale_effect(expected, as_plan(mechanism, poses), workspace, noise, setup)
     with reading_in(units.printed):
-        stdout.print(standard_errors(together))
-        lines = forecast_lines(together, errors[0], together.poses, per_leg)
-        for line in (*lines, *drift_lines(drifts), *scale_lines(scale)):
+        stdout.print(standard_errors(expected))
+        lines = forecast_lines(expected, error)
+        for line in (*lines, *drift_lines(drifted), *scale_lines(scale)):
             stdout.print(line)
         if options.accuracy is not None:
-            counts = [each.poses_for(options.accuracy, workspace) for each in forecasts]
-            stdout.print(poses_line(options.accuracy, *counts))
+            needed = expected.poses_for(options.accuracy, workspace)
+            stdout.print(poses_line(options.accuracy, needed))
 
 
 @dataclass(frozen=True)

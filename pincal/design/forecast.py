@@ -1,8 +1,7 @@
 """What measurements will give before they are made: rank, standard errors, platform error.
 
-With all legs together the covariance is the inverse of the information that the best estimator
-draws (see ``information``): the Cramér-Rao bound. Each leg alone takes no notice of what the legs
-have in common, the pose, measured once, and poses that were chosen for other legs.
+The covariance is the inverse of the information that the best estimator draws from them (see
+``information``): the Cramér-Rao bound. What a drift or a wrong scale would do is told beside it.
 """
 
 from __future__ import annotations
@@ -10,18 +9,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pincal.blas import on_one_thread
 from pincal.design.information import (
-    Estimable,
-    Method,
-    all_legs,
     apart_from_frames,
-    check_whole,
-    each_leg,
     information_rows,
     parameter_ids,
     pseudo_inverse,
@@ -29,7 +23,12 @@ from pincal.design.information import (
 from pincal.design.platform_error import PlatformError, platform_error
 from pincal.errors import MeasurementError
 from pincal.estimation.observability.identifiable import WeakPair, weak_pairs
-from pincal.estimation.observability.indices import NEGLIGIBLE, nearest_to_nominal
+from pincal.estimation.observability.indices import (
+    NEGLIGIBLE,
+    Identifiability,
+    identifiability,
+    nearest_to_nominal,
+)
 from pincal.files.measurements import as_noise
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.files.yaml import read_setup
@@ -47,18 +46,25 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class Forecast(Estimable):
-    """What a plan of measurements will give: rank, standard errors, error of the platform.
-
-    The covariance is the Cramér-Rao bound with ``"all-legs"``, that of each leg's own rows with
-    ``"per-leg"``. Directions ``lost`` are less those that only move frames.
-    """
+class Forecast:
+    """What a plan of measurements will give: rank, standard errors, error of the platform."""
 
     mechanism: Mechanism
-    method: Method
-    """All legs together, or each leg alone by the poses of its set."""
+    measured: tuple[str, ...]
+    """What is measured of the platform."""
     poses: int
     """Number of poses that all legs reach."""
+    rank: Identifiability
+    """Of all parameters and external unknowns together, by their ids."""
+    covariance: Array
+    """Of what is determined, shape (n, n), parameters leg by leg: the Cramér-Rao bound."""
+    influence: Array
+    """How parameters follow the noise of each reading, then of each quantity measured, at each
+    pose, in standard deviations and but for a sign, shape (N, n, s)."""
+    least: float
+    """Fewest poses like these that can determine as much."""
+    lost: Array
+    """Directions that are not determined, columns of shape (n, n_lost), less those of frames."""
     gauge: Array
     """Directions that only move frames that are not measured, columns of shape (n, n_gauge):
     parameters are those nearest to the nominal ones."""
@@ -123,7 +129,7 @@ class Forecast(Estimable):
     def __repr__(self) -> str:
         rank = f"rank {self.rank.rank} of {self.rank.n_params}"
         name = self.mechanism.name
-        return f"Forecast({name!r}, {self.method}, {self.poses} poses, {rank})"
+        return f"Forecast({name!r}, {self.poses} poses, {rank})"
 
     def __str__(self) -> str:
         legs = self.mechanism.legs
@@ -147,7 +153,6 @@ def forecast(
     noise: Noise | None = None,
     measured: Sequence[str] | None = None,
     setup: Setup | None = None,
-    method: Method = "all-legs",
 ) -> Forecast:
     """Return what measurements at poses will say of the parameters of all legs.
 
@@ -158,42 +163,36 @@ def forecast(
         measured: Freedoms of the platform that are measured (see ``Platform.freedoms``; axes of
             the measurements' frame) and columns of the setup; all if not given.
         setup: What measured numbers will mean: unknown frame, targets, distances.
-        method: ``"all-legs"``: every row for every leg, as the best estimator does.
-            ``"per-leg"``: each leg alone, by the poses of its set, measured in full in the base
-            frame.
 
     Raises:
-        MeasurementError: unknown freedoms, measurements without any noise, or no pose in reach;
-            with ``"per-leg"`` poses that are not measured in full, or do not determine readings.
+        MeasurementError: unknown freedoms, measurements without any noise, or no pose in reach.
         MechanismError: poses of a wrong shape, or not finite.
     """
     mechanism = as_mechanism(mechanism)
     noise, setup = as_noise(noise), read_setup(setup or Setup())
-    if not isinstance(method, str) or method not in get_args(Method):
-        raise MeasurementError(f"no method {method!r}; expected {' or '.join(get_args(Method))}")
     every = as_plan(mechanism, poses)
     plan = every.rows(~every.verifying)  # no fit follows the others
     legs = legs_at(mechanism, plan)
     when = np.linspace(-0.5, 0.5, len(every))[~every.verifying][legs.reached]
     if not len(legs.poses):
         check_reached(mechanism, plan)
-    if method == "per-leg":
-        check_whole(mechanism, measured, setup)
-        estimable = each_leg(mechanism, plan, legs.reached, noise)
-    else:
-        estimable = all_legs(legs, information_rows(mechanism, legs, noise, measured, setup))
-    gauge, lost, frames = apart_from_frames(mechanism, legs, estimable.lost)
-    P = nearest_to_nominal(mechanism, gauge)
+    known = information_rows(mechanism, legs, noise, measured, setup)
+    flat, n = known.rows.reshape(-1, known.rows.shape[2]), legs.parameter.shape[2]
+    rank = identifiability(flat, known.unknowns)
+    root, undetermined = pseudo_inverse(flat, rank.rank)
+    gauge, lost, frames = apart_from_frames(mechanism, legs, undetermined[:n])
+    to_nominal = root[:, :n] @ nearest_to_nominal(mechanism, gauge).T
+    # what is off in all rows comes on top, however many they are
+    moved = to_nominal.T @ (root @ (flat.T @ known.off.reshape(len(flat), -1)))
     return Forecast(
-        **vars(estimable)
-        | {
-            "lost": lost,
-            "covariance": P @ estimable.covariance @ P.T,
-            "influence": P @ estimable.influence,
-        },
-        mechanism=mechanism,
-        method=method,
-        poses=len(legs.poses),
+        mechanism,
+        known.measured,
+        len(legs.poses),
+        rank,
+        covariance=to_nominal.T @ to_nominal + moved @ moved.T,
+        influence=(to_nominal.T @ root) @ known.rows.transpose(0, 2, 1) @ known.white.by_noise,
+        least=float(np.ceil(rank.rank / known.rows.shape[1])),
+        lost=lost,
         gauge=gauge,
         frames=frames,
         when=when,

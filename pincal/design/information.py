@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
@@ -20,20 +19,17 @@ from pincal.estimation.blocks.state import ExternalUnknowns
 from pincal.estimation.observability.gauge import split_frames
 from pincal.estimation.observability.indices import (
     GENERIC,
-    Identifiability,
-    identifiability,
     scaled_axes,
 )
 from pincal.estimation.rows import NoNoiseError, WhiteRows, white_rows
 from pincal.kinematics.closure import largest_size
 from pincal.kinematics.configurations import Legs, legs_at, nearby
-from pincal.kinematics.derivatives import Demand, leg_demand
+from pincal.kinematics.derivatives import Demand
 from pincal.model.checks import described
 from pincal.model.measurements import Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism
-from pincal.model.platform import Platform
-from pincal.model.setup import Setup, Systematic
-from pincal.types import Array, Mask
+from pincal.model.setup import Setup
+from pincal.types import Array
 
 
 def parameter_ids(mechanism: Mechanism) -> tuple[str, ...]:
@@ -146,14 +142,10 @@ def information_rows(
             f"{', '.join(names) or 'nothing'} measured leaves no equation: {mechanism.name!r} has "
             f"{n_rows} equations for {platform.dof} freedoms. Measure more of the platform"
         )
-    unknowns = (*parameter_ids(mechanism), *_external_names(platform, setup, names))
+    oriented = bool(set(names) & set(platform.freedoms[platform.units.count("m") :]))
+    external = ExternalUnknowns(platform, setup, oriented).names
+    unknowns = (*parameter_ids(mechanism), *external)
     return Information(white, rows, white(errors), unknowns, names)
-
-
-def _external_names(platform: Platform, setup: Setup, measured: Sequence[str]) -> tuple[str, ...]:
-    """Return the names of the external unknowns of planned measurements."""
-    oriented = any(name in platform.freedoms[platform.units.count("m") :] for name in measured)
-    return ExternalUnknowns(platform, setup, oriented).names
 
 
 def _planned(
@@ -202,107 +194,6 @@ def _planned(
         observation.row_noise(planned, noise).roots[:, chosen],
         names,
     )
-
-
-Method = Literal["all-legs", "per-leg"]
-"""All legs together from every row, or each leg alone."""
-
-
-@dataclass(frozen=True)
-class Estimable:
-    """What rows of measurements determine."""
-
-    measured: tuple[str, ...]
-    """What is measured of the platform."""
-    equations: int
-    """Equations that a pose gives."""
-    least: float
-    """Fewest poses like these that can determine as much."""
-    rank: Identifiability
-    """Of all parameters and external unknowns together, by their ids."""
-    covariance: Array
-    """Of what is determined, shape (n, n), parameters leg by leg."""
-    lost: Array
-    """Directions that are not determined, columns of shape (n, n_lost)."""
-    influence: Array
-    """How parameters follow the noise of each reading, then of each quantity measured, at each
-    pose, in standard deviations and but for a sign, shape (N, n, s)."""
-
-
-def all_legs(legs: Legs, known: Information) -> Estimable:
-    """Return what all legs' rows determine, external unknowns left out of the covariance.
-
-    What is off in all rows comes on top, however many they are.
-    """
-    rows, systematic, n_legs = known.rows, known.off, legs.parameter.shape[2]
-    flat = rows.reshape(-1, rows.shape[2])
-    rank, equations = identifiability(flat, known.unknowns), rows.shape[1]
-    root, lost = pseudo_inverse(flat, rank.rank)
-    leg_root = root[:, :n_legs]
-    influence = (leg_root.T @ root) @ rows.transpose(0, 2, 1) @ known.white.by_noise
-    moved = leg_root.T @ (root @ (flat.T @ systematic.reshape(len(flat), -1)))
-    covariance = leg_root.T @ leg_root + moved @ moved.T
-    least = float(np.ceil(rank.rank / equations))
-    return Estimable(known.measured, equations, least, rank, covariance, lost[:n_legs], influence)
-
-
-def check_whole(mechanism: Mechanism, measured: Sequence[str] | None, setup: Setup) -> None:
-    """Raise if each leg cannot be calibrated alone.
-
-    Raises:
-        MeasurementError: poses are measured in part or in another frame, or do not determine the
-            readings.
-    """
-    freedoms = mechanism.platform.freedoms
-    part = measured is not None and not set(measured) >= set(freedoms)
-    part |= setup.tracker is not None or setup.systematic != Systematic()
-    if part or not setup.plain or mechanism.by_readings:
-        raise MeasurementError(
-            "each leg alone (method 'per-leg') takes whole poses in the base frame that determine "
-            "the readings, measured without a tracker or systematic uncertainties; take method "
-            "'all-legs'"
-        )
-
-
-def each_leg(mechanism: Mechanism, plan: Plan, reached: Mask, noise: Noise) -> Estimable:
-    """Return what each leg's rows determine, poses that all legs reach, of the leg's set.
-
-    With W e of a leg whitened and J = ∂(W e)/∂φ, δφ = −(Jᵀ J)⁻¹ Jᵀ W S ν: what legs do with the
-    noise ν of one pose goes together.
-    """
-    sigma, count = noise.of_poses(mechanism), len(parameter_ids(mechanism))
-    n_readings = len(mechanism.reading_names)
-    noisy = np.zeros((len(reached), count, n_readings + len(sigma)))
-    ranks, lost, least, equations, place = [], [], 0.0, 0, 0
-    for leg, columns in zip(mechanism.legs, mechanism.reading_columns, strict=True):
-        rows = np.flatnonzero(reached & plan.serves(leg.name))
-        demand = leg_demand(mechanism, leg.name, plan.poses[rows])
-        white = leg_whitener(demand, mechanism, noise)
-        J = white(demand.parameter)
-        flat = J.reshape(-1, J.shape[2])
-        names = [f"{leg.name}.{name}" for name in leg.parameter_names]
-        ranks.append(identifiability(flat, names))
-        root, own_lost = pseudo_inverse(flat, ranks[-1].rank)
-        moved = (root.T @ root) @ J.transpose(0, 2, 1) @ white.by_noise
-        leg_columns = np.arange(place, place := place + J.shape[2])
-        kinds = np.r_[n_readings : n_readings + len(sigma), columns.start : columns.stop]
-        noisy[np.ix_(rows, leg_columns, kinds)] = moved
-        lost.append(np.zeros((count, own_lost.shape[1])))
-        lost[-1][leg_columns] = own_lost
-        equations += J.shape[1]
-        share = len(rows) / max(int(reached.sum()), 1)
-        needed = np.ceil(ranks[-1].rank / J.shape[1] / share) if share else np.inf
-        least = max(least, float(needed))
-    rank = Identifiability(
-        sum(leg_rank.rank for leg_rank in ranks),
-        count,
-        max((leg_rank.condition for leg_rank in ranks), default=1.0),
-        tuple(group for leg_rank in ranks for group in leg_rank.groups),
-    )
-    covariance = np.einsum("nid,njd->ij", noisy, noisy, optimize=True)
-    measured = mechanism.platform.freedoms
-    gone = np.concatenate(lost, axis=1)
-    return Estimable(measured, equations, least, rank, covariance, gone, noisy[reached])
 
 
 def pseudo_inverse(rows: Array, rank: int) -> tuple[Array, Array]:

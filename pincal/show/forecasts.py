@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from pincal.design.forecast import SCALE, Drift, Forecast, ScaleEffect
@@ -24,27 +22,18 @@ _VERDICTS = (
     "that matters little; a drift twice as large would",
     "that matters: measure in turns (pincal select writes such an order), or again in parts",
 )
-_PER_LEG = "with --method per-leg, which takes each leg alone by the poses of its set"
 
 
-def forecast_lines(
-    forecast: Forecast, error: PlatformError, planned: int, alone: PlatformError | None = None
-) -> list[str]:
+def forecast_lines(forecast: Forecast, error: PlatformError) -> list[str]:
     """Return what a plan determines, and what error of the platform that gives.
 
     Args:
         forecast: The forecast.
         error: Of the platform over the workspace.
-        planned: Number of poses in the plan.
-        alone: The same error with each leg calibrated alone, if that can be.
     """
     lines = [*_rank_lines(forecast), *weak_lines(forecast.weak, forecast.mechanism)]
     best = f"; {_BEST}" if error.position < np.inf else ""
     lines.append(f"platform over the workspace: {_expected(error)}{best}")
-    if alone is not None:
-        lines.append(f"{_PER_LEG}: {_expected(alone)}")
-    if forecast.poses < planned:
-        lines.append(f"{planned - forecast.poses} of {planned} poses are out of reach")
     return lines
 
 
@@ -76,22 +65,16 @@ def _expected(error: PlatformError) -> str:
     return ", ".join([*([f"root mean square {listed(known)}"] if known else []), *lost])
 
 
-def drift_lines(drifts: Sequence[Drift]) -> list[str]:
-    """Return what a drift over the run would do, of all legs together and of each leg alone."""
-    heads = (
-        "a drift of each measured quantity by one σ over the run, in this order",
-        "the same with --method per-leg",
-    )
-    lines = []
-    for head, drift in zip(heads, drifts, strict=False):
-        if not np.isfinite(drift.most):  # nothing is determined that could be off
-            continue
-        text = f"{head}: {drift.worst} off by {drift.most:.2g} standard errors"
-        if np.isfinite(drift.share):
-            text += f", the platform by {drift.share:.2g} of its expected error"
-        size = max(drift.most, float(np.nan_to_num(drift.share)))
-        lines.append(f"{text}: {_VERDICTS[int(np.searchsorted(_MATTERS, size))]}")
-    return lines
+def drift_lines(drift: Drift) -> list[str]:
+    """Return what a drift over the run would do; nothing where nothing is determined."""
+    if not np.isfinite(drift.most):
+        return []
+    text = "a drift of each measured quantity by one σ over the run, in this order: "
+    text += f"{drift.worst} off by {drift.most:.2g} standard errors"
+    if np.isfinite(drift.share):
+        text += f", the platform by {drift.share:.2g} of its expected error"
+    size = max(drift.most, float(np.nan_to_num(drift.share)))
+    return [f"{text}: {_VERDICTS[int(np.searchsorted(_MATTERS, size))]}"]
 
 
 def scale_lines(effect: ScaleEffect | None) -> list[str]:
@@ -109,11 +92,10 @@ def scale_lines(effect: ScaleEffect | None) -> list[str]:
     return [f"{text}, and no residual shows it ({effect.seen:.2g} standard deviations): {known}"]
 
 
-def poses_line(accuracy: float, needed: float, alone: float | None = None) -> str:
-    """Return how many poses an accuracy [m] takes, also with each leg alone if that is known."""
+def poses_line(accuracy: float, needed: float) -> str:
+    """Return how many poses an accuracy [m] takes."""
     poses = f"{needed:,.0f} poses like these" if np.isfinite(needed) else "no number of poses"
     text = f"for {amount(accuracy, 'm', 6)}: {poses}"
-    text += "" if alone is None else f", {alone:,.0f} with --method per-leg"
     if 1e5 < needed < np.inf:
         text += ", which nobody measures: that takes less noise, not more poses"
     return text
