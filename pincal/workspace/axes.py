@@ -80,16 +80,17 @@ class Axis:
         Raises:
             WorkspaceError: limits reversed or not finite, or a step that does not fit.
         """
+        fault = None
         if not np.isfinite([low, high, step]).all():
-            raise WorkspaceError(f"axis {name!r}: limits and step must be finite numbers")
-        if high < low:
-            raise WorkspaceError(
-                f"axis {name!r}: limits reversed, {low:g} to {high:g}; write the lower one first"
-            )
-        if step <= 0.0:
-            raise WorkspaceError(f"axis {name!r}: the step is {step:g}; expected more than 0")
-        if (high - low) / step > MOST:
-            raise WorkspaceError(f"axis {name!r} has more than {MOST:,} values; a larger step")
+            fault = "limits and step must be finite numbers"
+        elif high < low:
+            fault = f"limits reversed, {low:g} to {high:g}; write the lower one first"
+        elif step <= 0.0:
+            fault = f"the step is {step:g}; expected more than 0"
+        elif (high - low) / step > MOST:
+            fault = f"more than {MOST:,} values; a larger step"
+        if fault:
+            raise WorkspaceError(f"axis {name!r}: {fault}")
         count = int(np.floor((high - low) / step + ALIKE)) + 1
         last = low + (count - 1) * step
         if abs(high - last) <= ALIKE * step:
@@ -122,24 +123,21 @@ class Axis:
         if unit is not None and UNITS.get(unit, ("", 0.0))[0] != dimension:
             fitting = ", ".join(u for u, (kind, _) in UNITS.items() if kind == dimension)
             raise WorkspaceError(f"axis {name!r} has unit [{unit}]; expected one of {fitting}")
-        factor = UNITS[unit][1] if unit else 1.0
+        factor, separator = UNITS[unit][1] if unit else 1.0, ":" if ":" in values else ","
         try:
-            if ":" in values:
-                low, high, step = (float(v) * factor for v in values.split(":"))
-            else:
-                listed = np.array(sorted({float(v) * factor for v in values.split(",")}))
-                return cls(name, listed)
+            numbers = [float(value) * factor for value in values.split(separator)]
+            if separator == "," or len(numbers) == 3:
+                return (
+                    cls.spaced(name, *numbers)
+                    if separator == ":"
+                    else cls(name, np.unique(numbers))
+                )
         except ValueError as error:
             if isinstance(error, WorkspaceError):
                 raise
-            raise WorkspaceError(
-                f"axis {name!r}: {values!r} is not LOW:HIGH:STEP nor VALUE,VALUE,…"
-            ) from error
-        return cls.spaced(name, low, high, step)
+        raise WorkspaceError(f"axis {name!r}: {values!r} is not LOW:HIGH:STEP nor VALUE,VALUE,…")
 
 
-_PLANE_STEP = np.radians(5.0)
-_SPACE_STEP = np.radians(30.0)
 _SPATIAL = "; or ".join(", ".join(columns) for columns, unit in WAYS.values() if unit == "rad")
 
 
@@ -182,11 +180,10 @@ class Orientations:
     def everywhere(cls, platform: Platform) -> Orientations:
         """Return orientations all round: every 5° in a plane, every 30° in space."""
         if platform.turns == 1:
-            return cls.of(platform, _round("phi", _PLANE_STEP))
+            return cls.of(platform, _round("phi", 5.0))
         if platform.turns == 3:
-            tilt = Axis.spaced("tilt", 0.0, np.pi, _SPACE_STEP)
-            around = [_round(name, _SPACE_STEP) for name in ("azimuth", "torsion")]
-            return cls.of(platform, tilt, *around)
+            tilt = Axis.spaced("tilt", 0.0, np.pi, np.radians(30.0))
+            return cls.of(platform, tilt, _round("azimuth", 30.0), _round("torsion", 30.0))
         return cls.home(platform)
 
     @classmethod
@@ -214,7 +211,7 @@ class Orientations:
             )
         way, columns = next(iter(ways.items()))
         if "tilt" in values and "azimuth" not in values:
-            values["azimuth"] = _round("azimuth", np.radians(10.0)).values
+            values["azimuth"] = _round("azimuth", 10.0).values
         lists = [values.get(name, np.zeros(1)) for name in columns]
         if math.prod(len(v) for v in lists) > _MOST_ORIENTATIONS:
             raise WorkspaceError("more than 1,000,000 orientations; take larger steps")
@@ -227,13 +224,8 @@ class Orientations:
         before, after = (
             Rotation.from_matrix(side * by.Q) for by in (element.base, element.platform)
         )
-        every = self.rotations
-        some = every[:: max(1, len(self) // 64)]
-        return all(self._has(before * part * after.inv()) for part in (some, every))
-
-    def _has(self, rotations: Rotation) -> bool:
-        images = rotations.as_quat(canonical=True)
-        away, _ = self._tree.query(images, distance_upper_bound=SAME)
+        images = (before * self.rotations * after.inv()).as_quat(canonical=True)
+        away = self._tree.query(images, distance_upper_bound=SAME)[0]
         return bool(np.isfinite(away).all())
 
     @cached_property
@@ -242,6 +234,6 @@ class Orientations:
         return KDTree(np.concatenate((self.quaternions, -self.quaternions[upright])))
 
 
-def _round(name: str, step: float) -> Axis:
-    """Return an axis once round."""
-    return Axis.spaced(name, -np.pi, np.pi, step)
+def _round(name: str, degrees: float) -> Axis:
+    """Return an axis once round, in steps of some degrees."""
+    return Axis.spaced(name, -np.pi, np.pi, np.radians(degrees))

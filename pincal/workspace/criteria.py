@@ -121,20 +121,17 @@ class Criteria:
     def at_readings(self, poses: Array, readings: Array) -> Mask:
         """Return which configurations count, with poses that forward kinematics gave of readings.
 
-        Legs that digits of a file keep apart at home may be as far apart elsewhere.
-
-        Args:
-            poses: Coordinates, shape (N, dof), [m] and [rad].
-            readings: Shape (N, n_readings), [rad] or [m].
+        Shapes (N, dof) and (N, n_readings). Legs that digits of a file keep apart at home may be as
+        far apart elsewhere.
         """
-        matrices, closed = self.mechanism.platform.matrices(poses), []
+        platform, closed = self.mechanism.platform, []
+        matrices = platform.matrices(poses)
         for place, leg in enumerate(self._legs):
             known = self.mechanism.known(place, readings, None)
             closure, joints = nearest_closure((leg,), matrices, (known,))
-            open_ = 10.0 * home_gap(leg.leg, self.mechanism.platform) + EXACT * leg.size
-            near = (np.abs(closure.gap).max(axis=1) <= open_) & in_home_modes((leg,), closure)
-            joints = joints[:, : len(leg.leg.moving)]
-            closed.append(([place], ClosedLegs(joints, near, closure)))
+            apart = 10.0 * home_gap(leg.leg, platform) + EXACT * leg.size
+            near = (np.abs(closure.gap).max(axis=1) <= apart) & in_home_modes((leg,), closure)
+            closed.append(([place], ClosedLegs(joints[:, : len(leg.leg.moving)], near, closure)))
         return self._counted(closed)
 
     def _counted(self, closed: Sequence[tuple[list[int], ClosedLegs]]) -> Mask:
@@ -213,14 +210,10 @@ def articular_space(mechanism: GivenMechanism, poses: Array) -> Array:
 
 
 def equal_sums(readings: Array) -> Array:
-    """Return readings seen along the axis ψ₁ = ψ₂ = … (3-RRR paper, Fig. 7).
+    """Return readings, shape (N, n_legs), seen along the axis ψ₁ = ψ₂ = … (3-RRR paper, Fig. 7).
 
     The first two columns lie in the plane of equal sums, the last along its normal.
-
-    Args:
-        readings: Shape (N, n_legs); three legs give the plane of the paper.
     """
-    readings = np.asarray(readings, dtype=np.float64)
     n = readings.shape[1]
     turn = 2 * np.pi * np.arange(n) / n
     axes = np.stack((np.cos(turn), np.sin(turn))) * np.sqrt(2 / n)

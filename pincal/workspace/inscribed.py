@@ -18,7 +18,7 @@ from scipy.spatial import KDTree, QhullError, Voronoi
 
 from pincal.errors import WorkspaceError
 from pincal.types import Array
-from pincal.workspace.grid import Grid, at_edge, edges
+from pincal.workspace.grid import at_edge, edges
 from pincal.workspace.region import Workspace
 
 _ROUNDS = 60
@@ -61,16 +61,19 @@ def largest_inscribed(workspace: Workspace) -> Inscribed:
     Raises:
         WorkspaceError: a grid with one axis, or too few cells.
     """
-    grid = workspace.asked
+    grid, several = workspace.asked, [n > 1 for n in workspace.asked.shape]
     if grid.dimension < 2:
         raise WorkspaceError("an inscribed circle or ball needs a grid with two or three axes")
-    axes = _varying_axes(grid)
+    if grid.polar and several[0] != several[1]:
+        raise WorkspaceError("an inscribed circle needs values of both radius and bearing")
     if not workspace.count:
         raise WorkspaceError("the workspace is empty: no circle fits into it")
-    inner, points = _pairs(workspace, grid)
+    axes = [place for place, varies in enumerate(several) if varies]  # of x, y, z
+    pairs = edges(grid, workspace.inside)
+    pairs = np.where(workspace.inside[pairs[:, :1]], pairs, pairs[:, ::-1])
+    inner, points = grid.at(pairs[:, 0]), grid.at(pairs[:, 1])
     edge = at_edge(grid, workspace.inside)
     moved = np.zeros(len(points), dtype=bool)
-    distance_to_inner = np.linalg.norm(points - inner, axis=1)
     best, bound = None, np.inf
     for _ in range(_ROUNDS):
         centre, radius = _emptiest(np.concatenate((points, edge)), axes, workspace)
@@ -78,7 +81,8 @@ def largest_inscribed(workspace: Workspace) -> Inscribed:
         if best is not None and best.radius >= (1 - _NEAR) * bound:
             break
         distance = np.linalg.norm((points - centre)[:, axes], axis=1)
-        near = np.flatnonzero(~moved & (distance - distance_to_inner <= radius))
+        step = np.linalg.norm(points - inner, axis=1)
+        near = np.flatnonzero(~moved & (distance - step <= radius))
         points[near] = _bisected(workspace, inner[near], points[near])
         moved[near] = True
         rim = _rim(centre, radius, axes)
@@ -87,7 +91,6 @@ def largest_inscribed(workspace: Workspace) -> Inscribed:
         points = np.concatenate((points, _bisected(workspace, within, bad)))
         inner = np.concatenate((inner, within))
         moved = np.append(moved, np.ones(len(bad), dtype=bool))
-        distance_to_inner = np.append(distance_to_inner, np.zeros(len(bad)))
         free = np.linalg.norm((points - centre)[:, axes], axis=1).min(initial=radius)
         if best is None or free > best.radius:
             to_edge = np.linalg.norm((edge - centre)[:, axes], axis=1).min(initial=np.inf)
@@ -95,27 +98,6 @@ def largest_inscribed(workspace: Workspace) -> Inscribed:
     if best is None:
         raise WorkspaceError("no circle fits between the cells that count; take smaller steps")
     return replace(best, bound=max(bound, best.radius))
-
-
-def _varying_axes(grid: Grid) -> list[int]:
-    """Return which of x, y, z vary.
-
-    Raises:
-        WorkspaceError: a radius or a bearing alone.
-    """
-    several = [n > 1 for n in grid.shape]
-    if grid.polar and several[0] != several[1]:
-        raise WorkspaceError("an inscribed circle needs values of both radius and bearing")
-    return [place for place, varies in enumerate(several) if varies]
-
-
-def _pairs(workspace: Workspace, grid: Grid) -> tuple[Array, Array]:
-    """Return neighbours on the grid: those that count, and those that do not, (M, 3) each."""
-    pairs = edges(grid, workspace.inside)
-    first = workspace.inside[pairs[:, 0]]
-    inner = np.where(first, pairs[:, 0], pairs[:, 1])
-    outer = np.where(first, pairs[:, 1], pairs[:, 0])
-    return workspace.asked.at(inner), workspace.asked.at(outer)
 
 
 def _bisected(workspace: Workspace, inner: Array, outer: Array) -> Array:
@@ -148,8 +130,7 @@ def _emptiest(points: Array, axes: list[int], workspace: Workspace) -> tuple[Arr
 
 def _rim(centre: Array, radius: float, axes: list[int]) -> Array:
     """Return positions on a circle or sphere, shape (N, 3), [m]."""
-    n = len(axes)
-    directions = np.random.default_rng(0).normal(size=(_RIM_POSITIONS[n], n))
+    directions = np.random.default_rng(0).normal(size=(_RIM_POSITIONS[len(axes)], len(axes)))
     positions = np.repeat(centre[None], len(directions), axis=0)
     positions[:, axes] += radius * directions / np.linalg.norm(directions, axis=1)[:, None]
     return positions

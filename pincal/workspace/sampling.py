@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -106,17 +106,17 @@ def sample_configurations(
     if not mechanism.by_readings:
         return Plan(sample_workspace(mechanism, count, seed, least, progress))
     _check_count(count)
-    rng = generator_of(seed, WorkspaceError)
+    rng, criteria = generator_of(seed, WorkspaceError), None
+    if any(leg.passive for leg in mechanism.legs):
+        criteria = criteria_of(mechanism, as_margins(least))
     low, high, home = reading_range(mechanism)
-    start = np.array(mechanism.platform.home)
-    arm = all(not leg.passive for leg in mechanism.legs)
+    start = np.tile(mechanism.platform.home, (2 * count, 1))
     poses, readings, total, halved = [], [], 0, 0
     while halved < _HALVINGS:
-        drawn = rng.uniform(low, high, (2 * count, len(low)))
-        solution = forward(mechanism, drawn, np.tile(start, (len(drawn), 1)))
+        drawn = rng.uniform(low, high, (len(start), len(low)))
+        solution = forward(mechanism, drawn, start)
         rows = np.flatnonzero(solution.converged)
-        if not arm:
-            criteria = criteria_of(mechanism, as_margins(least))
+        if criteria:
             rows = rows[criteria.at_readings(solution.poses[rows], drawn[rows])]
             if len(rows) < _RARE * len(drawn):  # joints without limits turn round: nearer
                 low, high = 0.5 * (low + home), 0.5 * (high + home)
@@ -128,12 +128,9 @@ def sample_configurations(
             progress(min(total, count))
         if total >= count:
             return Plan(np.concatenate(poses)[:count], readings=np.concatenate(readings)[:count])
-    lost = Counter(reason for reason in solution.reasons if reason)
-    why = (
-        lost.most_common(1)[0][0]
-        if len(lost) and not solution.converged.any()
-        else ("legs do not close within their joints' limits, or too near to singularities")
-    )
+    why = "legs do not close within their joints' limits, or too near to singularities"
+    if not solution.converged.any():
+        why = Counter(solution.reasons).most_common(1)[0][0]
     raise WorkspaceError(
         f"only {total} of {count} configurations of {mechanism.name!r} found between the limits of "
         f"the active joints and near home, where {why}. Look at its home and limits: 'pincal check'"
@@ -220,11 +217,7 @@ def has_grid(mechanism: Mechanism) -> bool:
 
 
 def _check_count(count: int) -> None:
-    """Raise if no such number of poses can be sampled.
-
-    Raises:
-        WorkspaceError: none, or too many.
-    """
+    """Raise if no such number of poses can be sampled."""
     if not 1 <= count_of(count, "count", WorkspaceError) <= MOST:
         raise WorkspaceError(
             f"the number of poses is {count}; expected at least 1 and at most {MOST:,}"
@@ -244,41 +237,39 @@ def _explore(
     mechanism: Mechanism, rng: np.random.Generator, least: Margins | None
 ) -> tuple[Array, Array, HomeComponent]:
     """Return lower and upper corners of a box around the workspace, and its part around home."""
-    home = np.array(mechanism.platform.home)
-    low, high = reach = reach_box(mechanism)
-    if not in_workspace(mechanism, home[None], least)[0]:
+    platform, home = mechanism.platform, np.array([mechanism.platform.home])
+    lowest, highest = low, high = reach_box(mechanism)
+    size = np.where([unit == "m" for unit in platform.units], highest - lowest, 1.0)
+    counts = partial(in_workspace, mechanism, least=least)
+    if not counts(home)[0]:
         raise WorkspaceError(_why_not_home(mechanism, least or Margins()))
 
-    def counts(poses: Array) -> Mask:
-        return in_workspace(mechanism, poses, least)
+    def around(poses: Array, widen: float) -> tuple[Array, Array]:
+        """Return the box around poses, widened by a part of its size, within reach."""
+        low, high = poses.min(axis=0), poses.max(axis=0)
+        wider = widen * (high - low)
+        return np.maximum(low - wider, lowest), np.minimum(high + wider, highest)
 
-    accepted = home[None]
+    accepted = home
     for batch in range(_MOST):
         if batch < _FAR or len(accepted) > _HITS:
             poses = rng.uniform(low, high, (_BATCH, len(low)))
         else:  # strokes that are small against the machine
-            poses = _near_home(mechanism, rng, 0.5 ** (batch - _FAR))
+            near = 0.5 ** (batch - _FAR) * size
+            twists = rng.uniform(-near, near, (_BATCH, platform.dof))
+            poses = platform.moved(np.repeat(home, _BATCH, axis=0), twists)
         accepted = np.concatenate((accepted, poses[counts(poses)]))
         if len(accepted) >= _PILOT:
             break
         if len(accepted) > _HITS:  # few: look closer to where they are
-            low, high = _around(accepted, 0.5, *reach)
-    connected = HomeComponent(mechanism.platform, accepted, counts)
+            low, high = around(accepted, 0.5)
+    connected = HomeComponent(platform, accepted, counts)
     for _ in range(2):  # tighten to the part around home, and widen where the box cut
-        low, high = _around(accepted[connected(accepted)], _WIDEN, *reach)
+        low, high = around(accepted[connected(accepted)], _WIDEN)
         poses = rng.uniform(low, high, (2 * _BATCH, len(low)))
         accepted = np.concatenate((accepted, poses[counts(poses)]))
-        connected = HomeComponent(mechanism.platform, accepted[-2 * _PILOT :], counts)
-    return *_around(accepted[connected(accepted)], _WIDEN / 4, *reach), connected
-
-
-def _near_home(mechanism: Mechanism, rng: np.random.Generator, part: float) -> Array:
-    """Return poses around home, within a part of the reach and of a radian, shape (batch, dof)."""
-    platform = mechanism.platform
-    low, high = reach_box(mechanism)
-    size = np.where([unit == "m" for unit in platform.units], high - low, 1.0)
-    twists = rng.uniform(-part * size, part * size, (_BATCH, platform.dof))
-    return platform.moved(np.tile(platform.home, (_BATCH, 1)), twists)
+        connected = HomeComponent(platform, accepted[-2 * _PILOT :], counts)
+    return *around(accepted[connected(accepted)], _WIDEN / 4), connected
 
 
 def _why_not_home(mechanism: Mechanism, least: Margins) -> str:
@@ -302,10 +293,3 @@ def _why_not_home(mechanism: Mechanism, least: Margins) -> str:
         f"{least.type1:.3g} and {least.least_type2(mechanism):.3g}. Lower the margins ('pincal "
         "workspace --margin-type1 … --margin-type2 …') or move home"
     )
-
-
-def _around(poses: Array, widen: float, lowest: Array, highest: Array) -> tuple[Array, Array]:
-    """Return the box around poses, widened by a part of its size, within bounds."""
-    low, high = poses.min(axis=0), poses.max(axis=0)
-    size = high - low
-    return np.maximum(low - widen * size, lowest), np.minimum(high + widen * size, highest)
