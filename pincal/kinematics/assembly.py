@@ -123,8 +123,7 @@ def opening(legs: Sequence[Leg], kind: str | PlatformKind) -> float:
     Where whole frames meet, their turn counts times the leg's size.
     """
     free = Platform.at_origin(kind)
-    closures = [LegClosure(leg, free) for leg in legs]
-    joints = [leg.home[None] for leg in legs]
+    closures, joints = [LegClosure(leg, free) for leg in legs], [leg.home[None] for leg in legs]
     pose = _fitted(closures, joints, free)
     gaps = [closure.evaluate(q, pose).gap[0] for closure, q in zip(closures, joints, strict=True)]
     ends = np.array([gap[: free.space] for gap in gaps])
@@ -137,26 +136,19 @@ def _fitted(closures: Sequence[LegClosure], joints: Sequence[Array], platform: P
     for closure, q in zip(closures, joints, strict=True):
         if closure.leg.closes == "frame":
             return closure.frame(q)
-    matrix = np.eye(4)
+    matrix, space = np.eye(4), platform.space
     tips = np.concatenate([closure.tips(q) for closure, q in zip(closures, joints, strict=True)])
     points = np.concatenate([closure.targets(np.eye(4)[None]) for closure in closures])
-    if platform.space == 2:
+    if space == 2:
         tips[:, 2] = points[:, 2] = 0.0
-    if "rad" in platform.units and len(closures) > 1:
-        turn = _turn(tips - tips.mean(axis=0), points - points.mean(axis=0), platform.space)
-        matrix[:3, :3] = turn
+    if "rad" in platform.units and len(closures) > 1:  # Kabsch 1976
+        M = ((tips - tips.mean(axis=0)).T @ (points - points.mean(axis=0)))[:space, :space]
+        u, _, vt = np.linalg.svd(M)
+        straight = np.ones(space)
+        straight[-1] = np.sign(np.linalg.det(u @ vt)) or 1.0
+        matrix[:space, :space] = (u * straight) @ vt
     matrix[:3, 3] = tips.mean(axis=0) - matrix[:3, :3] @ points.mean(axis=0)
     return matrix[None]
-
-
-def _turn(tips: Array, points: Array, space: int) -> Array:
-    """Return the rotation that takes points to tips best, shape (3, 3) (Kabsch 1976)."""
-    if space == 2:
-        a, b = points[:, :2] @ (1.0, 1j), tips[:, :2] @ (1.0, 1j)
-        return Rotation.from_rotvec([0.0, 0.0, float(np.angle(np.vdot(a, b)))]).as_matrix()
-    u, _, vt = np.linalg.svd(points.T @ tips)
-    straight = np.diag([1.0, 1.0, float(np.sign(np.linalg.det(vt.T @ u.T))) or 1.0])
-    return vt.T @ straight @ u.T
 
 
 def independent(
@@ -170,29 +162,27 @@ def independent(
         order: Names of all its parameters, those to keep rather first.
         slack: What cut digits may have moved frames by, of the leg's size and [rad].
     """
-    closure = LegClosure(leg, platform)
-    rng = np.random.default_rng(0)
+    closure, rng = LegClosure(leg, platform), np.random.default_rng(0)
     joints = rng.uniform(*joint_range(leg), (_CONFIGURATIONS, len(leg.moving)))
     part = closure.evaluate(joints, _turned_at_random(closure, joints, rng))
     rows = part.constraint_by_parameter
     rows = rows.reshape(-1, rows.shape[2])
-    size = closure.size or 1.0
-    scale = np.array([1.0 if leg.units[name] == "m" else 1.0 / size for name in order])
+    scale = np.array([1.0 if leg.units[name] == "m" else 1.0 / closure.size for name in order])
     columns = rows[:, [leg.parameter_names.index(name) for name in order]] * scale
     columns = columns[np.isfinite(columns).all(axis=1)]
+    columns = columns / np.sqrt(len(columns))
     least = _DEPENDS
     if slack > _DEPENDS:
-        values = np.linalg.svd(columns / np.sqrt(len(columns)), compute_uv=False)
-        least = cut_in_gap(values, slack)
+        least = cut_in_gap(np.linalg.svd(columns, compute_uv=False), slack)
     names: list[str] = []
-    basis: list[Array] = []
+    basis = np.empty((len(columns), 0))
     for name, column in zip(order, columns.T, strict=True):
         remainder = column.copy()
         for _ in range(2):  # twice is enough: Gram-Schmidt's rounding errors are gone
-            for q in basis:
-                remainder -= (q @ remainder) * q
-        if np.linalg.norm(remainder) > least * np.sqrt(len(column)):
-            basis.append(remainder / np.linalg.norm(remainder))
+            remainder -= basis @ (basis.T @ remainder)
+        length = np.linalg.norm(remainder)
+        if length > least:
+            basis = np.column_stack((basis, remainder / length))
             names.append(name)
     return tuple(names)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from io import BytesIO
 from pathlib import Path
@@ -22,49 +23,40 @@ _CLOSE = 2  # joints: bodies nearer than that along the chain touch by design
 
 
 def tips_by_reader(leg: Leg, joints: Array | None = None) -> dict[str, Array]:
-    """Return the tip in the base frame, shape (3,), [m], by Pinocchio and by yourdfpy.
+    """Return the tip in the base frame, (3,), [m], by Pinocchio and by yourdfpy, of its URDF.
 
-    Args:
-        leg: The leg, exported as URDF.
-        joints: Positions of the moving joints, shape (n_joints,); home if not given.
+    At positions of the moving joints, shape (n_joints,); home if not given.
     """
     import yourdfpy  # slow to import, and needed here only
 
     joints = leg.home if joints is None else np.asarray(joints, dtype=np.float64)
-    points = skeleton(leg, joints)
     robot = yourdfpy.URDF.load(BytesIO(leg_urdf(leg).encode()), load_meshes=False)
     robot.update_cfg({j.name: float(v) for j, v in zip(leg.moving, joints, strict=True)})
-    return {
-        "Pinocchio": points[-1],
-        "yourdfpy": np.array(robot.get_transform(leg.tip)[:3, 3]),
-    }
+    tip = np.array(robot.get_transform(leg.tip)[:3, 3])
+    return {"Pinocchio": skeleton(leg, joints)[-1], "yourdfpy": tip}
 
 
 def skeleton(leg: Leg, joints: Array) -> Array:
     """Return the positions of a leg's moving joints and its tip, shape (n_joints + 1, 3), [m].
 
-    Args:
-        leg: The leg, exported as URDF and read by Pinocchio.
-        joints: Positions of the moving joints, shape (n_joints,), [rad] or [m].
+    Read by Pinocchio from the leg's URDF, at positions of shape (n_joints,), [rad] or [m].
     """
-    model, data, q = _configured(leg, joints)
+    model = pin.buildModelFromXML(leg_urdf(leg))
+    data, indices = model.createData(), [model.getJointId(joint.name) for joint in leg.moving]
+    q = _configuration(model, np.zeros(model.nq), indices, joints)
     pin.framesForwardKinematics(model, data, q)
     frame = model.getFrameId(leg.tip, pin.FrameType.BODY)
-    points = [data.oMi[model.getJointId(joint.name)].translation for joint in leg.moving]
+    points = [data.oMi[index].translation for index in indices]
     return np.array([*points, data.oMf[frame].translation])
 
 
-def _configured(leg: Leg, joints: Array) -> tuple[pin.Model, pin.Data, Array]:
-    """Return Pinocchio's model of a leg's URDF, its data, and the configuration of joints."""
-    model = pin.buildModelFromXML(leg_urdf(leg))
-    q = np.zeros(model.nq)
-    for joint, value in zip(leg.moving, joints, strict=True):
-        entry = model.joints[model.getJointId(joint.name)]
-        # a continuous joint's configuration is (cos, sin)
-        q[entry.idx_q : entry.idx_q + entry.nq] = (
-            [np.cos(value), np.sin(value)] if entry.nq == 2 else [value]
-        )
-    return model, model.createData(), q
+def _configuration(model: pin.Model, q: Array, indices: Sequence[int], positions: Array) -> Array:
+    """Return a configuration with some joints elsewhere; a continuous one is (cos, sin)."""
+    q = q.copy()
+    for index, value in zip(indices, positions, strict=True):
+        begin, width = model.joints[index].idx_q, model.joints[index].nq
+        q[begin : begin + width] = value if width == 1 else (np.cos(value), np.sin(value))
+    return q
 
 
 def arm_free_of_collision(mechanism: Mechanism, offered: Plan, path: str | Path) -> Plan:
@@ -127,49 +119,38 @@ def free_of_collision(
         ) from error
     if not shapes.ngeoms:
         raise MechanismError(f"{path}: no <collision> geometry to check")
-    _check_meshes(shapes)
-    entries = [_entry(model, name, path) for name in joints]
-    shapes.addAllCollisionPairs()
-    for pair in list(shapes.collisionPairs):
-        ends = (shapes.geometryObjects[i].parentJoint for i in (pair.first, pair.second))
-        if _joints_between(model, *ends) < _CLOSE:
-            shapes.removeCollisionPair(pair)
-    data, neutral_q = model.createData(), pin.neutral(model)
-    if neutral:
-        _remove_touching(model, shapes, neutral_q)
-    collisions = shapes.createData()
-    free = np.empty(len(positions), dtype=bool)
-    for row, values in enumerate(np.asarray(positions, dtype=np.float64)):
-        q = neutral_q.copy()
-        for (index, width), value in zip(entries, values, strict=True):
-            q[index : index + width] = value if width == 1 else (np.cos(value), np.sin(value))
-        free[row] = not pin.computeCollisions(model, data, shapes, collisions, q, True)
-    return free
-
-
-def _remove_touching(model: pin.Model, shapes: pin.GeometryModel, q: Array) -> None:
-    """Remove the pairs that collide at a configuration from those that are compared."""
-    collisions = shapes.createData()
-    pin.computeCollisions(model, model.createData(), shapes, collisions, q, False)
-    pairs = zip(list(shapes.collisionPairs), collisions.collisionResults, strict=True)
-    for pair in [pair for pair, result in pairs if result.isCollision()]:
-        shapes.removeCollisionPair(pair)
-
-
-def _check_meshes(shapes: pin.GeometryModel) -> None:
-    """Raise if a mesh among shapes is broken: see ``check_mesh``."""
     for shape in shapes.geometryObjects:
         if hasattr(shape.geometry, "num_tris"):  # a mesh
             check_mesh(shape.meshPath, shape.geometry.vertices(), shape.geometry.num_tris)
+    if unknown := [name for name in joints if not model.existJointName(name)]:
+        known = ", ".join(list(model.names)[1:])
+        raise MechanismError(f"{path}: no joint named {unknown[0]!r}; it has {known}")
+    data, q = model.createData(), pin.neutral(model)
+    shapes.addAllCollisionPairs()
+    pairs = list(shapes.collisionPairs)
+    supports = [set(model.supports[shape.parentJoint]) for shape in shapes.geometryObjects]
+    touching = [len(supports[p.first] ^ supports[p.second]) < _CLOSE for p in pairs]
+    if neutral:
+        collisions = shapes.createData()
+        pin.computeCollisions(model, data, shapes, collisions, q, False)
+        touching = [
+            touches or result.isCollision()
+            for touches, result in zip(touching, collisions.collisionResults, strict=True)
+        ]
+    for pair in itertools.compress(pairs, touching):
+        shapes.removeCollisionPair(pair)
+    collisions, indices = shapes.createData(), [model.getJointId(name) for name in joints]
+    free = np.empty(len(positions), dtype=bool)
+    for row, values in enumerate(np.asarray(positions, dtype=np.float64)):
+        at_row = _configuration(model, q, indices, values)
+        free[row] = not pin.computeCollisions(model, data, shapes, collisions, at_row, True)
+    return free
 
 
 def check_mesh(path: str | Path, corners: Array, triangles: int) -> None:
     """Raise if a mesh is not what its file was meant to hold: readers take what they can.
 
-    Args:
-        path: Its file.
-        corners: As read, shape (n, 3).
-        triangles: How many were read.
+    It has corners of shape (n, 3), and so many triangles were read.
 
     Raises:
         FileError: it has no triangles, numbers that are not finite, or an end that is missing.
@@ -184,26 +165,3 @@ def check_mesh(path: str | Path, corners: Array, triangles: int) -> None:
         text = data.lstrip().startswith(b"solid") and len(data) != size
         if b"endsolid" not in data[-200:] if text else len(data) < size:
             raise FileError(f"{path}: the end of this mesh is missing; copy or write it anew")
-
-
-def _entry(model: pin.Model, name: str, path: Path) -> tuple[int, int]:
-    """Return where a joint's configuration is, and how many entries it has."""
-    if not model.existJointName(name):
-        known = ", ".join(list(model.names)[1:])
-        raise MechanismError(f"{path}: no joint named {name!r}; it has {known}")
-    joint = model.joints[model.getJointId(name)]
-    return joint.idx_q, joint.nq
-
-
-def _joints_between(model: pin.Model, first: int, second: int) -> int:
-    """Return how many joints lie between two bodies, given by the joints that carry them."""
-
-    def ancestors(joint: int) -> list[int]:
-        chain = [joint]
-        while chain[-1]:
-            chain.append(model.parents[chain[-1]])
-        return chain
-
-    a, b = ancestors(first), ancestors(second)
-    common = next(joint for joint in a if joint in b)
-    return a.index(common) + b.index(common)

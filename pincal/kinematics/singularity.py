@@ -69,6 +69,7 @@ def drive_margins(closed: Sequence[tuple[list[int], ClosedLegs]]) -> Array:
 
 
 def _grip(closure: Closure) -> Array:
+    """Return the grip of a leg's drives, shape (N,)."""
     if closure.drive.shape[2] == 1:
         return np.asarray(np.linalg.norm(closure.drive, axis=(1, 2)) / closure.lever)
     speed = np.linalg.norm(closure.active, axis=1, keepdims=True)
@@ -79,11 +80,8 @@ def _grip(closure: Closure) -> Array:
 def platform_margin(mechanism: Mechanism, lines: Sequence[Array]) -> Array:
     """Return the determinant of the legs' unit constraint lines, signed as at home, shape (N,).
 
-    NaN if a leg does not reach the home pose, which then has no side.
-
-    Args:
-        mechanism: The mechanism.
-        lines: Of each leg Nᵀ ∂c/∂x, shape (N, k, dof).
+    Lines are of each leg Nᵀ ∂c/∂x, shape (N, k, dof). NaN if a leg does not reach the home pose,
+    which then has no side.
     """
     side = np.sign(home_determinant(mechanism)) or 1.0
     return _volume(mechanism, np.concatenate(lines, axis=1)) * side
@@ -95,8 +93,7 @@ def rods_margin(mechanism: Mechanism, matrices: Array) -> Array | None:
     Where a leg does not reach, a number without meaning. None if a leg is no rod or slide.
     """
     side = _rods_side(mechanism)
-    lines = None if side is None else _rods(mechanism, matrices)
-    return None if side is None or lines is None else _volume(mechanism, lines) * side
+    return None if side is None else side * _rods_volume(mechanism, matrices)
 
 
 @lru_cache(maxsize=64)
@@ -104,20 +101,20 @@ def _rods_side(mechanism: Mechanism) -> float | None:
     """Return the sign of what the rods' lines span at home; None without rods, or out of reach."""
     if not np.isfinite(home_determinant(mechanism)):  # no leg closes there: no side is home's
         return None
-    lines = _rods(mechanism, mechanism.platform.home_pose.as_matrix())
-    return None if lines is None else float(np.sign(_volume(mechanism, lines)[0])) or 1.0
+    volume = _rods_volume(mechanism, mechanism.platform.home_pose.as_matrix())[0]
+    return None if np.isnan(volume) else float(np.sign(volume)) or 1.0
 
 
-def _rods(mechanism: Mechanism, matrices: Array) -> Array | None:
-    """Return the legs' constraint lines, shape (N, n_legs, dof), or None."""
+def _rods_volume(mechanism: Mechanism, matrices: Array) -> Array:
+    """Return what the legs' constraint lines span, shape (N,); NaN if a leg is no rod or slide."""
     rows, lines = mechanism.platform.twist_rows, []
     for closure in nominal_legs(mechanism):
         targets = closure.targets(matrices)
         arm = targets - matrices[:, :3, 3]
         if (along := rod_directions(closure, targets)) is None:
-            return None
+            return np.full(len(matrices), np.nan)
         lines.append((along[:, None] @ point_velocity(arm, rows))[:, 0])
-    return np.stack(lines, axis=1)
+    return _volume(mechanism, np.stack(lines, axis=1))
 
 
 def _volume(mechanism: Mechanism, lines: Array) -> Array:
