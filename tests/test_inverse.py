@@ -11,7 +11,7 @@ from closed_forms import angles, bends, jacobian, near, poses_near_home, random_
 import pincal
 from pincal.files.mechanism_folders import bundled
 from pincal.kinematics import closing
-from pincal.kinematics.closed_forms import rod_geometry
+from pincal.kinematics.closed_forms import closed_form
 from pincal.kinematics.closing import close
 from pincal.kinematics.closure import LegClosure, largest_size, nominal_legs
 from pincal.kinematics.inverse import reached
@@ -131,7 +131,7 @@ def test_targets_on_the_axis_of_a_drive_are_out_of_reach(name: str) -> None:
         mechanism = mechanism.with_parameters({"leg_1.L": 1.2})
     closure, home = nominal_legs(mechanism)[0], mechanism.platform.home_pose.as_matrix()
     pose = home.copy()
-    pose[:, :3, 3] += rod_geometry(closure).centre - closure.targets(home)
+    pose[:, :3, 3] += closed_form(closure).centre - closure.targets(home)
     poses = mechanism.platform.from_matrices(np.concatenate((home, pose)))
     asked = reached(mechanism, poses)[:, 0]
     assert asked.tolist() == [True, False]

@@ -16,7 +16,7 @@ import numpy as np
 
 from pincal.errors import MechanismError
 from pincal.files.mechanism_folders import load_mechanism
-from pincal.kinematics.closed_forms import closed_form, driven_rod, rod_geometry
+from pincal.kinematics.closed_forms import DrivenRod, closed_form
 from pincal.kinematics.closing import sensor_law
 from pincal.kinematics.closure import LegClosure
 from pincal.model.checks import EXACT, LARGEST
@@ -186,12 +186,12 @@ def _tower(closure: LegClosure) -> Array:
     """
     leg = closure.leg
     slides = leg.active == [0] and leg.moving[0].kind == "prismatic"
-    if not slides or closed_form(closure) is not driven_rod:
+    rod = closed_form(closure)
+    if not slides or not isinstance(rod, DrivenRod):
         raise MechanismError(
             f"{leg.name} is not a carriage, a universal joint and a rod, as a linear delta's legs "
             "are"
         )
-    rod = rod_geometry(closure)
     vertical = rod.frame[:, 1]
     tilt = hypot(vertical[0], vertical[1])
     if tilt > EXACT:

@@ -15,7 +15,6 @@ product of matrices. What bars other driven rods is a shell too, and more.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -26,21 +25,18 @@ from pincal.kinematics.closure import LegClosure
 from pincal.model.checks import ROUNDING, sine_and_cosine, wrapped
 from pincal.types import Array, Mask
 
-#: Joint positions (N, n_joints) that take the tip to targets (N, 3), and which are in reach.
-ClosedForm = Callable[[LegClosure, Array], tuple[Array, Mask]]
-
 
 @lru_cache(maxsize=256)
-def closed_form(closure: LegClosure) -> ClosedForm | None:
+def closed_form(closure: LegClosure) -> DrivenRod | PointingSlide | None:
     """Return the closed form of a leg, or None if it has none."""
     if closure.leg.closes == "frame":
         return None
     kinds = [joint.kind for joint in closure.leg.moving]
     pointing = ["revolute"] * (closure.platform.space - 1)
     if kinds[1:] == pointing and _points(closure, rod=True):
-        return driven_rod
+        return DrivenRod.of(closure)
     if kinds == [*pointing, "prismatic"] and _points(closure, rod=False):
-        return pointing_slide
+        return PointingSlide.of(closure)
     return None
 
 
@@ -49,7 +45,7 @@ def is_line(closure: LegClosure) -> bool:
 
     The joint's two ways of pointing somewhere are one line; turned about it, it is no other leg.
     """
-    return closure.leg.active == [2] and closed_form(closure) is pointing_slide
+    return closure.leg.active == [2] and isinstance(closed_form(closure), PointingSlide)
 
 
 def rod_directions(closure: LegClosure, targets: Array) -> Array | None:
@@ -63,18 +59,9 @@ def rod_directions(closure: LegClosure, targets: Array) -> Array | None:
         targets: Shape (N, 3), [m]; may be changed.
     """
     form = closed_form(closure)
-    if form is pointing_slide and closure.leg.active == [len(closure.leg.moving) - 1]:
-        arm = _in_space(closure, targets - slide_geometry(closure).centre)
-    elif form is driven_rod and closure.leg.active == [0]:
-        rod, drive = rod_geometry(closure), driven_rod(closure, targets)[0][:, 0]
-        arm = _in_space(closure, targets - rod.centre)
-        if closure.leg.moving[0].kind == "prismatic":
-            arm -= drive[:, None] * rod.frame[:, 1]
-        else:
-            circle = np.stack(sine_and_cosine(drive)[::-1], axis=1)
-            arm -= rod.radius * circle @ rod.frame[:, :2].T
-    else:
+    if form is None or closure.leg.active != [form.driven]:
         return None
+    arm = form.to_tip(targets)
     with np.errstate(invalid="ignore"):
         return np.asarray(arm / np.linalg.norm(arm, axis=1, keepdims=True))
 
@@ -94,40 +81,40 @@ class Pointing:
     e2: Array
     e3: Array
     """Unit axes of a universal joint and their product, shape (3,)."""
-    delta: float
+    home: Array
+    """Of its one or two angles, [rad]."""
+    delta: float = 0.0
     """Angle from e₃ to the pointing direction towards e₁, [rad]."""
-    side: float
+    side: float = 1.0
     """Sign of cos(q₂ + δ) at home: of the two ways of pointing somewhere, which is meant."""
 
-    universal: bool = True
+    @classmethod
+    def of(cls, axes: Array, arm: Array, home: Array) -> Pointing:
+        """Return a pointing joint of twists at the tip, shape (6, 1 or 2), and its arm, [m]."""
+        u = arm / np.linalg.norm(arm)
+        e1 = axes[3:, 0]
+        if axes.shape[1] == 1:
+            return cls(arm, e1, np.cross(u, e1), u, home)
+        e2 = axes[3:, 1]
+        e3 = np.cross(e1, e2)
+        delta = float(np.arctan2(u @ e1, u @ e3))
+        return cls(arm, e1, e2, e3, home, delta, float(np.sign(np.cos(home[1] + delta))) or 1.0)
 
     def angles(self, vectors: Array) -> list[Array]:
         """Return the joint's angles when it points along vectors (N, 3), one or two, (N,) each."""
         across, height = self.side * (vectors @ self.e2), self.side * (vectors @ self.e3)
-        q1 = np.arctan2(-across, height)
-        if not self.universal:
-            return [q1]
-        level = self.side * np.sqrt(across * across + height * height)
-        return [q1, np.arctan2(vectors @ self.e1, level) - self.delta]
-
-
-def pointing_slide(closure: LegClosure, targets: Array) -> tuple[Array, Mask]:
-    """Return the angles of a pointing joint and the length of the slide through its centre.
-
-    Every target but the centre is in reach.
-    """
-    leg, form = closure.leg, slide_geometry(closure)
-    arm = _in_space(closure, targets - form.centre)
-    length = lengths(arm)
-    angles = form.pointing.angles(form.forth * arm)
-    turns = [home + wrapped(q - home) for q, home in zip(angles, leg.home[:-1], strict=True)]
-    return np.stack((*turns, form.forth * length)).T, length > 0.0
+        angles = [np.arctan2(-across, height)]
+        if len(self.home) == 2:
+            level = self.side * np.sqrt(across * across + height * height)
+            angles.append(np.arctan2(vectors @ self.e1, level) - self.delta)
+        return [home + wrapped(q - home) for q, home in zip(angles, self.home, strict=True)]
 
 
 @dataclass(frozen=True)
-class SlideGeometry:
-    """A slide on a pointing joint at zero joint positions, read off its chain."""
+class PointingSlide:
+    """A slide on a pointing joint, at zero joint positions, read off its chain."""
 
+    closure: LegClosure
     centre: Array
     """Of the pointing joint, base frame, shape (3,), [m]."""
     pointing: Pointing
@@ -136,66 +123,76 @@ class SlideGeometry:
     forth: float
     """Sign of the slide's distance from the centre at home."""
 
+    @classmethod
+    def of(cls, closure: LegClosure) -> PointingSlide:
+        """Return the closed form of a leg."""
+        tips, (columns, _) = closure.at_zero_and_home
+        home, start = closure.leg.home, _arm(columns[:, :-1])
+        shift = float(start @ columns[:3, -1])
+        forth = float(np.sign(home[-1] + shift)) or 1.0
+        pointing = Pointing.of(columns[:, :-1], columns[:3, -1], home[:-1])
+        return cls(closure, tips[0] - start, pointing, shift, forth)
 
-@lru_cache(maxsize=256)
-def slide_geometry(closure: LegClosure) -> SlideGeometry:
-    """Return the geometry of a slide on a pointing joint."""
-    tips, (columns, _) = closure.at_zero_and_home
-    start = _arm(columns[:, :-1])
-    shift = float(start @ columns[:3, -1])
-    forth = float(np.sign(closure.leg.home[-1] + shift)) or 1.0
-    pointing = _pointing(closure, columns[:, :-1], columns[:3, -1], first=0)
-    return SlideGeometry(tips[0] - start, pointing, shift, forth)
+    @property
+    def driven(self) -> int:
+        """The joint that a usual leg of this kind drives."""
+        return len(self.closure.leg.moving) - 1
 
+    def to_tip(self, targets: Array) -> Array:
+        """Return the vectors from the centre to targets, shape (N, 3), [m]."""
+        return _in_space(self.closure, targets - self.centre)
 
-def driven_rod(closure: LegClosure, targets: Array) -> tuple[Array, Mask]:
-    """Return the drive's position and the angles of the pointing joint that it moves.
+    def joints(self, targets: Array) -> tuple[Array, Mask]:
+        """Return joint positions, (N, n_joints), that take the tip to targets: all in reach, (N,).
 
-    The joint's centre C(q) lies on a circle or a line, and as far from the target as the rod
-    is long: |t − C(q)| = L has two solutions, on either side of where the drive loses its grip,
-    (t − C) · ∂C/∂q = 0. The one on the side of home is taken. A target out of reach gets the
-    leg stretched or folded towards it.
-    """
-    leg, rod = closure.leg, rod_geometry(closure)
-    arm = _in_space(closure, targets - rod.centre)
-    radial, on, height = rod.frame.T @ arm.T
-    with np.errstate(all="ignore"):
-        if leg.moving[0].kind == "prismatic":
-            square = on**2 - np.einsum("ni,ni->n", arm, arm) + rod.length**2
-            possible = square >= 0.0
-            drive = on - rod.mode * np.sqrt(np.clip(square, 0.0, None))
-            to_tip = arm - drive[:, None] * rod.frame[:, 1]
-        else:
-            flat = radial * radial + on * on
-            far = np.sqrt(flat)
-            safe_distance = np.where(far > 0.0, far, 1.0)  # at O, any angle
-            cos = (flat + height * height + rod.radius**2 - rod.length**2) / (2 * rod.radius * far)
-            cos = np.where(np.isnan(cos), 0.0, cos)
-            possible = np.abs(cos) <= 1.0
-            cos = np.clip(cos, -1.0, 1.0)
-            sin = rod.mode * np.sqrt((1 - cos) * (1 + cos))
-            radial, on = (
-                radial / safe_distance,
-                on / safe_distance,
-            )  # the target's way, turned to the drive's: no sines
-            c, s = cos * radial + sin * on, cos * on - sin * radial
-            drive = leg.home[0] + wrapped(np.arctan2(s, c) - leg.home[0])
-            # turned back to where the drive is at zero
-            elbow = np.stack((far * cos - rod.radius, far * sin, height))
-            to_tip = (rod.frame @ elbow).T
-    angles = rod.pointing.angles(to_tip)
-    turns = [home + wrapped(q - home) for q, home in zip(angles, leg.home[1:], strict=True)]
-    return np.stack((drive, *turns)).T, possible
+        The centre alone is not.
+        """
+        arm = self.to_tip(targets)
+        length = lengths(arm)
+        angles = self.pointing.angles(self.forth * arm)
+        return np.stack((*angles, self.forth * length - self.shift)).T, length > 0.0
+
+    def reach(self, least_type1: float) -> Reach:
+        """Return the shell of the slide, cut by the first axis' limits."""
+        pointing, (first, *second, slide) = self.pointing, self.closure.leg.moving
+        ends = (slide.lower + self.shift, slide.upper + self.shift)
+        low, high = sorted(self.forth * end for end in ends)
+        planes: list[Array] = []
+        exact = least_type1 <= 1.0 - ROUNDING  # a slide along the leg always has full grip
+        if self.closure.leg.active != [self.driven]:  # not so where another joint is driven
+            exact &= least_type1 == 0.0
+        if first.limited:
+            # with C, S = r cos q₁, r sin q₁: sin(q₁ − lower) ≥ 0 and sin(upper − q₁) ≥ 0
+            exact &= first.upper - first.lower <= np.pi + ROUNDING
+            C = pointing.side * self.forth * pointing.e3
+            S = -pointing.side * self.forth * pointing.e2
+            planes = [
+                S * np.cos(first.lower) - C * np.sin(first.lower),
+                C * np.sin(first.upper) - S * np.cos(first.upper),
+            ]
+            if np.allclose(planes[0], planes[1], rtol=0.0, atol=ROUNDING):
+                planes = planes[:1]
+        for joint in second:
+            if joint.limited:  # q₂ + δ lies within ± π/2 of the side's middle, modulo full turns
+                middle = 0.0 if pointing.side > 0 else np.pi
+                centre = (joint.lower + joint.upper) / 2 + pointing.delta
+                middle += 2 * np.pi * np.round((centre - middle) / (2 * np.pi))
+                exact &= joint.lower + pointing.delta <= middle - np.pi / 2 + ROUNDING
+                exact &= joint.upper + pointing.delta >= middle + np.pi / 2 - ROUNDING
+        return _reach(self.closure, self.centre, (low, high), planes if exact else [], exact)
 
 
 @dataclass(frozen=True)
-class RodGeometry:
-    """A driven rod at zero joint positions, read off its chain; base frame.
+class DrivenRod:
+    """A rod on a pointing joint that a drive moves, at zero joint positions; base frame.
 
     The pointing joint is at C(q) = centre + radius (u cos q + v sin q), with u and v the
-    first columns of the frame, or at C(q) = centre + v q on a line.
+    first columns of the frame, or at C(q) = centre + v q on a line. The joint's centre is as far
+    from the target as the rod is long: |t − C(q)| = L has two solutions, on either side of where
+    the drive loses its grip, (t − C) · ∂C/∂q = 0. The one on the side of home is taken.
     """
 
+    closure: LegClosure
     centre: Array
     """Of the circle, or where the line begins, shape (3,), [m]."""
     radius: float
@@ -206,45 +203,101 @@ class RodGeometry:
     pointing: Pointing
     mode: float
     """Sign of (t − C) · ∂C/∂q at home."""
+    driven: int = 0
+
+    @classmethod
+    def of(cls, closure: LegClosure) -> DrivenRod:
+        """Return the closed form of a leg."""
+        leg, (tips, (columns, home)) = closure.leg, closure.at_zero_and_home
+        pointing = Pointing.of(columns[:, 1:], _arm(columns), leg.home[1:])
+        point, speed = tips[0] - pointing.arm, columns[:3, 0]
+        radius, axis = 0.0, np.zeros(3)
+        if leg.moving[0].turns:
+            axis = columns[3:, 0]
+            speed = speed - np.cross(axis, pointing.arm)
+            radius = float(np.linalg.norm(speed))
+            speed = speed / radius
+        radial = np.cross(speed, axis)
+        frame = np.stack((radial, speed, axis), axis=1)
+        at_home = _arm(home)  # drive and rod as they are there
+        grip = at_home @ (home[:3, 0] - np.cross(home[3:, 0], at_home))
+        mode = float(np.sign(grip)) or 1.0
+        return cls(closure, point - radius * radial, radius, frame, pointing, mode)
 
     @property
     def length(self) -> float:
         """Length of the rod, [m]."""
         return float(np.linalg.norm(self.pointing.arm))
 
+    def to_tip(self, targets: Array) -> Array:
+        """Return the vectors from the rod's pointing joint to targets, shape (N, 3), [m]."""
+        drive, arm = self._drive(targets)[0], _in_space(self.closure, targets - self.centre)
+        if self.radius:
+            circle = np.stack(sine_and_cosine(drive)[::-1], axis=1)
+            return arm - self.radius * circle @ self.frame[:, :2].T
+        return arm - drive[:, None] * self.frame[:, 1]
 
-@lru_cache(maxsize=256)
-def rod_geometry(closure: LegClosure) -> RodGeometry:
-    """Return the geometry of a driven rod."""
-    leg = closure.leg
-    tips, (columns, home) = closure.at_zero_and_home
-    pointing = _pointing(closure, columns[:, 1:], _arm(columns), first=1)
-    point, speed = tips[0] - pointing.arm, columns[:3, 0]
-    radius, axis = 0.0, np.zeros(3)
-    if leg.moving[0].kind == "revolute":
-        axis = columns[3:, 0]
-        speed = speed - np.cross(axis, pointing.arm)
-        radius = float(np.linalg.norm(speed))
-        speed = speed / radius
-    radial = np.cross(speed, axis)
-    frame = np.stack((radial, speed, axis), axis=1)
-    at_home = _arm(home)  # drive and rod as they are there
-    grip = at_home @ (home[:3, 0] - np.cross(home[3:, 0], at_home))
-    mode = float(np.sign(grip)) or 1.0
-    return RodGeometry(point - radius * radial, radius, frame, pointing, mode)
+    def joints(self, targets: Array) -> tuple[Array, Mask]:
+        """Return joint positions that take the tip to targets, (N, n_joints), and what is in reach.
 
+        A target out of reach gets the leg stretched or folded towards it.
+        """
+        drive, to_tip, possible = self._drive(targets)
+        return np.stack((drive, *self.pointing.angles(to_tip))).T, possible
 
-def _pointing(closure: LegClosure, axes: Array, arm: Array, first: int) -> Pointing:
-    """Return a pointing joint from its twists at the tip, shape (6, 1 or 2), and its arm, [m]."""
-    u = arm / np.linalg.norm(arm)
-    e1 = axes[3:, 0]
-    if axes.shape[1] == 1:
-        return Pointing(arm, e1, np.cross(u, e1), u, 0.0, 1.0, universal=False)
-    e2 = axes[3:, 1]
-    e3 = np.cross(e1, e2)
-    delta = float(np.arctan2(u @ e1, u @ e3))
-    side = float(np.sign(np.cos(closure.leg.home[first + 1] + delta))) or 1.0
-    return Pointing(arm, e1, e2, e3, delta, side)
+    def _drive(self, targets: Array) -> tuple[Array, Array, Mask]:
+        """Return the drive's position, where the rod points with the drive at zero, and reach.
+
+        Shapes (N,), (N, 3), (N,).
+        """
+        arm = _in_space(self.closure, targets - self.centre)
+        radial, on, height = self.frame.T @ arm.T
+        with np.errstate(all="ignore"):
+            if not self.radius:
+                square = on**2 - np.einsum("ni,ni->n", arm, arm) + self.length**2
+                drive = on - self.mode * np.sqrt(np.clip(square, 0.0, None))
+                return drive, arm - drive[:, None] * self.frame[:, 1], square >= 0.0
+            flat = radial * radial + on * on
+            far = np.sqrt(flat)
+            safe = np.where(far > 0.0, far, 1.0)  # at O, any angle
+            cos = flat + height * height + self.radius**2 - self.length**2
+            cos = cos / (2 * self.radius * far)
+            cos = np.where(np.isnan(cos), 0.0, cos)
+            possible = np.abs(cos) <= 1.0
+            cos = np.clip(cos, -1.0, 1.0)
+            sin = self.mode * np.sqrt((1 - cos) * (1 + cos))
+            radial, on = (
+                radial / safe,
+                on / safe,
+            )  # the target's way, turned to the drive's: no sines
+            c, s = cos * radial + sin * on, cos * on - sin * radial
+            home = self.closure.leg.home[0]
+            drive = home + wrapped(np.arctan2(s, c) - home)
+            # turned back to where the drive is at zero
+            elbow = np.stack((far * cos - self.radius, far * sin, height))
+        return drive, (self.frame @ elbow).T, possible
+
+    def reach(self, least_type1: float) -> Reach:
+        """Return the ring of a dyad, |cos of the elbow| ≤ √(1 − margin²), or a shell around it all.
+
+        In space a drive turns its rod's joint in one plane only, and a line has two ends: what is
+        outside the shell is out of reach, what is within need not be in reach.
+        """
+        leg = self.closure.leg
+        dyad = self.closure.platform.space == 2 and bool(self.radius)
+        exact = dyad and not any(joint.limited for joint in leg.moving)
+        if leg.active != [0]:  # the grip of a driven elbow is another quantity
+            exact &= least_type1 == 0.0
+        if not self.radius:
+            first = leg.moving[0]
+            middle = self.centre + self.frame[:, 1] * (first.lower + first.upper) / 2
+            high = (first.upper - first.lower) / 2 + self.length
+            return _reach(self.closure, middle, (0.0, high), [], exact)
+        grip = least_type1 if dyad and leg.active == [0] else 0.0
+        squares, swing = self.radius**2 + self.length**2, 2 * self.radius * self.length
+        swing *= np.sqrt(1.0 - grip**2)
+        low, high = np.sqrt(max(squares - swing, 0.0)), np.sqrt(squares + swing)
+        return _reach(self.closure, self.centre, (low, high), [], exact)
 
 
 def _arm(columns: Array) -> Array:
@@ -274,16 +327,6 @@ def _in_space(closure: LegClosure, vectors: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Turned:
-    """Platform point of a leg in O orientations: what does not depend on the position."""
-
-    factor: Array
-    """Columns (2 R b, 1) of a squared distance, shape (4, O)."""
-    heights: Array
-    """R b along the normal of each half-space, shape (n_planes, O), [m]."""
-
-
-@dataclass(frozen=True)
 class Reach:
     """Tips that a leg reaches within its limits; at dyads with an elbow margin."""
 
@@ -309,101 +352,42 @@ class Reach:
             inside &= arm @ normal >= -self.slack
         return inside
 
-    def turned(self, R: Array) -> Turned:
-        """Return the platform point turned by orientations, shape (O, 3, 3), for what follows."""
-        arms = (R @ self.point).T
-        return Turned(np.vstack((2.0 * arms, np.ones(len(R)))), self.normals @ arms)
+    def holds_each(self, positions: Array, arms: Array) -> Mask:
+        """Return which pairs of position (P, 3), [m], and orientation the leg reaches, (P, O).
 
-    def holds_each(self, positions: Array, turned: Turned) -> Mask:
-        """Return which pairs of position (P, 3), [m], and orientation the leg reaches, (P, O)."""
-        squared = self._squared(positions, turned)
+        Arms are the platform point turned by each orientation, R b, shape (3, O), [m].
+        """
+        squared = self._squared(positions, arms)
         inside = (squared >= self.bounds[0]) & (squared <= self.bounds[1])
-        for normal, heights in zip(self.normals, turned.heights, strict=True):
-            inside &= ((positions - self.centre) @ normal)[:, None] + heights >= -self.slack
+        for normal in self.normals:
+            height = ((positions - self.centre) @ normal)[:, None]
+            inside &= height + normal @ arms >= -self.slack
         return inside
 
-    def holds_all(self, positions: Array, turned: Turned) -> Mask:
+    def holds_all(self, positions: Array, arms: Array) -> Mask:
         """Return which positions the leg reaches in all orientations, shape (P,)."""
-        squared = self._squared(positions, turned)
+        squared = self._squared(positions, arms)
         inside = squared.min(axis=1) >= self.bounds[0]
         inside &= squared.max(axis=1) <= self.bounds[1]
-        for normal, heights in zip(self.normals, turned.heights, strict=True):
-            inside &= (positions - self.centre) @ normal + heights.min() >= -self.slack
+        for normal in self.normals:
+            inside &= (positions - self.centre) @ normal + (normal @ arms).min() >= -self.slack
         return inside
 
-    def _squared(self, positions: Array, turned: Turned) -> Array:
+    def _squared(self, positions: Array, arms: Array) -> Array:
         """Return |r + R b − c|² = |r − c|² + |b|² + 2 (r − c) · R b, shape (P, O)."""
         offset = positions - self.centre
         constant = np.einsum("ni,ni->n", offset, offset) + self.point @ self.point
-        return np.column_stack((offset, constant)) @ turned.factor
+        factor = np.vstack((2.0 * arms, np.ones(arms.shape[1])))
+        return np.column_stack((offset, constant)) @ factor
 
 
 def reach_of(closure: LegClosure, least_type1: float = 0.0) -> Reach | None:
     """Return where a leg can have its tip, or None if it has no closed form.
 
-    Args:
-        closure: The leg at its parameter values.
-        least_type1: Margin from type-1 singularities, which at a dyad bounds the elbow.
+    The margin from type-1 singularities bounds a dyad's elbow.
     """
     form = closed_form(closure)
-    if form is None:
-        return None
-    return (_rod if form is driven_rod else _slide)(closure, least_type1)
-
-
-def _rod(closure: LegClosure, least_type1: float) -> Reach:
-    """Return the ring of a dyad: |cos of the elbow| ≤ √(1 − margin²); else a shell around it all.
-
-    In space a drive turns its rod's joint in one plane only, and a line has two ends: what is
-    outside the shell is out of reach, what is within need not be in reach.
-    """
-    rod, leg = rod_geometry(closure), closure.leg
-    line = leg.moving[0].kind == "prismatic"
-    dyad = closure.platform.space == 2 and not line
-    exact = dyad and not any(joint.limited for joint in leg.moving)
-    if leg.active != [0]:  # the grip of a driven elbow is another quantity
-        exact &= least_type1 == 0.0
-    grip = least_type1 if dyad and leg.active == [0] else 0.0
-    if line:
-        first = leg.moving[0]
-        middle = rod.centre + rod.frame[:, 1] * (first.lower + first.upper) / 2
-        high = (first.upper - first.lower) / 2 + rod.length
-        return _reach(closure, middle, (0.0, high), [], exact)
-    squares, swing = rod.radius**2 + rod.length**2, 2 * rod.radius * rod.length
-    swing *= np.sqrt(1.0 - grip**2)
-    low, high = np.sqrt(max(squares - swing, 0.0)), np.sqrt(squares + swing)
-    return _reach(closure, rod.centre, (low, high), [], exact)
-
-
-def _slide(closure: LegClosure, least_type1: float) -> Reach:
-    """Return the shell of a slide on a pointing joint, cut by the first axis' limits."""
-    form = slide_geometry(closure)
-    pointing, (first, *second, slide) = form.pointing, closure.leg.moving
-    ends = (slide.lower + form.shift, slide.upper + form.shift)
-    low, high = sorted(form.forth * end for end in ends)
-    planes: list[Array] = []
-    exact = least_type1 <= 1.0 - ROUNDING  # a slide along the leg always has full grip
-    if closure.leg.active != [len(second) + 1]:  # not so where another joint is driven
-        exact &= least_type1 == 0.0
-    if first.limited:
-        # with C, S = r cos q₁, r sin q₁: sin(q₁ − lower) ≥ 0 and sin(upper − q₁) ≥ 0
-        exact &= first.upper - first.lower <= np.pi + ROUNDING
-        C = pointing.side * form.forth * pointing.e3
-        S = -pointing.side * form.forth * pointing.e2
-        planes = [
-            S * np.cos(first.lower) - C * np.sin(first.lower),
-            C * np.sin(first.upper) - S * np.cos(first.upper),
-        ]
-        if np.allclose(planes[0], planes[1], rtol=0.0, atol=ROUNDING):
-            planes = planes[:1]
-    for joint in second:
-        if joint.limited:  # q₂ + δ lies within ± π/2 of the side's middle, modulo full turns
-            middle = 0.0 if pointing.side > 0 else np.pi
-            centre = (joint.lower + joint.upper) / 2 + pointing.delta
-            middle += 2 * np.pi * np.round((centre - middle) / (2 * np.pi))
-            exact &= joint.lower + pointing.delta <= middle - np.pi / 2 + ROUNDING
-            exact &= joint.upper + pointing.delta >= middle + np.pi / 2 - ROUNDING
-    return _reach(closure, form.centre, (low, high), planes if exact else [], exact)
+    return None if form is None else form.reach(least_type1)
 
 
 def _reach(

@@ -63,7 +63,7 @@ def start_joints(closure: LegClosure, matrices: Array, attempt: int = 0) -> tupl
     """
     form = closed_form(closure)
     if form:
-        joints, possible = form(closure, closure.targets(matrices))
+        joints, possible = form.joints(closure.targets(matrices))
         return joints, possible & (attempt == 0)
     tree, joints, reach = _samples(closure.leg, closure.platform)
     distance, nearest = tree.query(_places(closure, matrices), [attempt + 1])

@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from pincal.kinematics.closed_forms import closed_form, driven_rod, reach_of
+from pincal.kinematics.closed_forms import PointingSlide, closed_form
 from pincal.kinematics.closing import close, sensor_law
 from pincal.kinematics.closure import LegClosure, nominal_legs
 from pincal.model.checks import ROUNDING
@@ -90,18 +90,15 @@ class Shape:
         leg, form = self.closure.leg, closed_form(self.closure)
         if form is None:
             return []
-        joints = list(
-            range(1, len(leg.moving)) if form is driven_rod else range(len(leg.moving) - 1)
-        )
+        joints = [index for index in range(len(leg.moving)) if index != form.driven]
         limited = any(leg.moving[index].limited for index in joints)
-        if set(joints) & set(leg.active) or (limited and self.barred is None):
-            return []
-        return joints
+        return [] if set(joints) & set(leg.active) or (limited and self.barred is None) else joints
 
     @cached_property
     def barred(self) -> Array | None:
         """Normals of the half-spaces that alone bound where a slide points, shape (k, 3)."""
-        reach = None if closed_form(self.closure) is driven_rod else reach_of(self.closure)
+        form = closed_form(self.closure)
+        reach = form.reach(0.0) if isinstance(form, PointingSlide) else None
         return None if reach is None or not reach.exact else reach.normals
 
     @property
@@ -186,6 +183,10 @@ def _limits_apart(first: Shape, second: Shape, index: int, sign: float) -> Diffe
 
 def _readings_apart(first: Shape, second: Shape, signs: Array) -> Iterator[Difference]:
     """Yield by how much active joints move otherwise where readings are the same."""
+    homed = [[s.homed for s in shape.closure.leg.sensors] for shape in (first, second)]
+    if homed[0] != homed[1]:
+        yield Difference("zero of the sensor", None, of_sensor=True)
+        return
     readings: Array | None = None
     moved = []
     for shape, sides in ((first, signs), (second, np.ones(len(signs)))):

@@ -20,7 +20,6 @@ from pincal.blas import on_one_thread
 from pincal.errors import WorkspaceError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.files.table import write_table
-from pincal.kinematics.closed_forms import Turned
 from pincal.kinematics.singularity import margins
 from pincal.model.checks import ROUNDING, described
 from pincal.model.mechanism import Mechanism
@@ -79,7 +78,7 @@ class PositionTest:
         return inside
 
     @cached_property
-    def _turns(self) -> tuple[Array, list[Turned]]:
+    def _turns(self) -> tuple[Array, list[Array]]:
         """Orientations as matrices, shape (O, 3, 3), and each leg's point turned by them.
 
         Those that are likely to decide come first: the far ones if every one must be reached.
@@ -88,7 +87,7 @@ class PositionTest:
         home = self.mechanism.platform.home_pose.rotation[0]
         far = (home.inv() * rotations).magnitude()
         R = rotations.as_matrix()[np.argsort(-far if self.every else far, kind="stable")]
-        return R, [reach.turned(R) for reach in self._criteria.reaches]
+        return R, [(R @ reach.point).T for reach in self._criteria.reaches]
 
     def _decided(self, positions: Array) -> Mask:
         """Return which positions count: by closed forms first, then by closing legs."""
