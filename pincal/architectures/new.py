@@ -68,11 +68,7 @@ def architecture_of(name: str) -> Architecture:
 
 
 def _at_home(made: Mechanism, kind: Architecture, values: Values) -> Mechanism:
-    """Return a mechanism with its legs closed at home.
-
-    Raises:
-        MechanismError: one does not reach it, or not within its limits; nothing holds the platform.
-    """
+    """Return a mechanism with its legs closed at home."""
     numbers = {d.name: d.text(values[d.name]) for d in kind.dimensions if d.unit or d.choices}
     change = "change one of " + ", ".join(f"{key} {text}" for key, text in numbers.items())
     platform, legs = made.platform, []

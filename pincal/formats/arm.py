@@ -37,12 +37,7 @@ def load_arm(path: str | Path, tip: str, base: str | None = None) -> Mechanism:
 
 
 def serial_arm(tree: Tree, tip: str, base: str | None = None) -> Mechanism:
-    """Return the serial arm between two links of a tree; loops are left out.
-
-    Raises:
-        MechanismError: no such link, no chain of joints from base to tip, or a joint in it that an
-            arm cannot have.
-    """
+    """Return the serial arm between two links of a tree; loops are left out."""
     foot = tree.root if base is None else tree.link(base, "the base")
     steps = route(tree.edges, foot, tree.link(tip, "the tip"))
     if not all(forward for _, forward in steps):
@@ -66,16 +61,7 @@ def serial_arm(tree: Tree, tip: str, base: str | None = None) -> Mechanism:
 
 
 def arm(name: str, joints: tuple[Joint, ...], description: str = "") -> Mechanism:
-    """Return a serial arm of joints, six small displacements at each that moves and at the tool.
-
-    Args:
-        name: Of the mechanism.
-        joints: Base first, fixed ones included; parameters that they have are kept.
-        description: Of the mechanism.
-
-    Raises:
-        MechanismError: no joint moves; names that are alike.
-    """
+    """Return a serial arm of joints, base first; six displacements are at each and at the tool."""
     moving = [joint.name for joint in joints if joint.kind != "fixed"]
     if not moving:
         raise MechanismError(f"{name}: no joint moves")
@@ -107,10 +93,10 @@ def displaced_leg(
         name: Of the leg.
         joints: Base first.
         driven: Names of the joints with sensors.
-        point: The platform's; it may be displaced, too, where the leg closes it.
+        point: The platform's; it is displaced, too, where the leg closes it.
         closes: What the leg closes.
         stems: What the names of the moving joints' displacements begin with.
-        axes: Of the displacements, those along them first.
+        axes: Of the displacements.
         end: What the names of the tip's begin with.
     """
     if joints[-1].kind != "fixed":

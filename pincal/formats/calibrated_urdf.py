@@ -85,11 +85,7 @@ def _named(urdf: Edges, name: str) -> str | None:
 
 
 def _legs_of(path: Path, urdf: Edges, mechanism: Mechanism, name: str | None) -> list[Leg]:
-    """Return the legs whose joints, or whose platform points, are in a URDF.
-
-    Raises:
-        MechanismError: none, or several with the same joints.
-    """
+    """Return the legs whose joints, or whose platform points, are in a URDF."""
     if name is not None:
         return [mechanism.leg(name)]
     joints = {
@@ -117,11 +113,7 @@ def _legs_of(path: Path, urdf: Edges, mechanism: Mechanism, name: str | None) ->
 
 
 def _of_chain(path: Path, urdf: Edges, leg: Leg) -> dict[str, Array]:
-    """Return the origins of a leg's joints by name, (4, 4), base first.
-
-    Raises:
-        MechanismError: a joint with parameters that the URDF lacks, or has elsewhere.
-    """
+    """Return the origins of a leg's joints by name, (4, 4), base first."""
     carriers = {edge.child: _named(urdf, name) for name, edge in urdf.items()}
     origins: dict[str, Array] = {}
     previous: str | None = None
@@ -180,11 +172,7 @@ def _is_nothing(matrix: Array) -> bool:
 
 
 def _rewritten(path: Path, origins: Mapping[str, Placement]) -> bytes:
-    """Return a file's bytes with other origins of joints.
-
-    Raises:
-        MechanismError: an encoding in which a tag is no ASCII.
-    """
+    """Return a file's bytes with other origins of joints."""
     text = path.read_bytes()
     if text[:2] in (b"\xff\xfe", b"\xfe\xff") or b"\x00" in text[:100]:
         raise MechanismError(f"{path}: UTF-16 or UTF-32; save it as UTF-8")

@@ -90,9 +90,6 @@ def closed_mechanism(
         tree: Links, joints and loops.
         platform: Link whose frame is the platform's; the one in which the legs meet if not given.
         base: Link from which the legs start; the root if not given.
-
-    Raises:
-        MechanismError: legs, platform and drives cannot be distinguished; the loops do not close.
     """
     if base is not None:
         tree = replace(tree, root=tree.link(base, "the base"))
@@ -145,9 +142,6 @@ def _limbs(
     """Return the kind of platform and the legs, in frames whose z is across the plane if planar.
 
     A path without a drive says the platform's freedoms.
-
-    Raises:
-        MechanismError: legs, platform and drives cannot be distinguished.
     """
     driven, turn = set(tree.active), np.eye(3)
     if platform is None:
@@ -221,13 +215,7 @@ def _onto(normal: Array, slack: float = 0.0) -> Array:
 def _in_frames(limb: Limb, normal: Array | None, C_platform: Array, slack: float) -> Limb:
     """Return a leg in the plane, z of every frame across it, in a base frame that has it so.
 
-    In space only its platform's frame is turned.
-
-    Args:
-        limb: The leg.
-        normal: Of the plane, in the root's frame; None in space.
-        C_platform: Axes of the platform in its link, shape (3, 3).
-        slack: What cut digits may have turned axes by, [rad].
+    In space only its platform's frame is turned; ``C_platform`` is how that is in its link.
     """
     joints, point = list(limb.joints), limb.point
     if point is not None and not np.array_equal(C_platform, np.eye(3)):
@@ -268,11 +256,7 @@ def _flat(R: Array) -> Array:
 
 
 def _legs(tree: Tree, limbs: Sequence[Limb], axes: Sequence[str]) -> list[Leg]:
-    """Return legs with displacements along axes of all joints as parameters.
-
-    Raises:
-        MechanismError: a limb without a drive.
-    """
+    """Return legs with displacements along axes of all joints as parameters."""
     names = _leg_names(limbs)
     points = [limb.point.name for limb in limbs if limb.point is not None]
     legs = []

@@ -307,11 +307,7 @@ def code_of(mechanism: Mechanism, language: Language, units: Units = SI) -> str:
 
 
 def _form(term: Term, x: str, per: float) -> str:
-    """Return a term as code by ``x``: the reading, of which ``per`` are one rad or m, or a column.
-
-    Raises:
-        MechanismError: a function of one's own.
-    """
+    """Return a term as code by ``x``: the reading (``per`` are one rad or m), or a column."""
     basis, per = term.basis, 1.0 if term.of else per
     if not term.has_form:
         raise MechanismError(

@@ -85,13 +85,7 @@ class DeltaPrinter:
     ) -> Mechanism:
         """Return the printer as a mechanism; readings are the ways down from the endstops, [m].
 
-        Args:
-            name: Of the mechanism.
-            description: Of the mechanism.
-            legs: Names of its legs, in the order of the towers.
-
-        Raises:
-            MechanismError: towers that do not close at home.
+        ``legs`` are the names of its legs, in the order of the towers.
         """
         template = load_mechanism("linear_delta")
         first = template.legs[0]
@@ -180,9 +174,6 @@ def _tower(closure: LegClosure) -> Array:
     """Return x, y of a tower, its carriage's height at reading 0, the rod's length, the gain.
 
     Positions are of the rod's upper end with the platform's point in the origin, [m].
-
-    Raises:
-        MechanismError: another kind of leg.
     """
     leg = closure.leg
     slides = leg.active == [0] and leg.moving[0].kind == "prismatic"
@@ -211,11 +202,7 @@ def _tower(closure: LegClosure) -> Array:
 
 
 def _centre(points: Array) -> Array:
-    """Return the centre of the circle through three points of the plane, shape (2,).
-
-    Raises:
-        MechanismError: points in line.
-    """
+    """Return the centre of the circle through three points of the plane, shape (2,)."""
     chords = points[1:] - points[0]
     if abs(np.linalg.det(chords)) <= 1e-6 * float((chords**2).sum()):
         raise MechanismError("the three towers are in line; no printer has them so")

@@ -23,10 +23,6 @@ def read_figaroh(path: str | Path, mechanism: Mechanism) -> tuple[Measurements, 
 
     A joint's column has the name of the reading (the leg's, if it has one drive) or, if no other
     drive is called so, of the joint.
-
-    Raises:
-        FileError: the file is missing or cannot be read.
-        MeasurementError: a column that is missing or holds something else than numbers.
     """
     table = read_table(path)
     taken: set[str] = set()

@@ -166,11 +166,7 @@ def _printer(
 
 
 def _words(command: str, text: str, known: str, line: str) -> dict[str, list[float]]:
-    """Return the numbers behind each letter of a command, by ``665L`` and so on.
-
-    Raises:
-        MechanismError: a letter that the command does not take, or no numbers behind one.
-    """
+    """Return the numbers behind each letter of a command, by ``665L`` and so on."""
     numbers: dict[str, list[float]] = {}
     first, *words = re.split(r"(?=[A-Za-z])", text.strip())
     for word in [first] * bool(first) + words:
@@ -279,11 +275,7 @@ class _KlipperOptions:
         return self._parser.options(section) if self._parser.has_section(section) else []
 
     def text(self, section: str, option: str, default: str | None = None) -> str:
-        """Return an option.
-
-        Raises:
-            MechanismError: there is none, and no default.
-        """
+        """Return an option; one without a default must be there."""
         text: str | None = self._parser.get(section, option, fallback=default)
         if text is None:
             raise MechanismError(f"{self.path}: no option {option!r} in section [{section}]")
@@ -296,11 +288,7 @@ class _KlipperOptions:
         return self.numbers(section, option, 1)[0]
 
     def numbers(self, section: str, option: str, count: int) -> list[float]:
-        """Return an option as so many numbers.
-
-        Raises:
-            MechanismError: there is none, or it is something else.
-        """
+        """Return an option as so many numbers."""
         text = self.text(section, option)
         values = [plain_number(part) for part in text.split(",")]
         if len(values) != count or not np.isfinite(values).all():
@@ -331,11 +319,7 @@ class _KlipperOptions:
         return np.array(heights), readings
 
     def _way_per_step(self, stepper: str) -> float:
-        """Return the way of a carriage for a step, [mm] (``klippy/stepper.py``).
-
-        Raises:
-            MechanismError: options that do not determine it.
-        """
+        """Return the way of a carriage for a step, [mm] (``klippy/stepper.py``)."""
         gearing = 1.0
         for pair in self.text(stepper, "gear_ratio", "").split(","):
             if pair.strip():

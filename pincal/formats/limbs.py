@@ -40,13 +40,6 @@ def paths_to_platform(
     """Return what moves on each path from base to platform, a link of it, and joints in no loop.
 
     The link is None if there is but one loop, and then its one path goes round, back to the base.
-
-    Args:
-        tree: Links, joints and loops.
-        platform: A link of the platform; searched for if not given.
-
-    Raises:
-        MechanismError: no loop, or bodies that lie on no path from the base to one platform.
     """
     graph = _Graph(tree)
     base = graph.body[tree.root]
@@ -113,11 +106,7 @@ class _Graph:
         return loose
 
     def platform(self, base: str, link: str | None) -> str:
-        """Return the platform's body: the only one besides the base where paths meet, or else it.
-
-        Raises:
-            MechanismError: several of them, or a platform that no loop moves.
-        """
+        """Return the platform's body: where paths meet besides the base, or else the base."""
         degrees = self.degrees()
         if link is not None:
             body = self.body[link]
@@ -139,11 +128,7 @@ class _Graph:
         return meeting[0] if meeting else base
 
     def paths(self, base: str, goal: str) -> list[list[Step]]:
-        """Return the paths from base to goal, in the order of the bonds; each is passed once.
-
-        Raises:
-            MechanismError: a path that does not lead to the goal.
-        """
+        """Return the paths from base to goal, in the order of the bonds; each is passed once."""
         unused = list(self.bonds)
         paths = []
         for bond in self.bonds:
@@ -183,15 +168,7 @@ def _joints_to(
 def limb_along(
     tree: Tree, path: Sequence[Step], platform: str, driven: set[str], normal: Array | None
 ) -> Limb:
-    """Return the leg along a path to the platform.
-
-    Args:
-        tree: Links, joints and loops.
-        path: What moves from the root to the platform's body.
-        platform: Link whose frame is the platform's.
-        driven: Names of active joints.
-        normal: Of a planar mechanism, in the root's frame.
-    """
+    """Return the leg along a path to a link of the platform, in a plane if there is a normal."""
     joints = _joints_to(tree, path, platform, normal)
     last = _last_turns(joints, driven, 3 if normal is None else 1)
     if not last:
@@ -256,9 +233,6 @@ def point_platform(
     """Return the two legs of a planar loop whose platform is a point of it, as of a five-bar.
 
     It is where the loop parts into two legs of two joints, one of them driven.
-
-    Raises:
-        MechanismError: there is no such point.
     """
     names = [edge.joint.name for edge, _ in path]
     sides = (set(names[:2]), set(names[3:]))

@@ -11,6 +11,7 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,7 +25,7 @@ from pincal.files.text import read_xml
 from pincal.files.urdf_writing import numbers_text, xml_text
 from pincal.formats.tree import Edge, Tree, at_home, turns, with_ranges
 from pincal.model.checks import LARGEST
-from pincal.model.leg import Closing, Joint
+from pincal.model.leg import Closing, Joint, JointKind
 from pincal.model.orientation import turns_in_series
 from pincal.model.placement import Placement, placement_of
 from pincal.types import Array
@@ -36,16 +37,12 @@ else:
 
 
 _NOISE = re.compile(r"(?:XML )?Error: |Element name '', id \d+, ")
+_STILL = np.array([1.0, 0.0, 0.0, 0.0])
 _TETRAHEDRON = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
 
 
 def read_mjcf(path: Path) -> Tree:
-    """Return the tree of an MJCF file, with its loops and drives.
-
-    Raises:
-        FileError: the file is missing or cannot be read.
-        MechanismError: MuJoCo is not installed, or refuses the file.
-    """
+    """Return the tree of an MJCF file, with its loops and drives."""
     title = read_xml(path, "mujoco").get("model")
     model = _compiled(path)
     links = _names(model, mujoco.mjtObj.mjOBJ_BODY, [f"body_{i}" for i in range(model.nbody)])
@@ -119,7 +116,7 @@ def _names(model: mujoco.MjModel, kind: int, unnamed: list[str]) -> list[str]:
     return [name or substitute for name, substitute in zip(named, unnamed, strict=True)]
 
 
-def _pose(position: Array, quaternion: Array) -> Array:
+def _pose(position: Array, quaternion: Array = _STILL) -> Array:
     """Return a pose, shape (4, 4), of a position [m] and a quaternion, its scalar first."""
     matrix = np.eye(4)
     matrix[:3, 3] = position
@@ -139,25 +136,20 @@ def _edges(model: mujoco.MjModel, body: int, links: list[str], joints: list[str]
         T_link_body[:3, 3] += T_link_body[:3, :3] @ (place - anchor)
         last = i == first + count - 1 and not place.any()
         child = name if last else f"{name}_after_{joints[i]}"
-        placement = placement_of(T_link_body)
+        joint = Joint(joints[i], "fixed", placement_of(T_link_body))
         if kind == mujoco.mjtJoint.mjJNT_BALL:
-            yield from turns(Joint(joints[i], "fixed", placement), link, child, "xyz")
+            yield from turns(joint, link, child, "xyz")
         elif kind == mujoco.mjtJoint.mjJNT_FREE:
-            yield from turns(Joint(joints[i], "fixed", placement), link, child, "XYZxyz")
+            yield from turns(joint, link, child, "XYZxyz")
         else:
-            turning = kind == mujoco.mjtJoint.mjJNT_HINGE
-            lower, upper = -np.inf, np.inf
-            if model.jnt_limited[i]:
-                lower, upper = model.jnt_range[i] - model.qpos0[model.jnt_qposadr[i]]
             x, y, z = map(float, model.jnt_axis[i])
-            joint = Joint(
-                joints[i],
-                "revolute" if turning else "prismatic",
-                placement,
-                (x, y, z),
-                float(lower),
-                float(upper),
-            )
+            turning = kind == mujoco.mjtJoint.mjJNT_HINGE
+            limits = np.array([-np.inf, np.inf])
+            if model.jnt_limited[i]:
+                limits = model.jnt_range[i] - model.qpos0[model.jnt_qposadr[i]]
+            lower, upper = limits.tolist()
+            moves: JointKind = "revolute" if turning else "prismatic"
+            joint = replace(joint, kind=moves, axis=(x, y, z), lower=lower, upper=upper)
             yield Edge(joint, link, child)
         link, anchor, T_link_body = child, place, np.eye(4)
     if link != name:
@@ -199,16 +191,14 @@ def _loops(model: mujoco.MjModel, links: list[str]) -> Iterator[Edge]:
         welds = model.eq_type[i] == mujoco.mjtEq.mjEQ_WELD
         if not (connects or welds) or not model.eq_active0[i]:
             continue
-        ends = (int(model.eq_obj1id[i]), int(model.eq_obj2id[i]))
+        ends = [int(model.eq_obj1id[i]), int(model.eq_obj2id[i])]
         if model.eq_objtype[i] == mujoco.mjtObj.mjOBJ_SITE:
             poses = [_pose(model.site_pos[end], model.site_quat[end]) for end in ends]
-            ends = (int(model.site_bodyid[ends[0]]), int(model.site_bodyid[ends[1]]))
+            ends = [int(model.site_bodyid[end]) for end in ends]
+        elif connects:
+            poses = [_pose(data[:3]), _pose(data[3:6])]
         else:
-            still = np.array([1.0, 0.0, 0.0, 0.0])
-            if connects:
-                poses = [_pose(data[:3], still), _pose(data[3:6], still)]
-            else:
-                poses = [_pose(data[3:6], data[6:10]), _pose(data[:3], still)]
+            poses = [_pose(data[3:6], data[6:10]), _pose(data[:3])]
         first, second = map(placement_of, poses)
         joint = Joint(model.eq(i).name or f"loop_{i + 1}", "fixed", first)
         closes: Closing = "point" if connects else "frame"
@@ -217,33 +207,26 @@ def _loops(model: mujoco.MjModel, links: list[str]) -> Iterator[Edge]:
 
 def _coupled(model: mujoco.MjModel, joints: list[str], path: Path) -> dict[str, str]:
     """Return why joints cannot move on their own, by name: equalities of joints and tendons."""
-    reasons: dict[str, str] = {}
+    coupled: list[int] = []
     for i, kind in enumerate(model.eq_type):
-        if not model.eq_active0[i]:
-            continue
-        coupled: list[int] = []
-        if kind == mujoco.mjtEq.mjEQ_JOINT:
-            coupled = [model.eq_obj1id[i]]
-        elif kind == mujoco.mjtEq.mjEQ_TENDON:
-            tendons = model.eq_obj1id[i], model.eq_obj2id[i]
-            coupled = [j for tendon in tendons for j in _joints_of_tendon(model, tendon)]
-        for joint in coupled:
-            reasons[joints[joint]] = (
-                f"{path}: an <equality> couples joint {joints[joint]!r} to others, and joints of "
-                "a leg move on their own"
-            )
-    return reasons
+        if model.eq_active0[i] and kind == mujoco.mjtEq.mjEQ_JOINT:
+            coupled.append(model.eq_obj1id[i])
+        elif model.eq_active0[i] and kind == mujoco.mjtEq.mjEQ_TENDON:
+            for tendon in {model.eq_obj1id[i], model.eq_obj2id[i]} - {-1}:
+                coupled += _joints_of_tendon(model, tendon)
+    return {
+        joints[i]: f"{path}: an <equality> couples joint {joints[i]!r} to others, and joints of "
+        "a leg move on their own"
+        for i in coupled
+    }
 
 
 def _joints_of_tendon(model: mujoco.MjModel, tendon: int) -> list[int]:
-    """Return the joints that change the length of a tendon; none for no tendon."""
-    if tendon < 0:
-        return []
+    """Return the joints that change the length of a tendon."""
     first, count = model.tendon_adr[tendon], model.tendon_num[tendon]
     moving: list[int] = []
-    for kind, i in zip(
-        model.wrap_type[first : first + count], model.wrap_objid[first : first + count], strict=True
-    ):
+    for place in range(first, first + count):
+        kind, i = model.wrap_type[place], model.wrap_objid[place]
         if kind == mujoco.mjtWrap.mjWRAP_JOINT:
             moving.append(i)
         elif kind != mujoco.mjtWrap.mjWRAP_PULLEY:

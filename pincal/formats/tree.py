@@ -74,11 +74,7 @@ class Tree:
         return tuple(dict.fromkeys((self.root, *children, *parents)))
 
     def link(self, name: str, purpose: str) -> str:
-        """Return a link's name, of a link or of the joint that carries it.
-
-        Raises:
-            MechanismError: there is none.
-        """
+        """Return a link's name, of a link or of the joint that carries it."""
         if name in self.links:
             return name
         for edge in self.edges:
@@ -89,11 +85,7 @@ class Tree:
         )
 
     def check_joints(self, names: Iterable[str]) -> None:
-        """Raise if a leg or an arm is to have joints that cannot be part of one.
-
-        Raises:
-            MechanismError: why the first of them cannot.
-        """
+        """Raise if a leg or an arm is to have joints that cannot be part of one."""
         for name in names:
             if name in self.refused:
                 raise MechanismError(self.refused[name])
@@ -127,12 +119,8 @@ def route(edges: Iterable[Edge], start: str, goal: str) -> list[Step]:
 def joints_along(tree: Tree, steps: Sequence[Step], normal: Array | None = None) -> list[Joint]:
     """Return the joints along a route from the root.
 
-    A joint that is passed backwards moves the other way; a loop that closes a point is a ball.
-
-    Args:
-        tree: Links, joints and loops.
-        steps: The route.
-        normal: Of a planar mechanism, in the root's frame, shape (3,): a ball turns about it.
+    A joint that is passed backwards moves the other way; a loop that closes a point is a ball,
+    which turns about the normal, in the root's frame, where all is in a plane.
     """
     joints: list[Joint] = []
     for edge, forward in steps:
@@ -186,11 +174,7 @@ def with_ranges(tree: Tree) -> Tree:
 def turns(joint: Joint, parent: str, child: str, axes: str) -> tuple[Edge, ...]:
     """Return a joint that turns about several axes of its frame, one after the other.
 
-    Args:
-        joint: Its name and placement.
-        parent: Link that carries it.
-        child: Link that it carries.
-        axes: Letters of the axes, in order; in capitals, along them.
+    Axes are letters in order; in capitals, it slides along them.
     """
     edges: list[Edge] = []
     for letter in axes:
@@ -217,11 +201,7 @@ def at_home(edges: tuple[Edge, ...], home: Mapping[str, float]) -> tuple[Edge, .
 
 
 def root_of(edges: Sequence[Edge], links: Sequence[str], source: str) -> str:
-    """Return the one link that no joint carries.
-
-    Raises:
-        MechanismError: there are several or none, or a link hangs on two joints.
-    """
+    """Return the one link that no joint carries."""
     children = [edge.child for edge in edges]
     for child in children:
         if children.count(child) > 1:

@@ -11,7 +11,7 @@ github.com/Gepetto/example-parallel-robots, ``loader_tools.py``.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
@@ -72,11 +72,7 @@ def read_urdf(path: Path, replaced: Mapping[str, str] | None = None) -> Tree:
 
 
 def _unknown_elements(robot: etree._Element, path: Path) -> dict[str, str]:
-    """Return what to say of elements of a <robot> that are not URDF's.
-
-    Raises:
-        MechanismError: a macro, an include, or another format's joint: these may place links.
-    """
+    """Return what to say of elements of a <robot> that are not URDF's."""
     remarks: dict[str, str] = {}
     for element in robot:
         if not isinstance(element.tag, str) or element.tag in _KNOWN:
@@ -95,11 +91,7 @@ def _unknown_elements(robot: etree._Element, path: Path) -> dict[str, str]:
 def _edges(
     element: etree._Element, robot: etree._Element, path: Path, replaced: Mapping[str, str]
 ) -> tuple[Edge, ...]:
-    """Return the edges that a <joint> means.
-
-    Raises:
-        MechanismError: no leg can have it.
-    """
+    """Return the edges that a <joint> means."""
     name, floating = str(element.get("name")), element.get("type") == "floating"
     parent, child = link_of(element, "parent", path), link_of(element, "child", path)
     axes = replaced.get(name, "XYZxyz" if floating else None)
@@ -154,11 +146,7 @@ class LoopsSpec(BaseModel):
 
 
 def loops_beside(file: Path) -> Path:
-    """Return the YAML file that belongs to a URDF.
-
-    Raises:
-        FileError: there is none.
-    """
+    """Return the YAML file that belongs to a URDF."""
     places = (file.with_suffix(".yaml"), file.parent / "robot.yaml")
     for place in places:
         if place.is_file():
@@ -170,31 +158,37 @@ def loops_beside(file: Path) -> Path:
 
 
 def read_loops(urdf: Path, loops: Path) -> Tree:
-    """Return the tree of a URDF with the loops of a YAML file.
-
-    Raises:
-        FileError: a file is missing or cannot be read.
-        MechanismError: a file that does not say what it should, or names what the other lacks.
-    """
+    """Return the tree of a URDF with the loops of a YAML file."""
     spec = _read_spec(loops)
-    axes = [_TURNED.get(kind, "") for kind in spec.joint_type]
+    axes = (_TURNED.get(kind, "") for kind in spec.joint_type)
     tree = read_urdf(urdf, dict(zip(spec.joint_name, axes, strict=True)))
     names = [str(element.get("name")) for element in read_xml(urdf, "robot").findall("joint")]
-    _known(spec.joint_name, names, "joint_name", loops, urdf)
-    _known(spec.home, [edge.joint.name for edge in tree.edges], "home", loops, urdf)
     edges = tuple(
         replace(edge, joint=replace(edge.joint, mass=0.0, centre=(0.0, 0.0, 0.0)))
         for edge in tree.edges  # frames of legs with loops are turned, centres of mass are not
     )
-    tree = replace(
-        tree,
-        edges=at_home(edges, spec.home),
-        active=_motors(spec.name_mot, edges, loops, urdf),
-        platform=spec.platform,
-        homed=bool(spec.home),
-    )
-    if tree.platform is not None:
-        tree.link(tree.platform, f"the platform of {loops}")
+    joints = [edge.joint.name for edge in edges]
+    for key, named, known in (
+        ("joint_name", spec.joint_name, names),
+        ("home", list(spec.home), joints),
+    ):
+        if unknown := [name for name in named if name not in known]:
+            raise MechanismError(
+                f"{loops}: {key!r} has {unknown[0]!r}, which is no joint of {urdf}; it has "
+                f"{listed(known)}"
+            )
+    moving = [edge.joint.name for edge in edges if edge.joint.kind != "fixed"]
+    motors: list[str] = []
+    for name in spec.name_mot:  # whole, or part of the names of joints
+        alike = [name] if name in moving else [joint for joint in moving if name in joint]
+        if not alike:
+            raise MechanismError(
+                f"{loops}: 'name_mot' has {name!r}, but no joint of {urdf} that moves has that in "
+                f"its name; it has {listed(moving)}"
+            )
+        motors += alike
+    if spec.platform is not None:
+        tree.link(spec.platform, f"the platform of {loops}")
     kinds = spec.type or ["6d"] * len(spec.closed_loop)
     closed = tuple(
         Edge(
@@ -205,16 +199,18 @@ def read_loops(urdf: Path, loops: Path) -> Tree:
         )
         for pair, kind in zip(spec.closed_loop, kinds, strict=True)
     )
-    return replace(tree, loops=closed)
+    return replace(
+        tree,
+        edges=at_home(edges, spec.home),
+        loops=closed,
+        active=tuple(dict.fromkeys(motors)),
+        platform=spec.platform,
+        homed=bool(spec.home),
+    )
 
 
 def _read_spec(loops: Path) -> LoopsSpec:
-    """Return what the YAML file says.
-
-    Raises:
-        FileError: the file is missing or cannot be read.
-        MechanismError: a key that is misspelt, or lists of different lengths.
-    """
+    """Return what the YAML file says, its keys spelt right and its lists as long as each other."""
     spec = read_yaml(loops, LoopsSpec, MechanismError)
     absent = sorted(set(LoopsSpec.model_fields) - spec.model_fields_set)
     for key in spec.model_extra or ():
@@ -228,32 +224,3 @@ def _read_spec(loops: Path) -> LoopsSpec:
                 "needs one"
             )
     return spec
-
-
-def _motors(named: list[str], edges: tuple[Edge, ...], loops: Path, urdf: Path) -> tuple[str, ...]:
-    """Return the joints that ``name_mot`` means: of that name, or else with it in their names.
-
-    Raises:
-        MechanismError: no joint, or one that does not move.
-    """
-    moving = [edge.joint.name for edge in edges if edge.joint.kind != "fixed"]
-    motors: list[str] = []
-    for name in named:
-        meant = [name] if name in moving else [joint for joint in moving if name in joint]
-        if not meant:
-            raise MechanismError(
-                f"{loops}: 'name_mot' has {name!r}, but no joint of {urdf} that moves has that in "
-                f"its name; it has {listed(moving)}"
-            )
-        motors += meant
-    return tuple(dict.fromkeys(motors))
-
-
-def _known(named: Iterable[str], names: Sequence[str], key: str, loops: Path, urdf: Path) -> None:
-    """Raise if a joint is named that there is not."""
-    for name in named:
-        if name not in names:
-            raise MechanismError(
-                f"{loops}: {key!r} has {name!r}, which is no joint of {urdf}; it has "
-                f"{listed(names)}"
-            )

@@ -100,11 +100,7 @@ class Plan:
         names: Sequence[str],
         columns: Sequence[str],
     ) -> None:
-        """Make fields arrays, tuples, and mappings of arrays, with one entry for each pose.
-
-        Raises:
-            MeasurementError: something else, or another number of rows.
-        """
+        """Make fields arrays, tuples, and mappings of arrays, with one entry for each pose."""
         count, checked = len(self.poses), dict[str, Any]()
         for name, shape in arrays.items():
             if (values := getattr(self, name)) is not None:

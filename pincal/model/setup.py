@@ -235,11 +235,7 @@ class Systematic:
 
 
 def _check_sizes(owner: object, names: Iterable[str], label: str) -> None:
-    """Make fields numbers of 0 or more.
-
-    Raises:
-        MeasurementError: something else.
-    """
+    """Make fields numbers of 0 or more."""
     for name in names:
         value = number_of(getattr(owner, name), f"the {label} {name}", MeasurementError)
         object.__setattr__(owner, name, value)
@@ -335,11 +331,7 @@ class Setup:
         """
 
     def _check_instruments(self) -> None:
-        """Raise if an instrument is none, or its names are another's.
-
-        Raises:
-            MeasurementError: saying which.
-        """
+        """Raise if an instrument is none, or its names are another's."""
         names = {"tracker", "target", *self.targets}
         for instrument in self.instruments:
             must_be(instrument, Instrument, "an instrument", MeasurementError)
