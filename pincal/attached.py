@@ -26,6 +26,7 @@ DONE_BY = {
     "Explanation.__str__": "pincal.show.explanation.explanation_page",
     "Measurements.from_csv": "pincal.files.measurements.read_measurements",
     "Measurements.from_dataframe": "pincal.files.measurements.read_measurements",
+    "Mechanism.__str__": "pincal.show.notebook.mechanism_text",
     "Mechanism._repr_html_": "pincal.show.notebook.mechanism_html",
     "Mechanism.from_urdf": "pincal.formats.arm.load_arm",
     "Mechanism.save": "pincal.files.mechanism_folders.save_mechanism",

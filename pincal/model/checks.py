@@ -36,11 +36,8 @@ def array_of(
 ) -> Array:
     """Return values as an array of float64, always a copy, which its owner may change.
 
-    Args:
-        values: An array, or lists of numbers.
-        shape: Expected, numbers where the size is known, letters where it is free.
-        name: The thing's name, which heads the message.
-        error_type: Raised if it is no array of numbers, or of another shape.
+    ``shape`` has numbers where the size is known, letters where it is free; ``name`` heads the
+    message of the error, of the given type, for what is no array of numbers of that shape.
     """
     expected = "(" + ", ".join(map(str, shape)) + (",)" if len(shape) == 1 else ")")
     if isinstance(values, str | bytes | Mapping) or values is None:
@@ -63,11 +60,7 @@ def array_of(
 
 
 def names_of(values: Any, count: int, label: str, error_type: type[PincalError]) -> tuple[str, ...]:
-    """Return names, one a row, as a tuple.
-
-    Raises:
-        PincalError: of the given type: no names, or not one a row.
-    """
+    """Return names, one a row, as a tuple; raise an error of the given type for others."""
     if isinstance(values, str) or not isinstance(values, Iterable):
         raise error_type(f"{label}: expected {count} names, one a row; got {described(values)}")
     names = tuple(values)
@@ -79,22 +72,14 @@ def names_of(values: Any, count: int, label: str, error_type: type[PincalError])
 
 
 def number_of(value: Any, name: str, error_type: type[PincalError]) -> float:
-    """Return a number as float.
-
-    Raises:
-        PincalError: of the given type: something else.
-    """
+    """Return a number as float; raise an error of the given type for anything else."""
     if isinstance(value, bool) or not isinstance(value, Real):
         raise error_type(f"{name}: expected a number; got {described(value)}")
     return float(value)
 
 
 def numbers_of(values: Any, name: str, error_type: type[PincalError]) -> Array:
-    """Return values as an array of float64, of whatever shape.
-
-    Raises:
-        PincalError: of the given type: they are no numbers.
-    """
+    """Return values as an array of float64, of whatever shape; or raise an error of the type."""
     try:
         return np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError) as fault:
@@ -102,17 +87,7 @@ def numbers_of(values: Any, name: str, error_type: type[PincalError]) -> Array:
 
 
 def count_of(value: Any, name: str, error_type: type[PincalError], least: int | None = None) -> int:
-    """Return a whole number.
-
-    Args:
-        value: What was given.
-        name: What it is, for messages.
-        error_type: Of the error.
-        least: The least that it may be.
-
-    Raises:
-        PincalError: of the given type: it is something else, or less.
-    """
+    """Return a whole number, ``least`` or more; or raise an error of the given type."""
     if isinstance(value, bool) or not isinstance(value, Integral):
         raise error_type(f"{name}: expected a whole number; got {described(value)}")
     if least is not None and value < least:
@@ -121,11 +96,7 @@ def count_of(value: Any, name: str, error_type: type[PincalError], least: int | 
 
 
 def generator_of(seed: Any, error_type: type[PincalError]) -> np.random.Generator:
-    """Return the generator of random numbers of a seed, or as it is given.
-
-    Raises:
-        PincalError: of the given type: no seed.
-    """
+    """Return the generator of random numbers of a seed, or as it is given."""
     try:
         return np.random.default_rng(seed)
     except (TypeError, ValueError) as fault:
@@ -137,11 +108,7 @@ def generator_of(seed: Any, error_type: type[PincalError]) -> np.random.Generato
 def must_be(
     value: Any, kind: type | tuple[type, ...], name: str, error_type: type[PincalError]
 ) -> Any:
-    """Return a value that is of a kind; ``what`` may say more of what is expected.
-
-    Raises:
-        PincalError: of the given type: it is something else.
-    """
+    """Return a value that is of a kind; or raise an error of the given type."""
     if not isinstance(value, kind):
         kinds = kind if isinstance(kind, tuple) else (kind,)
         expected = " or ".join(f"a {accepted.__name__}" for accepted in kinds)
@@ -152,8 +119,8 @@ def must_be(
 def sine_and_cosine(angles: Array) -> tuple[Array, Array]:
     """Return sines and cosines of angles, [rad], each of their shape.
 
-    By tangents of half of them, which NumPy finds for several angles at a time where the processor
-    can: a quarter of the time, and within two units of the last place of 1.
+    By tangents of their halves, which NumPy finds for several angles at a time: in a quarter of the
+    time, within two units of the last place of 1.
     """
     t = np.tan(0.5 * angles)
     square = t * t

@@ -42,11 +42,7 @@ def identifiers(names: Iterable[str]) -> tuple[str, ...]:
 
 
 def check_leg(leg: Leg) -> None:
-    """Raise if joints, sensors, parameters and terms of a leg do not go together.
-
-    Raises:
-        MechanismError: the first fault.
-    """
+    """Raise MechanismError if joints, sensors, parameters and terms do not go together."""
     for fault in chain(_joint_faults(leg), term_faults(leg), _parameter_faults(leg)):
         raise MechanismError(f"{leg.name}: {fault}")
     for joint in (*leg.joints, leg.point):
@@ -103,11 +99,7 @@ def _parameter_faults(leg: Leg) -> Iterator[str]:
 
 
 def check_mechanism(mechanism: Mechanism) -> None:
-    """Raise if the legs, their names and what weighs on them do not go together.
-
-    Raises:
-        MechanismError: the first fault.
-    """
+    """Raise MechanismError if the legs, their names and what weighs on them do not go together."""
     title = mechanism.name
     if not (title and title.isprintable() and len(title) <= 100):
         raise MechanismError(f"{title!r} is no name for a mechanism")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal
@@ -107,19 +107,14 @@ class Leg:
         check_leg(self)
 
     def __repr__(self) -> str:
-        return one_line(
-            "Leg",
-            repr(self.name),
-            self.joint_letters,
-            f"reads {listed([sensor.joint for sensor in self.sensors])}",
-            f"closes a {self.closes}",
-            counted(len(self.parameters), "parameter"),
-        )
+        reads = f"reads {listed([sensor.joint for sensor in self.sensors])}"
+        closes, count = f"closes a {self.closes}", counted(len(self.parameters), "parameter")
+        return one_line("Leg", repr(self.name), self.joint_letters, reads, closes, count)
 
     @property
     def joint_letters(self) -> str:
         """Kinds of the moving joints, base first: R for revolute, P for prismatic."""
-        return "".join("P" if joint.kind == "prismatic" else "R" for joint in self.moving)
+        return "".join("R" if joint.turns else "P" for joint in self.moving)
 
     @cached_property
     def moving(self) -> tuple[Joint, ...]:
@@ -183,8 +178,8 @@ class Leg:
     @property
     def reading_units(self) -> tuple[str, ...]:
         """Unit of each sensor's reading: rad or m."""
-        kinds = {joint.name: joint.kind for joint in self.joints}
-        return tuple("m" if kinds[s.joint] == "prismatic" else "rad" for s in self.sensors)
+        turns = {joint.name: joint.turns for joint in self.joints}
+        return tuple("rad" if turns[sensor.joint] else "m" for sensor in self.sensors)
 
     @property
     def reading_names(self) -> tuple[str, ...]:
@@ -209,31 +204,27 @@ class Leg:
     @cached_property
     def without_terms(self) -> Leg:
         """The leg with sensors of gain and offset alone, and without amplitudes of terms."""
-        return self._with_terms([()] * len(self.sensors))
+        return self._with_terms(lambda _: False)
 
     @cached_property
     def at_reference(self) -> Leg:
         """The leg without terms that depend on influences, which are zero at their reference."""
-        return self._with_terms(
-            [tuple(t for t in sensor.terms if not t.of) for sensor in self.sensors]
-        )
+        return self._with_terms(lambda term: not term.of)
 
     @cached_property
     def amplitudes(self) -> frozenset[str]:
         """Names of the parameters that are amplitudes of terms."""
-        of_sensors = [term for sensor in self.sensors for term in sensor.terms]
-        return frozenset(
-            term.parameter for term in (*of_sensors, *(term for _, term in self.terms))
-        )
+        of_sensors = (term for sensor in self.sensors for term in sensor.terms)
+        return frozenset(t.parameter for t in (*of_sensors, *(term for _, term in self.terms)))
 
-    def _with_terms(self, terms: Sequence[tuple[Term, ...]]) -> Leg:
-        """Return the leg with these of its terms, for each sensor, none of parameters."""
-        pairs = zip(self.sensors, terms, strict=True)
-        sensors = tuple(replace(sensor, terms=of_sensor) for sensor, of_sensor in pairs)
-        used = set(self.placed)
-        used |= {str(name) for sensor in sensors for name in (sensor.gain, sensor.offset)}
+    def _with_terms(self, kept: Callable[[Term], bool]) -> Leg:
+        """Return the leg with some of its sensors' terms, none of parameters."""
+        sensors = tuple(
+            replace(sensor, terms=tuple(filter(kept, sensor.terms))) for sensor in self.sensors
+        )
+        used = {*self.placed, *(name for s in sensors for name in (s.gain, s.offset))}
         used |= {term.parameter for sensor in sensors for term in sensor.terms}
-        parameters = tuple((name, value) for name, value in self.parameters if name in used)
+        parameters = tuple(item for item in self.parameters if item[0] in used)
         return replace(self, sensors=sensors, parameters=parameters, terms=())
 
     @cached_property
@@ -246,8 +237,7 @@ class Leg:
 
     @cached_property
     def _hash(self) -> int:
-        identity = (self.name, self.joints, self.sensors, self.parameters, self.point, self.terms)
-        return hash(identity)
+        return hash((self.name, self.joints, self.sensors, self.parameters, self.point, self.terms))
 
     def __getstate__(self) -> dict[str, Any]:
         """Return what is pickled: hashes of strings are each process's own."""
@@ -259,13 +249,7 @@ class Leg:
 
         Its reach if it has no length at home, a metre if it has none anywhere.
         """
-        return self._arms + sum(abs(j.home) for j in self._slides) or self.reach or 1.0
-
-    @cached_property
-    def passive_scales(self) -> Array:
-        """What steps of passive joints are measured by: a radian, or the size, (n_passive,)."""
-        kinds = (self.moving[place].kind for place in self.passive)
-        return np.array([self.size if kind == "prismatic" else 1.0 for kind in kinds])
+        return self._arms + sum(abs(joint.home) for joint in self._slides) or self.reach or 1.0
 
     @cached_property
     def reach(self) -> float:
@@ -274,12 +258,16 @@ class Leg:
 
     @property
     def _arms(self) -> float:
-        arms = [np.linalg.norm(j.placement.xyz) for j in (*self.joints[1:], self.point)]
-        return float(sum(arms))
+        return float(sum(np.linalg.norm(j.placement.xyz) for j in (*self.joints[1:], self.point)))
 
     @property
-    def _slides(self) -> tuple[Joint, ...]:
-        return tuple(joint for joint in self.moving if joint.kind == "prismatic")
+    def _slides(self) -> list[Joint]:
+        return [joint for joint in self.moving if not joint.turns]
+
+    @cached_property
+    def passive_scales(self) -> Array:
+        """What steps of passive joints are measured by: a radian, or the size, (n_passive,)."""
+        return np.array([1.0 if self.moving[i].turns else self.size for i in self.passive])
 
     def with_parameters(self, values: Mapping[str, float] | Sequence[float] | Array) -> Leg:
         """Return the leg with other nominal parameter values, its URDF origins moved along.
@@ -290,25 +278,22 @@ class Leg:
         Raises:
             MechanismError: an unknown name, or a wrong number of values.
         """
-        if isinstance(values, Mapping):
-            if unknown := set(values) - set(self.parameter_names):
-                raise MechanismError(
-                    f"{self.name} has no parameter {sorted(unknown)[0]!r}; it has "
-                    f"{', '.join(self.parameter_names)}"
-                )
-            changes = dict(values)
-        else:
-            must_be(values, (Sequence, np.ndarray), f"parameters of {self.name}", MechanismError)
-            if len(values) != len(self.parameters):
-                raise MechanismError(
-                    f"{self.name} has {len(self.parameters)} parameters, got {len(values)} values"
-                )
-            changes = dict(zip(self.parameter_names, values, strict=True))
-        new = self.nominal_by_name | {
-            name: number_of(value, f"{self.name}.{name}", MechanismError)
-            for name, value in changes.items()
-        }
         old = self.nominal_by_name
+        if not isinstance(values, Mapping):
+            must_be(values, (Sequence, np.ndarray), f"parameters of {self.name}", MechanismError)
+            if len(values) != len(old):
+                raise MechanismError(
+                    f"{self.name} has {len(old)} parameters, got {len(values)} values"
+                )
+            values = dict(zip(old, values, strict=True))
+        if unknown := sorted(set(values) - set(old)):
+            raise MechanismError(
+                f"{self.name} has no parameter {unknown[0]!r}; it has {', '.join(old)}"
+            )
+        new = old | {
+            name: number_of(value, f"{self.name}.{name}", MechanismError)
+            for name, value in values.items()
+        }
         if new == old:
             return self
 

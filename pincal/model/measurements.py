@@ -141,11 +141,7 @@ class Plan:
     def from_dataframe(
         frame: Any, mechanism: Mechanism | str | Path, *, partial: bool = False
     ) -> Plan:
-        """Return the poses of a pandas DataFrame, whose columns are named as in a CSV file.
-
-        Raises:
-            MeasurementError: a column or cell that is missing or wrong; the message says where.
-        """
+        """Return the poses of a pandas DataFrame, columns as in a CSV file: see ``from_csv``."""
 
     @attached
     def to_csv(
@@ -299,8 +295,4 @@ class Measurements(Plan):
         *,
         partial: bool = False,
     ) -> Measurements:
-        """Return the measurements of a pandas DataFrame, whose columns are named as in a CSV file.
-
-        Raises:
-            MeasurementError: a column or cell that is missing or wrong; the message says where.
-        """
+        """Return the measurements of a pandas DataFrame: see ``from_csv``."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import accumulate, pairwise
 from numbers import Real
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ from pincal.errors import MechanismError
 from pincal.model.checks import must_be
 from pincal.model.consistency import check_mechanism
 from pincal.model.leg import Leg
-from pincal.model.overview import counted, one_line, page
+from pincal.model.overview import counted, one_line
 from pincal.model.parameter import Parameter, Parameters, labels_of
 from pincal.model.platform import Platform
 from pincal.model.terms import LOAD, OF_JOINTS, Load
@@ -46,8 +47,9 @@ class Mechanism:
         numbers = counted(len(self.legs), "leg"), counted(len(self.parameters), "parameter")
         return one_line("Mechanism", repr(self.name), kind, *numbers)
 
+    @attached
     def __str__(self) -> str:
-        return page(self)
+        """Return a page: platform, legs, and a table of nominal parameters."""
 
     @cached_property
     def leg_names(self) -> tuple[str, ...]:
@@ -128,12 +130,10 @@ class Mechanism:
         Returns:
             Shape (N, n_active [+ n_influences of the leg]).
         """
-        leg_readings = readings[:, self.reading_columns[leg]]
-        return (
-            leg_readings
-            if influences is None
-            else np.hstack((leg_readings, self.influences_at(leg, influences)))
-        )
+        own = readings[:, self.reading_columns[leg]]
+        if influences is None:
+            return own
+        return np.hstack((own, self.influences_at(leg, influences)))
 
     def influences_at(self, leg: int, influences: Array) -> Array:
         """Return the influences of one leg among those of all, shape (N, n_influences of it)."""
@@ -155,28 +155,29 @@ class Mechanism:
         Raises:
             MechanismError: an unknown reading, or no number above 0.
         """
-        for name in must_be(counts, Mapping, "counts", MechanismError):
-            if name not in self.reading_names:
-                raise MechanismError(
-                    f"counts of {name!r}, which is no reading of {self.name!r}; it has "
-                    f"{', '.join(self.reading_names)}"
-                )
-        legs = []
-        for leg in self.legs:
+        must_be(counts, Mapping, "counts", MechanismError)
+        if unknown := [name for name in counts if name not in self.reading_names]:
+            raise MechanismError(
+                f"counts of {unknown[0]!r}, which is no reading of {self.name!r}; it has "
+                f"{', '.join(self.reading_names)}"
+            )
+        if not counts:
+            return self
+
+        def counting(leg: Leg) -> Leg:
             named = zip(leg.sensors, leg.reading_names, strict=True)
             sensors = (
                 replace(s, counts_per_unit=counts.get(n, s.counts_per_unit)) for s, n in named
             )
-            legs.append(replace(leg, sensors=tuple(sensors)))
-        return replace(self, legs=tuple(legs)) if counts else self
+            return replace(leg, sensors=tuple(sensors))
+
+        return replace(self, legs=tuple(map(counting, self.legs)))
 
     @cached_property
     def reading_columns(self) -> tuple[slice, ...]:
         """Where the readings of each leg are among all of them."""
-        ends = np.cumsum([len(leg.sensors) for leg in self.legs]).tolist()
-        return tuple(
-            slice(end - len(leg.sensors), end) for leg, end in zip(self.legs, ends, strict=True)
-        )
+        ends = accumulate((len(leg.sensors) for leg in self.legs), initial=0)
+        return tuple(slice(start, end) for start, end in pairwise(ends))
 
     @cached_property
     def constraints(self) -> int:
@@ -191,10 +192,9 @@ class Mechanism:
         their closure has rows, which reach a surface of poses only. Their poses are made by forward
         kinematics.
         """
-        rows = [len(self.platform.closing(leg.closes)) for leg in self.legs]
         return any(
-            len(leg.moving) != count or not leg.passive
-            for leg, count in zip(self.legs, rows, strict=True)
+            not leg.passive or len(leg.moving) != len(self.platform.closing(leg.closes))
+            for leg in self.legs
         )
 
     @property
@@ -203,11 +203,7 @@ class Mechanism:
         return self.constraints > self.platform.dof
 
     def leg(self, name: str) -> Leg:
-        """Return a leg by name.
-
-        Raises:
-            MechanismError: no such leg.
-        """
+        """Return a leg by name; raise MechanismError if there is none."""
         for leg in self.legs:
             if leg.name == name:
                 return leg
@@ -227,20 +223,20 @@ class Mechanism:
             MechanismError: an unknown leg or parameter, a wrong number of values, or no number.
         """
         new: dict[str, Any] = {}
-        ids = {}
+        by_id: dict[str, Any] = {}
         for key, value in must_be(values, Mapping, "parameters", MechanismError).items():
             if key in self.leg_names or not ("." in str(key) or isinstance(value, Real)):
                 new[self.leg(key).name] = value
             else:
-                ids[str(key)] = value
-        for key, value in ids.items():
+                by_id[str(key)] = value
+        for key, value in by_id.items():
             parameter = self.parameters[key]
-            leg_values = new.setdefault(parameter.owner, {})
-            if not isinstance(leg_values, Mapping):
+            of_leg = new.get(parameter.owner, {})
+            if not isinstance(of_leg, Mapping):
                 raise MechanismError(
                     f"{key!r} is given by its id and among all of {parameter.owner}"
                 )
-            new[parameter.owner] = {**leg_values, parameter.name: value}
+            new[parameter.owner] = {**of_leg, parameter.name: value}
         legs = (leg.with_parameters(new[leg.name]) if leg.name in new else leg for leg in self.legs)
         load = self.load
         if load is not None and self.loaded and not load.drawn:

@@ -212,21 +212,14 @@ class Placement:
     def rest(self, parameters: Mapping[str, float], context: str) -> Array:
         """Return the constant displacement after the coordinates, shape (4, 4), read only.
 
-        Coordinates whose nominal values are all zero are corrections to the URDF
-        origin. Otherwise they must give the whole position of the origin.
-
-        Raises:
-            MechanismError: coordinates and URDF origin disagree.
+        Coordinates whose nominal values are all zero are corrections to the URDF origin. Otherwise
+        they must give its whole position; ``context`` heads the message if they do not.
         """
         names = [step.value for step in self.steps if isinstance(step.value, str)]
         return _rest(self, tuple((name, parameters[name]) for name in names), context)
 
     def moved(self, old: Mapping[str, float], new: Mapping[str, float], context: str) -> Placement:
-        """Return the placement at new parameter values; its constant part stays.
-
-        Raises:
-            MechanismError: coordinates and URDF origin disagree.
-        """
+        """Return the placement at new parameter values; its constant part stays."""
         if not self.coordinates:
             return self
         return self.at(new, self.rest(old, context))

@@ -266,11 +266,7 @@ class Platform:
         return (axis + 1) % 3, (axis + 2) % 3
 
     def checked(self, poses: object) -> Array:
-        """Return coordinates of poses, shape (N, dof), their shape and numbers checked.
-
-        Raises:
-            MechanismError: wrong shape, or a coordinate that is not a finite number.
-        """
+        """Return coordinates of poses, shape (N, dof), their shape and numbers checked."""
         coordinates = numbers_of(poses, "poses", MechanismError)
         if coordinates.ndim != 2 or coordinates.shape[1] != self.dof:
             raise MechanismError(

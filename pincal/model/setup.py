@@ -86,11 +86,7 @@ class Instrument(Protocol):
 
 
 def checked(condition: Condition, instrument: Instrument, count: int) -> Condition:
-    """Return a condition of N poses that has the shapes it should have.
-
-    Raises:
-        MeasurementError: another shape, or something else than a condition.
-    """
+    """Return a condition of N poses that has the shapes it should have."""
     r, p = len(instrument.columns), len(instrument.parameters)
     shapes = {"value": (count, r), "by_pose": (count, r, 6), "by_parameter": (count, r, p)}
     if not isinstance(condition, Condition):
@@ -302,11 +298,11 @@ class Setup:
     def __post_init__(self) -> None:
         must_be(self.unknown_frame, bool, "unknown_frame", MeasurementError)
         kinds: dict[str, type] = {"targets": Target, "distances": Distance}
-        for field_name, kind in kinds.items():
-            named = must_be(getattr(self, field_name), Mapping, field_name, MeasurementError)
+        for group, kind in kinds.items():
+            named = must_be(getattr(self, group), Mapping, group, MeasurementError)
             for name, entry in named.items():
-                must_be(name, str, f"a name in {field_name}", MeasurementError)
-                must_be(entry, kind, f"{field_name}, {name!r}", MeasurementError)
+                must_be(name, str, f"a name in {group}", MeasurementError)
+                must_be(entry, kind, f"{group}, {name!r}", MeasurementError)
         object.__setattr__(self, "targets", {ORIGIN: Target(), **self.targets})
         for column, entry in self.distances.items():
             if entry.target not in self.targets:
@@ -315,8 +311,7 @@ class Setup:
                     f"{', '.join(self.targets)}"
                 )
         object.__setattr__(self, "instruments", tuple(self.instruments))
-        if self.tracker is not None:
-            must_be(self.tracker, Tracker, "tracker", MeasurementError)
+        must_be(self.tracker, (Tracker, type(None)), "tracker", MeasurementError)
         must_be(self.systematic, Systematic, "systematic", MeasurementError)
         self._check_instruments()
 
@@ -416,8 +411,8 @@ class Setup:
                     "millimetres?"
                 )
         platform, legs = mechanism.platform, set(mechanism.leg_names)
-        columns = dict(self.points(platform))
-        named = [*columns, *self.distances]
+        columns = self.points(platform) | dict.fromkeys(self.distances, "m")
+        named = [*self.points(platform), *self.distances]
         for instrument in self.instruments:
             if instrument.name in legs:
                 raise MeasurementError(
@@ -426,7 +421,6 @@ class Setup:
                 )
             named += instrument.columns
             columns |= instrument.columns
-        columns = dict.fromkeys(self.distances, "m") | columns
         taken = {*legs, *mechanism.reading_names, *platform.coordinates, *platform.freedoms}
         taken |= {"set", "run", "pose", "rx", "ry", "rz", *self.polar}
         taken |= {name for names, _ in WAYS.values() for name in names}

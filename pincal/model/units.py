@@ -56,9 +56,6 @@ class Units:
             text: Units with commas between them; numbers end where those of ``WRITTEN`` do.
             counts: Encoder counts of one rad or m, by reading.
             readings: Names of all readings, each of which needs its counts.
-
-        Raises:
-            MeasurementError: an unknown unit, two of one dimension, or counts that are not known.
         """
         names: dict[str, str] = {}
         listed = [name.strip() for name in text.split(",") if name.strip()]
@@ -127,9 +124,6 @@ def counts_of(texts: Iterable[str], readings: Mapping[str, str]) -> dict[str, fl
     Args:
         texts: Each a reading's name, ``=``, a number, ``/`` and a unit; without a name, of all.
         readings: Unit of each reading, by name.
-
-    Raises:
-        MeasurementError: something else, an unknown reading, or one that is said twice.
     """
     counts: dict[str, float] = {}
     for text in texts:

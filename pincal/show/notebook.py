@@ -10,6 +10,23 @@ from pincal.show.pictures.picture import picture
 from pincal.words.wording import rendered
 
 
+def mechanism_text(mechanism: Mechanism) -> str:
+    """Return a mechanism as a page of text: platform, legs, nominal parameters."""
+    platform = mechanism.platform
+    home = zip(platform.coordinates, platform.home, platform.units, strict=True)
+    lines = [
+        f"{mechanism.name}{': ' * bool(mechanism.description)}{mechanism.description}",
+        f"platform {platform.kind}, at home "
+        + ", ".join(f"{name} = {value:.6g} {unit}" for name, value, unit in home),
+    ]
+    lines += [
+        f"{leg.name}: {leg.joint_letters}, reads {', '.join(leg.reading_names)}, closes a "
+        f"{leg.closes}"
+        for leg in mechanism.legs
+    ]
+    return "\n".join([*lines, "", str(nominal_table(mechanism))])
+
+
 def mechanism_html(mechanism: Mechanism) -> str:
     """Return a mechanism: a picture and its nominal parameters."""
     caption = f"{mechanism.name} at home"
