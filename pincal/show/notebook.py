@@ -1,4 +1,4 @@
-"""What people hold, in notebooks: their ``_repr_html_``."""
+"""What people hold, in notebooks and in print."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def mechanism_text(mechanism: Mechanism) -> str:
         f"{leg.closes}"
         for leg in mechanism.legs
     ]
-    return "\n".join([*lines, "", str(nominal_table(mechanism))])
+    return "\n".join([*lines, "", str(tables.nominal_table(mechanism))])
 
 
 def mechanism_html(mechanism: Mechanism) -> str:
