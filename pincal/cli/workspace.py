@@ -27,17 +27,15 @@ from pincal.workspace.inscribed import largest_inscribed
 from pincal.workspace.region import KINDS, Workspace, compute_workspace
 from pincal.workspace.sampling import sample_configurations
 
-_COUNT = 30_000
-_OF_REGIONS = ("symmetry", "connected", "inscribed", "jobs", "scheduler")
-#: Options that a kind of workspace does not have; of regions that is the number of poses.
-_OF_OTHERS = {"poses": (*_OF_REGIONS, "axis", "picture")}
+#: Options that samples of poses do not have; of regions that is the number of poses.
+_OF_REGIONS = ("axis", "symmetry", "connected", "inscribed", "picture", "jobs", "scheduler")
 
 
 @dataclass(frozen=True)
 class WorkspaceOptions:
     """What is looked for, and options."""
 
-    kind: str = option("poses", f"What to find: poses, {', '.join(KINDS)}.")
+    kind: str = option("poses", f"What to find: poses or {', '.join(KINDS)}.")
     axis: tuple[str, ...] = option(
         (),
         "Axis of the grid, as often as needed: 'x [mm]=-500:500:10' (low:high:step), 'z=1.8', "
@@ -45,7 +43,7 @@ class WorkspaceOptions:
         "tilt, torsion; rx, ry, rz; yaw, pitch, roll. Those not given: what the legs reach.",
         metavar="AXIS",
     )
-    count: int | None = option(None, "Number of poses [default: 30000].", least=1)
+    count: int = option(30_000, "Number of poses.", least=1)
     seed: int = option(0, SEED)
     margin_type1: float | None = option(None, option_of(Margins, "type1"))
     margin_type2: float | None = option(None, option_of(Margins, "type2"))
@@ -64,7 +62,8 @@ class WorkspaceOptions:
         """Raise if options do not go together, or files cannot be written."""
         if self.kind not in ("poses", *KINDS):
             raise WorkspaceError(f"--kind {self.kind}: unknown; expected poses, {', '.join(KINDS)}")
-        refuse_options(self, _OF_OTHERS.get(self.kind, ("count",)), f"--kind {self.kind}")
+        foreign = _OF_REGIONS if self.kind == "poses" else ("count",)
+        refuse_options(self, foreign, f"--kind {self.kind}")
         if not self.margins and (self.margin_type1 is not None or self.margin_type2 is not None):
             raise typer.BadParameter("--no-margins leaves no margin to set; give one or the other")
         if self.picture is not None:
@@ -79,12 +78,6 @@ class WorkspaceOptions:
         """Return the margins that are kept."""
         type1 = Margins().type1 if self.margin_type1 is None else self.margin_type1
         return Margins(type1, self.margin_type2) if self.margins else Margins.none()
-
-    def axes(self) -> tuple[list[Axis], list[Axis]]:
-        """Return the axes of positions, and those of orientations."""
-        axes = [Axis.parse(text) for text in self.axis]
-        places = [axis for axis in axes if axis.name in POSITION_AXES]
-        return places, [axis for axis in axes if axis not in places]
 
 
 @command()
@@ -108,15 +101,12 @@ def workspace(
     mechanism = load_mechanism(mech)
     if options.kind != "poses":
         refuse_readings(mechanism)
-    find = _poses if options.kind == "poses" else _region
-    find(mechanism, output, options)
-
-
-def _poses(mechanism: Mechanism, output: Path, options: WorkspaceOptions) -> None:
-    """Write poses spread over the workspace."""
-    count = options.count or _COUNT
-    with counting("sampling the workspace", count) as done:
-        plan = sample_configurations(mechanism, count, options.seed, options.least_margins(), done)
+        _region(mechanism, output, options)
+        return
+    with counting("sampling the workspace", options.count) as done:
+        plan = sample_configurations(
+            mechanism, options.count, options.seed, options.least_margins(), done
+        )
     write_plan(plan, output, mechanism, units=WRITTEN, force=options.force)
     ends = zip(plan.poses.min(axis=0), plan.poses.max(axis=0), strict=True)
     coordinates = zip(mechanism.platform.coordinates, ends, mechanism.platform.units, strict=True)
@@ -127,7 +117,9 @@ def _poses(mechanism: Mechanism, output: Path, options: WorkspaceOptions) -> Non
 
 def _region(mechanism: Mechanism, output: Path, options: WorkspaceOptions) -> None:
     """Write the positions of a workspace, with its picture, and print what it is."""
-    places, turns = options.axes()
+    axes = [Axis.parse(text) for text in options.axis]
+    places = [axis for axis in axes if axis.name in POSITION_AXES]
+    turns = [axis for axis in axes if axis not in places]
     orientations = Orientations.of(mechanism.platform, *turns) if turns else None
 
     def compute(grid: Grid, text: str) -> Workspace:
@@ -154,10 +146,10 @@ def _region(mechanism: Mechanism, output: Path, options: WorkspaceOptions) -> No
         with working("looking for the largest circle or ball inside"):
             circle = largest_inscribed(region)
     outputs = options.outputs(output)
-    with writing_together(outputs, force=options.force) as scratch:
-        region.save(scratch[0])
-        for picture in scratch[1:]:
+    with writing_together(outputs, force=options.force) as (table, *pictures):
+        region.save(table)
+        for picture in pictures:
             save_figure(workspace_figure(region, circle), picture)
+    stdout.print(workspace_table(region, circle, wanted=options.inscribed))
     for path, _ in outputs:
         wrote(path)
-    stdout.print(workspace_table(region, circle, wanted=options.inscribed))
