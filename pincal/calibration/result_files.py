@@ -30,11 +30,10 @@ from pincal.calibration.validation import Validation
 from pincal.errors import MeasurementError, PincalError
 from pincal.estimation.noise import NoiseModel
 from pincal.estimation.residuals.losses import LOSSES, Loss, LossName
-from pincal.files.json_text import json_text, plain
 from pincal.files.measurement_writing import write_plan
 from pincal.files.mechanism_folders import load_mechanism, write_mechanism
 from pincal.files.table import write_table
-from pincal.files.text import LARGEST_FILE, read_text
+from pincal.files.text import LARGEST_FILE, json_text, plain, read_text
 from pincal.model.measurements import Measurements, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.setup import Instrument

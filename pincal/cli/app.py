@@ -32,8 +32,7 @@ from typer.core import TyperArgument, TyperGroup
 from pincal import __version__
 from pincal.cli.options import filled, option_parameters
 from pincal.errors import PincalError
-from pincal.files.json_text import json_text
-from pincal.files.text import sparing_inputs
+from pincal.files.text import json_text, sparing_inputs
 from pincal.model.option import option
 
 _WIDTH = None if sys.stdout and sys.stdout.isatty() else 100  # of tables in a file or pipe

@@ -255,11 +255,7 @@ def _of_rows(
 ) -> TextTable:
     """Return a table of numbered rows of cells: blank ones, headers, and what is below.
 
-    Args:
-        path: The file.
-        lines: Number and cells of each.
-        counted: What the numbers count, ``"line"`` or ``"row"``.
-        separated: How cells are separated; None if by commas, which no decimal then has.
+    Where cells are separated by commas (``separated`` is None), no decimal has one.
     """
     filled = ((n, row) for n, row in lines if any(cell.strip() for cell in row))
     top, header = next(filled, (0, []))

@@ -1,17 +1,24 @@
-"""Files are read whole, up to a size, as UTF-8 text; numbers in them are in plain digits."""
+"""Files are read whole, up to a size, as UTF-8 text; numbers in them are in plain digits.
+
+JSON that pincal writes has no infinity: an uncertainty, or an end of an interval, is null where
+nothing bounds it; any other number is null where it does not exist.
+"""
 
 from __future__ import annotations
 
+import json
 import logging
 import re
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
-from math import isnan, nan
+from dataclasses import fields, is_dataclass
+from math import isfinite, isnan, nan
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
+import numpy as np
 from lxml import etree
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, FiniteFloat
 
@@ -54,39 +61,31 @@ def is_input(path: Path) -> bool:
 def read_bytes(
     path: Path, largest: int, error_type: type[PincalError], *, pipe: bool = False
 ) -> bytes:
-    """Return what a file holds, of which no more than ``largest`` is ever read.
-
-    Args:
-        path: The file.
-        largest: Size up to which it is read, [bytes].
-        error_type: Raised if it is larger.
-        pipe: Whether it may be a pipe or a device.
+    """Return what a file holds, of which no more than ``largest`` bytes are ever read.
 
     Raises:
-        FileError: the file is missing or cannot be read.
+        FileError: the file is missing or cannot be read; a device or a pipe where none may be.
         PincalError: of the given type: it is too large.
     """
-    parts, size = [], 0
     try:
         status = path.stat()
         if not (pipe or stat.S_ISREG(status.st_mode) or stat.S_ISDIR(status.st_mode)):
             raise FileError(f"cannot read {path}: a device or a pipe; name a file")
+        data = bytearray()
         if status.st_size <= largest:
             if (inputs := _inputs.get()) is not None:
                 inputs.add((status.st_dev, status.st_ino))
             with path.open("rb") as file:
-                while size <= largest and (part := file.read(_CHUNK)):
-                    parts.append(part)
-                    size += len(part)
+                while len(data) <= largest and (part := file.read(_CHUNK)):
+                    data += part
     except FileError:
         raise
-    except OSError as error:
-        raise FileError(f"cannot read {path}: {error.strerror or error}") from error
-    except ValueError as error:  # a name that no file can have
-        raise FileError(f"cannot read {str(path)!r}: {error}") from error
-    if max(size, status.st_size) > largest:
+    except (OSError, ValueError) as error:  # ValueError: a name that no file can have
+        why = getattr(error, "strerror", None) or error
+        raise FileError(f"cannot read {path}: {why}") from error
+    if max(len(data), status.st_size) > largest:
         raise error_type(f"{path}: larger than {largest // 2**20} MiB; not a file of this kind")
-    return b"".join(parts)
+    return bytes(data)
 
 
 def read_text(
@@ -99,16 +98,10 @@ def read_text(
 ) -> str:
     """Return a file's text without its byte order mark; line ends stay: see ``read_bytes``.
 
-    Args:
-        path: The file.
-        largest: Size up to which it is read, [bytes].
-        error_type: Raised if it is no text.
-        pipe: Whether it may be a pipe or a device.
-        otherwise: Encoding of a file in which nothing outside ASCII is UTF-8; said if it is used.
+    Where nothing outside ASCII is UTF-8, ``otherwise`` is the encoding, and it is said.
 
     Raises:
-        FileError: the file is missing or cannot be read.
-        PincalError: of the given type: it is too large, not UTF-8, or no text.
+        PincalError: of the given type: too large, not UTF-8, or no text.
     """
     data = read_bytes(path, largest, error_type, pipe=pipe)
     excel = " (in Excel: CSV UTF-8)" if path.suffix.lower() == ".csv" else ""
@@ -156,9 +149,6 @@ def in_si(text: str, dimensions: str, bare: str | None = "") -> float:
         text: What was typed.
         dimensions: Those of the units that it may have: ``"m"``, ``"rad"``, or both with a blank.
         bare: Unit of a number without one: SI if empty; None if it must have one.
-
-    Raises:
-        MeasurementError: no number, or another unit.
     """
     match = _NUMBER_WITH_UNIT.fullmatch(text)
     number, unit = match.groups() if match else (text, "")
@@ -173,13 +163,7 @@ def in_si(text: str, dimensions: str, bare: str | None = "") -> float:
 
 
 def why_no_number(text: str, units: str = "m or rad", place: str = "") -> str:
-    """Return why a text is no number that can be used.
-
-    Args:
-        text: What is written for a number; ``plain_number`` is NaN, or above ``LARGEST``.
-        units: In which numbers are expected there.
-        place: Where it is; follows the text.
-    """
+    """Return why a text that stands at a place, among numbers in units, is none to be used."""
     named = f"{text!r}{place}"
     if abs(plain_number(text)) > LARGEST:
         return f"{named} is not a finite number, at most {LARGEST:g} in size"
@@ -192,11 +176,7 @@ _PLACE = re.compile(r", line \d+, column \d+$")
 
 
 def read_xml(path: Path, root: str) -> etree._Element:
-    """Return the root element of a file; entities are not resolved and nothing is fetched.
-
-    Args:
-        path: The file.
-        root: Name that its root element must have.
+    """Return the root element of a file, of that name; nothing is resolved and nothing fetched.
 
     Raises:
         FileError: the file is missing or cannot be read.
@@ -239,3 +219,23 @@ class Strict(BaseModel):
     """Refuses keys that it does not know."""
 
     model_config = ConfigDict(extra="forbid")
+
+
+def plain(value: Any) -> Any:
+    """Return data of dataclasses, mappings, sequences and arrays as JSON holds it."""
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    if is_dataclass(value) and not isinstance(value, type):
+        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): plain(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(entry) for entry in value]
+    if isinstance(value, float) and not isfinite(value):
+        return None
+    return value
+
+
+def json_text(value: Any) -> str:
+    """Return data as JSON."""
+    return json.dumps(plain(value), indent=2, ensure_ascii=False, allow_nan=False)

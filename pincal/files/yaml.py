@@ -70,12 +70,7 @@ for _kind in ("int", "float"):
 
 
 def read_yaml(path: Path, form: type[Form], error_type: type[PincalError]) -> Form:
-    """Return what a YAML file says, read strictly.
-
-    Args:
-        path: The file.
-        form: What it may say.
-        error_type: Raised if it says something else.
+    """Return what a YAML file says, read strictly in the form that it should have.
 
     Raises:
         FileError: the file is missing or cannot be read.
