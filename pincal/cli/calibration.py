@@ -62,11 +62,7 @@ class InputOptions(CountOptions, SetupOptions, NoiseOptions):
     """What is known of the measurements."""
 
     def calibration(self, mech: str, path: Path, options: Options) -> Calibration:
-        """Return the calibration to be done, by measurements in a file.
-
-        Raises:
-            PincalError: a file that cannot be read, or options that do not fit it.
-        """
+        """Return the calibration to be done, by measurements in a file."""
         mechanism = self.load(mech)
         priors = options.priors_of(mechanism.parameters)
         folds = options.folds or FOLDS  # of a choice of terms, also without held-out validation

@@ -155,11 +155,7 @@ class CountOptions:
     )
 
     def load(self, mech: str) -> Mechanism:
-        """Return a mechanism, its readings in the counts given.
-
-        Raises:
-            PincalError: a file that cannot be read, or counts that are not understood.
-        """
+        """Return a mechanism, its readings in the counts given."""
         mechanism = load_mechanism(mech)
         units = dict(zip(mechanism.reading_names, mechanism.reading_units, strict=True))
         return mechanism.with_counts(counts_of(self.counts, units))
@@ -177,11 +173,7 @@ class UnitOptions:
     )
 
     def written_in(self, mechanism: Mechanism) -> Units:
-        """Return the units; SI where nothing is said.
-
-        Raises:
-            MeasurementError: a unit that is not understood, or counts that are not known.
-        """
+        """Return the units; SI where nothing is said."""
         return Units.of(self.units or "", mechanism.counts, mechanism.reading_names)
 
 
@@ -199,11 +191,7 @@ class NoiseOptions:
     noise_reading: float | None = option(None, option_of(Noise, "reading"))
 
     def noise_of(self, mechanism: Mechanism, data: Measurements, setup: Setup) -> Noise | None:
-        """Return the noise given, or None if none was.
-
-        Raises:
-            MeasurementError: given in part.
-        """
+        """Return the noise given, or None if none was."""
         position, orientation = self.noise_position, self.noise_orientation
         if position is None and orientation is None and self.noise_reading is None:
             return None

@@ -35,10 +35,6 @@ def levelled(table: TextTable, setup: Setup, poses: Array) -> Array:
         table: The table, which has a column z.
         setup: What the numbers mean.
         poses: Coordinates of a planar machine as read, shape (N, dof).
-
-    Raises:
-        MeasurementError: a plane that is tilted though the frame is said to be the base's, or
-            beside what else was measured in it.
     """
     z = table.numbers("z", "m", blank=True)
     points = np.column_stack((poses[:, :2], z))

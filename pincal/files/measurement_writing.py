@@ -70,9 +70,6 @@ def write_readings(
         reasons: Why a row has none, a text for each; a column only if there is one.
         units: In which units they are written.
         force: Whether to replace the file if it exists.
-
-    Raises:
-        FileError: the file exists and ``force`` is not set, or cannot be written.
     """
     columns = _reading_columns(as_mechanism(mechanism), readings) | dict(influences or {})
     write_table(path, columns | reason_column(reasons), units=units, force=force)
@@ -96,9 +93,6 @@ def columns_of(
         plan: The poses, or the measurements.
         orientation: Way to write a spatial platform's orientation, a key of ``WAYS``.
         setup: Says units of further columns that are neither lengths nor single angles.
-
-    Raises:
-        MeasurementError: numbers of another mechanism, or no such way.
     """
     mechanism = as_mechanism(mechanism)
     must_be(plan, Plan, "poses or measurements to write", MeasurementError)
@@ -163,12 +157,7 @@ def _measured_columns(mechanism: Mechanism, data: Measurements, setup: Setup | N
 
 
 def write_sheet(path: str | Path, mechanism: Mechanism, plan: Plan) -> None:
-    """Write a measuring sheet in mm and degrees: what is planned, and empty columns to fill in.
-
-    Raises:
-        MeasurementError: a plan without readings, or of another mechanism.
-        FileError: the file cannot be written.
-    """
+    """Write a measuring sheet in mm and degrees: what is planned, and empty columns to fill in."""
     if plan.readings is None:
         raise MeasurementError(f"a sheet for {mechanism.name!r} needs the readings of its plan")
     planned: dict[str, Any] = {**_pose_columns(mechanism, plan, "zyx")}

@@ -36,11 +36,7 @@ _log = logging.getLogger(__name__)
 
 
 def as_noise(noise: Noise | None) -> Noise:
-    """Return the noise that is given; without one, the default.
-
-    Raises:
-        MeasurementError: something else.
-    """
+    """Return the noise that is given; without one, the default."""
     if noise is None:
         return Noise()
     return must_be(noise, (Noise,), "noise, pincal.Noise(…)", MeasurementError)
@@ -184,10 +180,6 @@ def table_for(
         mechanism: The mechanism.
         further: Columns of a setup, with their units.
         wanted_influences: Columns of influences that are read besides; None for any.
-
-    Raises:
-        FileError: the file is missing or cannot be read.
-        MeasurementError: a header that is nearly a known one and says no unit.
     """
     must_be(mechanism, Mechanism, "the mechanism", MechanismError)
     counts = {name: mechanism.counts.get(name) for name in mechanism.reading_names}

@@ -62,12 +62,7 @@ _read_once = lru_cache(maxsize=64)(_read)
 
 
 def mechanism_files(name_or_path: str | Path) -> list[Path]:
-    """Return the files that ``load_mechanism`` reads: ``mechanism.yaml`` and the URDFs.
-
-    Raises:
-        FileError: no such folder, or ``mechanism.yaml`` is missing.
-        MechanismError: it does not say what it should.
-    """
+    """Return the files that ``load_mechanism`` reads: ``mechanism.yaml`` and the URDFs."""
     folder = _folder(name_or_path)
     spec = read_yaml(_inside(folder, YAML), MechanismSpec, MechanismError)
     urdfs = dict.fromkeys((spec.platform.urdf, *(leg.urdf for leg in spec.legs)))

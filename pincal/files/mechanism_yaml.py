@@ -56,10 +56,6 @@ class TermSpec(Strict):
         Args:
             parameter: Name of the amplitude.
             place: Where the term stands, for messages.
-
-        Raises:
-            MechanismError: none or several of the forms, a key that is missing or of another form,
-                or a number that it cannot have.
         """
         values = self.model_dump(exclude_none=True)
         influence = values.pop("of", "")
@@ -152,11 +148,7 @@ class LegSpec(Strict):
     terms: dict[Name, dict[Name, TermSpec]] = Field(default_factory=dict)
 
     def coordinates(self, joint: str) -> tuple[Coordinate, ...]:
-        """Return the coordinates that place a joint, none if it is placed by its URDF alone.
-
-        Raises:
-            MechanismError: several coordinates in one entry, or one that there is not.
-        """
+        """Return the coordinates that place a joint, none if it is placed by its URDF alone."""
         place = f"{self.name}, placement of {joint!r}"
         coordinates = []
         for entry in self.placements.get(joint, []):
@@ -197,11 +189,7 @@ class PlatformSpec(Strict):
     home: dict[str, Number]
 
     def platform(self) -> Platform:
-        """Return the platform.
-
-        Raises:
-            MechanismError: a kind that there is not, or a home with other coordinates.
-        """
+        """Return the platform."""
         kind = self.kind
         form = kind if isinstance(kind, str) else PlatformKind(kind.name, tuple(kind.freedoms))
         platform = Platform(form, tuple(self.home.values()))
@@ -239,11 +227,7 @@ class MechanismSpec(Strict):
 
 
 def mechanism_yaml(mechanism: Mechanism) -> str:
-    """Return the text of a mechanism's ``mechanism.yaml``.
-
-    Raises:
-        MechanismError: a term that is code.
-    """
+    """Return the text of a mechanism's ``mechanism.yaml``."""
     platform, load = mechanism.platform, mechanism.load
     kind: Any = platform.kind
     if kind not in KINDS:

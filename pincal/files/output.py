@@ -75,11 +75,7 @@ def refuse_existing(path: str | Path, *, force: bool, folder: Sequence[str] = ()
 def refuse_existing_of(
     outputs: Sequence[tuple[str | Path, Sequence[str]]], *, force: bool
 ) -> list[Path]:
-    """Return where outputs may be written, each a path and its ``folder`` of ``refuse_existing``.
-
-    Raises:
-        FileError: one must not be replaced, or lies in another.
-    """
+    """Return where outputs, each a path and its ``folder``, may be written."""
     targets = [refuse_existing(path, force=force, folder=folder) for path, folder in outputs]
     for first, second in combinations(targets, 2):
         if first.is_relative_to(second) or second.is_relative_to(first):

@@ -69,11 +69,7 @@ class TextTable:
         return column in self.units
 
     def where_measured(self, columns: Iterable[str]) -> TextTable:
-        """Return the rows with something in any of some columns; it is said if others are skipped.
-
-        Raises:
-            MeasurementError: no row has.
-        """
+        """Return the rows with something in any of some columns; others are skipped and said."""
         cells = [self.text[name] for name in columns if name in self]
         rows = enumerate(zip(*cells, strict=True))
         filled = [row for row, texts in rows if any(map(str.strip, texts))]
@@ -117,10 +113,6 @@ class TextTable:
             column: Name without unit.
             dimension: ``"m"`` or ``"rad"``.
             blank: Whether cells may be empty; they are NaN.
-
-        Raises:
-            MeasurementError: the column is missing, has no or a wrong unit, or a cell is
-                not a finite number.
         """
         if column not in self:
             raise MeasurementError(
@@ -148,11 +140,7 @@ class TextTable:
         return self.plain(column, blank=blank) * UNITS[unit][1]
 
     def plain(self, column: str, *, blank: bool = False) -> Array:
-        """Return the numbers of a column as they are, shape (N,).
-
-        Raises:
-            MeasurementError: a cell is not a finite number, or above ``LARGEST``.
-        """
+        """Return the numbers of a column as they are, shape (N,)."""
         values = np.array([plain_number(cell) for cell in self.text[column]])
         for row in np.flatnonzero(~(np.abs(values) <= LARGEST)):
             cell, place = self.text[column][row], f" in column {column!r}"
@@ -173,11 +161,7 @@ def is_dataframe(value: object) -> bool:
 
 
 def dataframe(columns: Mapping[str, Iterable[float] | Iterable[str]]) -> Any:
-    """Return columns (header to values, SI) as a pandas DataFrame.
-
-    Raises:
-        MeasurementError: pandas is not installed.
-    """
+    """Return columns (header to values, SI) as a pandas DataFrame."""
     try:
         import pandas
     except ImportError as error:

@@ -176,12 +176,7 @@ _PLACE = re.compile(r", line \d+, column \d+$")
 
 
 def read_xml(path: Path, root: str) -> etree._Element:
-    """Return the root element of a file, of that name; nothing is resolved and nothing fetched.
-
-    Raises:
-        FileError: the file is missing or cannot be read.
-        MechanismError: too large, not well-formed, with entities, or another root element.
-    """
+    """Return the root element of a file, of that name; nothing is resolved and nothing fetched."""
     text = read_bytes(path, LARGEST_FILE["XML"], MechanismError)
     parser = etree.XMLParser(resolve_entities=False, no_network=True, huge_tree=False)
     try:

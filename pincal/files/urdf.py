@@ -36,38 +36,37 @@ _KINDS: dict[str, JointKind] = {
 
 
 def read_chain(path: Path, tip: str) -> tuple[Joint, ...]:
-    """Return the joints from a URDF's root link to its tip link, base first.
-
-    Raises:
-        FileError: the file is missing or cannot be read.
-        MechanismError: not well-formed, no serial chain, or no such tip link.
-    """
+    """Return the joints from a URDF's root link to its tip link, base first."""
     robot = read_xml(path, "robot")
-    joints = robot.findall("joint")
-    by_parent: dict[str, etree._Element] = {}
+    ahead: dict[str, etree._Element] = {}
     children = set()
-    for element in joints:
+    for element in robot.findall("joint"):
         parent, child = link_of(element, "parent", path), link_of(element, "child", path)
-        if parent in by_parent or child in children:
+        if parent in ahead or child in children:
             raise MechanismError(
                 f"{path}, line {element.sourceline}: link {parent!r} branches or closes a loop; a "
                 "leg must be a serial chain, one joint from each link to the next"
             )
-        by_parent[parent] = element
+        ahead[parent] = element
         children.add(child)
-    links = {link.get("name") for link in robot.findall("link")}
+    links = sorted(str(link.get("name")) for link in robot.findall("link"))
+    roots = [link for link in dict.fromkeys(links) if link not in children]
     if tip not in links:
         raise MechanismError(
-            f"{path}: no link named {tip!r} for the tip; it has "
-            f"{', '.join(sorted(str(link) for link in links)) or 'no links'}"
+            f"{path}: no link named {tip!r} for the tip; it has {', '.join(links) or 'no links'}"
         )
-    link, chain = _only_root(links - children, path), []
+    if len(roots) != 1:
+        raise MechanismError(
+            f"{path}: {len(roots)} root links ({', '.join(roots) or 'loop'}); a leg must be one "
+            "serial chain with one root"
+        )
+    link, chain = roots[0], []
     while link != tip:
-        if link not in by_parent:
+        if link not in ahead:
             raise MechanismError(
                 f"{path}: the chain from the root ends at {link!r}, not at {tip!r}"
             )
-        element = by_parent[link]
+        element = ahead[link]
         link = link_of(element, "child", path)
         if element.get("type") in ("revolute", "prismatic") and element.find("limit") is None:
             raise MechanismError(
@@ -79,25 +78,10 @@ def read_chain(path: Path, tip: str) -> tuple[Joint, ...]:
     return tuple(chain)
 
 
-def _only_root(roots: set[str | None], path: Path) -> str:
-    """Return the one link that no joint carries."""
-    if len(roots) != 1:
-        raise MechanismError(
-            f"{path}: {len(roots)} root links ({', '.join(sorted(map(str, roots))) or 'loop'}); a "
-            "leg must be one serial chain with one root"
-        )
-    return str(next(iter(roots)))
-
-
 def weighed(joint: Joint, robot: etree._Element, link: str, path: Path) -> Joint:
-    """Return a joint with the mass of the link behind it, if its URDF says one.
-
-    Raises:
-        MechanismError: a negative mass, or a number that is none.
-    """
-    inertial = next(
-        (e.find("inertial") for e in robot.findall("link") if e.get("name") == link), None
-    )
+    """Return a joint with the mass of the link behind it, if its URDF says one."""
+    links = (element for element in robot.findall("link") if element.get("name") == link)
+    inertial = next((element.find("inertial") for element in links), None)
     element = None if inertial is None else inertial.find("mass")
     if inertial is None or element is None:
         return joint
@@ -110,12 +94,7 @@ def weighed(joint: Joint, robot: etree._Element, link: str, path: Path) -> Joint
 
 
 def read_points(path: Path) -> dict[str, Joint]:
-    """Return the fixed joints of a platform URDF by the names of joint and child link.
-
-    Raises:
-        FileError: the file is missing or cannot be read.
-        MechanismError: not well-formed.
-    """
+    """Return the fixed joints of a platform URDF by the names of joint and child link."""
     points: dict[str, Joint] = {}
     elements = read_xml(path, "robot").findall("joint")
     children = {link_of(element, "child", path) for element in elements}
@@ -145,10 +124,6 @@ def read_joint(element: etree._Element, path: Path, kind: str | None = None) -> 
         element: The element.
         path: Its file.
         kind: What it is read as; as its type says if not given.
-
-    Raises:
-        MechanismError: of a type that a leg cannot have, a number that is none, or an element or
-            attribute that is not URDF's.
     """
     place = f"{path}, line {element.sourceline}"
     name, kind = element.get("name"), kind or element.get("type")
@@ -171,9 +146,7 @@ def read_joint(element: etree._Element, path: Path, kind: str | None = None) -> 
     norm = float(np.linalg.norm(axis))
     if norm < 1e-9:
         raise MechanismError(f"{place}: joint {name!r} has an axis of length zero")
-    if abs(norm - 1.0) > 1e-12:
-        axis = axis / norm
-    x, y, z = (float(v) for v in axis)
+    x, y, z = (axis if abs(norm - 1.0) <= 1e-12 else axis / norm).tolist()
     lower, upper = (-np.inf, np.inf) if kind == "continuous" else _limits(element, name, place)
     return Joint(name, _KINDS[kind], placement, (x, y, z), lower, upper)
 
@@ -237,11 +210,7 @@ def _limits(element: etree._Element, name: str, place: str) -> tuple[float, floa
 
 
 def link_of(element: etree._Element, key: str, path: Path) -> str:
-    """Return the parent or child link of a <joint>.
-
-    Raises:
-        MechanismError: there is none.
-    """
+    """Return the parent or child link of a <joint>."""
     child = element.find(key)
     name = None if child is None else child.get("link")
     if not name:
