@@ -13,7 +13,7 @@ from measured import workspace
 
 import pincal
 from pincal.design.certificate import continuous_design
-from pincal.design.criteria import Determinant, MeanVariance, inverse_roots
+from pincal.design.criteria import Criterion, inverse_roots
 from pincal.design.exchange import best_choice, exchange
 
 NOISE = pincal.Noise(1e-4, 1e-4, 0.0)
@@ -37,7 +37,7 @@ def test_the_best_of_all_sets_is_found(r: int, q: int, seed: int) -> None:
     """Of all 5 of 12 candidates; the bound is below the best, and not far."""
     blocks, C = random(12, r, 4, q, seed)
     least = min(variance(blocks[list(some)], C) for some in combinations(range(12), 5))
-    criterion = MeanVariance(C)
+    criterion = Criterion(C)
     chosen, efficiency = best_choice((blocks,), 5, np.random.default_rng(0), 20, criterion)
     assert len(set(chosen.tolist())) == 5
     assert variance(blocks[chosen], C) == pytest.approx(least, rel=1e-9)
@@ -51,7 +51,7 @@ def test_the_best_of_all_sets_is_found(r: int, q: int, seed: int) -> None:
 def test_the_bound_is_below_any_weights(count: int) -> None:
     """And within 0.02 % of the design that proves it: the equivalence theorem, from outside."""
     blocks, C = random(count, 2, 6, 6, 7)
-    design = continuous_design((blocks,), MeanVariance(C))
+    design = continuous_design((blocks,), Criterion(C))
     bound = np.exp(-design.bound)
     assert design.weights.sum() == pytest.approx(1.0)
     own = variance(np.sqrt(design.weights)[:, None, None] * blocks, C)
@@ -69,7 +69,7 @@ def test_swaps_change_values_as_predicted_and_less_than_gradients(r: int) -> Non
     chosen, others = list(range(9)), list(range(9, 30))
     flat = blocks[chosen].reshape(-1, 4)
     W = blocks @ inverse_roots(flat.T @ flat)
-    for criterion in (Determinant(), MeanVariance(C)):
+    for criterion in (Criterion(), Criterion(C)):
         V = W @ criterion.direction(inverse_roots(flat.T @ flat)[None])[0]
         slopes, now = (V**2).sum(axis=(1, 2)), criterion.value((blocks[chosen],))
         for leaving in chosen:

@@ -10,7 +10,7 @@ from measured import workspace
 
 import pincal
 from pincal.design.certificate import continuous_design, derivatives
-from pincal.design.criteria import Determinant, MeanVariance
+from pincal.design.criteria import Criterion
 from pincal.design.exchange import exchange
 from pincal.design.information import leg_rows as leg_rows_of
 from pincal.kinematics.derivatives import leg_demand
@@ -36,7 +36,7 @@ def test_derivatives_by_weights_are_those_of_values(criterion: str, r: int) -> N
     """Gradient and Hessian by weights, against central differences of values and gradients."""
     rng = np.random.default_rng(r)
     rows, C = rng.standard_normal((12, r, 4)), rng.standard_normal((4, 3))
-    maximised = Determinant() if criterion == "determinant" else MeanVariance(C)
+    maximised = Criterion() if criterion == "determinant" else Criterion(C)
     weights, step = rng.dirichlet(np.ones(12)), 1e-6
 
     def value(weights: np.ndarray) -> float:

@@ -244,13 +244,8 @@ def test_measurements_without_noise_are_refused() -> None:
 
 
 def test_what_people_see(poses: dict[str, np.ndarray]) -> None:
-    """A line, a page of forty lines, and a frame with a row for each parameter."""
-    pandas = pytest.importorskip("pandas")
+    """A line, and a page of forty lines."""
     found = pincal.forecast(pincal.load_mechanism("6UPS"), poses["6UPS"], NOISE, ["x", "y", "z"])
     assert repr(found) == "Forecast('6UPS', 40 poses, rank 45 of 48)"
     assert len(str(found).splitlines()) <= 40
     assert "leg_1." in str(found)
-    frame = found.to_dataframe()
-    assert isinstance(frame, pandas.DataFrame)
-    assert len(frame) == 48
-    np.testing.assert_array_equal(frame["std"], found.std)

@@ -11,7 +11,7 @@ from measured import workspace
 from moved import moved, random_motion
 
 import pincal
-from pincal.design.information import leg_whitener
+from pincal.design.information import leg_rows
 from pincal.design.orbits import (
     distinct,
     maps,
@@ -60,7 +60,7 @@ def mixed_poses(mixed: pincal.Mechanism) -> np.ndarray:
 def log_det(mechanism: pincal.Mechanism, leg: str, poses: np.ndarray) -> float:
     """Return log det of a leg's information at poses."""
     demand = leg_demand(mechanism, leg, poses)
-    rows = leg_whitener(demand, mechanism, pincal.Noise())(demand.parameter)
+    rows = leg_rows(demand, mechanism, pincal.Noise())
     flat = rows.reshape(-1, rows.shape[2])
     return float(np.linalg.slogdet(flat.T @ flat)[1])
 

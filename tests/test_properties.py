@@ -24,7 +24,7 @@ import pincal
 from pincal import Measurements, Mechanism, Noise, Placement, Platform
 from pincal.design.certificate import continuous_design
 from pincal.design.exchange import exchange
-from pincal.design.information import leg_whitener
+from pincal.design.information import leg_rows
 from pincal.kinematics.derivatives import leg_demand
 
 Array = NDArray[np.float64]
@@ -380,7 +380,7 @@ def chosen_poses_are_reached_and_told_apart(draw: Draw, folder: Path) -> None:
 
 def _log_det(mechanism: Mechanism, leg: str, poses: Array) -> float:
     demand = leg_demand(mechanism, leg, poses)
-    rows = leg_whitener(demand, mechanism, Noise())(demand.parameter)
+    rows = leg_rows(demand, mechanism, Noise())
     J = rows.reshape(-1, rows.shape[2])
     return float(np.linalg.slogdet(J.T @ J)[1])
 

@@ -17,8 +17,8 @@ import numpy as np
 from scipy.linalg import qr
 
 from pincal.design.criteria import (
+    DETERMINANT,
     Criterion,
-    Determinant,
     Parts,
     gradient,
     inverse_roots,
@@ -76,7 +76,7 @@ class ContinuousDesign:
         return float(np.exp((value - self.bound) / self.degree) / count)
 
 
-def continuous_design(rows: Parts, criterion: Criterion | None = None) -> ContinuousDesign:
+def continuous_design(rows: Parts, criterion: Criterion = DETERMINANT) -> ContinuousDesign:
     """Return a nearly optimal continuous design and its bound.
 
     Args:
@@ -86,7 +86,7 @@ def continuous_design(rows: Parts, criterion: Criterion | None = None) -> Contin
     Raises:
         ObservabilityError: all candidates together leave a parameter undetermined.
     """
-    criterion, factors, total = criterion or Determinant(), triangles(rows), len(rows[0])
+    factors, total = triangles(rows), len(rows[0])
     if any(map(_lacks_rank, factors)):
         raise ObservabilityError("the candidate poses leave a parameter undetermined")
     # In these coordinates the information of equal weights is 1.

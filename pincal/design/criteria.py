@@ -19,7 +19,7 @@ into parts, and their determinants multiply. Rows are a tuple with an array for 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
@@ -32,104 +32,66 @@ Parts: TypeAlias = tuple[Array, ...]
 _CHUNK = 8192  # candidates evaluated together: their products stay near the processor
 
 
-class Criterion(Protocol):
-    """A concave criterion of the information M."""
+@dataclass(frozen=True)
+class Criterion:
+    """log det M or, of quantities Cᵀφ, minus the logarithm of the sum of the variances."""
 
-    order: int
-    """p of the module's formulas."""
+    C: Array | None = None
+    """Quantities that are to be known, in the unknowns, which are one part, shape (n, q)."""
+
+    @property
+    def order(self) -> int:
+        """P of the module's formulas."""
+        return 0 if self.C is None else 1
 
     def degree(self, n: int) -> int:
         """Return d of value(c M) = value(M) + d log c, for n parameters."""
+        return n if self.C is None else 1
 
     def transformed(self, turns: Parts) -> Criterion:
         """Return the criterion, but for a constant, of rows A T, T of shape (n, n) each."""
+        return self if self.C is None else Criterion(turns[0].T @ self.C)
 
     def value(self, rows: Parts) -> float:
         """Return the value of rows, shape (m, r, n) for each part; −∞ if they lack rank."""
+        total = 0.0
+        for triangle in triangles(rows):
+            diagonal = np.abs(np.diagonal(triangle))
+            if len(triangle) < triangle.shape[1] or not diagonal.min() > 0.0:
+                return -np.inf
+            if self.C is None:
+                total += 2.0 * float(np.log(diagonal).sum())
+            else:
+                total -= float(np.log((np.linalg.solve(triangle.T, self.C) ** 2).sum()))
+        return total
 
     def direction(self, root: Array) -> Array:
-        """Return H by roots R of M⁻¹, shape (S, n, n), shape (S, n, k)."""
+        """Return H by roots R of M⁻¹, shape (S, n, n): the unit matrix, or Rᵀ C over its norm."""
+        if self.C is None:
+            return np.broadcast_to(np.eye(root.shape[-1]), root.shape)
+        half = root.swapaxes(1, 2) @ self.C
+        return np.asarray(half / np.linalg.norm(half, axis=(1, 2), keepdims=True))
 
     def change(self, K: Array, Q: Array, signs: Array) -> Array:
         """Return what rows that come and go add to the value of one part, shape (m,).
+
+        log det(1 + s K), or −log(1 − tr (s + K)⁻¹ Q).
 
         Args:
             K: See the module, of the rows of each change, shape (m, r, r).
             Q: The same.
             signs: 1 for rows that come, −1 for rows that go, shape (r,).
         """
-
-
-@dataclass(frozen=True)
-class Determinant:
-    """log det M."""
-
-    order = 0
-
-    def degree(self, n: int) -> int:
-        """See ``Criterion``."""
-        return n
-
-    def transformed(self, turns: Parts) -> Criterion:  # noqa: ARG002
-        """See ``Criterion``."""
-        return self
-
-    def value(self, rows: Parts) -> float:
-        """See ``Criterion``."""
-        total = 0.0
-        for part in rows:
-            flat = part.reshape(-1, part.shape[2])
-            sign, log_det = np.linalg.slogdet(flat.T @ flat)
-            total += float(log_det) if sign > 0 else -np.inf
-        return total
-
-    def direction(self, root: Array) -> Array:
-        """See ``Criterion``."""
-        return np.broadcast_to(np.eye(root.shape[-1]), root.shape)
-
-    def change(self, K: Array, Q: Array, signs: Array) -> Array:  # noqa: ARG002
-        """See ``Criterion``: log det(1 + s K)."""
         sign, log_det = np.linalg.slogdet(np.eye(len(signs)) + signs[:, None] * K)
-        return np.where(sign > 0.0, log_det, -np.inf)
-
-
-@dataclass(frozen=True)
-class MeanVariance:
-    """−log tr C Cᵀ M⁻¹: of quantities Cᵀφ, the sum of the variances; parameters are one part."""
-
-    C: Array
-    """Quantities that are to be known, in the unknowns, shape (n, q)."""
-    order = 1
-
-    def degree(self, n: int) -> int:  # noqa: ARG002
-        """See ``Criterion``."""
-        return 1
-
-    def transformed(self, turns: Parts) -> Criterion:
-        """See ``Criterion``."""
-        (turn,) = turns
-        return MeanVariance(turn.T @ self.C)
-
-    def value(self, rows: Parts) -> float:
-        """See ``Criterion``."""
-        (part,) = rows
-        triangle = _triangle(part)
-        if len(triangle) < len(self.C) or not np.abs(np.diagonal(triangle)).min() > 0.0:
-            return -np.inf
-        return -float(np.log((np.linalg.solve(triangle.T, self.C) ** 2).sum()))
-
-    def direction(self, root: Array) -> Array:
-        """See ``Criterion``: Rᵀ C, over its norm."""
-        half = root.swapaxes(1, 2) @ self.C
-        return np.asarray(half / np.linalg.norm(half, axis=(1, 2), keepdims=True))
-
-    def change(self, K: Array, Q: Array, signs: Array) -> Array:
-        """See ``Criterion``: −log(1 − tr (s + K)⁻¹ Q)."""
-        middle = np.diag(signs) + K
-        ratio = 1.0 - np.trace(solve(middle, Q), axis1=1, axis2=2)
-        regular = np.prod(signs) * np.linalg.det(middle) > ROUNDING  # det(1 + s K)
+        if self.C is None:
+            return np.where(sign > 0.0, log_det, -np.inf)
+        ratio = 1.0 - np.trace(solve(np.diag(signs) + K, Q), axis1=1, axis2=2)
+        regular = (sign > 0.0) & (log_det > np.log(ROUNDING))
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(regular & (ratio > 0.0), -np.log(ratio), -np.inf)
+
+
+DETERMINANT = Criterion()
 
 
 def triangles(rows: Parts) -> Parts:

@@ -12,8 +12,8 @@ import numpy as np
 
 from pincal.design.certificate import continuous_design
 from pincal.design.criteria import (
+    DETERMINANT,
     Criterion,
-    Determinant,
     Parts,
     gradient,
     inverse_roots,
@@ -40,7 +40,7 @@ def best_choice(
     count: int,
     rng: np.random.Generator,
     starts: int,
-    criterion: Criterion | None = None,
+    criterion: Criterion = DETERMINANT,
 ) -> tuple[Index, float]:
     """Return the best choice of candidates, and its efficiency against the bound on any choice.
 
@@ -66,7 +66,7 @@ def exchange(
     priority: Array,
     rng: np.random.Generator,
     starts: int,
-    criterion: Criterion | None = None,
+    criterion: Criterion = DETERMINANT,
 ) -> tuple[Index, float]:
     """Return the best set of candidates from several starts, and its value.
 
@@ -86,7 +86,7 @@ def exchange(
     Raises:
         ObservabilityError: fewer candidates than the set is to have.
     """
-    criterion, total = criterion or Determinant(), len(rows[0])
+    total = len(rows[0])
     if total < count:
         raise ObservabilityError(
             f"{total} candidates are in reach, no two of them alike; {count} are to be chosen"

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -40,9 +39,6 @@ from pincal.model.overview import ROWS
 from pincal.model.setup import Setup, Systematic
 from pincal.types import Array
 from pincal.words.numbers import amount
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -112,20 +108,6 @@ class Forecast:
         position_error = self.platform_error(poses).position
         return float(max(self.least, np.ceil(self.poses * (position_error / accuracy) ** 2)))
 
-    def to_dataframe(self) -> DataFrame:
-        """Return a row for each parameter: unit, nominal value and standard error, SI units."""
-        import pandas as pd  # optional
-
-        legs = self.mechanism.legs
-        return pd.DataFrame(
-            {
-                "unit": [leg.units[name] for leg in legs for name in leg.parameter_names],
-                "nominal": np.concatenate([leg.nominal for leg in legs]),
-                "std": self.std,
-            },
-            index=pd.Index(parameter_ids(self.mechanism), name="parameter"),
-        )
-
     def __repr__(self) -> str:
         rank = f"rank {self.rank.rank} of {self.rank.n_params}"
         name = self.mechanism.name
@@ -141,7 +123,7 @@ class Forecast:
             for name, std, unit in zip(parameter_ids(self.mechanism), self.std, units, strict=True)
         ]
         if hidden := len(rows) - ROWS:
-            rows[ROWS:] = [f"  and {hidden} more (to_dataframe)"] if hidden > 0 else []
+            rows[ROWS:] = [f"  and {hidden} more"] if hidden > 0 else []
         words = [] if self.rank.complete else [f"not determined apart: {self.rank.describe()}"]
         return "\n".join([repr(self), "standard errors (1 σ):", *rows, *words])
 

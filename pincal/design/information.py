@@ -52,44 +52,23 @@ class Information:
     measured: tuple[str, ...]
 
 
-def leg_whitener(demand: Demand, mechanism: Mechanism, noise: Noise) -> WhiteRows:
-    """Return what whitens the rows of a leg alone, poses as measured; NaN where out of reach.
+def leg_rows(demand: Demand, mechanism: Mechanism, noise: Noise) -> Array:
+    """Return the whitened rows of a leg alone by its parameters, poses as measured, (N, k, n).
 
-    Columns of the noise are the platform's freedoms and the leg's readings.
-
-    Args:
-        demand: The leg's rows at N poses.
-        mechanism: The mechanism.
-        noise: Standard deviations of what is measured.
+    NaN where out of reach.
 
     Raises:
         MeasurementError: a residual has no noise.
     """
     by_pose, by_reading = demand.pose * noise.of_poses(mechanism), demand.reading * noise.reading
+    root = np.concatenate((by_pose, by_reading), axis=2)
     try:
-        return white_rows(demand.pose[:, :, :0], np.concatenate((by_pose, by_reading), axis=2))
+        return white_rows(demand.pose[:, :, :0], root)(demand.parameter)
     except NoNoiseError as error:
         raise MeasurementError(
             "a residual has no noise at all; give a standard deviation above zero for position, "
             "orientation or reading (only their ratios matter to the choice)"
         ) from error
-
-
-def leg_rows(demand: Demand, mechanism: Mechanism, noise: Noise) -> Array:
-    """Return the whitened rows of a leg alone by its parameters, poses as measured, (N, k, n).
-
-    NaN where out of reach. See ``leg_whitener``: one row is only divided by the size of its noise.
-
-    Raises:
-        MeasurementError: a residual has no noise.
-    """
-    if demand.value.shape[1] == 1:
-        by_pose, by_reading = demand.pose[:, 0] * noise.of_poses(mechanism), demand.reading[:, 0]
-        square = np.einsum("ns,ns->n", by_pose, by_pose)
-        square += noise.reading**2 * np.einsum("ns,ns->n", by_reading, by_reading)
-        if not (square <= 0.0).any():
-            return np.asarray(demand.parameter / np.sqrt(square)[:, None, None])
-    return leg_whitener(demand, mechanism, noise)(demand.parameter)
 
 
 def information_rows(

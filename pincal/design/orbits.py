@@ -30,8 +30,6 @@ from pincal.symmetry.detect import SymmetryGroup, symmetry_group
 from pincal.symmetry.elements import Element
 from pincal.types import Array, Index, Mask
 
-_LINES = 3  # along which places are looked at before they are looked at in full
-
 
 def places_of(platform: Platform, poses: Poses, readings: Array | None = None) -> Array:
     """Return positions, rotation matrices and readings over their extents, shape (N, 12 or more).
@@ -69,31 +67,16 @@ def distinct(platform: Platform, poses: Poses, readings: Array | None = None) ->
         MechanismError: a pose of a wrong shape, or not finite.
     """
     places = places_of(platform, poses, readings)
-    near = perhaps_alike(places)
-    places = places[near]
     originals = np.sort(np.unique(places, axis=0, return_index=True)[1])
     while len(originals) > 1:  # of a pair of nearest neighbours the later one goes
-        distance, neighbour = KDTree(places[originals]).query(places[originals], k=2, p=np.inf)
-        index = np.arange(len(originals))
+        tree, index = KDTree(places[originals]), np.arange(len(originals))
+        distance, neighbour = tree.query(tree.data, k=2, p=np.inf, distance_upper_bound=2 * ALIKE)
         nearest = np.where(neighbour[:, 0] == index, 1, 0)
         copies = (distance[index, nearest] <= ALIKE) & (neighbour[index, nearest] < index)
         if not copies.any():
             break
         originals = originals[~copies]
-    return np.sort(np.concatenate((np.flatnonzero(~near), np.flatnonzero(near)[originals])))
-
-
-def perhaps_alike(places: Array) -> Mask:
-    """Return which places may be copies: they lie together along every line, shape (N,)."""
-    near = np.ones(len(places), dtype=bool)
-    for line in np.random.default_rng(0).uniform(-1.0, 1.0, (_LINES, places.shape[1])):
-        along = places[near] @ line
-        order = np.argsort(along)
-        together = np.diff(along[order]) <= ALIKE * np.abs(line).sum()
-        near_along = np.zeros(len(along), dtype=bool)
-        near_along[order[:-1][together]] = near_along[order[1:][together]] = True
-        near[near] = near_along
-    return near
+    return originals
 
 
 _MAPPED = 1e-5  # part of rows that a change of parameters may leave: a group found within 1e-6
@@ -218,12 +201,9 @@ def orbit_of(elements: Sequence[Element], matrices: Array) -> tuple[Array, Mask]
     size = float(np.ptp(images[..., :3, 3], axis=(0, 1)).max())
     within = ALIKE * np.array((1.0, 1.0, 1.0, size or 1.0))
     first = np.ones(images.shape[:2], dtype=bool)
-    for later in range(1, len(images)):  # some element leaves a pose where it is, or none does
-        first[later] = ~_coincide(images[later], images[0], within)
-    fixed = np.flatnonzero(~first.all(axis=0))
-    for later in range(2, len(images) if len(fixed) else 0):
-        for earlier in range(1, later):
-            first[later, fixed] &= ~_coincide(images[later, fixed], images[earlier, fixed], within)
+    for later in range(1, len(images)):
+        for earlier in range(later):
+            first[later] &= ~_coincide(images[later], images[earlier], within)
     return images, first
 
 

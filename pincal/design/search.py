@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pincal.design.certificate import continuous_design
-from pincal.design.criteria import Determinant, Parts, triangles
+from pincal.design.criteria import Criterion, Parts, triangles
 from pincal.design.exchange import best_choice
 from pincal.design.information import leg_rows
 from pincal.design.orbits import distinct, orbit_of, representatives
@@ -129,7 +129,7 @@ class Search:
             self.rows(element.poses(self.mechanism.platform, poses), (leg,))
             for poses in (self.poses, chosen)
         )
-        return continuous_design(offered).efficiency(Determinant().value(taken), len(chosen))
+        return continuous_design(offered).efficiency(Criterion().value(taken), len(chosen))
 
     def rows(
         self, poses: Array, legs: Sequence[str], elements: Sequence[Element] = (IDENTITY,)

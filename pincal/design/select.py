@@ -11,8 +11,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from dataclasses import dataclass, replace
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -37,10 +37,6 @@ from pincal.model.measurements import EVERY_LEG, VERIFY, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.types import Array
 from pincal.words.wording import mapped_diagonals
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
-
 
 _SAMPLE = 64  # candidates on which it is looked at whether rows map
 Protocol = Literal["independent", "symmetric", "orbits", "common"]
@@ -107,18 +103,6 @@ class Selection:
     def mapped(self) -> bool:
         """Whether poses of a leg were mapped to others, whose |R_ii| can be compared with its."""
         return self.protocol == "symmetric" and len(self.legs) > 1
-
-    def to_dataframe(self) -> DataFrame:
-        """Return a row for each leg: poses, efficiency, observability indices, condition."""
-        import pandas as pd  # optional
-
-        rows = [
-            {"poses": leg.poses, "efficiency": leg.efficiency}
-            | asdict(leg.indices)
-            | {"condition": leg.condition}
-            for leg in self.legs
-        ]
-        return pd.DataFrame(rows, index=pd.Index([leg.leg for leg in self.legs], name="leg"))
 
     def __repr__(self) -> str:
         size = f"{len(self.plan.poses)} poses of {self.candidates}"

@@ -15,7 +15,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from pincal.blas import on_one_thread
-from pincal.design.criteria import MeanVariance
+from pincal.design.criteria import Criterion
 from pincal.design.exchange import best_choice
 from pincal.design.information import apart_from_frames, information_rows, null_directions
 from pincal.design.orbits import distinct
@@ -126,13 +126,13 @@ def select_configurations(
             f"{-(-rank // blocks.shape[1])}, better two or three times as many"
         )
     search.say("choosing configurations")
-    rng, criterion = np.random.default_rng(search.seed), None
+    rng, criterion = np.random.default_rng(search.seed), Criterion()
     if goal == "platform":
         n = legs.gain.shape[2]
         lost = null_directions(lengths, axes, rank)[:n]
         rows = _platform_rows(mechanism, legs, apart_from_frames(mechanism, legs, lost)[2])
         moved = rows / lengths[:n] @ axes[:rank, :n].T
-        criterion = MeanVariance(_root(moved.T @ moved))
+        criterion = Criterion(_root(moved.T @ moved))
     chosen, efficiency = best_choice((blocks,), count, rng, search.starts, criterion)
     return ConfigurationChoice(
         Plan(legs.poses, readings=legs.readings).rows(chosen),
