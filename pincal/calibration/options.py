@@ -174,47 +174,35 @@ class Options:
 
     def __post_init__(self) -> None:
         for name, known in _CHOICES.items():
-            given = getattr(self, name)
-            if given not in get_args(known):
+            if getattr(self, name) not in get_args(known):
                 raise MeasurementError(
-                    f"unknown {name} {given!r}; expected one of {', '.join(get_args(known))}"
+                    f"unknown {name} {getattr(self, name)!r}; expected one of "
+                    f"{', '.join(get_args(known))}"
                 )
         loss_of(self.loss)  # raises where there is no such loss
-        for name, kind in (("noise", Noise | None), ("setup", Setup)):
-            given = getattr(self, name)
-            if not isinstance(given, kind):
-                what = "Noise" if name == "noise" else "Setup"
+        for name, kind in (("noise", Noise), ("setup", Setup)):
+            value = getattr(self, name)
+            if not isinstance(value, kind) and not (name == "noise" and value is None):
                 raise MeasurementError(
-                    f"{name} is {type(given).__name__}; expected pincal.{what}(…)"
-                )
-        tolerance: Any = self.tolerance
-        if isinstance(tolerance, str):
-            object.__setattr__(self, "tolerance", _parse_tolerance(tolerance))
-        by_unit = {} if isinstance(self.tolerance, str) else self.tolerance
-        for unit, sigma in by_unit.items():
-            if unit not in ("m", "rad", "1") or not 0.0 < sigma < np.inf:
-                raise MeasurementError(
-                    f"tolerance {{{unit!r}: {sigma!r}}}: expected standard deviations above 0 of "
-                    "'m', 'rad' or '1', such as {'m': 5e-4, 'rad': 5e-3}"
+                    f"{name} is {type(value).__name__}; expected pincal.{kind.__name__}(…)"
                 )
         if not isinstance(self.folds, int) or self.folds < 0 or self.folds == 1:
             raise MeasurementError(
                 f"--folds {self.folds!r}: expected 2 or more, or 0 for no held-out validation; "
                 "models are compared on at least two folds"
             )
-        priors: Any = self.priors
-        if isinstance(priors, tuple):  # as they are typed: priors_of gives them in SI
-            object.__setattr__(self, "priors", _parse_priors(priors))
         if self.setup.instruments and not self.latent:
             raise MeasurementError(
                 "instruments need all legs at once and the closure residual; leave out "
                 "method='per-leg' and residual='joint'"
             )
-        for name in ("fixed", "tied", "terms"):
-            given = getattr(self, name)
-            if isinstance(given, str):
-                given = (given,)
-            object.__setattr__(self, name, tuple(given))
+        as_said: dict[str, Any] = {name: getattr(self, name) for name in ("fixed", "tied", "terms")}
+        parsed: dict[str, Any] = {
+            n: (v,) if isinstance(v, str) else tuple(v) for n, v in as_said.items()
+        }
+        parsed |= {"tolerance": _tolerance(self.tolerance), "priors": _parse_priors(self.priors)}
+        for name, value in parsed.items():
+            object.__setattr__(self, name, value)
 
     @classmethod
     def of(cls, options: Options | None = None, **given: Any) -> Options:
@@ -258,19 +246,21 @@ class Options:
 _CHOICES = {"method": Method, "residual": Residual, "poses": Poses}
 
 
-def _parse_priors(texts: Iterable[str]) -> dict[str, str]:
-    """Return the numbers of texts such as ``l=0.5mm``, by name.
+def _parse_priors(priors: Mapping[str, Any] | Iterable[str]) -> Mapping[str, Any]:
+    """Return standard deviations by name; of texts such as ``l=0.5mm`` as they are typed.
 
     Raises:
         MeasurementError: a name said twice.
     """
-    priors: dict[str, str] = {}
-    for text in texts:
+    if isinstance(priors, Mapping):
+        return priors
+    by_name: dict[str, str] = {}
+    for text in priors:
         name, _, sigma = (part.strip() for part in text.partition("="))
-        if name in priors:
+        if name in by_name:
             raise MeasurementError(f"--priors {name} is said twice; leave out one of them")
-        priors[name] = sigma
-    return priors
+        by_name[name] = sigma
+    return by_name
 
 
 def _prior(name: str, sigma: float | str, parameters: Sequence[Parameter]) -> float:
@@ -288,14 +278,26 @@ def _prior(name: str, sigma: float | str, parameters: Sequence[Parameter]) -> fl
         ) from None
 
 
-def _parse_tolerance(text: str) -> Tolerance:
+def _tolerance(tolerance: Mapping[str, float] | str) -> Tolerance:
     """Return standard deviations of parameters by unit, or that they are to be found.
 
     Raises:
-        MeasurementError: a unit said twice, or no number with one.
+        MeasurementError: a unit said twice, no number with one, or none above 0.
     """
-    if text.strip() == AUTO:
+    if isinstance(tolerance, str) and tolerance.strip() == AUTO:
         return AUTO
+    by_unit = _parse_tolerance(tolerance) if isinstance(tolerance, str) else tolerance
+    for unit, sigma in by_unit.items():
+        if unit not in ("m", "rad", "1") or not 0.0 < sigma < np.inf:
+            raise MeasurementError(
+                f"tolerance {{{unit!r}: {sigma!r}}}: expected standard deviations above 0 of "
+                "'m', 'rad' or '1', such as {'m': 5e-4, 'rad': 5e-3}"
+            )
+    return by_unit
+
+
+def _parse_tolerance(text: str) -> dict[str, float]:
+    """Return standard deviations by unit of a text such as ``0.5mm,5mrad,0.001``."""
     by_unit: dict[str, float] = {}
     for part in filter(None, (part.strip() for part in text.split(","))):
         unit = re.sub(r"^[-+\d.eE]*", "", part).strip()

@@ -215,11 +215,7 @@ def save_result(
 
 
 def check_reproduces(result: CalibrationResult, machine: Mechanism) -> None:
-    """Raise if a calibrated machine does not give the residuals that were reported of it.
-
-    Args:
-        result: A calibration that converged.
-        machine: Its calibrated mechanism, as it was saved and loaded again.
+    """Raise if a calibrated machine, saved and loaded, does not give the residuals of its fit.
 
     Raises:
         PincalError: it does not.
@@ -235,6 +231,7 @@ def check_reproduces(result: CalibrationResult, machine: Mechanism) -> None:
 
 def as_json(result: CalibrationResult) -> dict[str, Any]:
     """Return a result as plain data for JSON; numbers that do not exist are null."""
+    noise = {} if result.noise is None else vars(result.noise)
     contents = {
         "pincal_result": FORMAT,
         "pincal": __version__,
@@ -243,17 +240,13 @@ def as_json(result: CalibrationResult) -> dict[str, Any]:
         "method": result.method,
         "residual": result.options.residual,
         "poses": "all" if result.options.every_pose else "own",
-        "converged": result.converged,
-        "message": result.message,
-        "evaluations": result.evaluations,
-        "reduced_chi2": result.reduced_chi2,
-        "degrees_of_freedom": result.degrees_of_freedom,
+        **_named(result, "converged message evaluations reduced_chi2 degrees_of_freedom"),
         "promised": result.promises,
-        "promise_leaves_out": list(uncovered(result)),
+        "promise_leaves_out": uncovered(result),
         "measured_region": most_uncertain(result),
         "contradicted_by": [remark.code for remark in result.contradictions],
-        "noise": {"source": result.noise_source, **(vars(result.noise) if result.noise else {})},
-        "warnings": list(result.warnings),
+        "noise": {"source": result.noise_source, **noise},
+        "warnings": result.warnings,
         "findings": [
             vars(remark) | {"rows": [row + 1 for row in remark.rows], "sentence": sentence(remark)}
             for remark in result.findings
@@ -263,11 +256,7 @@ def as_json(result: CalibrationResult) -> dict[str, Any]:
         "external": [_parameter(p) for p in result.external],
         "gauge": [sentence(freedom) for freedom in result.gauge],
         "ties": [vars(tie) | {"holds": tie.holds} for tie in result.ties],
-        "observed": [
-            {"name": observed.name, "unit": observed.unit, "count": observed.count}
-            | {"rms": observed.rms, "sigma": observed.sigma}
-            for observed in result.observed
-        ],
+        "observed": [_named(seen, "name unit count rms sigma") for seen in result.observed],
         "weakly_determined": result.weak,
         "validation": result.validation,
         "runs": None if result.runs is None else _runs(result.runs),
@@ -278,53 +267,46 @@ def as_json(result: CalibrationResult) -> dict[str, Any]:
     return dict(plain(contents))
 
 
+def _named(whole: object, names: str) -> dict[str, Any]:
+    """Return attributes by their names."""
+    return {name: getattr(whole, name) for name in names.split()}
+
+
 def _residuals(result: CalibrationResult) -> dict[str, list[str]]:
     """Return columns of residuals in SI: of the legs, and of what was measured of the platform.
 
     Legs of exact readings close by construction at poses that were estimated: they are left out.
     """
-    parts = [
-        (leg.name, leg.quantity, leg.unit, *row)
+    series = [
+        (leg.name, leg.quantity, leg.unit, leg.rows, leg.residuals, leg.sigma)
         for leg in result.legs
-        for row in zip(leg.rows, leg.residuals, leg.sigma, strict=True)
-        if row[2] > 0.0 or not result.observed
     ]
-    parts += [
-        ("", observed.name, observed.unit, *row)
-        for observed in result.observed
-        for row in zip(observed.rows, observed.residuals, observed.sigmas, strict=True)
+    series += [
+        ("", seen.name, seen.unit, seen.rows, seen.residuals, seen.sigmas)
+        for seen in result.observed
     ]
-    return {
-        "leg": [leg for leg, *_ in parts],
-        "row": [str(row + 1) for *_, row, _, _ in parts],
-        "quantity": [quantity for _, quantity, *_ in parts],
-        "unit": [unit for _, _, unit, *_ in parts],
-        "residual": [repr(float(value)) for *_, value, _ in parts],
-        "sigma": [repr(float(sigma)) for *_, sigma in parts],
-    }
+    lines = [
+        (leg, str(row + 1), quantity, unit, repr(float(residual)), repr(float(sigma)))
+        for leg, quantity, unit, *columns in series
+        for row, residual, sigma in zip(*columns, strict=True)
+        if sigma > 0.0 or not (leg and result.observed)
+    ]
+    names = ("leg", "row", "quantity", "unit", "residual", "sigma")
+    return {name: [line[place] for line in lines] for place, name in enumerate(names)}
 
 
 def _leg(leg: LegResult) -> dict[str, Any]:
     return {
         "name": leg.name,
         "parameters": [_parameter(p) for p in leg.parameters],
-        "rank": leg.rank,
-        "condition": leg.condition,
         "residual_unit": leg.unit,
-        "rms_before": leg.rms_before,
-        "rms_after": leg.rms_after,
-        "n_residuals": leg.n_residuals,
+        **_named(leg, "rank condition rms_before rms_after n_residuals"),
     }
 
 
 def _parameter(p: IdentifiedParameter) -> dict[str, Any]:
     return {
-        "id": p.id,
-        "name": p.name,
-        "unit": p.unit,
-        "nominal": p.nominal,
-        "identified": p.identified,
-        "std": p.std,
+        **_named(p, "id name unit nominal identified std"),
         "interval_95": [p.low, p.high],
         "given": p.given or None,
         "label": p.label or None,
@@ -332,20 +314,11 @@ def _parameter(p: IdentifiedParameter) -> dict[str, Any]:
 
 
 def _runs(runs: RunComparison) -> dict[str, Any]:
+    columns = zip(runs.names, runs.spread, runs.predicted, runs.values.T, strict=True)
+    names = ("name", "spread", "predicted", "values")
     return {
-        "runs": list(runs.runs),
-        "ratio": runs.ratio,
-        "p_value": runs.p_value,
-        "parameters": [
-            {"name": name, "spread": spread, "predicted": predicted, "values": values}
-            for name, spread, predicted, values in zip(
-                runs.names,
-                runs.spread,
-                runs.predicted,
-                runs.values.T,
-                strict=True,
-            )
-        ],
+        **_named(runs, "runs ratio p_value"),
+        "parameters": [dict(zip(names, column, strict=True)) for column in columns],
     }
 
 

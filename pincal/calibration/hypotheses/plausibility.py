@@ -7,7 +7,7 @@ and those that then fit much better are named. If none does, nothing is identifi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -67,12 +67,7 @@ def implausible(
     Only rows with complete poses are looked at, and of a leg those with its reading.
     """
     case = Case.of(mechanism, data, setup or Setup())
-    if case is None or not case.oriented:
-        return ()
-    if faults := _still(case):
-        return faults
-    explaining, as_measured = _explaining(case)
-    return as_findings(mechanism, as_measured, explaining) or _strange(case, as_measured)
+    return () if case is None or not case.oriented else _faults(case, _strange)
 
 
 def explain_misfit(
@@ -94,12 +89,7 @@ def explain_misfit(
         x, y, z = frame.offsets[0].tolist()
         setup = replace(setup, targets={**setup.targets, ORIGIN: Target((x, y, z))})
     case = Case.of(mechanism, data, setup)
-    if case is None:
-        return ()
-    if faults := _still(case):
-        return faults
-    explaining, as_measured = _explaining(case)
-    return as_findings(mechanism, as_measured, explaining) or _slips(case, as_measured)
+    return () if case is None else _faults(case, _slips)
 
 
 def hypotheses_of(
@@ -116,6 +106,16 @@ def hypotheses_of(
 def said(findings: tuple[Finding, ...]) -> str:
     """Return findings of one cause as one message."""
     return sentences(findings)[0]
+
+
+def _faults(
+    case: Case, unexplained: Callable[[Case, Judged], tuple[Finding, ...]]
+) -> tuple[Finding, ...]:
+    """Return what is wrong: readings that stand still, what explains the misfit, or the rest."""
+    if faults := _still(case):
+        return faults
+    explaining, as_measured = _explaining(case)
+    return as_findings(case.mechanism, as_measured, explaining) or unexplained(case, as_measured)
 
 
 def _explaining(case: Case) -> tuple[list[Judged], Judged]:
@@ -326,15 +326,10 @@ def misaligned(
 def _as_one(gain: Array, motions: Array, changes: Array, scale: Array) -> tuple[float, Array]:
     """Return the probability of so much motion as one body by chance, and that motion.
 
-    The share of the changes' squares, in parameters over their scale, that lies in the directions
-    that move a frame has the F distribution if all directions are alike. 1 if parameters cannot
-    move so, or some are held.
-
-    Args:
-        gain: What parameters do to the platform, shape (N, dof, n).
-        motions: What unit motions of a frame do to it, shape (N, dof, k).
-        changes: Of the parameters, shape (n,).
-        scale: By how much they may differ, shape (n,).
+    The share of the changes' squares, in parameters over their scale (n,), that lies in the
+    directions that move a frame has the F distribution if all directions are alike. 1 if parameters
+    cannot move so, or some are held. Gains of parameters have shape (N, dof, n), what unit motions
+    of a frame do to the platform (N, dof, k).
     """
     A, b = gain.reshape(-1, gain.shape[2]) * scale, motions.reshape(-1, motions.shape[2])
     D = np.linalg.lstsq(A, b, rcond=1e-9)[0]
