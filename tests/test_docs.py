@@ -115,10 +115,16 @@ def made() -> set[str]:
 
 
 def test_every_finding_is_explained() -> None:
-    """The page has each code with title, meaning and remedy; what the source finds has a code."""
-    page = (ROOT / "docs" / "errors.md").read_text(encoding="utf-8")
+    """The page has each code with title, meaning and remedy, and what each value of it is.
+
+    What the source finds has a code.
+    """
+    text = (ROOT / "docs" / "errors.md").read_text(encoding="utf-8")
+    page, _, values = text.partition("## Values of findings")
     rows = dict(re.findall(r"^\| `([a-z0-9-]+)` \|(.*)$", page, re.MULTILINE))
     assert set(rows) == set(WORDINGS)
+    names = {name for one in WORDINGS.values() for name in one.value_names.split()}
+    assert set(re.findall(r"^\| `(\w+)` \| \S", values, re.MULTILINE)) == names
     for code, one in WORDINGS.items():
         plain = rows[code].replace("`", "")
         assert f"| {one.severity} | {one.title} | {one.means} |" in f"|{plain}"

@@ -111,7 +111,7 @@ def test_the_first_section_answers(planar: Any) -> None:
     poses = measured_region(report)
     before = pincal.accuracy(result.nominal, result.identified, poses)
     after = result.expected_error(poses)
-    shown = [[float(cell.text) for cell in row.iter("td")] for row in first.xpath(".//tbody/tr")]
+    shown = [[float(cell.text) for cell in row[1:]] for row in first.xpath(".//tbody/tr")]
     sizes = [[1e3 * one.position, 1e3 * one.orientation] for one in (before, after)]
     sizes += [1e3 * np.array(report.errors.limit)]
     sizes += [[1e3 * missed.rms for missed in result.validation.targets]]
@@ -168,7 +168,7 @@ def test_residuals_beyond_the_noise_are_no_success(planar: Any) -> None:
     assert verdicts[0] == "Probably"
     assert verdicts[1].endswith(f"→ {after:.3g} mm or more")
     assert verdicts[2] == "Not as it is: one warning"
-    assert "no limit is promised: residuals larger than the noise" in text
+    assert "No limit is promised: residuals larger than the noise" in text
     assert np.isinf(poor.expected_error().limit).all()
     assert "no limit is promised" in str(poor.expected_error())
     assert any("no limit is promised" in line for line in supporting_lines(poor, errors))
@@ -411,7 +411,7 @@ def test_as_many_unknowns_as_values_prove_nothing() -> None:
     assert result.degrees_of_freedom == 0
     page = page_of(result.report())
     first = page.get_element_by_id("answers").text_content()
-    assert "as many unknowns as measured values" in first
+    assert "As many unknowns as measured values" in first
     assert "nan" not in page.get_element_by_id("answers").text_content()
     assert "e-1" not in first
     assert first.count("Yes") == 0

@@ -36,6 +36,7 @@ _MOST_PAIRS = 3  # weak pairs that are named
 _QUANTITIES = {"position": "m", "orientation": "rad"}
 _MARKS = {"good": "✓", "care": "⚠", "bad": "✗"}
 _STYLES = {"good": "bold green", "care": "bold yellow", "bad": "bold red"}
+_UNDETERMINED = "not determined anywhere, since what was held moves it at every pose"
 _FRAMES = ", but for where the base and platform frames lie"
 
 
@@ -92,11 +93,10 @@ def _better(result: CalibrationResult, errors: WorkspaceErrors) -> Answer:
         words = "Residuals fell, but are still" if result.corrects else "Residuals are"
         text = f"{words} {_excess(result)}. {wording.means}"
         return Answer(question, "Not shown" if result.corrects else "No", "bad", [text])
-    count = len(errors.units)
-    before, after, limit = (
-        np.array(sizes)[:count]
-        for sizes in (errors.mean_before(), errors.mean_after(), errors.limit)
-    )
+    if not errors.expected.determined.any():
+        return Answer(question, "Not determined", "bad", [f"{_UNDETERMINED}."])
+    sizes = np.array([errors.mean_before(), errors.mean_after(), errors.limit])
+    before, after, limit = sizes[:, : len(errors.units)]
     ratios = before / after
     if min(ratios) >= 2.0:
         text = f"Expect the platform's error to be smaller by a factor of {_factors(ratios)}"
@@ -125,8 +125,8 @@ def _excess(result: CalibrationResult) -> str:
 
 def _accuracy(result: CalibrationResult, errors: WorkspaceErrors) -> Answer:
     """Return by how much the platform is off: before, as expected, held out."""
-    lines = [f"{capital(line)}." for line in platform_lines(result, errors)]
-    if not result.explained:
+    lines = [f"{capital(line)}." for line in limit_lines(result, errors)]
+    if not result.explained or not errors.expected.determined.any():
         shown = WORDINGS["residuals-too-large"].title
         return Answer("By how much?", shown, "", [accuracy_table(result, errors), *lines])
     before, after = (sizes()[0] for sizes in (errors.mean_before, errors.mean_after))
@@ -141,7 +141,7 @@ def accuracy_table(result: CalibrationResult, errors: WorkspaceErrors) -> Table:
     Of the model alone where it can be promised; held-out rows miss by what they miss.
     """
     names, rows = list(errors.units.items()), dict[str, dict[tuple[str, str], float]]()
-    if result.explained:
+    if result.explained and errors.expected.determined.any():
         sizes = {"nominal": errors.mean_before(), "calibrated": errors.mean_after()}
         sizes |= {"95 %: below": errors.limit} if result.promises else {}
         rows = {head: dict(zip(names, values, strict=False)) for head, values in sizes.items()}
@@ -174,7 +174,7 @@ def accuracy_table(result: CalibrationResult, errors: WorkspaceErrors) -> Table:
 
 def _reliable(result: CalibrationResult, notes: Sequence[str]) -> Answer:
     """Return whether the result can be relied on: warnings, χ², held-out rows, runs, outliers."""
-    lines = [*noise_lines(result), *check_lines(result)]
+    lines = [*noise_lines(result), *_comparisons(result)]
     if result.outliers:
         lines.append(f"{counted(len(result.outliers), 'row does', 'rows do')} not fit the others")
     lines = [f"{capital(line)}." for line in lines] + list(notes)
@@ -344,7 +344,7 @@ def tie_lines(result: CalibrationResult) -> list[str]:
 def platform_lines(result: CalibrationResult, errors: WorkspaceErrors) -> list[str]:
     """Return what limits the platform's accuracy: why none is promised, where, what is left out."""
     if not errors.expected.determined.any():
-        return ["platform: not determined anywhere, since what was held moves it at every pose"]
+        return [f"platform: {_UNDETERMINED}"]
     if not result.explained:
         before = errors.mean_before()
         differs = size(before[0], before[1] if len(errors.units) > 1 else None)
@@ -366,12 +366,19 @@ def platform_lines(result: CalibrationResult, errors: WorkspaceErrors) -> list[s
 
 
 def check_lines(result: CalibrationResult) -> list[str]:
+    """Return how held-out rows and runs compare, and how far held-out targets are missed."""
+    validation = result.validation
+    missed = validation.targets if validation and validation.fit <= MISSES else ()
+    return [*_comparisons(result), *(missed_line(**vars(target)) for target in missed)]
+
+
+def _comparisons(result: CalibrationResult) -> list[str]:
     """Return how held-out rows and runs compare."""
     lines, validation = [], result.validation
     if validation is not None:
         folds, count = validation.folds, validation.rows
         rows = f"{folds} folds" if folds > 1 else f"{count} rows of the set verify"
-        lines += [f"{held_out_line(validation)} ({rows})", *missed_lines(validation)]
+        lines.append(f"{held_out_line(validation)} ({rows})")
     if result.runs is not None:
         lines.append(
             f"{len(result.runs.runs)} runs: parameters spread {result.runs.ratio:.2f} times as "
@@ -391,12 +398,6 @@ def held_out_line(validation: Validation) -> str:
         f"held-out rows miss by {validation.held_out:.2f} σ, those of the fit by "
         f"{validation.fit:.2f} σ; {validation.expected:.2f} σ are expected held out"
     )
-
-
-def missed_lines(validation: Validation) -> list[str]:
-    """Return how far targets are missed at held-out rows, measuring noise included."""
-    targets = validation.targets if validation.fit <= MISSES else ()
-    return [missed_line(**vars(target)) for target in targets]
 
 
 def weak_lines(pairs: Sequence[WeakPair], mechanism: Mechanism) -> list[str]:
@@ -432,14 +433,19 @@ def weak_lines(pairs: Sequence[WeakPair], mechanism: Mechanism) -> list[str]:
     return lines
 
 
-def remarks(result: CalibrationResult, errors: WorkspaceErrors) -> list[str]:
-    """Return where and against what no limit is promised, and tolerances that were found."""
-    parts = []
+def limit_lines(result: CalibrationResult, errors: WorkspaceErrors) -> list[str]:
+    """Return why no limit is promised, or where and against what none is, in a line."""
+    if not result.promises:
+        return [f"no limit is promised: {unpromised(result)}"] if result.contradictions else []
+    parts = [UNCOVERED[code] for code in errors.inside.uncovered]
     if errors.beyond is not None:
-        parts.append(f"outside the measured region ({percent(1.0 - errors.share)})")
-    parts += [UNCOVERED[code] for code in errors.inside.uncovered]
-    lines = [f"not covered by the limit: {', '.join(parts)}"] if parts and result.promises else []
-    return [*lines, *_tolerances(result)]
+        parts.insert(0, f"outside the measured region ({percent(1.0 - errors.share)})")
+    return [f"not covered by the limit: {', '.join(parts)}"] if parts else []
+
+
+def remarks(result: CalibrationResult, errors: WorkspaceErrors) -> list[str]:
+    """Return what a terminal shows below the platform's errors."""
+    return [*limit_lines(result, errors), *_tolerances(result)]
 
 
 def _tolerances(result: CalibrationResult) -> list[str]:

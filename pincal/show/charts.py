@@ -37,7 +37,7 @@ from pincal.show.pictures.parts import (
     room,
     wrapped,
 )
-from pincal.show.series import Series, noisy_series, observed_series
+from pincal.show.series import noisy_series, observed_series
 from pincal.show.style import EVERY, IDENTIFIED, INK, NOMINAL, OUTLIER
 from pincal.show.view.scene import rounded_down, scene
 from pincal.show.workspace_errors import bed, error_maps, moved_apart
@@ -64,10 +64,8 @@ _EXPECTED = f"expected error of position [{SMALL['m']}]"
 def residuals(axes: Axes, result: CalibrationResult) -> Axes:
     """Draw residuals after the calibration in standard deviations, against the row.
 
-    Those of the legs or, if their readings are exact, of the platform as measured. A residual's
-    standard deviation is that of its noise less what the fit takes up of it, σ√(1−h) of its
-    leverage h: one that shares what is missed with others is judged as hard as any. Dashed
-    lines: between which 95 of 100 are. Outliers are ringed; rows that were rejected are named.
+    Those of the legs or, if their readings are exact, of the platform as measured; dashed lines:
+    between which 95 % are. Outliers are ringed; rows that were rejected are named.
     """
     for index, series in enumerate(noisy_series(result)):
         style, noisy = marks(index, of_leg=series.of_leg), series.sigma > 0.0
@@ -126,32 +124,25 @@ class CameraResiduals(NamedTuple):
 
 
 def camera_residuals(result: CalibrationResult) -> list[CameraResiduals]:
-    """Return what each camera of a result saw; empty if none measured."""
+    """Return what each camera of a result saw, points of which both columns were measured."""
     by_name = {series.name: series for series in observed_series(result)}
     every_camera = []
     for camera in result.options.setup.instruments:
-        if not isinstance(camera, Camera):
-            continue
-        pairs = camera.image.points.values()
-        parts = [
-            _point_residuals(camera, by_name[u], by_name[v], result.measurements.extra, (u, v))
-            for u, v in pairs
-            if u in by_name and v in by_name
-        ]
+        parts = []
+        for pair in camera.image.points.values() if isinstance(camera, Camera) else ():
+            if not set(pair) <= set(by_name):
+                continue
+            right, down = (by_name[column] for column in pair)
+            rows, i, j = np.intersect1d(right.rows, down.rows, return_indices=True)
+            columns = (np.asarray(result.measurements.extra[column])[rows] for column in pair)
+            misses = camera.image.scale * np.stack((right.after[i], down.after[j]), axis=1)
+            sizes = np.fmax(np.abs(right.standardised[i]), np.abs(down.standardised[j]))
+            parts.append((camera.image.at(*columns), misses, sizes))
         if parts:
-            columns = (np.concatenate(column) for column in zip(*parts, strict=True))
-            every_camera.append(CameraResiduals(camera, *columns))
+            every_camera.append(
+                CameraResiduals(camera, *map(np.concatenate, zip(*parts, strict=True)))
+            )
     return every_camera
-
-
-def _point_residuals(
-    camera: Camera, right: Series, down: Series, extra: Any, pair: tuple[str, str]
-) -> tuple[Array, Array, Array]:
-    """Return places, errors and sizes of a point where both of its columns were measured."""
-    rows, first, second = np.intersect1d(right.rows, down.rows, return_indices=True)
-    points = camera.image.at(*(np.asarray(extra[column])[rows] for column in pair))
-    misses = camera.image.scale * np.stack((right.after[first], down.after[second]), axis=1)
-    return points, misses, np.fmax(*np.abs((right.standardised[first], down.standardised[second])))
 
 
 def images(axes: Axes, result: CalibrationResult) -> Axes:

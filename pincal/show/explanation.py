@@ -77,23 +77,22 @@ def explanation_lines(explanation: Explanation) -> list[str]:
     choice, nominal = explanation.choice, explanation.result.nominal
     visible = [item for item in choice.candidates if item.corrected < LEVEL]
     terms = [item for item in visible if item.kind.name != ORDER]
-    lines = [_slip_line(slip) for slip in choice.slips]
-    lines += [_MEND] if lines else []
-    remaining = list(visible)
-    while remaining and len(lines) < NAMED:
-        candidate = remaining.pop(0)
-        remaining = [rival for rival in remaining if rival.pair not in candidate.or_else]
-        lines.append(_seen_line(candidate, nominal))
-    if not visible:
-        least = min((item.corrected for item in choice.candidates), default=1.0)
-        lines.append(
-            "nothing that was tried is seen in the residuals: the least probable of "
-            f"{len(choice.candidates)} has a chance of {least:.2g}, their number taken in"
-        )
-    if len(terms) < len(visible):  # the order of rows is none
-        lines.append(_NO_TERM)
-    if nominal.load is None and nominal.platform.space == 3:
-        lines.append(_NO_LOAD)
+    least = min((item.corrected for item in choice.candidates), default=1.0)
+    nothing = (
+        "nothing that was tried is seen in the residuals: the least probable of "
+        f"{len(choice.candidates)} has a chance of {least:.2g}, their number taken in"
+    )
+    notes = (
+        (_MEND, choice.slips),
+        (nothing, not visible),
+        (_NO_TERM, len(terms) < len(visible)),  # the order of rows is none
+        (_NO_LOAD, nominal.load is None and nominal.platform.space == 3),
+    )
+    lines = [
+        *map(_slip_line, choice.slips),
+        *_seen_lines(visible, nominal),
+        *(text for text, holds in notes if holds),
+    ]
     lines += [
         f"fold {fold + 1} is left out of the comparison, the other rows do not determine it: {why}"
         for fold, why in choice.lost
@@ -106,6 +105,16 @@ def explanation_lines(explanation: Explanation) -> list[str]:
             "but no limit is promised while residuals follow something: with --terms "
             f"{term} it is modelled"
         )
+    return lines
+
+
+def _seen_lines(candidates: Sequence[Candidate], mechanism: Mechanism) -> list[str]:
+    """Return what residuals follow, the likeliest first, without what is not separate from it."""
+    lines, remaining = list[str](), list(candidates)
+    while remaining and len(lines) < NAMED:
+        candidate = remaining.pop(0)
+        remaining = [rival for rival in remaining if rival.pair not in candidate.or_else]
+        lines.append(_seen_line(candidate, mechanism))
     return lines
 
 
@@ -143,18 +152,17 @@ def _slip_line(slip: Slip) -> str:
     """Return what slipped or drifted, in which direction, and what to do."""
     subject, look = _SLIPPED[slip.what]
     alternatives = " or ".join(_SLIPPED[kind][0].format(name=name) for kind, name in slip.or_else)
-    size = amount(float(np.linalg.norm(slip.size)), slip.unit)
-    if len(slip.size) > 1:
+    size, *others = slip.size.tolist()
+    shown = amount(float(np.hypot.reduce(slip.size)) if others else size, slip.unit)
+    if others:
         parts = zip(slip.axes, slip.size.tolist(), strict=True)
         along = ", ".join(f"{axis} {amount(value, slip.unit)}" for axis, value in parts)
         axes = "the platform's axes" if slip.what == "target" else "the axes of the measurements"
-        size += f" ({along}, in {axes})"
-    else:
-        size = amount(float(slip.size[0]), slip.unit)
+        shown += f" ({along}, in {axes})"
     what = subject.format(name=slip.name)
-    course = f"from data row {slip.row + 1} on {what} is off by {size}"
+    course = f"from data row {slip.row + 1} on {what} is off by {shown}"
     if slip.steady:
-        course = f"{what} drifts, by {size} from the first row to the last"
+        course = f"{what} drifts, by {shown} from the first row to the last"
     return f"{course}: {look}{_or_else(alternatives.rstrip(','))} ({chance(slip.p_value)})"
 
 

@@ -158,7 +158,7 @@ def _sections(
             tables.files_table(origin.files) if origin.files else None,
         ],
     )
-    if not result.converged:
+    if errors is None:
         return [measured, reproduction]
     exact = readings_exact(result)
     return [
@@ -187,7 +187,14 @@ def _sections(
                 drawn("images") if result.options.setup.instruments else None,
             ],
         ),
-        Section("platform", "Error of the platform", [drawn("maps") or _no_maps(result)]),
+        Section(
+            "platform",
+            "Error of the platform",
+            [
+                drawn("maps") or _no_maps(result),
+                [f"{capital(line)}." for line in answers.platform_lines(result, errors)],
+            ],
+        ),
         Section("outliers", "What was rejected or weighted down", _outliers(result)),
         Section("checks", "Held-out rows, ties and runs", _checks(result, origin)),
         reproduction,

@@ -46,9 +46,7 @@ class Series:
 
     @property
     def rms(self) -> list[float]:
-        """Root mean squares before, after, and of the noise; NaN of no rows."""
-        if not len(self.rows):
-            return [np.nan] * 3
+        """Root mean squares before, after, and of the noise."""
         parts = np.array([self.before, self.after, self.sigma])
         return np.sqrt(np.mean(parts**2, axis=1)).tolist()
 

@@ -320,6 +320,8 @@ def observed_table(result: CalibrationResult) -> Table:
 
 def _sizes(series: Series) -> tuple[Value, ...]:
     """Return root mean squares before and after, σ, and the unit."""
+    if not len(series.rows):
+        return None, None, None, SMALL[series.unit]
     sizes = (Cell(rms, f"{shown_in(rms, series.unit):.4f}") for rms in series.rms)
     return (*sizes, SMALL[series.unit])
 

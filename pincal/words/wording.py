@@ -49,7 +49,7 @@ class Wording:
     title: str
     """What it is, in few words."""
     value_names: str
-    """Names of the values that a finding of it has (``pincal.words.findings.VALUE_MEANINGS``)."""
+    """Names of the values that a finding of it has (``docs/errors.py`` says what they are)."""
     says: str
     """Template of what was found, in one sentence without capital and full stop."""
     means: str
