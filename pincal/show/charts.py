@@ -127,9 +127,10 @@ def camera_residuals(result: CalibrationResult) -> list[CameraResiduals]:
     """Return what each camera of a result saw, points of which both columns were measured."""
     by_name = {series.name: series for series in observed_series(result)}
     every_camera = []
-    for camera in result.options.setup.instruments:
+    cameras = [item for item in result.options.setup.instruments if isinstance(item, Camera)]
+    for camera in cameras:
         parts = []
-        for pair in camera.image.points.values() if isinstance(camera, Camera) else ():
+        for pair in camera.image.points.values():
             if not set(pair) <= set(by_name):
                 continue
             right, down = (by_name[column] for column in pair)
