@@ -8,7 +8,7 @@ Which of them are not observable is found when measurements are planned or made.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,7 +20,7 @@ from pincal.formats.urdf_tree import read_urdf
 from pincal.kinematics.closure import LegClosure
 from pincal.model.checks import must_be
 from pincal.model.consistency import identifiers
-from pincal.model.leg import Closing, Joint, Leg
+from pincal.model.leg import Joint, Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.placement import Coordinate, Placement
 from pincal.model.platform import Platform
@@ -65,69 +65,61 @@ def arm(name: str, joints: tuple[Joint, ...], description: str = "") -> Mechanis
     moving = [joint.name for joint in joints if joint.kind != "fixed"]
     if not moving:
         raise MechanismError(f"{name}: no joint moves")
-    joints = tuple(replace(joint, home=_home(joint)) for joint in joints)
     stems = plain = identifiers((_TOOL, *moving))[1:]
     bare = tuple(stem.removesuffix("_joint") for stem in plain)
     if len({_TOOL, *bare}) > len(bare):
         stems = bare
-    point = Joint(identifiers((*(joint.name for joint in joints), "tip", _TOOL))[-1], "fixed")
-    leg = displaced_leg("arm", joints, moving, point, "frame", stems, _AXES, _TOOL)
-    free = Platform.at_origin("spatial")
+    point = identifiers((*(joint.name for joint in joints), "tip", _TOOL))[-1]
+    leg = Leg(
+        name="arm",
+        joints=with_tip(replace(joint, home=_home(joint)) for joint in joints),
+        sensors=tuple(map(Sensor, moving)),
+        parameters=(),
+        point=Joint(point, "fixed"),
+        closes="frame",
+    )
+    leg, free = displaced(leg, stems, _AXES, _TOOL), Platform.at_origin("spatial")
     home = free.from_matrices(LegClosure(leg, free).frame(leg.home[None]))[0]
     return Mechanism(name, Platform("spatial", tuple(home.tolist())), (leg,), description)
 
 
-def displaced_leg(
-    name: str,
-    joints: Sequence[Joint],
-    driven: Sequence[str],
-    point: Joint,
-    closes: Closing,
-    stems: Sequence[str],
-    axes: Sequence[str],
-    end: str = "tip",
-) -> Leg:
+def with_tip(joints: Iterable[Joint]) -> tuple[Joint, ...]:
+    """Return joints of which the last one is fixed."""
+    joints = tuple(joints)
+    return joints if joints[-1].kind == "fixed" else (*joints, Joint("tip", "fixed"))
+
+
+def displaced(leg: Leg, stems: Sequence[str], axes: Sequence[str], end: str = "tip") -> Leg:
     """Return a leg with small displacements, its parameters, at each joint that moves and the tip.
 
+    And at its platform point, if it closes one: along axes, not about them.
+
     Args:
-        name: Of the leg.
-        joints: Base first.
-        driven: Names of the joints with sensors.
-        point: The platform's; it is displaced, too, where the leg closes it.
-        closes: What the leg closes.
+        leg: Without parameters.
         stems: What the names of the moving joints' displacements begin with.
         axes: Of the displacements.
         end: What the names of the tip's begin with.
     """
-    if joints[-1].kind != "fixed":
-        joints = (*joints, Joint("tip", "fixed"))
-    parameters: list[str] = []
+    stem_of = dict(zip((joint.name for joint in leg.moving), stems, strict=True))
+    stem_of[leg.joints[-1].name] = end
+    parameters: list[tuple[str, float]] = []
 
-    def displaced(joint: Joint, stem: str, axes: Sequence[str]) -> Joint:
-        named = {axis: f"{stem}_{axis}" for axis in axes}
-        parameters.extend(named.values())
+    def moved(joint: Joint, stem: str, axes: Sequence[str]) -> Joint:
+        names = {axis: f"{stem}_{axis}" for axis in axes}
+        parameters.extend((name, 0.0) for name in names.values())
         xyz, rpy = joint.placement.xyz, joint.placement.rpy
-        steps = [Coordinate(axis, (parameter,)) for axis, parameter in named.items()]
+        steps = [Coordinate(axis, (name,)) for axis, name in names.items()]
         steps += [Coordinate(axis, (v,)) for axis, v in zip("xyz", xyz, strict=True) if v]
         return replace(joint, placement=Placement(tuple(steps), xyz, rpy))
 
-    placed, moving_stems = [], iter(stems)
-    for joint in joints:
-        last = joint is joints[-1]
-        moves = last or joint.kind != "fixed"
-        stem = end if last else next(moving_stems) if moves else ""
-        placed.append(displaced(joint, stem, axes) if moves else joint)
-    if closes == "point":
-        point = displaced(point, "point", [axis for axis in axes if axis in "xyz"])
-    return Leg(
-        name=name,
-        joints=tuple(placed),
-        sensors=tuple(Sensor(joint) for joint in driven),
-        parameters=tuple((parameter, 0.0) for parameter in parameters),
-        point=point,
-        tip="tip",
-        closes=closes,
+    joints = tuple(
+        moved(joint, stem_of[joint.name], axes) if joint.name in stem_of else joint
+        for joint in leg.joints
     )
+    point = leg.point
+    if leg.closes == "point":
+        point = moved(point, "point", [axis for axis in axes if axis in "xyz"])
+    return replace(leg, joints=joints, point=point, parameters=tuple(parameters))
 
 
 def _home(joint: Joint) -> float:

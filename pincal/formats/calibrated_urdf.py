@@ -55,27 +55,34 @@ def calibrated_urdf(original: str | Path, mechanism: Mechanism, leg: str | None 
             placements |= chain
             shifts.append((urdf[list(chain)[-1]].child, _shift(urdf, calibrated)))
     for last, T_link_platform in shifts:
-        if _is_nothing(T_link_platform):
-            continue
-        on = [name for name, edge in urdf.items() if edge.parent == last]
-        ends = [name for name in on if not urdf[name].moves]
-        if not ends or len(ends) != len(on):
-            shift = ", ".join(f"{1e3 * v:.4g}" for v in T_link_platform[:3, 3])
-            turn = ", ".join(f"{1e3 * v:.4g}" for v in placement_of(T_link_platform).rpy)
-            raise MechanismError(
-                f"{path}: the platform's frame was found ({shift}) mm and ({turn}) mrad off link "
-                f"{last!r}, and no fixed joint of the URDF is there to hold it. Import with a "
-                "--tip or --platform that is fixed to that link, or hold it (--fixed)"
-            )
-        for name in ends:
-            origin = placements.get(name, urdf[name].joint.placement.origin())
-            placements[name] = T_link_platform @ origin
+        if not _is_nothing(T_link_platform):
+            placements |= _moved(path, urdf, placements, last, T_link_platform)
     changed = {
         name: placement_of(origin)
         for name, origin in placements.items()
         if np.abs(origin - urdf[name].joint.placement.origin()).max() > ROUNDING
     }
     return _rewritten(path, changed)
+
+
+def _moved(
+    path: Path, urdf: Edges, placements: Mapping[str, Array], link: str, T_link_platform: Array
+) -> dict[str, Array]:
+    """Return the frames on a link, all fixed, moved with the platform's that was found off it."""
+    on = [edge for edge in urdf.values() if edge.parent == link]
+    if not on or any(edge.moves for edge in on):
+        shift = ", ".join(f"{1e3 * v:.4g}" for v in T_link_platform[:3, 3])
+        turn = ", ".join(f"{1e3 * v:.4g}" for v in placement_of(T_link_platform).rpy)
+        raise MechanismError(
+            f"{path}: the platform's frame was found ({shift}) mm and ({turn}) mrad off link "
+            f"{link!r}, and no fixed joint of the URDF is there to hold it. Import with a "
+            "--tip or --platform that is fixed to that link, or hold it (--fixed)"
+        )
+    joints = [edge.joint for edge in on]
+    return {
+        joint.name: T_link_platform @ placements.get(joint.name, joint.placement.origin())
+        for joint in joints
+    }
 
 
 def _named(urdf: Edges, name: str) -> str | None:
@@ -88,11 +95,12 @@ def _legs_of(path: Path, urdf: Edges, mechanism: Mechanism, name: str | None) ->
     """Return the legs whose joints, or whose platform points, are in a URDF."""
     if name is not None:
         return [mechanism.leg(name)]
-    joints = {
-        leg.name: {_named(urdf, joint.name) for joint in leg.moving} - {None}
-        for leg in mechanism.legs
-    }
-    legs = [leg for leg in mechanism.legs if joints[leg.name]]
+    legs: list[Leg] = []
+    drawn: list[str | None] = []
+    for leg in mechanism.legs:
+        joints = {_named(urdf, joint.name) for joint in leg.moving} - {None}
+        legs += [leg] * bool(joints)
+        drawn += joints
     legs = legs or [leg for leg in mechanism.legs if leg.point.name in urdf]
     if not legs:
         every = [joint.name for leg in mechanism.legs for joint in leg.moving]
@@ -100,11 +108,9 @@ def _legs_of(path: Path, urdf: Edges, mechanism: Mechanism, name: str | None) ->
             f"{path} has none of the joints {listed(every)}; give the URDF that "
             f"{mechanism.name!r} was made from"
         )
-    names = [name for leg in legs for name in joints[leg.name]]
-    if len(set(names)) == len(names):
+    if len(set(drawn)) == len(drawn):
         return legs
-    meant = [leg for leg in legs if leg.name == path.stem]
-    if not meant:
+    if not (meant := [leg for leg in legs if leg.name == path.stem]):
         raise MechanismError(
             f"{path}: {', '.join(leg.name for leg in legs)} have joints of these names; say "
             "whose URDF it is (--leg)"

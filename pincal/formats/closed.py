@@ -7,7 +7,7 @@ these displacements each leg keeps those that its closure can distinguish (``ind
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from os.path import commonprefix
 
@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pincal.errors import MechanismError
-from pincal.formats.arm import displaced_leg
+from pincal.formats.arm import displaced, with_tip
 from pincal.formats.limbs import Limb, limb_along, paths_to_platform, point_platform
 from pincal.formats.tree import Step, Tree, listed
 from pincal.kinematics.assembly import assembled, independent, opening
@@ -27,6 +27,7 @@ from pincal.model.leg import Closing, Joint, Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.placement import placement_of
 from pincal.model.platform import Platform
+from pincal.model.sensor import Sensor
 from pincal.types import Array
 
 _WRITTEN = (r"xyz|pos|fromto", r"rpy|axis|quat|euler|axisangle|xyaxes|zaxis")
@@ -97,22 +98,40 @@ def closed_mechanism(
     if platform is not None:
         platform = tree.link(platform, "the platform")
     paths, platform, loose = paths_to_platform(tree, platform)
-    remarks = []
-    if loose:
-        driven = " (driven)" if set(tree.active) & set(loose) else ""
-        remarks.append(f"{listed(loose)}: in no loop, left out{driven}")
+    driven = " (driven)" if set(tree.active) & set(loose) else ""
+    remarks = [f"{listed(loose)}: in no loop, left out{driven}"] * bool(loose)
     normal = _normal(tree, paths)
     kind, limbs = _limbs(tree, paths, platform, normal)
     if normal is not None and abs(normal[2]) < 1.0 - EXACT:
         remarks.append("planar, but not across z: the base frame was turned to have z across")
+    bare = []
+    for name, limb in zip(_leg_names(limbs), limbs, strict=True):
+        leg = _leg(tree, name, limb, [other.point for other in limbs])
+        while (idle := _idle(leg, kind)) is not None:
+            remarks.append(f"{leg.name}: {idle!r} moves no end of it: held")
+            leg = _holding(leg, idle)
+        bare.append(leg)
     axes = _PLANAR if kind in ("point", "planar") else _SPATIAL
-    legs = _legs(tree, limbs, axes)
-    while idle := {i: name for i, leg in enumerate(legs) if (name := _idle(leg, kind))}:
-        remarks += [
-            f"{legs[i].name}: {name!r} moves no end of it: held" for i, name in idle.items()
-        ]
-        limbs = [_holding(limb, idle.get(i)) for i, limb in enumerate(limbs)]
-        legs = _legs(tree, limbs, axes)
+    legs = [displaced(leg, stems, axes) for leg, stems in zip(bare, _stems(bare), strict=True)]
+    closed, placed = _closed(tree, legs, kind)
+    remarks += _outside_limits(closed)
+    name = re.sub(r"\W+", "_", tree.name)[:100] or "mechanism"
+    reduced = tuple(_reduced(leg, placed, tree.slack) for leg in closed)
+    return Mechanism(name, placed, reduced, f"From {tree.source}."), tuple(remarks)
+
+
+def _outside_limits(legs: Iterable[Leg]) -> list[str]:
+    """Return which joints close the loops outside their limits, as sentences."""
+    return [
+        f"{leg.name}: {joint.name!r} closes the loops at {joint.home:.6g}, outside its limits"
+        for leg in legs
+        for joint in leg.moving
+        if joint.limited and not joint.lower <= joint.home <= joint.upper
+    ]
+
+
+def _closed(tree: Tree, legs: list[Leg], kind: str) -> tuple[tuple[Leg, ...], Platform]:
+    """Return the legs with home positions that close them, and the platform at its home pose."""
     gap, size = opening(legs, kind), largest_size(legs)
     if gap > ROUGH * size and not tree.homed:
         raise MechanismError(
@@ -122,54 +141,46 @@ def closed_mechanism(
             "look at the frames of the loops and at units (metres, radians)"
         )
     try:
-        closed, placed = assembled(legs, kind, tree.slack)
+        return assembled(legs, kind, tree.slack)
     except MechanismError as error:
         raise MechanismError(f"{tree.source}: {error}") from error
-    remarks += [
-        f"{leg.name}: {joint.name!r} closes the loops at {joint.home:.6g}, outside its limits"
-        for leg in closed
-        for joint in leg.moving
-        if joint.limited and not joint.lower <= joint.home <= joint.upper
-    ]
-    name = re.sub(r"\W+", "_", tree.name)[:100] or "mechanism"
-    reduced = tuple(_reduced(leg, placed, tree.slack) for leg in closed)
-    return Mechanism(name, placed, reduced, f"From {tree.source}."), tuple(remarks)
 
 
 def _limbs(
     tree: Tree, paths: list[list[Step]], platform: str | None, normal: Array | None
 ) -> tuple[str, list[Limb]]:
-    """Return the kind of platform and the legs, in frames whose z is across the plane if planar.
-
-    A path without a drive says the platform's freedoms.
-    """
+    """Return the kind of platform and the legs, in frames whose z is across the plane if planar."""
     driven, turn = set(tree.active), np.eye(3)
     if platform is None:
-        if normal is None:
-            raise MechanismError(
-                f"{tree.source}: one loop, which leaves open what the platform is; name it with "
-                "--platform LINK"
-            )
-        pair = point_platform(tree, paths[0], driven, normal)
-        return "point", [_in_frames(limb, normal, turn, tree.slack) for limb in pair]
-    legs = [path for path in paths if any(edge.joint.name in driven for edge, _ in path)]
+        limbs, kind = point_platform(tree, paths[0], driven, normal), "point"
+    else:
+        paths, kind = _with_drives(tree, paths, "spatial" if normal is None else "planar")
+        link = tree.pose_at_zero(platform)[:3, :3]
+        if kind in ("point", "translational"):
+            turn = link.T @ (turn if normal is None else _onto(normal))
+        elif normal is not None:
+            turn = _onto(link.T @ normal)
+        limbs = [limb_along(tree, path, platform, driven, normal) for path in paths]
+    return kind, [_in_frames(limb, normal, turn, tree.slack) for limb in limbs]
+
+
+def _with_drives(tree: Tree, paths: list[list[Step]], kind: str) -> tuple[list[list[Step]], str]:
+    """Return the paths with a drive, and the kind of platform, which one without a drive may say.
+
+    Raises:
+        MechanismError: another path without a drive.
+    """
+    legs = [path for path in paths if any(edge.joint.name in tree.active for edge, _ in path)]
     idle = [path for path in paths if path not in legs]
     kinds = [_freedoms(path) for path in idle]
-    for path, freedoms in zip(idle, kinds, strict=True):
-        if freedoms is None or len(idle) > 1 or not legs:
-            raise MechanismError(
-                f"{tree.source}: no driven joint in the leg "
-                f"{', '.join(edge.joint.name for edge, _ in path)}; each leg needs one whose "
-                "position is read: name it under name_mot (YAML) or give it an actuator (MJCF)"
-            )
-    kind = kinds[0] if kinds else "spatial" if normal is None else "planar"
-    link = tree.pose_at_zero(platform)[:3, :3]
-    if kind in ("point", "translational"):
-        turn = link.T @ (turn if normal is None else _onto(normal))
-    elif normal is not None:
-        turn = _onto(link.T @ normal)
-    limbs = (limb_along(tree, path, platform, driven, normal) for path in legs)
-    return str(kind), [_in_frames(limb, normal, turn, tree.slack) for limb in limbs]
+    unclear = idle if len(idle) > 1 or not legs else idle[: kinds.count(None)]
+    if unclear:
+        names = ", ".join(edge.joint.name for edge, _ in unclear[0])
+        raise MechanismError(
+            f"{tree.source}: no driven joint in the leg {names}; each leg needs one whose position "
+            "is read: name it under name_mot (YAML) or give it an actuator (MJCF)"
+        )
+    return legs, next((of_path for of_path in kinds if of_path), kind)
 
 
 def _freedoms(path: list[Step]) -> str | None:
@@ -255,22 +266,17 @@ def _flat(R: Array) -> Array:
     return np.asarray(turned @ np.diag((1.0, side, side)))
 
 
-def _legs(tree: Tree, limbs: Sequence[Limb], axes: Sequence[str]) -> list[Leg]:
-    """Return legs with displacements along axes of all joints as parameters."""
-    names = _leg_names(limbs)
-    points = [limb.point.name for limb in limbs if limb.point is not None]
-    legs = []
-    for name, limb, stems in zip(names, limbs, _stems(names, limbs), strict=True):
-        driven = [joint for joint in limb.moving_names if joint in tree.active]
-        if not driven:
-            raise MechanismError(f"{tree.source}: {name} has no driven joint")
-        point = limb.point
-        if point is not None and (point.name == "point" or points.count(point.name) > 1):
-            point = replace(point, name=f"{name}_point")
-        point = point or Joint(f"{name}_point", "fixed")
-        closes: Closing = "frame" if limb.point is None else "point"
-        legs.append(displaced_leg(name, limb.joints, driven, point, closes, stems, axes))
-    return legs
+def _leg(tree: Tree, name: str, limb: Limb, points: Sequence[Joint | None]) -> Leg:
+    """Return a leg without parameters, whose platform point has a name of its own among points."""
+    driven = [joint for joint in limb.moving_names if joint in tree.active]
+    if not driven:
+        raise MechanismError(f"{tree.source}: {name} has no driven joint")
+    point = limb.point or Joint("point", "fixed")
+    shared = sum(other is not None and other.name == point.name for other in points) > 1
+    if shared or point.name == "point":
+        point = replace(point, name=f"{name}_point")
+    closes: Closing = "frame" if limb.point is None else "point"
+    return Leg(name, with_tip(limb.joints), tuple(map(Sensor, driven)), (), point, "tip", closes)
 
 
 def _idle(leg: Leg, kind: str) -> str | None:
@@ -289,14 +295,14 @@ def _idle(leg: Leg, kind: str) -> str | None:
     return leg.moving[leg.passive[int(np.argmax(np.abs(null)))]].name
 
 
-def _holding(limb: Limb, name: str | None) -> Limb:
-    """Return a limb with a joint of it fixed where it is at home."""
-    joints = list(limb.joints)
+def _holding(leg: Leg, name: str) -> Leg:
+    """Return a leg without parameters, a joint of it fixed where it is at home."""
+    joints = list(leg.joints)
     for i, joint in enumerate(joints):
         if joint.name == name:
             held = joint.placement.origin() @ joint.motion(np.array([joint.home]))[0]
             joints[i] = Joint(joint.name, "fixed", placement_of(held))
-    return Limb(tuple(joints), limb.point)
+    return replace(leg, joints=tuple(joints))
 
 
 def _leg_names(limbs: Sequence[Limb]) -> list[str]:
@@ -312,20 +318,20 @@ def _leg_names(limbs: Sequence[Limb]) -> list[str]:
     return [f"leg_{index + 1}" for index in range(len(limbs))]
 
 
-def _stems(names: list[str], limbs: Sequence[Limb]) -> list[list[str]]:
+def _stems(legs: Sequence[Leg]) -> list[list[str]]:
     """Return for each leg what its moving joints' parameters begin with.
 
     The joints' names less the leg's, if all legs have the same; else joint_1, joint_2, and so on.
     """
     stems = []
-    for name, limb in zip(names, limbs, strict=True):
-        bare = [joint.removeprefix(name) for joint in limb.moving_names]
+    for leg in legs:
+        bare = [joint.name.removeprefix(leg.name) for joint in leg.moving]
         stems.append([re.sub(r"\W", "_", s).strip("_").removesuffix("_joint") for s in bare])
     first = stems[0]
     plain = all(stem.isidentifier() and stem.isascii() for stem in first)
-    if all(leg_stems == first for leg_stems in stems) and plain and len(set(first)) == len(first):
+    if all(of_leg == first for of_leg in stems) and plain and len(set(first)) == len(first):
         return stems
-    return [[f"joint_{index + 1}" for index in range(len(leg_stems))] for leg_stems in stems]
+    return [[f"joint_{i + 1}" for i in range(len(of_leg))] for of_leg in stems]
 
 
 def _reduced(leg: Leg, platform: Platform, slack: float) -> Leg:

@@ -23,7 +23,7 @@ from pincal.errors import MechanismError
 from pincal.files.measurement_writing import Columns, columns_of, reason_column
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.closing import sensor_law
-from pincal.kinematics.closure import nominal_legs
+from pincal.kinematics.closure import LegClosure, nominal_legs
 from pincal.kinematics.configurations import as_plan, joints_at
 from pincal.kinematics.forward import forward
 from pincal.kinematics.influences import own_influences
@@ -265,63 +265,67 @@ def code_of(mechanism: Mechanism, language: Language, units: Units = SI) -> str:
         functions = [f"{name}_joint" for name in names]
         arguments[of] = _identifier(f"at_{of}", [*arguments.values(), *functions])
     body = ""
-    legend: dict[str, str] = {}
     for leg, columns in zip(nominal_legs(mechanism), mechanism.reading_columns, strict=True):
-        law = sensor_law(leg)
         for index, name in enumerate(names[columns]):
-            reading, si = leg.leg.reading_names[index], leg.leg.reading_units[index]
-            unit, counts = units.names.get(si, si), units.counts.get(reading)
-            per_joint = 1.0 / UNITS[unit][1]
-            per_reading = counts or per_joint  # how many are one rad or m
-            gain = float(law.slope[index]) * per_joint / per_reading
-            start = float(law.start[index]) * per_joint
-            placed = [term for term in law.terms if term.target == index]
-            used = {arguments[term.term.of]: term.term.of for term in placed if term.term.of}
-            legend |= used
-            terms = [
-                f"{term.amplitude * per_joint!r} * "
-                + _form(term.term, arguments.get(term.term.of, "reading"), per_reading)
-                for term in placed
-            ]
             body += Template(language.law).substitute(
-                name=name,
-                joint=leg.leg.sensors[index].joint,
-                unit=unit,
-                read_in=COUNTS if counts else unit,
-                gain=repr(gain),
-                start=repr(start),
-                one=repr(per_reading),
-                position="\n        + ".join((f"{gain!r} * reading", repr(start), *terms)),
-                declared="".join(map(language.argument.format, used)),
-                passed="".join(f", {argument}" for argument in used),
-                steps=STEPS,
-                small=_SMALL,
+                name=name, **_law(leg, index, units, language, arguments)
             )
     comments = [f"Sensors of {mechanism.name!a}, written by pincal."]
     comments += [
         f"{name}: {_MEANS.get(of, f'column {of!a} of the measurements')}; nan: its terms are 0."
-        for name, of in legend.items()
+        for of, name in arguments.items()
     ]
     comment = "".join(f"{language.mark} {line}\n" for line in comments)
-    return "".join((comment, language.head, language.known * bool(legend), body, language.tail))
+    return "".join((comment, language.head, language.known * bool(arguments), body, language.tail))
+
+
+def _law(
+    leg: LegClosure, index: int, units: Units, language: Language, arguments: Mapping[str, str]
+) -> dict[str, object]:
+    """Return what a language's template says of one sensor of a leg."""
+    law, name, si = sensor_law(leg), leg.leg.reading_names[index], leg.leg.reading_units[index]
+    unit, counts = units.names.get(si, si), units.counts.get(name)
+    per_joint = 1.0 / UNITS[unit][1]
+    per_reading = counts or per_joint  # how many are one rad or m
+    gain = float(law.slope[index]) * per_joint / per_reading
+    start = float(law.start[index]) * per_joint
+    placed = [term for term in law.terms if term.target == index]
+    used = {arguments[term.term.of]: None for term in placed if term.term.of}
+    terms = [
+        f"{term.amplitude * per_joint!r} * "
+        + _form(term.term, arguments.get(term.term.of, "reading"), per_reading)
+        for term in placed
+    ]
+    return {
+        "joint": leg.leg.sensors[index].joint,
+        "unit": unit,
+        "read_in": COUNTS if counts else unit,
+        "gain": repr(gain),
+        "start": repr(start),
+        "one": repr(per_reading),
+        "position": "\n        + ".join((f"{gain!r} * reading", repr(start), *terms)),
+        "declared": "".join(map(language.argument.format, used)),
+        "passed": "".join(f", {argument}" for argument in used),
+        "steps": STEPS,
+        "small": _SMALL,
+    }
 
 
 def _form(term: Term, x: str, per: float) -> str:
     """Return a term as code by ``x``: the reading (``per`` are one rad or m), or a column."""
     basis, per = term.basis, 1.0 if term.of else per
-    if not term.has_form:
-        raise MechanismError(
-            f"the term of {term.parameter!r} is a function of your own, which cannot be written in "
-            "another language; a table over poses (.csv) holds it"
-        )
     if isinstance(basis, Harmonic):
         function = "sin" if basis.phase == "sine" else "cos"
         form = f"{function}({basis.rate / per!r} * {x})"
     elif isinstance(basis, Power):
         form = f"pow(({x} - {basis.centre * per!r}) / {basis.range * per!r}, {basis.power})"
-    else:
-        assert isinstance(basis, Share)
+    elif isinstance(basis, Share):
         form = f"(({x} - {basis.reference * per!r}) / {basis.per * per!r})"
+    else:
+        raise MechanismError(
+            f"the term of {term.parameter!r} is a function of your own, which cannot be written in "
+            "another language; a table over poses (.csv) holds it"
+        )
     return f"known({form})" if term.of else form
 
 

@@ -42,27 +42,22 @@ def read_figaroh(path: str | Path, mechanism: Mechanism) -> tuple[Measurements, 
         taken.add(name)
         return table.plain(name)
 
-    platform = mechanism.platform
     drives = [sensor.joint for leg in mechanism.legs for sensor in leg.sensors]
-    readings = np.column_stack(
-        [
-            column(name, *([] if drives.count(drive) > 1 else [drive]))
-            for name, drive in zip(mechanism.reading_names, drives, strict=True)
-        ]
-    )
-    count = len(readings)
+    readings = [
+        column(name, *([] if drives.count(drive) > 1 else [drive]))
+        for name, drive in zip(mechanism.reading_names, drives, strict=True)
+    ]
+    platform, count = mechanism.platform, len(readings[0])
     poses = np.full((count, platform.dof), np.nan)
-    lengths = platform.units.count("m")
+    lengths = platform.lengths
     for place, axis in enumerate("xyz"[:lengths]):
         if f"{axis}1" in table:
             poses[:, place] = column(f"{axis}1")
     turns = [f"phi{axis}1" for axis in "xyz"]
-    if all(name in table for name in turns) and lengths < platform.dof:
-        angles = np.column_stack([column(name) for name in turns])
-        turned = RigidTransform.from_components(
-            np.zeros((count, 3)), Rotation.from_euler("xyz", angles)
-        )
-        poses[:, lengths:] = platform.coordinates_of(turned)[:, lengths:]
+    if platform.turns and all(name in table for name in turns):
+        turned = Rotation.from_euler("xyz", np.column_stack([column(name) for name in turns]))
+        transforms = RigidTransform.from_components(np.zeros((count, 3)), turned)
+        poses[:, lengths:] = platform.coordinates_of(transforms)[:, lengths:]
     if not np.isfinite(poses).any():
         raise MeasurementError(
             f"{table.path}: nothing of the platform's pose; expected columns x1, y1, z1 and, of a "
@@ -70,4 +65,4 @@ def read_figaroh(path: str | Path, mechanism: Mechanism) -> tuple[Measurements, 
         )
     unread = [name for name in table.units if name not in taken]
     remarks = () if not unread else (f"columns left out: {', '.join(unread)}",)
-    return Measurements(poses=poses, readings=readings), remarks
+    return Measurements(poses=poses, readings=np.column_stack(readings)), remarks

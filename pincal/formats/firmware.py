@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import configparser
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import inf, isfinite
 from pathlib import Path
@@ -101,30 +101,17 @@ def read_reprap(path: str | Path, firmware: Firmware | None = None) -> DeltaPrin
     text = read_text(Path(path), LARGEST_FILE["printer"], MechanismError, pipe=True)
     shown: list[Firmware] = [name for name, signs in _SHOWS.items() if signs.search(text)]
     is_marlin = (firmware or shown) in ("marlin", ["marlin"])
-    numbers: dict[str, list[float]] = {}
-    for number, line in enumerate(lines_of(text), start=1):
-        command = _COMMAND.match(_COMMENT.sub("", line).split("*")[0].removeprefix("echo:"))
-        if command:
-            known = _KNOWN["marlin" if is_marlin else "reprap"][command[1]]
-            numbers |= _words(command[1], command[2], known, f"{path}, line {number}")
-    if missing := [letter for letter in "LRH" if f"665{letter}" not in numbers]:
-        raise MechanismError(
-            f"{path}: no M665 with {', '.join(missing)}; expected a line such as "
-            "'M665 L333.0 R174.7 H297.1'"
-        )
+    numbers = _commands(text, _KNOWN["marlin" if is_marlin else "reprap"], path)
 
     def values(command: str, letters: str) -> Array:
         return np.array([numbers.get(command + letter, [0.0])[0] for letter in letters])
 
-    if tilted := [tilt for tilt in values("666", "AB") if tilt]:
+    tilt = values("666", "AB")
+    if tilt.any():
         raise MechanismError(
-            f"{path}: M666 tilts the bed by {tilted[0]:g} %, which a linear delta has no parameter "
-            "for. Calibrate without tilt (factors 6 or 7 of G30 S), or set A0 B0 and measure anew"
-        )
-    lengths = numbers["665L"]
-    if len(lengths) not in (1, 3):
-        raise MechanismError(
-            f"{path}: M665 L has {len(lengths)} lengths; expected 1 or 3, by colons"
+            f"{path}: M666 tilts the bed by {tilt[tilt != 0.0][0]:g} %, which a linear delta has "
+            "no parameter for. Calibrate without tilt (factors 6 or 7 of G30 S), or set A0 B0 and "
+            "measure anew"
         )
     corrections = values("666", "XYZ")
     if corrections.any() and firmware is None and len(shown) != 1:
@@ -134,16 +121,30 @@ def read_reprap(path: str | Path, firmware: Firmware | None = None) -> DeltaPrin
             "marlin"
         )
     has_trims = is_marlin and not {"665A", "665C"}.isdisjoint(numbers)
-    arms = np.array((lengths * 3)[:3]) + (values("665", "ABC") if has_trims else 0.0)
+    arms = np.array((numbers["665L"] * 3)[:3]) + (values("665", "ABC") if has_trims else 0.0)
     radius, height, printed = values("665", "RHB").tolist()
-    return _printer(
-        path,
-        radius,
-        ANGLES + values("665", "XYZ"),
-        arms,
-        height + (-corrections if is_marlin else corrections),
-        None if has_trims else printed or None,
-    )
+    endstops = height + (-corrections if is_marlin else corrections)
+    bed = None if has_trims else printed or None
+    return _printer(path, radius, ANGLES + values("665", "XYZ"), arms, endstops, bed)
+
+
+def _commands(text: str, known: Mapping[str, str], path: str | Path) -> dict[str, list[float]]:
+    """Return the numbers behind each letter of M665 and M666, by ``665L`` and so on."""
+    numbers: dict[str, list[float]] = {}
+    for number, line in enumerate(lines_of(text), start=1):
+        command = _COMMAND.match(_COMMENT.sub("", line).split("*")[0].removeprefix("echo:"))
+        if command:
+            numbers |= _words(command[1], command[2], known[command[1]], f"{path}, line {number}")
+    if missing := [letter for letter in "LRH" if f"665{letter}" not in numbers]:
+        raise MechanismError(
+            f"{path}: no M665 with {', '.join(missing)}; expected a line such as "
+            "'M665 L333.0 R174.7 H297.1'"
+        )
+    if len(numbers["665L"]) not in (1, 3):
+        raise MechanismError(
+            f"{path}: M665 L has {len(numbers['665L'])} lengths; expected 1 or 3, by colons"
+        )
+    return numbers
 
 
 def _printer(

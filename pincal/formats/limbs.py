@@ -7,7 +7,7 @@ plane, one) closes that point; any other closes a frame.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import accumulate
 
@@ -180,20 +180,24 @@ def limb_along(
     centre = _meeting_point(origins, axes, tree.slack) if normal is None else origins[0]
     if centre is None:
         return Limb(joints)
-    x, y, z = ((np.linalg.inv(frames[-1]) @ np.append(centre, 1.0))[:3] + 0.0).tolist()
-    point = Joint("point", "fixed", Placement((), (x, y, z)))
-    edge, forward = path[-1]
-    fixed = [edge for edge in (*tree.edges, *tree.loops) if not edge.moves]
-    frame = joints_along(
-        tree, route(fixed, platform, edge.child if forward else edge.parent)
-    )  # the file's own, if it has one there
-    if len(frame) == 1 and np.abs(np.subtract(frame[0].placement.xyz, (x, y, z))).max() <= 1e-12:
-        point = frame[0]
+    place = (np.linalg.inv(frames[-1]) @ np.append(centre, 1.0))[:3] + 0.0
     first = joints[last[0]]
     stem = first.name.removesuffix("_x")
     if [joints[i].name for i in last] == [f"{stem}_{axis}" for axis in "xyz"]:
         first = replace(first, name=stem)
+    point = _point(tree, platform, path[-1], place)
     return Limb(_to_point(joints[: last[0]], first, centre), point)
+
+
+def _point(tree: Tree, platform: str, last: Step, place: Array) -> Joint:
+    """Return the platform's point at a place: by the file's own frame if it has one there."""
+    edge, forward = last
+    fixed = [edge for edge in (*tree.edges, *tree.loops) if not edge.moves]
+    frames = joints_along(tree, route(fixed, platform, edge.child if forward else edge.parent))
+    if len(frames) == 1 and np.abs(frames[0].placement.xyz - place).max() <= 1e-12:
+        return frames[0]
+    x, y, z = place.tolist()
+    return Joint("point", "fixed", Placement((), (x, y, z)))
 
 
 def _last_turns(joints: Sequence[Joint], driven: set[str], count: int) -> list[int]:
@@ -228,12 +232,18 @@ def _to_point(joints: Sequence[Joint], dropped: Joint, centre: Array) -> tuple[J
 
 
 def point_platform(
-    tree: Tree, path: Sequence[Step], driven: set[str], normal: Array
-) -> Iterable[Limb]:
+    tree: Tree, path: Sequence[Step], driven: set[str], normal: Array | None
+) -> list[Limb]:
     """Return the two legs of a planar loop whose platform is a point of it, as of a five-bar.
 
     It is where the loop parts into two legs of two joints, one of them driven.
     """
+    if normal is None:
+        raise MechanismError(
+            f"{tree.source}: one loop, which leaves open what the platform is; name it with "
+            "--platform LINK"
+        )
+    limbs = []
     names = [edge.joint.name for edge, _ in path]
     sides = (set(names[:2]), set(names[3:]))
     if len(path) != 5 or names[2] in driven or any(len(side & driven) != 1 for side in sides):
@@ -252,4 +262,6 @@ def point_platform(
                 "the platform with --platform LINK"
             )
         centre = np.array(joints[last].placement.xyz)
-        yield Limb(_to_point(joints[:last], joints[last], centre), Joint("point", "fixed"))
+        reached = _to_point(joints[:last], joints[last], centre)
+        limbs.append(Limb(reached, Joint("point", "fixed")))
+    return limbs

@@ -11,7 +11,7 @@ github.com/Gepetto/example-parallel-robots, ``loader_tools.py``.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
@@ -177,16 +177,6 @@ def read_loops(urdf: Path, loops: Path) -> Tree:
                 f"{loops}: {key!r} has {unknown[0]!r}, which is no joint of {urdf}; it has "
                 f"{listed(known)}"
             )
-    moving = [edge.joint.name for edge in edges if edge.joint.kind != "fixed"]
-    motors: list[str] = []
-    for name in spec.name_mot:  # whole, or part of the names of joints
-        alike = [name] if name in moving else [joint for joint in moving if name in joint]
-        if not alike:
-            raise MechanismError(
-                f"{loops}: 'name_mot' has {name!r}, but no joint of {urdf} that moves has that in "
-                f"its name; it has {listed(moving)}"
-            )
-        motors += alike
     if spec.platform is not None:
         tree.link(spec.platform, f"the platform of {loops}")
     kinds = spec.type or ["6d"] * len(spec.closed_loop)
@@ -203,10 +193,25 @@ def read_loops(urdf: Path, loops: Path) -> Tree:
         tree,
         edges=at_home(edges, spec.home),
         loops=closed,
-        active=tuple(dict.fromkeys(motors)),
+        active=_motors(spec, edges, f"{loops}: 'name_mot'", urdf),
         platform=spec.platform,
         homed=bool(spec.home),
     )
+
+
+def _motors(spec: LoopsSpec, edges: Sequence[Edge], key: str, urdf: Path) -> tuple[str, ...]:
+    """Return the joints that ``name_mot`` means: of that name, or else with it in their names."""
+    moving = [edge.joint.name for edge in edges if edge.joint.kind != "fixed"]
+    motors: list[str] = []
+    for name in spec.name_mot:
+        alike = [name] if name in moving else [joint for joint in moving if name in joint]
+        if not alike:
+            raise MechanismError(
+                f"{key} has {name!r}, but no joint of {urdf} that moves has that in its name; it "
+                f"has {listed(moving)}"
+            )
+        motors += alike
+    return tuple(dict.fromkeys(motors))
 
 
 def _read_spec(loops: Path) -> LoopsSpec:

@@ -52,9 +52,9 @@ def check_leg(leg: Leg) -> None:
 def _joint_faults(leg: Leg) -> Iterator[str]:
     """Yield what is wrong with joints, and with which of them the sensors read."""
     for joint in leg.moving:
-        finite = np.isfinite([joint.lower, joint.upper])
-        unbounded = joint.turns and not finite.any()
-        if not (joint.lower < joint.upper and (finite.all() or unbounded)):
+        ends = (joint.lower, joint.upper)
+        limits = np.isfinite(ends).all() or (joint.turns and np.isinf(ends).all())
+        if not (limits and joint.lower < joint.upper):
             yield (
                 f"joint {joint.name!r} has limits {joint.lower:g} to {joint.upper:g}; expected "
                 "finite ones, lower below upper"
@@ -63,8 +63,11 @@ def _joint_faults(leg: Leg) -> Iterator[str]:
     if len(set(names)) != len(names):
         yield f"joint names repeat: {names}"
     moving, read = [joint.name for joint in leg.moving], [sensor.joint for sensor in leg.sensors]
-    for name in [name for name in read if name not in moving]:
-        yield f"active joint {name!r} is not a moving joint of the leg; it has {', '.join(moving)}"
+    if still := [name for name in read if name not in moving]:
+        yield (
+            f"active joint {still[0]!r} is not a moving joint of the leg; it has "
+            f"{', '.join(moving)}"
+        )
     if not read or len(set(read)) != len(read):
         yield (
             f"its sensors read {', '.join(read) or 'nothing'}; expected one sensor or more, each "

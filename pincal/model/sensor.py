@@ -7,7 +7,7 @@ them, NaN or no column, is at its reference, where its terms are zero.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal
@@ -315,46 +315,51 @@ class Deformations:
 
 
 def term_faults(leg: Leg) -> Iterator[str]:
-    """Yield why a term of a leg's sensors or parameters cannot be one.
-
-    One of a parameter is of no length or angle, or follows a reading or a side of approach; an
-    amplitude is a parameter of a placement or sensor itself, or terms of different units share it.
-    """
-    placed = leg.placed
-    of_sensors = {name for sensor in leg.sensors for name in (sensor.gain, sensor.offset)}
+    """Yield why a term of a leg's sensors or parameters cannot be one."""
+    placed, constants = leg.placed, {c for s in leg.sensors for c in (s.gain, s.offset)}
     for name, term in leg.terms:
-        owner = f"term {term.parameter!r} of parameter {name!r}"
-        if name in of_sensors and name not in placed:
-            yield (
-                f"{owner}: that is the sensor's, whose position terms are added to as it is; give "
-                "the term to the sensor (sensors: terms)"
-            )
-        elif name not in placed:
-            expected = ", ".join(placed) or "none"
-            yield f"{owner}: no placement has such a parameter; expected one of {expected}"
-        if not term.of:
-            yield (
-                f"{owner} depends on a reading; a parameter's depends on an influence: of a column "
-                "such as 'temperature', or of 'load'"
-            )
-        if term.of == APPROACH:
-            yield (
-                f"{owner} depends on the side of approach, which is a joint's; give the term to a "
-                "sensor, or name a column of your own"
-            )
-    amplitudes = [
-        (f"sensor {sensor.joint!r}", term, term.unit or unit)
-        for sensor, unit in zip(leg.sensors, leg.reading_units, strict=True)
-        for term in sensor.terms
-    ]
-    amplitudes += [(f"parameter {n!r}", term, term.unit or placed[n]) for n, term in leg.terms]
+        if fault := _fault_of_growth(name, term, constants, placed):
+            yield f"term {term.parameter!r} of parameter {name!r}{fault}"
     units: dict[str, str] = {}
-    for of, term, unit in amplitudes:
-        owner = f"term {term.parameter!r} of {of}: its amplitude"
-        if term.parameter in placed or term.parameter in of_sensors:
-            yield f"{owner} is also a parameter of a placement or sensor; name it otherwise"
+    for owner, term, unit in _amplitudes(leg):
+        context = f"term {term.parameter!r} of {owner}: its amplitude"
+        if term.parameter in placed or term.parameter in constants:
+            yield f"{context} is also a parameter of a placement or sensor; name it otherwise"
         if units.setdefault(term.parameter, unit) != unit:
             yield (
-                f"{owner}, [{unit}], is also that of another term, [{units[term.parameter]}]; name "
-                "one of them otherwise"
+                f"{context}, [{unit}], is also that of another term, [{units[term.parameter]}]; "
+                "name one of them otherwise"
             )
+
+
+def _fault_of_growth(
+    name: str, term: Term, constants: Collection[object], placed: Collection[str]
+) -> str:
+    """Return why a parameter cannot have a term; empty if it can."""
+    if name in constants and name not in placed:
+        return (
+            ": that is the sensor's, whose position terms are added to as it is; give the term to "
+            "the sensor (sensors: terms)"
+        )
+    if name not in placed:
+        return f": no placement has such a parameter; expected one of {', '.join(placed) or 'none'}"
+    if not term.of:
+        return (
+            " depends on a reading; a parameter's depends on an influence: of a column such as "
+            "'temperature', or of 'load'"
+        )
+    if term.of == APPROACH:
+        return (
+            " depends on the side of approach, which is a joint's; give the term to a sensor, or "
+            "name a column of your own"
+        )
+    return ""
+
+
+def _amplitudes(leg: Leg) -> Iterator[tuple[str, Term, str]]:
+    """Yield the owners of a leg's terms, the terms, and the units of their amplitudes."""
+    for sensor, unit in zip(leg.sensors, leg.reading_units, strict=True):
+        for term in sensor.terms:
+            yield f"sensor {sensor.joint!r}", term, term.unit or unit
+    for name, term in leg.terms:
+        yield f"parameter {name!r}", term, term.unit or leg.placed[name]
