@@ -18,9 +18,7 @@ from pincal.model.leg import Leg
 from pincal.types import Array
 
 _SMALLEST_PRIOR = 1e-15  # [m], [rad] or [1], below which rounding is larger
-_TIED_WITHIN = (
-    0.1  # by which nominal values may differ that are said to be one, relative or [m], [rad]
-)
+_TIED_WITHIN = 0.1  # relative or [m], [rad]: nominal values that are tied differ by no more
 
 
 @dataclass(frozen=True)
@@ -45,7 +43,7 @@ class Unknowns:
     @property
     def labels(self) -> tuple[str, ...]:
         """Ids such as ``leg_1.l``, length n."""
-        return _labels(zip(self.owners, self.names, strict=True))
+        return tuple(map(".".join, zip(self.owners, self.names, strict=True)))
 
     @property
     def n_free(self) -> int:
@@ -55,8 +53,7 @@ class Unknowns:
     def prior_rows(self, parameters: Array) -> tuple[Array, Array]:
         """Return residuals of the priors in standard deviations and their Jacobian in z.
 
-        Args:
-            parameters: Values of the legs', shape (n_params,): external ones have no priors.
+        By parameters of the legs, shape (n_params,): external ones have no priors.
         """
         known = np.flatnonzero(np.isfinite(self.priors))
         sigma = self.priors[known]
@@ -68,11 +65,7 @@ class Unknowns:
         return np.concatenate((J.reshape(-1, J.shape[-1]) @ self.map, prior))
 
     def held(self, directions: Array) -> Unknowns:
-        """Return the unknowns less the freedom to move along directions of z.
-
-        Args:
-            directions: Rows g with g · z = 0 from now on, shape (n_lost, n_free).
-        """
+        """Return the unknowns with g · z = 0 from now on, for directions g of shape (k, n_free)."""
         lost = len(directions)
         _, R, order = qr(directions, mode="economic", pivoting=True)
         follow, lead = order[:lost], np.sort(order[lost:])
@@ -126,7 +119,9 @@ def unknowns(
     nominal = np.concatenate([*(leg.nominal for leg in legs), np.zeros(len(external))])
     n, start = len(nominal), nominal.copy()
     held = {i for name in fixed for i in _places(pairs, name)}
-    columns, bound = [], set(held)
+    if len(held) == len(pairs):
+        raise MeasurementError("every parameter is fixed; leave one of them to be identified")
+    groups, bound = list[list[int]](), set(held)
     for name in tied:
         places = _tied_places(pairs, name, nominal)
         if fixed_too := bound & set(places):
@@ -134,25 +129,18 @@ def unknowns(
             raise MeasurementError(message)
         bound |= set(places)
         start[places] = nominal[places].mean()
-        columns.append(np.isin(np.arange(n), places).astype(float))
-    single = np.setdiff1d(np.arange(n), list(bound))
+        groups.append(places)
+    groups = sorted([*groups, *([i] for i in range(n) if i not in bound)])
+    T = np.zeros((n, len(groups)))
+    for column, places in enumerate(groups):
+        T[places, column] = 1.0
     sigmas = _prior_sigmas(pairs, priors or {}, n)
     sigmas[list(held)] = np.inf
-    if len(held) == len(pairs):
-        raise MeasurementError("every parameter is fixed; leave one of them to be identified")
-    T = np.concatenate([np.array(columns).reshape(-1, n), np.eye(n)[single]]).T
-    order = np.argsort([np.flatnonzero(column)[0] for column in T.T], kind="stable")
-    T = T[:, order]
-    owners_and_names = [*pairs, *(id_.split(".") for id_ in external)]
-    return Unknowns(
-        owners=tuple(owner for owner, _ in owners_and_names),
-        names=tuple(name for _, name in owners_and_names),
-        start=start,
-        map=T,
-        priors=sigmas,
-        nominal=nominal,
-        free_labels=_free_labels((*_labels(pairs), *external), T),
-    )
+    ids = [*map(".".join, pairs), *external]
+    more = [f" (tied to {len(places) - 1} more)" if len(places) > 1 else "" for places in groups]
+    owners, names = zip(*pairs, *(id_.split(".") for id_ in external), strict=True)
+    free_labels = tuple(ids[places[0]] + tie for places, tie in zip(groups, more, strict=True))
+    return Unknowns(owners, names, start, T, sigmas, nominal, free_labels)
 
 
 def _tied_places(pairs: list[tuple[str, str]], name: str, nominal: Array) -> list[int]:
@@ -182,19 +170,6 @@ def _prior_sigmas(pairs: list[tuple[str, str]], priors: Mapping[str, float], cou
             )
         sigmas[_places(pairs, name)] = sigma
     return sigmas
-
-
-def _free_labels(labels: Sequence[str], T: Array) -> tuple[str, ...]:
-    """Return ids of free parameters, the columns of T: those of the first that follow each."""
-    members = [np.flatnonzero(column) for column in T.T]
-    return tuple(
-        labels[rows[0]] + (f" (tied to {len(rows) - 1} more)" if len(rows) > 1 else "")
-        for rows in members
-    )
-
-
-def _labels(pairs: Iterable[tuple[str, str]]) -> tuple[str, ...]:
-    return tuple(f"{owner}.{name}" for owner, name in pairs)
 
 
 def _places(pairs: list[tuple[str, str]], wanted_name: str) -> list[int]:

@@ -40,12 +40,7 @@ _STILL = 1e-7  # motion of the platform below which it is none, of what each par
 
 
 def frame_motions(platform: Platform, matrices: Array) -> Array:
-    """Return the twists of the platform for unit motions of the frames, shape (N, dof, k).
-
-    Args:
-        platform: The platform.
-        matrices: Poses ``T_base_platform``, shape (N, 4, 4).
-    """
+    """Return the twists of the platform for unit motions of base and own frame, (N, dof, k)."""
     base, body = np.zeros((2, len(matrices), 6, 6))
     base[:, :3] = point_velocity(matrices[:, :3, 3], tuple(range(6)))
     base[:, 3:, 3:] = np.eye(3)
@@ -56,15 +51,9 @@ def frame_motions(platform: Platform, matrices: Array) -> Array:
 
 
 def unexplained(platform: Platform, twists: Array, motions: Array, size: float) -> Array:
-    """Return twists of the platform less what motions explain of them.
+    """Return twists of the platform, shape (N, dof, k), less what motions (N, dof, m) explain.
 
-    Least squares over all poses together, angles counting as lengths at a radius.
-
-    Args:
-        platform: The platform.
-        twists: One column for each change of parameters, shape (N, dof, k).
-        motions: Shape (N, dof, m).
-        size: The radius, [m].
+    Least squares over all poses together, angles counting as lengths at a radius ``size``.
     """
     scale = np.array([1.0 if unit == "m" else size for unit in platform.units])[:, None]
     count = twists.shape[0] * twists.shape[1]
@@ -83,16 +72,10 @@ def split_frames(
 ) -> tuple[Array, Array, Array]:
     """Return the part of directions of parameters that only moves frames, the other part, and how.
 
+    Directions are columns of shape (n, k), the gain ∂(pose)/∂(parameter) is of shape (N, dof, n).
     How the former move the platform is said by combinations of the columns of ``frame_motions``,
     shape (k, n_moved), fewer where the platform stays: unlike directions of parameters, which only
     move frames at the parameters where they were found, these are frame motions anywhere.
-
-    Args:
-        platform: The platform.
-        matrices: Poses ``T_base_platform``, shape (N, 4, 4).
-        gain: ∂(pose)/∂(parameter), shape (N, dof, n).
-        directions: Columns, shape (n, k).
-        size: A length of the mechanism, [m].
 
     Raises:
         ObservabilityError: no pose is held by the legs.
@@ -190,21 +173,17 @@ def _undetermined(
 ) -> str:
     """Return what is unobservable but for motions of frames, and what to do about it.
 
-    Args:
-        mechanism: The mechanism.
-        J: What free unknowns do to the measurements, shape (m, n_free).
-        unknowns: The unknowns.
-        lost: Directions of the legs' parameters that are lost, columns of shape (n_params, n_lost).
-        count: How many of them are no motions of frames.
-        gain: How the platform follows the free unknowns, shape (m, n_free).
+    J and gain are how measurements and platform follow the free unknowns, shapes (m, n_free). Of
+    the directions of the legs' parameters that are lost, (n_params, n_lost), so many are no motions
+    of frames.
     """
-    if lost.shape[1] == len(unknowns.free_labels):
+    if lost.shape[1] == unknowns.n_free:
         return (
             "all of them, as readings that are no more than the platform's freedoms fit any "
             "machine. Measure the platform, or a part of its pose, or distances"
         )
-    gains = _scale_gains(mechanism, lost) if count == 1 else None
-    if gains is not None:
+    gains = _scale_gains(mechanism, lost) if count == 1 else ()
+    if gains:
         return (
             "the scale. Lengths alone do not fix it where the gains of their sensors "
             f"({', '.join(gains)}) are free: a machine twice as large reads the same. Fix the "
@@ -212,40 +191,29 @@ def _undetermined(
             "a distance"
         )
     groups = identifiability(J, unknowns.free_labels).groups
-    places = {label: index for index, label in enumerate(unknowns.free_labels)}
-    needed = [
-        group for group in groups if _apart(gain[:, [places[name] for name in group]])
-    ] or groups
-    words = groups_in_words(tuple(needed), most=len(needed))
+    singular = [
+        np.linalg.svd(gain[:, np.isin(unknowns.free_labels, group)], compute_uv=False)
+        for group in groups
+    ]
+    apart = zip(groups, [s[-1] > NEGLIGIBLE * s[0] for s in singular], strict=True)
+    needed = tuple(group for group, moves in apart if moves) or groups  # the platform follows
     return (
-        f"{words}. Measure more of the platform, or fix one of them, or make it a constant in "
-        "mechanism.yaml"
+        f"{groups_in_words(needed, most=len(needed))}. Measure more of the platform, or fix one of "
+        "them, or make it a constant in mechanism.yaml"
     )
 
 
-def _scale_gains(mechanism: Mechanism, lost: Array) -> tuple[str, ...] | None:
-    """Return names of gains if they grow or shrink with all lengths along directions lost, or None.
-
-    Args:
-        mechanism: The mechanism.
-        lost: Directions of the legs' parameters, columns of shape (n_params, n_lost).
-    """
-    parameters = [(leg, name) for leg in mechanism.legs for name in leg.parameter_names]
-    units = np.array([leg.units[name] for leg, name in parameters])
-    nominal = np.concatenate([leg.nominal for leg in mechanism.legs])
+def _scale_gains(mechanism: Mechanism, lost: Array) -> tuple[str, ...]:
+    """Return names of gains that grow or shrink with all lengths along directions lost, if any."""
+    parameters = mechanism.parameters
+    units = np.array([parameter.unit for parameter in parameters])
+    nominal = np.array([parameter.nominal for parameter in parameters])
     Q = np.linalg.qr(lost / np.linalg.norm(lost, axis=0))[0]
     for sign in (1.0, -1.0):
         grown = np.where(units == "m", nominal, np.where(units == "1", sign * nominal, 0.0))
         if np.linalg.norm(grown - Q @ (Q.T @ grown)) < NEGLIGIBLE * np.linalg.norm(grown):
-            pairs = zip(parameters, units, strict=True)
-            return tuple(dict.fromkeys(name for (_, name), unit in pairs if unit == "1"))
-    return None
-
-
-def _apart(columns: Array) -> bool:
-    """Return whether the platform follows these unknowns in ways that differ, shape (m, n)."""
-    s = np.linalg.svd(columns, compute_uv=False)
-    return bool(s[-1] > NEGLIGIBLE * s[0])
+            return tuple(dict.fromkeys(p.name for p in parameters if p.unit == "1"))
+    return ()
 
 
 def _weights(mechanism: Mechanism, problem: Problem) -> Array:

@@ -45,11 +45,7 @@ def check_rank(
 ) -> list[tuple[int, float]]:
     """Return rank and condition of each leg's part of the whitened Jacobian.
 
-    Args:
-        problem: The problem.
-        unknowns: What is free.
-        linear: Residuals and derivatives where to look.
-        ended: Whether a search ended there that began where the rank was full.
+    What is not determined where a search ``ended`` was so where it began: it ran away.
 
     Raises:
         ObservabilityError: a parameter is not determined; the message names it.
@@ -87,13 +83,8 @@ def check_information(
 ) -> None:
     """Raise if some direction in parameter space is observed by the noise of the poses only.
 
-    At one of several places it must be observed by more.
-
-    Args:
-        problem: The problem.
-        unknowns: What is free.
-        places: Residuals and derivatives where to look.
-        scale: By how much the noise is larger than what is drawn.
+    At one of several places it must be observed by more. The noise is larger than what is drawn by
+    a scale.
 
     Raises:
         ObservabilityError: there is one; the message names the parameters that take part.
@@ -161,12 +152,7 @@ def hold_unobservable(mechanism: Mechanism, problem: Problem, unknowns: Unknowns
 
     Of all parameters that fit as well, those nearest to the nominal ones, each change measured by
     what it alone would do to the measurements; then, where they are weakly determined, by how much
-    machines may differ.
-
-    Args:
-        mechanism: The nominal mechanism.
-        problem: The problem, at its start.
-        unknowns: Of the problem, less gauge freedoms.
+    machines may differ. The unknowns are less gauge freedoms already.
     """
     J = _jacobian(mechanism, problem, unknowns)
     lost, lengths = lost_directions(J)
@@ -234,12 +220,6 @@ def check_covariance(
     Lost where noise moves parameters farther than machines differ from their drawings; any where
     it has done so, and two standard errors are longer than the machine, or more than a radian: no
     linear covariance holds so far.
-
-    Args:
-        mechanism: The nominal mechanism.
-        problem: The problem.
-        optimum: Where the search ended.
-        covariance: Of all its unknowns, shape (n, n).
 
     Raises:
         ObservabilityError: that is so; the message names the parameters.

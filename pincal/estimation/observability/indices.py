@@ -55,9 +55,6 @@ def indices(C: Array) -> Indices:
     Singular values carry the units of the columns; compare sets of poses with them, not
     mechanisms.
 
-    Args:
-        C: Identification Jacobian, shape (m, n).
-
     Example:
         >>> import numpy as np, pincal
         >>> found = pincal.indices(np.diag([4.0, 1.0]))
@@ -68,14 +65,10 @@ def indices(C: Array) -> Indices:
     s = np.linalg.svd(C, compute_uv=False)
     if m < n or s[-1] == 0.0:
         return Indices(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    mean = float(np.exp(np.log(s).mean()))
+    mean, least = float(np.exp(np.log(s).mean())), float(s[-1])
+    harmonic = float(1.0 / (1.0 / s).sum())
     return Indices(
-        O1=mean / np.sqrt(m),
-        O1_per_parameter=mean / n,
-        O2=float(s[-1] / s[0]),
-        O3=float(s[-1]),
-        O4=float(s[-1] ** 2 / s[0]),
-        O5=float(1.0 / (1.0 / s).sum()),
+        mean / np.sqrt(m), mean / n, least / float(s[0]), least, least**2 / float(s[0]), harmonic
     )
 
 
@@ -95,9 +88,6 @@ def scaled_axes(J: Array) -> tuple[Array, Array, Array]:
     """Return lengths of columns, singular values and right axes of J, columns of unit length.
 
     Shapes (n,), (min(m, n),) and (n, n), axes in rows; the length of a column of zeros counts as 1.
-
-    Args:
-        J: Shape (m, n).
     """
     lengths = np.linalg.norm(J, axis=0)
     lengths[lengths == 0.0] = 1.0
@@ -131,20 +121,15 @@ class Identifiability:
 
 
 def identifiability(C: Array, names: Sequence[str]) -> Identifiability:
-    """Return rank and undetermined combinations of an identification Jacobian.
-
-    Args:
-        C: Shape (m, n).
-        names: Ids of the n parameters.
-    """
+    """Return rank and undetermined combinations of an identification Jacobian, shape (m, n)."""
     n = C.shape[1]
     if not n:
         return Identifiability(0, 0, 1.0, ())
-    lengths = np.linalg.norm(C, axis=0)
-    nonzero = lengths > ROUNDING * lengths.max(initial=0.0)
-    scaled = np.where(nonzero, C / np.where(nonzero, lengths, 1.0), 0.0)
     if not len(C):
         return Identifiability(0, n, np.inf, tuple((name,) for name in names))
+    lengths = np.linalg.norm(C, axis=0)
+    nonzero = lengths > ROUNDING * lengths.max()
+    scaled = np.where(nonzero, C / np.where(nonzero, lengths, 1.0), 0.0)
     s = np.linalg.svd(scaled, compute_uv=False)
     rank = int((s > RANK_TOLERANCE * s[0]).sum()) if s[0] > 0.0 else 0
     if rank == n:
@@ -170,14 +155,8 @@ def jacobian_near(
     """Return what legs do at the start's poses or readings, or at generic ones about them.
 
     And what the free unknowns do to all that is measured there, over the mechanism's size, poses
-    eliminated, rows of priors below: shape (m, n_free).
-
-    Args:
-        mechanism: The nominal mechanism.
-        problem: The problem, at its start.
-        unknowns: Of the problem.
-        generic: Whether configurations are moved about, and everything is measured in every row
-            that is measured in some row.
+    eliminated, rows of priors below: shape (m, n_free). At generic ones everything is measured in
+    every row that is measured in some row.
     """
     start, block = problem.start(unknowns.start), problem.leg_block
     chosen = np.arange(len(start.matrices))
@@ -212,9 +191,6 @@ def lost_directions(J: Array) -> tuple[Array, Array]:
     Rows v of shape (n_lost, n), in columns of unit length: unknowns may move along v / lengths; and
     v · lengths is what that leaves as it is in the changes nearest to none, each measured by what
     it alone does.
-
-    Args:
-        J: Shape (m, n).
     """
     lengths, s, axes = scaled_axes(J)
     return axes[int((s > RANK_TOLERANCE * s[0]).sum()) :], lengths
@@ -236,11 +212,8 @@ def plausible_changes(mechanism: Mechanism, legs: Sequence[Leg] | None = None) -
 def nearest_to_nominal(mechanism: Mechanism, directions: Array) -> Array:
     """Return what moves parameters along directions to those nearest to nominal, shape (n, n).
 
-    Each change is measured by how much machines differ: P = I − G (W G)⁺ W, W = 1 / these.
-
-    Args:
-        mechanism: The mechanism.
-        directions: Of the parameters of all legs, columns G of shape (n, k).
+    Each change is measured by how much machines differ: P = I − G (W G)⁺ W, W = 1 / these, G the
+    directions of all legs' parameters, shape (n, k).
     """
     scales = plausible_changes(mechanism)
     amounts = np.linalg.pinv(directions / scales[:, None]) / scales

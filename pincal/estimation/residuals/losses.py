@@ -26,22 +26,6 @@ CLEAR = 3.0  # standard errors, from which what is seen is there
 FALSE_ALARM = 0.01  # probability of anything found, of a kind, where the model holds
 
 
-def _huber(u: Array) -> Array:
-    return 1.0 / np.maximum(1.0, u)
-
-
-def _cauchy(u: Array) -> Array:
-    return 1.0 / (1.0 + u**2)
-
-
-def _tukey(u: Array) -> Array:
-    return np.where(u < 1.0, (1.0 - np.minimum(u, 1.0) ** 2) ** 2, 0.0)
-
-
-def _reject(u: Array) -> Array:
-    return np.where(u < 1.0, 1.0, 0.0)
-
-
 @dataclass(frozen=True)
 class Loss:
     """Weights of rows by the root of their χ²."""
@@ -57,21 +41,11 @@ class Loss:
         return np.sqrt(_quantile(self.probability, np.maximum(equations, 1)))
 
     def weights(self, squares: Array, equations: Index) -> Array:
-        """Return the weight of each row, shape (N,).
-
-        Args:
-            squares: χ² of each row, shape (N,).
-            equations: How many equations each row gives, shape (N,) or (1,).
-        """
+        """Return the weight of each row, shape (N,), by its χ² and its number of equations."""
         return self.weigh(np.sqrt(squares) / self.constant(equations))
 
     def slope(self, squares: Array, equations: Index) -> Array:
-        """Return the curvature along the residuals, d(u w)/du, shape (N,).
-
-        Args:
-            squares: χ² of each row, shape (N,).
-            equations: How many equations each row gives, shape (N,) or (1,).
-        """
+        """Return the curvature along the residuals, d(u w)/du, shape (N,)."""
         u, h = np.sqrt(squares) / self.constant(equations), _STEP
         less, upper = (np.exp(step) * self.weigh(u * np.exp(step)) for step in (-h, h))
         return np.asarray((upper - less) / (2.0 * np.sinh(h)))
@@ -80,28 +54,17 @@ class Loss:
         """Return the curvature along the residuals over the weight, shape (N,).
 
         Kept above zero, as what is minimised must rise on both sides.
-
-        Args:
-            squares: χ² of each row, shape (N,).
-            equations: How many equations each row gives, shape (N,) or (1,).
         """
         w = self.weights(squares, equations)
         bend = np.divide(self.slope(squares, equations), w, out=np.ones_like(w), where=w > 0.0)
         return np.clip(bend, _LEAST_BEND, 1.0)
 
-    def moments(
-        self, squares: Array, equations: Index, free: int = 0
-    ) -> tuple[float, float, float]:
+    def moments(self, squares: Array, equations: Index, free: int) -> tuple[float, float, float]:
         """Return slope and square of ψ of rows that fit, and Huber's factor for few of them.
 
-        Over all n equations: m, the mean of ψ's slopes (w across the residuals, d(u w)/du along
-        them), the square Σ w² d² / (n − p), and K = 1 + (p / n) v / m², v the slopes' variance
-        (P. J. Huber, Robust Statistics, 1981, 7.6).
-
-        Args:
-            squares: χ² of each row over the square of the scale, shape (N,).
-            equations: How many equations each row gives, shape (N,).
-            free: p, parameters that are free.
+        Over all n equations and p free parameters: m, the mean of ψ's slopes (w across the
+        residuals, d(u w)/du along them), the square Σ w² d² / (n − p), and K = 1 + (p / n) v / m²,
+        v the slopes' variance (P. J. Huber, Robust Statistics, 1981, 7.6).
         """
         k, w = equations.astype(float), self.weights(squares, equations)
         n, along = max(float(k.sum()), 1.0), self.slope(squares, equations)
@@ -111,12 +74,13 @@ class Loss:
         return m, float(w**2 @ squares) / max(n - free, 1.0), 1.0 + free / n * v / m**2
 
 
-LOSSES: dict[str, Loss] = {
-    "huber": Loss("huber", _huber, float(chdtr(1, 1.345**2))),
-    "cauchy": Loss("cauchy", _cauchy, float(chdtr(1, 2.385**2))),
-    "tukey": Loss("tukey", _tukey, float(chdtr(1, 4.685**2))),
-    "reject": Loss("reject", _reject, 1.0 - UNLIKELY),
+_WEIGHTS: dict[str, tuple[Callable[[Array], Array], float]] = {
+    "huber": (lambda u: 1.0 / np.maximum(1.0, u), float(chdtr(1, 1.345**2))),
+    "cauchy": (lambda u: 1.0 / (1.0 + u**2), float(chdtr(1, 2.385**2))),
+    "tukey": (lambda u: (1.0 - np.minimum(u, 1.0) ** 2) ** 2, float(chdtr(1, 4.685**2))),
+    "reject": (lambda u: np.where(u < 1.0, 1.0, 0.0), 1.0 - UNLIKELY),
 }
+LOSSES: dict[str, Loss] = {name: Loss(name, *weights) for name, weights in _WEIGHTS.items()}
 
 
 def outlying(squares: Array, equations: Index) -> Mask:
@@ -140,10 +104,7 @@ def suspected(squares: Array, equations: Index) -> Mask:
 def robust_scale(squares: Array, equations: Index, share: float) -> float:
     """Return the scale of the noise that the median of the rows' χ² tells.
 
-    Args:
-        squares: χ² of each row, shape (N,).
-        equations: How many equations each row gives, shape (N,).
-        share: Degrees of freedom over equations: residuals of a fit are smaller than the noise.
+    Residuals of a fit are smaller than the noise, by the share of degrees of freedom in equations.
     """
     counts = equations > 0
     ratio = squares[counts] / _quantile(0.5, equations[counts])
