@@ -47,13 +47,7 @@ class Spread:
 
     @classmethod
     def of(cls, system: System, optimum: SolverResult, variance: float) -> Spread:
-        """Return how the optimum of a system spreads.
-
-        Args:
-            system: What was minimised.
-            optimum: Its optimum.
-            variance: Of white residuals of rows that are not outliers.
-        """
+        """Return how an optimum spreads, by the variance of white residuals but outliers'."""
         linear, weights, scale = optimum.last, optimum.weights, optimum.scale
         none = np.zeros_like(weights)
         if system.loss is None:
@@ -132,10 +126,9 @@ class Spread:
         return np.asarray(by_free @ by_free.T)
 
     def response(self, errors: Array) -> Array:
-        """Return how all unknowns follow errors of the conditions, −B⁻¹ Σ Jᵀ ψ' c, shape (n, q).
+        """Return how all unknowns follow errors c of the conditions, (N, k, q) to (n, q).
 
-        Args:
-            errors: c, by how much the conditions are off for each, shape (N, k, q).
+        −B⁻¹ Σ Jᵀ ψ' c.
         """
         weighted = self.slopes[:, None, None] * self.system.rows(self.linear)(errors)
         J = self.system.derivatives(self.linear)
@@ -270,12 +263,7 @@ def fit(
     start: State | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Fit:
-    """Return the least-squares fit of a problem.
-
-    Args:
-        system: What is minimised.
-        start: Where the search starts; the nominal parameters if not given.
-        progress: Called with what is being done.
+    """Return the fit of a problem, from its start at nominal parameters if no other is given.
 
     Raises:
         ObservabilityError: parameters are not determined, or by the noise only.
@@ -323,11 +311,8 @@ _PAIRS, _CLEARLY = 3, 0.1
 def curvature(fit: Fit, threshold: float = 0.0) -> float:
     """Return the curved part of residuals over the straight one, at one standard error.
 
-    Rows do not see to second order that poses move, so poses are not solved at the ends.
-
-    Args:
-        fit: The fit.
-        threshold: Curvature far below which one pair of draws will do.
+    Rows do not see to second order that poses move, so poses are not solved at the ends. Far below
+    a threshold one pair of draws will do.
     """
     problem, linear, rows = fit.problem.thinned(fit.last)
     used, n = (fit.weights > 0.0)[rows], len(fit.covariance)

@@ -173,10 +173,6 @@ def last_steps(system: System, optimum: SolverResult) -> SolverResult:
     """Return the optimum with all conditions at adjusted readings, found from that without.
 
     As it is where readings are exact, residuals are not whitened, or no such conditions exist.
-
-    Args:
-        system: What is minimised.
-        optimum: Its optimum at readings as measured.
     """
     if not (adjusts(system.problem) and optimum.converged):
         return optimum

@@ -54,41 +54,32 @@ def row_noise(
 ) -> RowNoise:
     """Return the noise of quantities: each row's own, a tracker's, else that of the unit.
 
-    Args:
-        names: Freedoms of the platform, columns of the setup, single angles.
-        units: Of these, m or rad.
-        data: The measurements.
-        noise: Of what has none of its own.
-        setup: What the numbers mean.
-        platform: The platform.
+    Names are freedoms of the platform, columns of the setup, and single angles.
 
     Raises:
         MeasurementError: covariances that no errors have; a tracker and points measured in part.
     """
     sigmas = _sigmas_by_name(names, data, setup, platform)
-    sigma = np.empty((len(data), len(names)))
-    for column, (name, unit) in enumerate(zip(names, units, strict=True)):
-        values = sigmas.get(name, np.full(len(data), np.nan))
-        general = noise.position if unit == "m" else noise.orientation
-        sigma[:, column] = np.where(np.isfinite(values), values, general)
+    none = np.full(len(data), np.nan)
+    general = [noise.position if unit == "m" else noise.orientation for unit in units]
+    sigma = np.column_stack([np.empty((len(data), 0)), *(sigmas.get(n, none) for n in names)])
+    sigma = np.where(np.isfinite(sigma), sigma, general)
     if setup.tracker is None and not data.covariances:
         return RowNoise(sigma)
     place = {name: column for column, name in enumerate(names)}
     covariance = sigma[:, :, None] ** 2 * np.eye(len(names))
     if setup.tracker is not None:
         for columns, points in _targets(place, data, setup, platform):
-            _check_level(setup.tracker, points)
             block = _of_tracker(setup.tracker, points, data)[:, : len(columns), : len(columns)]
             rows = np.flatnonzero(np.isfinite(block).all(axis=(1, 2)))
             covariance[np.ix_(rows, columns, columns)] = block[rows]
     for pair, values in data.covariances.items():
         first, second = pair.split(",")
-        if not {first, second} <= set(place):
-            continue
-        pair_sigmas = (sigmas.get(name, np.full(len(data), np.nan)) for name in (first, second))
-        known = np.isfinite([values, *pair_sigmas]).all(axis=0)
-        covariance[known, place[first], place[second]] = values[known]
-        covariance[known, place[second], place[first]] = values[known]
+        if {first, second} <= set(place):
+            pair_sigmas = (sigmas.get(name, none) for name in (first, second))
+            known = np.isfinite([values, *pair_sigmas]).all(axis=0)
+            covariance[known, place[first], place[second]] = values[known]
+            covariance[known, place[second], place[first]] = values[known]
     return _rooted(covariance, data)
 
 
@@ -138,11 +129,11 @@ def _targets(
     return targets
 
 
-def _check_level(tracker: Tracker, points: Array) -> None:
-    """Raise if a point, shape (N, 3), is straight above or below the tracker.
+def _of_tracker(tracker: Tracker, points: Array, data: Measurements) -> Array:
+    """Return covariances of points measured by a tracker, (N, 3) to (N, 3, 3).
 
     Raises:
-        MeasurementError: naming the row.
+        MeasurementError: a point straight above or below the tracker.
     """
     ray = points - tracker.at
     above = np.hypot(ray[:, 0], ray[:, 1]) <= ROUNDING**0.5 * np.linalg.norm(ray, axis=1)
@@ -151,14 +142,9 @@ def _check_level(tracker: Tracker, points: Array) -> None:
             f"data row {int(np.argmax(above)) + 1}: the point is on the vertical axis of the "
             "tracker, where an azimuth says nothing; say where the tracker is ('at' of the tracker)"
         )
-
-
-def _of_tracker(tracker: Tracker, points: Array, data: Measurements) -> Array:
-    """Return covariances of points measured by a tracker, shape (N, 3, 3)."""
     polar = [data.sigma_extra.get(name, np.full(len(data), np.nan)) for name in POLAR]
-    general = [tracker.range, tracker.azimuth, tracker.elevation]
-    sigma = np.where(np.isfinite(polar), polar, np.array(general)[:, None]).T
-    root = tracker.by_polar(points) * sigma[:, None]
+    general = np.array([tracker.range, tracker.azimuth, tracker.elevation])[:, None]
+    root = tracker.by_polar(points) * np.where(np.isfinite(polar), polar, general).T[:, None]
     return np.asarray(root @ root.transpose(0, 2, 1))
 
 

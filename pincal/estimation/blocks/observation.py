@@ -94,11 +94,6 @@ class Observation:
     def __init__(self, mechanism: Mechanism, data: Measurements, setup: Setup) -> None:
         """Hold what was measured.
 
-        Args:
-            mechanism: The mechanism.
-            data: Measurements; NaN where nothing was measured.
-            setup: What the numbers mean.
-
         Raises:
             MeasurementError: a column of the setup is missing.
         """

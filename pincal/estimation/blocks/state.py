@@ -73,13 +73,7 @@ class ExternalUnknowns:
     """Which of the external values are unknown, in which order, and how steps move them."""
 
     def __init__(self, platform: Platform, setup: Setup, oriented: bool) -> None:
-        """Say what is unknown.
-
-        Args:
-            platform: The platform.
-            setup: How it is measured.
-            oriented: Whether orientations are measured.
-        """
+        """Say what is unknown of a setup in which orientations are measured or not."""
         self.setup = setup
         rows = (0, 1, 5) if platform.space == 2 else (0, 1, 2, 3, 4, 5)
         turned = oriented and setup.targets[ORIGIN].unknown

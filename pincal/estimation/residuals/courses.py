@@ -80,10 +80,8 @@ class Slip:
 def scores(fit: Fit, again: Mapping[str, Index] | None = None) -> list[Score]:
     """Return the score tests of a fit, none of them independent of the others.
 
-    Args:
-        fit: The fit.
-        again: Rows of poses that were measured again and again, among those of the fit: whether
-            what was measured there moved with time.
+    Also whether what was measured at poses again and again moved with time, by their rows among
+    those of the fit.
     """
     if not _testable(fit):
         return []
@@ -185,13 +183,7 @@ def _of_target(fit: Fit, names: Sequence[str], W: Array, target: str) -> Array:
 
 
 def _of_frame(fit: Fit, names: Sequence[str], W: Array) -> tuple[Array, tuple[str, ...]]:
-    """Return the white rows of all positions that are off alike, (n_used, m, axes), and the axes.
-
-    Args:
-        fit: The fit.
-        names: Measured quantities.
-        W: White rows of unit errors of these, shape (n_used, m, q).
-    """
+    """Return white rows of all positions that are off alike, (n_used, m, axes), and the axes."""
     targets = fit.problem.observation.setup.targets
     moved = np.sum([_of_target(fit, names, W, target) for target in targets], axis=0)
     known = moved.any(axis=(0, 1))

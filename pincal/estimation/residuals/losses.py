@@ -59,7 +59,9 @@ class Loss:
         bend = np.divide(self.slope(squares, equations), w, out=np.ones_like(w), where=w > 0.0)
         return np.clip(bend, _LEAST_BEND, 1.0)
 
-    def moments(self, squares: Array, equations: Index, free: int) -> tuple[float, float, float]:
+    def moments(
+        self, squares: Array, equations: Index, free: int = 0
+    ) -> tuple[float, float, float]:
         """Return slope and square of ψ of rows that fit, and Huber's factor for few of them.
 
         Over all n equations and p free parameters: m, the mean of ψ's slopes (w across the

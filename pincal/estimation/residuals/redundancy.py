@@ -80,12 +80,7 @@ class Remainders:
 
     @classmethod
     def of(cls, fit: Fit, follows: Array) -> Remainders:
-        """Return what a fit leaves of quantities.
-
-        Args:
-            fit: The fit.
-            follows: c, derivatives of the quantities by the conditions, shape (N, q, k).
-        """
+        """Return what a fit leaves of quantities, c their derivatives by the conditions, (N, q, k)."""
         system, linear, spread = fit.system, fit.last, fit.spread
         by_free, rows, parts = system.unknowns.map @ spread.root, system.rows(linear), []
         for poses in linear.parts():

@@ -35,14 +35,9 @@ def robust_fit(
     start: State | None = None,
     progress: Progress | None = None,
 ) -> Fit:
-    """Return the fit of a problem under a loss, with the rows that did not fit.
+    """Return the fit of a problem, of least squares or under a loss, with rows that did not fit.
 
-    Args:
-        mechanism: The nominal mechanism.
-        system: What is minimised, without a loss.
-        loss: A robust loss, or none.
-        start: Where the search starts; the nominal parameters if not given.
-        progress: Called with what is being done.
+    The search starts at the nominal parameters if no start is given.
 
     Raises:
         ObservabilityError: parameters are not determined, weakly, or by the noise only; a search
@@ -126,14 +121,10 @@ def _without_outliers(robust: Fit, search: Callable[..., Fit]) -> Fit:
 
 
 def _outliers(fit: Fit, scale: float, judged: float, counts: Mask | None) -> tuple[Outlier, ...]:
-    """Return the rows that do not fit, the worst first.
+    """Return the rows that do not fit at a scale of the noise, the worst first.
 
-    Args:
-        fit: The fit.
-        scale: Of the noise.
-        judged: Scale by which rows in use are judged, if larger.
-        counts: Which of them a fit may follow, shape (N,); all if not given. Others, such as those
-            for verification, are judged elsewhere.
+    Rows in use are judged by another scale if that is larger. Rows that no fit may follow, such as
+    those for verification, are judged elsewhere.
     """
     linear = fit.last
     if not (fit.converged and scale > 0.0):

@@ -127,12 +127,9 @@ class Residuals:
     ) -> ResidualForm:
         """Return what residuals say of errors with amplitudes as large as each other.
 
-        White rows and courses are never multiplied out: W_n = w_n b_nᵀ, so WᵀW = Σ |w_n|² b_n b_nᵀ.
-
-        Args:
-            errors: k errors.
-            courses: b of each, by which it is larger or less, shape (n_used, f).
-            common: Whether amplitudes are the same in all of them, not each one's own.
+        Each error is larger or less by its courses b, shape (n_used, f), with amplitudes of its own
+        or common to all. White rows and courses are never multiplied out: W_n = w_n b_nᵀ, so WᵀW =
+        Σ |w_n|² b_n b_nᵀ.
         """
         k, W = len(courses), errors.white
         squares, B = W.transpose(0, 2, 1) @ W, np.concatenate(courses, axis=1)
@@ -152,11 +149,7 @@ class Residuals:
         return of_forms(forms, self.chi2, self.degrees_of_freedom)
 
     def amplitudes(self, W: Array) -> Amplitudes:
-        """Return the amplitudes that residuals ask for along the white rows of terms.
-
-        Args:
-            W: Of each term, shape (n_used, m, f).
-        """
+        """Return the amplitudes of terms that residuals ask for, by white rows (n_used, m, f)."""
         C, along, hidden = self._resolved(W)
         f, rank = C.shape
         if not 0 < rank < self.degrees_of_freedom:
@@ -228,10 +221,7 @@ class Residuals:
 def of_forms(forms: Sequence[ResidualForm], chi2: float, degrees_of_freedom: int) -> Array:
     """Return the probability of so much along errors, or more, of each form; 1 if nothing is seen.
 
-    Args:
-        forms: Of different errors.
-        chi2: Of all residuals.
-        degrees_of_freedom: Of them.
+    χ² and degrees of freedom are those of all residuals.
     """
     probabilities = np.ones(len(forms))
     seen = [form.seen and len(form.weights) < degrees_of_freedom for form in forms]
@@ -251,12 +241,8 @@ def above(weights: Array, shares: Array, degrees_of_freedom: int) -> Array:
     """Return the probability that a weighted sum of squares is above a share of all squares.
 
     Σ λᵢ zᵢ² > t Σ zⱼ² of independent normal numbers z, i to k and j to all degrees of freedom, by
-    the saddle point (R. Lugannani and S. Rice 1980).
-
-    Args:
-        weights: λ, 0 to 1 with a 1 among them, shape (M, k).
-        shares: t, 0 to 1, shape (M,).
-        degrees_of_freedom: More than k.
+    the saddle point (R. Lugannani and S. Rice 1980). Weights λ, shape (M, k), are 0 to 1 with a 1
+    among them, shares t, shape (M,), are 0 to 1.
     """
     n_other = degrees_of_freedom - weights.shape[1]
     single = (weights > RANK_TOLERANCE).sum(axis=1) == 1
@@ -285,11 +271,8 @@ def together(p_values: Array, weights: Array) -> float:
     """Return the probability that tests, which need not be independent, find so much by chance.
 
     By Cauchy's distribution: the mean of 1/p but for what all tests are when nothing is there
-    (Y. Liu, J. Xie, J. Am. Stat. Assoc. 115, 2020). Tests that agree strengthen each other.
-
-    Args:
-        p_values: Of some tests, shape (k,).
-        weights: Of these tests; of all that were made they sum to 1, shape (k,).
+    (Y. Liu, J. Xie, J. Am. Stat. Assoc. 115, 2020). Tests that agree strengthen each other. Weights
+    of all tests that were made sum to 1; these may be some of them.
     """
     p = np.clip(p_values, 1e-300, 1.0 - weights)
     mean = float((weights / np.tan(np.pi * p)).sum())
