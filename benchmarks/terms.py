@@ -45,7 +45,7 @@ from pincal.calibration.terms.candidates import tied_by, with_terms
 from pincal.calibration.terms.choice import LEVEL
 from pincal.calibration.terms.kinds import GROWTH, ORDER, Kind, every_pair, lengths
 from pincal.calibration.terms.screen import Candidate, Trial, screened, trials
-from pincal.estimation.residuals.score import Residuals
+from pincal.estimation.observability.residuals import Residuals
 from pincal.model.terms import Load
 from pincal.workspace.sampling import sample_workspace
 

@@ -20,7 +20,7 @@ from .errors import (
     WorkspaceError,
 )
 from .estimation.observability.indices import indices
-from .estimation.residuals.losses import Loss
+from .estimation.system import Loss
 from .files.mechanism_folders import load_mechanism
 from .formats.corrections import Corrections, corrections
 from .kinematics.derivatives import identification_jacobian

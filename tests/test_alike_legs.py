@@ -10,7 +10,7 @@ from measured import workspace
 
 import pincal
 from pincal.calibration.calibration import Calibration
-from pincal.estimation.blocks.state import State
+from pincal.estimation.unknowns import State
 from pincal.kinematics.batches import CHUNK
 from pincal.kinematics.closing import by_leg, close, close_legs, grouped
 from pincal.kinematics.closure import LegClosure

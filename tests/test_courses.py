@@ -16,8 +16,14 @@ from pincal.calibration.calibrate import prepared, started
 from pincal.calibration.fits import fitted
 from pincal.calibration.terms.kinds import every_pair
 from pincal.calibration.terms.screen import Candidate, screen
-from pincal.estimation.residuals.courses import scores, slips
-from pincal.estimation.residuals.score import ResidualForm, Residuals, above, of_forms, together
+from pincal.estimation.observability.courses import scores, slips
+from pincal.estimation.observability.residuals import (
+    ResidualForm,
+    Residuals,
+    above,
+    of_forms,
+    together,
+)
 
 Array = NDArray[np.float64]
 NOISE = pincal.Noise(2e-5, 5e-5, 2e-5)

@@ -20,7 +20,7 @@ from pincal.calibration.terms.candidates import with_terms
 from pincal.calibration.terms.kinds import every_pair, said
 from pincal.calibration.terms.screen import screen
 from pincal.errors import MeasurementError, MechanismError, SymmetryError
-from pincal.estimation.blocks.state import State
+from pincal.estimation.unknowns import State
 from pincal.kinematics.configurations import planned_influences
 from pincal.kinematics.derivatives import Demand
 from pincal.kinematics.influences import gravity_loads

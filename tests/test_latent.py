@@ -28,8 +28,8 @@ from scipy.spatial.transform import Rotation
 
 import pincal
 from pincal.calibration.calibrate import prepared
-from pincal.estimation.blocks.observation import Observation
 from pincal.estimation.observability.gauge import find_gauge
+from pincal.estimation.observation import Observation
 from pincal.estimation.problem import Problem
 from pincal.estimation.unknowns import Unknowns
 from pincal.kinematics.closure import largest_size

@@ -15,7 +15,7 @@ from resized import scaled
 from scipy.stats import kstest
 
 import pincal
-from pincal.estimation.residuals.losses import suspected
+from pincal.estimation.system import suspected
 
 Array = NDArray[np.float64]
 NOISE = pincal.Noise(2e-5, 5e-5, 2e-5)

@@ -15,7 +15,7 @@ from scipy.linalg import block_diag
 import pincal
 from pincal.calibration.fits import fitted
 from pincal.estimation.fit import Fit
-from pincal.estimation.residuals.redundancy import Remainders, leg_residuals
+from pincal.estimation.observability.residuals import Remainders, leg_residuals
 from pincal.show.series import noisy_series
 
 EXACT, NOISY = pincal.Noise(1e-4, 1e-4), pincal.Noise(1e-4, 1e-4, 1e-4)

@@ -23,7 +23,7 @@ from measured import (
 from scipy.stats import chi2
 
 import pincal
-from pincal.estimation.residuals.losses import LOSSES, robust_scale
+from pincal.estimation.system import LOSSES, robust_scale
 
 METHODS = ["per-leg", "all-legs"]
 
@@ -369,7 +369,7 @@ def test_wrong_choices_are_named(options: dict, message: str) -> None:
 
 def test_the_probability_of_a_listed_row() -> None:
     """Of 20,000 good rows one in a thousand is listed, whatever its number of equations."""
-    from pincal.estimation.residuals.losses import outlying
+    from pincal.estimation.system import outlying
 
     for k in (1, 4):
         squares = chi2.rvs(k, size=20_000, random_state=0)

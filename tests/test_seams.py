@@ -16,9 +16,9 @@ from scipy.stats import chi2
 
 import pincal
 from pincal.calibration.result_files import read_result
-from pincal.estimation.blocks.legs import LegBlock
-from pincal.estimation.blocks.observation import Observation
-from pincal.estimation.blocks.state import State
+from pincal.estimation.legs import LegBlock
+from pincal.estimation.observation import Observation
+from pincal.estimation.unknowns import State
 from pincal.kinematics.closing import sensor_law
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.derivatives import Demand

@@ -15,8 +15,7 @@ from scipy.optimize import least_squares
 
 import pincal
 from pincal import Joint, Leg, Mechanism, Placement, Platform, Sensor
-from pincal.estimation.residuals.losses import LOSSES
-from pincal.estimation.system import bent
+from pincal.estimation.system import LOSSES, bent
 
 Array = NDArray[np.float64]
 NOISE = pincal.Noise(1e-4, 1e-4, 5e-5)

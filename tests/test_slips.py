@@ -16,7 +16,7 @@ from measured import workspace
 import pincal
 from pincal.calibration.calibrate import prepared, started
 from pincal.calibration.fits import fitted
-from pincal.estimation.residuals.courses import Slip, slips
+from pincal.estimation.observability.courses import Slip, slips
 
 NOISE = pincal.Noise(2e-5, 2e-5, 2e-5)
 SIZE = np.array([2e-4, -6e-5, 1e-4])

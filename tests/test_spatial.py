@@ -13,8 +13,8 @@ from measured import workspace
 from scipy.spatial.transform import Rotation
 
 import pincal
-from pincal.estimation.blocks.observation import angle
 from pincal.estimation.observability.indices import r_diagonal
+from pincal.estimation.observation import angle
 from pincal.kinematics import closing
 from pincal.model.checks import sine_and_cosine
 from pincal.model.orientation import WAYS, columns_of, rotation_of, tilted

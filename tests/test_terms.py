@@ -18,7 +18,7 @@ from pincal.calibration.calibration import Calibration
 from pincal.calibration.terms.candidates import with_terms
 from pincal.calibration.terms.kinds import said
 from pincal.errors import MeasurementError, MechanismError
-from pincal.estimation.blocks.state import State
+from pincal.estimation.unknowns import State
 from pincal.kinematics.closing import sensor_law
 from pincal.kinematics.closure import LegClosure, joint_range
 from pincal.kinematics.configurations import planned_influences

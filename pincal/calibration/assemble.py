@@ -22,9 +22,9 @@ from pincal.calibration.fits import Fits
 from pincal.calibration.leg_result import HELD, IdentifiedParameter, LegResult, Observed
 from pincal.calibration.promise import excess_of
 from pincal.calibration.result import CalibrationResult
-from pincal.estimation.blocks.state import State
 from pincal.estimation.fit import Fit, Outlier
-from pincal.estimation.residuals.redundancy import LegResiduals, leg_residuals, redundancy
+from pincal.estimation.observability.residuals import LegResiduals, leg_residuals, redundancy
+from pincal.estimation.unknowns import State
 from pincal.kinematics.closure import largest_size
 from pincal.kinematics.configurations import planned_influences
 from pincal.kinematics.influences import by_name

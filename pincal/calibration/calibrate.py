@@ -37,7 +37,7 @@ from pincal.calibration.terms.kinds import said as parse_terms
 from pincal.calibration.tolerances import with_found_tolerance, with_unsure_tolerances
 from pincal.calibration.validation import Validation, held_out
 from pincal.errors import MeasurementError, MisfitError, ObservabilityError, PincalError
-from pincal.estimation.blocks.state import External
+from pincal.estimation.unknowns import External
 from pincal.files.measurements import read_measurements
 from pincal.files.mechanism_folders import as_mechanism
 from pincal.finding import Finding

@@ -11,13 +11,12 @@ import numpy as np
 
 from pincal.calibration.options import Options
 from pincal.errors import MeasurementError, ObservabilityError
-from pincal.estimation.blocks.legs import LegBlock
-from pincal.estimation.blocks.observation import Observation
-from pincal.estimation.blocks.state import External, State
+from pincal.estimation.legs import LegBlock
 from pincal.estimation.noise import FoundTolerance, NoiseModel, noise_model
+from pincal.estimation.observation import Observation
 from pincal.estimation.problem import Problem
 from pincal.estimation.start import align_start, check_start
-from pincal.estimation.unknowns import Unknowns, unknowns
+from pincal.estimation.unknowns import External, State, Unknowns, unknowns
 from pincal.kinematics.configurations import planned_influences
 from pincal.kinematics.influences import by_name, influence_columns
 from pincal.model.measurements import Measurements, Noise

@@ -16,10 +16,10 @@ from pincal.errors import PincalError
 from pincal.estimation.components import Moments
 from pincal.estimation.fit import Fit, Outlier, curvature
 from pincal.estimation.noise import assumed_noise
+from pincal.estimation.observability.courses import Score, scores
 from pincal.estimation.observability.indices import DIFFER, plausible_changes
-from pincal.estimation.residuals.courses import Score, scores
-from pincal.estimation.residuals.losses import FALSE_ALARM
-from pincal.estimation.residuals.score import together
+from pincal.estimation.observability.residuals import together
+from pincal.estimation.system import FALSE_ALARM
 from pincal.finding import Finding
 from pincal.kinematics.closure import largest_size
 from pincal.model.checks import ROUNDING

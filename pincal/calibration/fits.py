@@ -13,17 +13,15 @@ import numpy as np
 
 from pincal.calibration.calibration import Calibration
 from pincal.errors import MeasurementError, ObservabilityError
-from pincal.estimation.blocks.state import External, State
 from pincal.estimation.components import Beforehand, Moments, estimated_noise, widened
 from pincal.estimation.fit import Fit
 from pincal.estimation.noise import assumed_noise
 from pincal.estimation.observability.gauge import Gauge, find_gauge
 from pincal.estimation.observability.identifiable import HeldUnknowns, hold_unobservable
 from pincal.estimation.problem import Problem
-from pincal.estimation.residuals.losses import Loss, loss_of
-from pincal.estimation.residuals.robust import robust_fit
-from pincal.estimation.system import System
-from pincal.estimation.unknowns import Unknowns
+from pincal.estimation.robust import robust_fit
+from pincal.estimation.system import Loss, System, loss_of
+from pincal.estimation.unknowns import External, State, Unknowns
 from pincal.kinematics.closure import largest_size
 from pincal.model.measurements import Noise
 from pincal.model.mechanism import Mechanism

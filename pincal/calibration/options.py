@@ -10,8 +10,8 @@ from typing import Any, Final, Literal, get_args
 import numpy as np
 
 from pincal.errors import MeasurementError
-from pincal.estimation.blocks.legs import Residual
-from pincal.estimation.residuals.losses import Loss, LossName, loss_of
+from pincal.estimation.legs import Residual
+from pincal.estimation.system import Loss, LossName, loss_of
 from pincal.files.text import in_si, plain_number
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.option import option

@@ -19,7 +19,7 @@ from pincal.design.platform_error import (
     root_mean_squares,
     sizes,
 )
-from pincal.estimation.blocks.state import External
+from pincal.estimation.unknowns import External
 from pincal.finding import Finding
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism

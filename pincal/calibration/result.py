@@ -23,9 +23,9 @@ from pincal.calibration.promise import (
     whitened,
 )
 from pincal.design.platform_error import PlatformError
-from pincal.estimation.blocks.state import External
 from pincal.estimation.fit import Outlier
 from pincal.estimation.observability.identifiable import WeakPair, weak_pairs
+from pincal.estimation.unknowns import External
 from pincal.finding import Finding
 from pincal.model.measurements import Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism

@@ -29,7 +29,7 @@ from pincal.calibration.runs import RunComparison
 from pincal.calibration.validation import Validation
 from pincal.errors import MeasurementError, PincalError
 from pincal.estimation.noise import NoiseModel
-from pincal.estimation.residuals.losses import LOSSES, Loss, LossName
+from pincal.estimation.system import LOSSES, Loss, LossName
 from pincal.files.measurement_writing import write_plan
 from pincal.files.mechanism_folders import load_mechanism, write_mechanism
 from pincal.files.table import write_table

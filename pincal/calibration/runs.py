@@ -10,7 +10,7 @@ import numpy as np
 
 from pincal.calibration.covariance import exceeded
 from pincal.errors import MeasurementError
-from pincal.estimation.residuals.losses import UNLIKELY
+from pincal.estimation.system import UNLIKELY
 from pincal.finding import Finding
 from pincal.model.measurements import Measurements
 from pincal.types import Array

@@ -25,10 +25,9 @@ from pincal.design.platform_error import DRAWS
 from pincal.errors import MeasurementError
 from pincal.estimation.fit import Fit
 from pincal.estimation.problem import Linear
-from pincal.estimation.residuals.losses import UNLIKELY
 from pincal.estimation.solver import solve_poses
 from pincal.estimation.start import placed, poses_at_rest
-from pincal.estimation.system import NormalEquations
+from pincal.estimation.system import UNLIKELY, NormalEquations
 from pincal.finding import Finding
 from pincal.types import Array, Index
 from pincal.words.numbers import chance

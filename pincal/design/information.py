@@ -14,14 +14,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pincal.errors import MeasurementError
-from pincal.estimation.blocks.observation import Observation
-from pincal.estimation.blocks.state import ExternalUnknowns
 from pincal.estimation.observability.gauge import split_frames
 from pincal.estimation.observability.indices import (
     GENERIC,
     scaled_axes,
 )
+from pincal.estimation.observation import Observation
 from pincal.estimation.rows import NoNoiseError, WhiteRows, white_rows
+from pincal.estimation.unknowns import ExternalUnknowns
 from pincal.kinematics.closure import largest_size
 from pincal.kinematics.configurations import Legs, legs_at, nearby
 from pincal.kinematics.derivatives import Demand

@@ -13,8 +13,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pincal.errors import MeasurementError
-from pincal.estimation.blocks.state import External, State
 from pincal.estimation.problem import Problem
+from pincal.estimation.unknowns import External, State
 from pincal.model.measurements import Measurements
 from pincal.model.platform import Platform
 from pincal.model.setup import ORIGIN

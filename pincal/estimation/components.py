@@ -16,8 +16,7 @@ import numpy as np
 
 from pincal.estimation.fit import Fit
 from pincal.estimation.problem import Linear, Problem
-from pincal.estimation.residuals.losses import outlying
-from pincal.estimation.system import NormalEquations
+from pincal.estimation.system import NormalEquations, outlying
 from pincal.kinematics.batches import over_rows
 from pincal.model.measurements import Noise
 from pincal.types import Array

@@ -10,10 +10,8 @@ import numpy as np
 from scipy.special import chdtri
 
 from pincal.errors import ObservabilityError
-from pincal.estimation.blocks.state import State
 from pincal.estimation.observability.identifiable import check_information, check_rank
 from pincal.estimation.problem import Linear, Problem
-from pincal.estimation.residuals.losses import FALSE_ALARM, outlying
 from pincal.estimation.solver import (
     SLOW,
     SolverResult,
@@ -23,8 +21,8 @@ from pincal.estimation.solver import (
     solve_poses,
 )
 from pincal.estimation.start import near_start
-from pincal.estimation.system import ROWS_FOLLOW, NormalEquations, System
-from pincal.estimation.unknowns import Unknowns
+from pincal.estimation.system import FALSE_ALARM, ROWS_FOLLOW, NormalEquations, System, outlying
+from pincal.estimation.unknowns import State, Unknowns
 from pincal.types import Array, Index, Mask
 
 _FALLEN = 0.9  # share of what determines a direction that falling slopes may take away

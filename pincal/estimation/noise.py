@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from pincal.errors import MeasurementError
-from pincal.estimation.blocks.covariances import RowNoise, row_noise
+from pincal.estimation.covariances import RowNoise, row_noise
 from pincal.estimation.fit import Fit
 from pincal.estimation.observability.indices import RANK_TOLERANCE
 from pincal.model.checks import ROUNDING

@@ -17,10 +17,10 @@ from functools import cached_property
 import numpy as np
 
 from pincal.errors import MeasurementError
-from pincal.estimation.blocks.legs import LegBlock
-from pincal.estimation.blocks.observation import Observation
-from pincal.estimation.blocks.state import Entry, State
+from pincal.estimation.legs import LegBlock
+from pincal.estimation.observation import Observation
 from pincal.estimation.rows import NoNoiseError, WhiteRows, white_rows
+from pincal.estimation.unknowns import Entry, State
 from pincal.kinematics.batches import block_diagonal, chunks
 from pincal.kinematics.derivatives import Demand
 from pincal.model.leg import Leg

@@ -15,11 +15,11 @@ from scipy.spatial import KDTree
 
 from pincal.errors import MeasurementError
 from pincal.estimation.alignment import aligned
-from pincal.estimation.blocks.covariances import RowNoise
-from pincal.estimation.blocks.state import External, State
+from pincal.estimation.covariances import RowNoise
 from pincal.estimation.problem import Linear, Problem, spread
 from pincal.estimation.solver import search, solve_poses
 from pincal.estimation.system import System
+from pincal.estimation.unknowns import External, State
 from pincal.kinematics.closing import home_mode, mode_sign
 from pincal.kinematics.closure import LegClosure, Newton, largest_size
 from pincal.kinematics.forward import placed_by_arm

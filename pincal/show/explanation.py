@@ -11,7 +11,7 @@ from pincal.calibration.terms.choice import LEVEL
 from pincal.calibration.terms.explain import Explanation
 from pincal.calibration.terms.kinds import GROWTH, ORDER, parts_of, term_said
 from pincal.calibration.terms.screen import Candidate
-from pincal.estimation.residuals.courses import Slip
+from pincal.estimation.observability.courses import Slip
 from pincal.model.mechanism import Mechanism
 from pincal.model.setup import ORIGIN
 from pincal.show.answers import unpromised

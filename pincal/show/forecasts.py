@@ -6,7 +6,7 @@ import numpy as np
 
 from pincal.design.forecast import SCALE, Drift, Forecast, ScaleEffect
 from pincal.design.platform_error import PlatformError
-from pincal.estimation.residuals.losses import CLEAR
+from pincal.estimation.system import CLEAR
 from pincal.show.answers import weak_lines
 from pincal.words.numbers import amount, listed
 from pincal.words.wording import groups_in_words

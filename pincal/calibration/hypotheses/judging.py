@@ -20,13 +20,11 @@ from pincal.calibration.calibration import Calibration
 from pincal.calibration.options import Options
 from pincal.errors import MeasurementError
 from pincal.estimation.alignment import aligned
-from pincal.estimation.blocks.observation import Observation
-from pincal.estimation.blocks.state import State
 from pincal.estimation.observability.indices import DIFFER, changes_of
+from pincal.estimation.observation import Observation
 from pincal.estimation.problem import Problem, spread
-from pincal.estimation.residuals.losses import LOSSES
-from pincal.estimation.system import NormalEquations, System
-from pincal.estimation.unknowns import unknowns
+from pincal.estimation.system import LOSSES, NormalEquations, System
+from pincal.estimation.unknowns import State, unknowns
 from pincal.kinematics.closing import home_mode, mode_sign
 from pincal.kinematics.closure import LegClosure, largest_size
 from pincal.kinematics.forward import forward

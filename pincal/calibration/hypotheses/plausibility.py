@@ -26,9 +26,9 @@ from pincal.calibration.hypotheses.judging import (
 )
 from pincal.calibration.hypotheses.ranking import as_findings, explanations
 from pincal.errors import MeasurementError
-from pincal.estimation.blocks.state import External
 from pincal.estimation.observability.gauge import frame_motions, unexplained
 from pincal.estimation.observability.indices import DIFFER, NEGLIGIBLE, plausible_changes
+from pincal.estimation.unknowns import External
 from pincal.finding import Finding
 from pincal.kinematics.closing import sensor_law
 from pincal.kinematics.closure import largest_size, nominal_legs

@@ -23,7 +23,7 @@ from pincal.calibration.terms.kinds import ORDER, Kind
 from pincal.calibration.terms.screen import Candidate, screen
 from pincal.calibration.validation import predictions
 from pincal.errors import MeasurementError, PincalError
-from pincal.estimation.residuals.courses import Slip, slips
+from pincal.estimation.observability.courses import Slip, slips
 from pincal.types import Array
 
 LEVEL = 0.01

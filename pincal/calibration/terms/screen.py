@@ -17,10 +17,10 @@ from pincal.calibration.calibration import Calibration
 from pincal.calibration.fits import Fits
 from pincal.calibration.terms.candidates import with_columns, with_terms
 from pincal.calibration.terms.kinds import GROWTH, ORDER, Kind
-from pincal.estimation.blocks.state import State
 from pincal.estimation.fit import Fit
-from pincal.estimation.residuals.losses import CLEAR, FALSE_ALARM
-from pincal.estimation.residuals.score import Residuals
+from pincal.estimation.observability.residuals import Residuals
+from pincal.estimation.system import CLEAR, FALSE_ALARM
+from pincal.estimation.unknowns import State
 from pincal.types import Array, Index
 
 

@@ -1,1 +1,1 @@
-"""What measurements determine: rank, observability indices, weak pairs, gauge freedoms."""
+"""What measurements determine, and what residuals show: rank, gauge, leverage, score tests."""

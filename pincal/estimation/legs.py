@@ -17,7 +17,7 @@ from typing import Literal
 import numpy as np
 
 from pincal.errors import MeasurementError
-from pincal.estimation.blocks.state import BlockRows, State
+from pincal.estimation.unknowns import BlockRows, State
 from pincal.kinematics.batches import block_diagonal, repeated
 from pincal.kinematics.closing import close, grouped, sensor_law
 from pincal.kinematics.closure import LegClosure

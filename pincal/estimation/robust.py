@@ -10,13 +10,12 @@ import numpy as np
 from scipy.special import chdtrc, ndtri
 
 from pincal.errors import ObservabilityError
-from pincal.estimation.blocks.state import State
 from pincal.estimation.fit import Fit, Outlier, fit
 from pincal.estimation.observability.identifiable import check_covariance, check_weakly_determined
 from pincal.estimation.problem import Linear, Problem
-from pincal.estimation.residuals.losses import LOSSES, Loss, outlying, robust_scale, suspected
 from pincal.estimation.solver import unsolved
-from pincal.estimation.system import System
+from pincal.estimation.system import LOSSES, Loss, System, outlying, robust_scale, suspected
+from pincal.estimation.unknowns import State
 from pincal.kinematics.closure import largest_size
 from pincal.model.mechanism import Mechanism
 from pincal.types import Mask

@@ -19,8 +19,8 @@ from dataclasses import replace
 import numpy as np
 
 from pincal.errors import MeasurementError
-from pincal.estimation.blocks.covariances import RowNoise, row_noise
-from pincal.estimation.blocks.state import BlockRows, External, ExternalUnknowns, State
+from pincal.estimation.covariances import RowNoise, row_noise
+from pincal.estimation.unknowns import BlockRows, External, ExternalUnknowns, State
 from pincal.kinematics.batches import inverse_left_jacobian, point_velocity, turn_between
 from pincal.model.checks import wrapped
 from pincal.model.measurements import Measurements, Noise

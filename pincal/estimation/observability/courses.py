@@ -15,8 +15,8 @@ from typing import Literal
 import numpy as np
 
 from pincal.estimation.fit import Fit
-from pincal.estimation.residuals.losses import CLEAR, FALSE_ALARM
-from pincal.estimation.residuals.score import ResidualForm, Residuals
+from pincal.estimation.observability.residuals import ResidualForm, Residuals
+from pincal.estimation.system import CLEAR, FALSE_ALARM
 from pincal.kinematics.influences import sides
 from pincal.model.setup import ORIGIN
 from pincal.types import Array, Index

@@ -1,1 +1,0 @@
-"""Residual blocks: what legs demand, what was measured, and what is unknown outside a mechanism."""

@@ -1,1 +1,0 @@
-"""What residuals say: losses, outliers, and tests for what the model lacks."""
