@@ -47,15 +47,15 @@ def draw_mechanism(axes: Axes, mechanism: pincal.Mechanism, pose: Sequence[float
     axes.set(xlim=(left - room, right + room), ylim=(low - room, high + room))
 
 
-def parameters(study: Study, number: str, legs: Sequence[str]) -> None:
-    """Add a schematic figure of the study's mechanism, the parameters of legs as dimensions."""
-    mechanism = study.mechanism
+def parameters(study: Study, number: str) -> None:
+    """Add a schematic figure of the study's mechanism, the parameters of a leg as dimensions."""
+    mechanism, leg = study.mechanism, study.mechanism.leg_names[0]
     study.heading(f"The mechanism and its parameters ({number})")
     study.figure(
         "parameters",
-        f"""{number}: the parameters of {" and ".join(legs)} as lengths and angles, at home; ψ is
+        f"""{number}: the parameters of {leg} as lengths and angles, at home; ψ is
         what the sensor reads.""",
-        pincal.picture(mechanism, dimensions=legs).figure(),
+        pincal.picture(mechanism, dimensions=leg).figure(),
     )
 
 

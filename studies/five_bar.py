@@ -48,7 +48,7 @@ CHOICES: dict[str, tuple[Protocol, int]] = {
 
 def run(study: Study) -> None:
     """Compare ways to calibrate the five-bar."""
-    drawing.parameters(study, "Figs. 1, 3", study.mechanism.leg_names)
+    drawing.parameters(study, "Figs. 1, 3")
     study.progress("looking for the maximal inscribed workspace")
     circle = _inscribed(study)
     study.progress("choosing postures")

@@ -39,7 +39,7 @@ NONE = pincal.Margins.none()
 
 def run(study: Study) -> None:
     """Check the symmetry of the hexapod, and calibrate it."""
-    drawing.parameters(study, "Figs. 1 to 3", study.mechanism.leg_names[:1])
+    drawing.parameters(study, "Figs. 1 to 3")
     study.progress("sampling the workspace")
     poses = pincal.sample_workspace(study.mechanism, 1_000 if study.quick else 10_000, study.seed)
     equal = _lengths(study, poses[:300])

@@ -31,7 +31,7 @@ CHOICES: dict[str, tuple[Protocol, int]] = {
 
 def run(study: Study) -> None:
     """Compare ways to choose poses for the 3-RRR."""
-    drawing.parameters(study, "Figs. 1 to 4, 6", study.mechanism.leg_names[:1])
+    drawing.parameters(study, "Figs. 1 to 4, 6")
     study.progress("workspace and articular-variables space")
     poses = pincal.sample_workspace(study.mechanism, 2_000 if study.quick else 30_000, study.seed)
     planes, reached = _spaces(study, poses)

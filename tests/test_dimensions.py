@@ -79,7 +79,7 @@ def test_links_are_measured_from_joint_to_joint(kind: str) -> None:
 
 def test_names_are_symbols() -> None:
     """Greek names become letters, what follows an underscore an index; others stay as they are."""
-    assert symbol("beta_b", "leg_2") == r"$\beta_{b,2}$"
+    assert symbol("beta_b") == r"$\beta_{b}$"
     assert symbol("OA") == r"$\mathit{OA}$"
     assert symbol("a$b") == r"a\$b"
 
@@ -100,7 +100,7 @@ def test_the_command_draws_them(tmp_path: Path) -> None:
 def test_dimensions_are_in_the_picture(kind: str) -> None:
     """The arc of an angle that goes beyond all parts of the machine is not cut off."""
     mechanism = pincal.load_mechanism(kind)
-    axes = pincal.picture(mechanism, dimensions=["leg_1"]).figure().axes[0]
+    axes = pincal.picture(mechanism, dimensions="leg_1").figure().axes[0]
     (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
     for line in axes.lines:
         at = np.array(line.get_xydata())

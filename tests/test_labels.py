@@ -96,7 +96,7 @@ def test_commands_show_labels(tmp_path: Path) -> None:
 
 def test_a_dimension_that_is_zero_is_named_above_alone(tmp_path: Path) -> None:
     """A delta's h, yaw, roll are zero: there is no line, so no name hangs in the drawing."""
-    drawn = pincal.picture("delta", dimensions=True).figure().axes[0]
+    drawn = pincal.picture("delta", dimensions="leg_1").figure().axes[0]
     names = {text.get_text() for text in drawn.texts}
     assert {r"$\mathit{l}$", r"$\mathit{L}$", r"$\mathit{OA}$"} <= names
     assert not {r"$\mathit{h}$", r"$\mathit{yaw}$", r"$\mathit{roll}$", r"$\beta$"} & names

@@ -204,15 +204,13 @@ def test_planar_mechanisms_are_seen_from_above() -> None:
     assert np.allclose(sorted(map(tuple, own)), sorted(feet), atol=1e-6)
 
 
-def test_poses_sets_result_and_workspace_are_in_the_picture() -> None:
-    """Ghosts by set with their counts, the identified machine with its factor, the cloud."""
+def test_poses_sets_and_result_are_in_the_picture() -> None:
+    """Ghosts by set with their counts, the identified machine with its factor."""
     mechanism = pincal.load_mechanism("3RRR")
     poses = [[0.0, 0.0, 0.0], [0.1, 0.0, 0.1], [0.0, 0.1, 0.0]]
     plan = pincal.Plan(np.array(poses), ("leg_1", "leg_2", "leg_1"))
     true = pincal.disturb(mechanism, 1e-3, seed=0)
-    picture = pincal.picture(
-        mechanism, plan, row=1, identified=true, magnify=20, workspace=np.array(poses)
-    )
+    picture = pincal.picture(mechanism, plan, row=1, identified=true, magnify=20)
     texts, count = seen(picture)
     assert {"2 poses for leg_1", "1 pose for leg_2", "identified, errors × 20"} <= texts
     assert count > seen(pincal.picture(mechanism))[1]
@@ -276,7 +274,7 @@ def test_matplotlib_is_imported_where_it_is_needed() -> None:
 def test_no_two_names_overlap(name: str) -> None:
     """Names of legs, of axes and of parameters each have their place, as drawn."""
     mechanism = pincal.load_mechanism(name)
-    figure = pincal.picture(mechanism, dimensions=mechanism.leg_names[:1]).figure()
+    figure = pincal.picture(mechanism, dimensions=mechanism.leg_names[0]).figure()
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     texts = [text for text in figure.axes[0].texts if text.get_text()]

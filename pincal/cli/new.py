@@ -112,7 +112,9 @@ def new(
     with writing(output, force=size.force, folder=FOLDER) as scratch:
         write_mechanism(mechanism, scratch)
         drawn = any(parameter.nominal for parameter in mechanism.parameters)
-        picture(mechanism, dimensions=drawn).save(scratch / "picture.svg")
+        picture(mechanism, dimensions=mechanism.leg_names[0] if drawn else "").save(
+            scratch / "picture.svg"
+        )
         write_plan(plan, scratch / "plan.csv", mechanism, units=WRITTEN)
         if plan.readings is None:
             plan = replace(plan, readings=inverse(mechanism, plan.poses).readings)

@@ -50,9 +50,6 @@ Files = Annotated[
 class SceneOptions:
     """What is shown beside the mechanism."""
 
-    workspace: Path | None = option(
-        None, "Cloud of positions, from 'pincal workspace'.", metavar="CSV"
-    )
     magnify: float | None = option(
         None, f"Factor on a RESULT's differences from nominal [default: {MAGNIFY:g}]."
     )
@@ -87,10 +84,6 @@ def _read(
             shown["poses"] = read_poses(estimates, mechanism)
     for table in tables:
         shown["poses"] = _plan(table, estimates, mechanism)
-    if options.workspace is not None:
-        cloud = read_table(options.workspace)
-        axes = mechanism.platform.coordinates[: mechanism.platform.units.count("m")]
-        shown["workspace"] = np.column_stack([cloud.numbers(name, "m") for name in axes])
     return shown, result
 
 
@@ -162,6 +155,9 @@ def _plan(table: Path, estimates: Path | None, mechanism: Mechanism) -> Plan:
 class PageOptions(SceneOptions):
     """What the page holds, and where it goes."""
 
+    workspace: Path | None = option(
+        None, "Cloud of positions, from 'pincal workspace'.", metavar="CSV"
+    )
     html: Path | None = option(None, "Write one file that opens anywhere, offline.", metavar="FILE")
     meshes: Path | None = option(
         None, "Your URDF: an arm's links as its meshes show them.", metavar="URDF"
@@ -185,6 +181,11 @@ def view(mech: Mech, options: PageOptions, files: Files = None) -> None:
     shown, result = _read(mech, files or [], options)
     if options.html is not None:
         refuse_existing(options.html, force=options.force)
+    if options.workspace is not None:
+        platform = shown["mechanism"].platform
+        cloud = read_table(options.workspace)
+        axes = platform.coordinates[: platform.units.count("m")]
+        shown["workspace"] = np.column_stack([cloud.numbers(name, "m") for name in axes])
     with working("placing the legs"):
         page = make_view(**shown, source=", ".join(path.name for path in files or []))
         if result is not None:
@@ -213,8 +214,8 @@ class PictureOptions(SceneOptions):
     """What of the mechanism is drawn, and options."""
 
     pose: int = option(1, "Which of the poses is drawn in full.", least=1, metavar="N")
-    dimensions: tuple[str, ...] = option(
-        (), "Draw the parameters of a leg as lengths and angles; repeatable.", metavar="LEG"
+    dimensions: str = option(
+        "", "Draw the parameters of a leg as lengths and angles.", metavar="LEG"
     )
 
 

@@ -188,18 +188,14 @@ class Drift:
     shifts: Array
     """Of each parameter by each reading, then by each quantity measured, but for a sign, shape
     (n, s), [m], [rad] or [1]."""
-    relative: Array
-    """Of each parameter by all quantities, root of the sum of squares, in standard errors, (n,);
-    NaN where these are not known."""
     most: float
-    """The largest of these; NaN where no standard error is known."""
+    """Largest shift of a parameter by all quantities, root of the sum of squares, in standard
+    errors; NaN where none is known."""
     worst: str
-    """Id of the parameter that this moves most, of those whose standard errors are known."""
-    platform: PlatformError
-    """What it leaves of errors of the platform."""
+    """Id of that parameter."""
     share: float
-    """Of the platform's position, or of its orientation if that is more: over the standard
-    error; NaN where that is not known."""
+    """What it leaves of the platform's position, or of its orientation if that is more, over the
+    standard error; NaN where that is not known."""
 
 
 def drift(found: Forecast, poses: Plan | Array, expected: PlatformError | None = None) -> Drift:
@@ -213,24 +209,18 @@ def drift(found: Forecast, poses: Plan | Array, expected: PlatformError | None =
     shifts = np.einsum("n,nis->is", found.when, found.influence)
     bias = np.linalg.norm(shifts, axis=1)
     known = np.isfinite(found.std) & (found.std > 0.0)
-    relative = np.where(known, bias / np.where(known, found.std, 1.0), np.nan)
+    relative = np.where(known, bias / np.where(known, found.std, 1.0), 0.0)
     there = platform_error(found.mechanism, shifts @ shifts.T, poses, found.lost, found.frames)
     error = expected or found.platform_error(poses)
     pairs = ((there.position, error.position), (there.orientation, error.orientation))
     shares = [a / b for a, b in pairs if 0.0 < b < np.inf]
+    largest = int(np.argmax(relative >= (1.0 - ALIKE) * relative.max()))  # the first of equals
     return Drift(
-        shifts=shifts,
-        relative=relative,
-        most=float(np.nan_to_num(relative).max()) if known.any() else np.nan,
-        worst=parameter_ids(found.mechanism)[_first_largest(np.nan_to_num(relative))],
-        platform=there,
+        shifts,
+        most=float(relative[largest]) if known.any() else np.nan,
+        worst=parameter_ids(found.mechanism)[largest],
         share=max(shares, default=np.nan),
     )
-
-
-def _first_largest(values: Array) -> int:
-    """Return where the largest value is; the first, where symmetry makes several alike."""
-    return int(np.argmax(values >= (1.0 - ALIKE) * values.max()))
 
 
 SCALE = 1e-4

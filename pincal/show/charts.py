@@ -365,7 +365,7 @@ def dimensioned(axes: Axes, result: CalibrationResult, leg: str = "") -> Axes:
     parameters = result.leg(leg or mechanism.leg_names[0]).parameters
     colours = {p.name: colour_of(p) for p in parameters}
     name = leg or mechanism.leg_names[0]
-    return draw_scene(axes, scene(mechanism, home_of(mechanism)), 0, [name], colours)
+    return draw_scene(axes, scene(mechanism, home_of(mechanism)), 0, name, colours)
 
 
 def _chart(

@@ -151,17 +151,10 @@ def _turned(vector: Array, axis: Array, angles: Array) -> Array:
     return np.asarray(turns.apply(vector))
 
 
-def symbol(name: str, leg: str = "") -> str:
-    """Return a parameter's name as a symbol of mathematics: ``beta_b`` as β with an index.
-
-    Args:
-        name: Of the parameter.
-        leg: Name of its leg, of which a number at the end becomes an index.
-    """
+def symbol(name: str) -> str:
+    """Return a parameter's name as a symbol of mathematics: ``beta_b`` as β with an index."""
     if not re.fullmatch(r"[A-Za-z0-9]+(_[A-Za-z0-9]+)*", name):
         return clean(name).replace("\\", "\\\\").replace("$", r"\$")
     first, *index = name.split("_")
     first = f"\\{first}" if _GREEK.fullmatch(first) else rf"\mathit{{{first}}}"
-    number = re.search(r"\d+$", leg)
-    index += [number[0]] if number else []
     return f"${first}_{{{','.join(index)}}}$" if index else f"${first}$"

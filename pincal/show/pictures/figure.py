@@ -34,13 +34,13 @@ _VALUES = 6  # of parameters, in a line, at most
 _TITLE = 100  # letters of a line of them
 
 
-def scene_figure(scene: Scene, row: int, legs: Sequence[str] = ()) -> Figure:
+def scene_figure(scene: Scene, row: int, leg: str = "") -> Figure:
     """Return a figure of a scene, the mechanism at one of its poses; all else as of a picture."""
     with drawing():
-        width, height = np.ptp(_extent(scene, row, _dimensions(scene, row, legs)), axis=0)
+        width, height = np.ptp(_extent(scene, row, _dimensions(scene, row, leg)), axis=0)
         inches = _LEGEND + np.clip(PICTURE_WIDTH * height / width, *PICTURE_HEIGHTS)
         figure = Figure(figsize=(PICTURE_WIDTH, float(inches)), layout="constrained")
-        draw_scene(figure.subplots(), scene, row, legs)
+        draw_scene(figure.subplots(), scene, row, leg)
     return figure
 
 
@@ -48,7 +48,7 @@ def draw_scene(
     axes: Axes,
     scene: Scene,
     row: int,
-    legs: Sequence[str] = (),
+    leg: str = "",
     colours: Mapping[str, str] | None = None,
 ) -> Axes:
     """Draw a scene, the mechanism at one of its poses.
@@ -57,21 +57,16 @@ def draw_scene(
         axes: Where to draw.
         scene: The scene.
         row: The pose.
-        legs: Names of legs whose parameters are drawn as dimensions.
+        leg: Name of the leg whose parameters are drawn as dimensions, if that is wanted.
         colours: Of dimensions, by the names of parameters; with them neither values nor legend.
     """
-    V, dimensions = scene.axes, _dimensions(scene, row, legs)
+    V, dimensions = scene.axes, _dimensions(scene, row, leg)
     low, high = _extent(scene, row, dimensions)
     edge = _EDGE * float(np.linalg.norm(high - low))
     ground = scene.ground()
-    for layer in (ground, *scene.layers):
-        points = layer.points @ V[:2].T
-        if points.ndim == 3:
-            axes.add_collection(LineCollection(list(points), colors=layer.colour, lw=0.5, zorder=0))
-        else:
-            axes.scatter(
-                points[:, 0], points[:, 1], s=1.5, c=layer.colour, lw=0, zorder=0.3, rasterized=True
-            )
+    axes.add_collection(
+        LineCollection(list(ground.points @ V[:2].T), colors=ground.colour, lw=0.5, zorder=0)
+    )
     legend = [Line2D([], [], color=ground.colour, lw=0.8, label=ground.name)]
     if len(scene.plan.poses) > 1:
         legend += _ghosts(axes, scene)
@@ -91,38 +86,32 @@ def draw_scene(
     if colours is None:
         _write_legend(axes, legend)
         if dimensions:
-            _write_values(axes, scene, legs)
+            _write_values(axes, scene, leg)
     return axes
 
 
-def _extent(scene: Scene, row: int, dimensions: Sequence[tuple[str, Dimension]]) -> Array:
+def _extent(scene: Scene, row: int, dimensions: Sequence[Dimension]) -> Array:
     """Return the least and largest of what is seen, right and up, shape (2, 2), [m]."""
     tips = scene.body.platform[row] @ np.vstack((scene.body.axis * np.eye(3), np.ones(3)))
-    layers = [layer.points.reshape(-1, 3) for layer in scene.layers]
-    lines = [dimension.line for _, dimension in dimensions]
-    points = np.concatenate((scene.points(), tips[:3].T, *layers, *lines)) @ scene.axes[:2].T
+    lines = [dimension.line for dimension in dimensions]
+    points = np.concatenate((scene.points(), tips[:3].T, *lines)) @ scene.axes[:2].T
     low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
     margin = 0.06 * float(np.max(high - low))
     return np.stack((low - margin, high + margin))
 
 
-def _dimensions(scene: Scene, row: int, legs: Sequence[str]) -> list[tuple[str, Dimension]]:
-    """Return parameters of legs that are not zero, each with its leg where they are several."""
+def _dimensions(scene: Scene, row: int, name: str) -> list[Dimension]:
+    """Return the parameters of a leg that are not zero; none where it is not drawn."""
     mechanism, poses = scene.mechanism, scene.plan.poses[[row]]
-    if not legs:
+    if not name:
         return []
-    joints = joints_at(mechanism, poses).joints
-    if not np.isfinite(joints[legs[0]]).all():  # nothing is drawn there, as is said
+    joints = joints_at(mechanism, poses).joints[name][0]
+    if not np.isfinite(joints).all():
         return []
-    T_base_platform = mechanism.platform.matrices(poses)[0]
     size = _ARC * float(np.linalg.norm(np.ptp(_extent(scene, row, ()), axis=0)))
-    return [
-        (name if len(legs) > 1 else "", dimension)
-        for name, closure in zip(mechanism.leg_names, nominal_legs(mechanism), strict=True)
-        if name in legs
-        for dimension in dimensions_of(closure, joints[name][0], T_base_platform, size)
-        if dimension.extent > EXACT * size
-    ]
+    closure = nominal_legs(mechanism)[mechanism.leg_names.index(name)]
+    dimensions = dimensions_of(closure, joints, mechanism.platform.matrices(poses)[0], size)
+    return [dimension for dimension in dimensions if dimension.extent > EXACT * size]
 
 
 def _ghosts(axes: Axes, scene: Scene) -> list[Line2D]:
@@ -193,19 +182,16 @@ def _write_legend(axes: Axes, handles: Sequence[Line2D]) -> None:
     )
 
 
-def _write_values(axes: Axes, scene: Scene, legs: Sequence[str]) -> None:
-    """Write the nominal values of legs above: of parameters that are zero alone."""
-    mechanism, values, longest = scene.mechanism, [], 1
-    for name in legs:
-        index = name if len(legs) > 1 else ""
-        leg = mechanism.leg(name)
-        for key, value in leg.nominal_by_name.items():
-            unit = leg.units[key]
-            text = f"{np.degrees(value):.5g}°" if unit == "rad" else amount(value, unit, 6)
-            label = clean(mechanism.label(name, key)).replace("$", r"\$")
-            text = f" = {minus(text)}" + f" ({label})" * bool(label)
-            values.append(symbol(key, index) + text)
-            longest = max(longest, len(key + index + text))
+def _write_values(axes: Axes, scene: Scene, name: str) -> None:
+    """Write the nominal values of a leg above: of parameters that are zero alone."""
+    values, longest, leg = [], 1, scene.mechanism.leg(name)
+    for key, value in leg.nominal_by_name.items():
+        unit = leg.units[key]
+        text = f"{np.degrees(value):.5g}°" if unit == "rad" else amount(value, unit, 6)
+        label = clean(scene.mechanism.label(name, key)).replace("$", r"\$")
+        text = f" = {minus(text)}" + f" ({label})" * bool(label)
+        values.append(symbol(key) + text)
+        longest = max(longest, len(key + text))
     columns = int(np.clip(_TITLE / longest, 1, _VALUES))
     lines = [",  ".join(values[i : i + columns]) for i in range(0, len(values), columns)]
     axes.set_title("\n".join(lines), size=7.5, pad=14.0, parse_math=True)

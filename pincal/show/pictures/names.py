@@ -87,7 +87,7 @@ class Names:
 
 def draw_dimensions(
     names: Names,
-    dimensions: Sequence[tuple[str, Dimension]],
+    dimensions: Sequence[Dimension],
     V: Array,
     colours: Mapping[str, str],
 ) -> None:
@@ -95,16 +95,16 @@ def draw_dimensions(
 
     Args:
         names: Where to draw.
-        dimensions: Dimensions, each with the name of its leg where that is to be an index.
+        dimensions: The dimensions.
         V: What points right, up and towards the viewer, shape (3, 3), rows in the base frame.
         colours: Of lines, by the names of parameters; dark if not given.
     """
     lines = [
         _draw_line(names, dimension, V, colours.get(dimension.name, DIMENSION))
-        for _, dimension in dimensions
+        for dimension in dimensions
     ]
-    for (leg, dimension), line in zip(dimensions, lines, strict=True):
-        text = symbol(dimension.name, leg) if dimension.name else ""
+    for dimension, line in zip(dimensions, lines, strict=True):
+        text = symbol(dimension.name) if dimension.name else ""
         if dimension.kind == "reading":
             text = rf"$\psi$ ({text})" if text else r"$\psi$"
         half, places = names.half(text, _NAME_HEIGHT), []

@@ -5,7 +5,6 @@ Mechanisms in a plane are seen from above, others from the side, in parallel pro
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -30,8 +29,8 @@ class Picture:
     scene: Scene
     row: int = 0
     """Which pose the mechanism is drawn at."""
-    dimensions: tuple[str, ...] = ()
-    """Legs whose parameters are drawn as dimensions."""
+    dimensions: str = ""
+    """Leg whose parameters are drawn as dimensions, if any."""
 
     def draw(self, axes: Axes) -> Axes:
         """Draw into axes, best inside ``pincal.show.pictures.files.drawing()``."""
@@ -62,10 +61,9 @@ def picture(
     poses: Plan | ArrayLike | RigidTransform | None = None,
     *,
     row: int = 0,
-    workspace: ArrayLike | None = None,
     identified: GivenMechanism | None = None,
     magnify: float = MAGNIFY,
-    dimensions: str | Sequence[str] | bool = False,
+    dimensions: str = "",
 ) -> Picture:
     """Return a picture of a mechanism: ``save(path)``, ``figure()``, ``draw(axes)``.
 
@@ -76,17 +74,15 @@ def picture(
         mechanism: The mechanism, at its nominal parameters.
         poses: As for ``view``; home if not given.
         row: Which of them the mechanism is drawn at; all others are faint lines, by set.
-        workspace: As for ``view``.
         identified: The calibrated mechanism, drawn over the nominal one.
         magnify: Factor on what differs between its parameters and the nominal ones.
-        dimensions: Names of legs whose parameters are drawn as lengths and angles, or one name;
-            True for the first leg.
+        dimensions: Name of a leg whose parameters are drawn as lengths and angles.
 
     Raises:
         MechanismError: poses of a wrong shape, or not finite; an identified mechanism that
             is not one of this mechanism; no such leg.
-        MeasurementError: no poses, too many or not whole, no such row; a workspace of a wrong
-            shape; a factor that is not positive.
+        MeasurementError: no poses, too many or not whole, no such row; a factor that is not
+            positive.
     """
     mechanism = as_mechanism(mechanism)
     plan = plan_of(mechanism, home_of(mechanism) if poses is None else poses)
@@ -94,9 +90,5 @@ def picture(
         raise MeasurementError(
             f"pose {row + 1} is not among the poses; expected 1 to {len(plan.poses)}"
         )
-    if isinstance(dimensions, str):
-        dimensions = (dimensions,)
-    if isinstance(dimensions, bool) or dimensions is None:
-        dimensions = mechanism.leg_names[:1] if dimensions else ()
-    legs = tuple(mechanism.leg(name).name for name in dimensions)
-    return Picture(scene(mechanism, plan, workspace, identified, magnify), row, legs)
+    leg = mechanism.leg(dimensions).name if dimensions else ""
+    return Picture(scene(mechanism, plan, None, identified, magnify), row, leg)

@@ -11,7 +11,7 @@ from dataclasses import replace
 from functools import cached_property
 from http import HTTPStatus
 from pathlib import Path
-from threading import Thread
+from threading import Event, Thread
 from urllib.parse import parse_qs, urlsplit
 from weakref import finalize
 
@@ -157,17 +157,23 @@ class PageServer:
             answer: Returns the JSON for the query of ``/moved``; a ValueError or KeyError
                 says that it is none.
         """
-        self._content = text.encode()
-        self._answer = answer
-        self._loop = asyncio.new_event_loop()
-        self._loop.set_exception_handler(lambda *_: None)  # clients that hang up
-        self._thread = Thread(target=self._loop.run_forever, daemon=True)
+        self._content, self._answer = text.encode(), answer
+        self._listening = Event()
+        self._thread = Thread(target=lambda: asyncio.run(self._run()), daemon=True)
         self._thread.start()  # in a notebook this thread's own loop runs already
-        listening = asyncio.start_server(self._serve, "127.0.0.1", 0)
-        self._server = asyncio.run_coroutine_threadsafe(listening, self._loop).result()
-        port = self._server.sockets[0].getsockname()[1]
+        self._listening.wait()
+
+    async def _run(self) -> None:
+        """Listen until the server is closed; what still waits for clients ends with the loop."""
+        self._loop, self._closed = asyncio.get_running_loop(), asyncio.Event()
+        self._loop.set_exception_handler(lambda *_: None)  # clients that hang up
+        server = await asyncio.start_server(self._serve, "127.0.0.1", 0)
+        port = server.sockets[0].getsockname()[1]
         self._hosts = (f"127.0.0.1:{port}", f"localhost:{port}")
         self.url = f"http://{self._hosts[0]}/"
+        self._listening.set()
+        await self._closed.wait()
+        server.close()
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Answer the one request of a client, or hang up if it does not come."""
@@ -211,15 +217,5 @@ class PageServer:
 
     def close(self) -> None:
         """Stop serving."""
-        asyncio.run_coroutine_threadsafe(self._end(), self._loop).result()
-        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._loop.call_soon_threadsafe(self._closed.set)
         self._thread.join()
-        self._loop.close()
-
-    async def _end(self) -> None:
-        """Close the server and end what waits for clients."""
-        self._server.close()
-        clients = asyncio.all_tasks() - {asyncio.current_task()}
-        for client in clients:
-            client.cancel()
-        await asyncio.gather(*clients, return_exceptions=True)
