@@ -17,7 +17,7 @@ import pincal
 from pincal.calibration.calibrate import prepared, started
 from pincal.calibration.fits import fitted
 from pincal.calibration.terms.candidates import with_terms
-from pincal.calibration.terms.kinds import every_pair, said
+from pincal.calibration.terms.kinds import every_pair, parse_terms
 from pincal.calibration.terms.screen import screen
 from pincal.errors import MeasurementError, MechanismError, SymmetryError
 from pincal.estimation.unknowns import State
@@ -413,7 +413,9 @@ def test_what_grows_is_named_first_and_identified(place: str, size: float) -> No
         poses=poses, readings=pincal.inverse(plain, poses).readings, influences=warm
     )
     text = f"{place}=temperature"
-    truth, ids = with_terms(pincal.disturb(plain, 1e-3, seed=1), nominal, said([text], plain))
+    truth, ids = with_terms(
+        pincal.disturb(plain, 1e-3, seed=1), nominal, parse_terms([text], plain)
+    )
     names = [name for own in ids.values() for name in own]
     truth = truth.with_parameters(dict.fromkeys(names, size))
     plan = pincal.Plan(poses, influences=warm)
@@ -438,7 +440,7 @@ def test_what_grows_is_named_first_and_identified(place: str, size: float) -> No
 def test_a_place_that_cannot_have_a_term_is_refused(text: str, words: str) -> None:
     """What is asked of a length must be what a length can follow."""
     with pytest.raises(MeasurementError) as error:
-        said([text], pincal.load_mechanism("3RRR"))
+        parse_terms([text], pincal.load_mechanism("3RRR"))
     assert words in str(error.value)
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 import pincal
 from pincal.calibration.calibration import Calibration
-from pincal.calibration.doctor import remedies
+from pincal.calibration.hypotheses.doctor import remedies
 from pincal.calibration.options import Options
 from pincal.files.table import read_table
 

@@ -16,7 +16,7 @@ from pincal.calibration.calibrate import prepared, run
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.missed import _times, missed
 from pincal.calibration.terms.candidates import with_terms
-from pincal.calibration.terms.kinds import said
+from pincal.calibration.terms.kinds import parse_terms
 from pincal.design.platform_error import closing_twists
 
 ORIGIN = ("platform", "m")
@@ -96,7 +96,7 @@ def test_what_terms_depend_on_counts_where_platforms_are_missed() -> None:
     nominal = pincal.Measurements(
         poses=poses, readings=pincal.inverse(plain, poses).readings, influences=warm
     )
-    machine, _ = with_terms(plain, nominal, said(["temperature"], plain))
+    machine, _ = with_terms(plain, nominal, parse_terms(["temperature"], plain))
     machine = machine.with_parameters({"leg_1.temperature": 2e-3, "leg_3.temperature": -1e-3})
     data = pincal.simulate(
         machine, machine, pincal.Plan(poses, influences=warm), pincal.Noise(0.0, 0.0, 0.0)

@@ -16,7 +16,7 @@ import pincal
 from pincal.calibration.calibrate import prepared
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.terms.candidates import with_terms
-from pincal.calibration.terms.kinds import said
+from pincal.calibration.terms.kinds import parse_terms
 from pincal.errors import MeasurementError, MechanismError
 from pincal.estimation.unknowns import State
 from pincal.kinematics.closing import sensor_law
@@ -146,7 +146,7 @@ def test_gravity_bends_an_arm_and_is_identified() -> None:
     readings = draw.uniform(-1.2, 1.2, (60, 6))
     plan = pincal.Plan(pincal.forward(arm, readings).poses, readings=readings)
     nominal = pincal.Measurements(poses=plan.poses, readings=readings)
-    pairs = said(["shoulder_lift_joint=gravity", "elbow_joint=gravity"], arm)
+    pairs = parse_terms(["shoulder_lift_joint=gravity", "elbow_joint=gravity"], arm)
     bent, ids = with_terms(arm, nominal, pairs)
     names = [name for own in ids.values() for name in own]
     truth = bent.with_parameters(dict.fromkeys(names, 3e-4))
@@ -315,7 +315,7 @@ def _with_a_warm_leg(plain: pincal.Mechanism) -> tuple[pincal.Measurements, pinc
         poses=poses, readings=pincal.inverse(plain, poses).readings, influences=influences
     )
     machine, _ = with_terms(
-        pincal.disturb(plain, 1e-3, seed=1), nominal, said(["leg_3=temperature"], plain)
+        pincal.disturb(plain, 1e-3, seed=1), nominal, parse_terms(["leg_3=temperature"], plain)
     )
     machine = machine.with_parameters({"leg_3.temperature": 1.5e-4})
     noise = pincal.Noise(2e-5, 2e-5, 2e-5)
@@ -465,7 +465,7 @@ def test_a_joint_about_the_vertical_has_no_term_of_gravity() -> None:
     arm = replace(loaded("ur5"), load=Load(5.0, (0.03, 0.0, 0.05)))
     readings = np.random.default_rng(0).uniform(-1.2, 1.2, (20, 6))
     data = pincal.Measurements(poses=pincal.forward(arm, readings).poses, readings=readings)
-    _, ids = with_terms(arm, data, said(["gravity"], arm))
+    _, ids = with_terms(arm, data, parse_terms(["gravity"], arm))
     pan, *others, every = ids.values()
     assert pan == ()
     assert all(len(own) == 1 for own in others)

@@ -32,8 +32,7 @@ from pincal.calibration.result import CalibrationResult
 from pincal.calibration.runs import RunComparison, run_names, runs_compared
 from pincal.calibration.terms.candidates import extended
 from pincal.calibration.terms.choice import choose
-from pincal.calibration.terms.kinds import columns_said, every_pair
-from pincal.calibration.terms.kinds import said as parse_terms
+from pincal.calibration.terms.kinds import columns_of_terms, every_pair, parse_terms
 from pincal.calibration.tolerances import with_found_tolerance, with_unsure_tolerances
 from pincal.calibration.validation import Validation, held_out
 from pincal.errors import MeasurementError, MisfitError, ObservabilityError, PincalError
@@ -141,7 +140,7 @@ def prepared(
         machine,
         asked.setup,
         partial=asked.latent,  # all legs at once need no complete poses
-        influences=columns_said(asked.terms),
+        influences=columns_of_terms(asked.terms),
     )
     # a copy of the measurements: the user's may be changed
     return with_followed_influences(Calibration(machine, replace(data), asked))

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from pincal.show.report import Report
 
 
-class Page(Protocol):
+class HtmlPage(Protocol):
     """What can be written as a page."""
 
     def html(self) -> str:
@@ -366,7 +366,9 @@ class CalibrationResult:
         """Return a page: how it was made, its tables, what it means, warnings."""
 
     @attached
-    def save(self, folder: str | Path, *, force: bool = False, report: Page | None = None) -> Path:
+    def save(
+        self, folder: str | Path, *, force: bool = False, report: HtmlPage | None = None
+    ) -> Path:
         """Write the result to a folder: ``load_result`` gives it back.
 
         ``result.json``, ``residuals.csv``, the nominal and the calibrated mechanism and the

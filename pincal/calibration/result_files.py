@@ -24,7 +24,7 @@ from pincal.calibration.calibration import Calibration
 from pincal.calibration.leg_result import IdentifiedParameter, LegResult
 from pincal.calibration.options import Options, Progress, Tolerance
 from pincal.calibration.promise import most_uncertain, uncovered
-from pincal.calibration.result import CalibrationResult, Page
+from pincal.calibration.result import CalibrationResult, HtmlPage
 from pincal.calibration.runs import RunComparison
 from pincal.calibration.validation import Validation
 from pincal.errors import MeasurementError, PincalError
@@ -184,7 +184,7 @@ def save_result(
     folder: str | Path,
     *,
     force: bool = False,
-    report: Page | None = None,
+    report: HtmlPage | None = None,
 ) -> Path:
     """Write a result folder, whole or not at all, then its report, and return it.
 

@@ -11,7 +11,7 @@ from typing import Annotated
 
 from pincal.calibration.calibrate import prepared, run
 from pincal.calibration.calibration import Calibration
-from pincal.calibration.doctor import Remedy, remedies
+from pincal.calibration.hypotheses.doctor import Remedy, remedies
 from pincal.calibration.options import AUTO, FOLDS, By, Options
 from pincal.calibration.result import CalibrationResult
 from pincal.calibration.result_files import REPORT, RESULT_FILES, as_json

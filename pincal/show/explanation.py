@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pincal.calibration.doctor import Remedy
+from pincal.calibration.hypotheses.doctor import Remedy
 from pincal.calibration.terms.choice import LEVEL
 from pincal.calibration.terms.explain import Explanation
-from pincal.calibration.terms.kinds import GROWTH, ORDER, parts_of, term_said
+from pincal.calibration.terms.kinds import GROWTH, ORDER, parts_of, term_text
 from pincal.calibration.terms.screen import Candidate
 from pincal.estimation.observability.courses import Slip
 from pincal.model.mechanism import Mechanism
@@ -100,7 +100,7 @@ def explanation_lines(explanation: Explanation) -> list[str]:
     sizes = {"held_out": choice.model.held_out, "before": choice.models[1].held_out}
     lines.append(_VERDICTS[explanation.verdict].format(**sizes))
     if terms and explanation.verdict == "geometry" and not explanation.result.promises:
-        term = term_said(terms[0].reading, terms[0].kind)
+        term = term_text(terms[0].reading, terms[0].kind)
         lines.append(
             "but no limit is promised while residuals follow something: with --terms "
             f"{term} it is modelled"

@@ -34,7 +34,7 @@ _TROUBLE = (PincalError, np.linalg.LinAlgError)  # what rows that do not determi
 
 
 @dataclass(frozen=True)
-class Step:
+class NestedModel:
     """A model and its fit."""
 
     added: tuple[tuple[str, Kind], ...]
@@ -145,7 +145,7 @@ def choose(calibration: Calibration, pairs: Sequence[tuple[str, Kind]]) -> Choic
     geometry = fits.calibration.at_this_noise()
     parameters = calibration.mechanism.parameters
     drawn = geometry.with_options(priors={parameter.id: _PINNED for parameter in parameters})
-    steps = [Step((), 1.0, drawn, fitted(drawn)), Step((), 1.0, geometry, fits)]
+    steps = [NestedModel((), 1.0, drawn, fitted(drawn)), NestedModel((), 1.0, geometry, fits)]
     candidates = screen(fits, pairs)
     steps += _grown(geometry, candidates, pairs, _MOST_TERMS)
     slipped = [replace(slip, row=int(choosing_rows[slip.row])) for slip in _slips(steps[1:])]
@@ -171,9 +171,9 @@ def _grown(
     candidates: Sequence[Candidate],
     pairs: Sequence[tuple[str, Kind]],
     most: int,
-) -> list[Step]:
+) -> list[NestedModel]:
     """Return models that grow by the likeliest term of a screen, until none is likely, or most."""
-    steps: list[Step] = []
+    steps: list[NestedModel] = []
     while len(steps) < most:
         likely = [term for term in candidates if term.corrected < LEVEL and term.kind.name != ORDER]
         if not likely:
@@ -184,7 +184,7 @@ def _grown(
             fits = _identified(larger)
         except _TROUBLE:  # what the rows do not determine
             break
-        steps.append(Step(added, likely[0].corrected, larger, fits))
+        steps.append(NestedModel(added, likely[0].corrected, larger, fits))
         candidates = screen(fits, pairs)
     return steps
 
@@ -200,7 +200,7 @@ def _errors_of_fold(
     Raises:
         PincalError, LinAlgError: the rows seen do not determine the geometry.
     """
-    steps = [Step((), 1.0, calibration, _identified(calibration)) for calibration in seen]
+    steps = [NestedModel((), 1.0, calibration, _identified(calibration)) for calibration in seen]
     errors = [step.errors(unseen) for step in steps]
     for step in _grown(seen[1], screen(steps[1].fits, pairs), pairs, most):
         try:
@@ -222,7 +222,7 @@ def _identified(calibration: Calibration) -> Fits:
     return fits
 
 
-def _slips(steps: Sequence[Step]) -> list[Slip]:
+def _slips(steps: Sequence[NestedModel]) -> list[Slip]:
     """Return what slipped or drifted, its rows those of the measurements.
 
     By the residuals of the geometry, the first step; or, while a term is likelier than the clearest
@@ -242,13 +242,13 @@ def _slips(steps: Sequence[Step]) -> list[Slip]:
 
 
 def _compared(
-    steps: Sequence[Step], errors: Array, places: Sequence[str]
+    steps: Sequence[NestedModel], errors: Array, places: Sequence[str]
 ) -> tuple[tuple[Model, ...], int]:
     """Return models, and the index of the simplest within one standard error of the best.
 
     Args:
         steps: Models by their size, the machine as drawn first, then its geometry.
-        errors: Of held-out rows (see ``Step.errors``), shape (n_models, N, 4); NaN of folds lost.
+        errors: Of held-out rows (see ``errors``), shape (n_models, N, 4); NaN of folds lost.
         places: Poses of the rows: those of one go together.
     """
     known = np.isfinite(errors[0, :, 0])

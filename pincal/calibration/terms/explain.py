@@ -15,7 +15,7 @@ from pincal.calibration.calibration import Calibration
 from pincal.calibration.options import AUTO, Options
 from pincal.calibration.result import CalibrationResult
 from pincal.calibration.terms.choice import Choice, choose
-from pincal.calibration.terms.kinds import every_pair, said, term_said
+from pincal.calibration.terms.kinds import every_pair, parse_terms, term_text
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
 
@@ -55,7 +55,7 @@ class Explanation:
     @property
     def terms(self) -> tuple[str, ...]:
         """The terms that pay, as options say them: ``leg_2=harmonics:1``, ``leg_1.l=warm``."""
-        return tuple(term_said(*term) for term in self.choice.model.added)
+        return tuple(term_text(*term) for term in self.choice.model.added)
 
     @attached
     def __str__(self) -> str:
@@ -95,7 +95,7 @@ def explained(calibration: Calibration) -> Explanation:
     """Return what ``explain`` does, of a calibration to be done; its terms are those to try."""
     tried = calibration.options.terms
     plain = replace(calibration, options=replace(calibration.options, terms=()))
-    named = said([one for one in tried if one != AUTO], plain.mechanism)
+    named = parse_terms([one for one in tried if one != AUTO], plain.mechanism)
     every = every_pair(plain.mechanism, plain.measurements) if AUTO in tried else []
     pairs = list(dict.fromkeys((*named, *every)))
     result, _ = run(plain)

@@ -43,26 +43,26 @@ class Kind:
     """Orders of harmonics, powers of a polynomial."""
 
     @classmethod
-    def of(cls, said: str) -> Kind:
+    def of(cls, text: str) -> Kind:
         """Return the kind that a text names.
 
         Raises:
             MeasurementError: numbers that are none, or that the kind does not have.
         """
-        name, colon, numbers = (part.strip() for part in said.partition(":"))
+        name, colon, numbers = (part.strip() for part in text.partition(":"))
         usual = _NUMBERS.get(name, ())
         try:
-            given = tuple(float(number) for number in numbers.split(",")) if colon else usual
+            values = tuple(float(number) for number in numbers.split(",")) if colon else usual
         except ValueError:
-            given = (np.nan,)
+            values = (np.nan,)
         known = {HARMONICS: _is_order, POLYNOMIAL: _is_power}.get(name, lambda _: False)
-        if not name or "," in name or not all(known(one) for one in given):
+        if not name or "," in name or not all(known(value) for value in values):
             raise MeasurementError(
-                f"terms {said!r}: expected harmonics:1,2 (periods in a turn, up to 100,000), "
+                f"terms {text!r}: expected harmonics:1,2 (periods in a turn, up to 100,000), "
                 "polynomial:2,3 (powers, 2 to 20), backlash, gravity, or a column of the "
                 "measurements; several as options of their own"
             )
-        return cls(name, given)
+        return cls(name, values)
 
     def __str__(self) -> str:
         if self.numbers == _NUMBERS.get(self.name, ()):
@@ -84,9 +84,8 @@ def kinds_of(mechanism: Mechanism, measurements: Measurements) -> tuple[Kind, ..
     angles = "rad" in mechanism.reading_units
     names = [HARMONICS] * angles + [POLYNOMIAL, BACKLASH, ORDER]
     names += [GRAVITY] if mechanism.load is not None else []
-    other = {*mechanism.followed, *_KINDS}
-    own = [name for name in measurements.influences if name not in other]
-    return tuple(Kind.of(name) for name in dict.fromkeys((*names, *own)))
+    names += [n for n in measurements.influences if n not in {*mechanism.followed, *_KINDS}]
+    return tuple(Kind.of(name) for name in dict.fromkeys(names))
 
 
 def every_pair(mechanism: Mechanism, measurements: Measurements) -> list[tuple[str, Kind]]:
@@ -104,7 +103,7 @@ def every_pair(mechanism: Mechanism, measurements: Measurements) -> list[tuple[s
         if kind.name == GRAVITY:
             pairs += [(place, kind) for place in _with_names(_of_links(mechanism))]
         elif kind.name not in _KINDS:
-            pairs += [(one, kind) for one in [GROWTH] * (len(long) > 1) + _with_names(long)]
+            pairs += [(name, kind) for name in [GROWTH] * (len(long) > 1) + _with_names(long)]
     return pairs
 
 
@@ -125,8 +124,8 @@ def parts_of(place: str, mechanism: Mechanism) -> list[str]:
 
 def lengths(mechanism: Mechanism) -> list[str]:
     """Return the ids of the lengths of a mechanism, those that are not zero."""
-    own = (parameter for parameter in mechanism.parameters if parameter.id in mechanism.load_names)
-    return [one.id for one in own if one.unit == "m" and one.nominal]
+    named = [p for p in mechanism.parameters if p.id in mechanism.load_names]
+    return [p.id for p in named if p.unit == "m" and p.nominal]
 
 
 def _of_links(mechanism: Mechanism) -> list[str]:
@@ -139,7 +138,7 @@ def _of_links(mechanism: Mechanism) -> list[str]:
     ]
 
 
-def said(terms: Sequence[str], mechanism: Mechanism) -> list[tuple[str, Kind]]:
+def parse_terms(terms: Sequence[str], mechanism: Mechanism) -> list[tuple[str, Kind]]:
     """Return places and kinds that texts name: ``backlash`` of all, ``leg_1=backlash`` of one.
 
     Several places that one text names are there one by one, and together.
@@ -151,29 +150,23 @@ def said(terms: Sequence[str], mechanism: Mechanism) -> list[tuple[str, Kind]]:
     pairs = []
     for text in terms:
         place, kind = _parts(text)
-        found = _places(place, mechanism, text)
-        pairs += [(one, kind) for one in found]
-        pairs += [(place or READINGS, kind)] * (len(found) > 1)
-        for one in found:
-            check_place(one, kind, mechanism)
+        single_places = parts_of(place or READINGS, mechanism)
+        if not set(single_places) <= {*mechanism.load_names, GROWTH}:
+            placed = mechanism.load_names[len(mechanism.reading_names) :]
+            raise MeasurementError(
+                f"terms {text!r}: {mechanism.name!r} reads {', '.join(mechanism.reading_names)}; "
+                f"its lengths and angles are {listed(placed)}, {GROWTH!r} is all lengths as one"
+            )
+        pairs += [(single, kind) for single in single_places]
+        pairs += [(place or READINGS, kind)] * (len(single_places) > 1)
+        for single in single_places:
+            check_place(single, kind, mechanism)
     return pairs
 
 
-def term_said(place: str, kind: Kind) -> str:
+def term_text(place: str, kind: Kind) -> str:
     """Return how options say a term: ``backlash``, ``leg_1=backlash``."""
     return str(kind) if place == READINGS else f"{place}={kind}"
-
-
-def _places(place: str, mechanism: Mechanism, text: str) -> Sequence[str]:
-    """Return what a text's place means: readings, ids of lengths and angles, or all lengths."""
-    found = parts_of(place or READINGS, mechanism)
-    if set(found) <= {*mechanism.load_names, GROWTH}:
-        return found
-    placed = mechanism.load_names[len(mechanism.reading_names) :]
-    raise MeasurementError(
-        f"terms {text!r}: {mechanism.name!r} reads {', '.join(mechanism.reading_names)}; its "
-        f"lengths and angles are {listed(placed)}, {GROWTH!r} is all lengths as one"
-    )
 
 
 def check_place(place: str, kind: Kind, mechanism: Mechanism) -> None:
@@ -200,7 +193,7 @@ def check_place(place: str, kind: Kind, mechanism: Mechanism) -> None:
         )
 
 
-def columns_said(terms: Sequence[str]) -> tuple[str, ...] | None:
+def columns_of_terms(terms: Sequence[str]) -> tuple[str, ...] | None:
     """Return the columns of measurements that terms name; None if all columns may be tried."""
     if AUTO in terms:
         return None

@@ -8,7 +8,7 @@ of the rest is taken from the residuals). One step gives the amplitudes: a = −
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -73,47 +73,51 @@ class Trial:
     """White rows of the amplitudes, shape (n_used, m, k)."""
 
 
-def screen(found: Fits, pairs: Sequence[tuple[str, Kind]]) -> list[Candidate]:
+def screen(fits: Fits, pairs: Sequence[tuple[str, Kind]]) -> list[Candidate]:
     """Return what readings and parameters may lack, the most improbable by chance first.
 
     Args:
-        found: The fits whose residuals are looked at.
+        fits: The fits whose residuals are looked at.
         pairs: Readings, lengths and angles, and kinds of term that they may lack.
     """
-    return screened(trials(found, pairs))
+    return screened(trials(fits, pairs))
 
 
 def screened(parts: Sequence[tuple[Residuals, Sequence[Trial]]]) -> list[Candidate]:
     """Return what residuals say of the terms that are tried on them."""
     tried = [
-        (part, _candidate(residuals, term), term.rows)
-        for part, (residuals, terms) in enumerate(parts)
-        for term in terms
+        (_candidate(residuals, trial), residuals, trial.rows)
+        for residuals, trials_of_part in parts
+        for trial in trials_of_part
     ]
-    tried.sort(key=lambda one: (one[1].p_value, -one[1].share))
-    found = _corrected([candidate for _, candidate, _ in tried])
-    for index, one in enumerate(found):
-        if index and one.corrected >= FALSE_ALARM:
+    tried.sort(key=lambda entry: (entry[0].p_value, -entry[0].share))
+    candidates = _corrected([candidate for candidate, _, _ in tried])
+    for index, candidate in enumerate(candidates):
+        if index and candidate.corrected >= FALSE_ALARM:
             break
-        part, _, rows = tried[index]
-        residuals = parts[part][0]
-        others = {other.pair: (other, W) for own, other, W in tried[index + 1 :] if own == part}
-        rest = (1.0 - one.share) * residuals.chi2 / max(residuals.degrees_of_freedom - one.rank, 1)
-        chi2 = residuals.chi2 / max(rest, 1e-300)  # by what is left, as F tests have it
-        alike = inseparable(one, [other for other, _ in others.values()], chi2)
-        left = residuals.without(rows) if alike else residuals
-        gone = [other.pair for other in alike if not _clear(left, others[other.pair][1])]
-        found[index] = replace(one, or_else=tuple(gone))
-    return found
+        _, residuals, rows = tried[index]
+        rivals = {
+            rival.pair: (rival, rival_rows)
+            for rival, of_rival, rival_rows in tried[index + 1 :]
+            if of_rival is residuals
+        }
+        dof = max(residuals.degrees_of_freedom - candidate.rank, 1)
+        variance = (1.0 - candidate.share) * residuals.chi2 / dof  # of what is left, as in F tests
+        chi2 = residuals.chi2 / max(variance, 1e-300)
+        alike = inseparable(candidate, [rival for rival, _ in rivals.values()], chi2)
+        without = residuals.without(rows) if alike else residuals
+        gone = [rival.pair for rival in alike if not _clear(without, rivals[rival.pair][1])]
+        candidates[index] = replace(candidate, or_else=tuple(gone))
+    return candidates
 
 
-def _candidate(residuals: Residuals, one: Trial) -> Candidate:
-    answer = residuals.amplitudes(one.rows)
+def _candidate(residuals: Residuals, trial: Trial) -> Candidate:
+    answer = residuals.amplitudes(trial.rows)
     return Candidate(
-        reading=one.reading,
-        kind=one.kind,
-        unit=one.unit,
-        names=one.names,
+        reading=trial.reading,
+        kind=trial.kind,
+        unit=trial.unit,
+        names=trial.names,
         amplitudes=answer.values,
         std=answer.std,
         F=answer.F,
@@ -130,85 +134,86 @@ def _clear(residuals: Residuals, rows: Array) -> bool:
     return answer.rank * (answer.F - 1.0) >= CLEAR**2
 
 
-def trials(found: Fits, pairs: Sequence[tuple[str, Kind]]) -> list[tuple[Residuals, list[Trial]]]:
+def trials(fits: Fits, pairs: Sequence[tuple[str, Kind]]) -> list[tuple[Residuals, list[Trial]]]:
     """Return residuals of fits, and the terms that may be tried on them; see ``screen``."""
-    calibration = found.calibration
-    kinds = [kind for _, kind in pairs]
-    data = with_columns(calibration, kinds)
+    calibration = fits.calibration
+    data = with_columns(calibration, [kind for _, kind in pairs])
     order = {ORDER: np.linspace(-1.0, 1.0, len(data))}
     data = replace(data, influences={**order, **data.influences})
     mechanism, ids = with_terms(calibration.mechanism, data, pairs)
-    asked = Calibration(mechanism, data, calibration.options, known_noise=calibration.noise)
-    units = {parameter.id: parameter.unit for parameter in mechanism.parameters}
-    parts = []
-    for fit in found.fits:
-        if not fit.problem.weighted:
+    extended = Calibration(mechanism, data, calibration.options, known_noise=calibration.noise)
+    return [_trials_of(fit, extended, ids) for fit in fits.fits if fit.problem.weighted]
+
+
+def _trials_of(
+    fit: Fit, extended: Calibration, ids: Mapping[tuple[str, Kind], tuple[str, ...]]
+) -> tuple[Residuals, list[Trial]]:
+    """Return residuals of a fit, and the terms that may be tried on them.
+
+    Args:
+        fit: The fit, without the terms.
+        extended: The calibration of the mechanism with all of them, at zero.
+        ids: Of their amplitudes, by place and kind.
+    """
+    residuals, parameters = Residuals.of(fit), extended.mechanism.parameters
+    names, W = _columns(extended, fit, residuals.used)
+    by_amplitudes: dict[tuple[str, ...], Trial] = {}  # not of several places where one has it
+    for (reading, kind), amplitudes in ids.items():
+        places = [names.index(name) for name in amplitudes if name in names]
+        in_fit = len(places) == len(amplitudes) or reading == GROWTH
+        units = {parameters[name].unit for name in amplitudes}
+        if not places or not in_fit or len(units) > 1 or amplitudes in by_amplitudes:
             continue
-        residuals, terms = Residuals.of(fit), list[Trial]()
-        names, W = _columns(asked, fit, residuals.used)
-        asked_for = set()
-        for (reading, kind), own in ids.items():
-            places = [names.index(name) for name in own if name in names]
-            alike = len({units[name] for name in own}) == 1
-            whole = alike and (len(places) == len(own) or reading == GROWTH)
-            if places and whole and own not in asked_for:  # not of several places where one has it
-                asked_for.add(own)
-                by = W[:, :, places]
-                if reading == GROWTH:  # one amplitude of all legs
-                    by, own = by.sum(axis=2, keepdims=True), own[:1]
-                terms.append(Trial(reading, kind, units[own[0]], own, by))
-        parts.append((residuals, terms))
-    return parts
+        rows, shown = W[:, :, places], amplitudes
+        if reading == GROWTH:  # one amplitude of all legs
+            rows, shown = rows.sum(axis=2, keepdims=True), amplitudes[:1]
+        by_amplitudes[amplitudes] = Trial(reading, kind, units.pop(), shown, rows)
+    return residuals, list(by_amplitudes.values())
 
 
-def inseparable(one: Candidate, others: Sequence[Candidate], chi2: float) -> list[Candidate]:
-    """Return those that take off as much as a candidate.
+def inseparable(candidate: Candidate, rivals: Sequence[Candidate], chi2: float) -> list[Candidate]:
+    """Return the rivals that take off as much as a candidate.
 
     They are of its kind, elsewhere; or another function of the same reading, such as a polynomial
     for harmonics, whose χ² counts less two for each amplitude (Akaike 1974).
 
     Args:
-        one: The candidate.
-        others: Among which they are.
+        candidate: The candidate.
+        rivals: Among which they are.
         chi2: Of which shares are, in units of the variance that is left.
     """
-    found = []
-    for other in others:
-        alike = (other.kind, other.rank) == (one.kind, one.rank)
-        curves = bool(one.kind.numbers and other.kind.numbers and other.rank)
-        more = (one.share - other.share) * chi2 - 2 * (one.rank - other.rank)
-        if (alike or (curves and other.reading == one.reading)) and more < CLEAR**2:
-            found.append(other)
-    return found
+    alike = []
+    for rival in rivals:
+        same = (rival.kind, rival.rank) == (candidate.kind, candidate.rank)
+        curves = bool(candidate.kind.numbers and rival.kind.numbers and rival.rank)
+        behind = (candidate.share - rival.share) * chi2 - 2 * (candidate.rank - rival.rank)
+        if (same or (curves and rival.reading == candidate.reading)) and behind < CLEAR**2:
+            alike.append(rival)
+    return alike
 
 
-def _corrected(tried: list[Candidate]) -> list[Candidate]:
+def _corrected(candidates: Sequence[Candidate]) -> list[Candidate]:
     """Return candidates with probabilities that take the number of tests in (Holm 1979)."""
-    count, largest, found = sum(one.rank > 0 for one in tried), 0.0, []
-    for place, one in enumerate(tried):
-        largest = max(largest, min(1.0, (count - place) * one.p_value)) if one.rank else 1.0
-        found.append(replace(one, corrected=largest))
-    return found
+    count = sum(candidate.rank > 0 for candidate in candidates)
+    largest, corrected = 0.0, []
+    for place, candidate in enumerate(candidates):
+        largest = max(largest, min(1.0, (count - place) * candidate.p_value))
+        chance = largest if candidate.rank else 1.0
+        corrected.append(replace(candidate, corrected=chance))
+    return corrected
 
 
-def _columns(asked: Calibration, fit: Fit, used: Index) -> tuple[list[str], Array]:
-    """Return the ids of all legs' parameters, terms included, and their white rows.
-
-    Args:
-        asked: The calibration of the mechanism with all terms, at zero.
-        fit: The fit without them.
-        used: Rows of the fit that count.
-    """
-    before = fit.problem.leg_block
-    places = [asked.mechanism.leg_names.index(leg.name) for leg in before.legs]
-    legs = asked.leg_block(places, fit.rows, before.used, before.pose_roots)
+def _columns(extended: Calibration, fit: Fit, used: Index) -> tuple[list[str], Array]:
+    """Return the ids of all legs' parameters, terms included, and their white rows of rows used."""
+    before, state = fit.problem.leg_block, fit.last.state
+    places = [extended.mechanism.leg_names.index(leg.name) for leg in before.legs]
+    legs = extended.leg_block(places, fit.rows, before.used, before.pose_roots)
     legs = replace(legs, sigma=before.sigma)
     names, values = [], []
     for leg, columns in zip(legs.legs, before.columns, strict=True):
-        nominal = fit.parameters[columns]
-        values += [nominal, np.zeros(len(leg.parameters) - len(nominal))]
+        fitted = fit.parameters[columns]
+        values += [fitted, np.zeros(len(leg.parameters) - len(fitted))]
         names += [f"{leg.name}.{name}" for name in leg.parameter_names]
-    state = fit.last.state
-    there = State(np.concatenate(values), state.matrices, state.joints, state.external)
+    state = State(np.concatenate(values), state.matrices, state.joints, state.external)
     problem = replace(fit.problem, leg_block=legs, first=None)
-    return names, problem.evaluate(there).jacobian[used]
+    return names, problem.evaluate(state).jacobian[used]
