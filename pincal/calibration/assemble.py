@@ -30,7 +30,7 @@ from pincal.kinematics.configurations import planned_influences
 from pincal.kinematics.influences import by_name
 from pincal.model.measurements import Noise
 from pincal.model.mechanism import Mechanism
-from pincal.model.parameter import Parameter
+from pincal.model.parameter import Parameter, means
 from pincal.model.terms import LOAD
 from pincal.types import Array
 
@@ -211,7 +211,9 @@ def _given(calibration: Calibration, parameter: Parameter, std: float) -> str:
     options = calibration.options
     names_by_kind = {"fixed": options.fixed, "tied": options.tied, "prior": calibration.priors}
     kinds = [
-        kind for kind, names in names_by_kind.items() if {parameter.name, parameter.id} & set(names)
+        kind
+        for kind, names in names_by_kind.items()
+        if any(means(name, parameter.owner, parameter.name) for name in names)
     ]
     kinds += [] if np.isfinite(std) else [HELD]
     return "fixed" if "fixed" in kinds else ", ".join(kinds)

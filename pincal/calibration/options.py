@@ -15,7 +15,7 @@ from pincal.estimation.system import Loss, LossName, loss_of
 from pincal.files.text import in_si, plain_number
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.option import option
-from pincal.model.parameter import Parameter
+from pincal.model.parameter import Parameter, means
 from pincal.model.setup import Setup
 from pincal.model.units import UNITS
 from pincal.types import Array, Index
@@ -127,7 +127,7 @@ class Options:
     )
     """In Python also a ``Loss`` of one's own."""
     fixed: tuple[str, ...] = option(
-        (), "Hold a parameter: l of every leg, leg_1.l of one.", metavar="NAME"
+        (), "Hold a parameter: l of every leg, leg_1.l of one; leg_1.*, A_*.", metavar="NAME"
     )
     tied: tuple[str, ...] = option(
         (), "One value for all legs; tested whether it holds.", metavar="NAME"
@@ -267,7 +267,9 @@ def _prior(name: str, sigma: float | str, parameters: Sequence[Parameter]) -> fl
     """Return the standard deviation of a nominal value in SI."""
     if not isinstance(sigma, str):
         return sigma
-    units = {parameter.unit for parameter in parameters if name in (parameter.name, parameter.id)}
+    units = {
+        parameter.unit for parameter in parameters if means(name, parameter.owner, parameter.name)
+    }
     try:
         return in_si(sigma, " ".join((units or {"m", "rad"}) - {"1"}))
     except MeasurementError:

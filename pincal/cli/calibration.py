@@ -7,7 +7,7 @@ import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from pincal.calibration.calibrate import prepared, run
 from pincal.calibration.calibration import Calibration
@@ -255,14 +255,15 @@ def doctor(
     lines: list[str] = []
     if len(cures) == 1:
         mended = measurements
-        if cures[0].mends:
-            mended = output or Path("MENDED.csv")
-            if output is None:
-                lines.append(f"{typed()} -o MENDED.csv")
-            else:
-                _write_mended(output, table, cures[0].calibration, force=force)
-        elif output is not None:
-            remark(f"options are enough: {output} is not written, take {measurements}")
+        if not cures[0].mends:
+            if output is not None:
+                remark(f"options are enough: {output} is not written, take {measurements}")
+        elif output is None:
+            mended = Path("MENDED.csv")
+            lines.append(f"{typed()} -o MENDED.csv")
+        else:
+            mended = output
+            _write_mended(output, table, cures[0].calibration, force=force)
         lines.append(_calibrate_line(cures[0], known, {measurements: mended}))
         say("this works:", *(f"  {line}" for line in lines))
     elif cures:
@@ -272,27 +273,34 @@ def doctor(
         )
     else:
         stdout.print("nothing of this makes the measurements fit the mechanism")
-        converged = [remedy for remedy in tries if remedy.result and remedy.result.converged]
-        if converged:
-            line = f"pincal explain {mech} {measurements}"
-            stdout.print(f"the mechanism may lack a term: {line} looks for it")
-        near = [remedy for remedy in converged if not remedy.mends]
-        if near and near[0].result and near[0].result.excess == 1.0:
-            line = _calibrate_line(near[0], known)
-            say("this converges, and promises nothing:", f"  {line}")
-    outcomes = [
-        {
-            "what": tried(remedy),
-            "codes": [finding.code for finding in remedy.findings],
-            "works": remedy.works,
-            "reduced_chi2": remedy.result.reduced_chi2 if remedy.result else None,
-            "trouble": remedy.trouble or None,
-        }
-        for remedy in tries
-    ]
-    answer({"commands": lines, "tried": outcomes})
+        _say_what_converged(mech, measurements, known, tries)
+    answer({"commands": lines, "tried": [_remedy_answer(remedy) for remedy in tries]})
     if len(cures) != 1:
         fail(1)
+
+
+def _say_what_converged(
+    mech: str, measurements: Path, known: InputOptions, tries: Sequence[Remedy]
+) -> None:
+    """Say what to try where no remedy makes the measurements fit, but a fit converged."""
+    converged = [remedy for remedy in tries if remedy.result and remedy.result.converged]
+    if converged:
+        line = f"pincal explain {mech} {measurements}"
+        stdout.print(f"the mechanism may lack a term: {line} looks for it")
+    near = [remedy for remedy in converged if not remedy.mends]
+    if near and near[0].result and near[0].result.excess == 1.0:
+        say("this converges, and promises nothing:", f"  {_calibrate_line(near[0], known)}")
+
+
+def _remedy_answer(remedy: Remedy) -> dict[str, Any]:
+    """Return what became of a remedy, for JSON."""
+    return {
+        "what": tried(remedy),
+        "codes": [finding.code for finding in remedy.findings],
+        "works": remedy.works,
+        "reduced_chi2": remedy.result.reduced_chi2 if remedy.result else None,
+        "trouble": remedy.trouble or None,
+    }
 
 
 def _write_mended(output: Path, table: TextTable, calibration: Calibration, *, force: bool) -> None:

@@ -41,6 +41,7 @@ from pincal.formats.delta_printer import delta_printer
 from pincal.formats.figaroh import read_figaroh
 from pincal.formats.firmware import read_klipper, read_reprap, write_klipper, write_reprap
 from pincal.formats.mjcf import mjcf, read_mjcf
+from pincal.formats.tree import Tree
 from pincal.formats.tree_of import loops_urdf, loops_yaml, tree_of, unwritten
 from pincal.formats.urdf_tree import XACRO, loops_beside, read_loops, read_urdf
 from pincal.kinematics.closure import largest_size, nominal_legs
@@ -223,20 +224,11 @@ def _import_tree(
     """Write the mechanism of a URDF or MJCF file to a folder, and say what it is."""
     if options.tip is not None and (options.platform or options.loops):
         raise MechanismError("--tip is for serial arms, --platform and --loops for closed loops")
-    remarks: list[str] = []
     if options.tip is not None:
         tree = read_urdf(file) if form == "urdf" else read_mjcf(file)
-        mechanism = serial_arm(tree, options.tip, options.base)
+        mechanism, remarks = serial_arm(tree, options.tip, options.base), list[str]()
     else:
-        yaml = None if form == "mjcf" else options.loops or loops_beside(file)
-        tree = read_mjcf(file) if yaml is None else read_loops(file, yaml)
-        tree = replace(tree, slack=slack_of(file.read_text("utf-8")))
-        mechanism, found = closed_mechanism(tree, options.platform, options.base)
-        if yaml is not None:
-            say(f"loops closed by {yaml}")
-        closing, moved = closing_in_words(tree, mechanism)
-        remarks = [closing, *found] if moved else [*found]
-        say(*([] if moved else [closing]))
+        tree, mechanism, remarks = _closed(file, form, options)
     drawn = {edge.joint.name for edge in tree.edges}
     unused = drawn - {joint.name for leg in mechanism.legs for joint in leg.joints}
     remarks += [text for name, text in tree.remarks.items() if name not in unused]
@@ -248,6 +240,23 @@ def _import_tree(
     save_mechanism(replace(mechanism, name=_named_after(output)), output, force=options.force)
     _say_what_it_is(mechanism)
     return tuple(remarks)
+
+
+def _closed(
+    file: Path, form: InputFormat, options: ImportOptions
+) -> tuple[Tree, Mechanism, list[str]]:
+    """Return tree and mechanism of a file with loops, and remarks; say how loops are closed."""
+    yaml = None if form == "mjcf" else options.loops or loops_beside(file)
+    tree = read_mjcf(file) if yaml is None else read_loops(file, yaml)
+    tree = replace(tree, slack=slack_of(file.read_text("utf-8")))
+    mechanism, remarks = closed_mechanism(tree, options.platform, options.base)
+    if yaml is not None:
+        say(f"loops closed by {yaml}")
+    closing, moved = closing_in_words(tree, mechanism)
+    if moved:
+        return tree, mechanism, [closing, *remarks]
+    say(closing)
+    return tree, mechanism, [*remarks]
 
 
 def _say_what_it_is(mechanism: Mechanism) -> None:
@@ -343,24 +352,13 @@ def _exported(
 ) -> tuple[dict[Path, bytes], list[str]]:
     """Return the files of a mechanism in another form, and what to know of them."""
     if options.original is not None:
-        before = read_bytes(options.original, LARGEST_FILE["XML"], MechanismError)
-        data = calibrated_urdf(options.original, mechanism, options.leg)
-        if not _NO_NUMBER.search(before.decode(errors="replace")):
-            _check_numbers(mechanism, data.decode(errors="replace"))
-        lines = set(before.splitlines())
-        changed = sum(line not in lines for line in data.splitlines())
-        remark(f"{changed} lines are other than in {options.original}")
-        return {output: data}, list(unwritten(mechanism))
+        return {output: _calibrated(options.original, mechanism, options)}, [*unwritten(mechanism)]
     if options.leg is not None:
         raise MechanismError("--leg goes with --original; the whole mechanism is written")
     remarks: list[str] = []
     if form == "python" or form == "c":
         texts = {output: code_of(mechanism, LANGUAGES[form], options.written_in(mechanism))}
-        for closure in nominal_legs(mechanism):
-            warn_of_turns(closure)
-        deformed = [f"{leg.name}.{name}" for leg in mechanism.legs for name in leg.deformed]
-        if deformed:
-            remarks.append(NOT_IN_LAWS.format(parameters=first_of(deformed, ", ")))
+        remarks = _missing_in_laws(mechanism)
     elif form in _TREES:
         tree, unwritten_parts = tree_of(mechanism)
         remarks = [*unwritten_parts]
@@ -375,6 +373,26 @@ def _exported(
     if form not in _CORRECTIONS:
         _check_numbers(mechanism, *texts.values())
     return {path: text.encode() for path, text in texts.items()}, remarks
+
+
+def _missing_in_laws(mechanism: Mechanism) -> list[str]:
+    """Return what the laws of sensors do not hold; say where they turn back."""
+    for closure in nominal_legs(mechanism):
+        warn_of_turns(closure)
+    deformed = [f"{leg.name}.{name}" for leg in mechanism.legs for name in leg.deformed]
+    return [NOT_IN_LAWS.format(parameters=first_of(deformed, ", "))] if deformed else []
+
+
+def _calibrated(original: Path, mechanism: Mechanism, options: ExportOptions) -> bytes:
+    """Return the user's URDF with the origins of calibrated joints."""
+    before = read_bytes(original, LARGEST_FILE["XML"], MechanismError)
+    data = calibrated_urdf(original, mechanism, options.leg)
+    if not _NO_NUMBER.search(before.decode(errors="replace")):
+        _check_numbers(mechanism, data.decode(errors="replace"))
+    lines = set(before.splitlines())
+    changed = sum(line not in lines for line in data.splitlines())
+    remark(f"{changed} lines are other than in {original}")
+    return data
 
 
 def _check_numbers(mechanism: Mechanism, *texts: str) -> None:

@@ -195,15 +195,9 @@ class NoiseOptions:
         position, orientation = self.noise_position, self.noise_orientation
         if position is None and orientation is None and self.noise_reading is None:
             return None
-        platform = mechanism.platform
-        columns = zip(platform.coordinates, platform.units, data.poses.T, strict=True)
-        units = {name: unit for name, unit, values in columns if np.isfinite(values).any()}
-        units |= {name: "rad" if name in SINGLE_ANGLES else "m" for name in data.extra}
-        if setup.tracker is not None:  # says how well positions were measured
-            known = {*platform.coordinates[: platform.lengths], *setup.points(platform)}
-            units = {name: unit for name, unit in units.items() if name not in known}
-        needed = {"--noise-position": position} if "m" in units.values() else {}
-        if "rad" in units.values():
+        measured = _units_measured(mechanism, data, setup)
+        needed = {"--noise-position": position} if "m" in measured else {}
+        if "rad" in measured:
             needed["--noise-orientation"] = orientation
         if None in needed.values():
             raise MeasurementError(
@@ -211,6 +205,16 @@ class NoiseOptions:
                 "scale is then estimated)"
             )
         return Noise(position or 0.0, orientation or 0.0, self.noise_reading or 0.0)
+
+
+def _units_measured(mechanism: Mechanism, data: Measurements, setup: Setup) -> set[str]:
+    """Return the units of what was measured, but for what a tracker says itself how well."""
+    platform = mechanism.platform
+    columns = zip(platform.coordinates, platform.units, data.poses.T, strict=True)
+    units = {name: unit for name, unit, values in columns if np.isfinite(values).any()}
+    units |= {name: "rad" if name in SINGLE_ANGLES else "m" for name in data.extra}
+    known = {*platform.coordinates[: platform.lengths], *setup.points(platform)}
+    return {unit for name, unit in units.items() if setup.tracker is None or name not in known}
 
 
 @dataclass(frozen=True)

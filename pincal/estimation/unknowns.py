@@ -20,6 +20,7 @@ from pincal.errors import MeasurementError
 from pincal.kinematics.batches import inverse_left_jacobian
 from pincal.model.checks import ROUNDING
 from pincal.model.leg import Leg
+from pincal.model.parameter import means
 from pincal.model.platform import Platform
 from pincal.model.setup import ORIGIN, Setup
 from pincal.types import Array, Index
@@ -245,7 +246,8 @@ def unknowns(
 ) -> Unknowns:
     """Return the unknowns of some legs.
 
-    A parameter is said as ``l``, of every leg that has one, or as ``leg_1.l``.
+    A parameter is said as ``l``, of every leg that has one, or as ``leg_1.l``; several by patterns
+    such as ``leg_1.*`` or ``A_*``.
 
     Args:
         legs: The legs, at their nominal values.
@@ -262,7 +264,7 @@ def unknowns(
     nominal = np.concatenate([*(leg.nominal for leg in legs), np.zeros(len(external))])
     n, start = len(nominal), nominal.copy()
     held = {i for name in fixed for i in _places(pairs, name)}
-    if len(held) == len(pairs):
+    if len(held) == len(pairs) and not external:
         raise MeasurementError("every parameter is fixed; leave one of them to be identified")
     groups, bound = list[list[int]](), set(held)
     for name in tied:
@@ -289,7 +291,7 @@ def unknowns(
 def _tied_places(pairs: list[tuple[str, str]], name: str, nominal: Array) -> list[int]:
     """Return the places of parameters that are tied, of which several legs must have one alike."""
     places = _places(pairs, name)
-    if len(places) < 2 or "." in name:
+    if len({pairs[place][1] for place in places}) > 1 or len(places) < 2 or "." in name:
         raise MeasurementError(
             f"{name!r} cannot be tied; give the name of a parameter that several legs have, "
             "such as 'l'"
@@ -317,8 +319,7 @@ def _prior_sigmas(pairs: list[tuple[str, str]], priors: Mapping[str, float], cou
 
 def _places(pairs: list[tuple[str, str]], wanted_name: str) -> list[int]:
     """Return the places of the parameters that a name means."""
-    leg, _, name = wanted_name.rpartition(".")
-    places = [i for i, pair in enumerate(pairs) if pair[1] == name and leg in ("", pair[0])]
+    places = [i for i, (leg, name) in enumerate(pairs) if means(wanted_name, leg, name)]
     if not places:
         known = dict.fromkeys(name for _, name in pairs)
         legs = dict.fromkeys(leg for leg, _ in pairs)

@@ -115,8 +115,7 @@ def read_measurements(
     mechanism, setup = as_mechanism(mechanism), read_setup(setup or Setup())
     platform = mechanism.platform
     if isinstance(source, Measurements):
-        shapes = {"poses": platform.dof, "readings": len(mechanism.reading_names)}
-        for name, count in shapes.items():
+        for name, count in (("poses", platform.dof), ("readings", len(mechanism.reading_names))):
             purpose = f"{name} of {mechanism.name!r}"
             array_of(getattr(source, name), ("N", count), purpose, MeasurementError)
         return source
@@ -129,23 +128,15 @@ def read_measurements(
     table = table_for(source, mechanism, meaning, influences)
     table = table.where_measured(measured_columns(mechanism, further))
     _check_columns(table, mechanism, setup, further)
-    if platform.turns == 3 and partial and _way(table, mechanism) is None:
-        further |= {name: "rad" for name in SINGLE_ANGLES if name in table}
+    way = _way(table, mechanism)
+    if platform.turns == 3 and partial and way is None:
+        further |= dict.fromkeys(filter(table.units.__contains__, SINGLE_ANGLES), "rad")
     poses = _poses(table, mechanism, partial=partial)
     if level and "z" in table:
         poses = levelled(table, setup, poses)
     freedoms = dict(zip(platform.freedoms, platform.units, strict=True))
     unknown = unknown_columns(table, mechanism, meaning)
-    extra = {
-        name: table.numbers(name, unit, blank=True)
-        for name, unit in further.items()
-        if name in table or not partial
-    }
-    sigma_extra = {
-        name: _sigma(table, name, unit, blank=partial)
-        for name, unit in {**further, **setup.polar}.items()
-        if f"sigma_{name}" in table
-    }
+    extra, sigma_extra = _further_columns(table, further, setup, partial=partial)
     if not partial and not np.isfinite(np.column_stack((poses, *extra.values()))).any():
         raise MeasurementError(f"{table.path}: nothing of the platform is measured")
     return Measurements(
@@ -161,7 +152,21 @@ def read_measurements(
         runs=_names(table, "run"),
         places=_names(table, "pose"),
         lines=table.file_lines,
-        written=_way(table, mechanism),
+        written=way,
+    )
+
+
+def _further_columns(
+    table: TextTable, units: Mapping[str, str], setup: Setup, *, partial: bool
+) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Return what was measured besides poses and readings, by column, and its uncertainties."""
+    wanted = [name for name in units if name in table or not partial]
+    uncertain = {
+        name: unit for name, unit in {**units, **setup.polar}.items() if f"sigma_{name}" in table
+    }
+    return (
+        {name: table.numbers(name, units[name], blank=True) for name in wanted},
+        {name: _sigma(table, name, unit, blank=partial) for name, unit in uncertain.items()},
     )
 
 

@@ -38,17 +38,8 @@ _KINDS: dict[str, JointKind] = {
 def read_chain(path: Path, tip: str) -> tuple[Joint, ...]:
     """Return the joints from a URDF's root link to its tip link, base first."""
     robot = read_xml(path, "robot")
-    ahead: dict[str, etree._Element] = {}
-    children = set()
-    for element in robot.findall("joint"):
-        parent, child = link_of(element, "parent", path), link_of(element, "child", path)
-        if parent in ahead or child in children:
-            raise MechanismError(
-                f"{path}, line {element.sourceline}: link {parent!r} branches or closes a loop; a "
-                "leg must be a serial chain, one joint from each link to the next"
-            )
-        ahead[parent] = element
-        children.add(child)
+    ahead = _joints_ahead(robot, path)
+    children = {link_of(element, "child", path) for element in ahead.values()}
     links = sorted(str(link.get("name")) for link in robot.findall("link"))
     roots = [link for link in dict.fromkeys(links) if link not in children]
     if tip not in links:
@@ -76,6 +67,22 @@ def read_chain(path: Path, tip: str) -> tuple[Joint, ...]:
     if not any(joint.kind != "fixed" for joint in chain):
         raise MechanismError(f"{path}: no joint moves between the root link and {tip!r}")
     return tuple(chain)
+
+
+def _joints_ahead(robot: etree._Element, path: Path) -> dict[str, etree._Element]:
+    """Return the joints by the links that carry them, each link one and each on one."""
+    ahead: dict[str, etree._Element] = {}
+    children = set()
+    for element in robot.findall("joint"):
+        parent, child = link_of(element, "parent", path), link_of(element, "child", path)
+        if parent in ahead or child in children:
+            raise MechanismError(
+                f"{path}, line {element.sourceline}: link {parent!r} branches or closes a loop; a "
+                "leg must be a serial chain, one joint from each link to the next"
+            )
+        ahead[parent] = element
+        children.add(child)
+    return ahead
 
 
 def weighed(joint: Joint, robot: etree._Element, link: str, path: Path) -> Joint:

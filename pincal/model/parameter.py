@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from difflib import get_close_matches
+from fnmatch import fnmatchcase
 from functools import cached_property
 from typing import Any
 
@@ -15,6 +16,12 @@ from pincal.types import Array
 
 #: Letters of a parameter's label, at most.
 LONGEST_LABEL = 60
+
+
+def means(wanted_name: str, leg: str, name: str) -> bool:
+    """Return whether a name means a leg's parameter: ``l``, ``leg_1.l``, ``leg_1.*``, ``A_*``."""
+    wanted_leg, _, wanted = wanted_name.rpartition(".")
+    return fnmatchcase(name, wanted) and fnmatchcase(leg, wanted_leg or "*")
 
 
 @dataclass(frozen=True)
