@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pandas
 import pytest
+from command_line import done
 from scipy.spatial.transform import Rotation
 
 import pincal
@@ -280,6 +282,46 @@ def test_a_kind_of_ones_own_is_identified_and_kept(tmp_path: Path) -> None:
     result = pincal.calibrate(robot, again, noise=pincal.Noise(1e-5, 1e-5, 0.0))
     found = result.identified.parameters.values
     np.testing.assert_allclose(found, truth.parameters.values, atol=1e-9)
+
+
+def wrist() -> pincal.Mechanism:
+    """Return three struts that turn a platform about the base's origin."""
+    legs = []
+    for number, turn in enumerate(2 * np.pi / 3 * np.arange(3), start=1):
+        foot = np.array([0.2 * np.cos(turn), 0.2 * np.sin(turn), -0.3])
+        end = np.array([0.15 * np.cos(turn + 0.5), 0.15 * np.sin(turn + 0.5), 0.05])
+        x, y, z = rod = end - foot
+        length, values = float(np.linalg.norm(rod)), {"A_x": float(foot[0]), "gamma": 0.0}
+        placed = pincal.Placement.of(values, x="A_x", y=float(foot[1]), z=float(foot[2]))
+        joints = (
+            pincal.Joint("ux", "revolute", placed, (1.0, 0.0, 0.0), home=float(np.arctan2(-y, z))),
+            pincal.Joint("uy", "revolute", axis=(0.0, 1.0, 0.0), home=float(np.arcsin(x / length))),
+            pincal.Joint("slide", "prismatic", lower=0.1, upper=1.0, home=length),
+            pincal.Joint("tip", "fixed"),
+        )
+        point = pincal.Joint(f"b_{number}", "fixed", pincal.Placement((), tuple(end.tolist())))
+        sensor = pincal.Sensor("slide", offset="gamma")
+        legs.append(pincal.Leg(f"leg_{number}", joints, (sensor,), tuple(values.items()), point))
+    kind = pincal.PlatformKind("wrist", ("rx", "ry", "rz"))
+    return pincal.Mechanism("wrist", pincal.Platform(kind, (0.0, 0.0, 0.0)), tuple(legs))
+
+
+def test_a_platform_that_only_turns_is_calibrated(tmp_path: Path) -> None:
+    """Found to 1e-9 without noise; the verdict is in angles, and there is no position in it."""
+    robot = wrist()
+    rng = np.random.default_rng(0)
+    plan = pincal.Plan(rng.uniform((-3.0, 0.0, -0.3), (3.0, 0.3, 0.3), (30, 3)))
+    truth = pincal.disturb(robot, 1e-3, seed=1)
+    data = pincal.simulate(robot, truth, plan, pincal.Noise(0.0, 0.0, 0.0)).measurements
+    noise = pincal.Noise(0.0, 1e-4, 1e-5)
+    found = pincal.calibrate(robot, data, noise=noise).identified.parameters.values
+    np.testing.assert_allclose(found, truth.parameters.values, atol=1e-9)
+    robot.save(tmp_path / "wrist")
+    noisy = pincal.simulate(robot, truth, plan, noise).measurements
+    noisy.to_csv(tmp_path / "m.csv", robot)
+    options = ("--noise-orientation", 1e-4, "--noise-reading", 1e-5, "--no-report")
+    told = done("calibrate", tmp_path / "wrist", tmp_path / "m.csv", *options, "-o", tmp_path / "r")
+    assert re.search(r"wrist: [\d.]+ → [\d.]+ mrad", told.out + told.err)
 
 
 @pytest.mark.parametrize(

@@ -27,7 +27,7 @@ from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import SINGLE_ANGLES
 from pincal.model.platform import Platform
-from pincal.model.setup import Setup, checked
+from pincal.model.setup import ORIGIN, Setup, checked
 from pincal.types import Array, Index, Mask
 
 Entry = tuple[Array, Array]
@@ -276,8 +276,10 @@ class Observation:
                 if owner == index:
                     by_external[:, :, column] = R[:, :, axis]
             points[target] = (seen[:, :3, 3] + arm, point_velocity(arm, _TWIST), by_external)
-        axes = self.platform.space
-        rows = [(u[:, :axes], D[:, :axes], E[:, :axes]) for u, D, E in points.values()]
+        rows = []
+        for target, (u, D, E) in points.items():  # of the platform itself what it moves along
+            axes = self.platform.lengths if target == ORIGIN else self.platform.space
+            rows.append((u[:, :axes], D[:, :axes], E[:, :axes]))
         for distance in self.setup.distances.values():
             point, by_twist, by_external = points[distance.target]
             ray = point - np.array(distance.point)

@@ -96,7 +96,7 @@ def _better(result: CalibrationResult, errors: WorkspaceErrors) -> Answer:
     if not errors.expected.determined.any():
         return Answer(question, "Not determined", "bad", [f"{_UNDETERMINED}."])
     sizes = np.array([errors.mean_before(), errors.mean_after(), errors.limit])
-    before, after, limit = sizes[:, : len(errors.units)]
+    before, after, limit = sizes[:, sizes.any(axis=0)]  # a platform that only turns has no position
     ratios = before / after
     if min(ratios) >= 2.0:
         text = f"Expect the platform's error to be smaller by a factor of {_factors(ratios)}"
@@ -129,9 +129,10 @@ def _accuracy(result: CalibrationResult, errors: WorkspaceErrors) -> Answer:
     if not result.explained or not errors.expected.determined.any():
         shown = WORDINGS["residuals-too-large"].title
         return Answer("By how much?", shown, "", [accuracy_table(result, errors), *lines])
-    before, after = (sizes()[0] for sizes in (errors.mean_before, errors.mean_after))
-    text = f"{number(before, 'm')} → {amount(after, 'm')}"
-    text += f" (95 %: ≤ {number(errors.limit[0], 'm')})" if result.promises else " or more"
+    kind, unit = (0, "m") if result.nominal.platform.lengths else (1, "rad")
+    before, after = (sizes()[kind] for sizes in (errors.mean_before, errors.mean_after))
+    text = f"{number(before, unit)} → {amount(after, unit)}"
+    text += f" (95 %: ≤ {number(errors.limit[kind], unit)})" if result.promises else " or more"
     return Answer("By how much?", text, "", [accuracy_table(result, errors), *lines])
 
 
