@@ -95,7 +95,7 @@ def scenarios() -> Iterator[Scenario]:
         "latent",
         "positions, rest held",
         measured="positions, frame",
-        options={"hold_undetermined": True},
+        options={},
     )
     for method in ("per leg, all", "together", "latent"):
         for data, own in (

@@ -151,7 +151,7 @@ def measured(
 def asked(mechanism: pincal.Mechanism, data: pincal.Measurements) -> Calibration:
     """Return the calibration to be done; an arm's frames leave parameters undetermined."""
     held = mechanism.by_readings
-    return started(prepared(mechanism, data, noise=NOISE, hold_undetermined=held))
+    return started(prepared(mechanism, data, noise=NOISE, strict=not held))
 
 
 @dataclass(frozen=True)
@@ -351,7 +351,7 @@ def coverage(name: str, sets: int, cases: Sequence[tuple[str, ...]]) -> Iterator
                 extended,
                 data,
                 noise=NOISE,
-                hold_undetermined=mechanism.by_readings,
+                strict=not mechanism.by_readings,
                 tied=tied_by(own_ids),
             )
             for (place, _), own in own_ids.items():

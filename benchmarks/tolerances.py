@@ -71,7 +71,6 @@ def missed(side: str, count: int, seed: int, tolerance: object) -> float:
             noise=TRACKER,
             setup=pincal.Setup(unknown_frame=True),
             rough=True,
-            hold_undetermined=True,
             tolerance=tolerance,
         )
     except pincal.ObservabilityError:

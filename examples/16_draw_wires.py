@@ -31,7 +31,7 @@ for wires in (list(points)[:1], list(points)[:2], list(points)):
     kept = {name: extra[name] for name in wires}
     own = replace(data, poses=unseen, extra=kept, sigma_extra={name: sigma[name] for name in wires})
     some = replace(setup, distances={name: setup.distances[name] for name in wires})
-    fit = pincal.calibrate(robot, own, setup=some, hold_undetermined=True)
+    fit = pincal.calibrate(robot, own, setup=some)
     error = pincal.accuracy(fit.identified, truth, there)
     print(f"{len(wires)} wires: platform off by {1e3 * error.position:.2f} mm")
     axes.bar(len(wires), 1e3 * error.position, color="C0")

@@ -271,9 +271,7 @@ def arms(study: Study, files: dict[str, Path]) -> None:
         joints = [name for name in table.columns if name.startswith("q_")]
         renamed = {name: f"joint_{i + 1} [rad]" for i, name in enumerate(joints)}
         table = table.rename(columns=renamed)[[*renamed.values(), "x [m]", "y [m]", "z [m]"]]
-        answer = pincal.explain(
-            arm(side), table, noise=SEEN, setup=setup, rough=True, hold_undetermined=True
-        )
+        answer = pincal.explain(arm(side), table, noise=SEEN, setup=setup, rough=True)
         models = answer.choice.models
         first = answer.choice.candidates[:3]
         study.table(
@@ -296,7 +294,6 @@ def arms(study: Study, files: dict[str, Path]) -> None:
             noise=SEEN,
             setup=setup,
             rough=True,
-            hold_undetermined=True,
             terms="gravity",
         )
         tail = gravity.choice.models[1:]

@@ -41,7 +41,7 @@ def test_steps_that_are_too_long_are_shortened(seed: int) -> None:
     truth = pincal.disturb(mechanism, 2e-3, seed)
     plan = pincal.Plan(pincal.sample_workspace(mechanism, 30, seed))
     data = pincal.simulate(mechanism, truth, plan, noise, seed).measurements
-    options = Options(noise=noise, rough=True, hold_undetermined=True)
+    options = Options(noise=noise, rough=True)
     (one,) = fitted(Calibration(mechanism, data, options)).fits
     there = adjusted(one.problem, one.last)
     left = one.system.solve(there, one.weights, 1.0).decrement

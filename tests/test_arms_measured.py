@@ -167,7 +167,7 @@ def test_other_methods_say_what_to_do() -> None:
     with pytest.raises(pincal.MeasurementError, match="do not follow from its poses"):
         pincal.calibrate(mechanism, data, residual="joint", noise=NOISE)
     with pytest.raises(pincal.ObservabilityError, match="at least 7 are needed"):
-        pincal.calibrate(mechanism, data.rows(np.arange(6)), noise=NOISE)
+        pincal.calibrate(mechanism, data.rows(np.arange(6)), noise=NOISE, strict=True)
 
 
 GANTRY = "jx|prismatic|1 0 0|0 0 1\njy|prismatic|0 1 0|0.1 0 0\njz|prismatic|0 0 -1|0 0.1 -0.2"
@@ -327,17 +327,13 @@ def test_what_was_held_is_not_promised_elsewhere(jitter: float) -> None:
     plan = pincal.Plan(pincal.forward(arm, still).poses, readings=still)
     data = pincal.simulate(arm, truth, plan, noise, seed=5).measurements
     if jitter < 1e-4:
-        said = (
-            "weakly determined by .*hold-undetermined"
-            if jitter
-            else "undetermined: .*hold-undetermined"
-        )
+        said = "weakly determined by .*--strict" if jitter else "undetermined: .*--strict"
         with pytest.raises(pincal.ObservabilityError, match=said):
-            pincal.calibrate(arm, data, noise=noise)
+            pincal.calibrate(arm, data, noise=noise, strict=True)
     else:
-        (said, *_) = pincal.calibrate(arm, data, noise=noise).warnings
+        (said, *_) = pincal.calibrate(arm, data, noise=noise, strict=True).warnings
         assert "weakly determined" in said
-    result = pincal.calibrate(arm, data, noise=noise, hold_undetermined=True)
+    result = pincal.calibrate(arm, data, noise=noise)
     assert result.undetermined_directions is not None
     there = result.expected_error(plan)
     assert 0.0 < there.position < 2e-4

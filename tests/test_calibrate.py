@@ -435,7 +435,7 @@ def test_poses_that_differ_by_their_noise_only_are_refused(
         pincal.ObservabilityError,
         match=r"leg_1\.(OA|ob).* (apart by their noise|weakly determined)",
     ):
-        pincal.calibrate(mechanism, data, noise=noise)
+        pincal.calibrate(mechanism, data, noise=noise, strict=True)
 
 
 def test_unobservable_parameters_are_named(candidates: dict[str, np.ndarray]) -> None:
@@ -447,7 +447,7 @@ def test_unobservable_parameters_are_named(candidates: dict[str, np.ndarray]) ->
     sets = (EVERY_LEG,) * len(poses)
     data = pincal.simulate(mechanism, mechanism, pincal.Plan(poses, sets), EXACT).measurements
     with pytest.raises(pincal.ObservabilityError, match=r"leg_1\.ob.* move together"):
-        pincal.calibrate(mechanism, data)
+        pincal.calibrate(mechanism, data, strict=True)
 
 
 def test_noise_of_zero_is_refused(kind: str, selections: dict[str, pincal.Selection]) -> None:

@@ -89,7 +89,7 @@ def test_measuring_page_names_columns_and_units() -> None:
     lengths = np.random.default_rng(0).uniform(-0.1, 0.1, (60, 4))
     data = pincal.Measurements(poses=np.full((60, 3), np.nan), readings=lengths)
     with pytest.raises(pincal.ObservabilityError, match="--fixed k"):
-        pincal.calibrate(robot, data, noise=pincal.Noise(reading=1e-3), rough=True)
+        pincal.calibrate(robot, data, noise=pincal.Noise(reading=1e-3), rough=True, strict=True)
 
 
 @cache

@@ -347,7 +347,7 @@ def test_nearly_deficient_data_are_refused_or_honest(name: str) -> None:
         measured = mechanism.platform.moved(poses, 1e-5 * rng.standard_normal(poses.shape))
         try:
             result = pincal.calibrate(
-                mechanism, Measurements(measured, readings=readings), noise=NOISE
+                mechanism, Measurements(measured, readings=readings), noise=NOISE, strict=True
             )
         except pincal.ObservabilityError as error:
             refused.append(size)
@@ -371,10 +371,9 @@ def test_one_pose_and_none(name: str) -> None:
         found = pincal.forward(mechanism, readings)
         np.testing.assert_allclose(found.poses, home, atol=1e-9)
     for method in ("per-leg", "all-legs"):
+        asked = {"noise": NOISE, "method": method, "strict": True}
         with pytest.raises((pincal.ObservabilityError, pincal.MeasurementError)):
-            pincal.calibrate(
-                mechanism, Measurements(home, readings=readings), noise=NOISE, method=method
-            )
+            pincal.calibrate(mechanism, Measurements(home, readings=readings), **asked)
     with pytest.raises(pincal.ObservabilityError):
         pincal.select_poses(mechanism, home, 12, "independent")
     none = home[:0]

@@ -300,7 +300,7 @@ def test_of_equal_parameters_the_nearest_to_nominal_are_taken() -> None:
     """Changes have no part along the gauge directions, each measured by what it alone does."""
     mechanism, _, data = machine("3RRR")
     moved = seen_from_elsewhere(mechanism, data)
-    gauge = find_gauge(mechanism, *started(mechanism, moved, noise=NOISE, setup=FRAME))
+    gauge = find_gauge(mechanism, *started(mechanism, moved, noise=NOISE, setup=FRAME), strict=True)
     assert gauge.directions.shape[0] == 3
     result = pincal.calibrate(mechanism, moved, noise=NOISE, setup=FRAME)
     change = np.concatenate(
@@ -588,7 +588,7 @@ def test_parts_of_an_orientation_have_the_noise_of_a_turn(
         data = pincal.simulate(mechanism, truth, pincal.Plan(pool[rows]), noise, seed).measurements
         data = put(data, "poses", np.s_[:, columns], np.nan)
         try:
-            result = pincal.calibrate(mechanism, data, noise=noise, hold_undetermined=True)
+            result = pincal.calibrate(mechanism, data, noise=noise)
         except pincal.ObservabilityError:
             continue  # near upright a few sets do not determine a reading's zero
         chi2.append(result.reduced_chi2)

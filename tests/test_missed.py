@@ -78,7 +78,6 @@ def test_positions_of_an_arm_are_missed_in_mm() -> None:
         replace(data, poses=poses),
         noise=noise,
         setup=setup,
-        hold_undetermined=True,
         folds=2,
         by="turn",
     )

@@ -161,7 +161,7 @@ def test_quaternions_of_a_tool_that_points_down_calibrate(tmp_path: Path) -> Non
         rows = np.column_stack((x, y, 0.3 - c + ez, *quaternions, a, b, c, d))
         np.savetxt(table, rows, "%.17g", ",", header=header, comments="")
         noise = pincal.Noise(2e-5, 1e-4, 0.0)
-        result = pincal.calibrate(mechanism, table, noise=noise, hold_undetermined=True)
+        result = pincal.calibrate(mechanism, table, noise=noise)
         assert result.converged
         chi2.append(result.reduced_chi2)
     assert chi2[0] == pytest.approx(chi2[1], rel=1e-3)

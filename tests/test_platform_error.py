@@ -142,7 +142,7 @@ def test_held_directions_give_the_numbers_of_all() -> None:
     poses = pincal.sample_workspace(mechanism, 80, seed=0)
     noise = pincal.Noise(1e-6, 1e-6, 0.0)  # so small that nothing is curved: limits are promised
     data = pincal.simulate(mechanism, mechanism, pincal.Plan(poses[:7]), noise).measurements
-    result = pincal.calibrate(mechanism, data, noise=noise, hold_undetermined=True)
+    result = pincal.calibrate(mechanism, data, noise=noise)
     assert result.undetermined_directions is not None
     held = Unidentified(result.undetermined_directions, result.nominal)
     found = platform_error(result.identified, result.covariance, poses, held, result.frames_moved)

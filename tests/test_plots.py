@@ -198,7 +198,7 @@ def test_a_bed_shows_how_far_the_nozzle_is_off() -> None:
     plan = pincal.sample_configurations(mechanism, 40, 0)
     noise = pincal.Noise(1e-5)
     data = pincal.simulate(mechanism, truth, plan, noise, 3).measurements
-    result = pincal.calibrate(mechanism, data, noise=noise, hold_undetermined=True)
+    result = pincal.calibrate(mechanism, data, noise=noise)
     image = result.plot.bed().images[0]
     values, (left, right, low, high) = image.get_array(), image.get_extent()
     _lines_are_where_they_say(result.plot.bed())

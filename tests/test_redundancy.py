@@ -141,7 +141,7 @@ def test_two_readings_of_one_equation_share_what_it_misses() -> None:
     noise = pincal.Noise(1e-4, 1e-4, 1e-4)
     readings += 1e-4 * rng.standard_normal(readings.shape)
     data = pincal.Measurements(straight.poses, readings=readings)
-    result = pincal.calibrate(mechanism, data, noise=noise, hold_undetermined=True)
+    result = pincal.calibrate(mechanism, data, noise=noise)
     for leg in result.legs:
         assert leg.redundancy is not None
         assert leg.redundancy.shape == leg.residuals.shape == (40,)

@@ -651,6 +651,6 @@ def test_a_leg_that_was_never_read_has_no_residuals() -> None:
     readings = data.readings.copy()
     readings[:, 2] = np.nan
     data = replace(data, readings=readings)
-    result = pincal.calibrate(mechanism, data, noise=noise, hold_undetermined=True)
+    result = pincal.calibrate(mechanism, data, noise=noise)
     assert "nan" not in str(result)
     assert "leg_3" in result.report().html()

@@ -31,7 +31,7 @@ WAYS: dict[str, dict[str, Any]] = {
     "gravity": {"terms": ["gravity"]},
     "gravity in a frame": {"terms": ["gravity"], "setup": FRAME},
     "growth": {"terms": ["growth=temperature"]},
-    "held": {"terms": ["polynomial:2"], "hold_undetermined": True},
+    "held": {"terms": ["polynomial:2"]},
 }
 MACHINES = ["3PRR", "3PUU", "3RPR", "3RPS", "3RRR", "4cable", "5R", "6PUS", "6RUS"]
 MACHINES += ["6UPS", "8cable", "delta", "linear_delta", "ur5"]

@@ -180,7 +180,7 @@ def test_gravity_on_a_vertical_joint_is_no_term(tmp_path: Path) -> None:
     data = pincal.Measurements(poses, readings=readings)
     noise = pincal.Noise(position=5e-4, orientation=5e-4)
     terms = ("gravity",)
-    result = pincal.calibrate(arm, data, hold_undetermined=True, noise=noise, terms=terms)
+    result = pincal.calibrate(arm, data, noise=noise, terms=terms)
     assert "arm.shoulder_pan_joint_gravity" not in result.parameters.ids
     assert "arm.shoulder_lift_joint_gravity" in result.parameters.ids
     result.save(tmp_path / "r")

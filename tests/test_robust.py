@@ -340,7 +340,7 @@ def test_priors_determine_what_measurements_do_not() -> None:
     poses[:, :2] = np.random.default_rng(0).uniform(-0.3, 0.3, (40, 2))
     data = pincal.simulate(mechanism, mechanism, pincal.Plan(poses), EXACT).measurements
     with pytest.raises(pincal.ObservabilityError, match="move together"):
-        pincal.calibrate(mechanism, data, noise=NOISE)
+        pincal.calibrate(mechanism, data, noise=NOISE, strict=True)
     result = pincal.calibrate(mechanism, data, noise=NOISE, priors={"ob": 1e-3, "beta_b": 1e-3})
     assert result.converged
     assert result.legs[0].std[4] == pytest.approx(1e-3, rel=1e-3)

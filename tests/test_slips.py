@@ -128,7 +128,7 @@ def test_a_reflector_that_slipped_on_an_arm_is_named() -> None:
     poses[:, 3:] = np.nan
     data = replace(data, poses=poses)
     setup = pincal.Setup(unknown_frame=True, targets={"platform": pincal.Target(unknown=True)})
-    given = {"noise": noise, "setup": setup, "hold_undetermined": True}
+    given = {"noise": noise, "setup": setup}
     asked = started(prepared(arm, data, **given))
     (one,) = fitted(asked).fits
     found = slips(one)[0]

@@ -152,7 +152,7 @@ def test_gravity_bends_an_arm_and_is_identified() -> None:
     truth = bent.with_parameters(dict.fromkeys(names, 3e-4))
     noise = pincal.Noise(2e-5, 2e-5, 0.0)
     data = pincal.simulate(bent, truth, plan, noise, seed=1).measurements
-    given = {"noise": noise, "hold_undetermined": True}
+    given = {"noise": noise}
     result = pincal.calibrate(bent, data, **given)
     for name in names:
         p = result[name]
@@ -437,7 +437,7 @@ def test_folds_that_leave_geometry_undetermined_are_left_out() -> None:
     readings[4:, 2] = np.nan
     poses_of_few = replace(few, readings=readings)
     with pytest.raises(pincal.ObservabilityError):  # all rows together do not determine it
-        pincal.explain(plain, poses_of_few, noise=noise, folds=4, terms="backlash")
+        pincal.explain(plain, poses_of_few, noise=noise, folds=4, terms="backlash", strict=True)
 
 
 def test_models_that_cannot_be_compared_are_said_to_be() -> None:

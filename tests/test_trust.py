@@ -71,7 +71,7 @@ def test_rows_of_a_fit_keep_its_gauge_where_the_same_is_measured() -> None:
 def test_what_rows_hold_is_theirs_wherever_the_search_begins() -> None:
     """Directions that few rows leave undetermined are held as a fit of these rows alone does."""
     mechanism, _, data = machine("delta", 30)
-    options = Options(noise=NOISE, hold_undetermined=True)
+    options = Options(noise=NOISE)
     few = Calibration(mechanism, data.rows(np.arange(8)), options)
     some = np.arange(8) != 3
     part = few.rows(some)

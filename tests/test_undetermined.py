@@ -34,7 +34,7 @@ def simulated(seed: int, cut: Callable[[Array], Array]) -> pincal.CalibrationRes
     data = pincal.simulate("5R", truth, pincal.Plan(poses), NOISE, seed=seed).measurements
     readings = cut(data.readings.copy())
     data = pincal.Measurements(poses=data.poses[: len(readings)], readings=readings)
-    return pincal.calibrate("5R", data, noise=NOISE, hold_undetermined=True)
+    return pincal.calibrate("5R", data, noise=NOISE)
 
 
 @pytest.mark.parametrize("cut", [few_poses, one_leg_seldom_read])

@@ -287,7 +287,7 @@ def _far(result: CalibrationResult) -> list[Finding]:
                 parameter=worst.id,
                 half=worst.half,
                 unit=worst.unit,
-                held=options.hold_undetermined,
+                held=options.holds,
             )
         ]
     moved = np.array([p.change for p in parameters]) - result.calibration.shift

@@ -66,6 +66,10 @@ def _said(problem: Problem) -> tuple[list[bool], dict[str, bool]]:
 
 Tie = tuple[int, float] | None  # of the noise of readings to another, see ``Moments.tie``
 ROUNDS = 20  # of noise, or of frames, in turn with the legs
+# Weak directions are held where noise moves them farther than machines differ; where the search
+_HELD_MORE = 10.0  # does not converge with them, also those moved a tenth as far, and so on
+_HELD_MOST = 100.0  # until a hundredth,
+_PATIENCE = 200  # so many evaluations each
 _REFITS = 5  # with noise that was estimated
 _STILL = 1e-10  # of the machine's size, and [rad]: the frame moves no more
 SCALE_OFF = 5e-3  # of the scale of the noise that was estimated: fitted once more
@@ -236,7 +240,7 @@ def _all_legs(
     """
     mechanism, options = calibration.mechanism, calibration.options
     problem, unknowns = calibration.latent_problem, calibration.unknowns(tied=tied)
-    if options.setup.plain and not (options.tied or options.hold_undetermined):
+    if options.setup.plain and not options.tied and (options.strict or not calibration.noise.known):
         calibration.check_counts()
     start = gauge = None
     if before is not None:
@@ -245,19 +249,31 @@ def _all_legs(
     else:
         if near is not None:
             start, gauge = near.state, near.gauge(problem, unknowns)
-        # what is held follows where the search would have started
-        started = gauge is not None and not options.hold_undetermined
-        first = start if started else calibration.started(problem).first
+        first = start if gauge is not None else calibration.started(problem).first
     problem = replace(problem, first=first)
     if gauge is None:
-        gauge = find_gauge(mechanism, problem, unknowns)
+        gauge = find_gauge(mechanism, problem, unknowns, strict=not options.holds)
     free = unknowns.held(gauge.constraints) if gauge.found else unknowns
-    held = hold_unobservable(mechanism, problem, free) if options.hold_undetermined else None
-    free = free if held is None else held.unknowns
     options.report("identifying all legs and poses")
-    kept = calibration.counts
-    system = System(problem, free, calibration.noise.known, kept=None if kept.all() else kept)
-    found = robust_fit(mechanism, system, _loss(calibration), start, options.progress)
+    kept = None if calibration.counts.all() else calibration.counts
+    system = System(problem, free, calibration.noise.known, kept=kept)
+    held, loss = None, _loss(calibration)
+    least = 1.0 if before is None or before.held is None else before.held.least
+    while options.holds:
+        held = hold_unobservable(mechanism, problem, free, least)
+        may_hold_more = held.weakest < _HELD_MORE * least and least < _HELD_MOST
+        patience = _PATIENCE if may_hold_more else None
+        system = replace(system, unknowns=held.unknowns, max_evaluations=patience)
+        try:
+            found = robust_fit(mechanism, system, loss, start, options.progress)
+            if found.converged or not may_hold_more:
+                break
+        except ObservabilityError:
+            if not may_hold_more:
+                raise
+        least *= _HELD_MORE
+    else:
+        found = robust_fit(mechanism, system, loss, start, options.progress)
     if before is not None:  # whose search began where this one's would have
         found = replace(found, first=before.fits[0].first)
     external = found.last.state.external
@@ -266,11 +282,6 @@ def _all_legs(
 
 def _measured(calibration: Calibration, tied: bool, before: Fits | None) -> Fits:
     """Return the fits of all legs, poses as measured; arguments are those of ``_all_legs``."""
-    if calibration.options.hold_undetermined:
-        raise MeasurementError(
-            "what is undetermined is held where all legs are identified at once; leave out "
-            "--method per-leg or --hold-undetermined"
-        )
     calibration.check_whole()
     calibration.check_counts()
     unknowns = calibration.unknowns(tied=tied)
@@ -278,7 +289,7 @@ def _measured(calibration: Calibration, tied: bool, before: Fits | None) -> Fits
     if calibration.options.setup.plain:
         return Fits(calibration, _fit_groups(calibration, groups, unknowns, None))
     problem = calibration.started(calibration.latent_problem)
-    gauge = find_gauge(calibration.mechanism, problem, unknowns)
+    gauge = find_gauge(calibration.mechanism, problem, unknowns, strict=True)
     n_external = len(problem.observation.external)
     if len(gauge.directions) != n_external or problem.first is None:
         raise ObservabilityError(

@@ -161,8 +161,10 @@ class Options:
         "The nominal mechanism is known roughly: units, signs and the order of legs are not "
         "checked.",
     )
-    hold_undetermined: bool = option(
-        False, "Hold what the measurements do not determine as near to nominal as can be."
+    strict: bool = option(
+        False,
+        "Refuse by name what the measurements do not determine, in place of holding it as near to "
+        "nominal as can be.",
     )
     folds: int = option(
         FOLDS,
@@ -236,6 +238,11 @@ class Options:
     def latent(self) -> bool:
         """Whether poses are unknowns, or taken as measured."""
         return self.method == "all-legs" and self.residual == "closure"
+
+    @property
+    def holds(self) -> bool:
+        """Whether what the measurements do not determine is held nearest to nominal."""
+        return self.latent and not self.strict
 
     def report(self, what: str) -> None:
         """Say what is being done."""

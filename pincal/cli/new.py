@@ -130,8 +130,7 @@ def new(
     wrote(output)
     for file, description in DESCRIPTIONS.items():
         remark(f"  {file}: {description}")
-    hold = "" if chosen.rank.complete else " --hold-undetermined"
-    remark(f"then: pincal calibrate {output} {output / 'sheet.csv'}{hold} -o RESULT")
+    remark(f"then: pincal calibrate {output} {output / 'sheet.csv'} -o RESULT")
 
 
 def _candidates(design: Architecture, values: Values, mechanism: Mechanism, seed: int) -> Plan:

@@ -281,7 +281,9 @@ def fit(
         near, easy_evaluations = near_start(system, first, progress)
         evaluations += easy_evaluations
     enough = SLOW if adjusts(problem) else 0.0  # the last steps go on from there
-    solution = last_steps(system, search(system, near, progress, highest=highest, enough=enough))
+    stop = system.max_evaluations
+    solution = search(system, near, progress, highest=highest, enough=enough, max_evaluations=stop)
+    solution = last_steps(system, solution)
     if system.known:  # where the search starts, a pose may be nearer to a singularity than it is
         check_information(problem, unknowns, (first, solution.last))
     optimum = Fit(

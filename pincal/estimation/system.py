@@ -150,6 +150,8 @@ class System:
     known: bool
     """Whether the scale of the noise is known."""
     loss: Loss | None = None
+    max_evaluations: int | None = None
+    """Evaluations of the conditions after which a search stops; a usual number if None."""
     kept: Mask | None = None
     """Rows that take part, shape (N,); all if not given."""
     held_scale: float | None = None

@@ -253,10 +253,10 @@ PARAMETERS: dict[str, Wording] = {
         "A standard error is larger than machines differ from their drawings: the number is noise. "
         "The finding's parameters are all of them.",
         "Measure poses that determine more"
-        "{', hold it at nominal (--hold-undetermined)' if not held}, or say how well nominal "
+        "{', hold it at nominal (leave out --strict)' if not held}, or say how well nominal "
         "values are known (--priors)",
         general="Measure poses that determine more (pincal select), hold what is undetermined "
-        "(--hold-undetermined, --fixed), or say how well nominal values are known (--priors)",
+        "(leave out --strict; --fixed), or say how well nominal values are known (--priors)",
     ),
     "undetermined-held": Wording(
         "Undetermined parameters were held",

@@ -134,12 +134,20 @@ class Gauge:
     """Motions of frames that these are (see ``split_frames``), shape (k, n_moved)."""
 
 
-def find_gauge(mechanism: Mechanism, problem: Problem, unknowns: Unknowns) -> Gauge:
+def find_gauge(
+    mechanism: Mechanism, problem: Problem, unknowns: Unknowns, *, strict: bool
+) -> Gauge:
     """Return the gauge freedoms of a problem at its start.
 
+    Args:
+        mechanism: The mechanism.
+        problem: The problem.
+        unknowns: What is to be identified.
+        strict: Whether to refuse what is lost but is no motion of frames, or to leave it.
+
     Raises:
-        ObservabilityError: what is measured leaves parameters undetermined at any poses; the
-            message names them.
+        ObservabilityError: what is measured leaves parameters undetermined at any poses, if
+            strict, or all of them; the message names them.
     """
     platform, T = mechanism.platform, unknowns.map
     legs, J = jacobian_near(mechanism, problem, unknowns, generic=True)
@@ -152,14 +160,20 @@ def find_gauge(mechanism: Mechanism, problem: Problem, unknowns: Unknowns) -> Ga
     directions = lost / lengths
     size, n_legs, gain = largest_size(problem.legs), legs.parameter.shape[2], legs.gain
     moved = (directions @ T.T)[:, :n_legs].T
-    _, inside, frames = split_frames(platform, platform.matrices(legs.poses), gain, moved, size)
-    if inside.shape[1]:
+    matrices = platform.matrices(legs.poses)
+    _, inside, frames = split_frames(platform, matrices, gain, moved, size)
+    if inside.shape[1] and not strict and len(lost) < T.shape[1]:
+        every_gain = np.pad(gain, ((0, 0), (0, 0), (0, len(T) - n_legs)))
+        gauge, _, _ = split_frames(platform, matrices, every_gain, (directions @ T.T).T, size)
+        directions = np.asarray(np.linalg.lstsq(T, gauge, rcond=None)[0].T)
+        moved = gauge[:n_legs]
+    elif inside.shape[1]:
         follows = gain.reshape(-1, n_legs) @ T[:n_legs]
         raise ObservabilityError(
             f"what is measured leaves parameters undetermined at any poses: "
             f"{_undetermined(mechanism, J, unknowns, moved, inside.shape[1], follows)}"
         )
-    n_still = len(lost) - frames.shape[1]
+    n_still = len(directions) - frames.shape[1]
     findings = _freedoms(frames.shape[1], mechanism, unknowns, directions @ T.T)
     if n_still:
         groups = identifiability(gain.reshape(-1, n_legs), unknowns.labels[:n_legs]).groups

@@ -71,7 +71,7 @@ def check_rank(
             f"the measured poses leave parameters undetermined: {total.describe()} "
             f"(rank {total.rank} of {total.n_params}). Measure poses that separate them, fix "
             "one of them, make it a constant in mechanism.yaml, or hold it as near to nominal as "
-            "can be (--hold-undetermined; leave out --method per-leg)"
+            "can be (leave out --strict and --method per-leg)"
         )
     pairs = zip(problem.legs, problem.leg_block.columns, strict=True)
     by_leg = [identifiability(J[:, columns], leg.parameter_names) for leg, columns in pairs]
@@ -145,34 +145,50 @@ class HeldUnknowns:
     """Ids of the unknowns that are unobservable together, a group for each direction."""
     weak: tuple[str, ...]
     """Ids of those that are weakly determined."""
+    least: float
+    """By how many times better than machines differ a direction had to be determined."""
+    weakest: float
+    """By how many times the weakest is of those that were not held."""
 
 
-def hold_unobservable(mechanism: Mechanism, problem: Problem, unknowns: Unknowns) -> HeldUnknowns:
+def hold_unobservable(
+    mechanism: Mechanism, problem: Problem, unknowns: Unknowns, least: float = 1.0
+) -> HeldUnknowns:
     """Return the unknowns less what the measurements leave unobservable.
 
     Of all parameters that fit as well, those nearest to the nominal ones, each change measured by
     what it alone would do to the measurements; then, where they are weakly determined, by how much
-    machines may differ. The unknowns are less gauge freedoms already.
+    machines may differ. The unknowns are less gauge freedoms already; directions that noise
+    determines less than ``least`` times better than machines differ count as weak.
     """
     J = _jacobian(mechanism, problem, unknowns)
     lost, lengths = lost_directions(J)
     held = unknowns.held(lost * lengths) if len(lost) else unknowns
-    weak, scale = _weakly_determined(mechanism, problem, held)
+    axes, information, scale = _determined(mechanism, problem, held)
+    weak = axes[int((information > least).sum()) :]
+    weakest = information[information > least].min(initial=np.inf)
     moved = [(lost / lengths) @ unknowns.map.T, (weak * scale) @ held.map.T]
     directions, plausible = np.concatenate(moved).T, _plausible(mechanism, problem)
     directions = directions / np.abs(directions / plausible[:, None]).max(axis=0, initial=0.0)
     groups = identifiability(J, unknowns.free_labels).groups if len(lost) else ()
     names = taking_part(held.free_labels, weak) if len(weak) else ()
-    return HeldUnknowns(held.held(weak / scale) if len(weak) else held, directions, groups, names)
+    held = held.held(weak / scale) if len(weak) else held
+    return HeldUnknowns(held, directions, groups, names, least, float(weakest))
 
 
-def _weakly_determined(
+def _determined(
     mechanism: Mechanism, problem: Problem, unknowns: Unknowns
-) -> tuple[Array, Array]:
-    """Return along which directions noise moves parameters farther than machines may differ.
+) -> tuple[Array, Array, Array]:
+    """Return directions, and how many times better than machines differ noise determines them.
 
-    Rows of shape (k, n_free), in unknowns over their scale, and these scales: by how much machines
-    may differ, shape (n_free,). None of the unknowns may be unobservable.
+    Rows of shape (n_free, n_free), in unknowns over their scale, the best determined first; how
+    well these are, shape (min(m, n_free),); and these scales: by how much machines may differ,
+    shape (n_free,).
+
+    Args:
+        mechanism: The nominal mechanism.
+        problem: The problem, at its start.
+        unknowns: Of the problem, none unobservable.
     """
     state = problem.start(unknowns.start)
     if problem.latent:
@@ -180,7 +196,7 @@ def _weakly_determined(
     scale = 1.0 / np.abs(unknowns.map / _plausible(mechanism, problem)[:, None]).max(axis=0)
     rows = unknowns.free_rows(problem.evaluate(state).jacobian) * scale
     _, information, axes = np.linalg.svd(np.linalg.qr(rows, mode="r"), full_matrices=True)
-    return axes[int((information > 1.0).sum()) :], scale
+    return axes, information, scale
 
 
 def _plausible(mechanism: Mechanism, problem: Problem) -> Array:
@@ -206,10 +222,12 @@ def check_weakly_determined(
         ObservabilityError: that is so; the message names what.
     """
     lost, _ = lost_directions(_jacobian(mechanism, problem, unknowns))
-    if not len(lost):
-        weak, _ = _weakly_determined(mechanism, problem, unknowns)
-        if len(weak):
-            raise _weak(taking_part(unknowns.free_labels, weak)) from cause
+    if len(lost):
+        return
+    axes, information, _ = _determined(mechanism, problem, unknowns)
+    if (information <= 1.0).any():
+        weak = axes[: len(information)][information <= 1.0]
+        raise _weak(taking_part(unknowns.free_labels, weak)) from cause
 
 
 def check_covariance(
@@ -242,7 +260,7 @@ def _weak(ids: Sequence[str]) -> ObservabilityError:
         f"{named} {'is' if single else 'are'} weakly determined by the measured poses: noise moves "
         f"{them} farther than machines differ from their drawings. Measure poses that differ more "
         f"(in orientation above all), hold {them} as near to nominal as can be "
-        "(--hold-undetermined), or say how well nominal values are known (--priors)"
+        "(leave out --strict), or say how well nominal values are known (--priors)"
     )
 
 
