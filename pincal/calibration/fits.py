@@ -69,7 +69,7 @@ ROUNDS = 20  # of noise, or of frames, in turn with the legs
 # Weak directions are held where noise moves them farther than machines differ; where the search
 _HELD_MORE = 10.0  # does not converge with them, also those moved a tenth as far, and so on
 _HELD_MOST = 100.0  # until a hundredth,
-_PATIENCE = 200  # so many evaluations each
+_PATIENCE = 500  # so many evaluations each
 _REFITS = 5  # with noise that was estimated
 _STILL = 1e-10  # of the machine's size, and [rad]: the frame moves no more
 SCALE_OFF = 5e-3  # of the scale of the noise that was estimated: fitted once more
