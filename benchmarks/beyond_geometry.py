@@ -30,8 +30,8 @@ import cramer_rao
 import pincal
 from pincal.calibration.covariance import unseen
 from pincal.calibration.terms.choice import LEVEL
+from pincal.design.order import in_turns
 from pincal.design.platform_error import platform_error
-from pincal.design.select import in_turns
 
 Array = NDArray[np.float64]
 PAGE = Path(__file__).parents[1] / "docs" / "beyond_geometry.md"

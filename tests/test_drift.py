@@ -13,7 +13,7 @@ from measured import workspace
 
 import pincal
 from pincal.design.forecast import drift
-from pincal.design.select import REFERENCE, in_turns, with_reference
+from pincal.design.order import REFERENCE, in_turns, with_reference
 from pincal.show.forecasts import drift_lines
 
 NOISE = pincal.Noise(2e-5, 2e-5, 1e-5)

@@ -22,7 +22,7 @@ from pincal.design.orbits import (
     selection_group,
     smallest,
 )
-from pincal.design.search import Search, SelectionOptions
+from pincal.design.select import Search, SelectionOptions
 from pincal.estimation.observability.indices import indices
 from pincal.kinematics.derivatives import leg_demand
 

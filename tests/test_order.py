@@ -11,7 +11,7 @@ from command_line import done
 from measured import workspace
 
 import pincal
-from pincal.design.select import in_turns, with_verification
+from pincal.design.order import in_turns, with_verification
 
 
 def test_sets_take_turns() -> None:

@@ -22,7 +22,8 @@ from pincal.cli.options import (
 )
 from pincal.design.forecast import drift, forecast, scale_effect
 from pincal.design.orbits import selection_group
-from pincal.design.select import Protocol, in_turns, select_poses, with_reference, with_verification
+from pincal.design.order import in_turns, with_reference, with_verification
+from pincal.design.select import Protocol, select_poses
 from pincal.design.select_configurations import Goal, select_configurations
 from pincal.design.simulate import disturb
 from pincal.design.simulate import simulate as simulate_measurements

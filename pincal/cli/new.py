@@ -16,7 +16,7 @@ from pincal.architectures.dimension import Architecture, Values
 from pincal.architectures.new import ARCHITECTURES, architecture_of, new_mechanism
 from pincal.cli.app import command, remark, stdout, working, wrote
 from pincal.cli.options import FORCE, SEED, output_option
-from pincal.design.select import in_turns, with_verification
+from pincal.design.order import in_turns, with_verification
 from pincal.design.select_configurations import ConfigurationChoice, select_configurations
 from pincal.files.measurement_writing import write_plan, write_sheet
 from pincal.files.mechanism_folders import MECHANISM_FILES, write_mechanism

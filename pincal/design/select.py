@@ -10,36 +10,67 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
 import numpy as np
 
 from pincal.blas import on_one_thread
+from pincal.design.certificate import continuous_design
+from pincal.design.criteria import Criterion, Parts, triangles
+from pincal.design.exchange import best_choice
+from pincal.design.information import leg_rows
 from pincal.design.orbits import (
+    distinct,
     merged,
     multiplicities,
     orbit_of,
     orbits_of_legs,
+    representatives,
     selection_group,
     smallest,
 )
-from pincal.design.search import Search, SelectionOptions
 from pincal.errors import MeasurementError, ObservabilityError
 from pincal.estimation.observability.indices import Indices, identifiability, indices, r_diagonal
+from pincal.files.measurements import as_noise
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
-from pincal.kinematics.closure import largest_size, nominal_legs
-from pincal.kinematics.configurations import as_plan, joints_at
+from pincal.kinematics.closure import LegClosure, nominal_legs
 from pincal.kinematics.derivatives import leg_demands_at
-from pincal.model.checks import ALIKE, count_of, described
-from pincal.model.measurements import EVERY_LEG, VERIFY, Plan
+from pincal.kinematics.inverse import reached
+from pincal.model.checks import ALIKE, count_of, described, generator_of
+from pincal.model.measurements import EVERY_LEG, Noise, Plan
 from pincal.model.mechanism import Mechanism
+from pincal.symmetry.elements import IDENTITY, Element
 from pincal.types import Array
 from pincal.words.wording import mapped_diagonals
 
 _SAMPLE = 64  # candidates on which it is looked at whether rows map
 Protocol = Literal["independent", "symmetric", "orbits", "common"]
+
+
+@dataclass(frozen=True)
+class SelectionOptions:
+    """Options of ``select_poses`` and ``select_configurations``."""
+
+    noise: Noise | None = None
+    """Standard deviations of the measurements to come; only their ratios matter."""
+    seed: int | np.random.Generator = 0
+    """Seed or generator of the random starts."""
+    starts: int = 5
+    """Number of starts of the exchange; the best result is taken."""
+    progress: Callable[[str], None] | None = None
+    """Function that is called with what is being done."""
+
+    def __post_init__(self) -> None:
+        as_noise(self.noise)
+        count_of(self.starts, "starts", MeasurementError, 1)
+        generator_of(self.seed, MeasurementError)
+
+    def say(self, text: str) -> None:
+        """Pass on what is being done."""
+        if self.progress is not None:
+            self.progress(text)
 
 
 @dataclass(frozen=True)
@@ -117,6 +148,113 @@ class Selection:
         if self.mapped and self.diagonals_differ >= ALIKE:
             lines.append(f"  {mapped_diagonals(self.diagonals_differ)}")
         return "\n".join(lines)
+
+
+class Search:
+    """Candidates that a mechanism reaches, and the best of them."""
+
+    def __init__(
+        self, mechanism: Mechanism, candidates: Array, count: int, options: SelectionOptions
+    ) -> None:
+        """Hold the candidates that all legs reach, each once.
+
+        Args:
+            mechanism: The mechanism.
+            candidates: Coordinates, shape (M, dof), [m] and [rad].
+            count: Number of poses, or of orbits, to choose.
+            options: How to search.
+
+        Raises:
+            MechanismError: poses of a wrong shape, or not finite.
+            ObservabilityError: fewer candidates in reach than are to be chosen.
+        """
+        self.mechanism, self.count, self.options = mechanism, count, options
+        self.noise, self.rng = as_noise(options.noise), np.random.default_rng(options.seed)
+        platform = mechanism.platform
+        coordinates = platform.checked(platform.coordinates_of(candidates))
+        poses = coordinates[reached(mechanism, coordinates).all(axis=1)]
+        self.in_reach, self.unreachable = len(poses), len(coordinates) - len(poses)
+        if len(poses) < max(count, 1):
+            raise ObservabilityError(
+                f"{mechanism.name} reaches {len(poses)} of {len(coordinates)} candidate poses; "
+                f"{count} are to be chosen"
+            )
+        self.poses = poses[distinct(platform, poses)]
+
+    def choose(
+        self, legs: Sequence[str], elements: Sequence[Element] = (IDENTITY,)
+    ) -> tuple[Array, float]:
+        """Return the best poses for legs, shape (count, dof), and their efficiency.
+
+        Args:
+            legs: Legs that the poses are for, as often as each is to count.
+            elements: Group whose orbits of the poses are measured.
+
+        Raises:
+            ObservabilityError: too few poses or candidates, or some parameter undetermined.
+        """
+        poses, platform = self.poses, self.mechanism.platform
+        if len(elements) > 1:
+            images = representatives(elements, platform.matrices(poses))
+            poses = poses[distinct(platform, platform.from_matrices(images))]
+        rows = self.rows(poses, legs, elements)
+        r, n = (sum(part.shape[axis] for part in rows) for axis in (1, 2))
+        if self.count * r < n:
+            subject = legs[0] if len(legs) == 1 else self.mechanism.name
+            raise ObservabilityError(
+                f"{self.count} poses give {self.count * r} equations for the {n} parameters of "
+                f"{subject}; choose at least {-(-n // r)}, better two or three times as many"
+            )
+        lost = []
+        for leg, factor in zip(legs, triangles(rows), strict=True):
+            ids = [f"{leg}.{name}" for name in self.mechanism.leg(leg).parameter_names]
+            rank = identifiability(factor, ids)
+            lost += [] if rank.complete else [rank.describe()]
+        if lost:
+            raise ObservabilityError(
+                f"the candidate poses leave parameters undetermined: {'; '.join(lost)}. "
+                "Add poses that determine each of them, or make one of them a constant"
+            )
+        chosen, efficiency = best_choice(rows, self.count, self.rng, self.options.starts)
+        return poses[chosen], efficiency
+
+    def efficiency(self, leg: str, element: Element, chosen: Array) -> float:
+        """Return the efficiency of carried poses for a leg, among carried candidates.
+
+        Args:
+            leg: The leg.
+            element: Element that carries candidates to the leg's.
+            chosen: Poses that were chosen, coordinates of shape (count, dof).
+        """
+        offered, taken = (
+            self.rows(element.poses(self.mechanism.platform, poses), (leg,))
+            for poses in (self.poses, chosen)
+        )
+        return continuous_design(offered).efficiency(Criterion().value(taken), len(chosen))
+
+    def rows(
+        self, poses: Array, legs: Sequence[str], elements: Sequence[Element] = (IDENTITY,)
+    ) -> Parts:
+        """Return whitened rows of legs at poses, or at all poses of their orbits.
+
+        They are zero at an image that is an earlier one of its pose, which is measured once.
+
+        Args:
+            poses: Poses that all legs reach, coordinates of shape (M, dof).
+            legs: Leg of each part, as often as it is to count.
+            elements: Elements of the group that makes orbits, the identity first.
+        """
+        platform, rows = self.mechanism.platform, {}
+        orbits = list(zip(*orbit_of(elements, platform.matrices(poses)), strict=True))
+        for leg in dict.fromkeys(legs):
+            closure, images = LegClosure(self.mechanism.leg(leg), platform), []
+            for image, first in orbits:
+                (demand,) = leg_demands_at((closure,), (image,))
+                images.append(leg_rows(demand, self.mechanism, self.noise))
+                finite = np.isfinite(images[-1]).all(axis=(1, 2))
+                images[-1][~(first & finite)] = 0.0
+            rows[leg] = np.concatenate(images, axis=1)
+        return tuple(rows[leg] for leg in legs)
 
 
 @on_one_thread
@@ -254,95 +392,3 @@ def _leg_designs(
             )
         )
     return tuple(designs)
-
-
-REFERENCE = "reference"
-"""Name of the pose that is measured again and again."""
-
-
-def in_turns(plan: Plan, seed: int = 0) -> Plan:
-    """Return a plan whose sets take turns, each in a random order.
-
-    Sets of one size have the same order: poses that a symmetry maps follow one another.
-    """
-    sets = np.array(plan.serving)
-    when = np.empty(len(plan))
-    for name in np.unique(sets):
-        rows = np.flatnonzero(sets == name)
-        order = np.random.default_rng(seed).permutation(len(rows))
-        when[rows[order]] = (np.arange(len(rows)) + 0.5) / len(rows)
-    return plan.rows(np.argsort(when, kind="stable"))
-
-
-def with_reference(mechanism: Mechanism, plan: Plan, every: int) -> Plan:
-    """Return a plan in which one pose is measured again every so many rows, and at its end.
-
-    The pose in the middle: with the least sum of squared twists to the others. Its rows have the
-    name ``reference``, and differ by noise and by what drifts.
-
-    Args:
-        mechanism: The mechanism.
-        plan: The poses, in their order.
-        every: How many rows lie between.
-
-    Raises:
-        MeasurementError: no rows between.
-    """
-    count_of(every, "every", MeasurementError, 1)
-    platform, count = mechanism.platform, len(plan)
-    size = largest_size(mechanism.legs)
-    per = np.array([1.0 / size if unit == "m" else 1.0 for unit in platform.units])
-    fitted = np.flatnonzero(~plan.verifying)
-    twists = (
-        platform.twists_between(np.tile(plan.poses[row], (len(fitted), 1)), plan.poses[fitted])
-        for row in fitted
-    )
-    middle = int(fitted[np.argmin([((per * twist) ** 2).sum() for twist in twists])])
-    order: list[int] = []
-    for begin in range(0, count, every):
-        order += [middle, *range(begin, min(begin + every, count))]
-    order.append(middle)
-    ordered = plan.rows(np.array(order))
-    sets = list(ordered.serving)
-    for row in (*range(0, len(order) - 1, every + 1), -1):
-        sets[row] = EVERY_LEG
-    names = ordered.places or ("",) * len(order)
-    places = tuple(REFERENCE if row == middle else names[i] for i, row in enumerate(order))
-    return replace(ordered, sets=tuple(sets), places=places)
-
-
-def with_verification(
-    mechanism: Mechanism, plan: Plan, offered: Plan, count: int, seed: int = 0
-) -> Plan:
-    """Return a plan with poses beside it that no fit follows: those of the set ``verify``.
-
-    Args:
-        mechanism: The mechanism.
-        plan: Poses that were chosen.
-        offered: Poses from which to take the others at random: spread over the workspace.
-        count: How many.
-        seed: Seed.
-
-    Raises:
-        ObservabilityError: fewer are in reach.
-    """
-    offered = as_plan(mechanism, offered)
-    taken = {pose.tobytes() for pose in plan.poses}
-    free = np.array([pose.tobytes() not in taken for pose in offered.poses], dtype=bool)
-    rows = np.random.default_rng(seed).permutation(np.flatnonzero(free))
-    reached = joints_at(mechanism, offered.rows(rows)).reached.all(axis=1)
-    chosen = offered.rows(rows[reached][:count])
-    if len(chosen) < count:
-        raise ObservabilityError(
-            f"{len(chosen)} poses are left to verify with, of {count} that were asked for; offer "
-            "more candidates, or ask for fewer"
-        )
-    readings = None
-    if plan.readings is not None and chosen.readings is not None:
-        readings = np.concatenate((plan.readings, chosen.readings))
-    return Plan(
-        np.concatenate((plan.poses, chosen.poses)),
-        (*plan.serving, *(VERIFY,) * count),
-        readings,
-        places=None if plan.places is None else (*plan.places, *("",) * count),
-    )

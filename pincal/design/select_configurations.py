@@ -20,7 +20,7 @@ from pincal.design.exchange import best_choice
 from pincal.design.information import apart_from_frames, information_rows, null_directions
 from pincal.design.orbits import distinct
 from pincal.design.platform_error import without_frames
-from pincal.design.search import SelectionOptions
+from pincal.design.select import SelectionOptions
 from pincal.errors import MeasurementError, ObservabilityError
 from pincal.estimation.observability.indices import (
     NEGLIGIBLE,

@@ -167,11 +167,13 @@ class PageServer:
         """Listen until the server is closed; what still waits for clients ends with the loop."""
         self._loop, self._closed = asyncio.get_running_loop(), asyncio.Event()
         self._loop.set_exception_handler(lambda *_: None)  # clients that hang up
-        server = await asyncio.start_server(self._serve, "127.0.0.1", 0)
-        port = server.sockets[0].getsockname()[1]
-        self._hosts = (f"127.0.0.1:{port}", f"localhost:{port}")
-        self.url = f"http://{self._hosts[0]}/"
-        self._listening.set()
+        try:
+            server = await asyncio.start_server(self._serve, "127.0.0.1", 0)
+            port = server.sockets[0].getsockname()[1]
+            self._hosts = (f"127.0.0.1:{port}", f"localhost:{port}")
+            self.url = f"http://{self._hosts[0]}/"
+        finally:
+            self._listening.set()
         await self._closed.wait()
         server.close()
 

@@ -1,0 +1,105 @@
+"""Plans in the order in which they are measured, with poses measured again, and some to verify."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from pincal.errors import MeasurementError, ObservabilityError
+from pincal.kinematics.closure import largest_size
+from pincal.kinematics.configurations import as_plan, joints_at
+from pincal.model.checks import count_of
+from pincal.model.measurements import EVERY_LEG, VERIFY, Plan
+from pincal.model.mechanism import Mechanism
+
+REFERENCE = "reference"
+"""Name of the pose that is measured again and again."""
+
+
+def in_turns(plan: Plan, seed: int = 0) -> Plan:
+    """Return a plan whose sets take turns, each in a random order.
+
+    Sets of one size have the same order: poses that a symmetry maps follow one another.
+    """
+    sets = np.array(plan.serving)
+    when = np.empty(len(plan))
+    for name in np.unique(sets):
+        rows = np.flatnonzero(sets == name)
+        order = np.random.default_rng(seed).permutation(len(rows))
+        when[rows[order]] = (np.arange(len(rows)) + 0.5) / len(rows)
+    return plan.rows(np.argsort(when, kind="stable"))
+
+
+def with_reference(mechanism: Mechanism, plan: Plan, every: int) -> Plan:
+    """Return a plan in which one pose is measured again every so many rows, and at its end.
+
+    The pose in the middle: with the least sum of squared twists to the others. Its rows have the
+    name ``reference``, and differ by noise and by what drifts.
+
+    Args:
+        mechanism: The mechanism.
+        plan: The poses, in their order.
+        every: How many rows lie between.
+
+    Raises:
+        MeasurementError: no rows between.
+    """
+    count_of(every, "every", MeasurementError, 1)
+    platform, count = mechanism.platform, len(plan)
+    size = largest_size(mechanism.legs)
+    per = np.array([1.0 / size if unit == "m" else 1.0 for unit in platform.units])
+    fitted = np.flatnonzero(~plan.verifying)
+    twists = (
+        platform.twists_between(np.tile(plan.poses[row], (len(fitted), 1)), plan.poses[fitted])
+        for row in fitted
+    )
+    middle = int(fitted[np.argmin([((per * twist) ** 2).sum() for twist in twists])])
+    order: list[int] = []
+    for begin in range(0, count, every):
+        order += [middle, *range(begin, min(begin + every, count))]
+    order.append(middle)
+    ordered = plan.rows(np.array(order))
+    sets = list(ordered.serving)
+    for row in (*range(0, len(order) - 1, every + 1), -1):
+        sets[row] = EVERY_LEG
+    names = ordered.places or ("",) * len(order)
+    places = tuple(REFERENCE if row == middle else names[i] for i, row in enumerate(order))
+    return replace(ordered, sets=tuple(sets), places=places)
+
+
+def with_verification(
+    mechanism: Mechanism, plan: Plan, offered: Plan, count: int, seed: int = 0
+) -> Plan:
+    """Return a plan with poses beside it that no fit follows: those of the set ``verify``.
+
+    Args:
+        mechanism: The mechanism.
+        plan: Poses that were chosen.
+        offered: Poses from which to take the others at random: spread over the workspace.
+        count: How many.
+        seed: Seed.
+
+    Raises:
+        ObservabilityError: fewer are in reach.
+    """
+    offered = as_plan(mechanism, offered)
+    taken = {pose.tobytes() for pose in plan.poses}
+    free = np.array([pose.tobytes() not in taken for pose in offered.poses], dtype=bool)
+    rows = np.random.default_rng(seed).permutation(np.flatnonzero(free))
+    reached = joints_at(mechanism, offered.rows(rows)).reached.all(axis=1)
+    chosen = offered.rows(rows[reached][:count])
+    if len(chosen) < count:
+        raise ObservabilityError(
+            f"{len(chosen)} poses are left to verify with, of {count} that were asked for; offer "
+            "more candidates, or ask for fewer"
+        )
+    readings = None
+    if plan.readings is not None and chosen.readings is not None:
+        readings = np.concatenate((plan.readings, chosen.readings))
+    return Plan(
+        np.concatenate((plan.poses, chosen.poses)),
+        (*plan.serving, *(VERIFY,) * count),
+        readings,
+        places=None if plan.places is None else (*plan.places, *("",) * count),
+    )
