@@ -103,7 +103,31 @@ def free_of_collision(
         FileError: the file or one of its meshes cannot be read.
         MechanismError: no such joint, or no collision geometry.
     """
-    path = Path(path).absolute()
+    model, shapes = _collision_model(Path(path).absolute())
+    if unknown := [name for name in joints if not model.existJointName(name)]:
+        known = ", ".join(list(model.names)[1:])
+        raise MechanismError(f"{path}: no joint named {unknown[0]!r}; it has {known}")
+    data, q = model.createData(), pin.neutral(model)
+    shapes.addAllCollisionPairs()
+    pairs = list(shapes.collisionPairs)
+    supports = [set(model.supports[shape.parentJoint]) for shape in shapes.geometryObjects]
+    touching = np.array([len(supports[p.first] ^ supports[p.second]) < _CLOSE for p in pairs], bool)
+    if neutral:
+        collisions = shapes.createData()
+        pin.computeCollisions(model, data, shapes, collisions, q, False)
+        touching |= [result.isCollision() for result in collisions.collisionResults]
+    for pair in itertools.compress(pairs, touching):
+        shapes.removeCollisionPair(pair)
+    collisions, indices = shapes.createData(), [model.getJointId(name) for name in joints]
+    free = np.empty(len(positions), dtype=bool)
+    for row, values in enumerate(np.asarray(positions, dtype=np.float64)):
+        at_row = _configuration(model, q, indices, values)
+        free[row] = not pin.computeCollisions(model, data, shapes, collisions, at_row, True)
+    return free
+
+
+def _collision_model(path: Path) -> tuple[pin.Model, pin.GeometryModel]:
+    """Return a URDF's joints, and the shapes of its bodies."""
     if not path.is_file():
         raise FileError(f"cannot read {path}: no such file")
     try:
@@ -122,29 +146,7 @@ def free_of_collision(
     for shape in shapes.geometryObjects:
         if hasattr(shape.geometry, "num_tris"):  # a mesh
             check_mesh(shape.meshPath, shape.geometry.vertices(), shape.geometry.num_tris)
-    if unknown := [name for name in joints if not model.existJointName(name)]:
-        known = ", ".join(list(model.names)[1:])
-        raise MechanismError(f"{path}: no joint named {unknown[0]!r}; it has {known}")
-    data, q = model.createData(), pin.neutral(model)
-    shapes.addAllCollisionPairs()
-    pairs = list(shapes.collisionPairs)
-    supports = [set(model.supports[shape.parentJoint]) for shape in shapes.geometryObjects]
-    touching = [len(supports[p.first] ^ supports[p.second]) < _CLOSE for p in pairs]
-    if neutral:
-        collisions = shapes.createData()
-        pin.computeCollisions(model, data, shapes, collisions, q, False)
-        touching = [
-            touches or result.isCollision()
-            for touches, result in zip(touching, collisions.collisionResults, strict=True)
-        ]
-    for pair in itertools.compress(pairs, touching):
-        shapes.removeCollisionPair(pair)
-    collisions, indices = shapes.createData(), [model.getJointId(name) for name in joints]
-    free = np.empty(len(positions), dtype=bool)
-    for row, values in enumerate(np.asarray(positions, dtype=np.float64)):
-        at_row = _configuration(model, q, indices, values)
-        free[row] = not pin.computeCollisions(model, data, shapes, collisions, at_row, True)
-    return free
+    return model, shapes
 
 
 def check_mesh(path: str | Path, corners: Array, triangles: int) -> None:

@@ -16,7 +16,7 @@ from pincal.symmetry.candidates import NEARLY
 from pincal.symmetry.carry import canonical, carry
 from pincal.symmetry.elements import Element, Isometry, wrapped
 from pincal.symmetry.groups import exact, largest_closed, place_of, product_table
-from pincal.symmetry.shapes import Difference, Fits
+from pincal.symmetry.shapes import Difference, LegImages
 from pincal.words.numbers import POSES, amount, listed
 
 HOME = "home pose"
@@ -59,7 +59,7 @@ def no_symmetries(breaks: Sequence[Break]) -> list[str]:
     return sentences
 
 
-def breaks_of(fits: Fits, group: Sequence[Element], tolerance: float) -> tuple[Break, ...]:
+def breaks_of(fits: LegImages, group: Sequence[Element], tolerance: float) -> tuple[Break, ...]:
     """Return why elements that leg points suggest are not of a group, found within a tolerance."""
     broken_elements = []
     for element in sorted(_meant(fits), key=place_of):
@@ -73,7 +73,7 @@ def breaks_of(fits: Fits, group: Sequence[Element], tolerance: float) -> tuple[B
     return tuple(broken_elements)
 
 
-def _meant(fits: Fits) -> list[Element]:
+def _meant(fits: LegImages) -> list[Element]:
     """Return a group that leg points suggest, with exact isometries.
 
     About the base's z axis as it is drawn if that is nearly as good: a fit spreads what one leg is
@@ -106,7 +106,7 @@ def _about_z(element: Element) -> Element | None:
     return Element.of(near, near)
 
 
-def _first_break(fits: Fits, element: Element, tolerance: float) -> Break | None:
+def _first_break(fits: LegImages, element: Element, tolerance: float) -> Break | None:
     """Return what breaks an element first, by the names of parameters where they can say it."""
     legs, size = fits.mechanism.legs, fits.points.size
     moves = fits.home_moves(element) > tolerance * max(1.0, size)
@@ -126,7 +126,7 @@ def _first_break(fits: Fits, element: Element, tolerance: float) -> Break | None
     return None
 
 
-def _named(fits: Fits, leg: Leg, element: Element, image: Leg) -> Iterator[Difference]:
+def _named(fits: LegImages, leg: Leg, element: Element, image: Leg) -> Iterator[Difference]:
     """Yield in which parameters and constants a carried leg differs, as far as drawings say it."""
     try:
         carried, drawn = carry(leg, element, leg.name, leg.point.name), canonical(image)

@@ -31,7 +31,7 @@ from pincal.symmetry.groups import (
     product_table,
     subgroups,
 )
-from pincal.symmetry.shapes import Fits, Permutation
+from pincal.symmetry.shapes import LegImages, Permutation
 from pincal.types import Array
 
 
@@ -52,7 +52,7 @@ class SymmetryGroup:
     @cached_property
     def breaks(self) -> tuple[Break, ...]:
         """Why the other elements that the leg points suggest fail."""
-        return breaks_of(Fits(self.mechanism, self.readings), self.elements, self.tolerance)
+        return breaks_of(LegImages(self.mechanism, self.readings), self.elements, self.tolerance)
 
     @cached_property
     def name(self) -> str:
@@ -155,7 +155,7 @@ def symmetry_group(
 @lru_cache(maxsize=64)
 def _group(mechanism: Mechanism, tolerance: float, readings: bool) -> SymmetryGroup:
     """Return the symmetry group of a mechanism, found once."""
-    fits = Fits(mechanism, readings)
+    fits = LegImages(mechanism, readings)
     permuted = {e: p for e in fits.points.candidates if (p := fits.permutation(e, tolerance))}
     elements, permutations = list(permuted), list(permuted.values())
     chosen = distinct(elements, permutations)

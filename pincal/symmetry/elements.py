@@ -194,21 +194,19 @@ class Element:
         amount = float(np.linalg.norm(turn))
         axis = turn / amount if amount else turn
         axis = axis * _sign(axis)
-        upright, level = abs(abs(axis[2]) - 1.0) <= SAME, abs(axis[2]) <= SAME
         triple = "(" + ", ".join(f"{v + 0.0:.4g}" for v in axis.round(9)) + ")"
+        upright, level = abs(abs(axis[2]) - 1.0) <= SAME, abs(axis[2]) <= SAME
         if self.reflection and abs(amount - np.pi) <= SAME:  # the axis is the mirror's normal
-            if level:
-                return f"mirror at azimuth {_degrees(np.arctan2(-axis[0], axis[1]), 180.0)}"
-            return f"mirror across {'z' if upright else triple}"
+            azimuth = _degrees(np.arctan2(-axis[0], axis[1]), 180.0)
+            across = f"across {'z' if upright else triple}"
+            return f"mirror at azimuth {azimuth}" if level else f"mirror {across}"
+        kind, around = "rotation", f"about {triple}"
         if self.reflection:  # −1 times a turn by α is a rotoreflection by α + 180°
-            amount += np.pi
+            kind, amount = "rotoreflection", amount + np.pi
+        elif level:
+            around = f"about azimuth {_degrees(np.arctan2(axis[1], axis[0]), 180)}"
         turned = _degrees(amount * (1.0 if turn @ axis >= 0.0 else -1.0), 360.0)
-        name = f"{'rotoreflection' if self.reflection else 'rotation'} by {turned}"
-        if upright:
-            return name
-        if level and not self.reflection:
-            return f"{name} about azimuth {_degrees(np.arctan2(axis[1], axis[0]), 180)}"
-        return f"{name} about {triple}"
+        return f"{kind} by {turned}" if upright else f"{kind} by {turned} {around}"
 
 
 def _about_z(angle: float, reflection: bool) -> Isometry:

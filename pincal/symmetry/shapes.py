@@ -15,6 +15,7 @@ from functools import cached_property
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from pincal.kinematics.batches import lengths
 from pincal.kinematics.closed_forms import PointingSlide, closed_form
 from pincal.kinematics.closing import close, sensor_law
 from pincal.kinematics.closure import LegClosure, nominal_legs
@@ -48,7 +49,7 @@ class Difference:
         return self.deviation is None or not self.deviation <= tolerance * scale
 
 
-class Shape:
+class StandingLeg:
     """A leg closed at a pose, in the base frame."""
 
     def __init__(self, closure: LegClosure, matrix: Array, *, near_home: bool) -> None:
@@ -72,8 +73,8 @@ class Shape:
         self.directions = np.where(turns, angular, linear)
         """Unit vectors of the joints' axes, shape (n_joints, 3)."""
         self.points = self.tip + np.cross(angular, linear)
-        """On each revolute joint's axis the point nearest to the tip, shape (n_joints, 3), [m]; to
-        the centre of a pointing joint before the tip, and of that the centre."""
+        """On each joint's axis the point nearest to the tip, shape (n_joints, 3), [m]; before a
+        pointing joint to its centre, and of that the centre. A slide's axis is at the tip."""
         if self.pointing:
             centre = self.points[self.pointing[-1]]
             along = ((centre - self.points) * self.directions).sum(axis=1, keepdims=True)
@@ -108,7 +109,7 @@ class Shape:
         return self.points[turning[0]] if turning else self.tip
 
 
-def differences(first: Shape, element: Element, second: Shape) -> Iterator[Difference]:
+def differences(first: StandingLeg, element: Element, second: StandingLeg) -> Iterator[Difference]:
     """Yield every quantity in which a leg, carried by an element, and another one differ.
 
     Args:
@@ -117,45 +118,43 @@ def differences(first: Shape, element: Element, second: Shape) -> Iterator[Diffe
         second: The other one, at the pose to which that of the first is carried.
     """
     leg, other = first.closure.leg, second.closure.leg
-    if [joint.kind for joint in leg.moving] != [joint.kind for joint in other.moving]:
-        yield Difference("sequence of joints", None)
-        return
-    if leg.active != other.active or leg.closes != other.closes:
-        yield Difference("active joint" if leg.active != other.active else "end", None)
-        return
-    if not second.reached:
-        yield Difference("reach of the pose that home is carried to", None)
+    if quantity := _unlike(first, second):
+        yield Difference(quantity, None)
         return
     space, Q = first.closure.platform.space, element.base.Q
-    side = np.linalg.det(Q)
+    names = [*(joint.name for joint in other.moving), other.point.name]
+    shifts = element.base(np.vstack((first.points, first.tip)))
+    shifts = shifts - np.vstack((second.points, second.tip))
+    for name, shift in zip(names, lengths(shifts[:, :space]).tolist(), strict=True):
+        yield Difference(f"position of joint {name!r}", shift, "m")
     pointing = first.pointing if first.pointing == second.pointing else []
-    signs = np.ones(len(leg.moving))
-    for index, joint in enumerate(other.moving):
-        if joint.turns:
-            away = element.base(first.points[index]) - second.points[index]
-            shift = float(np.linalg.norm(away[:space]))
-            yield Difference(f"position of joint {joint.name!r}", shift, "m")
-        if index in pointing:
-            continue
-        direction = (side if joint.turns else 1.0) * Q @ first.directions[index]
-        signs[index] = 1.0 if direction @ second.directions[index] >= 0.0 else -1.0
-        apart = float(np.linalg.norm(signs[index] * direction - second.directions[index]))
-        angle = 2.0 * float(np.arcsin(min(1.0, apart / 2.0)))
-        yield Difference(f"orientation of joint {joint.name!r}", angle, "rad")
-    away = element.base(first.tip) - second.tip
-    yield Difference(
-        f"position of joint {other.point.name!r}", float(np.linalg.norm(away[:space])), "m"
-    )
+    axes = [index for index in range(len(leg.moving)) if index not in pointing]
+    axial = [[np.linalg.det(Q) if joint.turns else 1.0] for joint in leg.moving]
+    directions = axial * first.directions @ Q.T
+    signs = np.where((directions * second.directions).sum(axis=1) >= 0.0, 1.0, -1.0)
+    apart = lengths(signs[:, None] * directions - second.directions)
+    angles = 2.0 * np.arcsin(np.minimum(1.0, apart / 2.0))
+    for index in axes:
+        yield Difference(f"orientation of joint {names[index]!r}", float(angles[index]), "rad")
     if pointing and first.barred is not None and second.barred is not None:
-        yield Difference(
-            f"orientation of joint {other.moving[0].name!r}",
-            _apart(first.barred @ Q.T, second.barred),
-            "rad",
-        )
-    for index in set(range(len(signs))) - set(pointing):
+        bars = _apart(first.barred @ Q.T, second.barred)
+        yield Difference(f"orientation of joint {names[pointing[0]]!r}", bars, "rad")
+    for index in axes:
         if leg.moving[index].limited or other.moving[index].limited:
             yield _limits_apart(first, second, index, signs[index])
     yield from _readings_apart(first, second, signs[leg.active])
+
+
+def _unlike(first: StandingLeg, second: StandingLeg) -> str:
+    """Return in what two legs differ that is no number; empty if in nothing."""
+    leg, other = first.closure.leg, second.closure.leg
+    if [joint.kind for joint in leg.moving] != [joint.kind for joint in other.moving]:
+        return "sequence of joints"
+    if leg.active != other.active:
+        return "active joint"
+    if leg.closes != other.closes:
+        return "end"
+    return "" if second.reached else "reach of the pose that home is carried to"
 
 
 def _apart(normals: Array, others: Array) -> float | None:
@@ -166,7 +165,7 @@ def _apart(normals: Array, others: Array) -> float | None:
     return float(distances.min(axis=1, initial=np.inf).max(initial=0.0))
 
 
-def _limits_apart(first: Shape, second: Shape, index: int, sign: float) -> Difference:
+def _limits_apart(first: StandingLeg, second: StandingLeg, index: int, sign: float) -> Difference:
     """Return in what the limits of a joint differ, seen from where the legs stand."""
     ends = []
     for shape in (first, second):
@@ -181,7 +180,7 @@ def _limits_apart(first: Shape, second: Shape, index: int, sign: float) -> Diffe
     return Difference(f"limits of joint {joint.name!r}", deviation, "rad" if joint.turns else "m")
 
 
-def _readings_apart(first: Shape, second: Shape, signs: Array) -> Iterator[Difference]:
+def _readings_apart(first: StandingLeg, second: StandingLeg, signs: Array) -> Iterator[Difference]:
     """Yield by how much active joints move otherwise where readings are the same."""
     homed = [[s.homed for s in shape.closure.leg.sensors] for shape in (first, second)]
     if homed[0] != homed[1]:
@@ -213,14 +212,14 @@ def _readings_apart(first: Shape, second: Shape, signs: Array) -> Iterator[Diffe
         yield Difference("reading of the sensor", float(np.abs(apart).max()), unit, of_sensor=True)
 
 
-class Fits:
+class LegImages:
     """Which legs of a mechanism elements carry onto which, and by how much these differ."""
 
     def __init__(self, mechanism: Mechanism, readings: bool) -> None:
         self.mechanism, self.readings = mechanism, readings
         self.home = mechanism.platform.home_pose.as_matrix()[0]
         legs = nominal_legs(mechanism)
-        self.shapes = [Shape(leg, self.home, near_home=True) for leg in legs]
+        self.shapes = [StandingLeg(leg, self.home, near_home=True) for leg in legs]
         self.points = Points(mechanism, np.array([shape.base for shape in self.shapes]))
 
     def home_moves(self, element: Element) -> float:
@@ -230,13 +229,13 @@ class Fits:
         carried = element.poses(platform, home)
         return float(np.abs(platform.twists_between(home, carried)).max())
 
-    def standing(self, element: Element) -> list[Shape]:
+    def standing(self, element: Element) -> list[StandingLeg]:
         """Return the legs where they are if the platform is where home is carried to."""
         moved, carried = self.home_moves(element), element.matrices(self.home[None])[0]
         if moved <= ROUNDING * self.points.size:
             return self.shapes
         near = moved <= NEARLY * self.points.size
-        return [Shape(shape.closure, carried, near_home=near) for shape in self.shapes]
+        return [StandingLeg(shape.closure, carried, near_home=near) for shape in self.shapes]
 
     def permutation(self, element: Element, tolerance: float) -> Permutation:
         """Return onto which leg each one is carried within a tolerance; empty if some is not."""
@@ -250,14 +249,14 @@ class Fits:
         rows, to = linear_sum_assignment(np.where(fits, distances, 1e6))
         return tuple(to.tolist()) if fits[rows, to].all() else ()
 
-    def differences(self, index: int, element: Element, image: Shape) -> Iterator[Difference]:
+    def differences(self, index: int, element: Element, image: StandingLeg) -> Iterator[Difference]:
         """Yield in what a leg, given by its index, differs from another one when it is carried."""
         for difference in differences(self.shapes[index], element, image):
             if self.readings or not difference.of_sensor:
                 yield difference
 
     def exceeding(
-        self, index: int, element: Element, image: Shape, tolerance: float
+        self, index: int, element: Element, image: StandingLeg, tolerance: float
     ) -> Difference | None:
         """Return the first difference that is more than a tolerance, or None."""
         compared = self.differences(index, element, image)

@@ -101,8 +101,8 @@ class Axis:
         return cls(name, values)
 
     @classmethod
-    def parse(cls, text: str) -> Axis:
-        """Return an axis from ``NAME [UNIT]=LOW:HIGH:STEP`` or ``NAME [UNIT]=VALUE,VALUE,…``.
+    def parse(cls, text: str | Axis) -> Axis:
+        """Return an axis, perhaps of ``NAME [UNIT]=LOW:HIGH:STEP`` or ``NAME [UNIT]=VALUE,…``.
 
         Without a unit lengths are in [m] and angles in [rad].
 
@@ -110,6 +110,8 @@ class Axis:
             WorkspaceError: a text that is not an axis, an unknown name, a wrong unit, limits
                 reversed, a step that is not positive.
         """
+        if isinstance(text, Axis):
+            return text
         match = _AXIS.match(text)
         if not match:
             raise WorkspaceError(
@@ -126,16 +128,15 @@ class Axis:
         factor, separator = UNITS[unit][1] if unit else 1.0, ":" if ":" in values else ","
         try:
             numbers = [float(value) * factor for value in values.split(separator)]
-            if separator == "," or len(numbers) == 3:
-                return (
-                    cls.spaced(name, *numbers)
-                    if separator == ":"
-                    else cls(name, np.unique(numbers))
-                )
-        except ValueError as error:
-            if isinstance(error, WorkspaceError):
-                raise
-        raise WorkspaceError(f"axis {name!r}: {values!r} is not LOW:HIGH:STEP nor VALUE,VALUE,…")
+        except ValueError:
+            numbers = []
+        if separator == ":" and len(numbers) == 3:
+            return cls.spaced(name, *numbers)
+        if separator == ":" or not numbers:
+            raise WorkspaceError(
+                f"axis {name!r}: {values!r} is not LOW:HIGH:STEP nor VALUE,VALUE,…"
+            )
+        return cls(name, np.unique(numbers))
 
 
 _SPATIAL = "; or ".join(", ".join(columns) for columns, unit in WAYS.values() if unit == "rad")
@@ -196,24 +197,23 @@ class Orientations:
         Raises:
             WorkspaceError: axes that the platform does not have, or of two ways at once.
         """
-        parsed = [Axis.parse(axis) if isinstance(axis, str) else axis for axis in axes]
-        values = {axis.name: axis.values for axis in parsed}
-        if len(values) != len(parsed):
+        values = {axis.name: axis.values for axis in map(Axis.parse, axes)}
+        if len(values) != len(axes):
             raise WorkspaceError("an axis of orientation is given twice")
         if platform.turns == 1 and set(values) == {"phi"}:
             axis = np.eye(3)[platform.twist_rows[-1] - 3]
             return cls.from_rotations(Rotation.from_rotvec(np.outer(values["phi"], axis)))
-        ways = {w: c for w, (c, unit) in WAYS.items() if unit == "rad" and set(values) <= set(c)}
-        if platform.turns < 3 or not ways:
+        ways = {way: set(names) for way, (names, unit) in WAYS.items() if unit == "rad"}
+        way = next((way for way, names in ways.items() if names >= set(values)), None)
+        if platform.turns < 3 or way is None:
             wanted = {0: "none", 1: "phi", 3: _SPATIAL}[platform.turns]
             raise WorkspaceError(
                 f"orientations by {', '.join(values)}: a {platform.kind!r} platform takes {wanted}"
             )
-        way, columns = next(iter(ways.items()))
         if "tilt" in values and "azimuth" not in values:
             values["azimuth"] = _round("azimuth", 10.0).values
-        lists = [values.get(name, np.zeros(1)) for name in columns]
-        if math.prod(len(v) for v in lists) > _MOST_ORIENTATIONS:
+        lists = [values.get(name, np.zeros(1)) for name in WAYS[way][0]]
+        if math.prod(map(len, lists)) > _MOST_ORIENTATIONS:
             raise WorkspaceError("more than 1,000,000 orientations; take larger steps")
         grid = np.stack(np.meshgrid(*lists, indexing="ij"), axis=-1).reshape(-1, 3)
         return cls.from_rotations(rotation_of(way, grid))

@@ -82,7 +82,7 @@ class Grid:
     @classmethod
     def of(cls, *axes: str | Axis) -> Grid:
         """Return a grid from axes or their texts, in any order: ``"x=-1:1:0.1"``."""
-        parsed = [Axis.parse(axis) if isinstance(axis, str) else axis for axis in axes]
+        parsed = [Axis.parse(axis) for axis in axes]
         if unknown := [axis.name for axis in parsed if axis.name not in POSITION_AXES]:
             raise WorkspaceError(f"axis {unknown[0]!r} is not one of positions: {POSITION_AXES}")
         return cls(tuple(sorted(parsed, key=lambda axis: POSITION_AXES.index(axis.name))))
@@ -281,40 +281,34 @@ def reach_box(mechanism: Mechanism) -> tuple[Array, Array]:
 def default_grid(mechanism: GivenMechanism, given: Iterable[str | Axis] = ()) -> Grid:
     """Return a grid of positions within reach; polar if the mechanism has rotations.
 
-    Args:
-        mechanism: The mechanism.
-        given: Axes that are not to be as they would be; ``x`` or ``y`` make the grid square.
+    Axes that are given stay; ``x`` or ``y`` make the grid square.
 
     Raises:
         WorkspaceError: axes that are wrong, or that the platform does not have.
     """
     mechanism = as_mechanism(mechanism)
-    axes = [Axis.parse(axis) if isinstance(axis, str) else axis for axis in given]
+    axes, n = [Axis.parse(axis) for axis in given], mechanism.platform.lengths
     names = {axis.name for axis in axes}
-    spatial = mechanism.platform.lengths == 3
-    if "z" in names and not spatial:
+    if "z" in names and n < 3:
         raise WorkspaceError(f"axis 'z': the platform of {mechanism.name!r} moves in a plane")
     low, high = _reach(mechanism)
-    n = 3 if spatial else 2
     step = float((high - low)[:n].max()) / _ACROSS[n]
-    turns = sum(
+    defaults = [_across(name, low[i], high[i], step) for i, name in enumerate("xyz"[:n])]
+    turns = _turns(mechanism)
+    if names & {"radius", "bearing"} or (turns > 1 and not names & {"x", "y"}):
+        around = 2 * turns * -(-_AROUND[n] // (2 * turns))
+        ends = [np.hypot(*leg.joints[0].placement.xyz[:2]) + leg.reach for leg in mechanism.legs]
+        rings = Axis("radius", np.arange(step / 2, min(ends), step))
+        defaults[:2] = rings, Axis.spaced("bearing", -np.pi, np.pi, 2 * np.pi / around)
+    return Grid.of(*axes, *(axis for axis in defaults if axis.name not in names))
+
+
+def _turns(mechanism: Mechanism) -> int:
+    """Return how many rotations about the base's z axis a mechanism has."""
+    return sum(
         not element.reflection and not element.base.t.any() and element.matrix[2, 2] > 1.0 - SAME
         for element in symmetry_group(mechanism, readings=False).elements
     )
-    if names & {"radius", "bearing"} or (turns > 1 and not names & {"x", "y"}):
-        around = 2 * turns * -(-_AROUND[n] // (2 * turns))
-        farthest = [
-            np.hypot(*leg.joints[0].placement.xyz[:2]) + leg.reach for leg in mechanism.legs
-        ]
-        rings = np.arange(step / 2, min(farthest), step)
-        turn = Axis.spaced("bearing", -np.pi, np.pi, 2 * np.pi / around)
-        defaults = {"radius": Axis("radius", rings), "bearing": turn}
-    else:
-        defaults = {name: _across(name, low[i], high[i], step) for i, name in enumerate("xy")}
-    if spatial:
-        defaults["z"] = _across("z", low[2], high[2], step)
-    missing = [axis for name, axis in defaults.items() if name not in names]
-    return Grid.of(*axes, *missing)
 
 
 def closer_grid(grid: Grid, inside: Mask, given: Iterable[str]) -> Grid | None:
