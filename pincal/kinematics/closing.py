@@ -53,13 +53,9 @@ _OUT_OF_REACH = 3.0  # times the widest gap between sampled tips: farther tips a
 def start_joints(closure: LegClosure, matrices: Array, attempt: int = 0) -> tuple[Array, Mask]:
     """Return joint positions near those that close the leg, and where that may be possible.
 
-    A planar dyad that cannot reach a pose starts stretched or folded towards it. Shapes
-    (N, n_joints), [rad] or [m], and (N,).
-
-    Args:
-        closure: The leg at its parameter values.
-        matrices: Poses ``T_base_platform``, shape (N, 4, 4).
-        attempt: Counts from 0; each gives another sampled start. A closed form has one.
+    Shapes (N, n_joints), [rad] or [m], and (N,). A planar dyad that cannot reach a pose starts
+    stretched or folded towards it. Attempts count from 0; each gives another sampled start, a
+    closed form has one.
     """
     form = closed_form(closure)
     if form:
@@ -105,10 +101,11 @@ def mode_sign(closure: Closure) -> Array:
     One where the closure is not square, or where no joint is passive: those that are read say
     themselves how the leg bends.
     """
-    passive = closure.passive.shape[2]
-    if closure.active.shape[2] + passive != closure.gap.shape[1] or not passive:
-        return np.ones(len(closure.gap))
-    columns = [*closure.active.transpose(2, 0, 1), *closure.passive.transpose(2, 0, 1)]
+    leg = closure.leg.leg
+    order, count = [*leg.active, *leg.passive], len(closure.gap)
+    if len(order) != closure.gap.shape[1] or not leg.passive:
+        return np.ones(count)
+    columns = list(closure.by_joints.transpose(2, 0, 1)[order])
     if len(columns) == 2:
         (a, b), (c, d) = (column.T for column in columns)
         return np.sign(a * d - b * c)
@@ -166,15 +163,13 @@ def close(
         near: Positions of the moving joints near those that close a leg, shape (L N, n_joints);
             where NaN it counts as not reached. Found in its working mode if not given.
     """
-    rows_of_leg, count = rows_of_each(len(legs), len(matrices)), len(matrices) // len(legs)
-    homes = np.repeat([leg.leg.home for leg in legs], count, axis=0)
+    rows_of_leg = rows_of_each(len(legs), len(matrices))
     if near is None:
         starts = [start_joints(leg, matrices[r]) for leg, r in zip(legs, rows_of_leg, strict=True)]
-        near_legs, possible_of_legs = zip(*starts, strict=True)
-        start, possible, attempts = stacked(near_legs), stacked(possible_of_legs), _ATTEMPTS
+        start, possible = (stacked(parts) for parts in zip(*starts, strict=True))
     else:
         possible = np.asarray(np.isfinite(near).all(axis=1))
-        start, attempts = np.where(possible[:, None], near, homes), 1
+        start = np.where(possible[:, None], near, _homes(legs, len(matrices)))
     joints, n = legs[0].deformed(start, influences), start.shape[1]
     if near is None:
         possible = possible | joints[:, n:].any(axis=1)  # a start knows nothing of deformations
@@ -188,18 +183,19 @@ def close(
         joints = np.where(stays[:, None], joints, joints + step)
     searched = possible & ~closed
     if searched.any():
+        attempts = _ATTEMPTS if near is None else 1
         for leg, rows in zip(legs, rows_of_leg, strict=True):
             if searched[rows].any():
                 joints[rows], closed[rows] = _search(
                     leg, matrices[rows], joints[rows], closed[rows], possible[rows], attempts
                 )
+        homes = _homes(legs, len(matrices))
         centre = homes if near is None else start
         turning = np.ix_(searched, [i for i, joint in enumerate(legs[0].leg.moving) if joint.turns])
         # Newton's method may have gone round
         joints[turning] = centre[turning] + wrapped(joints[turning] - centre[turning])
-        closure = evaluate(
-            legs, np.where(closed[:, None], joints, legs[0].deformed(homes)), matrices
-        )
+        settled = np.where(closed[:, None], joints, legs[0].deformed(homes))
+        closure = evaluate(legs, settled, matrices)
     joints = joints[:, :n]
     if near is None:
         for leg, rows in zip(legs, rows_of_leg, strict=True):
@@ -208,18 +204,19 @@ def close(
     return ClosedLegs(np.where(reached[:, None], joints, np.nan), reached, closure)
 
 
+def _homes(legs: Sequence[LegClosure], rows: int) -> Array:
+    """Return home positions of alike legs in so many rows, shape (L N, n_joints)."""
+    return np.repeat([leg.leg.home for leg in legs], rows // len(legs), axis=0)
+
+
 def _turn_within_limits(leg: LegClosure, joints: Array) -> None:
     """Add full turns to joints, in place, where that brings them within their limits."""
-    turn = 2 * np.pi
     for joint, positions in zip(leg.leg.moving, joints.T, strict=True):
         if joint.turns and joint.limited:
             low, high = joint.lower - ROUNDING, joint.upper + ROUNDING
-            outside = np.flatnonzero(
-                ((positions < low) | (positions > high)) & np.isfinite(positions)
-            )
-            turned = positions[outside] - turn * np.floor((positions[outside] - low) / turn)
-            fits = turned <= high
-            positions[outside[fits]] = turned[fits]
+            outside = np.isfinite(positions) & ((positions < low) | (positions > high))
+            turned = low + (positions[outside] - low) % (2 * np.pi)
+            positions[outside] = np.where(turned <= high, turned, positions[outside])
 
 
 def _search(
@@ -287,12 +284,8 @@ def sensor_law(leg: LegClosure) -> SensorLaw:
 def driven(leg: LegClosure, joints: Array, known: Array) -> Array:
     """Return joint positions with those that rows say: active joints, and deformations behind.
 
-    Shape (N, n_joints + n_deformed), [rad] or [m].
-
-    Args:
-        leg: The leg at its parameter values.
-        joints: Shape (N, n_joints), which may be overwritten.
-        known: Readings [rad] or [m], then influences, shape (N, n_active [+ n_influences]).
+    Shape (N, n_joints + n_deformed), [rad] or [m], of joints (N, n_joints), which may be
+    overwritten, and readings, then influences, shape (N, n_active [+ n_influences]).
     """
     joints = leg.deformed(joints, known[:, len(leg.leg.sensors) :])
     joints[:, leg.leg.active] = sensor_law(leg).position(known)
@@ -341,20 +334,14 @@ def close_legs(
 ) -> list[tuple[list[int], ClosedLegs]]:
     """Return all legs closed at the same poses: places of alike ones, and these closed in one call.
 
-    Args:
-        legs: The legs at their parameter values.
-        matrices: Poses ``T_base_platform``, shape (N, 4, 4).
-        influences: Of each leg, shape (N, n_influences); at their reference if not given.
-        near: Of each leg, positions of its moving joints near those that close it, shape
-            (N, n_joints); found in its working mode if not given.
+    Influences and joints near those that close them are given leg by leg: see ``close``.
     """
     groups = []
     for places in grouped([leg.form for leg in legs], len(matrices)):
-        group_legs = [legs[place] for place in places]
         deforming = None if influences is None else influences[places[0]]  # what deforms is alone
         start = None if near is None else stacked([near[place] for place in places])
-        closed = close(group_legs, repeated(matrices, len(group_legs)), deforming, start)
-        groups.append((places, closed))
+        every = repeated(matrices, len(places))
+        groups.append((places, close([legs[i] for i in places], every, deforming, start)))
     return groups
 
 
@@ -379,13 +366,10 @@ def close_chunks(
     influences: Array | None = None,
     near: Mapping[str, Array] | None = None,
 ) -> Iterator[tuple[slice, list[tuple[list[int], ClosedLegs]]]]:
-    """Yield rows of poses, in chunks of bounded memory, and the legs closed there.
+    """Yield rows of N poses, in chunks of bounded memory, and the nominal legs closed there.
 
-    Args:
-        mechanism: The mechanism, at its nominal parameters.
-        placed: N poses, ``PoseMatrices`` or matrices (N, 4, 4).
-        influences: Of all legs, shape (N, n_influences); at their reference if not given.
-        near: By leg, positions of its moving joints near those that close it, found if not given.
+    Influences of all legs, shape (N, n_influences), are at their reference if not given. Joints
+    near those that close a leg are given by its name, or found.
     """
     legs = nominal_legs(mechanism)
     for rows, matrices in matrix_chunks(placed):

@@ -41,47 +41,30 @@ def nearest_closure(
             [+ n_deformed]); near those that close it if not given.
         newton: When the search ends.
     """
-    starts = []
-    for rows, leg, leg_known, near in zip(
-        rows_of_each(len(legs), len(matrices)),
-        legs,
-        known,
-        joints or [None] * len(legs),
-        strict=True,
-    ):
-        n = len(leg.leg.moving)
-        if near is not None:
-            start = near[:, :n].copy()
-        elif leg.leg.passive:
-            start = start_joints(leg, matrices[rows])[0]
+    starts, n, leg = [], len(legs[0].leg.moving), legs[0].leg
+    rows, near = rows_of_each(len(legs), len(matrices)), joints or [None] * len(legs)
+    for closure, leg_rows, leg_known, leg_near in zip(legs, rows, known, near, strict=True):
+        if leg_near is not None:
+            start = leg_near[:, :n].copy()
+        elif leg.passive:
+            start = start_joints(closure, matrices[leg_rows])[0]
         else:
             start = np.empty((len(leg_known), n))
-        starts.append(driven(leg, start, leg_known))
-    return _nearest(legs, matrices, stacked(starts), newton)
-
-
-def _nearest(
-    legs: Sequence[LegClosure], matrices: Array, joints: Array, newton: Newton
-) -> tuple[Closure, Array]:
-    """Return nearest closures and joints, from a start, shape (L N, n_joints …), overwritten."""
-    leg, scales = legs[0].leg, _scales(legs, len(joints))
-    sizes = np.repeat([closure.size for closure in legs], len(joints) // len(legs))
+        starts.append(driven(closure, start, leg_known))
+    positions, count = stacked(starts), len(matrices) // len(legs)
+    scales = np.repeat([closure.leg.passive_scales for closure in legs], count, axis=0)
+    far_gaps = _FAR * np.repeat([closure.size for closure in legs], count)
     for _ in range(newton.steps):
-        closed = evaluate(legs, joints, matrices)
+        closed = evaluate(legs, positions, matrices)
         step = closed.passive_step()
         if leg.passive and closed.gap.shape[1] <= 3:  # of points
-            far = lengths(closed.gap) > _FAR * sizes
+            far = lengths(closed.gap) > far_gaps
             if far.any():
                 step[far] = _curved_step(closed, far)
-        joints[:, leg.passive] += step
+        positions[:, leg.passive] += step
         if np.abs(step / scales).max(initial=0.0) <= newton.small:
             break
-    return closed, joints
-
-
-def _scales(legs: Sequence[LegClosure], rows: int) -> Array:
-    """Return what steps of passive joints are measured by, each leg's own, (rows, n_passive)."""
-    return np.repeat([closure.leg.passive_scales for closure in legs], rows // len(legs), axis=0)
+    return closed, positions
 
 
 def _curved_step(closed: Closure, rows: Mask) -> Array:
@@ -113,12 +96,10 @@ def _curved_step(closed: Closure, rows: Mask) -> Array:
 
 
 def arm_poses(leg: LegClosure, known: Array, gap: Array | None = None) -> Array:
-    """Return where readings of an arm put the platform, ``T_base_platform``, shape (N, 4, 4).
+    """Return where an arm puts the platform, ``T_base_platform``, shape (N, 4, 4).
 
-    Args:
-        leg: A leg that is an arm (see ``Leg``), at its parameter values.
-        known: Readings [rad] or [m], then influences, shape (N, n_active [+ n_influences]).
-        gap: What the closure is to be there, shape (N, 6); nothing if not given.
+    Known are readings, then influences, shape (N, n_active [+ n_influences]). The closure is to be
+    a gap there, shape (N, 6), or nothing.
     """
     joints = np.empty((len(known), len(leg.leg.moving)))
     return leg.frame(driven(leg, joints, known), gap)

@@ -109,15 +109,16 @@ def free_of_collision(
         raise MechanismError(f"{path}: no joint named {unknown[0]!r}; it has {known}")
     data, q = model.createData(), pin.neutral(model)
     shapes.addAllCollisionPairs()
-    pairs = list(shapes.collisionPairs)
+    pairs = [(pair.first, pair.second) for pair in shapes.collisionPairs]
     supports = [set(model.supports[shape.parentJoint]) for shape in shapes.geometryObjects]
-    touching = np.array([len(supports[p.first] ^ supports[p.second]) < _CLOSE for p in pairs], bool)
+    touching = np.array([len(supports[a] ^ supports[b]) < _CLOSE for a, b in pairs], bool)
     if neutral:
         collisions = shapes.createData()
         pin.computeCollisions(model, data, shapes, collisions, q, False)
         touching |= [result.isCollision() for result in collisions.collisionResults]
-    for pair in itertools.compress(pairs, touching):
-        shapes.removeCollisionPair(pair)
+    shapes.removeAllCollisionPairs()
+    for pair in itertools.compress(pairs, ~touching):
+        shapes.addCollisionPair(pin.CollisionPair(*pair))
     collisions, indices = shapes.createData(), [model.getJointId(name) for name in joints]
     free = np.empty(len(positions), dtype=bool)
     for row, values in enumerate(np.asarray(positions, dtype=np.float64)):

@@ -136,8 +136,8 @@ def differences(first: StandingLeg, element: Element, second: StandingLeg) -> It
     angles = 2.0 * np.arcsin(np.minimum(1.0, apart / 2.0))
     for index in axes:
         yield Difference(f"orientation of joint {names[index]!r}", float(angles[index]), "rad")
-    if pointing and first.barred is not None and second.barred is not None:
-        bars = _apart(first.barred @ Q.T, second.barred)
+    if pointing:
+        bars = _bars_apart(first, Q, second)
         yield Difference(f"orientation of joint {names[pointing[0]]!r}", bars, "rad")
     for index in axes:
         if leg.moving[index].limited or other.moving[index].limited:
@@ -157,11 +157,13 @@ def _unlike(first: StandingLeg, second: StandingLeg) -> str:
     return "" if second.reached else "reach of the pose that home is carried to"
 
 
-def _apart(normals: Array, others: Array) -> float | None:
-    """Return how far unit normals are from the nearest others; None if they are not as many."""
-    if len(normals) != len(others):
+def _bars_apart(first: StandingLeg, Q: Array, second: StandingLeg) -> float | None:
+    """Return how far apart normals that bound legs are; None if they are not as many."""
+    if first.barred is None or second.barred is None:  # nothing is bounded
+        return 0.0
+    if len(first.barred) != len(second.barred):
         return None
-    distances = np.linalg.norm(normals[:, None] - others, axis=2)
+    distances = np.linalg.norm((first.barred @ Q.T)[:, None] - second.barred, axis=2)
     return float(distances.min(axis=1, initial=np.inf).max(initial=0.0))
 
 

@@ -125,7 +125,7 @@ class Axis:
         if unit is not None and UNITS.get(unit, ("", 0.0))[0] != dimension:
             fitting = ", ".join(u for u, (kind, _) in UNITS.items() if kind == dimension)
             raise WorkspaceError(f"axis {name!r} has unit [{unit}]; expected one of {fitting}")
-        factor, separator = UNITS[unit][1] if unit else 1.0, ":" if ":" in values else ","
+        factor, separator = UNITS.get(unit, ("", 1.0))[1], ":" if ":" in values else ","
         try:
             numbers = [float(value) * factor for value in values.split(separator)]
         except ValueError:
