@@ -14,7 +14,7 @@ from pincal.files.table import is_dataframe, read_table
 from pincal.formats.arm import arm, load_arm
 from pincal.model.leg import Joint, Leg
 from pincal.model.mechanism import Mechanism
-from pincal.model.placement import Placement, Step, placement_of
+from pincal.model.placement import Placement, placement_of
 from pincal.model.platform import Platform
 from pincal.model.sensor import Sensor
 from pincal.types import Array
@@ -173,21 +173,16 @@ def dh_joints(table: Any, convention: str = "standard") -> tuple[Joint, ...]:
     for number, ((a, alpha, d, theta), lower, upper) in enumerate(
         zip(rows.tolist(), *map(Array.tolist, limits), strict=True), start=1
     ):
-        turn, lift = _moved(("rz", theta)), _moved(("z", d))
-        link = _moved(("x", a), ("rx", alpha)) if convention == "standard" else np.eye(4)
-        before = np.eye(4) if convention == "standard" else _moved(("rx", alpha), ("x", a))
+        turn, lift = Placement.of({}, rz=theta).origin(), Placement.of({}, z=d).origin()
+        link = before = np.eye(4)
+        if convention == "standard":
+            link = Placement.of({}, x=a, rx=alpha).origin()
+        else:
+            before = Placement.of({}, rx=alpha, x=a).origin()
         place = placement_of(T_behind_joint @ before @ turn)
         joints.append(Joint(f"joint_{number}", "revolute", place, lower=lower, upper=upper))
         T_behind_joint = lift @ link
     return (*joints, Joint("tip", "fixed", placement_of(T_behind_joint)))
-
-
-def _moved(*steps: tuple[str, float]) -> Array:
-    """Return displacements along and about axes, one after the other, shape (4, 4)."""
-    T_moved = np.eye(4)
-    for axis, value in steps:
-        T_moved = T_moved @ Step(axis, value).matrix({})
-    return T_moved
 
 
 def _arm(d: Values) -> Mechanism:

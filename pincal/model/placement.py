@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from math import cos, sin
 
 import numpy as np
@@ -71,18 +71,6 @@ def _elementary(axis: str, amount: float) -> Array:
     return matrix
 
 
-@lru_cache(maxsize=4096)  # legs are made anew with most of their parts as they were
-def _displacement(kind: str, amounts: tuple[tuple[str, float], ...]) -> Array:
-    """Return the product of a coordinate's elementary displacements, shape (4, 4), read only."""
-    matrix = np.eye(4)
-    for axis, amount in amounts:
-        matrix = matrix @ _elementary(axis, amount)
-    if kind not in _TURNING:  # exact: a point does not turn what follows
-        matrix[:3, :3] = np.eye(3)
-    matrix.flags.writeable = False
-    return matrix
-
-
 @dataclass(frozen=True)
 class Coordinate:
     """A named coordinate of a placement, such as ``polar: [OA, beta]`` or ``x: l``."""
@@ -128,9 +116,13 @@ class Coordinate:
         return self.kind in _TURNING
 
     def displacement(self, parameters: Mapping[str, float]) -> Array:
-        """Return the product of the elementary displacements, shape (4, 4), read only."""
-        amounts = tuple((step.axis, step.amount(parameters)) for step in self.steps)
-        return _displacement(self.kind, amounts)
+        """Return the product of the elementary displacements, shape (4, 4)."""
+        matrix = np.eye(4)
+        for step in self.steps:
+            matrix = matrix @ step.matrix(parameters)
+        if not self.turns:  # exact: a point does not turn what follows
+            matrix[:3, :3] = np.eye(3)
+        return matrix
 
 
 @dataclass(frozen=True)
@@ -210,13 +202,28 @@ class Placement:
         return matrix
 
     def rest(self, parameters: Mapping[str, float], context: str) -> Array:
-        """Return the constant displacement after the coordinates, shape (4, 4), read only.
+        """Return the constant displacement after the coordinates, shape (4, 4).
 
         Coordinates whose nominal values are all zero are corrections to the URDF origin. Otherwise
         they must give its whole position; ``context`` heads the message if they do not.
         """
-        names = [step.value for step in self.steps if isinstance(step.value, str)]
-        return _rest(self, tuple((name, parameters[name]) for name in names), context)
+        origin = self.origin()
+        if not self.coordinates:
+            return origin
+        displacement = self.displacement(parameters)
+        constant = np.asarray(np.linalg.inv(displacement) @ origin)
+        constant[:3, :3] = _without_rounding(constant[:3, :3]) if self.turns else origin[:3, :3]
+        if any(step.amount(parameters) for step in self.steps):  # no mere corrections
+            expected = displacement[:3, 3]
+            scale = float(np.abs([*self.xyz, *expected]).max())
+            if float(np.abs(constant[:3, 3]).max()) > EXACT * scale:
+                raise MechanismError(
+                    f"{context}: the URDF origin is at {_numbers(self.xyz)} m, but its coordinates "
+                    f"and nominal parameters put it at {_numbers(expected)} m. Make them agree, or "
+                    "write a constant part as a number, for example '- z: 0.3'."
+                )
+            constant[:3, 3] = 0.0
+        return constant
 
     def moved(self, old: Mapping[str, float], new: Mapping[str, float], context: str) -> Placement:
         """Return the placement at new parameter values; its constant part stays."""
@@ -238,31 +245,6 @@ class Placement:
         if self.turns or not np.array_equal(constant[:3, :3], self.origin()[:3, :3]):
             rpy = _roll_pitch_yaw(origin[:3, :3])
         return replace(self, coordinates=coordinates, xyz=_floats(origin[:3, 3]), rpy=rpy)
-
-
-@lru_cache(maxsize=4096)  # a leg's chains ask for it, and so does the check of the leg
-def _rest(placement: Placement, values: tuple[tuple[str, float], ...], context: str) -> Array:
-    """Return what ``Placement.rest`` says, of the values that it uses."""
-    constant, parameters = placement.origin(), dict(values)
-    constant.flags.writeable = False
-    if not placement.coordinates:
-        return constant
-    origin, displacement = constant, placement.displacement(parameters)
-    constant = np.linalg.inv(displacement) @ origin
-    constant[:3, :3] = _without_rounding(constant[:3, :3]) if placement.turns else origin[:3, :3]
-    if any(step.amount(parameters) for step in placement.steps):  # no mere corrections
-        expected = displacement[:3, 3]
-        scale = float(np.abs(np.stack((placement.xyz, expected))).max())
-        if float(np.abs(constant[:3, 3]).max()) > EXACT * scale:
-            raise MechanismError(
-                f"{context}: the URDF origin is at {_numbers(placement.xyz)} m, but its "
-                "coordinates "
-                f"and nominal parameters put it at {_numbers(expected)} m. Make them agree, or "
-                "write a constant part as a number, for example '- z: 0.3'."
-            )
-        constant[:3, 3] = 0.0
-    constant.flags.writeable = False
-    return constant
 
 
 def _without_rounding(rotation: Array) -> Array:
