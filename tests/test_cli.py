@@ -797,7 +797,25 @@ def test_messages_are_no_longer_than_can_be_read(work: Path) -> None:
     for name in ("long.csv", "n" * 9000):
         outcome = run("inverse", "5R", name, "-o", "new")
         assert outcome.code == 2
-        assert 20 < len(outcome.err) < 2100
+        assert 20 < len(outcome.err) < 1500
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["{}"],
+        ["--{}"],
+        ["inverse", "5R", "poses.csv", "--{}"],
+        ["calibrate", "5R", "m.csv", "-o", "new", "--method", "{}"],
+        ["select", "5R", "-o", "new", "--count", "{}"],
+        ["inverse", "5R", "poses.csv", "-o", "new", "--units", "{}"],
+    ],
+)
+def test_what_is_typed_wrong_at_length_is_said_short(words: list[str]) -> None:
+    """Values, options and commands of 5,000 characters: at most 1,500 are printed."""
+    outcome = run(*(word.format("9" * 5000) for word in words))
+    assert outcome.code == 2
+    assert 20 < len(outcome.err) <= 1500
 
 
 @pytest.mark.parametrize(("kind", "writer"), [("urdf", "loops_urdf"), ("xml", "mjcf")])

@@ -252,6 +252,18 @@ def test_output_that_goes_nowhere(redirected: str, code: int) -> None:
 CHOOSE = "select 5R --count 6 --candidates {}/candidates.csv --starts 1 -o new.csv"
 
 
+def test_a_cache_that_cannot_be_written_is_no_matter(tmp_path: Path) -> None:
+    """Matplotlib's notice of where it keeps its fonts is not printed."""
+    ended = subprocess.run(
+        [*PINCAL, "picture", "5R", "-o", "a.svg"],
+        cwd=tmp_path,
+        env=os.environ | HERE | {"MPLCONFIGDIR": "/proc/nothing"},
+        capture_output=True,
+        text=True,
+    )
+    assert (ended.returncode, ended.stderr.splitlines()) == (0, ["drawing …", "wrote a.svg"])
+
+
 FIT = "calibrate 5R {}/data.csv --no-report --folds 0 --quiet --json -o new.csv"
 
 

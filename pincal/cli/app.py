@@ -72,21 +72,35 @@ stdout = _Console(width=_WIDTH, **_PLAIN)
 stderr = _Console(stderr=True, soft_wrap=True, **_PLAIN)  # warnings and errors
 _remarks = _Console(stderr=True, soft_wrap=True, **_PLAIN)  # all else that is no answer
 _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
-_LONGEST = 2000  # characters
+_LONGEST = 1300  # characters
+logging.getLogger("matplotlib").setLevel(logging.ERROR)  # where it caches fonts matters to nobody
 _state = {"json": False}
 _typed: list[str] = []
 
 
+@contextmanager
+def _shortened() -> Iterator[None]:
+    """Make messages about what was typed short, and without the checker's own words."""
+    try:
+        yield
+    except Exception as error:
+        if isinstance(message := getattr(error, "message", None), str):
+            error.message = plain(message.removeprefix("Value error, "))  # type: ignore[attr-defined]
+        raise
+
+
 class _Commands(TyperGroup):
-    """All commands: what was typed wrong is said without the checker's own words."""
+    """All commands."""
+
+    def make_context(self, *arguments: Any, **settings: Any) -> Any:
+        """Read what was typed before the command."""
+        with _shortened():
+            return super().make_context(*arguments, **settings)
 
     def invoke(self, ctx: Any) -> Any:
         """Run a command."""
-        try:
+        with _shortened():
             return super().invoke(ctx)
-        except typer.BadParameter as error:
-            error.message = error.message.removeprefix("Value error, ")
-            raise
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Return a command in whose help arguments have names, and no types of Python."""
