@@ -148,7 +148,6 @@ VALUES = {
     '"readings"), SI unit, unit as written',
     "unknown_frame": "whether the frame of the measurements is unknown",
     "unknowns": "number of parameters of each leg",
-    "unused": "number of poses that do not serve every leg",
     "weak": "ids of parameters that are weakly determined and were held too",
     "what": "the noise that is meant; codes of what no promise covers, in ``UNCOVERED``",
     "without": "reduced χ² without the wrong rows",

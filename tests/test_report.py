@@ -30,7 +30,7 @@ from pincal.calibration.result_files import as_json
 from pincal.estimation.fit import Outlier
 from pincal.show.answers import answers, check_lines, supporting_lines
 from pincal.show.pictures.parts import draw_poses
-from pincal.show.report import Origin, Report
+from pincal.show.report import Report
 from pincal.show.series import noisy_series
 from pincal.show.tables import legs_table, parameters_table
 from pincal.show.workspace_errors import error_maps, errors_at
@@ -80,7 +80,7 @@ def hexapod() -> Report:
     mechanism, data = measured("6UPS", 30)
     result = pincal.calibrate(mechanism, data, noise=NOISE)
     errors = errors_at(result, data.poses)  # at poses at hand: to sample the workspace takes long
-    return Report(result, errors, Origin(date=DATE))
+    return Report(result, errors, date=DATE)
 
 
 @pytest.fixture(scope="module")
@@ -161,7 +161,7 @@ def test_residuals_beyond_the_noise_are_no_success(planar: Any) -> None:
         findings=(larger,),
     )
     errors = errors_at(poor, poor.poses)
-    verdicts, text = verdicts_of(Report(poor, errors, report.origin))
+    verdicts, text = verdicts_of(Report(poor, errors, date=DATE))
     after = 1e3 * errors.mean_after()[0]
     assert after >= 2e3 * errors_at(result, poor.poses).mean_after()[0]
     assert 1e-3 * after >= poor.misses[0] * 0.99
@@ -182,7 +182,7 @@ def test_a_fit_that_fails_is_not_compared_with_held_out_rows(planar: Any) -> Non
     result, _, report = planar
     lost = replace(result.validation, fit=316.2, held_out=1361.71, expected=405.02)
     poor = replace(result, reduced_chi2=1e5, chi2_p_value=0.0, validation=lost)
-    made = Report(poor, report.errors, report.origin)
+    made = Report(poor, report.errors, date=DATE)
     page = re.sub("<(path|use)[^>]*>", "", made.html())  # strokes hold all kinds of numbers
     for text in (page, poor._repr_html_(), " ".join(check_lines(poor))):
         assert "misses even its own rows by 316 σ" in text
@@ -196,7 +196,7 @@ def test_a_fit_that_failed_promises_nothing(planar: Any) -> None:
     far = replace(result, reduced_chi2=1e4, chi2_p_value=0.0)
     legs = tuple(replace(leg, residuals=0.9 * leg.residuals_before) for leg in result.legs)
     for poor, verdict in ((far, "Not shown"), (replace(far, legs=legs), "No")):
-        failed = Report(poor, report.errors, report.origin)
+        failed = Report(poor, report.errors, date=DATE)
         verdicts, text = verdicts_of(failed)
         assert verdicts[:2] == [verdict, "No accuracy can be promised"]
         assert "100 times as large as the noise" in text
@@ -222,7 +222,7 @@ def test_errors_are_as_large_on_maps_as_on_cards(planar: Any) -> None:
     assert poor is not None
     assert sound is not None
     np.testing.assert_allclose(poor.after, 2 * sound.after)
-    shown = verdicts_of(Report(worse, errors_at(worse, report.errors.poses), report.origin))[1]
+    shown = verdicts_of(Report(worse, errors_at(worse, report.errors.poses), date=DATE))[1]
     assert f"{2e3 * report.errors.mean_after()[0]:.3g}" in shown
 
 

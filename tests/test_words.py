@@ -218,7 +218,6 @@ SAID: dict[str, tuple[dict[str, Any], tuple[int, ...], tuple[str, ...], str]] = 
     "wrong-rows": ({"total": 72, "chi2": 217.0, "without": 1.02, "sigma": 152.0, "quantity": "measured x", "off": 150.0}, (7,), (), "data row 8 does not fit the others, by 152 standard deviations (measured x off by 150 σ): reduced χ² is 217 with it, 1.02 without, and what follows is with. Mend or remove it"),
     "many-outliers": ({"share": 0.2}, (1, 2), (), "20 % of the rows do not fit the others, data row 2 least. Correct the noise"),
     "few-poses": ({"legs": ("leg_1", "leg_2"), "poses": 8, "unknowns": 8}, (), (), "leg_1, leg_2: 8 poses for 8 parameters"),
-    "unused-poses": ({"unused": 24, "total": 36}, (), (), "24 of 36 measured poses serve other legs only. Leave out --method per-leg, or add --poses all"),
     "beyond-measured": ({"share": 0.4, "position": 1e-4, "orientation": None, "undetermined": 0.25}, (), (), "40 % of the workspace lies outside the measured region: expect 0.1 mm there, if the model holds as it does where it was measured; 25 % of that is not determined at all. No limit is promised there"),
     "terms-chosen": ({}, (), ("leg_1.sin", "leg_1.cos"), "leg_1.sin, leg_1.cos were added because they fit these measurements"),
     "promise-leaves-out": ({"what": ("weight", "scale")}, (), (), "the promise leaves out bending under weight and a wrong scale or temperature: nothing was said of that"),
@@ -321,7 +320,7 @@ def test_findings_have_what_their_sentences_need() -> None:
     with pytest.raises(KeyError):
         finding("no-such-code")
     found = [finding("few-poses", legs=("leg_1",), poses=1, unknowns=8)]
-    found += [finding("unused-poses", unused=1, total=2)]
+    found += [finding("terms-chosen", parameters=("leg_1.sin",))]
     assert [one.severity for one in found] == ["warning", "info"]
     assert len(sentences(found)) == 2
     assert sentences(found, "warning")[0].startswith("leg_1: 1 poses for 8 parameters")

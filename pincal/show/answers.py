@@ -33,7 +33,6 @@ from pincal.words.table import Cell, Column, Table, Value
 from pincal.words.wording import UNCOVERED, missed_line, noise_in_words
 
 _MOST_PAIRS = 3  # weak pairs that are named
-_QUANTITIES = {"position": "m", "orientation": "rad"}
 _MARKS = {"good": "✓", "care": "⚠", "bad": "✗"}
 _STYLES = {"good": "bold green", "care": "bold yellow", "bad": "bold red"}
 _UNDETERMINED = "not determined anywhere, since what was held moves it at every pose"
@@ -239,10 +238,6 @@ def supporting_lines(result: CalibrationResult, errors: WorkspaceErrors | None) 
     lines += platform_lines(result, errors) if errors is not None else []
     lines += [*check_lines(result), *tie_lines(result), *weak_lines(result.weak, result.nominal)]
     lines += [f"fixed by choice, {gauge_line(result)}"] if result.gauge else []
-    data = result.measurements
-    unused = len(data) - min(leg.n_poses for leg in result.legs)
-    if unused and not result.options.every_pose and data.sets is not None:
-        lines.append(sentence(finding("unused-poses", unused=unused, total=len(data))))
     return lines
 
 

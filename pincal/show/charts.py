@@ -40,7 +40,7 @@ from pincal.show.pictures.parts import (
 from pincal.show.series import noisy_series, observed_series
 from pincal.show.style import EVERY, IDENTIFIED, INK, NOMINAL, OUTLIER
 from pincal.show.view.scene import rounded_down, scene
-from pincal.show.workspace_errors import bed, error_maps, moved_apart
+from pincal.show.workspace_errors import bed, error_maps, moved_apart, why_no_maps
 from pincal.types import Array
 from pincal.words.numbers import SMALL, STORED, per_si
 from pincal.words.wording import clean
@@ -257,18 +257,9 @@ def expected_errors(axes: Axes, result: CalibrationResult) -> Axes:
         MeasurementError: residuals are so large that no accuracy can be promised.
         WorkspaceError: no workspace was found with the default margins.
     """
-    nominal = result.nominal
-    if not result.explained:
-        raise MeasurementError(
-            f"{nominal.name}: residuals are {result.excess:.3g} times as large as the noise given "
-            "makes them, so no accuracy can be promised and none is drawn"
-        )
     if (maps := error_maps(result)) is None:
-        if nominal.by_readings:
-            raise WorkspaceError(
-                f"{nominal.name}: its poses follow from readings: errors over x and y are not drawn"
-            )
-        raise WorkspaceError(f"{nominal.name}: no workspace was found to draw errors over x and y")
+        refused = WorkspaceError if result.explained else MeasurementError
+        raise refused(f"{result.nominal.name}: no map of errors: {why_no_maps(result)}")
     image = draw_map(axes, (maps.x, maps.y), per_si("m") * maps.after[..., 0])
     axes.figure.colorbar(image, ax=axes, label=wrapped(_EXPECTED, room(axes)[1]))
     axes.set(xlabel=axis_name("x"), ylabel=axis_name("y"), title=height_name(maps.height))

@@ -26,24 +26,11 @@ from pincal.show.figures import figure
 from pincal.show.page import Page
 from pincal.show.series import readings_exact
 from pincal.show.style import dark_variables
-from pincal.show.workspace_errors import WorkspaceErrors, workspace_errors
+from pincal.show.workspace_errors import WorkspaceErrors, why_no_maps, workspace_errors
 from pincal.words.numbers import capital, reading_in
 from pincal.words.wording import clean, rendered
 
 _MOST_OUTLIERS = 50  # that are listed
-
-
-@dataclass(frozen=True)
-class Origin:
-    """Where a result comes from."""
-
-    command: str = ""
-    """As it was typed; empty if it was not."""
-    files: tuple[tuple[str, str], ...] = ()
-    """Files that were read, and their SHA-256."""
-    notes: tuple[str, ...] = ()
-    """What was not done, and why."""
-    date: str = ""
 
 
 class Section(NamedTuple):
@@ -56,25 +43,27 @@ class Section(NamedTuple):
     """Paragraphs, lists of lines, facts by name, tables and figures."""
 
 
+@dataclass(eq=False)
 class Report(Page):
     """A report: a page to save, or to see in a notebook."""
 
-    def __init__(
-        self,
-        result: CalibrationResult,
-        errors: WorkspaceErrors | None,
-        origin: Origin,
-        units: Units = SI,
-    ) -> None:
-        self.result = result
-        self.errors = errors
-        self.origin = origin
-        self.units = units
+    result: CalibrationResult
+    errors: WorkspaceErrors | None
+    """The platform's over the workspace; None if the fit did not converge."""
+    command: str = ""
+    """As it was typed; empty if it was not."""
+    files: tuple[tuple[str, str], ...] = ()
+    """Files that were read, and their SHA-256."""
+    notes: tuple[str, ...] = ()
+    """What was not done, and why."""
+    date: str = ""
+    units: Units = SI
+    """In which numbers are read."""
 
     @cached_property
     def _page(self) -> str:
-        result, errors, origin = self.result, self.errors, self.origin
-        parts = [origin.date, f"{len(result.measurements)} rows", answers.method_line(result)]
+        result = self.result
+        parts = [self.date, f"{len(result.measurements)} rows", answers.method_line(result)]
         with reading_in(self.units.printed):
             return rendered(
                 "report.html",
@@ -82,10 +71,10 @@ class Report(Page):
                 description=result.nominal.description,
                 subtitle=" · ".join([*parts, result.message]),
                 warnings=answers.warnings(result),
-                answers=answers.answers(result, errors, origin.notes),
+                answers=answers.answers(result, self.errors, self.notes),
                 sections=[
                     section._replace(parts=[part for part in section.parts if part])
-                    for section in _sections(result, errors, origin)
+                    for section in _sections(self)
                 ],
                 dark=dark_variables(),
             )
@@ -117,11 +106,10 @@ def report(
     today = datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %z")
     regular = [path for path in map(Path, files) if not path.is_fifo()]  # a pipe is read once
     hashes = tuple((path.name, _sha256(path)) for path in regular)
-    origin = Origin(command, hashes, tuple(notes), today if date is None else date)
-    nominal = result.nominal
-    read = Units.of(units, nominal.counts, nominal.reading_names)
+    read = Units.of(units, result.nominal.counts, result.nominal.reading_names)
     errors = workspace_errors(result) if result.converged else None
-    return Report(result, errors, origin, read)
+    made = today if date is None else date
+    return Report(result, errors, command, hashes, tuple(notes), made, read)
 
 
 def _sha256(path: Path) -> str:
@@ -137,10 +125,9 @@ def _sha256(path: Path) -> str:
         raise FileError(f"cannot read {path}: {error.strerror or error}") from error
 
 
-def _sections(
-    result: CalibrationResult, errors: WorkspaceErrors | None, origin: Origin
-) -> list[Section]:
+def _sections(report: Report) -> list[Section]:
     """Return the sections of a report, those of numbers only where the fit converged."""
+    result, errors = report.result, report.errors
     drawn = partial(figure, result=result, errors=errors)
     measured = Section(
         "measured",
@@ -152,10 +139,10 @@ def _sections(
         "reproduction",
         "How to reproduce it",
         [
-            Markup("<pre><code>{}</code></pre>").format(clean(origin.command)),
-            f"Made on {origin.date} with pincal {__version__}, {libraries}, Python "
+            Markup("<pre><code>{}</code></pre>").format(clean(report.command)),
+            f"Made on {report.date} with pincal {__version__}, {libraries}, Python "
             f"{platform.python_version()}. No random choice is involved.",
-            tables.files_table(origin.files) if origin.files else None,
+            tables.files_table(report.files) if report.files else None,
         ],
     )
     if errors is None:
@@ -191,12 +178,12 @@ def _sections(
             "platform",
             "Error of the platform",
             [
-                drawn("maps") or _no_maps(result),
+                drawn("maps") or f"No maps: {why_no_maps(result)}.",
                 [f"{capital(line)}." for line in answers.platform_lines(result, errors)],
             ],
         ),
         Section("outliers", "What was rejected or weighted down", _outliers(result)),
-        Section("checks", "Held-out rows, ties and runs", _checks(result, origin)),
+        Section("checks", "Held-out rows, ties and runs", _checks(result, report.notes)),
         reproduction,
     ]
 
@@ -233,16 +220,6 @@ def _columns(result: CalibrationResult) -> str:
     return ", ".join(map("".join, often.items())) or "nothing"
 
 
-def _no_maps(result: CalibrationResult) -> str:
-    """Return why there are no maps."""
-    reason = "no workspace was found with the default margins"
-    if not result.explained:
-        reason = "no accuracy can be promised"
-    elif result.nominal.by_readings:
-        reason = "its poses are made from readings, and do not fill a plane"
-    return f"No maps: {reason}."
-
-
 def _outliers(result: CalibrationResult) -> list[Any]:
     """Return which rows were rejected or weighted down."""
     text = "No robust loss was used" if result.loss == "none" else f"Robust loss: {result.loss}"
@@ -252,9 +229,9 @@ def _outliers(result: CalibrationResult) -> list[Any]:
     return [text, tables.outliers_table(result, _MOST_OUTLIERS)]
 
 
-def _checks(result: CalibrationResult, origin: Origin) -> list[Any]:
+def _checks(result: CalibrationResult, notes: Sequence[str]) -> list[Any]:
     """Return what ties, held-out rows and runs show, and notes on what was not done."""
     lines = [capital(line) for line in (*answers.tie_lines(result), *answers.check_lines(result))]
-    lines = [f"{line}." for line in (*lines, *origin.notes)]
+    lines = [f"{line}." for line in (*lines, *notes)]
     runs = [tables.runs_table(result.runs)] if result.runs is not None else []
     return [lines or ["No rows were held out, and no ties tested."], *runs]

@@ -139,6 +139,15 @@ def error_maps(
     return ErrorMaps(x, y, height, before, after)
 
 
+def why_no_maps(result: CalibrationResult) -> str:
+    """Return why there are no maps of errors over the workspace."""
+    if not result.explained:
+        return "no accuracy can be promised, since residuals are far larger than the noise"
+    if result.nominal.by_readings:
+        return "its poses follow from readings, and do not fill a plane"
+    return "no workspace was found with the default margins"
+
+
 def bed(
     mechanism: Mechanism, samples: Array, count: int, height: float | None = None
 ) -> tuple[Array, Array, Array]:

@@ -236,14 +236,6 @@ PARAMETERS: dict[str, Wording] = {
         "So few equations that residuals are small whatever the machine is.",
         "Measure more: two or three times as many poses as parameters are advised",
     ),
-    "unused-poses": Wording(
-        "Poses that serve one leg only",
-        "unused total",
-        "{unused} of {total} measured poses serve other legs only",
-        "Each leg was identified by the poses of its set only.",
-        "Leave out --method per-leg, or add --poses all: then every leg uses every pose",
-        "info",
-    ),
     "weakly-determined": Wording(
         "Weakly determined parameters",
         "parameter half unit held",
