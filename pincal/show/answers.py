@@ -165,10 +165,10 @@ def accuracy_table(result: CalibrationResult, errors: WorkspaceErrors) -> Table:
         for head, row in rows.items()
     ]
     return Table(
-        f"Error of the platform, root mean square{region}",
+        f"RMS error of the platform{region}",
         (Column(""), *(Column(name, unit) for name, unit in names)),
         cells,
-        "held out: at rows not fitted, measuring noise included" * ("held out" in rows),
+        "held out: rows not fitted, noise included" * ("held out" in rows),
     )
 
 
@@ -178,15 +178,15 @@ def _reliable(result: CalibrationResult, notes: Sequence[str]) -> Answer:
     if result.outliers:
         lines.append(f"{counted(len(result.outliers), 'row does', 'rows do')} not fit the others")
     lines = [f"{capital(line)}." for line in lines] + list(notes)
-    question = "Can I rely on it?"
-    if count := len(warnings(result)):
-        warned = f"{'one warning' if count == 1 else f'{count} warnings'}"
-        if result.promises:
-            return Answer(question, f"With care: {warned}", "care", [lines])
-        return Answer(question, f"Not as it is: {warned}", "bad", [lines])
+    shown, tone = "No problems found", "good"
     if result.validation is None:
-        return Answer(question, "Not tested on rows left out", "care", [lines])
-    return Answer(question, "No problems found", "good", [lines])
+        shown, tone = "Not tested on rows left out", "care"
+    if count := len(warnings(result)):
+        warned = "one warning" if count == 1 else f"{count} warnings"
+        sound = result.promises
+        shown = f"{'With care' if sound else 'Not as it is'}: {warned}"
+        tone = "care" if sound else "bad"
+    return Answer("Can I rely on it?", shown, tone, [lines])
 
 
 def next_steps(
@@ -436,7 +436,7 @@ def limit_lines(result: CalibrationResult, errors: WorkspaceErrors) -> list[str]
     parts = [UNCOVERED[code] for code in errors.inside.uncovered]
     if errors.beyond is not None:
         parts.insert(0, f"outside the measured region ({percent(1.0 - errors.share)})")
-    return [f"not covered by the limit: {', '.join(parts)}"] if parts else []
+    return [f"no limit: {', '.join(parts)}"] if parts else []
 
 
 def remarks(result: CalibrationResult, errors: WorkspaceErrors) -> list[str]:

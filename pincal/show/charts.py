@@ -53,7 +53,6 @@ _BAR = 0.125  # height of a bar with its name, [inch]
 _LEGEND = 0.35  # height of a legend of two lines, [inch]
 #: Between which levels residuals lie if noise alone makes them.
 _LEVEL = "95 %"
-_REJECTED = 12  # rows that a title names
 _NAMED = 6  # outliers that are named
 _GAP = 0.08  # between images, of the widest
 _ARROW = 0.07  # length of a typical large arrow, of the widest image
@@ -216,21 +215,13 @@ def _residual(result: CalibrationResult) -> str:
 
 
 def _name_undrawn(axes: Axes, result: CalibrationResult) -> None:
-    """Say which rows were rejected, and how many residuals nothing checks: neither is drawn."""
-    worst, lines = _worst_of_rows(result), []
-    outliers = {outlier.row for outlier in result.outliers}
-    if rows := sorted(row for row in outliers if not np.isfinite(worst[row])):
-        names = ", ".join(str(row + 1) for row in rows[:_REJECTED])
-        dots = " …" if len(rows) > _REJECTED else ""
-        lines.append(f"rejected, not drawn: rows {names}{dots}")
+    """Say how many residuals nothing checks: they are not drawn."""
     unchecked = sum(
         int((~np.isfinite(series.standardised) & (series.sigma > 0.0)).sum())
         for series in noisy_series(result)
     )
     if unchecked:
-        lines.append(f"{unchecked} not drawn: the fit follows them")
-    if lines:
-        axes.set_title("\n".join(lines), fontsize=8)
+        axes.set_title(f"{unchecked} not drawn: the fit follows them", fontsize=8)
 
 
 def changes(axes: Axes, result: CalibrationResult) -> Axes:
@@ -276,23 +267,21 @@ def at_platform(axes: Axes, result: CalibrationResult) -> Axes:
     """
     columns = legs_at(result.identified, sample_configurations(result.nominal, _SAMPLES))
     moved = without_frames(result.identified, columns.poses, columns.gain, result.frames_moved)
-    gain = moved[:, : result.nominal.platform.lengths]
-    per_unit = np.sqrt((gain**2).sum(axis=1).mean(axis=0))  # [m] per unit of each parameter
+    gain = per_si("m") * moved[:, : result.nominal.platform.lengths]
+    per_unit = np.sqrt((gain**2).sum(axis=1).mean(axis=0))  # of each parameter
     parameters = [p for leg in result.legs for p in leg.parameters]
-    identified = zip(parameters, per_unit.tolist(), strict=True)
-    bars = [(p, factor) for p, factor in identified if 0.0 < p.std < np.inf]
-    bars.sort(key=lambda bar: abs(bar[0].change) * bar[1])
-    count, capacity = len(bars), int((room(axes)[1] - _LEGEND) / _BAR)
-    bars = bars[-capacity:]
-    places, scale = np.arange(len(bars)), per_si("m")
-    changes = np.array([scale * factor * abs(p.change) for p, factor in bars])
-    halves = np.array([scale * factor * p.half for p, factor in bars])
-    clear = np.array([abs(p.change) > p.half for p, _ in bars])
-    colours = np.where(clear, IDENTIFIED, NOMINAL).tolist()
+    sizes = [
+        (factor * abs(p.change), factor * p.half, p.id)
+        for p, factor in zip(parameters, per_unit.tolist(), strict=True)
+        if 0.0 < p.std < np.inf
+    ]
+    bars = sorted(sizes)[-int((room(axes)[1] - _LEGEND) / _BAR) :]
+    changes, halves = np.array([bar[:2] for bar in bars]).T
+    places, colours = np.arange(len(bars)), np.where(changes > halves, IDENTIFIED, NOMINAL).tolist()
     axes.barh(places, changes, color=colours, height=0.7)
     ends = np.minimum(halves, changes), halves
     axes.errorbar(changes, places, xerr=ends, fmt="none", ecolor=EVERY, elinewidth=0.8, capsize=2)
-    axes.set_yticks(places, [p.id for p, _ in bars], fontsize=7)
+    axes.set_yticks(places, [name for *_, name in bars], fontsize=7)
     axes.set_xlabel(f"moves the platform by [{SMALL['m']}]")
     keys = ((IDENTIFIED, "changed by more than its ±"), (NOMINAL, "by less"))
     handles = [Patch(color=colour, label=text) for colour, text in keys]
@@ -300,8 +289,8 @@ def at_platform(axes: Axes, result: CalibrationResult) -> Axes:
     axes.set_xlim(left=0.0)
     legend = _LEGEND * (len(bars) + 1.0) / (room(axes)[1] - _LEGEND)  # in bars
     axes.set_ylim(-0.7 - legend, len(bars) - 0.4)
-    if count > len(bars):
-        axes.set_title(f"the {len(bars)} largest of {count}", fontsize=8)
+    if len(sizes) > len(bars):
+        axes.set_title(f"the {len(bars)} largest of {len(sizes)}", fontsize=8)
     return axes
 
 

@@ -57,11 +57,10 @@ def _rank_lines(forecast: Forecast) -> list[str]:
 
 def _expected(error: PlatformError) -> str:
     """Return an error of the platform, and what of it is not determined."""
-    sizes = {"position": (error.position, "m")}
-    if "rad" in error.units:
-        sizes["orientation"] = (error.orientation, "rad")
-    known = [amount(value, unit) for value, unit in sizes.values() if value < np.inf]
-    lost = [f"{name} not determined" for name, (value, _) in sizes.items() if not value < np.inf]
+    sizes = [("position", error.position, "m"), ("orientation", error.orientation, "rad")]
+    sizes = sizes if "rad" in error.units else sizes[:1]
+    known = [amount(size, unit) for _, size, unit in sizes if size < np.inf]
+    lost = [f"{name} not determined" for name, size, _ in sizes if not size < np.inf]
     return ", ".join([*([f"root mean square {listed(known)}"] if known else []), *lost])
 
 
