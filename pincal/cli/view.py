@@ -278,8 +278,8 @@ def plot(
     """Draw a figure of a calibration.
 
     One column or a page wide, letters of 7 to 9 points. residuals: by row; workspace: where they
-    were measured; images: over those of cameras; parameters: changes in units of their ±;
-    platform: what changes move the platform by; error_map: expected error over x and y; bed: z over
+    were measured; images: over those of cameras; parameters: what their changes
+    move the platform by; error_map: expected error over x and y; bed: z over
     a printer's bed; drawing: a leg with dimensions.
     """
     calibrated = load_result(result)
@@ -287,7 +287,7 @@ def plot(
     if options.leg and kind != "drawing":
         raise typer.BadParameter("--leg is for the kind 'drawing'")
     inches = float(options.width or PAGE_WIDTH) / 25.4
-    height = max(0.62 * inches, 3.6 if kind == "platform" else 2.4)
+    height = max(0.62 * inches, 3.6 if kind == "parameters" else 2.4)
     with working("drawing"):
         with drawing():
             axes = Figure(figsize=(inches, height), layout="compressed").subplots()

@@ -27,7 +27,6 @@ from pincal.show.pictures.figure import draw_scene
 from pincal.show.pictures.parts import (
     NORMAL,
     axis_name,
-    draw_bars,
     draw_map,
     height_name,
     label,
@@ -224,21 +223,6 @@ def _name_undrawn(axes: Axes, result: CalibrationResult) -> None:
         axes.set_title(f"{unchecked} not drawn: the fit follows them", fontsize=8)
 
 
-def changes(axes: Axes, result: CalibrationResult) -> Axes:
-    """Draw the change of each parameter from nominal over its 95 % half width.
-
-    Bars longer than 1 are changes that the measurements show; fixed ones have none.
-    """
-    values = {}
-    for leg in result.legs:
-        identified = (p for p in leg.parameters if 0.0 < p.std < np.inf)
-        values[leg.name] = {p.name: p.change / p.half for p in identified}
-    draw_bars(axes, values)
-    levels(axes, 1.0, "±")
-    axes.set_ylabel(wrapped("change / half width of its 95 % interval", room(axes)[1]))
-    return axes
-
-
 def expected_errors(axes: Axes, result: CalibrationResult) -> Axes:
     """Draw the expected error of the calibrated platform's position over x and y.
 
@@ -249,15 +233,17 @@ def expected_errors(axes: Axes, result: CalibrationResult) -> Axes:
         WorkspaceError: no workspace was found with the default margins.
     """
     if (maps := error_maps(result)) is None:
-        refused = WorkspaceError if result.explained else MeasurementError
-        raise refused(f"{result.nominal.name}: no map of errors: {why_no_maps(result)}")
+        reason = f"{result.nominal.name}: no map of errors: {why_no_maps(result)}"
+        if not result.explained:
+            raise MeasurementError(reason)
+        raise WorkspaceError(reason)
     image = draw_map(axes, (maps.x, maps.y), per_si("m") * maps.after[..., 0])
     axes.figure.colorbar(image, ax=axes, label=wrapped(_EXPECTED, room(axes)[1]))
     axes.set(xlabel=axis_name("x"), ylabel=axis_name("y"), title=height_name(maps.height))
     return axes
 
 
-def at_platform(axes: Axes, result: CalibrationResult) -> Axes:
+def changes(axes: Axes, result: CalibrationResult) -> Axes:
     """Draw what each parameter's change moves the platform by, over the workspace, and its ±.
 
     Root mean square of the position; bars end where the change does, thin lines are its 95 %.
@@ -281,7 +267,7 @@ def at_platform(axes: Axes, result: CalibrationResult) -> Axes:
     axes.barh(places, changes, color=colours, height=0.7)
     ends = np.minimum(halves, changes), halves
     axes.errorbar(changes, places, xerr=ends, fmt="none", ecolor=EVERY, elinewidth=0.8, capsize=2)
-    axes.set_yticks(places, [name for *_, name in bars], fontsize=7)
+    axes.set_yticks(places, [label(name) for *_, name in bars], fontsize=7)
     axes.set_xlabel(f"moves the platform by [{SMALL['m']}]")
     keys = ((IDENTIFIED, "changed by more than its ±"), (NOMINAL, "by less"))
     handles = [Patch(color=colour, label=text) for colour, text in keys]
@@ -375,8 +361,7 @@ class Plots:
     residuals = _chart(residuals)
     workspace = _chart(workspace, 5.0, 4.2)
     images = _chart(images)
-    parameters = _chart(changes)
-    platform = _chart(at_platform, 6.4, 4.6)
+    parameters = _chart(changes, 6.4, 4.6)
     error_map = _chart(expected_errors, 5.0, 4.2)
     bed = _chart(bed_heights, 5.0, 4.2)
 

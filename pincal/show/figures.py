@@ -1,6 +1,6 @@
 """Figures of a report: charts across a page with a caption, by the names that its template calls.
 
-Legs differ in colour and in marker or hatch. A figure is None where there is nothing to show.
+Legs differ in colour and in marker. A figure is None where there is nothing to show.
 """
 
 from __future__ import annotations
@@ -104,6 +104,13 @@ def _poses(result: CalibrationResult, errors: WorkspaceErrors | None) -> Caption
     return drawn, f"The {len(plan.poses)} measured poses of the platform, {description}."
 
 
+def _changes(result: CalibrationResult, errors: WorkspaceErrors | None) -> Captioned:
+    """Return what changes of parameters move the platform by, where it has a workspace."""
+    if errors is None or not errors.sampled:
+        return None
+    return _chart(charts.changes, _CHANGES, 4.6)(result, errors)
+
+
 def _drawing(result: CalibrationResult, _errors: WorkspaceErrors | None) -> Captioned:
     """Return the first leg with its dimensions, in the colours of their changes."""
     leg = result.legs[0].name
@@ -162,8 +169,9 @@ def _legend_below(drawn: Figure, handles: Iterable[Any], names: Iterable[str]) -
 
 
 _CHANGES = (
-    "Change of each parameter from nominal over half its 95 % interval. Bars between the dashed "
-    "lines: the measurements do not distinguish the nominal value from the identified one."
+    "By how much the change of each parameter moves the platform, root mean square over the "
+    "workspace, and its 95 % interval. Grey: the measurements do not distinguish the nominal value "
+    "from the identified one."
 )
 _RESIDUALS = (
     "Residuals after the calibration against the row of the measurements, each over its standard "
@@ -175,7 +183,7 @@ _RESIDUALS = (
 FIGURES: dict[str, Callable[[CalibrationResult, WorkspaceErrors | None], Captioned]] = {
     "poses": _poses,
     "images": _images,
-    "changes": _chart(charts.changes, _CHANGES),
+    "changes": _changes,
     "drawing": _drawing,
     "residuals": _chart(charts.residuals, _RESIDUALS),
     "maps": _maps,

@@ -17,7 +17,6 @@ LEGS = (
     "#9f1042",
 )
 MARKERS = ("o", "^", "s", "D", "v", "P", "X")
-HATCHES = ("", "//", "..", "xx", "\\\\", "++", "oo")
 #: Joints in the exported URDFs.
 ACTIVE, PASSIVE = "#d95e03", "#1f78b5"
 #: Before and after: what nominal parameters say, and what identified ones do.
@@ -60,7 +59,7 @@ COLUMN, PAGE_WIDTH = 80.0, 170.0
 
 
 PAGE_INCHES, PAGE_HEIGHT = PAGE_WIDTH / 25.4, 9.5  # of a figure across a page, at most, [inch]
-LETTER_WIDTH, LINE_HEIGHT = 0.065, 0.115  # of labels, of names along an axis, [inch]
+LETTER_WIDTH = 0.065  # of labels, [inch]
 RASTER_FROM = 1500  # points from which they are drawn as pixels: a vector picture stays small
 #: Width of a mechanism's picture, least and most height of what is drawn, [inch].
 PICTURE_WIDTH, PICTURE_HEIGHTS = 5.2, (1.8, 6.0)
@@ -71,12 +70,11 @@ class Look(NamedTuple):
 
     colour: str
     marker: str
-    hatch: str
 
 
 def look(index: int) -> Look:
     """Return the look of a leg or set by its number."""
-    return Look(*(values[index % len(values)] for values in (LEGS, MARKERS, HATCHES)))
+    return Look(*(values[index % len(values)] for values in (LEGS, MARKERS)))
 
 
 def dark_variables() -> str:
@@ -86,4 +84,4 @@ def dark_variables() -> str:
 
 def other_look(index: int) -> Look:
     """Return the look of a coordinate or a run by its number: no colour of a leg, but a marker."""
-    return Look(DIMENSION, MARKERS[index % len(MARKERS)], HATCHES[index % len(HATCHES)])
+    return Look(DIMENSION, MARKERS[index % len(MARKERS)])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
 from textwrap import wrap
 from typing import Any
 
@@ -20,11 +19,9 @@ from pincal.model.mechanism import Mechanism
 from pincal.show.style import (
     EVERY,
     LETTER_WIDTH,
-    LINE_HEIGHT,
     PAGE_HEIGHT,
     PAGE_INCHES,
     RASTER_FROM,
-    Look,
     look,
     other_look,
 )
@@ -42,8 +39,6 @@ _PLATE = {"boxstyle": "square,pad=0.1", "facecolor": "#EFEFEF", "edgecolor": "no
 #: Entries of a legend from which it is set closely.
 _LONG = 8
 _LONG_NAME = 32  # letters of a name that leaves too little room for axes beside it
-#: Of a figure, that its axes are wide beside a legend.
-_AXES_SHARE = 0.75
 #: Light enough for black lines; brighter is more, in black and white too.
 _LIGHT = ListedColormap(colormaps["cividis"](np.linspace(0.35, 1.0, 128)))
 
@@ -118,7 +113,7 @@ def draw_poses(
     sets = np.array(plan.serving)
     names = dict.fromkeys((*mechanism.leg_names, EVERY_LEG, *plan.serving))
     for index, name in enumerate(names):
-        colour, marker, _ = look(index)
+        colour, marker = look(index)
         colour = EVERY if name in (EVERY_LEG, VERIFY) else colour
         if not (poses := plan.poses[sets == name]).size:
             continue
@@ -150,30 +145,6 @@ def marks(index: int, *, of_leg: bool) -> dict[str, Any]:
     series_look = look(index) if of_leg else other_look(index)
     filled: dict[str, Any] = {} if of_leg or index % 2 == 0 else {"mfc": "none"}
     return {"marker": series_look.marker, "color": series_look.colour, **filled}
-
-
-def draw_bars(
-    axes: Axes,
-    values: Mapping[str, Mapping[str, float]],
-    looks: Callable[[int], Look] = look,
-) -> Axes:
-    """Draw bars of several series side by side, by series, then by name.
-
-    Args:
-        axes: Where to draw.
-        values: By series, then by name.
-        looks: Look of a series by its number; those of legs if not given.
-    """
-    names = list(dict.fromkeys(name for series in values.values() for name in series))
-    width = 0.8 / len(values)
-    for index, (series, heights) in enumerate(values.items()):
-        places = np.array([names.index(name) for name in heights])
-        shift = (index - (len(values) - 1) / 2) * width
-        colour, _, hatch = looks(index)
-        own_look: dict[str, Any] = {"color": colour, "hatch": hatch, "edgecolor": "white"}
-        axes.bar(places + shift, list(heights.values()), width, label=label(series), **own_look)
-    name_places(axes, names)
-    return legend_beside(axes)
 
 
 def legend_beside(axes: Axes) -> Axes:
@@ -217,28 +188,6 @@ def wrapped(text: str, inches: float) -> str:
     """Return a label in as many lines as it needs in a length; no-break spaces stay whole."""
     line = max(int(inches / LETTER_WIDTH), 12)
     return "\n".join(wrap(text, line, break_long_words=False, break_on_hyphens=False))
-
-
-def name_places(axes: Axes, names: Sequence[str], units: Sequence[str] = ()) -> None:
-    """Write names below places 0, 1, … of an axis, upright where they are many."""
-    figure = axes.get_figure(root=True)
-    width = min(PAGE_INCHES, figure.get_figwidth() if figure else PAGE_INCHES)
-    step = max(1, int(np.ceil(len(names) * LINE_HEIGHT / (_AXES_SHARE * width))))  # large type
-    axes.set_xticks(range(0, len(names), step), _named(names, units, width)[::step])
-    if _upright(names, width):
-        axes.tick_params(axis="x", labelrotation=90, labelsize=7)
-
-
-def _upright(names: Sequence[str], width: float) -> bool:
-    """Return whether names side by side would touch, in a figure of a width, [inch]."""
-    side_by_side = len(names) * LETTER_WIDTH * (1 + max(map(len, names), default=0))
-    return len(names) > 2 * width or side_by_side > _AXES_SHARE * width
-
-
-def _named(names: Sequence[str], units: Sequence[str], width: float) -> list[str]:
-    between = " " if _upright(names, width) else "\n"
-    labels = [f"{name}{between}[{unit}]" for name, unit in zip(names, units, strict=False)]
-    return labels or list(names)
 
 
 def label(name: str) -> str:
