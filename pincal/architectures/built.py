@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pincal.architectures.dimension import Architecture, Dimension, Values, length
+from pincal.architectures.dimension import Architecture, SheetDimension, Values, length
 from pincal.errors import MechanismError
 from pincal.files.table import is_dataframe, read_table
 from pincal.formats.arm import arm, load_arm
@@ -126,7 +126,7 @@ _FOUR = (
     length("frame_height", "distance of the anchors along y", 0.75, "frame_width"),
     length("platform_width", "width of the platform", 0.15, "frame_width", below="frame_width"),
     length("platform_height", "its height", 1.0, "platform_width", below="frame_height"),
-    Dimension("cables", "way of the cables", "", "crossed", choices=("crossed", "straight")),
+    SheetDimension("cables", "way of the cables", "", "crossed", choices=("crossed", "straight")),
 )
 _TURNED = ("turned", "crossed", "straight")
 _EIGHT = (
@@ -138,7 +138,7 @@ _EIGHT = (
     length("platform_width", "width of the platform", 0.2, "frame_width", below="frame_width"),
     length("platform_height", "height of the platform", 1.0, "platform_width"),
     length("height", "height of the platform's middle at home", 0.5, "upper"),
-    Dimension("cables", "way of the cables", "", "turned", choices=_TURNED),
+    SheetDimension("cables", "way of the cables", "", "turned", choices=_TURNED),
 )
 CABLES = (
     Architecture("cable-4", "Planar cable robot, four cables", _FOUR, _planar, _in_plane),
@@ -202,10 +202,12 @@ def _arm(d: Values) -> Mechanism:
 
 _CONVENTIONS = ("standard", "modified")
 _ARM = (
-    Dimension("urdf", "URDF file", ""),
-    Dimension("tip", "link whose frame is measured", "", goes_with="urdf"),
-    Dimension("base", "link at the foot, if not the root", "", goes_with="urdf"),
-    Dimension("dh", "CSV table of Denavit and Hartenberg", "", instead_of="urdf"),
-    Dimension("convention", "of the table", "", "standard", goes_with="dh", choices=_CONVENTIONS),
+    SheetDimension("urdf", "URDF file", ""),
+    SheetDimension("tip", "link whose frame is measured", "", goes_with="urdf"),
+    SheetDimension("base", "link at the foot, if not the root", "", goes_with="urdf"),
+    SheetDimension("dh", "CSV table of Denavit and Hartenberg", "", instead_of="urdf"),
+    SheetDimension(
+        "convention", "of the table", "", "standard", goes_with="dh", choices=_CONVENTIONS
+    ),
 )
 ARM = Architecture("arm", "Serial arm", _ARM, _arm)

@@ -18,7 +18,7 @@ Corner: TypeAlias = "Sequence[float] | Array"
 
 
 @dataclass(frozen=True)
-class Dimension:
+class SheetDimension:
     """One dimension of an architecture."""
 
     name: str
@@ -30,15 +30,15 @@ class Dimension:
     default: float | str = ""
     """[m], [rad], or a text; with ``of`` a factor."""
     of: str = ""
-    """Dimension before it, of which the default is a multiple."""
+    """SheetDimension before it, of which the default is a multiple."""
     least: float = 1e-6
     """[m] or [rad]."""
     most: float = 1e3
     """[m] or [rad]."""
     above: str = ""
-    """Dimension before it, than which it must be more."""
+    """SheetDimension before it, than which it must be more."""
     below: str = ""
-    """Dimension before it, than which it must be less."""
+    """SheetDimension before it, than which it must be less."""
     goes_with: str = ""
     """Text before it, without which it means nothing."""
     instead_of: str = ""
@@ -94,19 +94,19 @@ class Dimension:
         return f"{number:.12g}{unit}" if typed else f"{number:.6g} {unit}"
 
 
-LEAST = Dimension.least
+LEAST = SheetDimension.least
 
 
-def length(name: str, label: str, default: float, of: str = "", **limits: Any) -> Dimension:
+def length(name: str, label: str, default: float, of: str = "", **limits: Any) -> SheetDimension:
     """Return a length, its default in [m], or a multiple of another one before it."""
-    return Dimension(name, label, "m", default, of, **limits)
+    return SheetDimension(name, label, "m", default, of, **limits)
 
 
 def angle(
     name: str, label: str, default: float, least: float = LEAST, most: float = 1e3, above: str = ""
-) -> Dimension:
+) -> SheetDimension:
     """Return an angle, its default in degrees, its limits in [rad]."""
-    return Dimension(name, label, "rad", radians(default), "", least, most, above)
+    return SheetDimension(name, label, "rad", radians(default), "", least, most, above)
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ class Architecture:
 
     name: str
     title: str
-    dimensions: tuple[Dimension, ...]
+    dimensions: tuple[SheetDimension, ...]
     make: Callable[[Values], Mechanism]
     region: Callable[[Values], tuple[Corner, Corner]] | None = None
     """Lower and upper coordinates between which it works, where readings have no limits that say

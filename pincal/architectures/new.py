@@ -8,7 +8,7 @@ from math import isfinite
 from typing import Any
 
 from pincal.architectures.built import ARM, CABLES
-from pincal.architectures.dimension import Architecture, Dimension, Values
+from pincal.architectures.dimension import Architecture, SheetDimension, Values
 from pincal.architectures.resized import RESIZED
 from pincal.errors import MechanismError
 from pincal.kinematics.singularity import home_determinant
@@ -17,7 +17,7 @@ from pincal.model.mechanism import Mechanism
 from pincal.symmetry.generate import at_home
 
 ARCHITECTURES = {kind.name: kind for kind in (*RESIZED, *CABLES, ARM)}
-LENGTH, ANGLE = Dimension("", "", "m"), Dimension("", "", "rad")
+LENGTH, ANGLE = SheetDimension("", "", "m"), SheetDimension("", "", "rad")
 _FLAT = 1e-3  # of what the legs' lines span at home
 
 

@@ -43,14 +43,15 @@ def identifiers(names: Iterable[str]) -> tuple[str, ...]:
 
 def check_leg(leg: Leg) -> None:
     """Raise MechanismError if joints, sensors, parameters and terms do not go together."""
-    for fault in chain(_joint_faults(leg), term_faults(leg), _parameter_faults(leg)):
+    topics = (_joint_faults, _sensor_faults, term_faults, _parameter_faults)
+    for fault in chain.from_iterable(faults(leg) for faults in topics):
         raise MechanismError(f"{leg.name}: {fault}")
     for joint in (*leg.joints, leg.point):
         joint.placement.rest(leg.nominal_by_name, f"{leg.name}, joint {joint.name!r}")
 
 
 def _joint_faults(leg: Leg) -> Iterator[str]:
-    """Yield what is wrong with joints, and with which of them the sensors read."""
+    """Yield what is wrong with joints: their limits and names."""
     for joint in leg.moving:
         ends = (joint.lower, joint.upper)
         limits = np.isfinite(ends).all() or (joint.turns and np.isinf(ends).all())
@@ -62,6 +63,10 @@ def _joint_faults(leg: Leg) -> Iterator[str]:
     names = [joint.name for joint in leg.joints]
     if len(set(names)) != len(names):
         yield f"joint names repeat: {names}"
+
+
+def _sensor_faults(leg: Leg) -> Iterator[str]:
+    """Yield with which joints the sensors cannot be."""
     moving, read = [joint.name for joint in leg.moving], [sensor.joint for sensor in leg.sensors]
     if still := [name for name in read if name not in moving]:
         yield (
