@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 import pincal
-from pincal.files.measurement_writing import write_readings
+from pincal.files.measurement_writing import reading_columns
+from pincal.files.table import write_table
 from pincal.workspace.criteria import in_workspace
 
 Array = NDArray[np.float64]
@@ -265,7 +266,7 @@ def test_the_command_line_tells_symmetry_and_contradiction(
     assert "mirror at azimuth 150°" in told
     readings = pincal.inverse(cables, poses[:5]).readings
     readings[2, 3] += 0.05
-    write_readings(tmp_path / "readings.csv", cables, readings)
+    write_table(tmp_path / "readings.csv", reading_columns(cables, readings))
     said = done("forward", "4cable", tmp_path / "readings.csv", "-o", tmp_path / "poses.csv").err
     found = pincal.Plan.from_csv(tmp_path / "poses.csv", cables).poses
     assert "(row 3, line_" in said

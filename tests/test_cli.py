@@ -690,7 +690,7 @@ def test_failed_simulation_leaves_no_truth(work: Path, monkeypatch: pytest.Monke
     def fail(*_: object, **__: object) -> None:
         raise pincal.FileError("cannot write new.csv: No space left on device")
 
-    monkeypatch.setattr("pincal.cli.design.write_plan", fail)
+    monkeypatch.setattr("pincal.cli.design.write_table", fail)
     outcome = run("simulate", "3RRR", "plan.csv", "--truth", "new", "-o", "new.csv")
     assert outcome.code == 2
     assert "No space left" in outcome.trouble

@@ -25,8 +25,9 @@ import pincal
 from pincal.calibration import result_files
 from pincal.errors import PincalError
 from pincal.files import measurements
-from pincal.files.measurement_writing import write_readings
+from pincal.files.measurement_writing import reading_columns
 from pincal.files.mechanism_folders import bundled
+from pincal.files.table import write_table
 from pincal.formats.arm import serial_arm
 from pincal.formats.delta_printer import DeltaPrinter
 from pincal.formats.figaroh import read_figaroh
@@ -98,7 +99,7 @@ def read_plan(path: Path) -> None:
 def read_readings(path: Path) -> None:
     readings = measurements.read_readings(path, PLANE)[0]
     assert np.isfinite(readings).all()
-    write_readings(path, PLANE, readings, force=True)
+    write_table(path, reading_columns(PLANE, readings), force=True)
     assert equal(measurements.read_readings(path, PLANE)[0], readings)
 
 

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 import pincal
 from pincal.errors import MeasurementError, MechanismError
-from pincal.files.measurement_writing import write_plan, write_readings
+from pincal.files.measurement_writing import reading_columns, write_plan
 from pincal.files.measurements import read_measurements, read_poses, read_readings
 from pincal.files.mechanism_folders import as_mechanism, bundled
 from pincal.files.yaml import read_setup
@@ -340,8 +340,8 @@ def test_a_platform_that_only_turns_is_calibrated(tmp_path: Path) -> None:
         lambda: write_plan(pincal.Plan(POSES), "m.csv", None),
         lambda: write_plan(pincal.Plan(POSES), "p.csv", 3),
         lambda: write_plan(pincal.Plan(POSES), None, THREE),
-        lambda: write_readings("r.csv", THREE, None),
-        lambda: write_readings("r.csv", 3, READINGS),
+        lambda: reading_columns(THREE, None),
+        lambda: reading_columns(3, READINGS),
         lambda: THREE.save(None),
         lambda: as_mechanism(3.0),
         lambda: read_poses("3RRR".split, THREE),

@@ -17,7 +17,7 @@ from sheets import sheet
 
 import pincal
 from pincal.errors import FileError, MeasurementError, PincalError
-from pincal.files.measurement_writing import write_readings
+from pincal.files.measurement_writing import reading_columns
 from pincal.files.measurements import read_readings
 from pincal.files.table import read_table, write_table
 from pincal.files.text import LARGEST
@@ -99,7 +99,7 @@ def test_poses_and_readings_read_back_bit_for_bit(
     plan = pincal.Plan.from_csv(spare, mechanism)
     assert bits(plan.poses) == bits(data.poses)
     assert plan.sets == data.sets
-    write_readings(spare, mechanism, data.readings, force=True)
+    write_table(spare, reading_columns(mechanism, data.readings), force=True)
     assert bits(read_readings(spare, mechanism)[0]) == bits(data.readings)
 
 

@@ -28,10 +28,11 @@ from pincal.design.select_configurations import Goal, select_configurations
 from pincal.design.simulate import disturb
 from pincal.design.simulate import simulate as simulate_measurements
 from pincal.errors import FileError, MeasurementError, SymmetryError
-from pincal.files.measurement_writing import write_plan
+from pincal.files.measurement_writing import columns_of
 from pincal.files.measurements import read_poses
 from pincal.files.mechanism_folders import MECHANISM_FILES, load_mechanism, write_mechanism
 from pincal.files.output import refuse_existing, refuse_existing_of, writing_together
+from pincal.files.table import write_table
 from pincal.kinematics.configurations import as_plan, check_reached
 from pincal.kinematics.readers import arm_free_of_collision
 from pincal.model.measurements import Noise, Plan
@@ -124,7 +125,7 @@ def select(
         count = len(plan)
         plan = with_reference(mechanism, plan, options.reference)
         remark(f"one pose is measured {len(plan) - count} times more, as the pose 'reference'")
-    write_plan(plan, output, mechanism, units=units, force=options.force)
+    write_table(output, columns_of(mechanism, plan), units=units, force=options.force)
     stdout.print(table)
     setup = options.read_setup()
     try:
@@ -303,7 +304,7 @@ def simulate(
         reason = simulation.unreachable[0][1]
         raise MeasurementError(f"{plan}: no planned pose can be measured ({reason})")
     with writing_together(outputs, force=force) as scratch:
-        write_plan(simulation.measurements, scratch[-1], mechanism, units=units)
+        write_table(scratch[-1], columns_of(mechanism, simulation.measurements), units=units)
         for folder in scratch[:-1]:
             write_mechanism(true_mechanism, folder)
     for row, reason in simulation.unreachable:

@@ -11,7 +11,7 @@ import typer
 
 from pincal.cli.app import command, fail, remark, warn, wrote
 from pincal.cli.options import Force, Mech, TableOptions, output_option
-from pincal.files.measurement_writing import columns_of, reason_column, write_readings
+from pincal.files.measurement_writing import columns_of, reading_columns, reason_column
 from pincal.files.measurements import read_poses, read_readings
 from pincal.files.output import refuse_existing
 from pincal.files.table import write_table
@@ -46,7 +46,8 @@ def inverse(
     lost = np.atleast_1d(~solution.reached.all(axis=1))
     reasons = [solution.reason(row) if lost[row] else "" for row in range(len(lost))]
     values = np.where(lost[:, None], np.nan, solution.readings)
-    write_readings(output, mechanism, values, influences, reasons=reasons, units=units, force=force)
+    columns = reading_columns(mechanism, values) | dict(influences) | reason_column(reasons)
+    write_table(output, columns, units=units, force=force)
     say_reference(mechanism, influences)
     wrote(output)
     places = [plan.place(row) for row in range(len(lost))]

@@ -18,9 +18,10 @@ from pincal.cli.app import command, remark, stdout, working, wrote
 from pincal.cli.options import FORCE, SEED, output_option
 from pincal.design.order import in_turns, with_verification
 from pincal.design.select_configurations import ConfigurationChoice, select_configurations
-from pincal.files.measurement_writing import write_plan, write_sheet
+from pincal.files.measurement_writing import columns_of, write_sheet
 from pincal.files.mechanism_folders import MECHANISM_FILES, write_mechanism
 from pincal.files.output import refuse_existing, writing
+from pincal.files.table import write_table
 from pincal.kinematics.inverse import inverse
 from pincal.model.measurements import Noise, Plan
 from pincal.model.mechanism import Mechanism
@@ -115,7 +116,7 @@ def new(
         picture(mechanism, dimensions=mechanism.leg_names[0] if drawn else "").save(
             scratch / "picture.svg"
         )
-        write_plan(plan, scratch / "plan.csv", mechanism, units=WRITTEN)
+        write_table(scratch / "plan.csv", columns_of(mechanism, plan), units=WRITTEN)
         if plan.readings is None:
             plan = replace(plan, readings=inverse(mechanism, plan.poses).readings)
         write_sheet(scratch / "sheet.csv", mechanism, plan)

@@ -11,9 +11,10 @@ import typer
 from pincal.cli.app import command, counting, remark, stdout, working, wrote
 from pincal.cli.options import FORCE, SEED, Mech, output_option, refuse_options
 from pincal.errors import WorkspaceError
-from pincal.files.measurement_writing import write_plan
+from pincal.files.measurement_writing import columns_of
 from pincal.files.mechanism_folders import load_mechanism
 from pincal.files.output import refuse_existing_of, writing_together
+from pincal.files.table import write_table
 from pincal.model.mechanism import Mechanism
 from pincal.model.option import option, option_of
 from pincal.model.units import WRITTEN
@@ -107,7 +108,7 @@ def workspace(
         plan = sample_configurations(
             mechanism, options.count, options.seed, options.least_margins(), done
         )
-    write_plan(plan, output, mechanism, units=WRITTEN, force=options.force)
+    write_table(output, columns_of(mechanism, plan), units=WRITTEN, force=options.force)
     ends = zip(plan.poses.min(axis=0), plan.poses.max(axis=0), strict=True)
     coordinates = zip(mechanism.platform.coordinates, ends, mechanism.platform.units, strict=True)
     ranges = (f"{name} {low:.3f} to {high:.3f} {unit}" for name, (low, high), unit in coordinates)

@@ -29,12 +29,8 @@ def tilt_column(mechanism: Mechanism, further: dict[str, str]) -> dict[str, str]
 def levelled(table: TextTable, setup: Setup, poses: Array) -> Array:
     """Return poses whose positions lie in the x-y plane, as a tracker that is level sees them.
 
-    The plane is turned into x-y the shortest way, where that is more than noise.
-
-    Args:
-        table: The table, which has a column z.
-        setup: What the numbers mean.
-        poses: Coordinates of a planar machine as read, shape (N, dof).
+    The plane is turned into x-y the shortest way, where that is more than noise. Poses are those of
+    a planar machine as read, shape (N, dof), and the table has a column z.
     """
     z = table.numbers("z", "m", blank=True)
     points = np.column_stack((poses[:, :2], z))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import SINGLE_ANGLES, WAYS
 from pincal.model.orientation import columns_of as angles_of
 from pincal.model.setup import Setup
-from pincal.model.units import SI, Units
+from pincal.model.units import Units
 from pincal.types import Array
 
 Columns = dict[str, Array | tuple[str, ...]]
@@ -31,12 +31,10 @@ def write_plan(
     *,
     orientation: str = "tilt-torsion",
     setup: Setup | None = None,
-    units: Units = SI,
     force: bool = False,
 ) -> None:
     """Write a plan, or measurements, to a CSV file: see ``Plan.to_csv``."""
-    columns = columns_of(mechanism, plan, orientation, setup)
-    write_table(path, columns, units=units, force=force)
+    write_table(path, columns_of(mechanism, plan, orientation, setup), force=force)
 
 
 def dataframe_of(
@@ -48,31 +46,6 @@ def dataframe_of(
 ) -> Any:
     """Return a plan, or measurements, as a pandas DataFrame: see ``Plan.to_dataframe``."""
     return dataframe(columns_of(mechanism, plan, orientation, setup))
-
-
-def write_readings(
-    path: str | Path,
-    mechanism: GivenMechanism,
-    readings: Array,
-    influences: Mapping[str, Array] | None = None,
-    *,
-    reasons: Sequence[str] = (),
-    units: Units = SI,
-    force: bool = False,
-) -> None:
-    """Write readings, NaN as empty cells, to a CSV file, with what they depend on.
-
-    Args:
-        path: The file.
-        mechanism: The mechanism.
-        readings: Shape (N, n_readings).
-        influences: What the readings depend on, by column, each of shape (N,).
-        reasons: Why a row has none, a text for each; a column only if there is one.
-        units: In which units they are written.
-        force: Whether to replace the file if it exists.
-    """
-    columns = _reading_columns(as_mechanism(mechanism), readings) | dict(influences or {})
-    write_table(path, columns | reason_column(reasons), units=units, force=force)
 
 
 def reason_column(reasons: Sequence[str]) -> Columns:
@@ -88,11 +61,8 @@ def columns_of(
 ) -> Columns:
     """Return the columns of a plan or of measurements, header with unit to values, SI.
 
-    Args:
-        mechanism: The mechanism.
-        plan: The poses, or the measurements.
-        orientation: Way to write a spatial platform's orientation, a key of ``WAYS``.
-        setup: Says units of further columns that are neither lengths nor single angles.
+    Orientations in space are written in a way of ``WAYS``; the setup says units of further columns
+    that are neither lengths nor single angles.
     """
     mechanism = as_mechanism(mechanism)
     must_be(plan, Plan, "poses or measurements to write", MeasurementError)
@@ -102,7 +72,7 @@ def columns_of(
         poses = {header: values for header, values in poses.items() if np.isfinite(values).any()}
     columns |= poses
     if plan.readings is not None:
-        columns |= _reading_columns(mechanism, plan.readings)
+        columns |= reading_columns(mechanism, plan.readings)
     if isinstance(plan, Measurements):
         columns |= _measured_columns(mechanism, plan, setup)
     columns |= plan.influences
@@ -129,7 +99,9 @@ def _pose_columns(mechanism: Mechanism, plan: Plan, orientation: str) -> dict[st
     return columns | _headed([(name, unit) for name in angles], turns)
 
 
-def _reading_columns(mechanism: Mechanism, readings: Array, prefix: str = "") -> Columns:
+def reading_columns(mechanism: GivenMechanism, readings: Array, prefix: str = "") -> Columns:
+    """Return the columns of readings, shape (N, n_readings), header with unit to values, SI."""
+    mechanism = as_mechanism(mechanism)
     names, units = mechanism.reading_names, mechanism.reading_units
     values = array_of(readings, ("N", len(names)), "readings", MeasurementError)
     return {**_headed(zip(names, units, strict=True), values, prefix)}
@@ -144,7 +116,7 @@ def _measured_columns(mechanism: Mechanism, data: Measurements, setup: Setup | N
     if data.sigma_poses is not None:
         columns |= _headed(freedoms.items(), data.sigma_poses, "sigma_")
     if data.sigma_readings is not None:
-        columns |= _reading_columns(mechanism, data.sigma_readings, "sigma_")
+        columns |= reading_columns(mechanism, data.sigma_readings, "sigma_")
     for prefix, quantities in (("", data.extra), ("sigma_", data.sigma_extra)):
         for name, values in quantities.items():
             columns[f"{prefix}{name} [{units.get(name, 'm')}]"] = values
@@ -161,7 +133,7 @@ def write_sheet(path: str | Path, mechanism: Mechanism, plan: Plan) -> None:
     if plan.readings is None:
         raise MeasurementError(f"a sheet for {mechanism.name!r} needs the readings of its plan")
     planned: dict[str, Any] = {**_pose_columns(mechanism, plan, "zyx")}
-    planned |= _reading_columns(mechanism, plan.readings)
+    planned |= reading_columns(mechanism, plan.readings)
     planned = dict(Units({"m": "mm", "rad": "deg"}, last=1e-7).written(planned))
     columns: dict[str, Any] = {"row": tuple(str(1 + row) for row in range(len(plan)))}
     columns |= {} if plan.sets is None else {"set": plan.sets}

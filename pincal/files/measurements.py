@@ -178,13 +178,8 @@ def table_for(
 ) -> TextTable:
     """Return a table; headers such as ``x (mm)``, ``X [mm]``, ``x_mm`` are read as ``x [mm]``.
 
-    That is logged, as are columns without a meaning.
-
-    Args:
-        source: A file, or a DataFrame.
-        mechanism: The mechanism.
-        further: Columns of a setup, with their units.
-        wanted_influences: Columns of influences that are read besides; None for any.
+    That is logged, as are columns without a meaning, but for influences that are wanted (None: any
+    column is).
     """
     must_be(mechanism, Mechanism, "the mechanism", MechanismError)
     counts = {name: mechanism.counts.get(name) for name in mechanism.reading_names}
@@ -218,12 +213,7 @@ def unknown_columns(
 
 
 def measured_columns(mechanism: Mechanism, further: Iterable[str]) -> set[str]:
-    """Return the columns that say what was measured or read, if a table has them.
-
-    Args:
-        mechanism: The mechanism.
-        further: Columns of the setup.
-    """
+    """Return the columns that say what was measured or read, those of a setup too."""
     turns = {name for names, _ in WAYS.values() for name in names}
     return {*mechanism.platform.coordinates, *turns, *further, *mechanism.reading_names}
 
@@ -452,12 +442,7 @@ def _sigma(table: TextTable, name: str, unit: str, *, blank: bool = False) -> Ar
 
 
 def _covariances(table: TextTable, units: Mapping[str, str]) -> dict[str, Array]:
-    """Return the covariances that a table has, by pair such as ``"x,y"``, in SI units.
-
-    Args:
-        table: The table.
-        units: Names of the quantities, and their dimensions.
-    """
+    """Return the covariances that a table has of quantities, by pair such as ``"x,y"``, in SI."""
     pairs = {f"cov_{a}_{b}": f"{a},{b}" for a, b in combinations(units, 2)}
     pairs |= {f"cov_{b}_{a}": f"{a},{b}" for a, b in combinations(units, 2)}
     covariances: dict[str, Array] = {}

@@ -51,12 +51,7 @@ class TermSpec(Strict):
     reference: Number | None = None
 
     def term(self, parameter: str, place: str) -> Term:
-        """Return the term with an amplitude.
-
-        Args:
-            parameter: Name of the amplitude.
-            place: Where the term stands, for messages.
-        """
+        """Return the term with an amplitude; messages say its place."""
         values = self.model_dump(exclude_none=True)
         influence = values.pop("of", "")
         forms = [key for key in _FORM_KEYS if key in values] or ["per"] * bool(influence)

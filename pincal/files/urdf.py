@@ -125,13 +125,7 @@ def read_points(path: Path) -> dict[str, Joint]:
 
 
 def read_joint(element: etree._Element, path: Path, kind: str | None = None) -> Joint:
-    """Return a <joint> of a URDF; limits may be equal.
-
-    Args:
-        element: The element.
-        path: Its file.
-        kind: What it is read as; as its type says if not given.
-    """
+    """Return a <joint> of a URDF, read as its type or another kind; limits may be equal."""
     place = f"{path}, line {element.sourceline}"
     name, kind = element.get("name"), kind or element.get("type")
     if not name:

@@ -106,11 +106,9 @@ def _unparsed(error: yaml.MarkedYAMLError, text: str) -> str:
     """Return where a text stops to be YAML, and why."""
     mark, begun = error.problem_mark or error.context_mark, error.context_mark
     place = "" if mark is None else f", line {mark.line + 1}"
-    fault = str(error.problem or error.context)
-    if error.context and error.problem:
-        fault += f" {error.context}"
-        if begun is not None and mark is not None and begun.line != mark.line:
-            fault += f" that begins in line {begun.line + 1}"
+    fault = " ".join(str(part) for part in (error.problem, error.context) if part)
+    if error.problem and begun is not None and mark is not None and begun.line != mark.line:
+        fault += f" that begins in line {begun.line + 1}"
     character = "" if mark is None else text[mark.index :][:1]
     fault = fault.replace("found character that", f"found character {character!r} that")
     tab = "; indent by blanks, not by tabs" if character == "\t" else ""
