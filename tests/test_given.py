@@ -10,7 +10,7 @@ import pytest
 
 import pincal
 from pincal.files.mechanism_folders import bundled
-from pincal.workspace.criteria import articular_space, in_workspace
+from pincal.workspace.criteria import in_workspace
 from pincal.workspace.grid import default_grid
 
 FIVE = pincal.load_mechanism("5R")
@@ -20,7 +20,6 @@ PLAN = pincal.Plan(POSES)
 #: What takes a mechanism, called with one.
 TAKE: dict[str, Callable[[Any], object]] = {
     "accuracy": lambda m: pincal.accuracy(m, m, POSES),
-    "articular_space": lambda m: articular_space(m, POSES),
     "default_grid": lambda m: default_grid(m).size,
     "disturb": lambda m: pincal.disturb(m, 1e-3),
     "forecast": lambda m: pincal.forecast(m, POSES).std,

@@ -68,11 +68,8 @@ def _closed(
 ) -> tuple[Array, list[Array], float]:
     """Return pose (1, 4, 4) and joints (1, n) of the legs where Newton's method ends, and the gap.
 
-    Args:
-        legs: The legs, at home where to start.
-        free: The platform.
-        size: Of the largest leg, [m].
-        least: Singular value, over the leg's size, below which nothing moves.
+    It starts at the legs' home. Along singular values below the least, over the size of the largest
+    leg, [m], nothing moves.
     """
     closures = [LegClosure(leg, free) for leg in legs]
     joints = [leg.home[None].copy() for leg in legs]
@@ -105,9 +102,8 @@ def _closed(
 def cut_in_gap(values: Array, least: float) -> float:
     """Return where singular values end that are freedoms: in the widest gap above what is none.
 
-    Args:
-        values: Singular values of a matrix whose entries are near one, shape (k,).
-        least: What rounding reaches; the gap is looked for up to ten times that.
+    Of a matrix whose entries are near one. Rounding reaches the least; the gap is looked for up to
+    ten times that.
     """
     if least <= _SINGULAR:
         return least

@@ -160,9 +160,8 @@ def cross(a: Array, b: Array) -> Array:
 def point_velocity(arm: Array, twist_rows: tuple[int, ...]) -> Array:
     """Return the velocity of a platform point for unit platform twists, shape (N, 3, dof).
 
-    Args:
-        arm: From the platform's origin to the point, base axes, shape (N, 3), [m].
-        twist_rows: Rows of a twist (linear first) that the platform can move in.
+    Arms go from the platform's origin to the point, base axes, shape (N, 3), [m]; the platform
+    moves in some rows of a twist, linear first.
     """
     columns = np.zeros((3, len(twist_rows), len(arm)))
     for index, row in enumerate(twist_rows):
@@ -178,12 +177,8 @@ def point_velocity(arm: Array, twist_rows: tuple[int, ...]) -> Array:
 def turn_between(first: Array, second: Array) -> Array:
     """Return the rotation vectors, base axes, that take second to first, shape (N, 3), [rad].
 
-    e = log(R₁ R₂ᵀ): a turn ω of R₁ changes it by J⁻¹(e) ω, one of R₂ by −J⁻¹(e)ᵀ ω, with the
-    inverse left Jacobian J⁻¹.
-
-    Args:
-        first: Rotation matrices, shape (N, 3, 3).
-        second: Rotation matrices, shape (N, 3, 3).
+    Of matrices (N, 3, 3). e = log(R₁ R₂ᵀ): a turn ω of R₁ changes it by J⁻¹(e) ω, one of R₂ by
+    −J⁻¹(e)ᵀ ω, with the inverse left Jacobian J⁻¹.
     """
     return _rotation_vectors(first @ second.transpose(0, 2, 1))
 

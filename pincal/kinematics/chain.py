@@ -45,10 +45,8 @@ class Chain:
     def motion(self, parameters: Array, joints: Array) -> Motion:
         """Return where the tip is, and how each leg joint and then each parameter moves it.
 
-        Args:
-            parameters: Parameter values, shape (n_params,).
-            joints: Joint positions of the leg, [rad] or [m], and behind them deformations, shape
-                (N, n_joints [+ n_deformed]); nothing deforms if these are not given.
+        Parameters have shape (n_params,), joints, [rad] or [m], and behind them deformations, if
+        there are any, shape (N, n_joints [+ n_deformed]).
         """
         return motion((self,), (parameters,), joints)
 
@@ -100,13 +98,10 @@ class Chain:
 
 
 def motion(chains: Sequence[Chain], parameters: Sequence[Array], joints: Array) -> Motion:
-    """Return where the tips of alike chains are, and how joints and parameters move them.
+    """Return where the tips of L alike chains are, and how joints and parameters move them.
 
-    Args:
-        chains: L chains of one form.
-        parameters: Parameter values of each, shape (n_params,).
-        joints: Of each N rows below those of the one before, shape (L N, n_joints …): see
-            ``Chain.motion``.
+    Joints of each stand below those of the one before, shape (L N, n_joints …): see
+    ``Chain.motion``.
     """
     begun = [
         chain.begun(values_of_leg.tobytes())
@@ -283,10 +278,7 @@ def alike_points(points: Sequence[PlatformPoint], count: int) -> PlatformPoint:
 def deformed_point(leg: Leg, parameters: Array, deformations: Array) -> PlatformPoint:
     """Return a leg's platform point in N rows, where its parameters deform.
 
-    Args:
-        leg: The leg.
-        parameters: Values of all its parameters, shape (n_params,).
-        deformations: How far those that deform do, shape (N, n_deformed), [m] or [rad].
+    By deformations of shape (N, n_deformed), [m] or [rad], from values of all its parameters.
     """
     places = [leg.parameter_names.index(name) for name in leg.deformed]
     if not point_chain(leg).from_parameters[:, places].any():

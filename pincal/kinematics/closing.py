@@ -314,12 +314,7 @@ _FEW = 8192  # rows of all legs: those of more are quicker leg by leg, near the 
 
 
 def grouped(forms: Sequence[object], rows: int) -> list[list[int]]:
-    """Return the places of legs that are best evaluated in one call: alike ones, rows being few.
-
-    Args:
-        forms: Of the legs: see ``LegClosure.form``.
-        rows: Of each leg.
-    """
+    """Return the places of legs that are best evaluated in one call: alike ones of few rows."""
     groups: dict[object, list[int]] = {}
     for place, form in enumerate(forms):
         groups.setdefault(form if len(forms) * rows <= _FEW else place, []).append(place)
@@ -350,9 +345,8 @@ def by_leg(
 ) -> list[Any]:
     """Return values of all legs in order, shape (N, …) each, from those of groups of alike legs.
 
-    Args:
-        groups: Places of legs among all, and what has the value.
-        value: Rows of each leg of a group below those of the one before, shape (L N, …).
+    Groups are places of legs among all, and what has the value: rows of each leg below those of the
+    one before, shape (L N, …).
     """
     values: dict[int, Any] = {}
     for places, group in groups:

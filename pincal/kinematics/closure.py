@@ -212,8 +212,7 @@ class Closure:
     def passive_step(self, gap_change: Array | None = None) -> Array:
         """Return the Gauss-Newton step of the passive joints, shape (N, n_passive).
 
-        Args:
-            gap_change: Change of c by other steps taken at the same time, shape (N, m).
+        Other steps taken at the same time may change c, shape (N, m).
         """
         gap = self.gap if gap_change is None else self.gap + gap_change
         transposed = self.passive.transpose(0, 2, 1)
@@ -293,11 +292,7 @@ class LegClosure:
         return dict(zip(self.leg.parameter_names, self.parameters.tolist(), strict=True))
 
     def targets(self, matrices: Array) -> Array:
-        """Return the platform point in the base frame, shape (N, 3), [m].
-
-        Args:
-            matrices: Poses ``T_base_platform``, shape (N, 4, 4).
-        """
+        """Return the platform point in the base frame at poses (N, 4, 4), shape (N, 3), [m]."""
         return applied(matrices, self._point.place)[:, 0].T
 
     @cached_property
@@ -309,10 +304,7 @@ class LegClosure:
         """Return joint positions, and behind them how far parameters deform.
 
         Shape (N, n_joints + n_deformed), [rad] or [m]; the same array if nothing deforms.
-
-        Args:
-            joints: Shape (N, n_joints).
-            influences: Of the leg, shape (N, n_influences); at their reference if not given.
+        Influences of the leg, shape (N, n_influences), are at their reference if not given.
         """
         if not self.leg.deformed:
             return joints
@@ -342,12 +334,7 @@ class LegClosure:
         return _padded(motion.tips), np.ascontiguousarray(twists.transpose(2, 0, 1))
 
     def evaluate(self, joints: Array, matrices: Array) -> Closure:
-        """Return closure and derivatives at joint positions and poses.
-
-        Args:
-            joints: Shape (N, n_joints), or with deformations behind them (see ``deformed``).
-            matrices: Shape (N, 4, 4).
-        """
+        """Return closure and derivatives at joints, see ``deformed``, and poses (N, 4, 4)."""
         return evaluate((self,), joints, matrices)
 
     @cached_property
@@ -365,9 +352,8 @@ class LegClosure:
     def frame(self, joints: Array, gap: Array | None = None) -> Array:
         """Return where joints put the platform if the leg closes a frame in space, (N, 4, 4).
 
-        Args:
-            joints: Shape (N, n_joints), or with deformations behind them (see ``deformed``).
-            gap: What the closure is to be there, shape (N, 6); nothing if not given.
+        The closure is to be a gap there, shape (N, 6), or nothing. Joints are those of
+        ``evaluate``.
         """
         motion, point = self.chain.motion(self.parameters, joints), self.point_at(joints)
         tips, turns = motion.tips.T, motion.turns
@@ -381,12 +367,9 @@ class LegClosure:
 
 
 def evaluate(legs: Sequence[LegClosure], joints: Array, matrices: Array) -> Closure:
-    """Return closure and derivatives of alike legs, rows of each below those of the one before.
+    """Return closure and derivatives of L alike legs, N rows of each below those of the one before.
 
-    Args:
-        legs: L legs of one form.
-        joints: Of N rows of each, shape (L N, n_joints …): see ``LegClosure.evaluate``.
-        matrices: Shape (L N, 4, 4).
+    Joints have shape (L N, n_joints …), poses (L N, 4, 4): see ``LegClosure.evaluate``.
     """
     moved = motion([leg.chain for leg in legs], [leg.parameters for leg in legs], joints)
     point = legs[0].point_at(joints)

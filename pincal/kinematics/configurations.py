@@ -155,8 +155,8 @@ def leg_demands(mechanism: Mechanism, plan: Plan) -> list[Demand]:
 def command(mechanism: Mechanism, planned: Plan | Array) -> tuple[Array, Array, list[str]]:
     """Return the poses that a mechanism commands and their readings, and why some have none.
 
-    Where the plan has readings these are commanded, and the poses are those of the mechanism then.
-    Shapes (N, dof) and (N, n_readings); NaN where there is a reason, which is else empty.
+    Readings of a plan are commanded, and the poses are those of the mechanism then. Shapes (N, dof)
+    and (N, n_readings); NaN where there is a reason, which is else empty.
 
     Raises:
         MechanismError: poses or readings of a wrong shape, or not finite.

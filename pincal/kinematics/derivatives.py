@@ -55,12 +55,10 @@ class Demand:
 
 
 def demands(legs: Sequence[LegClosure], closure: Closure, known: Sequence[Array]) -> list[Demand]:
-    """Return what each of some alike legs demands, from closures, readings and influences.
+    """Return what each of L alike legs demands, from their closures at N configurations.
 
-    Args:
-        legs: L legs of one form at their parameter values.
-        closure: Their closures at N configurations, rows of each below the one before.
-        known: Of each leg readings, then influences, shape (N, n_active [+ n_influences]).
+    Rows of each closure stand below the one before. Known are of each leg readings, then
+    influences, shape (N, n_active [+ n_influences]).
     """
     value, rows_of_leg = closure.constraint, rows_of_each(len(legs), len(closure.gap))
     by_parameter, pose = closure.constraint_by_parameter, closure.constraint_by_pose

@@ -99,9 +99,7 @@ class Forest:
     def begin(self, configuration: Array, rates: Array) -> Base:
         """Return where the first copy ends, and how it moves: where another chain may begin.
 
-        Args:
-            configuration: Of the chain, shape (n,).
-            rates: Of the chain's joints in k motions, shape (k, n).
+        Of a configuration (n,), and rates of the chain's joints in k motions, shape (k, n).
         """
         with self._turn:
             columns = pin.computeJointJacobians(self._model, self._data, configuration)
@@ -113,10 +111,8 @@ class Forest:
     ) -> Motion:
         """Return where the tips of L alike chains are and how they move.
 
-        Args:
-            configurations: N configurations of each chain, shape (L, N, n).
-            rates: Of the chains' joints in k motions, shape (k, n).
-            bases: Where each chain begins, if not at the base's origin.
+        Configurations have shape (L, N, n), rates of the chains' joints in k motions (k, n). Chains
+        begin at bases, if not at the base's origin.
         """
         legs, count, n = configurations.shape
         rows = [0, 1, 2, 3, 4, 5] if self.spatial else [0, 1, 5]  # across z the others are zero
@@ -213,14 +209,10 @@ class Motion:
         return _at_tips(self.tips, twists)
 
     def power(self, force: Array, moment: Array | None, after: int) -> Array:
-        """Return the power of wrenches on the tip in all motions after the first, shape (k', N).
+        """Return the power of wrenches on the tip in all motions after so many, shape (k', N).
 
-        It is the same at every point: taken at the base's origin, no twist has to be carried on.
-
-        Args:
-            force: Shape (2 or 3, N).
-            moment: About the tip, shape (1 or 3, N); none if not given.
-            after: How many motions are left out.
+        Of forces (2 or 3, N), and moments about the tip, (1 or 3, N), if given. The power is the
+        same at every point: taken at the base's origin, no twist has to be carried on.
         """
         about = moments(self.tips, force)
         wrench = np.concatenate((force, about if moment is None else about + moment))
@@ -292,13 +284,10 @@ def forest(
     spatial: bool,
     copies: int | None = None,
 ) -> Forest:
-    """Return the forest of a chain, made once; by default with as many copies as pay.
+    """Return the forest of a chain of joints, base first, made once.
 
-    Args:
-        chain: Elementary joints, base first.
-        tip: Constant placement of the tip after the last joint, row by row.
-        spatial: Whether tips are wanted in space, or in the plane across z only.
-        copies: Number of chains side by side.
+    Its tip is a constant placement after the last joint, row by row, wanted in space or in the
+    plane across z only. By default it has as many copies side by side as pay.
     """
     chain = chain or (Elementary("rz"),)  # one that nobody turns
     return Forest(chain, tip, spatial, copies or max(1, _COLUMNS // len(chain)))

@@ -191,12 +191,8 @@ def _held(leg: LegClosure, matrices: Array, known: Array, gravity: Array) -> _He
 def _carrying(legs: Sequence[_Held], weight: Array) -> list[Array]:
     """Return by what forces the legs carry the platform: μ, shape (N, k) each.
 
-    With Σ (Nᵀ ∂c/∂x)ᵀ μ, its weight and what the links do to it are nothing; of forces of legs
-    against each other, those of the least in joints.
-
-    Args:
-        legs: The legs.
-        weight: What the platform loses in height with each freedom, times weight, shape (N, dof).
+    With Σ (Nᵀ ∂c/∂x)ᵀ μ, its weight, shape (N, dof), and what the links do to it are nothing; of
+    forces of legs against each other, those of the least in joints.
     """
     carried = weight + sum(held.platform for held in legs)
     lines = np.concatenate([held.pose for held in legs], axis=1)

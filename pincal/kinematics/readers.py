@@ -60,12 +60,7 @@ def _configuration(model: pin.Model, q: Array, indices: Sequence[int], positions
 
 
 def arm_free_of_collision(mechanism: Mechanism, offered: Plan, path: str | Path) -> Plan:
-    """Return the configurations of a plan at which a serial arm is free of itself.
-
-    Args:
-        mechanism: The arm.
-        offered: Configurations, with readings.
-        path: Its URDF with collision geometry.
+    """Return the configurations, with readings, at which an arm is free of itself by its URDF.
 
     Raises:
         FileError: the file or one of its meshes cannot be read.

@@ -39,15 +39,10 @@ def on_body(
     values: tuple[dict[str, float], dict[str, float]],
     context: str,
 ) -> Placement:
-    """Return a placement on base or platform after the body's isometry.
+    """Return a placement on base or platform, of constant part (4, 4), after the body's isometry.
 
-    Args:
-        p: The placement.
-        isometry: The isometry.
-        constant: Its constant part, shape (4, 4).
-        keeps_turn: Whether the frame's orientation is to stay as it is.
-        values: Parameters before, and those after, which are set.
-        context: What is said where it cannot be expressed.
+    Its frame's orientation may stay as it is. Values are parameters before, and those after, which
+    are set; the context is said where it cannot be expressed.
     """
     old, new = values
     moved = isometry.matrix @ p.displacement(old) @ constant

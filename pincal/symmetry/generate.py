@@ -24,20 +24,11 @@ def generate(
     description: str = "",
     labels: Mapping[str, str] | None = None,
 ) -> Mechanism:
-    """Return the mechanism whose legs are one leg carried by the elements, in order.
+    """Return the mechanism whose legs are one carried by the elements, the identity first.
 
-    Legs are named ``leg_1``, ``leg_2``, …; a platform point whose name ends in ``_1`` is
-    numbered alike. The leg's home may be rough: all legs are closed at the home pose, on the
-    side (working mode) that the rough home is on. Labels say by parameter's name what it is, for
-    people.
-
-    Args:
-        name: The mechanism's name.
-        leg: The leg that is carried.
-        elements: One for each leg, the identity first.
-        platform: The platform on which they close.
-        description: A sentence about the mechanism.
-        labels: What parameters are, by name.
+    Legs are named ``leg_1``, ``leg_2``, …; a platform point whose name ends in ``_1`` is numbered
+    alike. The leg's home may be rough: all legs are closed at the platform's home pose, on the side
+    (working mode) that the rough home is on. Labels say by parameter's name what it is, for people.
 
     Raises:
         MechanismError: a leg does not close at the home pose.

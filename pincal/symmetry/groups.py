@@ -47,9 +47,7 @@ def product_table(elements: Sequence[Element], labels: Sequence[object] | None =
 def distinct(elements: Sequence[Element], labels: Sequence[object]) -> list[int]:
     """Return the indices of elements that are meant to be different, the first of each.
 
-    Args:
-        elements: The elements, perhaps not exact.
-        labels: As in ``product_table``.
+    They need not be exact. Labels are as in ``product_table``.
     """
     turns = np.array([np.stack((e.base.Q, e.platform.Q)) for e in elements])
     chosen: list[int] = []
@@ -164,10 +162,7 @@ def group_name(elements: Sequence[Element]) -> str:
 def _name_about_axis(n: int, n_rotations: int, mirrors: Array) -> str:
     """Return the name of a group with reflections and one main axis, of order n.
 
-    Args:
-        n: Order of the rotations about the main axis.
-        n_rotations: Number of all rotations.
-        mirrors: Cosine between the main axis and the normal of each mirror, 0 or more.
+    Mirrors are given by the cosines, 0 or more, between the main axis and their normals.
     """
     across = bool((np.abs(mirrors - 1.0) < 1e-6).any())
     if n_rotations > n:

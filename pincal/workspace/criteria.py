@@ -203,24 +203,6 @@ class ArticularSymmetry:
     """Number of poses found that are in the workspace."""
 
 
-def articular_space(mechanism: GivenMechanism, poses: Array) -> Array:
-    """Return the sensor readings of poses in the workspace, shape (N, n_legs), [rad] or [m]."""
-    mechanism = as_mechanism(mechanism)
-    return inverse(mechanism, poses).readings
-
-
-def equal_sums(readings: Array) -> Array:
-    """Return readings, shape (N, n_legs), seen along the axis ψ₁ = ψ₂ = … (3-RRR paper, Fig. 7).
-
-    The first two columns lie in the plane of equal sums, the last along its normal.
-    """
-    n = readings.shape[1]
-    turn = 2 * np.pi * np.arange(n) / n
-    axes = np.stack((np.cos(turn), np.sin(turn))) * np.sqrt(2 / n)
-    along = np.full((1, n), 1 / np.sqrt(n))
-    return readings @ np.concatenate((axes, along)).T
-
-
 def articular_symmetry(
     mechanism: GivenMechanism, poses: Array, least: Margins | None = None, seed: int = 0
 ) -> tuple[ArticularSymmetry, ...]:
@@ -247,7 +229,7 @@ def articular_symmetry(
     mechanism = as_mechanism(mechanism)
     platform, group = mechanism.platform, symmetry_group(mechanism)
     poses = platform.coordinates_of(poses)
-    readings = articular_space(mechanism, poses)
+    readings = inverse(mechanism, poses).readings
     spread = np.ptp(platform.twists_between(poses[:1].repeat(len(poses), 0), poses), axis=0)
     aside = np.random.default_rng(seed).normal(size=poses.shape) * _ASIDE * spread
     checks = []

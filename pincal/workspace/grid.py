@@ -193,9 +193,7 @@ def _match(axis: Axis, images: Array) -> Indices | None:
 def representatives(grid: Grid, moves: tuple[Isometry, ...]) -> Carrier:
     """Return what takes numbers of positions to the lowest numbers of their orbits.
 
-    Args:
-        grid: The grid.
-        moves: A group of isometries that map it onto itself.
+    Moves are a group of isometries that map the grid onto itself.
     """
     carriers = [carrier for move in moves if (carrier := grid.carrier(move))]
 
@@ -242,13 +240,7 @@ def edges(grid: Grid, inside: Mask) -> Indices:
 
 
 def part_around(grid: Grid, inside: Mask, home: Array) -> Mask:
-    """Return the positions that count and hang together with the one nearest to home, (N,).
-
-    Args:
-        grid: The grid.
-        inside: Which positions count, shape (N,).
-        home: Shape (3,), [m].
-    """
+    """Return the positions that count and hang together with the one nearest to home, (N,)."""
     labels, count = label(inside.reshape(grid.shape))
     numbers = np.arange(count + 1)
     for place in filter(grid.closed, range(labels.ndim)):  # first and last value are neighbours
@@ -314,10 +306,7 @@ def _turns(mechanism: Mechanism) -> int:
 def closer_grid(grid: Grid, inside: Mask, given: Iterable[str]) -> Grid | None:
     """Return a grid of as many values around what counts, or None if that is no closer.
 
-    Args:
-        grid: The grid.
-        inside: Which of its positions count, shape (N,).
-        given: Names of axes that stay as they are.
+    Axes that were given, by name, stay as they are.
     """
     if not inside.any():
         return None

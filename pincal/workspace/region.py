@@ -259,7 +259,7 @@ class Workspace:
         """Write the positions that count to a CSV file: x [m], y [m] and, in space, z [m].
 
         Raises:
-            FileError: the file exists and ``force`` is not set, or cannot be written.
+            FileError: the file exists, or cannot be written.
         """
         names = ("x", "y", "z")[: self.test.mechanism.platform.lengths]
 
