@@ -82,3 +82,53 @@ def test_noise_that_is_not_given_is_no_worse_than_least_squares(lacks: float, se
     least_squares = pincal.calibrate(arm, seen, setup=UNKNOWN_PLATE, noise=LEAST_SQUARES)
     assert by_default.converged
     assert missed(by_default, unseen) <= 1.03 * missed(least_squares, unseen)
+
+
+def apart(points: np.ndarray, others: np.ndarray) -> float:
+    """Return how far points are from others after the best rigid alignment, [m]."""
+    middles = points.mean(axis=0), others.mean(axis=0)
+    turn, _ = Rotation.align_vectors(others - middles[1], points - middles[0])
+    off = turn.apply(points - middles[0]) - (others - middles[1])
+    return float(np.sqrt((off**2).sum(axis=1).mean()))
+
+
+@pytest.mark.parametrize("name", ["6UPS", pytest.param("delta", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("tolerance", [{}, {"m": 1e-3, "rad": 1e-3}])
+def test_frames_are_no_error_of_the_machine(name: str, tolerance: dict[str, float]) -> None:
+    """Unknown frame, with and without tolerances: promised as it is, frames apart, 0.7 to 1.4.
+
+    With tolerances no direction is free, and the frame's own freedom was counted: a hundredfold.
+    """
+    machine, noise = pincal.load_mechanism(name), pincal.Noise(2e-5, 5e-5, 0.0)
+    promised, true = [], []
+    for seed in range(2):
+        poses = pincal.sample_workspace(machine, 400, seed=seed)[:90]
+        truth = pincal.disturb(machine, 1e-3, seed=seed + 100)
+        data = pincal.simulate(machine, truth, pincal.Plan(poses[:50]), noise, seed).measurements
+        result = pincal.calibrate(
+            machine,
+            data,
+            noise=noise,
+            tolerance=tolerance,
+            setup=pincal.Setup(unknown_frame=True),
+        )
+        readings = pincal.inverse(truth, poses[50:]).readings
+        readings = readings[np.isfinite(readings).all(axis=1)]
+        goes, went = (pincal.forward(m, readings).poses for m in (truth, result.identified))
+        reached = np.isfinite(goes).all(axis=1) & np.isfinite(went).all(axis=1)
+        promised.append(result.expected_error(went[reached]).position)
+        true.append(apart(went[reached, :3], goes[reached, :3]))
+    assert 0.7 <= np.linalg.norm(promised) / np.linalg.norm(true) <= 1.4
+
+
+def test_the_error_is_that_of_the_points_measured() -> None:
+    """Three reflectors at unknown places: what is promised of them is what they miss by."""
+    arm, seen, unseen = flexing_arm(0.0, 0)
+    result = pincal.calibrate(arm, seen, setup=UNKNOWN_PLATE, noise=pincal.Noise(TRACKER, 1e-3))
+    plan = pincal.Plan(
+        pincal.forward(result.identified, unseen.readings).poses, readings=unseen.readings
+    )
+    error = result.expected_error(plan)
+    off = np.hypot(error.position, np.sqrt(3.0) * TRACKER)
+    assert 0.8 <= off / missed(result, unseen) <= 1.25
+    assert error.units == ("m",) * 9

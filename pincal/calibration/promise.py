@@ -13,16 +13,20 @@ from pincal.calibration.covariance import unseen
 from pincal.calibration.leg_result import LegResult, Observed
 from pincal.design.platform_error import (
     PlatformError,
+    Seen,
     Unidentified,
     closing_twists,
     platform_error,
     root_mean_squares,
     sizes,
 )
+from pincal.estimation.observability.gauge import unexplained
 from pincal.estimation.unknowns import External
 from pincal.finding import Finding
+from pincal.kinematics.closure import largest_size
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
+from pincal.model.setup import ORIGIN
 from pincal.types import Array, Mask
 
 if TYPE_CHECKING:
@@ -162,10 +166,59 @@ def _by_covariance(result: CalibrationResult, poses: Plan | Array) -> PlatformEr
         result.covariance,
         poses,
         None if lost is None else Unidentified(lost, result.nominal),
-        result.frames_moved,
+        seen_by(result),
         result.noise_freedoms,
     )
     return replace(error, unseen=unseen(result.reduced_chi2, result.chi2_freedoms))
+
+
+def seen_by(result: CalibrationResult) -> Array | Seen | None:
+    """Return what is seen of the platform: where frame or targets were unknown, what was measured.
+
+    That are the targets, and the orientation if that was measured, but for where the unknown
+    frame, offsets and turns lie. What no such measurement can fix, such as a point of the platform
+    that is far from the targets, is no error of the machine. Else motions of frames, or none.
+    """
+    observation, values = result.calibration.observation, result.outside
+    platform, outside = result.nominal.platform, observation.external
+    axes, measured = "xyz"[: platform.space], observation.measured.any(axis=0)
+    known = set(np.array(observation.names)[measured].tolist())
+    columns = [
+        platform.coordinates[: platform.space] if name == ORIGIN else [f"{name}_{a}" for a in axes]
+        for name in observation.setup.targets
+    ]
+    names = [name for of_target in columns if known.issuperset(of_target) for name in of_target]
+    if values is None or not names or observation.setup.instruments:
+        return result.frames_moved
+    places = [observation.names.index(name) for name in names]
+    turns = platform.freedoms[platform.lengths :]
+    rotations = [row - 3 for row in platform.twist_rows if row >= 3 and known.issuperset(turns)]
+    units = ("m",) * len(names) + ("rad",) * len(rotations)
+    size, n_targets = largest_size(result.identified.legs), len(names) / len(axes)
+
+    def seen(poses: Array, twists: Array) -> tuple[Array, tuple[str, ...]]:
+        """Return what is seen of twists at poses: see ``Seen``."""
+        count, n = len(poses), len(names)
+        moved = np.zeros((count, len(units), twists.shape[2]))
+        if not count:
+            return moved, units
+        motions = np.zeros((count, len(units), len(outside)))
+        matrices, F = platform.matrices(poses), values.frame[:3, :3]
+        rows = observation.at(np.zeros(count, dtype=np.intp)).anywhere().only(names)
+        _, by_pose, by_outside = rows.residuals(matrices, values)
+        moved[:, :n] = by_pose[:, places] @ twists / np.sqrt(n_targets)
+        motions[:, :n] = by_outside[:, places] / np.sqrt(n_targets)
+        if rotations:
+            turned, by_turn = np.zeros((count, 3, twists.shape[2])), np.zeros((3, len(outside)))
+            turned[:, rotations] = twists[:, platform.lengths :]
+            for column, row in enumerate(outside.frame_rows):
+                by_turn[row - 3, column] = float(row >= 3)
+            moved[:, n:], motions[:, n:] = (F @ turned)[:, rotations], by_turn[rotations]
+            of_target = (F @ matrices[:, :3, :3])[:, :, list(outside.turn_axes)]
+            motions[:, n:, outside.turn_columns] = of_target[:, rotations]
+        return unexplained(units, moved, motions, size), units
+
+    return seen
 
 
 def _at_measured(result: CalibrationResult) -> PlatformError:
@@ -191,8 +244,22 @@ def misses(result: CalibrationResult) -> tuple[float, float]:
     twists[[outlier.row for outlier in result.outliers if outlier.weight == 0.0]] = np.nan
     twists = twists[np.isfinite(twists).all(axis=1)]
     if not len(twists):
-        return np.nan, np.nan
+        return _left_at_targets(result), np.nan
     return root_mean_squares(sizes(result.nominal.platform.units, twists))
+
+
+def _left_at_targets(result: CalibrationResult) -> float:
+    """Return by how much targets are missed by the fit, as far as their coordinates are measured.
+
+    Root mean square distance, [m], residuals scaled up by what parameters took of them.
+    """
+    lengths = [part for part in result.observed if part.unit == "m"]
+    count = sum(part.count for part in result.observed) + sum(len(leg.rows) for leg in result.legs)
+    if not lengths or result.degrees_of_freedom < 1:
+        return np.nan
+    squares = np.mean(np.concatenate([part.residuals for part in lengths]) ** 2)
+    squares *= result.nominal.platform.space * count / result.degrees_of_freedom
+    return float(np.sqrt(squares))
 
 
 def pose_misses(calibration: Calibration, machine: Mechanism, external: External | None) -> Array:

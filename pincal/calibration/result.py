@@ -251,8 +251,10 @@ class CalibrationResult:
 
     @property
     def moves_frames(self) -> bool:
-        """Whether a choice named in ``gauge`` moves the base or the platform frame."""
-        return any(freedom.code.startswith("gauge-") for freedom in self.gauge)
+        """Whether the base or the platform frame lies where ``gauge`` puts it, or is unknown."""
+        return len(self.calibration.observation.external) > 0 or any(
+            freedom.code.startswith("gauge-") for freedom in self.gauge
+        )
 
     def expected_error(self, poses: Plan | Array | None = None) -> PlatformError:
         """Return the platform error to expect of the calibrated mechanism.

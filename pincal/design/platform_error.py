@@ -6,6 +6,7 @@ known together. Where frames are not measured, motions of these frames are left 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -22,6 +23,10 @@ from pincal.types import Array, Mask
 from pincal.words.numbers import amount
 from pincal.words.wording import UNCOVERED
 
+Seen = Callable[[Array, Array], tuple[Array, tuple[str, ...]]]
+"""Returns what was measured of twists of the platform, (N, dof, k), at poses, (N, dof), frames that
+are unknown apart, (N, r, k), and the unit of each of the r; positions of several targets over the
+square root of how many they are."""
 CONFIDENCE = 0.95
 DRAWS = 10_000
 
@@ -149,7 +154,7 @@ def platform_error(
     covariance: Array,
     planned: Plan | Array,
     lost: Array | Unidentified | None = None,
-    frames: Array | None = None,
+    frames: Array | Seen | None = None,
     degrees_of_freedom: float | None = None,
 ) -> PlatformError:
     """Return what the covariance of the parameters means for the platform.
@@ -162,22 +167,22 @@ def platform_error(
             they move at all is not determined. Of ``Unidentified`` ones, which were held: what they
             may move by more than its median standard error.
         frames: Motions of frames that are not measured (see ``frames_moved``), shape (k, n_moved):
-            what they explain is left out.
+            what they explain is left out. Or what is seen of the platform, in place of all of it.
         degrees_of_freedom: Of the noise, where its scale was estimated.
 
     Raises:
         MechanismError: poses of a wrong shape, or not finite.
     """
-    legs, units = legs_at(mechanism, planned), mechanism.platform.units
+    legs = legs_at(mechanism, planned)
     held = np.isfinite(legs.gain).all(axis=(1, 2))  # not at a type-2 singularity
-    gain = without_frames(mechanism, legs.poses[held], legs.gain[held], frames)
+    gain, units = seen_of(mechanism, legs.poses[held], legs.gain[held], frames)
     rows = np.flatnonzero(legs.reached)[held]
     std = np.full((len(legs.reached), len(units)), np.nan)
     std[legs.reached] = np.inf
     std[rows] = np.sqrt(np.einsum("nip,pq,niq->ni", gain, covariance, gain).clip(0.0))
     if isinstance(lost, Unidentified):
         least = np.median(std[rows], axis=0) if len(rows) else np.zeros(len(units))
-        std[slides(lost.nominal, planned, lost.directions, least)] = np.inf
+        std[slides(lost, planned, least, frames)] = np.inf
     elif lost is not None and lost.shape[1]:
         std[rows] = np.where(_moving(gain, lost), np.inf, std[rows])
     determined = np.isfinite(std).all(axis=1)
@@ -200,20 +205,31 @@ def platform_error(
     )
 
 
-def slides(mechanism: Mechanism, planned: Plan | Array, lost: Array, least: Array) -> Mask:
-    """Return at which planned configurations which freedoms are not determined, shape (N, dof).
+def slides(
+    lost: Unidentified, planned: Plan | Array, least: Array, frames: Array | Seen | None
+) -> Mask:
+    """Return at which planned configurations which freedoms are not determined, shape (N, r).
 
     Args:
-        mechanism: The mechanism at which directions were found to be lost.
+        lost: What is not identified.
         planned: Poses, coordinates of shape (N, dof), or a plan.
-        lost: Directions of parameters that are not identified, as far as these may differ from
-            nominal, columns of shape (n, n_lost).
-        least: By how much each freedom is uncertain anyway, shape (dof,), [m] and [rad].
+        least: By how much each freedom is uncertain anyway, shape (r,), [m] and [rad].
+        frames: See ``platform_error``.
     """
-    legs = legs_at(mechanism, planned)
-    moving = np.zeros((len(legs.reached), mechanism.platform.dof), dtype=bool)
-    moving[legs.reached] = _moving(legs.gain, lost, least)
+    legs = legs_at(lost.nominal, planned)
+    gain, units = seen_of(lost.nominal, legs.poses, legs.gain, frames)
+    moving = np.zeros((len(legs.reached), len(units)), dtype=bool)
+    moving[legs.reached] = _moving(gain, lost.directions, least)
     return moving
+
+
+def seen_of(
+    mechanism: Mechanism, poses: Array, twists: Array, frames: Array | Seen | None
+) -> tuple[Array, tuple[str, ...]]:
+    """Return what is seen of twists of the platform, and its units; see ``platform_error``."""
+    if callable(frames):
+        return frames(poses, twists)
+    return without_frames(mechanism, poses, twists, frames), mechanism.platform.units
 
 
 def _moving(gain: Array, lost: Array, least: Array | float = 0.0) -> Mask:
@@ -239,7 +255,7 @@ def without_frames(
     matrices = mechanism.platform.matrices(poses)
     motions = frame_motions(mechanism.platform, matrices) @ frames
     size = largest_size(mechanism.legs)
-    return unexplained(mechanism.platform, twists, motions, size)
+    return unexplained(mechanism.platform.units, twists, motions, size)
 
 
 def closing_twists(mechanism: Mechanism, measured: Plan) -> Array:

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import gammaincinv
 
+from pincal.calibration.promise import seen_by
 from pincal.calibration.result import CalibrationResult
 from pincal.calibration.validation import MISSES, Validation
 from pincal.design.platform_error import platform_error
@@ -315,7 +316,7 @@ def systematic_lines(result: CalibrationResult) -> list[str]:
         return []
     part, total = (
         platform_error(
-            result.identified, covariance, result.poses, frames=result.frames_moved
+            result.identified, covariance, result.poses, frames=seen_by(result)
         ).where_determined[0]
         for covariance in (result.systematic, result.covariance)
     )

@@ -7,8 +7,9 @@ from functools import cached_property
 
 import numpy as np
 
+from pincal.calibration.promise import seen_by
 from pincal.calibration.result import CalibrationResult
-from pincal.design.platform_error import PlatformError, root_mean_squares, sizes, without_frames
+from pincal.design.platform_error import PlatformError, root_mean_squares, seen_of, sizes
 from pincal.design.simulate import platform_errors
 from pincal.errors import WorkspaceError
 from pincal.finding import Finding
@@ -186,8 +187,8 @@ def errors_at(
 ) -> WorkspaceErrors:
     """Return the platform's errors at planned poses, coordinates of shape (N, dof), or a plan."""
     plan = as_plan(result.nominal, planned)
-    before = sizes(result.nominal.platform.units, moved_apart(result, result.begun, plan))
     expected = result.expected_error(plan)
+    before = sizes(expected.units, moved_apart(result, result.begun, plan))
     within = expected.within
     inside = expected
     if not within.all():  # frames are those of other poses, the region is the same
@@ -196,13 +197,15 @@ def errors_at(
 
 
 def moved_apart(result: CalibrationResult, machine: Mechanism, plan: Plan) -> Array:
-    """Return where the identified machine goes less where another sends it, shape (N, dof).
+    """Return where the identified machine goes less where another sends it, shape (N, r).
 
-    Less what motions of frames explain that were fixed by choice; NaN out of reach.
+    What is seen of it, as in ``expected_error``, frames apart; NaN out of reach.
     """
     moved = platform_errors(machine, result.identified, plan)
     reached = np.isfinite(moved).all(axis=1)
-    moved[reached] = without_frames(
-        result.identified, plan.poses[reached], moved[reached, :, None], result.frames_moved
-    )[:, :, 0]
-    return moved
+    seen, units = seen_of(
+        result.identified, plan.poses[reached], moved[reached, :, None], seen_by(result)
+    )
+    apart = np.full((len(moved), len(units)), np.nan)
+    apart[reached] = seen[:, :, 0]
+    return apart

@@ -306,7 +306,7 @@ def misaligned(
     lengths = np.array([1.0 if unit == "m" else size for unit in platform.units])
     for frame, own in (("base", motions[:, :, :n_base]), ("platform", motions[:, :, n_base:])):
         chance, amounts = _as_one(gain, own, changes, scale)
-        left = unexplained(platform, moved[:, :, None], own, size)[:, :, 0]
+        left = unexplained(platform.units, moved[:, :, None], own, size)[:, :, 0]
         share = 1.0 - ((left * lengths) ** 2).sum() / ((moved * lengths) ** 2).sum()
         if chance > _CHANCE or share < _MATTERS:
             continue

@@ -11,6 +11,7 @@ wherever and however it was measured.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,12 +51,12 @@ def frame_motions(platform: Platform, matrices: Array) -> Array:
     return np.concatenate((base[:, :, frame], body[:, :, rows]), axis=2)[:, rows]
 
 
-def unexplained(platform: Platform, twists: Array, motions: Array, size: float) -> Array:
+def unexplained(units: Sequence[str], twists: Array, motions: Array, size: float) -> Array:
     """Return twists of the platform, shape (N, dof, k), less what motions (N, dof, m) explain.
 
     Least squares over all poses together, angles counting as lengths at a radius ``size``.
     """
-    scale = np.array([1.0 if unit == "m" else size for unit in platform.units])[:, None]
+    scale = np.array([1.0 if unit == "m" else size for unit in units])[:, None]
     count = twists.shape[0] * twists.shape[1]
     flat = (motions * scale).reshape(count, motions.shape[2])
     targets = (twists * scale).reshape(count, twists.shape[2])
@@ -90,7 +91,7 @@ def split_frames(
     moved = gain @ directions
     scale = np.maximum(np.linalg.norm(moved, axis=(0, 1)), _STILL * _reach(gain, directions))
     scale[scale == 0.0] = 1.0
-    s, axes = _axes(unexplained(platform, moved, motions, size) / scale)
+    s, axes = _axes(unexplained(platform.units, moved, motions, size) / scale)
     turned = directions / scale @ axes.T
     gauge, others = turned[:, s <= NEGLIGIBLE], turned[:, s > NEGLIGIBLE]
     far = _reach(gain, gauge)
