@@ -44,7 +44,7 @@ def dense_covariance(fit: Fit, follows: NDArray[np.float64]) -> NDArray[np.float
     Σ − M (Mᵀ Σ⁻¹ M)⁻¹ Mᵀ of M = [A T, B], every pose an unknown; exact readings nearly so.
     """
     linear, T = fit.last, fit.unknowns.map
-    A = np.concatenate(list(linear.by_parameter())) @ T
+    A = np.concatenate(list(linear.by_parameter)) @ T
     M = np.column_stack((A, block_diag(*linear.by_pose))) if fit.problem.latent else A
     most = np.abs(linear.noise_root).max()
     noise = [S @ S.T + (1e-4 * most) ** 2 * np.eye(len(S)) for S in linear.noise_root]

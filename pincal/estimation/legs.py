@@ -159,15 +159,11 @@ class LegBlock:
         value = np.concatenate([demand.value for demand in of_legs], axis=1)
         by_pose = np.concatenate([demand.pose for demand in of_legs], axis=1)
         by_pose = np.where(self.active[:, :, None], by_pose, 0.0)
-        parts = zip(of_legs, self.leg_rows, self.columns, self.used.T, strict=True)
-        by_parameter = tuple(
-            (rows, columns, np.where(used[:, None, None], demand.parameter, 0.0))
-            for demand, rows, columns, used in parts
-        )
+        by_parameter = block_diagonal([demand.parameter for demand in of_legs])
         return LegBlockRows(
             np.where(self.active, value, 0.0),
             by_pose[:, :, : None if self.pose_roots is None else 0],
-            by_parameter,
+            np.where(self.active[:, :, None], by_parameter, 0.0),
             self.noise_root(of_legs),
             tuple(of_legs),
             tuple(joints),

@@ -230,9 +230,7 @@ class Observation:
     def evaluate(self, state: State) -> BlockRows:
         """Return the residuals at a state, unknowns those outside the mechanism."""
         value, by_pose, by_external = self.residuals(state.matrices, state.external)
-        _, r, n = by_external.shape
-        entries = ((slice(0, r), slice(0, n), by_external),)
-        return BlockRows(value, by_pose, entries, self.noise_root(state))
+        return BlockRows(value, by_pose, by_external, self.noise_root(state))
 
     def residuals(self, matrices: Array, external: External) -> tuple[Array, Array, Array]:
         """Return predicted less measured quantities, zero where nothing is measured.

@@ -20,7 +20,7 @@ from pincal.errors import MeasurementError
 from pincal.estimation.legs import LegBlock
 from pincal.estimation.observation import Observation
 from pincal.estimation.rows import NoNoiseError, WhiteRows, white_rows
-from pincal.estimation.unknowns import Entry, State
+from pincal.estimation.unknowns import State
 from pincal.kinematics.batches import block_diagonal, chunks
 from pincal.kinematics.derivatives import Demand
 from pincal.model.leg import Leg
@@ -43,8 +43,8 @@ class Linear:
     """What each leg demands."""
     conditions: Array
     """Residuals e of all blocks, shape (N, k), [m] and [rad]."""
-    entries: tuple[Entry, ...]
-    """A: derivatives by all parameters and external unknowns."""
+    by_parameter: Array
+    """A: derivatives by all parameters and external unknowns, shape (N, k, n)."""
     by_pose: Array
     """B: derivatives by the platform's twist, shape (N, k, dof)."""
     noise_root: Array
@@ -54,25 +54,9 @@ class Linear:
     equations: Index
     """How many equations each pose gives, shape (N,)."""
 
-    @property
-    def finite(self) -> bool:
-        """Whether all derivatives by the unknowns exist."""
-        return all(bool(np.isfinite(values).all()) for _, _, values in self.entries)
-
-    def by_parameter(self, poses: slice = slice(None)) -> Array:
-        """Return A of some poses, shape (N, k, n)."""
-        n = max(columns.stop for _, columns, _ in self.entries)
-        A = np.zeros((len(self.conditions[poses]), self.conditions.shape[1], n))
-        for rows, columns, values in self.entries:
-            A[:, rows, columns] = values[poses]
-        return A
-
     def after(self, step: Array) -> Array:
         """Return the conditions after a step of the unknowns (n,), to first order, (N, k)."""
-        conditions = self.conditions.copy()
-        for rows, columns, values in self.entries:
-            conditions[:, rows] += values @ step[columns]
-        return conditions
+        return self.conditions + self.by_parameter @ step
 
     @cached_property
     def white(self) -> WhiteRows:
@@ -109,7 +93,7 @@ class Linear:
 
     def jacobian_of(self, poses: slice, rows: WhiteRows) -> Array:
         """Return the derivatives of rows at some poses, shape (N, m, n)."""
-        return np.asarray(rows.reduced[poses] @ self.by_parameter(poses)) / rows.scale[poses]
+        return np.asarray(rows.reduced[poses] @ self.by_parameter[poses]) / rows.scale[poses]
 
     def parts(self) -> Iterator[slice]:
         """Return poses, so many at once as memory holds well."""
@@ -217,20 +201,11 @@ class Problem:
         legs = self.leg_block.evaluate(state)
         state = replace(state, joints=legs.joints)
         parts = [legs, *(block.evaluate(state) for block in self.blocks[1:])]
-        entries: list[Entry] = []
-        first_row = first_column = 0
-        for part in parts:
-            entries += [
-                (_shifted(rows, first_row), _shifted(columns, first_column), values)
-                for rows, columns, values in part.by_parameter
-            ]
-            first_row += part.value.shape[1]
-            first_column = self.leg_block.n_parameters
         return Linear(
             state=state,
             demands=legs.demands,
             conditions=np.concatenate([part.value for part in parts], axis=1),
-            entries=tuple(entries),
+            by_parameter=block_diagonal([part.by_parameter for part in parts]),
             by_pose=np.concatenate([part.by_pose for part in parts], axis=1),
             noise_root=block_diagonal([part.noise_root for part in parts]),
             active=np.concatenate([block.active for block in self.blocks], axis=1),
@@ -260,7 +235,3 @@ class Problem:
 def spread(count: int, max_rows: int) -> Index:
     """Return at most so many of rows 0 … count - 1, evenly spread."""
     return np.arange(0, count, -(-count // max_rows))
-
-
-def _shifted(places: slice, offset: int) -> slice:
-    return slice(places.start + offset, places.stop + offset)

@@ -259,7 +259,7 @@ def _reached(
             matrices = np.where(fixed, current.linear.state.matrices, state.matrices)
             state = replace(state, matrices=matrices)
             trial, count = solve_poses(problem, problem.evaluate(state), fixed_poses)
-            finite = np.isfinite(trial.residuals).all() and trial.finite
+            finite = np.isfinite(trial.residuals).all() and np.isfinite(trial.by_parameter).all()
             return (Iterate.of(system, trial) if finite else None), 1 + count
     except (MeasurementError, np.linalg.LinAlgError):
         return None, 1

@@ -25,9 +25,6 @@ from pincal.model.platform import Platform
 from pincal.model.setup import ORIGIN, Setup
 from pincal.types import Array, Index
 
-Entry = tuple[slice, slice, Array]
-"""Rows, columns and derivatives, shape (N, rows, columns); other columns do not move these rows."""
-
 
 @dataclass(frozen=True)
 class External:
@@ -71,8 +68,8 @@ class BlockRows:
     """Residuals, shape (N, k), [m] and [rad]."""
     by_pose: Array
     """Derivatives by the platform's twist, (N, k, dof); no columns where poses are as measured."""
-    by_parameter: tuple[Entry, ...]
-    """Derivatives by the block's unknowns, those of each of its legs in rows of their own."""
+    by_parameter: Array
+    """Derivatives by the block's unknowns, those of all legs or external ones, shape (N, k, n)."""
     noise_root: Array
     """S, root of the noise, shape (N, k, s)."""
 
@@ -169,10 +166,8 @@ _TIED_WITHIN = 0.1  # relative or [m], [rad]: nominal values that are tied diffe
 class Unknowns:
     """All parameters of a problem, leg by leg, then external ones, and which are free."""
 
-    owners: tuple[str, ...]
-    """Leg of each parameter; tracker or target of an external one, length n."""
-    names: tuple[str, ...]
-    """Length n."""
+    labels: tuple[str, ...]
+    """Ids such as ``leg_1.l``, of external ones such as ``tracker.x``, length n."""
     start: Array
     """φ₀: nominal values, tied ones at their mean; zero for external ones, shape (n,)."""
     map: Array
@@ -183,11 +178,6 @@ class Unknowns:
     """Shape (n,)."""
     free_labels: tuple[str, ...]
     """Ids of the free parameters, length n_free."""
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """Ids such as ``leg_1.l``, length n."""
-        return tuple(map(".".join, zip(self.owners, self.names, strict=True)))
 
     @property
     def n_free(self) -> int:
@@ -223,11 +213,11 @@ class Unknowns:
 
     def part(self, legs: Sequence[str]) -> Unknowns:
         """Return the unknowns of some legs."""
-        rows = np.flatnonzero(np.isin(self.owners, list(legs)))
+        owners = [label.partition(".")[0] for label in self.labels]
+        rows = np.flatnonzero(np.isin(owners, list(legs)))
         columns = np.flatnonzero((self.map[rows] != 0.0).any(axis=0))
         return Unknowns(
-            owners=tuple(self.owners[i] for i in rows),
-            names=tuple(self.names[i] for i in rows),
+            labels=tuple(self.labels[i] for i in rows),
             start=self.start[rows],
             map=self.map[np.ix_(rows, columns)],
             priors=self.priors[rows],
@@ -283,9 +273,8 @@ def unknowns(
     sigmas[list(held)] = np.inf
     ids = [*map(".".join, pairs), *external]
     more = [f" (tied to {len(places) - 1} more)" if len(places) > 1 else "" for places in groups]
-    owners, names = zip(*pairs, *(id_.split(".") for id_ in external), strict=True)
     free_labels = tuple(ids[places[0]] + tie for places, tie in zip(groups, more, strict=True))
-    return Unknowns(owners, names, start, T, sigmas, nominal, free_labels)
+    return Unknowns(tuple(ids), start, T, sigmas, nominal, free_labels)
 
 
 def _tied_places(pairs: list[tuple[str, str]], name: str, nominal: Array) -> list[int]:

@@ -201,7 +201,7 @@ def _since(used: Index, rows: Index) -> Array:
 
 def _grown(fit: Fit, used: Index) -> Array:
     """Return the white rows of legs whose lengths all grow by one part, shape (n_used, m)."""
-    J, lengths = fit.last.jacobian[used], np.zeros(len(fit.unknowns.names))
+    J, lengths = fit.last.jacobian[used], np.zeros(len(fit.unknowns.labels))
     for leg, columns in zip(fit.problem.legs, fit.problem.leg_block.columns, strict=True):
         lengths_of_leg = {name for name, unit in leg.units.items() if unit == "m"} - leg.amplitudes
         long = np.array([name in lengths_of_leg for name in leg.parameter_names])

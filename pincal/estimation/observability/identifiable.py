@@ -51,7 +51,7 @@ def check_rank(
         ObservabilityError: a parameter is not determined; the message names it.
         MeasurementError: a derivative does not exist at some pose.
     """
-    if not (linear.finite and np.isfinite(linear.white.whitener).all()):
+    if not all(np.isfinite(x).all() for x in (linear.by_parameter, linear.white.whitener)):
         names = [leg.name for leg in problem.legs]
         raise MeasurementError(
             f"{', '.join(names)}: a residual or its derivative is not finite at some measured "
