@@ -62,13 +62,13 @@ def aligned(
     known = placed & np.isfinite(measured).all(axis=2)
     agreeing = known & _agreeing(problem, state, measured, known)
     frame, offsets, _ = _in_turn(problem, state, measured, agreeing.astype(float))
-    if observation.external.frame_rows and not however_far:
+    if observation.setup.unknown_frame and not however_far:
         reached = (state.matrices[None, :, :3, :3] @ offsets[:, None, :, None])[..., 0]
         reached += state.matrices[:, :3, 3]
         _check_frame(reached[agreeing], measured[agreeing], frame, platform)
     turn, turns = state.external.turn, observation.orientations
     turned = placed & np.isfinite(turns).all(axis=(1, 2))
-    if observation.external.turn_axes and turned.any():
+    if observation.external.turned and turned.any():
         R = state.matrices[turned, :3, :3]
         rotations = Rotation.from_matrix(R.transpose(0, 2, 1) @ frame[:3, :3].T @ turns[turned])
         angles = (rotations.mean().inv() * rotations).magnitude()
@@ -107,15 +107,15 @@ def _in_turn(
         weights: Of their squares, shape (n_targets, N); 0 where not measured.
         absolute: Whether distances are summed instead, by weights that follow them.
     """
-    external, platform = problem.observation.external, problem.platform
+    setup, platform = problem.observation.setup, problem.platform
     R, r = state.matrices[:, :3, :3], state.matrices[:, :3, 3]
     frame, offsets = state.external.frame, state.external.offsets.copy()
-    unknown = {index for index, _ in external.offset_entries}
+    unknown = {i for i, target in enumerate(setup.targets.values()) if target.unknown}
     still = _STILL * max(np.ptp(r), 1e-300)
     known = weights > 0.0
     for _ in range(_TURNS if unknown or absolute else 1):
         before = offsets.copy()
-        if external.frame_rows:
+        if setup.unknown_frame:
             reached = r + (R @ offsets[:, None, :, None])[..., 0]
             frame = _kabsch(reached[known], measured[known], weights[known], platform)
         inside = (measured - frame[:3, 3]) @ frame[:3, :3] - r

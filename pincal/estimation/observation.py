@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import replace
 
 import numpy as np
 
@@ -34,7 +33,7 @@ Entry = tuple[Array, Array]
 """A function of orientations, shape (N,), and its derivative by turns, shape (N, 3)."""
 Predicted = tuple[Array, Array, Array]
 """Rows, shape (N, k), derivatives by the platform's twist in the frame of the measurements, (N, k,
-6), and by external unknowns but for that frame, (N, k, n_external)."""
+6), and by external values but for that frame, (N, k, n)."""
 _TWIST = (0, 1, 2, 3, 4, 5)
 _CROSS = np.cross(np.eye(3)[:, None], np.eye(3)).transpose(0, 2, 1)  # matrices of e_a ×
 
@@ -216,14 +215,9 @@ class Observation:
             value = self.residuals(matrices, external)[0] + self._values
             errors.append(setup.systematic.relative * np.where(lengths, value, 0.0)[:, :, None])
         if setup.systematic.target:
-            free = {name: replace(target, unknown=True) for name, target in setup.targets.items()}
-            unknowns = ExternalUnknowns(self.platform, replace(setup, targets=free), False)
-            known = [
-                column
-                for column, entry in enumerate(unknowns.offset_entries, len(unknowns.frame_rows))
-                if entry not in self.external.offset_entries
-            ]
-            _, _, by_external = self._with(external=unknowns).residuals(matrices, external)
+            axes = np.arange(self.external.own.stop)[self.external.offsets].reshape(-1, 3)
+            known = np.setdiff1d(axes[:, : self.platform.space], self.external.free)
+            _, _, by_external = self._residuals(matrices, external)
             errors.append(setup.systematic.target * by_external[:, :, known])
         return np.concatenate(errors, axis=2)
 
@@ -243,6 +237,11 @@ class Observation:
             Residuals, shape (N, r), [m] and [rad], their derivatives by the platform's twist,
             (N, r, dof), and by the external unknowns, (N, r, n_external).
         """
+        value, by_pose, by_external = self._residuals(matrices, external)
+        return value, by_pose, by_external[:, :, self.external.free]
+
+    def _residuals(self, matrices: Array, external: External) -> Predicted:
+        """Return the same with derivatives by all external values, known or not."""
         seen, frame = external.frame @ matrices, external.frame[:3, :3]
         rows = [*self._points(seen, external), self._turned(seen[:, :3, :3], external)]
         rows += self._instruments(seen, external)
@@ -253,8 +252,7 @@ class Observation:
         by_base[:3, :3] = by_base[3:, 3:] = frame
         by_frame[:, :3] = point_velocity(matrices[:, :3, 3] @ frame.T, _TWIST)
         by_frame[:, 3:, 3:] = np.eye(3)
-        turned = self.external.frame_rows
-        by_external[:, :, : len(turned)] = by_twist @ by_frame[:, :, list(turned)]
+        by_external[:, :, :6] = by_twist @ by_frame
         measured = self.measured[:, :, None]
         return (
             np.where(self.measured, value - self._values, 0.0),
@@ -264,15 +262,11 @@ class Observation:
 
     def _points(self, seen: Array, external: External) -> list[Predicted]:
         """Return rows of coordinates of targets and of distances, platforms seen in the frame."""
-        unknowns, R, points = self.external, seen[:, :3, :3], dict[str, Predicted]()
+        R, points = seen[:, :3, :3], dict[str, Predicted]()
         for index, target in enumerate(self.setup.targets):
             arm = R @ external.offsets[index]
-            by_external = np.zeros((len(R), 3, len(unknowns)))
-            for column, (owner, axis) in enumerate(
-                unknowns.offset_entries, len(unknowns.frame_rows)
-            ):
-                if owner == index:
-                    by_external[:, :, column] = R[:, :, axis]
+            by_external = np.zeros((len(R), 3, self.external.own.stop))
+            by_external[:, :, self.external.offsets][:, :, 3 * index : 3 * index + 3] = R
             points[target] = (seen[:, :3, 3] + arm, point_velocity(arm, _TWIST), by_external)
         rows = []
         for target, (u, D, E) in points.items():  # of the platform itself what it moves along
@@ -289,7 +283,7 @@ class Observation:
 
     def _turned(self, R: Array, external: External) -> Predicted:
         """Return rows of single angles and of orientations, less what was measured."""
-        unknowns, predicted = self.external, R @ external.turn
+        predicted = R @ external.turn
         parts = [self._angle(column, predicted) for column in range(len(self._angle_names))]
         values = [value[:, None] for value, _, _ in parts]
         slopes = [slope[:, None] for _, slope, _ in parts]
@@ -300,8 +294,8 @@ class Observation:
             values.append(error[:, self._turn_rows])
             slopes.append(inverse_left_jacobian(error)[:, self._turn_rows])
         by_turn = np.concatenate([np.zeros((len(R), 0, 3)), *slopes], axis=1)
-        by_external = np.zeros((*by_turn.shape[:2], len(unknowns)))
-        by_external[:, :, unknowns.turn_columns] = by_turn @ R[:, :, list(unknowns.turn_axes)]
+        by_external = np.zeros((*by_turn.shape[:2], self.external.own.stop))
+        by_external[:, :, self.external.turn] = by_turn @ R
         value = np.concatenate([np.zeros((len(R), 0)), *values], axis=1)
         return value, np.pad(by_turn, ((0, 0), (0, 0), (3, 0))), by_external
 
@@ -325,9 +319,8 @@ class Observation:
             measured = self._conditions[:, first_row:last_row]
             condition = instrument.evaluate(seen, external.instruments[first:last], measured)
             condition = checked(condition, instrument, len(seen))
-            by_external = np.zeros((*condition.value.shape, len(self.external)))
-            own = slice(*(self.external.own_columns.start + end for end in (first, last)))
-            by_external[:, :, own] = condition.by_parameter
+            by_external = np.zeros((*condition.value.shape, self.external.own.stop))
+            by_external[:, :, self.external.own][:, :, first:last] = condition.by_parameter
             rows.append((condition.value, condition.by_pose, by_external))
             first_row, first = last_row, last
         return rows

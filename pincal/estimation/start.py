@@ -111,7 +111,7 @@ def instruments_started(problem: Problem, state: State) -> State:
         value, _, by_external = instruments.residuals(
             matrices, replace(state.external, instruments=values)
         )
-        by_own = by_external[:, :, observation.external.own_columns] / sigma[:, :, None]
+        by_own = by_external[:, :, -len(values) :] / sigma[:, :, None]
         return (value / sigma).ravel(), by_own.reshape(-1, len(values))
 
     solution = least_squares(

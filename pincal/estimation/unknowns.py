@@ -75,35 +75,37 @@ class BlockRows:
 
 
 class ExternalUnknowns:
-    """Which of the external values are unknown, in which order, and how steps move them."""
+    """Which of the external values are unknown, in which order, and how steps move them.
+
+    All of them stand in one vector, six of the frame, three of each target and of the orientation's
+    turn, then those of instruments. The unknown ones are some of its entries.
+    """
 
     def __init__(self, platform: Platform, setup: Setup, oriented: bool) -> None:
         """Say what is unknown of a setup in which orientations are measured or not."""
-        self.setup = setup
-        rows = (0, 1, 5) if platform.space == 2 else (0, 1, 2, 3, 4, 5)
-        turned = oriented and setup.targets[ORIGIN].unknown
-        self.frame_rows = rows if setup.unknown_frame else ()
-        self.offset_entries = tuple(
-            (index, axis)
-            for index, target in enumerate(setup.targets.values())
-            for axis in range(platform.space * target.unknown)
-        )
-        self.turn_axes = tuple(row - 3 for row in rows[platform.space :]) if turned else ()
-        targets, twists = list(setup.targets), ("x", "y", "z", "rx", "ry", "rz")
+        planar, targets = platform.space == 2, setup.targets
         own = [parameter for instrument in setup.instruments for parameter in instrument.parameters]
-        geometric = (
-            *(f"tracker.{twists[row]}" for row in self.frame_rows),
-            *(f"{owner(targets[index])}.{'xyz'[axis]}" for index, axis in self.offset_entries),
-            *(f"{owner(ORIGIN)}.{twists[3 + axis]}" for axis in self.turn_axes),
-        )
-        units = ("rad" if name[-2] == "r" else "m" for name in geometric)
-        self.names = (*geometric, *(parameter.id for parameter in own))
+        self.turned = oriented and targets[ORIGIN].unknown
+        """Whether the measured orientation is turned against the platform's."""
+        in_space = np.array([True, True, not planar])
+        turns = np.array([not planar, not planar, True])
+        free = [in_space & setup.unknown_frame, turns & setup.unknown_frame]
+        free += [in_space & target.unknown for target in targets.values()]
+        free += [turns & self.turned, np.ones(len(own), dtype=bool)]
+        self.free = np.flatnonzero(np.concatenate(free))
+        """Places of the unknowns."""
+        self.offsets = slice(6, 6 + 3 * len(targets))
+        self.turn = slice(self.offsets.stop, self.offsets.stop + 3)
+        self.own = slice(self.turn.stop, self.turn.stop + len(own))
+        """Places of offsets of targets, of the turn, and of parameters of instruments."""
+        owners = ["tracker.", "tracker.r", *(f"{owner(name)}." for name in targets), "target.r"]
+        names = [f"{stem}{axis}" for stem in owners for axis in "xyz"] + [p.id for p in own]
+        units = ["rad" if stem[-1] == "r" else "m" for stem in owners for _ in range(3)]
+        units += [parameter.unit for parameter in own]
+        self.names = tuple(names[place] for place in self.free)
         """Ids of the unknowns."""
-        self.units = (*units, *(parameter.unit for parameter in own))
-        self.turn_columns = slice(len(geometric) - len(self.turn_axes), len(geometric))
-        self.own_columns = slice(len(geometric), len(self.names))
-        """Parameters of the instruments among the unknowns."""
-        offsets = np.array([target.offset for target in setup.targets.values()], dtype=float)
+        self.units = tuple(units[place] for place in self.free)
+        offsets = np.array([target.offset for target in targets.values()], dtype=float)
         nominal = np.array([parameter.nominal for parameter in own], dtype=float)
         self.start = External(np.eye(4), offsets, np.eye(3), nominal)
         """The values of the setup; the base frame is that of the measurements."""
@@ -113,44 +115,29 @@ class ExternalUnknowns:
 
     def moved(self, values: External, step: Array) -> External:
         """Return values after a step, shape (n,): twists of the frame about its own origin."""
-        n_frame = len(self.frame_rows)
-        twist, turn = np.zeros(6), np.zeros(3)
-        twist[list(self.frame_rows)] = step[:n_frame]
-        turn[list(self.turn_axes)] = step[self.turn_columns]
-        frame, offsets = values.frame.copy(), values.offsets.copy()
-        frame[:3, 3] += twist[:3]
-        frame[:3, :3] = Rotation.from_rotvec(twist[3:]).as_matrix() @ frame[:3, :3]
-        for (index, axis), change in zip(self.offset_entries, step[n_frame:], strict=False):
-            offsets[index, axis] += change
-        return replace(
-            values,
-            frame=frame,
-            offsets=offsets,
-            turn=Rotation.from_rotvec(turn).as_matrix() @ values.turn,
-            instruments=values.instruments + step[self.own_columns],
+        change, frame = np.zeros(self.own.stop), values.frame.copy()
+        change[self.free] = step
+        frame[:3, 3] += change[:3]
+        frame[:3, :3] = Rotation.from_rotvec(change[3:6]).as_matrix() @ frame[:3, :3]
+        return External(
+            frame,
+            values.offsets + change[self.offsets].reshape(-1, 3),
+            Rotation.from_rotvec(change[self.turn]).as_matrix() @ values.turn,
+            values.instruments + change[self.own],
         )
 
     def coordinates(self, values: External) -> Array:
         """Return the unknowns as numbers, shape (n,), [m] and, rotation vectors, [rad]."""
-        twist = np.concatenate(
-            (values.frame[:3, 3], Rotation.from_matrix(values.frame[:3, :3]).as_rotvec())
-        )
-        turn = Rotation.from_matrix(values.turn).as_rotvec()
-        offsets = [values.offsets[entry] for entry in self.offset_entries]
-        angles = turn[list(self.turn_axes)]
-        return np.array([*twist[list(self.frame_rows)], *offsets, *angles, *values.instruments])
+        turns = Rotation.from_matrix([values.frame[:3, :3], values.turn]).as_rotvec()
+        origin, offsets = values.frame[:3, 3], values.offsets.ravel()
+        return np.array([*origin, *turns[0], *offsets, *turns[1], *values.instruments])[self.free]
 
     def coordinates_by_step(self, values: External) -> Array:
         """Return the derivative of the coordinates by steps, shape (n, n): see ``moved``."""
-        frame = Rotation.from_matrix(values.frame[:3, :3]).as_rotvec()
-        turn = Rotation.from_matrix(values.turn).as_rotvec()
-        of_frame, of_turn = inverse_left_jacobian(np.array([frame, turn]))
-        D = np.eye(len(self))
-        turns = [i for i, row in enumerate(self.frame_rows) if row >= 3]
-        axes = [row - 3 for row in self.frame_rows if row >= 3]
-        D[np.ix_(turns, turns)] = of_frame[np.ix_(axes, axes)]
-        D[self.turn_columns, self.turn_columns] = of_turn[np.ix_(self.turn_axes, self.turn_axes)]
-        return D
+        turns = Rotation.from_matrix([values.frame[:3, :3], values.turn]).as_rotvec()
+        D = np.eye(self.own.stop)
+        D[3:6, 3:6], D[self.turn, self.turn] = inverse_left_jacobian(turns)
+        return D[np.ix_(self.free, self.free)]
 
 
 def owner(target: str) -> str:
