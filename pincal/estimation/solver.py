@@ -138,10 +138,8 @@ def search(
         evaluations += count
         if trial is not None and _better(system, current, trial, highest):
             # 2. Taken: less damping where the fall is as predicted.
-            cost = min(system.cost_in(current.judged, trial.judged, current.weights), trial.cost)
-            gain = (current.cost - cost) / max(current.normal.fall(step), 1e-300)
-            damping *= 0.1 if gain > 0.75 else 1.0 if gain > 0.25 else 4.0
-            damping, growth = (damping if damping > _DAMPING[0] else 0.0), 10.0
+            damping, growth = damping * _change(system, current, trial, step), 10.0
+            damping = damping if damping > _DAMPING[0] else 0.0
             at_end = current.blind and _at_end(current, trial)
             current = trial
             costs.append(current.cost)
@@ -236,6 +234,13 @@ def _better(system: System, current: Iterate, trial: Iterate, highest: float) ->
         return trial.normal.decrement < current.normal.decrement
     falls = system.falls(current.judged, trial.judged, current.weights, current.cost)
     return falls and (system.loss is not None or trial.cost <= highest)
+
+
+def _change(system: System, current: Iterate, trial: Iterate, step: Array) -> float:
+    """Return the factor on the damping after a step, by its fall over the predicted one."""
+    cost = min(system.cost_in(current.judged, trial.judged, current.weights), trial.cost)
+    gain = (current.cost - cost) / max(current.normal.fall(step), 1e-300)
+    return 0.1 if gain > 0.75 else 1.0 if gain > 0.25 else 4.0
 
 
 def _at_end(current: Iterate, trial: Iterate) -> bool:

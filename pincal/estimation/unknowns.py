@@ -245,10 +245,7 @@ def unknowns(
         raise MeasurementError("every parameter is fixed; leave one of them to be identified")
     groups, bound = list[list[int]](), set(held)
     for name in tied:
-        places = _tied_places(pairs, name, nominal)
-        if fixed_too := bound & set(places):
-            message = f"{pairs[fixed_too.pop()][1]!r} is both fixed and tied; choose one"
-            raise MeasurementError(message)
+        places = _tied_places(pairs, name, nominal, bound)
         bound |= set(places)
         start[places] = nominal[places].mean()
         groups.append(places)
@@ -264,7 +261,9 @@ def unknowns(
     return Unknowns(tuple(ids), start, T, sigmas, nominal, free_labels)
 
 
-def _tied_places(pairs: list[tuple[str, str]], name: str, nominal: Array) -> list[int]:
+def _tied_places(
+    pairs: list[tuple[str, str]], name: str, nominal: Array, bound: set[int]
+) -> list[int]:
     """Return the places of parameters that are tied, of which several legs must have one alike."""
     places = _places(pairs, name)
     if len({pairs[place][1] for place in places}) > 1 or len(places) < 2 or "." in name:
@@ -277,6 +276,9 @@ def _tied_places(pairs: list[tuple[str, str]], name: str, nominal: Array) -> lis
             f"{name!r} cannot be tied: its nominal values differ from leg to leg by up to "
             f"{np.ptp(nominal[places]):.3g}"
         )
+    if fixed_too := bound & set(places):
+        message = f"{pairs[fixed_too.pop()][1]!r} is both fixed and tied; choose one"
+        raise MeasurementError(message)
     return places
 
 

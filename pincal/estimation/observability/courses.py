@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 
 from pincal.estimation.fit import Fit
-from pincal.estimation.observability.residuals import ResidualForm, Residuals
+from pincal.estimation.observability.residuals import Residuals
 from pincal.estimation.system import CLEAR, FALSE_ALARM
 from pincal.kinematics.influences import sides
 from pincal.model.setup import ORIGIN
@@ -85,35 +85,22 @@ def scores(fit: Fit, again: Mapping[str, Index] | None = None) -> list[Score]:
     """
     if not _testable(fit):
         return []
-    residuals = Residuals.of(fit)
+    residuals, n = Residuals.of(fit), fit.problem.leg_block.n_readings
     names, W = errors_of(fit, residuals.used)
-    errors, n = residuals.errors(W), fit.problem.leg_block.n_readings
-    time = np.linspace(-1.0, 1.0, len(residuals.used))[:, None]
-    courses = {"order": [time] * len(names)} | _of_readings(fit, residuals.used)
-    forms: list[tuple[str, str, ResidualForm]] = []
-
-    def ask(quantity: str, term: str, columns: Sequence[int], *, common: bool = False) -> None:
-        along = [courses[term][i] for i in columns]
-        form = residuals.form(errors.part(columns), along, common=common)
-        forms.append((quantity, term, form))
-
-    for term, of_quantities in courses.items():
-        for column, name in enumerate(names[: len(of_quantities)]):
-            ask(name, term, [column])
-        widths = [b.shape[1] for b in of_quantities[:n]]
-        for width in dict.fromkeys(widths) if n > 1 else ():  # [rad] and [m] differ
-            alike = [column for column in range(n) if widths[column] == width]
-            ask(ALL, term, alike, common=True)
-        if n > 1 and term != "pose":  # motors differ in amplitude
-            ask(ALL, term, range(n))
     moved, axes = _of_frame(fit, names, W)
+    grown = _grown(fit, residuals.used)[:, :, None]
+    errors = residuals.errors(np.concatenate((W, moved, grown), axis=2))
+    time = np.linspace(-1.0, 1.0, len(residuals.used))[:, None]
+    courses = {"order": [time] * errors.white.shape[2], **_of_readings(fit, residuals.used)}
+    asked = [*_asked(names, n, courses), (LENGTHS, "order", [len(names) + len(axes)], False)]
     if len(axes) > 1:
-        form = residuals.form(residuals.errors(moved), [time] * len(axes))
-        forms.append((FRAME, "order", form))
-    grown = residuals.errors(_grown(fit, residuals.used)[:, :, None])
-    forms.append((LENGTHS, "order", residuals.form(grown, [time])))
-    chances = residuals.chances([form for _, _, form in forms]).tolist()
-    results = [Score(*form[:2], chance) for form, chance in zip(forms, chances, strict=True)]
+        asked.append((FRAME, "order", [*range(len(names), len(names) + len(axes))], False))
+    forms = [
+        residuals.form(errors.part(columns), [courses[term][i] for i in columns], common=common)
+        for _, term, columns, common in asked
+    ]
+    pairs = zip(asked, residuals.chances(forms).tolist(), strict=True)
+    results = [Score(quantity, term, chance) for (quantity, term, *_), chance in pairs]
     for column, name in enumerate(names):
         error = errors.part([column])
         change = residuals.step(error)
@@ -124,6 +111,23 @@ def scores(fit: Fit, again: Mapping[str, Index] | None = None) -> list[Score]:
             size = residuals.size(error, since)
             results.append(Score(name, "again", chance, size=size, place=place))
     return results
+
+
+def _asked(
+    names: Sequence[str], n_readings: int, courses: Mapping[str, Sequence[Array]]
+) -> Iterator[tuple[str, str, list[int], bool]]:
+    """Yield quantities and courses to ask for, columns of errors, and whether they are alike.
+
+    Of each alone, and of all readings: the same error in each, or each with its own amplitudes.
+    """
+    for term, of_quantities in courses.items():
+        for column, name in enumerate(names[: len(of_quantities)]):
+            yield name, term, [column], False
+        widths = [b.shape[1] for b in of_quantities[:n_readings]]
+        for width in dict.fromkeys(widths) if n_readings > 1 else ():  # [rad] and [m] differ
+            yield ALL, term, [i for i in range(n_readings) if widths[i] == width], True
+        if n_readings > 1 and term != "pose":  # motors differ in amplitude
+            yield ALL, term, [*range(n_readings)], False
 
 
 def _testable(fit: Fit) -> bool:
