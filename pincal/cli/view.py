@@ -110,11 +110,11 @@ def _plan(table: Path, estimates: Path | None, mechanism: Mechanism) -> Plan:
     Raises:
         MeasurementError: no row holds a whole pose, and there is no result with estimates of it.
     """
+    plan: Plan
     if mechanism.by_readings or not set(mechanism.reading_names) <= set(read_table(table).units):
         plan = read_poses(table, mechanism, partial=True)
     else:
-        measured = read_measurements(table, mechanism, partial=True)
-        plan = Plan(measured.poses, measured.sets, measured.readings)
+        plan = read_measurements(table, mechanism, partial=True)
     if mechanism.by_readings and plan.readings is not None:
         # they say where the mechanism is, in its own base frame
         solution = forward(mechanism, plan.readings)
