@@ -430,19 +430,20 @@ def test_folds_that_leave_geometry_undetermined_are_left_out() -> None:
     readings = data.readings.copy()
     readings[np.arange(40) % 4 != 0, 2] = np.nan  # fold 1 of 4 has all of the third reading
     few = replace(data, readings=readings)
-    found = pincal.explain(plain, few, noise=noise, folds=4, terms="backlash")
+    strict = {"noise": noise, "folds": 4, "terms": "backlash", "strict": True}
+    found = pincal.explain(plain, few, **strict)
     assert [fold for fold, _ in found.choice.lost] == [0]
     assert all(np.isfinite(one.held_out) for one in found.choice.models)
     assert "fold 1 is left out of the comparison" in str(found)
     readings[4:, 2] = np.nan
     poses_of_few = replace(few, readings=readings)
     with pytest.raises(pincal.ObservabilityError):  # all rows together do not determine it
-        pincal.explain(plain, poses_of_few, noise=noise, folds=4, terms="backlash", strict=True)
+        pincal.explain(plain, poses_of_few, **strict)
 
 
 def test_models_that_cannot_be_compared_are_said_to_be() -> None:
     plain, noise, data = plain_rows(9)
-    found = pincal.explain(plain, data, noise=noise, folds=2, terms="backlash")
+    found = pincal.explain(plain, data, noise=noise, folds=2, terms="backlash", strict=True)
     assert found.verdict == "not compared"
     assert found.terms == ()
     assert "models cannot be compared" in str(found)

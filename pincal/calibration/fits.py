@@ -249,7 +249,11 @@ def _all_legs(
     else:
         if near is not None:
             start, gauge = near.state, near.gauge(problem, unknowns)
-        first = start if gauge is not None else calibration.started(problem).first
+        held_before = None if near is None or near.fits is None else near.fits.held
+        # what is held follows where the search would have started
+        anything_held = held_before is not None and held_before.directions.size > 0
+        started = gauge is not None and not anything_held
+        first = start if started else calibration.started(problem).first
     problem = replace(problem, first=first)
     if gauge is None:
         gauge = find_gauge(mechanism, problem, unknowns, strict=not options.holds)

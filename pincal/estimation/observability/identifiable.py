@@ -71,7 +71,7 @@ def check_rank(
             f"the measured poses leave parameters undetermined: {total.describe()} "
             f"(rank {total.rank} of {total.n_params}). Measure poses that separate them, fix "
             "one of them, make it a constant in mechanism.yaml, or hold it as near to nominal as "
-            "can be (leave out --strict and --method per-leg)"
+            "can be (leave out --strict; leave out --method per-leg)"
         )
     pairs = zip(problem.legs, problem.leg_block.columns, strict=True)
     by_leg = [identifiability(J[:, columns], leg.parameter_names) for leg, columns in pairs]
