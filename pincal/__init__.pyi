@@ -39,9 +39,9 @@ from .model.setup import Condition, Distance, Image, Instrument, Setup, Systemat
 from .model.terms import Harmonic, Load, Power, Share, Term
 from .show.pictures.picture import picture
 from .show.view.view import view
+from .symmetry.carry import generate
 from .symmetry.detect import symmetry_group
 from .symmetry.elements import Element, cyclic, dihedral
-from .symmetry.generate import generate
 from .workspace.axes import Orientations
 from .workspace.criteria import Margins, articular_symmetry
 from .workspace.grid import Grid

@@ -14,7 +14,7 @@ from pincal.errors import MechanismError
 from pincal.kinematics.singularity import home_determinant
 from pincal.model.checks import ROUNDING, must_be
 from pincal.model.mechanism import Mechanism
-from pincal.symmetry.generate import at_home
+from pincal.symmetry.carry import at_home
 
 ARCHITECTURES = {kind.name: kind for kind in (*RESIZED, *CABLES, ARM)}
 LENGTH, ANGLE = SheetDimension("", "", "m"), SheetDimension("", "", "rad")

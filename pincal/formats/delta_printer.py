@@ -21,9 +21,8 @@ from pincal.kinematics.closing import sensor_law
 from pincal.kinematics.closure import LegClosure
 from pincal.model.checks import EXACT, LARGEST
 from pincal.model.mechanism import Mechanism
-from pincal.symmetry.carry import carry
+from pincal.symmetry.carry import at_home, carry
 from pincal.symmetry.elements import Element, wrapped
-from pincal.symmetry.generate import at_home
 from pincal.types import Array
 
 TOWERS = ("tower_a", "tower_b", "tower_c")

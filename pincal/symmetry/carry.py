@@ -1,24 +1,28 @@
-"""A leg carried by an isometry: the same leg elsewhere, its geometry in canonical form.
+"""A leg carried by an isometry, and mechanisms of one leg that is carried to the others.
 
 Carried joints keep their variables: under a reflection Q every joint frame becomes
 Q R D with the local mirror D = diag(1, −1, 1), a revolute axis a becomes −D a and a
-prismatic one D a. The result is then brought to a canonical form in which two equal
-legs are equal numbers: axes point to the positive side, and a constant turn about a
-joint's own axis moves into its zero (with γ, in the joint form of the sensor, which is
-how the γ of the 3-RRR paper's Eq. 19 come about).
+prismatic one D a. The result is then brought to a canonical form: axes point to the positive
+side, and a constant turn about a joint's own axis moves into its zero (with γ, in the joint form
+of the sensor, which is how the γ of the 3-RRR paper's Eq. 19 come about).
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pincal.errors import SymmetryError
+from pincal.errors import MechanismError, SymmetryError
+from pincal.kinematics.closing import close
+from pincal.kinematics.closure import LegClosure
 from pincal.model.checks import ALIKE, ROUNDING
 from pincal.model.leg import Joint, Leg
+from pincal.model.mechanism import Mechanism
 from pincal.model.placement import Coordinate, Placement, Value
+from pincal.model.platform import Platform
 from pincal.model.sensor import Sensor
 from pincal.model.terms import LOAD
 from pincal.symmetry.elements import Element, Isometry, wrapped
@@ -339,3 +343,47 @@ def _sensor_of(leg: Leg, joint: Joint) -> Sensor | None:
 def _triple(vector: Array) -> tuple[float, float, float]:
     x, y, z = (float(v) + 0.0 for v in vector)
     return x, y, z
+
+
+def generate(
+    name: str,
+    leg: Leg,
+    elements: Sequence[Element],
+    platform: Platform,
+    description: str = "",
+    labels: Mapping[str, str] | None = None,
+) -> Mechanism:
+    """Return the mechanism whose legs are one carried by the elements, the identity first.
+
+    Legs are named ``leg_1``, ``leg_2``, …; a platform point whose name ends in ``_1`` is numbered
+    alike. The leg's home may be rough: all legs are closed at the platform's home pose, on the side
+    (working mode) that the rough home is on. Labels say by parameter's name what it is, for people.
+
+    Raises:
+        MechanismError: a leg does not close at the home pose.
+        SymmetryError: a placement whose coordinates cannot express a carried leg.
+    """
+    closed = at_home(leg, platform)
+    legs = []
+    for number, element in enumerate(elements, start=1):
+        point = closed.point.name
+        if point.endswith("_1"):
+            point = f"{point[:-2]}_{number}"
+        carried = carry(closed, element, f"leg_{number}", point)
+        legs.append(at_home(carried, platform))
+    return Mechanism(name, platform, tuple(legs), description, tuple((labels or {}).items()))
+
+
+def at_home(leg: Leg, platform: Platform) -> Leg:
+    """Return the leg with its home closed at the platform's home pose.
+
+    Raises:
+        MechanismError: it does not close there in the working mode of its rough home.
+    """
+    closed = close((LegClosure(leg, platform),), platform.home_pose.as_matrix())
+    if not closed.reached[0]:
+        raise MechanismError(
+            f"{leg.name} does not reach the home pose {platform.home}; correct the home pose, the "
+            "leg's lengths, or its home (which says on which side the leg bends)"
+        )
+    return leg.with_home(np.round(closed.joints[0], 12) + 0.0)
