@@ -182,11 +182,11 @@ class Options:
                     f"{', '.join(get_args(known))}"
                 )
         loss_of(self.loss)  # raises where there is no such loss
-        for name, kind in (("noise", Noise), ("setup", Setup)):
-            value = getattr(self, name)
-            if not isinstance(value, kind) and not (name == "noise" and value is None):
+        for name, kinds in _CLASSES.items():
+            if not isinstance(getattr(self, name), kinds):
                 raise MeasurementError(
-                    f"{name} is {type(value).__name__}; expected pincal.{kind.__name__}(…)"
+                    f"{name} is {type(getattr(self, name)).__name__}; expected "
+                    f"pincal.{kinds[0].__name__}(…)"
                 )
         if not isinstance(self.folds, int) or self.folds < 0 or self.folds == 1:
             raise MeasurementError(
@@ -251,6 +251,7 @@ class Options:
 
 
 _CHOICES = {"method": Method, "residual": Residual, "poses": Poses}
+_CLASSES: dict[str, tuple[type, ...]] = {"noise": (Noise, type(None)), "setup": (Setup,)}
 
 
 def _parse_priors(priors: Mapping[str, Any] | Iterable[str]) -> Mapping[str, Any]:

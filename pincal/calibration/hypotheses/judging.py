@@ -165,7 +165,7 @@ class LegFit:
     @property
     def misfit(self) -> float:
         """The leg's share in a hypothesis' score: what is left, or 1 in another working mode."""
-        return max(self.near, PRECISE) if self.as_home else max(1.0, self.gap)
+        return self.near if self.as_home else max(1.0, self.gap)
 
     @property
     def questioned(self) -> bool:
@@ -191,28 +191,30 @@ class Judged:
     """Share of poses on the other side of a type-2 singularity than home, if it was asked."""
 
     @property
+    def judged(self) -> list[LegFit]:
+        """Fits of the legs that have rows."""
+        return [leg_fit for leg_fit in self.fits if leg_fit.rows > 1]
+
+    @property
     def misfits(self) -> Array:
-        """Misfit of each leg with rows, 0 of the others, shape (n_legs,)."""
-        return np.array([leg_fit.misfit if leg_fit.rows > 1 else 0.0 for leg_fit in self.fits])
+        """Misfit of each leg, none below what is no gap, shape (n_legs,)."""
+        return np.array([max(fit.misfit if fit.rows > 1 else 0.0, PRECISE) for fit in self.fits])
 
     @property
     def gap(self) -> float:
-        """Mean gap over the legs that have rows, 1 at most, where nothing fits."""
-        gaps = [min(leg_fit.gap, 1.0) for leg_fit in self.fits if leg_fit.rows > 1]
-        return float(np.mean(gaps)) if gaps else 1.0
+        """Mean gap over the legs that have rows, 1 at most and where nothing fits."""
+        return float(np.mean([min(leg_fit.gap, 1.0) for leg_fit in self.judged] or [1.0]))
 
     @property
     def misfit(self) -> float:
         """Mean over the legs that have rows; 1 where nothing fits, or on the other side."""
-        judged = [leg_fit.misfit for leg_fit in self.fits if leg_fit.rows > 1]
-        mean = float(np.mean(judged)) if judged else 1.0
+        mean = float(np.mean([leg_fit.misfit for leg_fit in self.judged] or [1.0]))
         return max(mean, 1.0) if self.elsewhere > 0.5 else mean
 
     def leaves(self, most: float) -> bool:
         """Return whether the misfit is so small; legs are asked until it cannot be."""
-        judged = [leg_fit for leg_fit in self.fits if leg_fit.rows > 1]
-        sums = accumulate(leg_fit.misfit for leg_fit in judged)
-        return bool(judged) and all(total <= most * len(judged) for total in sums)
+        sums = accumulate(leg_fit.misfit for leg_fit in self.judged)
+        return bool(self.judged) and all(total <= most * len(self.judged) for total in sums)
 
     @property
     def questioned(self) -> list[int]:
@@ -221,8 +223,7 @@ class Judged:
 
     def within(self, most: float) -> bool:
         """Return whether every leg misses by so much of its size at most: ``DIFFER`` or more."""
-        judged = [fit for fit in self.fits if fit.rows > 1]
-        return bool(self.fits) and all(fit.as_home and fit.gap <= most for fit in judged)
+        return bool(self.fits) and all(fit.as_home and fit.gap <= most for fit in self.judged)
 
     @property
     def fits_well(self) -> bool:
@@ -261,9 +262,11 @@ def _placed(case: Case, calibrations: Sequence[Calibration]) -> list[Array | Non
     """
     platform = case.mechanism.platform
     if case.alone:
-        external = [calibration.observation.external.start for calibration in calibrations]
-        pairs = zip(calibrations, external, strict=True)
-        return [platform.matrices(calibration.given_poses(at)[0]) for calibration, at in pairs]
+        starts = (calibration.observation.external.start for calibration in calibrations)
+        pairs = zip(calibrations, starts, strict=True)
+        return [
+            platform.matrices(calibration.given_poses(start)[0]) for calibration, start in pairs
+        ]
     every = [calibration.measurements.readings for calibration in calibrations]
     known = np.isfinite(readings := np.concatenate(every or [case.readings[:0]])).all(axis=1)
     distinct, index = np.unique(readings[known], axis=0, return_inverse=True)

@@ -46,6 +46,7 @@ _PAST = 0.1  # [rad] past half a turn from home that a joint may be read: readin
 _SLIP = 10.0  # times the median that a row misses by, if fewer than one row in so many does
 _CHANCE = 1e-5  # probability of so much motion as one body by chance, above which it is none
 _MATTERS = 0.25  # of the platform's error: a motion of less is not worth a warning
+_ZEROS = ("reading-offset", False)  # the fault that a search may start from
 _ROWS_MOVED = 200  # enough, where the motion of a body is looked for
 
 
@@ -354,13 +355,15 @@ def zeros_found(calibration: Calibration, faults: Sequence[Finding]) -> Array | 
         calibration: What is to be identified.
         faults: Hypotheses that explain the measurements.
     """
-    offsets = np.zeros(len(calibration.mechanism.reading_names))
-    for fault in faults:
-        if fault.code != "reading-offset" or fault.values["unknown_frame"]:
-            return None
-        for name, off, _ in fault.values["offsets"]:
-            offsets[calibration.mechanism.reading_names.index(name)] = off
-    return _started(calibration, offsets) if len(faults) == 1 else None
+    names = calibration.mechanism.reading_names
+    offsets = np.zeros(len(names))
+    if [(fault.code, fault.values.get("unknown_frame")) for fault in faults] != [_ZEROS]:
+        return None
+    for name, off, _ in faults[0].values["offsets"]:
+        offsets[names.index(name)] = off
+    start, by_zeros = _zeros(calibration)
+    identified = by_zeros.any(axis=0) | (offsets == 0.0)
+    return start + by_zeros @ offsets if identified.all() else None
 
 
 def zeros_measured(calibration: Calibration) -> Array | None:
@@ -373,43 +376,30 @@ def zeros_measured(calibration: Calibration) -> Array | None:
     matrices = None if case is None or not case.alone else poses_as_measured(case)
     if case is None or matrices is None or mechanism.by_readings:
         return None
-    offsets = zeros_by_poses(case, matrices)
-    identified = [index for index, _ in _zeros(calibration)]
-    return _started(
-        calibration, np.where(np.isin(np.arange(len(offsets)), identified), offsets, 0.0)
-    )
+    start, by_zeros = _zeros(calibration)
+    shift = by_zeros @ zeros_by_poses(case, matrices)
+    return start + shift if shift.any() else None
 
 
-def _started(calibration: Calibration, offsets: Array) -> Array | None:
-    """Return the nominal parameters with zeros of readings that are off, if all are identified."""
-    start = np.concatenate([leg.nominal for leg in calibration.mechanism.legs])
-    zeros = dict(_zeros(calibration))
-    for index in np.flatnonzero(offsets).tolist():
-        if index not in zeros:
-            return None
-        place, by_reading = zeros[index]
-        start[place] += by_reading * offsets[index]
-    return start if offsets.any() else None
-
-
-def _zeros(calibration: Calibration) -> list[tuple[int, tuple[int, float]]]:
-    """Return of each reading whose zero is identified: its parameter, and how that follows.
+def _zeros(calibration: Calibration) -> tuple[Array, Array]:
+    """Return the nominal parameters (n_params,), and how they follow zeros of readings.
 
     ψ = d k q + γ grows with γ; q = d k ψ + γ falls by d k of it. Zeros with priors, ties or terms,
-    or of several sensors, start at nominal.
+    or of several sensors, start at nominal: columns of zeros, of (n_params, n_readings).
     """
-    unknowns = calibration.unknowns()
+    unknowns, legs = calibration.unknowns(), calibration.mechanism.legs
     free = unknowns.map != 0.0
     alone = free[:, free.sum(axis=0) == 1].sum(axis=1) == 1
-    found, first, index = [], 0, 0
-    for leg in calibration.mechanism.legs:
+    start = np.concatenate([leg.nominal for leg in legs])
+    by_zeros, first, column = np.zeros((len(start), len(calibration.mechanism.reading_names))), 0, 0
+    for leg in legs:
         offsets = [sensor.offset for sensor in leg.sensors]
         for sensor, name in zip(leg.sensors, offsets, strict=True):
             if isinstance(name, str) and offsets.count(name) == 1 and not sensor.terms:
                 place = first + leg.parameter_names.index(name)
                 gain, _ = sensor.constants(leg.nominal_by_name)
                 if alone[place] and np.isinf(unknowns.priors[place]):
-                    found.append((index, (place, 1.0 if sensor.form == "reading" else -gain)))
-            index += 1
+                    by_zeros[place, column] = 1.0 if sensor.form == "reading" else -gain
+            column += 1
         first += len(leg.parameters)
-    return found
+    return start, by_zeros

@@ -22,6 +22,7 @@ from pincal.calibration.hypotheses.faults import (
 from pincal.calibration.hypotheses.judging import (
     AS_MEASURED,
     EQUAL,
+    PRECISE,
     Case,
     Hypothesis,
     Judged,
@@ -51,7 +52,7 @@ def explanations(case: Case, given: Judged) -> list[Judged]:
     for stage in _stages(case, given):
         explaining = [judged for judged in stage if _explains(judged, given)]
         if explaining:
-            best = min(judged.misfit for judged in explaining)
+            best = max(min(judged.misfit for judged in explaining), PRECISE)
             equal = [judged for judged in explaining if judged.misfit <= EQUAL * best]
             here = [
                 judged for judged in equal if other_side(case.mechanism, judged.matrices) <= 0.5
@@ -89,7 +90,7 @@ def _explains(judged: Judged, given: Judged) -> bool:
         return False  # anything is better than nothing
     wrong_units = judged.hypothesis.values.get("units", ())
     shrinks = any((unit, how) == ("m", "mm") for _, unit, how in wrong_units)
-    gap = max((fit.gap for fit in given.fits if fit.rows > 1), default=np.inf)
+    gap = max((fit.gap for fit in given.judged), default=np.inf)
     if shrinks and (gap < 1.0 or judged.questioned):
         return False  # lengths too large miss by far, and shrinking makes any misfit small
     most = given.misfit / _EACH**judged.hypothesis.faults
@@ -132,8 +133,9 @@ def _few(case: Case) -> Case:
 def _helped(judged: Judged, given: Judged) -> Judged:
     """Return a hypothesis for those legs only whose readings it puts right."""
     pairs = list(enumerate(zip(judged.fits, given.fits, strict=True)))
-    helped = [i for i, (a, b) in pairs if a.rows > 1 and a.misfit * _EACH <= b.misfit]
-    fits = tuple(a if i in helped else b for i, (a, b) in pairs)
+    divided = judged.misfits * _EACH <= given.misfits
+    helped = [i for i, (after, _) in pairs if after.rows > 1 and divided[i]]
+    fits = tuple(after if i in helped else before for i, (after, before) in pairs)
     if len(helped) == len(pairs):
         return judged
     hypothesis = of_legs(judged.hypothesis, helped)

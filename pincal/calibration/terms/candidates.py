@@ -60,10 +60,8 @@ def with_terms(
     for place, kind in pairs:
         check_place(place, kind, mechanism)
     data = with_influences(mechanism, measurements, [kind for _, kind in pairs])
-    idle, wanted = idle_places(mechanism, data), dict[str, list[Kind]]()
-    for place, kind in pairs:
-        if kind.name != GRAVITY or place not in idle:
-            wanted.setdefault(place, []).append(kind)
+    idle = {(place, GRAVITY) for place in idle_places(mechanism, data)}
+    wanted = [(place, kind) for place, kind in pairs if (place, kind.name) not in idle]
     legs, labels = [], list(mechanism.labels)
     ids: dict[tuple[str, Kind], tuple[str, ...]] = dict.fromkeys(pairs, ())
     for leg, columns in zip(mechanism.legs, mechanism.reading_columns, strict=True):
@@ -75,28 +73,32 @@ def with_terms(
                 labels.append((id_, label))
                 extended_leg = longer
         legs.append(extended_leg)
-    named = {pair: tuple(id_ for part in parts[pair] for id_ in ids[part]) for pair in parts}
+    named = {pair: sum((ids[single] for single in part), ()) for pair, part in parts.items()}
     return replace(mechanism, legs=tuple(legs), labels=tuple(labels)), named
 
 
 def _lacking(
-    leg: Leg, wanted: Mapping[str, Sequence[Kind]], data: Measurements, readings: Array
+    leg: Leg, wanted: Sequence[tuple[str, Kind]], data: Measurements, readings: Array
 ) -> Iterator[tuple[tuple[str, Kind], dict[int | str, Term], str]]:
     """Yield places and kinds with their terms, all of one amplitude, and what that is.
 
     Terms are those of sensors, by index, or of parameters, by name. Readings of the leg have shape
     (N, n_sensors).
     """
+
+    def kinds_at(place: str) -> list[Kind]:
+        return [kind for wanted_place, kind in wanted if wanted_place == place]
+
     for index, reading in enumerate(leg.reading_names):
-        for kind in wanted.get(reading, ()):
+        for kind in kinds_at(reading):
             for term in _terms(leg, index, kind, readings[:, index], data):
                 yield (reading, kind), {index: term}, _label(term, leg.reading_units[index])
     for name, unit in leg.placed.items():
         id_ = f"{leg.name}.{name}"
-        for kind in wanted.get(id_, ()):
+        for kind in kinds_at(id_):
             term = _of_influence(name, id_, kind, data)
             yield (id_, kind), {name: term}, f"of {name} {_label(term, unit)}"
-    for kind in wanted.get(GROWTH, ()):
+    for kind in kinds_at(GROWTH):
         term = _of_influence(GROWTH, "", kind, data)
         terms = _in_proportion(term, leg)
         yield (GROWTH, kind), terms, f"share of all lengths {_label(term, '')}"
