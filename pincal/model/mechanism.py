@@ -149,11 +149,7 @@ class Mechanism:
     def with_counts(self, counts: Mapping[str, float]) -> Mechanism:
         """Return the mechanism whose readings come in encoder counts, in tables that say so.
 
-        Args:
-            counts: Counts of one rad or m by reading, above 0; those not named stay as they are.
-
-        Raises:
-            MechanismError: an unknown reading, or no number above 0.
+        ``counts`` of one rad or m are above 0, by reading; those not named stay as they are.
         """
         must_be(counts, Mapping, "counts", MechanismError)
         if unknown := [name for name in counts if name not in self.reading_names]:

@@ -287,9 +287,7 @@ class Platform:
     def moved(self, poses: Array, twists: Array) -> Array:
         """Return poses moved by small twists at the platform's origin, axes of the base.
 
-        Args:
-            poses: Coordinates, shape (N, dof).
-            twists: In the platform's freedoms, shape (N, dof), [m] and [rad].
+        Coordinates and twists in the platform's freedoms, both of shape (N, dof), [m] and [rad].
         """
         if self.turns < 3:
             return poses + twists

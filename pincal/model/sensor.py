@@ -73,13 +73,10 @@ class SensorLaw:
     terms: tuple[PlacedTerm, ...] = ()
 
     def reading(self, joints: Array, influences: Array | None = None) -> Array:
-        """Return the readings ψ of active joints' positions, shape (N, n_active), [rad] or [m].
+        """Return the readings ψ of active joints' positions, shapes (N, n_active), [rad] or [m].
 
-        By Newton's method where there are terms; NaN where it finds none.
-
-        Args:
-            joints: Shape (N, n_active), [rad] or [m].
-            influences: Influence quantities, shape (N, n_influences); at reference if not given.
+        By Newton's method where there are terms; NaN where it finds none. Influences, shape
+        (N, n_influences), are at their reference if not given.
         """
         readings = (joints - self.start) / self.slope
         if not self.terms:
@@ -98,8 +95,7 @@ class SensorLaw:
     def position(self, known: Array) -> Array:
         """Return the active joints' positions of readings ψ, shape (N, n_active).
 
-        Args:
-            known: Readings, and behind them influences, shape (N, n_active [+ n_influences]).
+        ``known`` are readings, and behind them influences, shape (N, n_active [+ n_influences]).
         """
         linear = self.slope * known[:, : len(self.slope)] + self.start
         return _add_terms(self.terms, known, linear)
@@ -123,11 +119,7 @@ class SensorLaw:
         return np.union1d(np.flatnonzero(linear), amplitudes)
 
     def by_parameter(self, known: Array) -> Array:
-        """Return ∂q/∂φ by ``parameter_places``, shape (N, n_active, k).
-
-        Args:
-            known: Readings, and behind them influences, shape (N, n_active [+ n_influences]).
-        """
+        """Return ∂q/∂φ by ``parameter_places`` at what is known of rows, shape (N, n_active, k)."""
         readings, places = known.T[: len(self.slope), None], self.parameter_places
         by_slope, by_start = self.slope_by_parameter[:, places], self.start_by_parameter[:, places]
         derivatives = (by_slope[:, :, None] * readings + by_start[:, :, None]).transpose(2, 0, 1)
@@ -139,12 +131,8 @@ class SensorLaw:
     def turning(self, low: Array, high: Array) -> Array:
         """Return the first reading at which q(ψ) turns back, shape (n_active,); NaN for none.
 
-        By ∂q/∂ψ on a grid over the joint's range, fine enough for the shortest harmonic of a
-        machine; what terms of influences add does not depend on the reading.
-
-        Args:
-            low: Least positions of the active joints, shape (n_active,), [rad] or [m].
-            high: Largest ones.
+        By ∂q/∂ψ on a grid between the joints' least and largest positions, shape (n_active,), fine
+        enough for the shortest harmonic; terms of influences do not depend on the reading.
         """
         first, last = np.sort([(end - self.start) / self.slope for end in (low, high)], axis=0)
         waves = [
@@ -212,8 +200,7 @@ class Sensor:
     def law(self, parameters: Mapping[str, float]) -> tuple[float, float, Array, Array]:
         """Return slope and start of q = slope ψ + start, and their derivatives by parameters.
 
-        Args:
-            parameters: Values of the leg's parameters by name, in order.
+        ``parameters`` are values of the leg's, by name, in order.
         """
         gain, offset = self.constants(parameters)
         by_gain = np.array([float(name == self.gain) for name in parameters])
@@ -299,10 +286,9 @@ class Deformations:
         return cls(tuple(place[name] for name in leg.deformed), terms, len(place))
 
     def __call__(self, influences: Array) -> Array:
-        """Return deformations ε, shape (N, n_deformed), [m] or [rad].
+        """Return deformations ε, shape (N, n_deformed), [m] or [rad], at influences of the leg.
 
-        Args:
-            influences: Of the leg, shape (N, n_influences); zero where NaN, or none are given.
+        Zero where these, shape (N, n_influences), are NaN, or none are given.
         """
         return _add_terms(self.terms, influences, np.zeros((len(influences), len(self.parameters))))
 

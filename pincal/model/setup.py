@@ -186,8 +186,7 @@ class Tracker:
     def by_polar(self, points: Array) -> Array:
         """Return how points move by range [1], azimuth and elevation [m/rad], shape (N, 3, 3).
 
-        Args:
-            points: Positions in the frame of the measurements, shape (N, 3), [m].
+        Points are positions in the frame of the measurements, shape (N, 3), [m].
         """
         x, y, z = ray = (points - self.at).T
         azimuth, level = np.arctan2(y, x), np.hypot(x, y)
