@@ -209,13 +209,13 @@ def seen_by(result: CalibrationResult) -> Array | Seen | None:
         moved[:, :n] = by_pose[:, places] @ twists / np.sqrt(n_targets)
         motions[:, :n] = by_outside[:, places] / np.sqrt(n_targets)
         if rotations:
-            turned, by_turn = np.zeros((count, 3, twists.shape[2])), np.zeros((3, len(outside)))
+            turned = np.zeros((count, 3, twists.shape[2]))
             turned[:, rotations] = twists[:, platform.lengths :]
-            for column, row in enumerate(outside.frame_rows):
-                by_turn[row - 3, column] = float(row >= 3)
-            moved[:, n:], motions[:, n:] = (F @ turned)[:, rotations], by_turn[rotations]
-            of_target = (F @ matrices[:, :3, :3])[:, :, list(outside.turn_axes)]
-            motions[:, n:, outside.turn_columns] = of_target[:, rotations]
+            moved[:, n:] = (F @ turned)[:, rotations]
+            by_values = np.zeros((count, 3, outside.own.stop))
+            by_values[:, :, 3:6] = np.eye(3)  # by turns of the frame
+            by_values[:, :, outside.turn] = F @ matrices[:, :3, :3]
+            motions[:, n:] = by_values[:, rotations][:, :, outside.free]
         return unexplained(units, moved, motions, size), units
 
     return seen

@@ -129,9 +129,7 @@ def search(
     while current.normal.decrement > _tolerance(system, current, enough):
         if evaluations >= current.limit(max_evaluations) or damping > _DAMPING[1]:
             break
-        if progress and evaluations % 5 == 0:
-            deviation = np.sqrt(current.cost / len(current.weights))
-            progress(f"step {evaluations}: {deviation:.3g} σ a pose")
+        _report(progress, current, evaluations)
         # 1. A damped step of all unknowns; then each pose alone.
         step = current.normal.step(damping)
         trial, count = _reached(system, current, step, fixed_poses)
@@ -211,6 +209,13 @@ def adjusted(problem: Problem, linear: Linear) -> Linear:
         back = (by_reading @ noise[:, :, None])[:, :, 0]
         at_adjusted = replace(corrected, conditions=corrected.conditions - back)
     return at_adjusted
+
+
+def _report(progress: Callable[[str], None] | None, current: Iterate, evaluations: int) -> None:
+    """Say how far a search is, now and then."""
+    if progress and evaluations % 5 == 0:
+        deviation = np.sqrt(current.cost / len(current.weights))
+        progress(f"step {evaluations}: {deviation:.3g} σ a pose")
 
 
 def _tolerance(system: System, current: Iterate, enough: float) -> float:

@@ -98,13 +98,13 @@ class ExternalUnknowns:
         self.turn = slice(self.offsets.stop, self.offsets.stop + 3)
         self.own = slice(self.turn.stop, self.turn.stop + len(own))
         """Places of offsets of targets, of the turn, and of parameters of instruments."""
-        owners = ["tracker.", "tracker.r", *(f"{owner(name)}." for name in targets), "target.r"]
-        names = [f"{stem}{axis}" for stem in owners for axis in "xyz"] + [p.id for p in own]
-        units = ["rad" if stem[-1] == "r" else "m" for stem in owners for _ in range(3)]
-        units += [parameter.unit for parameter in own]
-        self.names = tuple(names[place] for place in self.free)
+        stems = [("tracker.", "m"), ("tracker.r", "rad")]
+        stems += [(f"{owner(name)}.", "m") for name in targets] + [("target.r", "rad")]
+        every = [(f"{stem}{axis}", unit) for stem, unit in stems for axis in "xyz"]
+        every += [(parameter.id, parameter.unit) for parameter in own]
+        self.names = tuple(every[place][0] for place in self.free)
         """Ids of the unknowns."""
-        self.units = tuple(units[place] for place in self.free)
+        self.units = tuple(every[place][1] for place in self.free)
         offsets = np.array([target.offset for target in targets.values()], dtype=float)
         nominal = np.array([parameter.nominal for parameter in own], dtype=float)
         self.start = External(np.eye(4), offsets, np.eye(3), nominal)
@@ -256,9 +256,14 @@ def unknowns(
     sigmas = _prior_sigmas(pairs, priors or {}, n)
     sigmas[list(held)] = np.inf
     ids = [*map(".".join, pairs), *external]
-    more = [f" (tied to {len(places) - 1} more)" if len(places) > 1 else "" for places in groups]
-    free_labels = tuple(ids[places[0]] + tie for places, tie in zip(groups, more, strict=True))
+    free_labels = tuple(_free_label(ids, places) for places in groups)
     return Unknowns(tuple(ids), start, T, sigmas, nominal, free_labels)
+
+
+def _free_label(ids: Sequence[str], places: Sequence[int]) -> str:
+    """Return the id of a free parameter, the first that is tied if several are."""
+    others = len(places) - 1
+    return ids[places[0]] + (f" (tied to {others} more)" if others else "")
 
 
 def _tied_places(
