@@ -40,7 +40,6 @@ WHY = {
     "that goes into the page; its server, and what that needs (tornado, pyzmq, pyngrok, ipython), "
     "are installed with it but not used",
     "u-msgpack-python": "packs meshcat's commands as its viewer reads them; meshcat needs it too",
-    "distributed": "extra `cluster`: the same chunks on a Dask cluster (`--scheduler`)",
     "pandas": "extra `pandas`: tables in and out as DataFrames",
     "mujoco": "extra `mujoco`: reads MJCF, its own format: defaults, includes, frames, replicas, "
     "all notations of orientations; a reader by hand knew some of them, and lost joints in silence",
@@ -151,7 +150,7 @@ def indirect() -> str:
 
 TABLES = {
     "library": direct,
-    "tools": lambda: direct("cluster", "test", "docs", "dev"),
+    "tools": lambda: direct("test", "docs", "dev"),
     "brought": indirect,
 }
 

@@ -81,7 +81,6 @@ def test_pictures_of_every_kind_of_positions(more: list[object], tmp_path: Path)
         ("--kind total-orientation", ["needs the orientations"]),
         ("--kind total-orientation --axis tilt=0", ["platform takes phi"]),
         ("--kind reachable --jobs 0", ["0 jobs"]),
-        ("--kind reachable --scheduler tcp://127.0.0.1:1", ["127.0.0.1:1", "dask scheduler"]),
         ("--kind reachable --count 10", ["--count", "not for --kind reachable"]),
         ("--kind reachable --no-margins --margin-type1 0.1", ["--no-margins"]),
         ("--kind reachable --axis x=-500:500:10 --axis y=-500:500:10", ["'x'", "[mm]"]),

@@ -187,7 +187,7 @@ def test_dependencies_page_is_what_is_installed(dependencies: dict[str, Any]) ->
     Of tools that are not installed, as in a run of the tests alone, only the names are known.
     """
     page = (ROOT / "docs" / "dependencies.md").read_text(encoding="utf-8")
-    tools = [one.name for one in dependencies["asked"]("cluster", "test", "dev")]
+    tools = [one.name for one in dependencies["asked"]("test", "dev")]
     assert all(f"| {name} |" in page for name in tools)
     try:
         made = dependencies["written"](page, "library", "tools")

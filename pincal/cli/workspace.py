@@ -29,7 +29,7 @@ from pincal.workspace.region import KINDS, Workspace, compute_workspace
 from pincal.workspace.sampling import sample_configurations
 
 #: Options that samples of poses do not have; of regions that is the number of poses.
-_OF_REGIONS = ("axis", "symmetry", "connected", "inscribed", "picture", "jobs", "scheduler")
+_OF_REGIONS = ("axis", "symmetry", "connected", "inscribed", "picture", "jobs")
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,6 @@ class WorkspaceOptions:
     inscribed: bool = option(False, "Find the largest circle or ball inside.")
     picture: Path | None = option(None, "Draw the workspace.", metavar="FILE.svg|png|pdf")
     jobs: int = option(1, "Processes; -1 for one a core.", most=1024)
-    scheduler: str | None = option(None, "Run on a Dask cluster.", metavar="tcp://HOST:PORT")
     force: bool = option(False, FORCE)
 
     def check(self, output: Path) -> None:
@@ -134,7 +133,6 @@ def _region(mechanism: Mechanism, output: Path, options: WorkspaceOptions) -> No
                 symmetry=options.symmetry,
                 connected=options.connected,
                 jobs=options.jobs,
-                scheduler=options.scheduler,
                 progress=done,
             )
 

@@ -9,11 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import product
 from pathlib import Path
 from typing import Any
 
+import joblib
 import numpy as np
 
 from pincal.blas import on_one_thread
@@ -28,7 +29,6 @@ from pincal.symmetry.elements import IDENTITY, Element, Isometry
 from pincal.types import Array, Mask
 from pincal.words.numbers import measured
 from pincal.workspace.axes import Orientations
-from pincal.workspace.chunks import run
 from pincal.workspace.criteria import Criteria, Margins, as_margins, criteria_of, refuse_readings
 from pincal.workspace.grid import (
     BLOCK,
@@ -310,8 +310,6 @@ class Computing:
     to home."""
     jobs: int = 1
     """Processes; -1 for one a core."""
-    scheduler: str | None = None
-    """Address of a Dask scheduler to run on."""
     progress: Callable[[int], None] | None = None
     """Called with the number of positions done."""
 
@@ -338,14 +336,17 @@ def compute_workspace(
         orientations: Orientations asked; if not given, home's for a constant orientation, and
             all round (5° apart in a plane, 30° in space) if reachable or dexterous.
         least: Margins from singularities.
-        **options: ``symmetry``, ``connected``, ``jobs``, ``scheduler``, ``progress``: see
-            ``Computing``.
+        **options: ``symmetry``, ``connected``, ``jobs``, ``progress``: see ``Computing``.
 
     Raises:
         WorkspaceError: an unknown kind, no orientations where they are needed, or work that
             cannot be run as asked.
     """
     how, mechanism = Computing(**options), as_mechanism(mechanism)
+    if not isinstance(how.jobs, int | np.integer) or how.jobs == 0 or how.jobs < -1:
+        raise WorkspaceError(
+            f"{described(how.jobs)} jobs; expected at least 1, or -1 for one a core"
+        )
     asked = _asked(mechanism, kind, orientations)
     if not isinstance(grid, Grid):
         raise WorkspaceError(f"grid: expected a Grid; got {described(grid)}")
@@ -364,7 +365,8 @@ def compute_workspace(
     size = max(1, min(BLOCK, (_CHUNK if test.in_closed_form else BLOCK) // len(asked)))
     inside, computed = np.zeros(grid.size, dtype=bool), 0
     chunks = list(blocks(grid.size, size))
-    asking = run(partial(_asked_bits, test, grid, moves), chunks, how.jobs, how.scheduler)
+    parallel = joblib.Parallel(how.jobs, return_as="generator_unordered")
+    asking = parallel(joblib.delayed(_asked_bits)(test, grid, moves, chunk) for chunk in chunks)
     for done, (chunk, bits) in enumerate(asking, 1):
         packed = np.frombuffer(bits, dtype=np.uint8)
         inside[slice(*chunk)] = np.unpackbits(packed, count=chunk[1] - chunk[0])
@@ -383,14 +385,14 @@ def compute_workspace(
 
 
 def _asked_bits(
-    test: PositionTest, grid: Grid, moves: tuple[Isometry, ...], begin: int, end: int
-) -> bytes:
+    test: PositionTest, grid: Grid, moves: tuple[Isometry, ...], chunk: tuple[int, int]
+) -> tuple[tuple[int, int], bytes]:
     """Return which positions of a chunk count, as packed bits: of each orbit the lowest."""
-    index = np.arange(begin, end)
+    index = np.arange(*chunk)
     lowest = index[representatives(grid, moves)(index) == index]
-    inside = np.zeros(end - begin, dtype=bool)
-    inside[lowest - begin] = test(grid.at(lowest))
-    return np.packbits(inside).tobytes()
+    inside = np.zeros(len(index), dtype=bool)
+    inside[lowest - chunk[0]] = test(grid.at(lowest))
+    return chunk, np.packbits(inside).tobytes()
 
 
 def _asked(mechanism: Mechanism, kind: str, given: Orientations | None) -> Orientations:
