@@ -1,0 +1,107 @@
+"""Real machines by the default options: rows not used, beside least squares of equal weights.
+
+    python benchmarks/real_machines.py [--splits 10] [--only irb120 …]
+
+Sets of measurements are looked for where ``PINCAL_DATA`` says, or beside the project. 70 % of the
+rows are fitted; a line has root mean square distances of the targets at the others [mm], by least
+squares (which SciPy's of all displacements equals) and by default, how many of the default fits
+converged, how large the error of the measured points is promised over what they miss by, and the
+longest time of a fit [s].
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+import motoman
+from arms import loaded
+
+import pincal
+
+Set = tuple[pincal.Mechanism, pincal.Measurements, pincal.Setup]
+LEAST_SQUARES = pincal.Noise(5e-4, 5e-3, 0.0)
+FRAME = pincal.Setup(unknown_frame=True)
+
+
+def arm(folder: str, urdf: str, tip: str, table: str, setup: str | None) -> Set:
+    """Return a set of an arm's URDF, measurements and setup."""
+    source = motoman.DATA / folder
+    machine = pincal.Mechanism.from_urdf(source / urdf, tip) if urdf else loaded(tip)
+    how = (
+        pincal.Setup.from_yaml(source / setup)
+        if setup
+        else pincal.Setup(unknown_frame=True, targets={"platform": pincal.Target(unknown=True)})
+    )
+    data = pincal.Measurements.from_csv(source / table, machine, how, partial=True)
+    return machine, data, how
+
+
+SETS: dict[str, Callable[[], Set]] = {
+    "motoman_left": lambda: (motoman.mechanism("left"), motoman.measurements("left"), FRAME),
+    "motoman_right": lambda: (motoman.mechanism("right"), motoman.measurements("right"), FRAME),
+    "irb120_60": lambda: arm("irb120_60", "irb.urdf", "tool0", "ice60.csv", "ice.yaml"),
+    "iiwa7": lambda: arm("iiwa7", "iiwa.urdf", "flange", "iiwaL.csv", None),
+    "tiago": lambda: arm("tiago", "", "tiago", "tiago.csv", "tiago.yaml"),
+}
+
+
+def missed(result: pincal.CalibrationResult, rows: pincal.Measurements) -> float:
+    """Return the root mean square distance by which targets are missed at rows, [m]."""
+    outside, squares = result.outside, []
+    if outside is None:
+        raise TypeError("the frame was known")
+    poses = pincal.forward(result.identified, rows.readings).poses
+    matrices = outside.frame @ result.identified.platform.matrices(poses)
+    for name, offset in zip(result.options.setup.targets, outside.offsets, strict=True):
+        columns = [f"{name}_{axis}" for axis in "xyz"]
+        where = rows.poses[:, :3]
+        if columns[0] in rows.extra:
+            where = np.column_stack([rows.extra[column] for column in columns])
+        squares.append((matrices[:, :3, :3] @ offset + matrices[:, :3, 3] - where) ** 2)
+    return float(np.sqrt(np.nanmean(np.concatenate(squares).sum(axis=1))))
+
+
+def line(name: str, splits: int) -> str:
+    """Return the line of a set."""
+    machine, data, setup = SETS[name]()
+    found, promised, seconds, converged = [], [], [], 0
+    for seed in range(splits):
+        order = np.random.default_rng(seed).permutation(len(data))
+        fit, others = np.split(order, [int(0.7 * len(data))])
+        seen, unseen = data.rows(np.sort(fit)), data.rows(np.sort(others))
+        even = pincal.calibrate(machine, seen, setup=setup, noise=LEAST_SQUARES)
+        begun = time.perf_counter()
+        result = pincal.calibrate(machine, seen, setup=setup)
+        seconds.append(time.perf_counter() - begun)
+        converged += result.converged
+        found.append((missed(even, unseen), missed(result, unseen)))
+        poses = pincal.forward(result.identified, unseen.readings).poses
+        expected = result.expected_error(pincal.Plan(poses, readings=unseen.readings))
+        promised.append(expected.where_determined[0] / found[-1][1])
+    held_out = 1e3 * np.sqrt(np.mean(np.square(found), axis=0))
+    numbers = f"{held_out[0]:.4f} | {held_out[1]:.4f} | {converged} of {splits}"
+    return f"| {name} | {numbers} | {np.median(promised):.2f} | {max(seconds):.1f} |"
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--splits", type=int, default=10)
+    parser.add_argument("--only", nargs="*", default=list(SETS))
+    given = parser.parse_args()
+    print("| set | least squares | default | converged | promised over seen | longest |")
+    print("|---|---|---|---|---|---|")
+    for name in given.only:
+        if (motoman.DATA / name).is_dir():
+            print(line(name, given.splits), flush=True)
+
+
+if __name__ == "__main__":
+    main()
