@@ -48,15 +48,15 @@ def folds_of(data: Measurements, folds: int, by: By = "turn") -> Index:
             f"{folds} folds of {most} poses; expected at least two folds, and no more than there "
             "are poses"
         )
-    found = np.zeros(len(data), dtype=np.intp)
+    folds_of_rows = np.zeros(len(data), dtype=np.intp)
     for poses in groups.values():
         firsts = np.array([rows[0] for rows in poses.values()])
-        own = np.arange(len(poses)) % folds
+        fold_of_pose = np.arange(len(poses)) % folds
         if by == "region":
-            own = _regions(_scaled(data.readings[firsts]), min(folds, len(poses)))
-        for rows, fold in zip(poses.values(), own, strict=True):
-            found[rows] = fold
-    return found
+            fold_of_pose = _regions(_scaled(data.readings[firsts]), min(folds, len(poses)))
+        for rows, fold in zip(poses.values(), fold_of_pose, strict=True):
+            folds_of_rows[rows] = fold
+    return folds_of_rows
 
 
 def clusters(data: Measurements) -> list[str]:
@@ -71,9 +71,9 @@ def _scaled(readings: Array) -> Array:
     measured = np.isfinite(readings)
     low = np.min(readings, axis=0, where=measured, initial=np.inf)
     high = np.max(readings, axis=0, where=measured, initial=-np.inf)
-    some = high > low
-    shares = (readings - np.where(some, low, 0.0)) / np.where(some, high - low, 1.0)
-    return np.where(measured & some, shares, 0.5)
+    ranged = high > low
+    shares = (readings - np.where(ranged, low, 0.0)) / np.where(ranged, high - low, 1.0)
+    return np.where(measured & ranged, shares, 0.5)
 
 
 def _regions(readings: Array, count: int) -> Index:
@@ -84,10 +84,10 @@ def _regions(readings: Array, count: int) -> Index:
     order = np.argsort(readings[:, int(np.argmax(spread))], kind="stable")
     first = count // 2
     low, high = np.split(order, [round(len(order) * first / count)])
-    found = np.empty(len(readings), dtype=np.intp)
-    found[low] = _regions(readings[low], first)
-    found[high] = first + _regions(readings[high], count - first)
-    return found
+    folds_of_rows = np.empty(len(readings), dtype=np.intp)
+    folds_of_rows[low] = _regions(readings[low], first)
+    folds_of_rows[high] = first + _regions(readings[high], count - first)
+    return folds_of_rows
 
 
 Method = Literal["all-legs", "per-leg"]

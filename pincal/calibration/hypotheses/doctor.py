@@ -68,12 +68,12 @@ def remedies(calibration: Calibration) -> Iterator[Remedy]:
     """
     setup = calibration.options.setup
     for known in (setup, *_wider(setup)):
-        given = calibration.with_options(setup=known)
-        first = _attempt((), given)
+        in_setup = calibration.with_options(setup=known)
+        first = _attempt((), in_setup)
         yield first
         if first.works:
             return
-        tried = [_attempt(*alternative) for alternative in _explained(given)]
+        tried = [_attempt(*alternative) for alternative in _explained(in_setup)]
         yield from tried
         if any(remedy.works for remedy in tried):
             return

@@ -65,7 +65,7 @@ def units(case: Case) -> Iterator[Hypothesis]:
     kinds += [("readings", "m", columns), ("readings", "rad", columns)]
     kinds = [kind for kind in kinds if kind[1] in kind[2]]
     for choice in product(*([None, *UNITS[unit].items()] for _, unit, _ in kinds)):
-        wrong = [(kind, how) for kind, how in zip(kinds, choice, strict=True) if how]
+        wrong = [(kind, written) for kind, written in zip(kinds, choice, strict=True) if written]
         scales = np.ones(len(coordinates)), np.ones(len(columns))
         for (name, unit, units_of_columns), (_, factor) in wrong:
             scales[name == "readings"][units_of_columns == unit] = factor
@@ -140,9 +140,11 @@ def _factors(case: Case, matrices: Array) -> Array:
         order = np.argsort(ratios)
         sums = np.cumsum(weights[order])
         factor = float(ratios[order][np.searchsorted(sums, sums[-1] / 2)])
-        if factor > 0.0 and not any(_nearly(factor, 1.0 / by) for by in UNITS[unit].values()):
-            whole = round(factor) if factor > 1.0 else 1.0 / round(1.0 / factor)
-            factors[column] = whole if _nearly(factor, whole) else factor
+        if factor > 0.0 and not any(
+            _nearly(factor, 1.0 / right_factor) for right_factor in UNITS[unit].values()
+        ):
+            whole_number = round(factor) if factor > 1.0 else 1.0 / round(1.0 / factor)
+            factors[column] = whole_number if _nearly(factor, whole_number) else factor
     return factors
 
 

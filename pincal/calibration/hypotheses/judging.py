@@ -84,8 +84,8 @@ class Case:
         target, known = setup.targets[ORIGIN], np.isfinite(data.poses)
         rows, oriented = np.flatnonzero(known.all(axis=1)), True
         if len(rows) < 2:
-            whole = np.isfinite(data.readings).all(axis=1)
-            rows = np.flatnonzero(known[:, : mechanism.platform.lengths].all(axis=1) & whole)
+            known_rows = np.isfinite(data.readings).all(axis=1)
+            rows = np.flatnonzero(known[:, : mechanism.platform.lengths].all(axis=1) & known_rows)
             oriented = False
         free = setup.unknown_frame
         if len(rows) < 2 or (target.unknown and np.any(target.offset) and not free):
@@ -278,8 +278,8 @@ def _placed(case: Case, calibrations: Sequence[Calibration]) -> list[Array | Non
     reached[converged] = platform.matrices(solution.poses[index.ravel()][converged[known]])
     parts = (np.split(values, len(calibrations) or 1) for values in (reached, known, converged))
     return [
-        _aligned(calibration, T, good) if 2 * good.sum() >= max(whole.sum(), 6) else None
-        for calibration, T, whole, good in zip(calibrations, *parts, strict=False)
+        _aligned(calibration, T, good) if 2 * good.sum() >= max(known_rows.sum(), 6) else None
+        for calibration, T, known_rows, good in zip(calibrations, *parts, strict=False)
     ]
 
 
@@ -335,10 +335,10 @@ def _leg_fits(calibration: Calibration, matrices: Array) -> tuple[LegFit, ...]:
         readings = data.readings[rows[served]][:, columns]
         with np.errstate(all="ignore"):
             moved = demand.reading[served] * (readings - np.median(readings, axis=0))[:, None]
-            at = LegClosure(leg, mechanism.platform).evaluate(
+            closure = LegClosure(leg, mechanism.platform).evaluate(
                 closed.joints[place][served], matrices[rows[served]]
             )
-            bent = mode_sign(at) * home_mode(leg, mechanism.platform) < 0.0
+            bent = mode_sign(closure) * home_mode(leg, mechanism.platform) < 0.0
             fit = LegFit(
                 rows=int(served.sum()),
                 gap=float(np.median(_missed(demand.value[served])) / leg.size),

@@ -133,11 +133,13 @@ def _explaining(case: Case) -> tuple[list[Judged], Judged]:
     return explanations(case, as_measured), as_measured
 
 
-def _strange(case: Case, given: Judged) -> tuple[Finding, ...]:
+def _strange(case: Case, as_measured: Judged) -> tuple[Finding, ...]:
     """Return what bars a fit though no hypothesis explains it."""
     mechanism = case.mechanism
     judged = [
-        (leg, fit) for leg, fit in zip(mechanism.legs, given.fits, strict=False) if fit.rows > 1
+        (leg, fit)
+        for leg, fit in zip(mechanism.legs, as_measured.fits, strict=False)
+        if fit.rows > 1
     ]
     if not judged:
         return ()
@@ -204,12 +206,12 @@ def _turns(case: Case) -> tuple[Finding, ...]:
     return ()
 
 
-def _slips(case: Case, given: Judged) -> tuple[Finding, ...]:
+def _slips(case: Case, as_measured: Judged) -> tuple[Finding, ...]:
     """Return which few rows miss machines near the nominal one much farther than the others.
 
     Where poses were measured in full: those filled in by forward kinematics vary in precision.
     """
-    judged = [leg_fit.left for leg_fit in given.fits if leg_fit.rows > 1]
+    judged = [leg_fit.left for leg_fit in as_measured.fits if leg_fit.rows > 1]
     if not case.oriented or not judged:
         return ()
     left = np.array(judged)

@@ -42,67 +42,67 @@ _CELLS, _TIMES = (
 )  # zeros of a motor tried at a time, over a turn, then over a cell of the last
 
 
-def explanations(case: Case, given: Judged) -> list[Judged]:
+def explanations(case: Case, as_measured: Judged) -> list[Judged]:
     """Return the hypotheses that explain measurements, the simplest, as good as the best.
 
     Args:
         case: The measurements.
-        given: How they fit as they are.
+        as_measured: How they fit as they are.
     """
-    for stage in _stages(case, given):
-        explaining = [judged for judged in stage if _explains(judged, given)]
+    for stage in _stages(case, as_measured):
+        explaining = [judged for judged in stage if _explains(judged, as_measured)]
         if explaining:
             best = max(min(judged.misfit for judged in explaining), PRECISE)
             equal = [judged for judged in explaining if judged.misfit <= EQUAL * best]
-            here = [
+            on_this_side = [
                 judged for judged in equal if other_side(case.mechanism, judged.matrices) <= 0.5
             ]
-            return here or ([] if given.elsewhere > 0.5 else equal)
+            return on_this_side or ([] if as_measured.elsewhere > 0.5 else equal)
     return []
 
 
-def _stages(case: Case, given: Judged) -> Iterator[list[Judged]]:
+def _stages(case: Case, as_measured: Judged) -> Iterator[list[Judged]]:
     """Yield hypotheses with their fits, the simplest first.
 
     A base that is near where it should be is a change of parameters, and no hypothesis.
     """
     framed = case.anywhere(_ROWS_FRAMED)
-    moved = case.alone and not given.within(DIFFER)
-    by_poses = given.matrices if case.alone else None
+    moved = case.alone and not as_measured.within(DIFFER)
+    by_poses = as_measured.matrices if case.alone else None
     single = [*single_faults(case), *scales(case, by_poses)]
     if case.alone and by_poses is not None and not case.mechanism.by_readings:
         single.append(zeros(zeros_by_poses(case, by_poses)))
-    judged = _judged(case, given, single)
+    judged = _judged(case, as_measured, single)
     if moved:
-        judged += _judged(framed, given, [replace(AS_MEASURED, code="unknown-frame")])
+        judged += _judged(framed, as_measured, [replace(AS_MEASURED, code="unknown-frame")])
     yield judged
     if not case.alone:
         yield _zeros(case)
-    yield _judged(case, given, (several for several in units(case) if several.faults > 1))
+    yield _judged(case, as_measured, (several for several in units(case) if several.faults > 1))
     if moved:
         second = (replace(fault, faults=fault.faults + 1) for fault in single_faults(framed))
-        yield _judged(framed, given, second)
+        yield _judged(framed, as_measured, second)
 
 
-def _explains(judged: Judged, given: Judged) -> bool:
+def _explains(judged: Judged, as_measured: Judged) -> bool:
     """Return whether a hypothesis leaves little enough of the misfit of what was given."""
-    if not given.fits and judged.questioned:
+    if not as_measured.fits and judged.questioned:
         return False  # anything is better than nothing
     wrong_units = judged.hypothesis.values.get("units", ())
-    shrinks = any((unit, how) == ("m", "mm") for _, unit, how in wrong_units)
-    gap = max((fit.gap for fit in given.judged), default=np.inf)
+    shrinks = any((unit, written) == ("m", "mm") for _, unit, written in wrong_units)
+    gap = max((fit.gap for fit in as_measured.judged), default=np.inf)
     if shrinks and (gap < 1.0 or judged.questioned):
         return False  # lengths too large miss by far, and shrinking makes any misfit small
-    most = given.misfit / _EACH**judged.hypothesis.faults
-    return judged.within(DIFFER) and judged.leaves(most)
+    largest = as_measured.misfit / _EACH**judged.hypothesis.faults
+    return judged.within(DIFFER) and judged.leaves(largest)
 
 
-def _judged(case: Case, given: Judged, hypotheses: Iterable[Hypothesis]) -> list[Judged]:
+def _judged(case: Case, as_measured: Judged, hypotheses: Iterable[Hypothesis]) -> list[Judged]:
     """Return hypotheses with their fits; those of single legs for the legs that they help."""
     every, hypotheses = range(len(case.mechanism.legs)), list(hypotheses)
     if case.alone:
         return [
-            _helped(judged, given) if judged.hypothesis.by_leg else judged
+            _helped(judged, as_measured) if judged.hypothesis.by_leg else judged
             for judged in judge(case, hypotheses)
         ]
     tried: list[tuple[Hypothesis, tuple[int, ...]]] = []
@@ -115,9 +115,11 @@ def _judged(case: Case, given: Judged, hypotheses: Iterable[Hypothesis]) -> list
 
 def _likely(case: Case, tried: Sequence[tuple[Hypothesis, tuple[int, ...]]]) -> list[Judged]:
     """Return hypotheses, each with the legs that it concerns, of which a few rows fit the legs."""
-    few = judge(_few(case), [hypothesis for hypothesis, _ in tried])
+    on_few_rows = judge(_few(case), [hypothesis for hypothesis, _ in tried])
     likely = [
-        pair for pair, judged in zip(tried, few, strict=True) if judged.within(EQUAL * DIFFER)
+        pair
+        for pair, judged in zip(tried, on_few_rows, strict=True)
+        if judged.within(EQUAL * DIFFER)
     ]
     every = judge(case, [hypothesis for hypothesis, _ in likely])
     return [replace(judged, legs=legs) for judged, (_, legs) in zip(every, likely, strict=True)]
@@ -130,10 +132,10 @@ def _few(case: Case) -> Case:
     return replace(case, rows=case.rows[chosen])
 
 
-def _helped(judged: Judged, given: Judged) -> Judged:
+def _helped(judged: Judged, as_measured: Judged) -> Judged:
     """Return a hypothesis for those legs only whose readings it puts right."""
-    pairs = list(enumerate(zip(judged.fits, given.fits, strict=True)))
-    divided = judged.misfits * _EACH <= given.misfits
+    pairs = list(enumerate(zip(judged.fits, as_measured.fits, strict=True)))
+    divided = judged.misfits * _EACH <= as_measured.misfits
     helped = [i for i, (after, _) in pairs if after.rows > 1 and divided[i]]
     fits = tuple(after if i in helped else before for i, (after, before) in pairs)
     if len(helped) == len(pairs):
@@ -147,13 +149,15 @@ def _zeros(case: Case) -> list[Judged]:
     mechanism = case.mechanism
     if mechanism.by_readings:
         return []
-    few, axes = _few(case), np.eye(len(mechanism.legs))
+    on_few_rows, axes = _few(case), np.eye(len(mechanism.legs))
     far = [np.pi if leg.reading_units[0] == "rad" else leg.size / 2 for leg in mechanism.legs]
     best, reach, equal = np.zeros(len(axes)), np.array(far), 1.0
     for _ in range(_TIMES):
         grid = best + np.linspace(-1, 1, _CELLS + 1)[1:, None] * reach
-        tried = [zeros(off * axis) for row in grid for off, axis in zip(row, axes, strict=True)]
-        costs = np.reshape([judged.gap for judged in judge(few, tried)], grid.shape)
+        tried = [
+            zeros(offset * axis) for row in grid for offset, axis in zip(row, axes, strict=True)
+        ]
+        costs = np.reshape([judged.gap for judged in judge(on_few_rows, tried)], grid.shape)
         among = costs <= equal * costs.min(axis=0)
         best = (grid * among).sum(axis=0) / among.sum(axis=0)
         # where no measurement says more, the middle
@@ -163,15 +167,15 @@ def _zeros(case: Case) -> list[Judged]:
 
 
 def as_findings(
-    mechanism: Mechanism, given: Judged, explaining: Sequence[Judged]
+    mechanism: Mechanism, as_measured: Judged, explaining: Sequence[Judged]
 ) -> tuple[Finding, ...]:
     """Return hypotheses that explain measurements as findings."""
     names = mechanism.leg_names
-    asked = given.questioned or list(range(len(names)))
+    named_legs = as_measured.questioned or list(range(len(names)))
     common: dict[str, Any] = {
-        "other_side": given.elsewhere,
-        "questioned": tuple(names[i] for i in asked),
-        "given": float(given.misfits[asked].max()) if given.fits else None,
+        "other_side": as_measured.elsewhere,
+        "questioned": tuple(names[i] for i in named_legs),
+        "given": float(as_measured.misfits[named_legs].max()) if as_measured.fits else None,
     }
     return tuple(
         finding(
@@ -179,8 +183,8 @@ def as_findings(
             **common,
             **_values(mechanism, judged),
             legs=tuple(names[i] for i in judged.legs),
-            left=float(judged.misfits[asked].max()),
-            unknown_frame=judged.free and not given.free,
+            left=float(judged.misfits[named_legs].max()),
+            unknown_frame=judged.free and not as_measured.free,
         )
         for judged in explaining
     )

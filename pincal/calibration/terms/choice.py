@@ -58,12 +58,14 @@ class NestedModel:
         Squared white residuals and how many they are; by how much targets are missed, [m] and
         [rad].
         """
-        there = replace(unseen, mechanism=self.calibration.mechanism)
-        count = len(there.measurements)
-        errors = np.hstack((np.zeros((count, 2)), per_row(misses_of(there, self.fits), count)))
-        for fit, linear in predictions(self.fits, there):
-            legs = [there.mechanism.leg_names.index(leg.name) for leg in fit.problem.legs]
-            serves = there.used[:, legs].any(axis=1) | self.fits.latent
+        unseen_rows = replace(unseen, mechanism=self.calibration.mechanism)
+        count = len(unseen_rows.measurements)
+        errors = np.hstack(
+            (np.zeros((count, 2)), per_row(misses_of(unseen_rows, self.fits), count))
+        )
+        for fit, linear in predictions(self.fits, unseen_rows):
+            legs = [unseen_rows.mechanism.leg_names.index(leg.name) for leg in fit.problem.legs]
+            serves = unseen_rows.used[:, legs].any(axis=1) | self.fits.latent
             errors[serves, 0] += linear.squares
             errors[serves, 1] += linear.equations
         return errors
@@ -154,7 +156,10 @@ def choose(calibration: Calibration, pairs: Sequence[tuple[str, Kind]]) -> Choic
     for fold in range(int(groups.max()) + 1):
         geometry.options.report(f"models on held-out rows, fold {fold + 1} of {groups.max() + 1}")
         held_rows = np.flatnonzero(groups == fold)
-        seen = [whole.rows(groups != fold).at_this_noise() for whole in (drawn, geometry)]
+        seen = [
+            calibration_of_all.rows(groups != fold).at_this_noise()
+            for calibration_of_all in (drawn, geometry)
+        ]
         try:
             parts = _errors_of_fold(geometry.rows(held_rows), seen, pairs, len(steps) - 2)
         except _TROUBLE as error:

@@ -70,7 +70,7 @@ def explain(
     mechanism: Mechanism | str | Path,
     measurements: Measurements | str | Path | Any,
     options: Options | None = None,
-    **more: Any,
+    **single_options: Any,
 ) -> Explanation:
     """Return what a calibration's residuals follow, and which terms pay.
 
@@ -79,15 +79,15 @@ def explain(
         measurements: What was measured; or a CSV file or a DataFrame of it, whose other columns
             of numbers (temperature, time, …) are tried too.
         options: How to calibrate; ``terms`` are the kinds to try, all if none are given.
-        **more: Single options by name, such as ``folds=``: see ``Options``.
+        **single_options: Single options by name, such as ``folds=``: see ``Options``.
 
     Raises:
         MeasurementError: measurements that cannot be this mechanism's, or an unknown kind of term.
         ObservabilityError: too few poses, or poses that leave parameters undetermined.
     """
-    chosen = Options.of(options, **more)
-    asked = replace(chosen, terms=chosen.terms or (AUTO,))
-    return explained(prepared(mechanism, measurements, asked))
+    chosen = Options.of(options, **single_options)
+    with_terms = replace(chosen, terms=chosen.terms or (AUTO,))
+    return explained(prepared(mechanism, measurements, with_terms))
 
 
 @on_one_thread
@@ -95,7 +95,7 @@ def explained(calibration: Calibration) -> Explanation:
     """Return what ``explain`` does, of a calibration to be done; its terms are those to try."""
     tried = calibration.options.terms
     plain = replace(calibration, options=replace(calibration.options, terms=()))
-    named = parse_terms([one for one in tried if one != AUTO], plain.mechanism)
+    named = parse_terms([term for term in tried if term != AUTO], plain.mechanism)
     every = every_pair(plain.mechanism, plain.measurements) if AUTO in tried else []
     pairs = list(dict.fromkeys((*named, *every)))
     result, _ = run(plain)
