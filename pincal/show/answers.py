@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import gammaincinv
 
+from pincal.calibration.missed import Missed
 from pincal.calibration.promise import seen_by
 from pincal.calibration.result import CalibrationResult
 from pincal.calibration.validation import MISSES, Validation
@@ -30,7 +31,7 @@ from pincal.words.numbers import (
     size,
 )
 from pincal.words.sentences import WORDINGS, finding, sentence
-from pincal.words.table import Cell, Column, Table, Value
+from pincal.words.table import Column, Table
 from pincal.words.wording import UNCOVERED, missed_line, noise_in_words
 
 _MOST_PAIRS = 3  # weak pairs that are named
@@ -96,7 +97,7 @@ def _better(result: CalibrationResult, errors: WorkspaceErrors) -> Answer:
     if not errors.expected.determined.any():
         return Answer(question, "Not determined", "bad", [f"{_UNDETERMINED}."])
     sizes = np.array([errors.mean_before(), errors.mean_after(), errors.limit])
-    before, after, limit = sizes[:, sizes.any(axis=0)]  # a platform that only turns has no position
+    before, after, limit = sizes[:, sizes[:2].any(axis=0)]  # of what moves and was measured
     ratios = before / after
     if min(ratios) >= 2.0:
         text = f"Expect the platform's error to be smaller by a factor of {_factors(ratios)}"
@@ -145,30 +146,21 @@ def accuracy_table(result: CalibrationResult, errors: WorkspaceErrors) -> Table:
     if result.explained and errors.expected.determined.any():
         sizes = {"nominal": errors.mean_before(), "calibrated": errors.mean_after()}
         sizes |= {"95 %: below": errors.limit} if result.promises else {}
-        rows = {head: dict(zip(names, values, strict=False)) for head, values in sizes.items()}
+        kinds = {"m": 0, "rad": 1}
+        rows = {
+            head: {(name, unit): values[kinds[unit]] for name, unit in names}
+            for head, values in sizes.items()
+        }
     region = f" {errors.where}{_FRAMES * result.moves_frames}" if rows else ""
-    if result.validation is not None and result.validation.fit <= MISSES:
-        held_out = {}
-        for missed in result.validation.targets:
-            name = "position" if missed.unit == "m" else "orientation"
-            target = "" if missed.target == ORIGIN else f" of {missed.target}"
-            held_out[name + target, missed.unit] = missed.rms
-        rows |= {"held out": held_out} if held_out else {}
-        names = list(dict.fromkeys([*names, *held_out]))
-    cells: list[list[Value]] = [
-        [
-            head,
-            *(
-                Cell(row[name], number(row[name], name[1])) if name in row else None
-                for name in names
-            ),
-        ]
-        for head, row in rows.items()
-    ]
+    for missed in _missed(result):
+        name = "position" if missed.unit == "m" else "orientation"
+        name += "" if missed.target == ORIGIN else f" of {missed.target}"
+        rows.setdefault("held out", {})[name, missed.unit] = missed.rms
+    names = list(dict.fromkeys([*names, *rows.get("held out", {})]))
     return Table(
         f"RMS error of the platform{region}",
-        (Column(""), *(Column(name, unit) for name, unit in names)),
-        cells,
+        (Column(""), *(Column(name, unit, ".3g") for name, unit in names)),
+        [[head, *(row.get(name) for name in names)] for head, row in rows.items()],
         "held out: rows not fitted, noise included" * ("held out" in rows),
     )
 
@@ -364,9 +356,13 @@ def platform_lines(result: CalibrationResult, errors: WorkspaceErrors) -> list[s
 
 def check_lines(result: CalibrationResult) -> list[str]:
     """Return how held-out rows and runs compare, and how far held-out targets are missed."""
+    return [*_comparisons(result), *(missed_line(**vars(missed)) for missed in _missed(result))]
+
+
+def _missed(result: CalibrationResult) -> Sequence[Missed]:
+    """Return how far targets are missed at held-out rows, where the fit meets its own at all."""
     validation = result.validation
-    missed = validation.targets if validation and validation.fit <= MISSES else ()
-    return [*_comparisons(result), *(missed_line(**vars(target)) for target in missed)]
+    return validation.targets if validation and validation.fit <= MISSES else ()
 
 
 def _comparisons(result: CalibrationResult) -> list[str]:

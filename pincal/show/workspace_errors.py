@@ -61,7 +61,7 @@ class WorkspaceErrors:
     def units(self) -> dict[str, str]:
         """SI units of the platform's errors by their names."""
         every = {"position": "m", "orientation": "rad"}
-        return {name: unit for name, unit in every.items() if unit in ("m", *self.expected.units)}
+        return {name: unit for name, unit in every.items() if unit in self.expected.units}
 
     @property
     def where(self) -> str:
