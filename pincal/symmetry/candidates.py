@@ -40,8 +40,8 @@ class Points:
     @cached_property
     def size(self) -> float:
         """Scale of the mechanism, wherever its frames are, [m]."""
-        away = float(np.linalg.norm(self.at_home - self.base, axis=1).max())
-        return max(_spread(self.base), away) or 1.0
+        longest = float(np.linalg.norm(self.at_home - self.base, axis=1).max())
+        return max(_spread(self.base), longest) or 1.0
 
     @cached_property
     def at_home(self) -> Array:
@@ -153,8 +153,8 @@ class Points:
                 element = self.fitted(to.tolist(), range(len(to)), sign) or first
                 near = self.distances(element) <= NEARLY
                 turns = np.stack((element.base.Q, element.platform.Q))
-                apart = (np.linalg.norm(turns - (e.base.Q, e.platform.Q)) for e in elements)
-                if near.any(axis=0).all() and near.any(axis=1).all() and min(apart) > _FITTED:
+                distances = (np.linalg.norm(turns - (e.base.Q, e.platform.Q)) for e in elements)
+                if near.any(axis=0).all() and near.any(axis=1).all() and min(distances) > _FITTED:
                     elements.append(element)
         return [element for element in elements if self._keeps_freedoms(element)]
 

@@ -132,8 +132,8 @@ def differences(first: StandingLeg, element: Element, second: StandingLeg) -> It
     axial = [[np.linalg.det(Q) if joint.turns else 1.0] for joint in leg.moving]
     directions = axial * first.directions @ Q.T
     signs = np.where((directions * second.directions).sum(axis=1) >= 0.0, 1.0, -1.0)
-    apart = lengths(signs[:, None] * directions - second.directions)
-    angles = 2.0 * np.arcsin(np.minimum(1.0, apart / 2.0))
+    chords = lengths(signs[:, None] * directions - second.directions)
+    angles = 2.0 * np.arcsin(np.minimum(1.0, chords / 2.0))
     for index in axes:
         yield Difference(f"orientation of joint {names[index]!r}", float(angles[index]), "rad")
     if pointing:
@@ -175,10 +175,10 @@ def _limits_apart(first: StandingLeg, second: StandingLeg, index: int, sign: flo
         ends.append(np.array((joint.lower, joint.upper)) - shape.joints[index])
     carried = ends[0] if sign > 0.0 else -ends[0][::-1]
     with np.errstate(invalid="ignore"):
-        apart = np.where(carried == ends[1], 0.0, np.abs(carried - ends[1]))
-    if joint.turns and np.isfinite(apart).all():
-        apart = np.abs([wrapped(float(value)) for value in apart])
-    deviation = float(apart.max()) if np.isfinite(apart).all() else None
+        shifts = np.where(carried == ends[1], 0.0, np.abs(carried - ends[1]))
+    if joint.turns and np.isfinite(shifts).all():
+        shifts = np.abs([wrapped(float(value)) for value in shifts])
+    deviation = float(shifts.max()) if np.isfinite(shifts).all() else None
     return Difference(f"limits of joint {joint.name!r}", deviation, "rad" if joint.turns else "m")
 
 
@@ -206,12 +206,12 @@ def _readings_apart(first: StandingLeg, second: StandingLeg, signs: Array) -> It
             return
         known = np.hstack((readings, np.repeat(influences, len(readings), axis=0)))
         moved.append(sides * (law.position(known) - shape.joints[leg.active]))
-    for index, unit, apart in zip(
+    for index, unit, shifts in zip(
         leg.active, leg.reading_units, (moved[0] - moved[1]).T, strict=True
     ):
         if leg.moving[index].turns:
-            apart = np.array([wrapped(float(value)) for value in apart])
-        yield Difference("reading of the sensor", float(np.abs(apart).max()), unit, of_sensor=True)
+            shifts = np.array([wrapped(float(value)) for value in shifts])
+        yield Difference("reading of the sensor", float(np.abs(shifts).max()), unit, of_sensor=True)
 
 
 class LegImages:

@@ -151,8 +151,8 @@ class Orientations:
 
     def __repr__(self) -> str:
         """Return the set in a line."""
-        most = np.degrees(self.rotations.magnitude().max(initial=0.0))
-        return f"Orientations: {len(self)}, turned by {most:.4g}° at most"
+        largest = np.degrees(self.rotations.magnitude().max(initial=0.0))
+        return f"Orientations: {len(self)}, turned by {largest:.4g}° at most"
 
     def __len__(self) -> int:
         return len(self.quaternions)

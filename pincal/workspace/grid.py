@@ -264,13 +264,13 @@ def reach_box(mechanism: Mechanism) -> tuple[Array, Array]:
     Raises:
         WorkspaceError: no pose is within reach of all legs.
     """
-    least, most = np.array(mechanism.platform.bounds).T
+    low, high = np.array(mechanism.platform.bounds).T
     lengths = mechanism.platform.lengths
-    least[:lengths], most[:lengths] = (ends[:lengths] for ends in _reach(mechanism))
-    return least, most
+    low[:lengths], high[:lengths] = (ends[:lengths] for ends in _reach(mechanism))
+    return low, high
 
 
-def default_grid(mechanism: GivenMechanism, given: Iterable[str | Axis] = ()) -> Grid:
+def default_grid(mechanism: GivenMechanism, fixed: Iterable[str | Axis] = ()) -> Grid:
     """Return a grid of positions within reach; polar if the mechanism has rotations.
 
     Axes that are given stay; ``x`` or ``y`` make the grid square.
@@ -279,7 +279,7 @@ def default_grid(mechanism: GivenMechanism, given: Iterable[str | Axis] = ()) ->
         WorkspaceError: axes that are wrong, or that the platform does not have.
     """
     mechanism = as_mechanism(mechanism)
-    axes, n = [Axis.parse(axis) for axis in given], mechanism.platform.lengths
+    axes, n = [Axis.parse(axis) for axis in fixed], mechanism.platform.lengths
     names = {axis.name for axis in axes}
     if "z" in names and n < 3:
         raise WorkspaceError(f"axis 'z': the platform of {mechanism.name!r} moves in a plane")
@@ -303,14 +303,14 @@ def _turns(mechanism: Mechanism) -> int:
     )
 
 
-def closer_grid(grid: Grid, inside: Mask, given: Iterable[str]) -> Grid | None:
+def closer_grid(grid: Grid, inside: Mask, fixed: Iterable[str]) -> Grid | None:
     """Return a grid of as many values around what counts, or None if that is no closer.
 
     Axes that were given, by name, stay as they are.
     """
     if not inside.any():
         return None
-    stay, cells = set(given), inside.reshape(grid.shape)
+    stay, cells = set(fixed), inside.reshape(grid.shape)
     axes, closer = [], False
     for place, axis in enumerate(grid.axes):
         across = tuple(dimension for dimension in range(cells.ndim) if dimension != place)

@@ -142,16 +142,18 @@ def keep_side(
     return tuple(element for element, ok in zip(group, same, strict=True) if ok)
 
 
-def usable(group: tuple[Element, ...], grid: Grid, asked: Orientations) -> tuple[Element, ...]:
+def usable(
+    group: tuple[Element, ...], grid: Grid, orientations: Orientations
+) -> tuple[Element, ...]:
     """Return the elements of a group that map positions and orientations onto themselves.
 
     Raises:
         WorkspaceError: they are no group, so that orbits would not be what they stand for.
     """
-    turns, mapping = asked.rotations.as_matrix(), []
+    turns, mapping = orientations.rotations.as_matrix(), []
     for element in group:
         move = element.positions(turns)
-        if move is not None and asked.maps(element) and grid.carrier(move):
+        if move is not None and orientations.maps(element) and grid.carrier(move):
             mapping.append(element)
     for first, second in product(mapping, mapping):
         if not any(first.after(second).equals(element) for element in mapping):
@@ -162,9 +164,9 @@ def usable(group: tuple[Element, ...], grid: Grid, asked: Orientations) -> tuple
     return tuple(mapping)
 
 
-def moves_of(elements: tuple[Element, ...], asked: Orientations) -> tuple[Isometry, ...]:
+def moves_of(elements: tuple[Element, ...], orientations: Orientations) -> tuple[Isometry, ...]:
     """Return what elements do to positions in all of some orientations."""
-    turns = asked.rotations.as_matrix()
+    turns = orientations.rotations.as_matrix()
     return tuple(move for element in elements if (move := element.positions(turns)) is not None)
 
 
@@ -347,7 +349,7 @@ def compute_workspace(
         raise WorkspaceError(
             f"{described(how.jobs)} jobs; expected at least 1, or -1 for one a core"
         )
-    asked = _asked(mechanism, kind, orientations)
+    orientations = _orientations(mechanism, kind, orientations)
     if not isinstance(grid, Grid):
         raise WorkspaceError(f"grid: expected a Grid; got {described(grid)}")
     _check_grid(mechanism, grid)
@@ -357,12 +359,12 @@ def compute_workspace(
     group = symmetry_group(mechanism, ROUNDING, readings=False).elements
     elements: tuple[Element, ...] = (IDENTITY,)
     if how.symmetry:
-        elements = usable(keep_side(mechanism, group, least), grid, asked)
+        elements = usable(keep_side(mechanism, group, least), grid, orientations)
     unused = tuple(e for e in group if e not in elements)
-    moves = moves_of(elements, asked)
-    test = PositionTest(mechanism, asked, every, least)
+    moves = moves_of(elements, orientations)
+    test = PositionTest(mechanism, orientations, every, least)
     test(grid.at(np.zeros(1, np.int64)))  # errors in the mechanism show here, not there
-    size = max(1, min(BLOCK, (_CHUNK if test.in_closed_form else BLOCK) // len(asked)))
+    size = max(1, min(BLOCK, (_CHUNK if test.in_closed_form else BLOCK) // len(orientations)))
     inside, computed = np.zeros(grid.size, dtype=bool), 0
     chunks = list(blocks(grid.size, size))
     parallel = joblib.Parallel(how.jobs, return_as="generator_unordered")
@@ -395,23 +397,25 @@ def _asked_bits(
     return chunk, np.packbits(inside).tobytes()
 
 
-def _asked(mechanism: Mechanism, kind: str, given: Orientations | None) -> Orientations:
+def _orientations(
+    mechanism: Mechanism, kind: str, orientations: Orientations | None
+) -> Orientations:
     """Return the orientations that a kind of workspace asks."""
     platform = mechanism.platform
     if kind not in KINDS:
         raise WorkspaceError(f"unknown kind of workspace {kind!r}; expected {', '.join(KINDS)}")
-    if given is not None:
-        if kind == "constant-orientation" and len(given) != 1:
+    if orientations is not None:
+        if kind == "constant-orientation" and len(orientations) != 1:
             raise WorkspaceError(
-                f"a constant-orientation workspace has one orientation; got {len(given)}. An "
-                "azimuth that is not given beside a tilt goes all round: give it too"
+                f"a constant-orientation workspace has one orientation; got {len(orientations)}. "
+                "An azimuth that is not given beside a tilt goes all round: give it too"
             )
         if kind == "dexterous" and platform.turns:
             raise WorkspaceError(
                 "a dexterous workspace asks for every orientation there is; of a choice of "
                 "orientations it is a total-orientation workspace"
             )
-        return given
+        return orientations
     if kind == "total-orientation" and platform.turns:
         raise WorkspaceError(
             "a total-orientation workspace needs the orientations to reach, such as "
