@@ -24,9 +24,9 @@ from pincal.kinematics.batches import chunks
 from pincal.model.checks import ROUNDING
 from pincal.types import Array, Index
 
-_POOL = 100  # candidates that swaps come from, at least; by as many the pool grows
+_POOL = 200  # candidates that swaps come from, at least; by as many the pool grows
 _POOL_PER_CHOSEN = 4  # candidates in the pool for each of a set, at least
-_RANDOM = 30  # further candidates in the pool, drawn from all
+_RANDOM = 50  # further candidates in the pool, drawn from all
 _CHUNK = 4096  # swaps that are tried together
 _SWAPS = 1000  # swaps of a set between two looks at all candidates, at most
 _LOOKS = 100  # looks at all candidates, at most
