@@ -155,7 +155,7 @@ def test_inverse_near_joints_stays_there() -> None:
     again = pincal.inverse(five, poses, near=there.joints)
     np.testing.assert_array_equal(again.reached[:, 0], [True, False, True])
     np.testing.assert_allclose(again.readings[[0, 2]], there.readings[[0, 2]], atol=1e-14)
-    with pytest.raises(MechanismError, match="joints of leg_2 near the solution"):
+    with pytest.raises(MechanismError, match="joints of leg_2"):
         pincal.inverse(five, poses, near={"leg_1": there.joints["leg_1"]})
 
 

@@ -28,14 +28,7 @@ _WITHIN, _TURN = 0.8, pi / 9  # of the room that a platform has in its frame; fr
 
 
 def _cable(number: int, anchor: Array, corner: Array, home: Array) -> Leg:
-    """Return a cable.
-
-    Args:
-        number: Of the cable, from 1.
-        anchor: In the base frame, shape (2,) or (3,), [m].
-        corner: In the platform's frame, alike.
-        home: Of the platform's origin, alike.
-    """
+    """Return a cable by number; anchor, corner in the platform, home are (2,) or (3,), [m]."""
     axes = "xyz"[: len(anchor)]
     values = {f"A_{axis}": float(value) for axis, value in zip(axes, anchor, strict=True)}
     values |= {f"b_{axis}": float(value) for axis, value in zip(axes, corner, strict=True)}

@@ -35,11 +35,9 @@ ROUGH = 0.1
 
 
 def check_home(leg: Leg, platform: Platform) -> None:
-    """Raise if the home positions of a leg leave it wide open at the platform's home pose.
+    """Raise MechanismError if a leg is open at home by more than a tenth of its size.
 
-    Raises:
-        MechanismError: it does not close within a tenth of its size; of an angle of more
-            than a full turn it asks whether it is degrees.
+    Of an angle of more than a full turn it asks whether it is degrees.
     """
     gap, turn = _gap_and_turn(leg, platform)
     if max(gap, leg.size * turn) <= ROUGH * leg.size:

@@ -222,11 +222,11 @@ def sensor_laws(
     home_by_parameter: Array,
     columns: Sequence[str] = (),
 ) -> SensorLaw:
-    """Return the law of a leg's sensors at parameter values.
+    """Return the law of a leg's sensors at parameter values, by name, in order.
 
     Args:
         sensors: The sensors.
-        parameters: Values of the leg's parameters by name, in order.
+        parameters: Of the leg.
         home: The active joints' positions at the platform's home pose, shape (n_active,).
         home_by_parameter: Their derivatives, shape (n_active, n_params).
         columns: Names of the leg's readings, one for each sensor, and of its influences; not
