@@ -38,6 +38,9 @@ def bundled() -> dict[str, Path]:
 def load_mechanism(name_or_path: str | Path) -> Mechanism:
     """Return a mechanism from a bundled name (``"3RRR"``), its folder, or a result folder.
 
+    Args:
+        name_or_path: Name of a bundled mechanism, or a folder.
+
     Raises:
         FileError: no such folder, or a file in it is missing.
         MechanismError: a file that does not say what it should; the message names the place.
