@@ -23,8 +23,7 @@ from pincal.files.mechanism_folders import bundled
 from pincal.show.pictures.painter import paint
 from pincal.show.pictures.picture import Picture
 from pincal.show.style import ACTIVE, PASSIVE
-from pincal.show.view.bodies import body
-from pincal.show.view.shapes import Shape
+from pincal.show.view.bodies import Shape, body
 
 IMAGES = Path(__file__).parents[1] / "docs" / "images"
 RED, BLUE = "#ff0000", "#0000ff"

@@ -23,7 +23,6 @@ from pincal.errors import MeasurementError, WorkspaceError
 from pincal.kinematics.configurations import home_of, legs_at
 from pincal.model.measurements import Plan
 from pincal.model.setup import Camera
-from pincal.show.pictures.figure import draw_scene
 from pincal.show.pictures.parts import (
     NORMAL,
     axis_name,
@@ -36,6 +35,7 @@ from pincal.show.pictures.parts import (
     room,
     wrapped,
 )
+from pincal.show.pictures.picture import draw_scene
 from pincal.show.series import noisy_series, observed_series
 from pincal.show.style import EVERY, IDENTIFIED, INK, NOMINAL, OUTLIER
 from pincal.show.view.scene import rounded_down, scene

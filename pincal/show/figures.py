@@ -19,7 +19,6 @@ from pincal.kinematics.configurations import home_of, joints_at
 from pincal.kinematics.readers import skeleton
 from pincal.model.measurements import EVERY_LEG, Plan
 from pincal.show import charts
-from pincal.show.pictures.figure import draw_scene
 from pincal.show.pictures.files import SvgFigure, svg_figure
 from pincal.show.pictures.parts import (
     axis_name,
@@ -29,6 +28,7 @@ from pincal.show.pictures.parts import (
     height_name,
     page_figure,
 )
+from pincal.show.pictures.picture import draw_scene
 from pincal.show.style import PAGE_INCHES
 from pincal.show.view.scene import scene
 from pincal.show.workspace_errors import WorkspaceErrors, error_maps

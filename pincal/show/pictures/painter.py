@@ -1,17 +1,25 @@
-"""Shapes painted into axes, from the farthest to the nearest, with dark outlines."""
+"""What a picture is painted of: shapes from the farthest to the nearest, names where there is room.
+
+Shapes have dark outlines; names are of legs, axes and dimensions, the last beside their lines.
+"""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgb
+from matplotlib.patches import FancyArrowPatch
 from scipy.spatial import ConvexHull
 
-from pincal.show.view.shapes import Shape
+from pincal.show.pictures.dimensions import Dimension, symbol
+from pincal.show.style import DIMENSION, PICTURE_HEIGHTS, PICTURE_WIDTH
+from pincal.show.view.bodies import Shape
 from pincal.types import Array
 
 _DARK = 0.55  # brightness of an outline, of its shape's
@@ -102,3 +110,148 @@ def _hull(points: Array) -> Array:
     corners = points[ConvexHull(points).vertices]
     first = int(np.lexsort(corners.round(9).T)[0])
     return np.roll(corners, -first, axis=0)
+
+
+_NAME_HEIGHT = 8.5  # of a parameter's name, [point]
+_LETTER = 0.58  # width of a letter of such a name, of its height
+_ROOM = 1.25  # of a figure, over what is left for the mechanism
+_ALONG = (0.5, 0.35, 0.65, 0.2, 0.8, 0.05, 0.95)  # where a name is tried, by a dimension's length
+_NAME_DISTANCES = (1.0, -1.0, 1.8, -1.8, 2.8, -2.8, 4.0, -4.0)  # from it, in heights of the name
+_LEG_DISTANCES = (11.0, 18.0, 26.0, 34.0)  # of a leg's name from its foot, [point]
+#: What a name over another costs, and one that leaves the axes, in hidden points of lines.
+_OVERLAP, _OUTSIDE = 300.0, 100.0
+_RANK = 0.4  # what the next place costs
+
+
+class Names:
+    """Names in axes whose limits are set, each where it hides least."""
+
+    def __init__(self, axes: Axes, links: Array) -> None:
+        """Begin with no names.
+
+        Args:
+            axes: Where to write.
+            links: Segments that names should not hide, shape (n, 2, 2), right and up, [m].
+        """
+        low, high = np.array((axes.get_xlim(), axes.get_ylim())).T
+        paper = 72.0 * np.array((PICTURE_WIDTH, PICTURE_HEIGHTS[1]))
+        self.axes = axes
+        self._limits = low, high
+        self.point = _ROOM * float(np.max((high - low) / paper))
+        """What a point of the paper is in the picture, [m]; legend and values take some room."""
+        self.middle = links.mean(axis=(0, 1)) if len(links) else (low + high) / 2
+        self._boxes = np.zeros((0, 2, 2))
+        self._hidden = np.zeros((0, 2))
+        for segment in links:
+            self.keep_off(segment)
+
+    def keep_off(self, line: Array) -> Array:
+        """Let no name hide a line, shape (n, 2), if it can be helped; return 40 points of it."""
+        places = np.linspace(0.0, len(line) - 1.0, 40)
+        columns = [np.interp(places, np.arange(len(line)), column) for column in line.T]
+        points = np.stack(columns, axis=1)
+        self._hidden = np.concatenate((self._hidden, points))
+        return points
+
+    def half(self, text: str, size: float) -> Array:
+        """Return half the width and height of a name of a size in points, shape (2,), [m]."""
+        shown = re.sub(r"[${}_]", "", re.sub(r"\\mathit|\\[a-z]+", "x", text).replace("x{", ""))
+        return 0.5 * size * self.point * np.array((_LETTER * (len(shown) + 0.8), 1.4))
+
+    def write(self, text: str, places: Array, size: float, **style: Any) -> None:
+        """Write a name at one of some places, shape (n, 2), the first that hides least."""
+        half = self.half(text, size)
+        low, high = places - half, places + half
+        thick = 0.3 * half[1]  # links are no lines
+        inside = np.abs(self._hidden - places[:, None]) < half + thick
+        boxes = self._boxes
+        over = (low[:, None] < boxes[:, 1]) & (boxes[:, 0] < high[:, None])
+        cost = inside.all(axis=2).sum(axis=1) + _OVERLAP * over.all(axis=2).sum(axis=1)
+        outside = (low < self._limits[0]) | (high > self._limits[1])
+        cost = cost + _OUTSIDE * outside.any(axis=1) + _RANK * np.arange(len(places))
+        best = int(np.argmin(cost))
+        room = 0.3 * size * self.point  # names that touch read as one
+        self._boxes = np.concatenate((boxes, [[low[best] - room, high[best] + room]]))
+        x, y = places[best].tolist()
+        self.axes.text(x, y, text, size=size, ha="center", va="center", zorder=9, **style)
+
+    def write_beside(self, text: str, point: Array, directions: Array, size: float = 8.0) -> None:
+        """Write a name away from a point, in one of some directions, shape (n, 2)."""
+        reach = np.abs(directions) @ self.half(text, size)
+        steps = self.point * np.array(_LEG_DISTANCES)
+        places = point + (steps[:, None] + reach)[..., None] * directions
+        self.write(text, places.reshape(-1, 2), size)
+
+
+def draw_dimensions(
+    names: Names,
+    dimensions: Sequence[Dimension],
+    V: Array,
+    colours: Mapping[str, str],
+) -> None:
+    """Draw dimensions, then their names beside their lines.
+
+    Args:
+        names: Where to draw.
+        dimensions: The dimensions.
+        V: What points right, up and towards the viewer, shape (3, 3), rows in the base frame.
+        colours: Of lines, by the names of parameters; dark if not given.
+    """
+    lines = [
+        _draw_line(names, dimension, V, colours.get(dimension.name, DIMENSION))
+        for dimension in dimensions
+    ]
+    for dimension, line in zip(dimensions, lines, strict=True):
+        text = symbol(dimension.name) if dimension.name else ""
+        if dimension.kind == "reading":
+            text = rf"$\psi$ ({text})" if text else r"$\psi$"
+        half, places = names.half(text, _NAME_HEIGHT), []
+        for along in _ALONG:
+            index = int(along * (len(line) - 1))
+            across = _across(line[min(index + 1, len(line) - 1)] - line[max(index - 1, 0)])
+            reach = 1.1 * float(np.abs(across) @ half)
+            places += [line[index] + k * reach * across for k in _NAME_DISTANCES]
+        ground = {"fc": "white", "ec": "none", "alpha": 0.75, "pad": 0.6}
+        style = {"color": DIMENSION, "parse_math": True, "bbox": ground}
+        names.write(text, np.array(places), _NAME_HEIGHT, **style)
+
+
+def _draw_line(names: Names, dimension: Dimension, V: Array, colour: str) -> Array:
+    """Draw a dimension without its name; return points of its line as drawn, shape (n, 2)."""
+    axes, height = names.axes, _NAME_HEIGHT * names.point
+    line = dimension.line @ V[:2].T
+    thin = []
+    if dimension.beside:
+        across = _across(line[-1] - line[0])
+        across *= 1.0 if across @ (line.mean(axis=0) - names.middle) >= 0.0 else -1.0
+        thin += [(np.stack((end, end + 1.7 * height * across)), "-") for end in line]
+        line = line + 1.3 * height * across
+    if dimension.corner is not None:
+        corner = dimension.corner @ V[:2].T
+        sides = (line[0], line[-1])
+        thin += [(np.stack((corner, corner + 1.15 * (end - corner))), "--") for end in sides]
+    for part, dashes in thin:
+        axes.plot(*part.T, dashes, lw=0.5, color=colour, zorder=8)
+    axes.plot(*line.T, lw=0.8 if colour == DIMENSION else 1.4, color=colour, zorder=8)
+    if np.linalg.norm(np.diff(line, axis=0), axis=1).sum() > 0.3 * height:
+        _draw_head(axes, line[-1], line[-2], height, colour)
+        if dimension.corner is None:
+            _draw_head(axes, line[0], line[1], height, colour)
+    return names.keep_off(line)
+
+
+def _draw_head(axes: Axes, end: Array, before: Array, length: float, colour: str) -> None:
+    """Draw the head of an arrow at a line's end."""
+    backward = before - end
+    tail = end + backward * min(1.0, length / max(float(np.linalg.norm(backward)), 1e-300))
+    head = FancyArrowPatch(
+        tuple(tail), tuple(end), arrowstyle="-|>", mutation_scale=6.0, lw=0.6, shrinkA=0, shrinkB=0
+    )
+    head.set(color=colour, zorder=8)
+    axes.add_patch(head)
+
+
+def _across(along: Array) -> Array:
+    """Return the unit vector to the left of one in the plane; upwards of none."""
+    size = float(np.linalg.norm(along))
+    return np.array([-along[1], along[0]]) / size if size > 0.0 else np.array([0.0, 1.0])

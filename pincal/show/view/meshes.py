@@ -15,8 +15,7 @@ from pincal.errors import FileError
 from pincal.files.text import read_xml
 from pincal.kinematics.readers import check_mesh
 from pincal.model.mechanism import Mechanism
-from pincal.show.view.bodies import Body
-from pincal.show.view.shapes import Shape
+from pincal.show.view.bodies import Body, Shape
 from pincal.types import Array
 
 METAL = "#aab1ba"

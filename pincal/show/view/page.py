@@ -21,9 +21,8 @@ from scipy.spatial import ConvexHull
 
 from pincal.errors import MechanismError
 from pincal.show.style import DARK, IDENTIFIED, PAPER
-from pincal.show.view.bodies import Body
+from pincal.show.view.bodies import GREY, Body, Shape
 from pincal.show.view.scene import Layer, Scene, moved
-from pincal.show.view.shapes import GREY, Shape
 from pincal.types import Array
 from pincal.words.numbers import POSES, SMALL, per_si
 from pincal.words.wording import clean, rendered
