@@ -112,7 +112,7 @@ def expected_error(result: CalibrationResult, poses: Plan | Array) -> PlatformEr
     """
     error = _by_covariance(result, poses)
     error = replace(error, outside=_outside(result, error), uncovered=uncovered(result))
-    return error if result.promises else error.without_limit(_seen(result))
+    return error if result.promises else error.without_limit(*_seen(result))
 
 
 def _outside(result: CalibrationResult, error: PlatformError) -> Array:
@@ -226,11 +226,16 @@ def _at_measured(result: CalibrationResult) -> PlatformError:
     return _by_covariance(result, Plan(result.poses, readings=read))
 
 
-def _seen(result: CalibrationResult) -> float:
-    """Return how many times farther measured poses are missed than uncertainties say; 1 or more."""
+def _seen(result: CalibrationResult) -> list[float]:
+    """Return how many times farther measured poses are missed than uncertainties say; 1 or more.
+
+    In position and in orientation; what is not measured is off by as much as the other.
+    """
     expected = _at_measured(result).where_determined
-    pairs = zip(result.misses, expected, strict=True)
-    return max([1.0, *(seen / one for seen, one in pairs if seen > one > 0.0)])
+    pairs = list(zip(result.misses, expected, strict=True))
+    ratios = [seen / one if one > 0.0 else np.nan for seen, one in pairs]
+    most = float(np.nanmax([1.0, *ratios]))
+    return [most if np.isnan(ratio) else max(1.0, ratio) for ratio in ratios]
 
 
 def misses(result: CalibrationResult) -> tuple[float, float]:

@@ -74,14 +74,15 @@ class PlatformError:
     uncovered: tuple[str, ...] = ()
     """What no limit covers: of ``"weight"``, ``"scale"``, ``"time"`` (``pincal.words.wording``)."""
 
-    def without_limit(self, by: float) -> PlatformError:
+    def without_limit(self, position: float, orientation: float) -> PlatformError:
         """Return errors so many times as large, which are no promise."""
+        by = {"m": position, "rad": orientation}
         return replace(
             self,
-            position=by * self.position,
-            orientation=by * self.orientation,
-            std=by * self.std,
-            weights=by**2 * self.weights,
+            position=position * self.position,
+            orientation=orientation * self.orientation,
+            std=self.std * [by[unit] for unit in self.units],
+            weights=self.weights * np.array([[position], [orientation]]) ** 2,
             promised=False,
         )
 
