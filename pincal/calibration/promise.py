@@ -256,15 +256,18 @@ def misses(result: CalibrationResult) -> tuple[float, float]:
 def _left_at_targets(result: CalibrationResult) -> float:
     """Return by how much targets are missed by the fit, as far as their coordinates are measured.
 
-    Root mean square distance, [m], residuals scaled up by what parameters took of them.
+    Root mean square distance, [m], residuals scaled up by what parameters took of them, less the
+    noise of the instrument where that is known.
     """
     lengths = [part for part in result.observed if part.unit == "m"]
     count = sum(part.count for part in result.observed) + sum(len(leg.rows) for leg in result.legs)
     if not lengths or result.degrees_of_freedom < 1:
         return np.nan
     squares = np.mean(np.concatenate([part.residuals for part in lengths]) ** 2)
-    squares *= result.nominal.platform.space * count / result.degrees_of_freedom
-    return float(np.sqrt(squares))
+    squares *= count / result.degrees_of_freedom
+    if result.noise_source != "estimated":
+        squares -= np.mean(np.concatenate([part.sigmas for part in lengths]) ** 2)
+    return float(np.sqrt(result.nominal.platform.space * max(squares, 0.0)))
 
 
 def pose_misses(calibration: Calibration, machine: Mechanism, external: External | None) -> Array:
