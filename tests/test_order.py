@@ -97,8 +97,7 @@ def test_select_writes_in_turns_and_calibrate_verifies(tmp_path: Path) -> None:
     assert len(set(sets[:4])) > 2
     noise = ["--noise-position", "1e-4", "--noise-orientation", "1e-4"]
     done("simulate", "3RRR", plan, *noise, "-o", data)
-    said = done("calibrate", "--no-report", "3RRR", data, *noise, "-o", tmp_path / "r")
-    assert "6 rows of the set verify" in " ".join(said.out.split())
+    done("calibrate", "--no-report", "3RRR", data, *noise, "-o", tmp_path / "r")
     found = pincal.load_result(tmp_path / "r")
     assert found.validation is not None
     assert found.validation.rows == 6

@@ -117,7 +117,9 @@ def test_instruments_without_noise_give_the_truth(name: str, unknown_frame: bool
     frame = _frame(pincal.load_mechanism(name)) if unknown_frame else None
     robot, truth, data = _measured(name, frame)
     setup = pincal.Setup(unknown_frame=unknown_frame, instruments=(Station(),))
-    result = pincal.calibrate(robot, data, setup=setup, noise=pincal.Noise(), rough=True)
+    result = pincal.calibrate(
+        robot, data, setup=setup, noise=pincal.Noise(), rough=True, strict=True
+    )
     assert result.converged
     assert result["station.x"].identified == pytest.approx(-0.48, abs=1e-9)
     assert result["station.zero"].identified == pytest.approx(0.02, abs=1e-9)
@@ -258,7 +260,7 @@ def test_terms_without_noise_are_found() -> None:
     readings = pincal.inverse(truth, poses).readings
     np.testing.assert_allclose(pincal.forward(truth, readings, poses).poses, poses, atol=1e-10)
     data = pincal.simulate(robot, truth, pincal.Plan(poses), EXACT).measurements
-    result = pincal.calibrate(robot, data, noise=pincal.Noise())
+    result = pincal.calibrate(robot, data, noise=pincal.Noise(), strict=True)
     for leg, true in zip(result.identified.legs, truth.legs, strict=True):
         np.testing.assert_allclose(leg.nominal, true.nominal, rtol=0.0, atol=1e-9)
 

@@ -229,7 +229,7 @@ def test_cables_with_measured_heights(count: int, rows: int, off: float, seed: i
     other = least_squares(residuals, first, x_scale="jac", xtol=1e-12, ftol=1e-12)
     data = pincal.Measurements(poses=measured, readings=readings)
     noise = pincal.Noise(sigma, 0.0, sigma)
-    result = pincal.calibrate(nominal, data, noise=noise, rough=True)
+    result = pincal.calibrate(nominal, data, noise=noise, rough=True, strict=True)
     assert result.degrees_of_freedom == rows * (count + 1) - len(first)
     chi2 = result.reduced_chi2 * result.degrees_of_freedom
     print(f"{count} cables, seed {seed}: χ² {chi2:.6g}, SciPy {2 * other.cost:.6g}")

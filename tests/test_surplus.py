@@ -97,7 +97,7 @@ def test_clean_data_recover_all_parameters(
     """Every method gives the truth within 1e-9, from both equations of every leg."""
     truth = pincal.disturb(mechanism, 1e-3, seed=1)
     data = pincal.simulate(mechanism, truth, plan, pincal.Noise(0, 0, 0)).measurements
-    result = pincal.calibrate(mechanism, data, method=method, noise=NOISE, poses="all")
+    result = pincal.calibrate(mechanism, data, method=method, noise=NOISE, poses="all", strict=True)
     for leg in truth.legs:
         np.testing.assert_allclose(result.identified.leg(leg.name).nominal, leg.nominal, atol=1e-9)
     assert result.degrees_of_freedom == 6 * len(data) - 27
@@ -108,7 +108,7 @@ def test_surplus_equations_add_information(mechanism: pincal.Mechanism, plan: pi
     few = pincal.Plan(plan.poses[:6], readings=plan.readings[:6])
     truth = pincal.disturb(mechanism, 1e-3, seed=2)
     data = pincal.simulate(mechanism, truth, few, pincal.Noise(0, 0, 0)).measurements
-    result = pincal.calibrate(mechanism, data, noise=NOISE, poses="all")
+    result = pincal.calibrate(mechanism, data, noise=NOISE, poses="all", strict=True)
     np.testing.assert_allclose(result.identified.legs[0].nominal, truth.legs[0].nominal, atol=1e-7)
 
 

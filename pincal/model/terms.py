@@ -63,6 +63,12 @@ class Power:
     """A power of the reading over a range: what a screw or belt is off, as a polynomial.
 
     1 at ``centre`` + ``range``; powers 0 and 1 are offset and gain, which sensors have.
+
+    Example:
+        >>> import pincal
+        >>> bend = pincal.Term("bend", pincal.Power(power=2, range=1.5))
+        >>> bend.basis.power
+        2
     """
 
     power: int
@@ -93,6 +99,12 @@ class Share:
 
     ``per`` may be negative, as for a coordinate that is: all lengths of a leg that grow by one
     share a of them have terms with the amplitude a, each by ``per`` over its length.
+
+    Example:
+        >>> import pincal
+        >>> warm = pincal.Term("grows", pincal.Share(per=10.0, reference=20.0), of="temperature")
+        >>> warm.of
+        'temperature'
     """
 
     per: float = 1.0

@@ -357,7 +357,15 @@ def generate(
 
     Legs are named ``leg_1``, ``leg_2``, …; a platform point whose name ends in ``_1`` is numbered
     alike. The leg's home may be rough: all legs are closed at the platform's home pose, on the side
-    (working mode) that the rough home is on. Labels say by parameter's name what it is, for people.
+    (working mode) that the rough home is on.
+
+    Args:
+        name: Name of the mechanism.
+        leg: The leg that is carried, in the base frame.
+        elements: Elements of the symmetry group, the identity first.
+        platform: The platform, with its home pose.
+        description: What the mechanism is, in a sentence.
+        labels: What parameters are, for people, by the parameter's name.
 
     Raises:
         MechanismError: a leg does not close at the home pose.

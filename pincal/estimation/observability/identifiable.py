@@ -160,8 +160,16 @@ def hold_unobservable(
     what it alone would do to the measurements; then, where they are weakly determined, by how much
     machines may differ. The unknowns are less gauge freedoms already; directions that noise
     determines less than ``least`` times better than machines differ count as weak.
+
+    Raises:
+        ObservabilityError: no measured pose is one that the legs reach.
     """
     J = _jacobian(mechanism, problem, unknowns)
+    if not len(J):
+        raise ObservabilityError(
+            "the nominal legs reach none of the measured poses, so that nothing is determined; "
+            "compare the mechanism and its units with the measurements (pincal doctor)"
+        )
     lost, lengths = lost_directions(J)
     held = unknowns.held(lost * lengths) if len(lost) else unknowns
     axes, information, scale = _determined(mechanism, problem, held)

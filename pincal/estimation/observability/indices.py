@@ -55,6 +55,9 @@ def indices(C: Array) -> Indices:
     Singular values carry the units of the columns; compare sets of poses with them, not
     mechanisms.
 
+    Args:
+        C: The identification Jacobian, shape (m, n).
+
     Example:
         >>> import numpy as np, pincal
         >>> found = pincal.indices(np.diag([4.0, 1.0]))
