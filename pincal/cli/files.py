@@ -51,7 +51,6 @@ from pincal.model.measurements import Measurements, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.option import option
 from pincal.words.numbers import amount, counted, listed, reading_in
-from pincal.words.terms import AT_REFERENCE, NO_CORRECTION, NOT_IN_LAWS, OFFERS, WITH_COLUMNS
 from pincal.workspace.sampling import grid_poses, has_grid
 
 PROBING = "probing.csv"
@@ -380,7 +379,12 @@ def _missing_in_laws(mechanism: Mechanism) -> list[str]:
     for closure in nominal_legs(mechanism):
         warn_of_turns(closure)
     deformed = [f"{leg.name}.{name}" for leg in mechanism.legs for name in leg.deformed]
-    return [NOT_IN_LAWS.format(parameters=first_of(deformed, ", "))] if deformed else []
+    if not deformed:
+        return []
+    return [
+        f"terms of {first_of(deformed, ', ')} are in no law of a joint; a table over poses (.csv) "
+        "corrects for them"
+    ]
 
 
 def _calibrated(original: Path, mechanism: Mechanism, options: ExportOptions) -> bytes:
@@ -412,11 +416,17 @@ def _offer_corrections(mech: str, mechanism: Mechanism, *, firmware: bool = Fals
     named = _columns(mechanism)
     if mechanism.amplitudes:
         poses = " --poses POSES.csv" if named or not has_grid(mechanism) else ""
-        columns = WITH_COLUMNS.format(columns=first_of(named, ", ")) if named else ""
-        remark(OFFERS["table"].format(mech=quote(mech), more=units + poses, columns=columns))
+        columns = f" (with what terms follow: {first_of(named, ', ')})" if named else ""
+        remark(
+            "to correct for terms pose by pose (what to add to readings, or which pose to command "
+            f"instead): pincal export {quote(mech)} -o corrections.csv{units}{poses}{columns}"
+        )
     of_sensors = any(sensor.terms for leg in mechanism.legs for sensor in leg.sensors)
     if of_sensors or not (firmware or mechanism.reads_positions):
-        remark(OFFERS["code"].format(mech=quote(mech), more=units))
+        remark(
+            "to turn joint positions into readings and back, as code: pincal export "
+            f"{quote(mech)} -o corrections.py{units} (or .h, for C)"
+        )
 
 
 def _columns(mechanism: Mechanism) -> list[str]:
@@ -427,13 +437,18 @@ def _columns(mechanism: Mechanism) -> list[str]:
 def _export_corrections(mechanism: Mechanism, output: Path, options: ExportOptions) -> None:
     """Write corrections over poses."""
     if not mechanism.amplitudes:
-        raise MechanismError(NO_CORRECTION.format(name=mechanism.name))
+        raise MechanismError(
+            f"{mechanism.name!r} has no terms: a controller with its geometry, gains and offsets "
+            "needs no correction"
+        )
     units = options.written_in(mechanism)
     plan = None if options.poses is None else read_poses(options.poses, mechanism)
     influences = {} if plan is None else own_influences(mechanism, plan.influences)
     if not (influences or mechanism.loaded or mechanism.at_reference.amplitudes):
-        columns = first_of(_columns(mechanism), ", ")
-        raise MechanismError(AT_REFERENCE.format(name=mechanism.name, columns=columns))
+        raise MechanismError(
+            f"all terms of {mechanism.name!r} follow {first_of(_columns(mechanism), ', ')}: at "
+            "their reference there is nothing to correct; give poses with these columns (--poses)"
+        )
     if plan is None:
         with working("sampling the workspace for a grid of poses"):
             plan = Plan(grid_poses(mechanism, _ROWS))

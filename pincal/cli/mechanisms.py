@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated
@@ -12,7 +11,7 @@ import numpy as np
 import typer
 
 from pincal.cli.app import command, remark, stdout, warn, working, wrote
-from pincal.cli.options import FORCE, SEED, Mech, UnitOptions, output_option
+from pincal.cli.options import Force, Mech, Seed, UnitOptions, output_option
 from pincal.errors import FileError, SymmetryError
 from pincal.estimation.observability.indices import identifiability
 from pincal.files.mechanism_folders import bundled, load_mechanism
@@ -24,13 +23,11 @@ from pincal.kinematics.readers import tips_by_reader
 from pincal.model.leg import Leg
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
-from pincal.model.option import option
 from pincal.show.tables import nominal_table, symmetry_table
 from pincal.symmetry.breaks import no_symmetries
 from pincal.symmetry.detect import SymmetryGroup, symmetry_group
 from pincal.symmetry.elements import cyclic
 from pincal.words.numbers import reading_in
-from pincal.words.terms import TURNS_BACK
 from pincal.workspace.sampling import sample_configurations, sample_workspace
 
 
@@ -103,35 +100,38 @@ def warn_of_turns(closure: LegClosure) -> None:
     turns = sensor_law(closure).turning(*(end[leg.active] for end in joint_range(leg)))
     for name, unit, reading in zip(leg.reading_names, leg.reading_units, turns, strict=True):
         if np.isfinite(reading):
-            warn(TURNS_BACK.format(reading=name, unit=unit, where=reading))
-
-
-@dataclass(frozen=True)
-class SymmetryOptions:
-    """What is asked of the symmetry group."""
-
-    group: str | None = option(
-        None, "Claim a group, such as D6 or C3: fail if it is not.", metavar="D2n|Cn"
-    )
-    tolerance: float = option(1e-6, "Largest deviation, relative to its size or [rad].", least=0)
+            warn(
+                f"{name}: with its terms the joint turns back at a reading of {reading:.4g} "
+                f"{unit}, so that readings mean two positions; give smaller amplitudes, or a "
+                "narrower range of the joint"
+            )
 
 
 @command()
-def symmetry(mech: Mech, options: SymmetryOptions) -> None:
+def symmetry(
+    mech: Mech,
+    group: Annotated[
+        str | None,
+        typer.Option(metavar="D2n|Cn", help="Claim a group, such as D6 or C3: fail if it is not."),
+    ] = None,
+    tolerance: Annotated[
+        float, typer.Option(min=0, help="Largest deviation, relative to its size or [rad].")
+    ] = 1e-6,
+) -> None:
     """Find the symmetry group of a mechanism.
 
     Prints where each element carries the legs, how well readings follow (equivariance, on
     sampled poses), and what breaks the elements that fail. With --group the exit code is 2 if
     the mechanism lacks an element of that group.
     """
-    claimed = options.group and _parse_group(options.group)
+    claimed = group and _parse_group(group)
     mechanism = load_mechanism(mech)
-    group = symmetry_group(mechanism, options.tolerance)
+    detected = symmetry_group(mechanism, tolerance)
     with working("checking readings on sampled poses"):
-        deviation = group.equivariance(sample_workspace(mechanism, 300))
-    stdout.print(symmetry_table(group, deviation))
+        deviation = detected.equivariance(sample_workspace(mechanism, 300))
+    stdout.print(symmetry_table(detected, deviation))
     if claimed:
-        _check_claim(*claimed, group)
+        _check_claim(*claimed, detected)
 
 
 def _parse_group(group: str) -> tuple[int, bool]:
@@ -167,20 +167,15 @@ STUDY = "study.md"
 _ROOT = Path(__file__).resolve().parents[2]
 
 
-@dataclass(frozen=True)
-class StudyOptions:
-    """How thoroughly a study is done."""
-
-    quick: bool = option(False, "Fewer draws, coarser grids: seconds, not minutes.")
-    seed: int = option(0, SEED)
-    force: bool = option(False, FORCE)
-
-
 @command()
 def study(
     name: Annotated[str, typer.Argument(metavar="5R|3RRR|6UPS|errors|all", help="Which study.")],
     output: Annotated[Path, output_option("FOLDER", "Page, tables and figures.")],
-    options: StudyOptions,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Fewer draws, coarser grids: seconds, not minutes.")
+    ] = False,
+    seed: Seed = 0,
+    force: Force = False,
 ) -> None:
     """Compute a paper's figures and tables anew.
 
@@ -203,11 +198,11 @@ def study(
         if not output.is_dir():
             refuse_existing(output, force=False).mkdir()
     for folder in folders.values():
-        refuse_existing(folder, force=options.force, folder=(STUDY,))
+        refuse_existing(folder, force=force, folder=(STUDY,))
     for study_name, folder in folders.items():
         with working(f"study of the {study_name}") as progress:
-            result = studies.run_study(study_name, options.seed, options.quick, progress)
-        with writing(folder, force=options.force, folder=(STUDY,)) as scratch:
+            result = studies.run_study(study_name, seed, quick, progress)
+        with writing(folder, force=force, folder=(STUDY,)) as scratch:
             result.write(scratch)
         wrote(folder)
     remark(f"read {next(iter(folders.values())) / STUDY}")

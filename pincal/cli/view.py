@@ -257,14 +257,6 @@ Width = StrEnum("Width", {"column": f"{COLUMN:g}", "page": f"{PAGE_WIDTH:g}"})
 """Width of a figure, [mm]."""
 
 
-@dataclass(frozen=True)
-class PlotOptions:
-    """How a figure is drawn."""
-
-    width: Width | None = option(None, "In mm: one column, or across the page, as if not given.")
-    leg: str = option("", "Whose drawing; the first leg's if not given.", metavar="LEG")
-
-
 @command()
 def plot(
     result: Annotated[
@@ -272,7 +264,13 @@ def plot(
     ],
     kind: Annotated[Kind, typer.Argument(metavar="KIND", help=f"One of {', '.join(Kind)}.")],
     output: Annotated[Path, output_option("FILE.svg|pdf|png", "The figure.")],
-    options: PlotOptions,
+    width: Annotated[
+        Width | None,
+        typer.Option(help="In mm: one column, or across the page, as if not given."),
+    ] = None,
+    leg: Annotated[
+        str, typer.Option(metavar="LEG", help="Whose drawing; the first leg's if not given.")
+    ] = "",
     force: Force = False,
 ) -> None:
     """Draw a figure of a calibration.
@@ -284,14 +282,14 @@ def plot(
     """
     calibrated = load_result(result)
     refuse_existing(picture_path(output), force=force)
-    if options.leg and kind != "drawing":
+    if leg and kind != "drawing":
         raise typer.BadParameter("--leg is for the kind 'drawing'")
-    inches = float(options.width or PAGE_WIDTH) / 25.4
+    inches = float(width or PAGE_WIDTH) / 25.4
     height = max(0.62 * inches, 3.6 if kind == "parameters" else 2.4)
     with working("drawing"):
         with drawing():
             axes = Figure(figsize=(inches, height), layout="compressed").subplots()
-            of_leg = {"leg": options.leg} if options.leg else {}
+            of_leg = {"leg": leg} if leg else {}
             figure = getattr(calibrated.plot, kind)(axes, **of_leg).figure
         save_figure(figure, output, force=force, whole=True)
     wrote(output)

@@ -32,8 +32,6 @@ from pincal.words.numbers import STORED, amount, minus, per_si
 NORMAL = 1.96
 #: Of lines over a map, which is as light on dark ground: no colour that pages change there.
 _LINES = "#101010"
-#: Of a map's width, from where a line's second number has room.
-_NUMBER_DISTANCE = 0.45
 #: Behind numbers of lines: dark letters are read on it wherever a map is dark.
 _PLATE = {"boxstyle": "square,pad=0.1", "facecolor": "#EFEFEF", "edgecolor": "none", "alpha": 0.75}
 #: Entries of a legend from which it is set closely.
