@@ -12,8 +12,9 @@ from pincal.calibration.covariance import (
     Confidence,
     chi2_freedoms,
     confidence,
-    covariances,
+    covariance_by_noise,
     exceeded,
+    parameter_places,
     quantiles,
     systematic,
     tie_tests,
@@ -37,85 +38,83 @@ from pincal.types import Array
 _UNMOVED = 0.1  # of a standard error: what is held and moves a value by less leaves its interval
 
 
-def assemble(fits_of_all: Fits, without_ties: Fits | None) -> CalibrationResult:
+def assemble(fits: Fits, without_ties: Fits | None) -> CalibrationResult:
     """Return the result of all legs from one fit of all, or one fit each.
 
     Args:
-        fits_of_all: The fits.
+        fits: The fits.
         without_ties: The fits without ties, if there were any.
     """
-    calibration, gauge, held = fits_of_all.calibration, fits_of_all.gauge, fits_of_all.held
+    calibration, gauge = fits.calibration, fits.gauge
     mechanism = calibration.mechanism
-    fits = fits_of_all.fits
-    covariance, outer = covariances(fits_of_all)
-    sure = confidence(fits_of_all)
-    dof = sum(fit.degrees_of_freedom for fit in fits)
-    chi2 = float(sum(fit.chi2 for fit in fits) / dof) if dof > 0 else np.nan
-    free = float(dof) if fits_of_all.latent else chi2_freedoms(fits_of_all.fits)
-    p_value = exceeded(chi2, free, sure.of_chi2) if calibration.noise.known else 1.0
-    excess = excess_of(chi2, p_value)
-    covariance, outer = excess**2 * covariance, None if outer is None else excess**2 * outer
-    G = systematic(fits_of_all)
-    n = len(covariance)
-    systematic_part = G[:n] @ G[:n].T
-    sizes = [len(leg.parameters) for leg in mechanism.legs]
-    lost = np.zeros((n + len(G[n:]), 0)) if held is None else held.directions
-    errors = determined(
-        np.sqrt(np.stack((np.diagonal(covariance), np.diagonal(systematic_part)))), lost[:n]
-    )
-    parts = np.split(errors, np.cumsum(sizes)[:-1], axis=1)
-    std = dict(zip(mechanism.leg_names, parts, strict=True))
-    covariance = covariance + systematic_part
-    redundancies = [redundancy(fit) for fit in fits_of_all.fits]
-    by_name = {
-        leg.name: leg
-        for fit, freedoms, own in zip(fits_of_all.fits, sure.of_unknowns, redundancies, strict=True)
-        for leg in _leg_results(calibration, fit, std, quantiles(freedoms), *own)
-    }
-    legs = tuple(by_name[name] for name in mechanism.leg_names)
+    sure = confidence(fits)
+    dof, chi2 = fits.degrees_of_freedom, _reduced_chi2(fits)
+    chi2_dof = chi2_freedoms(fits.fits)
+    p_value = exceeded(chi2, chi2_dof, sure.of_chi2) if calibration.noise.known else 1.0
+    by_noise = excess_of(chi2, p_value) ** 2 * covariance_by_noise(fits)
+    by_systematic = systematic(fits)
+    held = np.zeros((len(by_noise), 0)) if fits.held is None else fits.held.directions
+    n = len(mechanism.parameters)
+    systematic_part = by_systematic[:n] @ by_systematic[:n].T
+    std = _standard_errors(by_noise[:n, :n], by_systematic[:n], held[:n])
+    redundancies = [redundancy(fit) for fit in fits.fits]
+    legs = _leg_results(fits, std, sure, redundancies)
     return CalibrationResult(
         calibration=calibration,
         identified=mechanism.with_parameters({leg.name: leg.identified for leg in legs}),
         legs=legs,
-        external=_external(fits_of_all, outer, G[n:], lost[n:], sure),
-        covariance=covariance,
-        systematic=systematic_part if G.size else None,
+        external=_external(fits, by_noise[n:, n:], by_systematic[n:], held[n:], sure),
+        covariance=by_noise[:n, :n] + systematic_part,
+        systematic=systematic_part if by_systematic.size else None,
         noise=_noise(calibration, chi2),
         noise_source=calibration.noise.source,
         degrees_of_freedom=dof,
         reduced_chi2=chi2,
         chi2_p_value=p_value,
-        chi2_freedoms=free,
+        chi2_freedoms=chi2_dof,
         noise_freedoms=sure.least,
-        evaluations=sum(fit.evaluations for fit in fits),
-        left=max(fit.distance for fit in fits),
-        converged=all(fit.converged for fit in fits),
-        costs=tuple(
-            tuple(cost / max(fit.degrees_of_freedom, 1) for cost in fit.costs) for fit in fits
-        ),
-        outliers=_merged([outlier for fit in fits_of_all.fits for outlier in fit.outliers]),
+        evaluations=sum(fit.evaluations for fit in fits.fits),
+        left=max(fit.distance for fit in fits.fits),
+        converged=fits.converged,
+        costs=_costs(fits),
+        outliers=_merged_outliers(fits.fits),
         gauge=() if gauge is None else gauge.found,
         gauge_directions=None if gauge is None else gauge.of_legs,
         frames_moved=None if gauge is None else gauge.frames,
-        undetermined_directions=lost[:n] if lost.shape[1] else None,
+        undetermined_directions=held[:n] if held.shape[1] else None,
         ties=() if without_ties is None else tie_tests(without_ties),
-        observed=_observed(fits_of_all, redundancies[0][1][-1]) if fits_of_all.latent else (),
-        outside=fits_of_all.external if len(calibration.observation.external) else None,
-        estimated_poses=mechanism.platform.from_matrices(fits[0].last.state.matrices)
-        if fits_of_all.latent
+        observed=_observed(fits, redundancies[0][1][-1]),
+        outside=fits.external if len(calibration.observation.external) else None,
+        estimated_poses=mechanism.platform.from_matrices(fits.fits[0].last.state.matrices)
+        if fits.latent
         else None,
     )
 
 
-def determined(std: Array, lost: Array) -> Array:
-    """Return standard errors, infinite of what a direction that was held may move.
+def _reduced_chi2(fits: Fits) -> float:
+    """Return χ² of all fits over its degrees of freedom, NaN if there are none."""
+    dof = fits.degrees_of_freedom
+    return float(sum(fit.chi2 for fit in fits.fits) / dof) if dof > 0 else np.nan
+
+
+def _costs(fits: Fits) -> tuple[tuple[float, ...], ...]:
+    """Return the costs of each fit's iterations over its degrees of freedom."""
+    return tuple(
+        tuple(cost / max(fit.degrees_of_freedom, 1) for cost in fit.costs) for fit in fits.fits
+    )
+
+
+def _standard_errors(covariance: Array, by_systematic: Array, held: Array) -> Array:
+    """Return standard errors of n values, infinite of what a direction that was held may move.
 
     Args:
-        std: By noise, and by what is off in all rows, shape (2, n).
-        lost: Directions, as far as machines may differ, shape (n, n_lost).
+        covariance: By noise, shape (n, n).
+        by_systematic: How the values follow what is off in all rows, shape (n, q).
+        held: Directions that were held, as far as machines may differ, shape (n, n_held).
     """
-    moved = np.linalg.norm(lost, axis=1)
-    return np.asarray(np.where(moved > _UNMOVED * np.hypot(*std), np.inf, std))
+    std = np.hypot(np.sqrt(np.diagonal(covariance)), np.linalg.norm(by_systematic, axis=1))
+    moved = np.linalg.norm(held, axis=1)
+    return np.asarray(np.where(moved > _UNMOVED * std, np.inf, std))
 
 
 def _noise(calibration: Calibration, chi2: float) -> Noise | None:
@@ -130,7 +129,7 @@ def _noise(calibration: Calibration, chi2: float) -> Noise | None:
 
 
 def _identified(
-    parameter: Parameter, value: float, std: float, quantile: float, given: str = ""
+    parameter: Parameter, value: float, std: float, quantile: float, beforehand: str = ""
 ) -> IdentifiedParameter:
     """Return a parameter with its 95 % interval, half of which is so many standard errors."""
     return IdentifiedParameter(
@@ -142,71 +141,80 @@ def _identified(
         std=float(std),
         low=float(value - quantile * std),
         high=float(value + quantile * std),
-        given=given,
+        given=beforehand,
         label=parameter.label,
     )
 
 
 def _leg_results(
-    calibration: Calibration,
-    fit: Fit,
-    std: dict[str, Array],
-    quantile: Array,
-    residuals: Sequence[LegResiduals],
-    redundancies: Sequence[Array],
-) -> list[LegResult]:
-    """Return the results of the legs of a fit.
+    fits: Fits,
+    std: Array,
+    sure: Confidence,
+    redundancies: Sequence[tuple[list[LegResiduals], list[Array]]],
+) -> tuple[LegResult, ...]:
+    """Return the results of all legs in the mechanism's order.
 
     Args:
-        calibration: What was calibrated.
-        fit: The fit.
-        std: Standard errors by noise, and by what is off in all rows, shape (2, n) of each leg.
-        quantile: How many of them half an interval is, of the fit's unknowns, shape (n,).
-        residuals: Of the legs.
-        redundancies: Redundancies of these, (N, k) each.
+        fits: The fits.
+        std: Standard errors of all legs' parameters, shape (n_params,).
+        sure: How well the noise is known.
+        redundancies: Of each fit, residuals of its legs and their redundancies, (N, k) each.
     """
-    problem = fit.problem
-    nominal, results = calibration.mechanism.parameters, []
-    for index, (leg, columns) in enumerate(
-        zip(problem.legs, problem.leg_block.columns, strict=True)
+    mechanism = fits.calibration.mechanism
+    nominal, results = mechanism.parameters, {}
+    for fit, freedoms, (residuals, shares) in zip(
+        fits.fits, sure.of_unknowns, redundancies, strict=True
     ):
-        counted = problem.leg_block.used[:, index] & (fit.weights > 0.0)
-        before = leg_residuals(problem, fit.first, index)
-        after = residuals[index]
-        rank, condition = fit.ranks[index]
-        values = after.value[counted]
-        parameters = [nominal[f"{leg.name}.{name}"] for name in leg.parameter_names]
-        results.append(
-            LegResult(
-                name=leg.name,
-                parameters=tuple(
-                    _identified(p, value, error, half, _given(calibration, p, error))
-                    for p, value, error, half in zip(
-                        parameters,
-                        fit.parameters[columns],
-                        np.hypot(*std[leg.name]),
-                        quantile[columns],
-                        strict=True,
-                    )
-                ),
-                rank=rank,
-                condition=condition,
-                rms_before=_rms(before.value[counted]),
-                rms_after=_rms(values),
-                unit=after.unit,
-                n_residuals=values.size,
-                sigma=after.sigma[counted].ravel(),
-                rows=np.repeat(fit.rows[counted], values.shape[1]),
-                residuals_before=before.value[counted].ravel(),
-                residuals=values.ravel(),
-                quantity=after.quantity,
-                redundancy=redundancies[index][counted].ravel(),
+        errors = std[parameter_places(mechanism, fit.problem.legs)]
+        quantile = quantiles(freedoms)
+        for index, (leg, columns) in enumerate(
+            zip(fit.problem.legs, fit.problem.leg_block.columns, strict=True)
+        ):
+            parameters = tuple(
+                _identified(p, value, error, half, _beforehand(fits.calibration, p, error))
+                for p, value, error, half in zip(
+                    [nominal[f"{leg.name}.{name}"] for name in leg.parameter_names],
+                    fit.parameters[columns],
+                    errors[columns],
+                    quantile[columns],
+                    strict=True,
+                )
             )
-        )
-    return results
+            results[leg.name] = _leg_result(fit, index, parameters, residuals[index], shares[index])
+    return tuple(results[name] for name in mechanism.leg_names)
 
 
-def _given(calibration: Calibration, parameter: Parameter, std: float) -> str:
+def _leg_result(
+    fit: Fit,
+    index: int,
+    parameters: tuple[IdentifiedParameter, ...],
+    after: LegResiduals,
+    redundancies: Array,
+) -> LegResult:
+    """Return the result of one leg of a fit, of its residuals at the rows that count."""
+    counted = fit.problem.leg_block.used[:, index] & (fit.weights > 0.0)
+    before = leg_residuals(fit.problem, fit.first, index).value[counted]
+    residuals = after.value[counted]
+    rank, condition = fit.ranks[index]
+    return LegResult(
+        name=fit.problem.legs[index].name,
+        parameters=parameters,
+        rank=rank,
+        condition=condition,
+        rms_before=_rms(before),
+        rms_after=_rms(residuals),
+        unit=after.unit,
+        n_residuals=residuals.size,
+        sigma=after.sigma[counted].ravel(),
+        rows=np.repeat(fit.rows[counted], residuals.shape[1]),
+        residuals_before=before.ravel(),
+        residuals=residuals.ravel(),
+        quantity=after.quantity,
+        redundancy=redundancies[counted].ravel(),
+    )
+
+
+def _beforehand(calibration: Calibration, parameter: Parameter, std: float) -> str:
     """Return what was given of a parameter beforehand, or that it was held nearest to nominal."""
     options = calibration.options
     names_by_kind = {"fixed": options.fixed, "tied": options.tied, "prior": calibration.priors}
@@ -224,19 +232,19 @@ def _rms(values: Array) -> float:
 
 
 def _external(
-    fits: Fits, outer: Array | None, systematic_rows: Array, lost: Array, sure: Confidence
+    fits: Fits, covariance: Array, by_systematic: Array, held: Array, sure: Confidence
 ) -> tuple[IdentifiedParameter, ...]:
     """Return frame and targets with their intervals, and where the search for them began.
 
     Args:
         fits: The fits.
-        outer: Covariance of their steps by noise, shape (n, n); None if there are none.
-        systematic_rows: How they follow what is off by the same in all rows, shape (n, q).
-        lost: Directions of them that were held, shape (n, n_lost).
+        covariance: Of their steps by noise, shape (n, n).
+        by_systematic: How they follow what is off by the same in all rows, shape (n, q).
+        held: Directions of them that were held, shape (n, n_held).
         sure: How well the noise is known.
     """
     outside, values = fits.calibration.observation.external, fits.external
-    if values is None or outer is None or not len(outside):
+    if values is None or not len(outside):
         return ()
     began = fits.fits[0].first.state.external
     # of instruments, what their makers say
@@ -245,27 +253,35 @@ def _external(
     D = outside.coordinates_by_step(values)
     freedoms = [freedoms.min(initial=np.inf) for freedoms in sure.of_unknowns]
     quantile = float(quantiles(np.array(min(freedoms))))
-    std = np.stack(
-        (np.sqrt(np.diagonal(D @ outer @ D.T)), np.linalg.norm(D @ systematic_rows, axis=1))
-    )
-    std = determined(std, D @ lost)
+    std = _standard_errors(D @ covariance @ D.T, D @ by_systematic, D @ held)
     return tuple(
         _identified(
-            _outside(id_, unit, first), value, error, quantile, "" if np.isfinite(error) else HELD
+            Parameter(owner, name, unit, float(first)),
+            value,
+            error,
+            quantile,
+            "" if np.isfinite(error) else HELD,
         )
-        for id_, unit, first, value, error in zip(
-            outside.names, outside.units, start, estimates, np.hypot(*std), strict=True
+        for (owner, _, name), unit, first, value, error in zip(
+            (id_.partition(".") for id_ in outside.names),
+            outside.units,
+            start,
+            estimates,
+            std,
+            strict=True,
         )
     )
-
-
-def _outside(id_: str, unit: str, nominal: float) -> Parameter:
-    owner, _, name = id_.partition(".")
-    return Parameter(owner, name, unit, float(nominal))
 
 
 def _observed(fits: Fits, redundancies: Array) -> tuple[Observed, ...]:
-    """Return how the measured quantities of the platform fit; left: redundancies, (N, r)."""
+    """Return how the measured quantities of the platform fit; none where poses are as measured.
+
+    Args:
+        fits: The fits.
+        redundancies: Of the quantities, shape (N, r).
+    """
+    if not fits.latent:
+        return ()
     fit = fits.fits[0]
     problem, observation = fit.problem, fit.problem.observation
     n_legs = problem.leg_block.n_rows
@@ -292,10 +308,11 @@ def _observed(fits: Fits, redundancies: Array) -> tuple[Observed, ...]:
     return tuple(results)
 
 
-def _merged(outliers: Sequence[Outlier]) -> tuple[Outlier, ...]:
+def _merged_outliers(fits: Sequence[Fit]) -> tuple[Outlier, ...]:
     """Return outliers of all fits, one for each row, the worst first."""
+    outliers = [outlier for fit in fits for outlier in fit.outliers]
     rows: dict[int, Outlier] = {}
-    for outlier in sorted(outliers, key=lambda o: -o.sigma):
+    for outlier in sorted(outliers, key=lambda outlier: -outlier.sigma):
         worst = rows.setdefault(outlier.row, outlier)
         if worst is not outlier:
             legs = (*worst.legs, *outlier.legs)
@@ -317,11 +334,11 @@ def unreproduced(result: CalibrationResult, machine: Mechanism) -> float:
     calibration = result.calibration
     influences = _influences_again(calibration, machine)
     data = replace(calibration.measurements, influences=influences)
-    again = replace(calibration, mechanism=machine, measurements=data)
+    reproduced = replace(calibration, mechanism=machine, measurements=data)
     differences = [0.0]
     for fitted_leg, saved_leg, reported in zip(
         _leg_misses(calibration, result, [leg.identified for leg in result.legs]),
-        _leg_misses(again, result, [leg.nominal for leg in machine.legs]),
+        _leg_misses(reproduced, result, [leg.nominal for leg in machine.legs]),
         result.legs,
         strict=True,
     ):

@@ -35,7 +35,7 @@ def all_legs(mechanism: Mechanism, fits: Sequence[Fit]) -> Array:
     covariance = np.zeros((n, n))
     parts = []
     for fit in fits:
-        places = _places(mechanism, fit.problem.legs)
+        places = parameter_places(mechanism, fit.problem.legs)
         covariance[np.ix_(places, places)] = fit.covariance[: len(places), : len(places)]
         last = fit.problem.leg_block.n_readings
         columns = [*range(last, last + mechanism.platform.dof), -1]  # the pose's noise, an outlier
@@ -51,7 +51,7 @@ def all_legs(mechanism: Mechanism, fits: Sequence[Fit]) -> Array:
     return covariance
 
 
-def _places(mechanism: Mechanism, legs: Sequence[Leg]) -> Index:
+def parameter_places(mechanism: Mechanism, legs: Sequence[Leg]) -> Index:
     """Return the places of some legs' parameters among those of all."""
     sizes = [len(leg.parameters) for leg in mechanism.legs]
     ends = dict(zip(mechanism.leg_names, np.cumsum(sizes).tolist(), strict=True))
@@ -83,20 +83,6 @@ def chi2_freedoms(fits: Sequence[Fit]) -> float:
             product = over_rows(Q[mine], AP)
             shared += (A**2).sum() - (AP**2).sum() - (QA**2).sum() + (product**2).sum()
     return total**2 / (total + 2.0 * shared) if total else 0.0
-
-
-def moved_along_gauge(covariance: Array, gauge: Gauge, unknowns: Unknowns) -> tuple[Array, Array]:
-    """Return covariances of parameters that were moved along gauge directions, and of the frames.
-
-    Args:
-        covariance: Of the legs' parameters with the frames as they were, shape (n, n).
-        gauge: The gauge freedoms.
-        unknowns: Of the legs and the external unknowns.
-    """
-    n = len(covariance)
-    P = _nearest(gauge, unknowns, n)
-    moved = P @ covariance @ P.T
-    return moved[:n, :n], moved[n:, n:]
 
 
 def _nearest(gauge: Gauge, unknowns: Unknowns, n: int) -> Array:
@@ -135,7 +121,7 @@ def systematic(fits: Fits) -> Array:
     twists = -np.linalg.solve(by_twist, own[:, rows])  # where what is measured takes the poses
     follows = np.zeros((n, own.shape[2]))
     for fit in fits.fits:
-        places = _places(mechanism, fit.problem.legs)
+        places = parameter_places(mechanism, fit.problem.legs)
         moved = [demand.pose @ twists[fit.rows] for demand in fit.last.demands]
         errors = np.zeros((*fit.last.conditions.shape, own.shape[2]))
         block = fit.problem.leg_block
@@ -147,17 +133,18 @@ def systematic(fits: Fits) -> Array:
     return _nearest(fits.gauge, fits.unknowns, n) @ follows
 
 
-def covariances(fits: Fits) -> tuple[Array, Array | None]:
-    """Return the covariance of all legs' parameters, and of the external unknowns' steps."""
-    mechanism = fits.calibration.mechanism
-    n = len(mechanism.parameters)
+def covariance_by_noise(fits: Fits) -> Array:
+    """Return the covariance of all legs' parameters, then of the external unknowns' steps, (n, n).
+
+    Of parameters that were moved along gauge directions, the frames following, if legs are alone.
+    """
     if fits.latent:
-        full = fits.fits[0].covariance
-        return full[:n, :n], full[n:, n:]
-    covariance = all_legs(mechanism, fits.fits)
+        return fits.fits[0].covariance
+    covariance = all_legs(fits.calibration.mechanism, fits.fits)
     if fits.gauge is None or fits.unknowns is None:
-        return covariance, None
-    return moved_along_gauge(covariance, fits.gauge, fits.unknowns)
+        return covariance
+    P = _nearest(fits.gauge, fits.unknowns, len(covariance))
+    return np.asarray(P @ covariance @ P.T)
 
 
 @dataclass(frozen=True)
@@ -254,11 +241,12 @@ def tie_tests(free: Fits) -> tuple[TieTest, ...]:
     names = [(leg.name, name) for leg in mechanism.legs for name in leg.parameter_names]
     parameters = free.parameters(mechanism)
     values = np.concatenate([parameters[leg] for leg in mechanism.leg_names])
-    covariance, _ = covariances(free)
+    n = len(names)
+    covariance = covariance_by_noise(free)[:n, :n]
     rows = []
     for tie in calibration.options.tied:
         places = [i for i, (_, name) in enumerate(names) if name == tie]
-        rows += [np.eye(len(names))[i] - np.eye(len(names))[places[0]] for i in places[1:]]
+        rows += [np.eye(n)[i] - np.eye(n)[places[0]] for i in places[1:]]
     R = np.array(rows)
     if free.gauge is not None and free.gauge.of_legs is not None:
         directions = free.gauge.of_legs

@@ -100,6 +100,16 @@ class Fits:
         """Whether poses were unknowns."""
         return self.calibration.options.latent
 
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Of all fits."""
+        return sum(fit.degrees_of_freedom for fit in self.fits)
+
+    @property
+    def converged(self) -> bool:
+        """Whether all fits converged."""
+        return all(fit.converged for fit in self.fits)
+
     def parameters(self, mechanism: Mechanism) -> dict[str, Array]:
         """Return identified parameters by leg, each of shape (n_params,)."""
         by_leg = {

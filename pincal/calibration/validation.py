@@ -102,7 +102,7 @@ def held_out(
         calibration = whole.calibration
     groups = folds_of(calibration.measurements, folds, by)
     count, of_folds, misses, chances = int(groups.max()) + 1, np.zeros(4), [], []
-    dof = sum(fit.degrees_of_freedom for fit in whole.fits)
+    dof = whole.degrees_of_freedom
     chi2 = sum(fit.chi2 for fit in whole.fits)
     total = chi2 if (groups >= 0).all() else None  # rows to verify with are in no fit
     for fold in range(count):
@@ -150,7 +150,7 @@ def _converged(calibration: Calibration, what: str, near: Near | None = None) ->
         MeasurementError: they do not converge.
     """
     fits = fitted(calibration, near=near)
-    if not all(fit.converged for fit in fits.fits):
+    if not fits.converged:
         raise MeasurementError(
             f"{what} does not converge; measure more poses, or give a better nominal mechanism"
         )
@@ -208,7 +208,7 @@ def _chance(seen: Fits, sums: Array, total: float | None) -> float:
         total: χ² of all rows at this noise; by the first order if not given.
     """
     statistic, _, _, equations = sums.tolist()
-    dof = sum(fit.degrees_of_freedom for fit in seen.fits)
+    dof = seen.degrees_of_freedom
     share = 1.0 if seen.latent else chi2_freedoms(seen.fits) / max(dof, 1)
     chi2_seen = sum(fit.chi2 for fit in seen.fits)
     inside = statistic if total is None else max(total - chi2_seen, 0.0)

@@ -222,7 +222,7 @@ def _identified(calibration: Calibration) -> Fits:
         PincalError, LinAlgError: rows that do not determine the model, or a search without end.
     """
     fits = fitted(calibration)
-    if not all(fit.converged for fit in fits.fits):
+    if not fits.converged:
         raise MeasurementError("the search does not converge")
     return fits
 
