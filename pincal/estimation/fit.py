@@ -306,13 +306,15 @@ def fit(
 
 
 _PAIRS, _CLEARLY = 3, 0.1
+_BY_PRIORS = 0.5  # share of what determines a direction, from which it is the priors'
 
 
 def curvature(fit: Fit, threshold: float = 0.0) -> float:
     """Return the curved part of residuals over the straight one, at one standard error.
 
-    Rows do not see to second order that poses move, so poses are not solved at the ends. Far below
-    a threshold one pair of draws will do.
+    Rows do not see to second order that poses move, so poses are not solved at the ends. What
+    priors determine rather than rows is as wide as they are, and rows say nothing straight of it:
+    it stays. Far below a threshold one pair of draws will do.
     """
     problem, linear, rows = fit.problem.thinned(fit.last)
     used, n = (fit.weights > 0.0)[rows], len(fit.covariance)
@@ -320,6 +322,8 @@ def curvature(fit: Fit, threshold: float = 0.0) -> float:
     size = np.where(size > 0.0, size, 1.0)  # so that draws are the same in any unit
     values, axes = np.linalg.eigh(fit.covariance / np.outer(size, size))
     root = size[:, None] * axes * np.sqrt(values.clip(0.0))
+    by_priors, axes = np.linalg.eigh(root.T @ (root / fit.unknowns.priors[:, None] ** 2))
+    root = root @ (axes * (by_priors < _BY_PRIORS))
     bent = straight = 0.0
     for draw in np.random.default_rng(0).standard_normal((_PAIRS, n)):
         step = root @ draw
