@@ -219,8 +219,6 @@ def test_errors_are_as_large_on_maps_as_on_cards(planar: Any) -> None:
     result, _, report = planar
     worse = replace(result, reduced_chi2=4.0, covariance=4.0 * result.covariance)
     poor, sound = error_maps(worse), error_maps(result)
-    assert poor is not None
-    assert sound is not None
     np.testing.assert_allclose(poor.after, 2 * sound.after)
     shown = verdicts_of(Report(worse, errors_at(worse, report.errors.poses), date=DATE))[1]
     assert f"{2e3 * report.errors.mean_after()[0]:.3g}" in shown

@@ -11,7 +11,7 @@ from scipy.special import gammaincinv
 from pincal.calibration.missed import Missed
 from pincal.calibration.promise import seen_by
 from pincal.calibration.result import CalibrationResult
-from pincal.calibration.validation import MISSES, Validation
+from pincal.calibration.validation import MISSES
 from pincal.design.platform_error import platform_error
 from pincal.estimation.observability.identifiable import WeakPair
 from pincal.model.measurements import Noise
@@ -371,26 +371,20 @@ def _comparisons(result: CalibrationResult) -> list[str]:
     if validation is not None:
         folds, count = validation.folds, validation.rows
         rows = f"{folds} folds" if folds > 1 else f"{count} rows of the set verify"
-        lines.append(f"{held_out_line(validation)} ({rows})")
+        text = (
+            f"held-out rows miss by {validation.held_out:.2f} σ, those of the fit by "
+            f"{validation.fit:.2f} σ; {validation.expected:.2f} σ are expected held out"
+        )
+        if validation.fit > MISSES:
+            text = "held-out rows show nothing: the fit misses even its own rows by "
+            text += f"{validation.fit:.3g} σ. Look at the warnings first"
+        lines.append(f"{text} ({rows})")
     if result.runs is not None:
         lines.append(
             f"{len(result.runs.runs)} runs: parameters spread {result.runs.ratio:.2f} times as "
             f"much as their standard errors say ({chance(result.runs.p_value)})"
         )
     return lines
-
-
-def held_out_line(validation: Validation) -> str:
-    """Return how rows that a fit has not seen compare with its own, where these fit at all."""
-    if validation.fit > MISSES:
-        return (
-            "held-out rows show nothing: the fit misses even its own rows by "
-            f"{validation.fit:.3g} σ. Look at the warnings first"
-        )
-    return (
-        f"held-out rows miss by {validation.held_out:.2f} σ, those of the fit by "
-        f"{validation.fit:.2f} σ; {validation.expected:.2f} σ are expected held out"
-    )
 
 
 def weak_lines(pairs: Sequence[WeakPair], mechanism: Mechanism) -> list[str]:

@@ -39,7 +39,7 @@ from pincal.show.pictures.picture import draw_scene
 from pincal.show.series import noisy_series, observed_series
 from pincal.show.style import EVERY, IDENTIFIED, INK, NOMINAL, OUTLIER
 from pincal.show.view.scene import rounded_down, scene
-from pincal.show.workspace_errors import bed, error_maps, moved_apart, why_no_maps
+from pincal.show.workspace_errors import bed, error_maps, moved_apart
 from pincal.types import Array
 from pincal.words.numbers import SMALL, STORED, per_si
 from pincal.words.wording import clean
@@ -232,11 +232,7 @@ def expected_errors(axes: Axes, result: CalibrationResult) -> Axes:
         MeasurementError: residuals are so large that no accuracy can be promised.
         WorkspaceError: no workspace was found with the default margins.
     """
-    if (maps := error_maps(result)) is None:
-        reason = f"{result.nominal.name}: no map of errors: {why_no_maps(result)}"
-        if not result.explained:
-            raise MeasurementError(reason)
-        raise WorkspaceError(reason)
+    maps = error_maps(result)
     image = draw_map(axes, (maps.x, maps.y), per_si("m") * maps.after[..., 0])
     axes.figure.colorbar(image, ax=axes, label=wrapped(_EXPECTED, room(axes)[1]))
     axes.set(xlabel=axis_name("x"), ylabel=axis_name("y"), title=height_name(maps.height))

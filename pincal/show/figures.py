@@ -130,9 +130,9 @@ def _drawing(result: CalibrationResult, _errors: WorkspaceErrors | None) -> Capt
 
 def _maps(result: CalibrationResult, errors: WorkspaceErrors | None) -> Captioned:
     """Return the platform's errors over x and y, before and after (3-RRR paper, Figs. 6, 11)."""
-    maps = None if errors is None else error_maps(result, errors)
-    if errors is None or maps is None:
+    if errors is None:
         return None
+    maps = error_maps(result, errors)
     rows = {
         name: {"before": maps.before[..., i], "after, expected": maps.after[..., i]}
         for i, name in enumerate(errors.units)

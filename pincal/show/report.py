@@ -8,17 +8,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from functools import cached_property, partial
-from hashlib import file_digest
+from hashlib import sha256
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from markupsafe import Markup
 
 from pincal import __version__
 from pincal.calibration.result import CalibrationResult
-from pincal.errors import FileError
+from pincal.errors import FileError, MeasurementError, WorkspaceError
+from pincal.files.text import LARGEST_FILE, read_bytes
 from pincal.model.measurements import EVERY_LEG
 from pincal.model.units import SI, Units
 from pincal.show import answers, tables
@@ -26,21 +27,11 @@ from pincal.show.figures import figure
 from pincal.show.page import Page
 from pincal.show.series import readings_exact
 from pincal.show.style import dark_variables
-from pincal.show.workspace_errors import WorkspaceErrors, why_no_maps, workspace_errors
+from pincal.show.workspace_errors import WorkspaceErrors, workspace_errors
 from pincal.words.numbers import capital, reading_in
 from pincal.words.wording import clean, rendered
 
 _MOST_OUTLIERS = 50  # that are listed
-
-
-class Section(NamedTuple):
-    """A section of a page."""
-
-    name: str
-    """Its place, for links."""
-    title: str
-    parts: list[Any]
-    """Paragraphs, lists of lines, facts by name, tables and figures."""
 
 
 @dataclass(eq=False)
@@ -73,8 +64,8 @@ class Report(Page):
                 warnings=answers.warnings(result),
                 answers=answers.answers(result, self.errors, self.notes),
                 sections=[
-                    section._replace(parts=[part for part in section.parts if part])
-                    for section in _sections(self)
+                    {"name": name, "title": title, "parts": filter(None, parts)}
+                    for name, title, *parts in _sections(self)
                 ],
                 dark=dark_variables(),
             )
@@ -105,85 +96,69 @@ def report(
     """
     today = datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %z")
     regular = [path for path in map(Path, files) if not path.is_fifo()]  # a pipe is read once
-    hashes = tuple((path.name, _sha256(path)) for path in regular)
+    hashes = tuple(
+        (path.name, sha256(read_bytes(path, LARGEST_FILE["table"], FileError)).hexdigest())
+        for path in regular
+    )
     read = Units.of(units, result.nominal.counts, result.nominal.reading_names)
     errors = workspace_errors(result) if result.converged else None
     made = today if date is None else date
     return Report(result, errors, command, hashes, tuple(notes), made, read)
 
 
-def _sha256(path: Path) -> str:
-    """Return the SHA-256 of a file.
+def _sections(report: Report) -> list[tuple[Any, ...]]:
+    """Return names, titles and parts of sections, those of numbers only where the fit converged.
 
-    Raises:
-        FileError: it cannot be read.
+    Parts are paragraphs, lists of lines, facts by name, tables and figures; those that are empty
+    have nothing to show.
     """
-    try:
-        with path.open("rb") as file:
-            return file_digest(file, "sha256").hexdigest()
-    except OSError as error:
-        raise FileError(f"cannot read {path}: {error.strerror or error}") from error
-
-
-def _sections(report: Report) -> list[Section]:
-    """Return the sections of a report, those of numbers only where the fit converged."""
     result, errors = report.result, report.errors
     drawn = partial(figure, result=result, errors=errors)
-    measured = Section(
-        "measured",
-        "What was measured, and how well",
-        [_measured(result), drawn("poses")],
-    )
+    measured = ("measured", "What was measured, and how well", _measured(result), drawn("poses"))
     libraries = ", ".join(f"{name} {version(name)}" for name in ("pin", "numpy", "scipy"))
-    reproduction = Section(
+    reproduction = (
         "reproduction",
         "How to reproduce it",
-        [
-            Markup("<pre><code>{}</code></pre>").format(clean(report.command)),
-            f"Made on {report.date} with pincal {__version__}, {libraries}, Python "
-            f"{platform.python_version()}. No random choice is involved.",
-            tables.files_table(report.files) if report.files else None,
-        ],
+        Markup("<pre><code>{}</code></pre>").format(clean(report.command)),
+        f"Made on {report.date} with pincal {__version__}, {libraries}, Python "
+        f"{platform.python_version()}. No random choice is involved.",
+        tables.files_table(report.files) if report.files else None,
     )
     if errors is None:
         return [measured, reproduction]
-    exact = readings_exact(result)
+    exact = "Readings were taken as exact: the legs close by construction, and what the model "
+    exact += "leaves over is by how much the platform misses what was measured of it."
+    try:
+        maps: Any = drawn("maps")
+    except (MeasurementError, WorkspaceError) as error:
+        maps = f"{capital(str(error))}."
     return [
         measured,
-        Section(
+        (
             "parameters",
             "Parameters",
-            [
-                tables.parameters_table(result),
-                drawn("changes"),
-                drawn("drawing"),
-                tables.outside_table(result) if result.external else None,
-                [f"{line}." for line in answers.weak_lines(result.weak, result.nominal)],
-            ],
+            tables.parameters_table(result),
+            drawn("changes"),
+            drawn("drawing"),
+            tables.outside_table(result) if result.external else None,
+            [f"{line}." for line in answers.weak_lines(result.weak, result.nominal)],
         ),
-        Section(
+        (
             "residuals",
             "Residuals before and after",
-            [
-                "Readings were taken as exact: the legs close by construction, and what the model "
-                "leaves over is by how much the platform misses what was measured of it."
-                if exact
-                else tables.legs_table(result),
-                tables.observed_table(result) if result.observed else None,
-                drawn("residuals"),
-                drawn("images") if result.options.setup.instruments else None,
-            ],
+            exact if readings_exact(result) else tables.legs_table(result),
+            tables.observed_table(result) if result.observed else None,
+            drawn("residuals"),
+            drawn("images") if result.options.setup.instruments else None,
         ),
-        Section(
+        (
             "platform",
             "Error of the platform",
-            [
-                drawn("maps") or f"No maps: {why_no_maps(result)}.",
-                [f"{capital(line)}." for line in answers.platform_lines(result, errors)],
-            ],
+            maps,
+            [f"{capital(line)}." for line in answers.platform_lines(result, errors)],
         ),
-        Section("outliers", "What was rejected or weighted down", _outliers(result)),
-        Section("checks", "Held-out rows, ties and runs", _checks(result, report.notes)),
+        ("outliers", "What was rejected or weighted down", *_outliers(result)),
+        ("checks", "Held-out rows, ties and runs", *_checks(result, report.notes)),
         reproduction,
     ]
 

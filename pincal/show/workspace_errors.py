@@ -11,7 +11,7 @@ from pincal.calibration.promise import seen_by
 from pincal.calibration.result import CalibrationResult
 from pincal.design.platform_error import PlatformError, root_mean_squares, seen_of, sizes
 from pincal.design.simulate import platform_errors
-from pincal.errors import WorkspaceError
+from pincal.errors import MeasurementError, WorkspaceError
 from pincal.finding import Finding
 from pincal.kinematics.configurations import as_plan
 from pincal.model.measurements import Plan
@@ -113,40 +113,35 @@ class ErrorMaps:
     """To expect of the identified one, of the same shape."""
 
 
-def error_maps(
-    result: CalibrationResult, errors: WorkspaceErrors | None = None
-) -> ErrorMaps | None:
-    """Return errors over the workspace, None where none was found or none can be promised.
+def error_maps(result: CalibrationResult, errors: WorkspaceErrors | None = None) -> ErrorMaps:
+    """Return errors over the workspace.
 
     Args:
         result: The calibration.
         errors: Those at samples of the workspace, computed if not given.
+
+    Raises:
+        MeasurementError: residuals are so large that no accuracy can be promised.
+        WorkspaceError: none was found, or it fills no plane.
     """
     nominal, platform = result.nominal, result.nominal.platform
-    if not result.explained or nominal.by_readings:
-        return None
+    if not result.explained:
+        raise MeasurementError(
+            "no maps: no accuracy can be promised, since residuals are far larger than the noise"
+        )
+    if nominal.by_readings:
+        raise WorkspaceError("no maps: its poses follow from readings, and do not fill a plane")
     errors = errors or workspace_errors(result)
-    if not errors.sampled:
-        return None
     height = float(np.median(errors.poses[:, 2])) if platform.space == 3 else None
     x, y, poses = bed(nominal, errors.poses, _ACROSS[platform.space], height)
     inside = in_workspace(nominal, poses)
-    if not inside.any():
-        return None
+    if not (errors.sampled and inside.any()):
+        raise WorkspaceError("no maps: no workspace was found with the default margins")
     errors_inside = errors_at(result, poses[inside])
     maps = np.full((2, len(poses), 2), np.nan)
     maps[:, inside] = errors_inside.before, errors_inside.after
     before, after = maps.reshape(2, len(y), len(x), 2)
     return ErrorMaps(x, y, height, before, after)
-
-
-def why_no_maps(result: CalibrationResult) -> str:
-    """Return why there are no maps of errors over the workspace."""
-    if not result.explained:
-        return "no accuracy can be promised, since residuals are far larger than the noise"
-    if result.nominal.by_readings:
-        return "its poses follow from readings, and do not fill a plane"
-    return "no workspace was found with the default margins"
 
 
 def bed(
