@@ -111,6 +111,22 @@ def test_clean_heights_give_all_that_heights_can_tell() -> None:
     np.testing.assert_allclose(np.diff(found.angles), np.diff(wanted.angles), atol=1e-8)
 
 
+def test_a_probe_that_stops_at_one_height_is_no_course_of_the_pose() -> None:
+    """Heights written as 0, their noise in the readings at which the probe touched: no finding.
+
+    Of the estimated heights there is nothing but that noise, so residuals would follow them.
+    """
+    mechanism, truth = pincal.load_mechanism("linear_delta"), drawn(5)
+    touched = bed()
+    touched[:, 2] = np.random.default_rng(0).normal(0.0, PROBE.position, len(touched))
+    exact = pincal.Noise(0.0, 0.0, 0.0)
+    data = pincal.simulate(mechanism, truth, pincal.Plan(touched), exact, 0).measurements
+    poses = put(data, "poses", np.s_[:, 2], 0.0)
+    result = pincal.calibrate(mechanism, put(poses, "poses", np.s_[:, :2], np.nan), noise=PROBE)
+    assert result.reduced_chi2 == pytest.approx(1.0, abs=0.6)
+    assert not result.contradictions
+
+
 def test_what_heights_tell_is_forecast() -> None:
     """Rank 9 of 12; arm and radius weakly told apart, by as much as fixing one of them shows."""
     mechanism = pincal.load_mechanism("linear_delta")

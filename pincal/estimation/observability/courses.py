@@ -23,6 +23,8 @@ from pincal.types import Array, Index
 
 _HARMONICS = (1, 2, 3)
 _MAX_SLIPS = 3
+_FLAT = 0.01
+"""Of the widest coordinate of its unit: what varies less has no effect to be seen."""
 ALL, FRAME, LENGTHS = "readings", "positions", "lengths"
 """All readings; all positions, in a frame that moves; all lengths, which grow."""
 What = Literal["frame", "target", "orientation", "reading"]
@@ -152,12 +154,16 @@ def errors_of(fit: Fit, used: Index) -> tuple[list[str], Array]:
 def _of_readings(fit: Fit, used: Index) -> dict[str, list[Array]]:
     """Return by what an error of each reading may follow its value, the pose and the approach.
 
-    Shapes (n_used, f); the pose to second order.
+    Shapes (n_used, f); the pose to second order, less coordinates that vary too little for an
+    effect, as heights of one plane: what they vary by is the noise, and so the residuals.
     """
     block = fit.problem.leg_block
-    poses = fit.problem.platform.from_matrices(fit.last.state.matrices[used])
+    platform = fit.problem.platform
+    poses = platform.from_matrices(fit.last.state.matrices[used])
+    alike = np.equal.outer(platform.units, platform.units)
     scale = np.ptp(poses, axis=0)
-    x = (poses - poses.mean(axis=0)) / np.where(scale > 0.0, scale, 1.0)
+    varied = scale > _FLAT * (alike * scale).max(axis=1)
+    x = ((poses - poses.mean(axis=0)) / np.where(varied, scale, 1.0))[:, varied]
     i, j = np.triu_indices(x.shape[1])
     pose = np.concatenate((x, x[:, i] * x[:, j]), axis=1)
     units = [unit for leg in block.legs for unit in leg.reading_units]
