@@ -404,6 +404,29 @@ def test_a_strut_may_spin_about_itself(tmp_path: Path) -> None:
     np.testing.assert_allclose(pincal.inverse(mechanism, poses).readings, readings, atol=1e-11)
 
 
+def test_the_base_of_the_legs_may_be_carried_by_a_drive(tmp_path: Path) -> None:
+    """On a turntable that is driven, seen from it: legs and readings as of one that stands still.
+
+    The way back over the turntable's joint and the platform's own freedom is no leg.
+    """
+    pytest.importorskip("mujoco")
+    file = struts(tmp_path)
+    still = file.read_text()
+    done("import", file, "-o", tmp_path / "still")
+    turned = '</body><body name="table"><joint name="yaw"/><geom size="0.01"/><body pos', 1
+    turned = still.replace("</body><body pos", *turned).replace(
+        "</worldbody>", "</body></worldbody>"
+    )
+    file.write_text(turned.replace("<actuator>", '<actuator><motor joint="yaw"/>'))
+    done("import", file, "--base", "table", "-o", tmp_path / "carried")
+    pair = [pincal.load_mechanism(tmp_path / name) for name in ("still", "carried")]
+    assert pair[0].leg_names == pair[1].leg_names
+    poses = np.tile(pair[0].platform.home, (5, 1))
+    poses = pair[0].platform.moved(poses, np.random.default_rng(0).normal(0.0, 0.05, poses.shape))
+    readings = [pincal.inverse(mechanism, poses).readings for mechanism in pair]
+    np.testing.assert_allclose(*readings, atol=1e-11)
+
+
 def test_a_leg_may_be_cut_anywhere(tmp_path: Path) -> None:
     """A planar 3-RRR cut at platform, elbow, and whole: the same readings as each leg's dyad."""
     feet = np.array([[-0.5, -0.3], [0.5, -0.3], [0.0, 0.6]])

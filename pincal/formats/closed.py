@@ -167,12 +167,20 @@ def _limbs(
 def _with_drives(tree: Tree, paths: list[list[Step]], kind: str) -> tuple[list[list[Step]], str]:
     """Return the paths with a drive, and the kind of platform, which one without a drive may say.
 
+    A path in which the platform floats, as one over the drive that carries the base, is no leg.
+
     Raises:
         MechanismError: another path without a drive.
     """
-    legs = [path for path in paths if any(edge.joint.name in tree.active for edge, _ in path)]
-    idle = [path for path in paths if path not in legs]
-    kinds = [_freedoms(path) for path in idle]
+    legs, idle, kinds = [], [], []
+    for path in paths:
+        undriven = [step for step in path if step[0].joint.name not in tree.active]
+        freedoms = _freedoms(undriven)
+        if len(undriven) < len(path) and freedoms != "spatial":
+            legs.append(path)
+        else:
+            idle.append(path)
+            kinds.append(freedoms)
     unclear = idle if len(idle) > 1 or not legs else idle[: kinds.count(None)]
     if unclear:
         names = ", ".join(edge.joint.name for edge, _ in unclear[0])
