@@ -263,9 +263,10 @@ def listen() -> None:
     log.propagate = False
 
 
-def warn(text: str) -> None:
+def warn(*texts: str) -> None:
     """Say what to know first (stderr), however quiet."""
-    stderr.print(f"warning: {text}", style="yellow")
+    for text in texts:
+        stderr.print(f"warning: {text}", style="yellow")
 
 
 def fail(code: int, text: str = "") -> NoReturn:
@@ -275,9 +276,10 @@ def fail(code: int, text: str = "") -> NoReturn:
     raise typer.Exit(code)
 
 
-def wrote(path: str | Path) -> None:
-    """Say which file was written."""
-    remark(f"wrote {path}")
+def wrote(*paths: Path) -> None:
+    """Say which files were written."""
+    for path in paths:
+        remark(f"wrote {path}")
 
 
 def main(argv: list[str] | None = None) -> None:

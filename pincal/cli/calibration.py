@@ -13,7 +13,6 @@ from pincal.calibration.calibrate import prepared, run
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.hypotheses.doctor import Remedy, remedies
 from pincal.calibration.options import AUTO, FOLDS, By, Options
-from pincal.calibration.result import CalibrationResult
 from pincal.calibration.result_files import REPORT, RESULT_FILES, as_json
 from pincal.calibration.terms.explain import explained
 from pincal.cli.app import answer, command, fail, remark, say, stdout, typed, warn, working, wrote
@@ -53,7 +52,6 @@ from pincal.show.answers import (
 from pincal.show.explanation import advice, explanation_lines, remedy_table, tried
 from pincal.show.report import report
 from pincal.show.tables import calibration_tables, models_table, screen_table
-from pincal.show.workspace_errors import WorkspaceErrors
 from pincal.words.numbers import reading_in
 
 
@@ -132,9 +130,15 @@ def calibrate(
         except Exception as error:  # whatever it is, the result is written and stays
             undrawn = f"{type(error).__name__}: {error}"
     with reading_in(units.printed):
-        for text in warnings(result):
-            warn(text)
-        _print_result(result, errors, notes, verbose=running.verbose)
+        warn(*warnings(result))
+        line, style = verdict(result, errors)
+        stdout.print(line, style=style)
+        if errors is not None:
+            stdout.print(accuracy_table(result, errors))
+            notes = [*remarks(result, errors), *notes]
+        details = [*calibration_tables(result), *supporting_lines(result, errors)]
+        for part in (*details, *notes) if running.verbose else notes:
+            stdout.print(part)
     wrote(output)
     say(f"next: {'; '.join(next_steps(result, mech, str(measurements), str(output)))}")
     answer(lambda: as_json(result))
@@ -147,24 +151,6 @@ def calibrate(
         fail(1)
     if result.excess > 1.0 and not running.accept:
         fail(1, "exit code 1, since χ² contradicts the noise; --accept takes the result as it is")
-
-
-def _print_result(
-    result: CalibrationResult,
-    errors: WorkspaceErrors | None,
-    notes: Sequence[str],
-    *,
-    verbose: bool,
-) -> None:
-    """Print a result: the verdict and its accuracy; with all tables if it is to be verbose."""
-    line, style = verdict(result, errors)
-    stdout.print(line, style=style)
-    if errors is not None:
-        stdout.print(accuracy_table(result, errors))
-        notes = [*remarks(result, errors), *notes]
-    details = [*calibration_tables(result), *supporting_lines(result, errors)]
-    for part in (*(details if verbose else []), *notes):
-        stdout.print(part)
 
 
 @command(answers=True)
@@ -182,8 +168,7 @@ def explain(mech: Mech, measurements: Measured, options: Options, known: InputOp
         terms = options.terms or (AUTO,)
         options = replace(options, terms=terms, progress=progress)
         explanation = explained(known.calibration(mech, measurements, options))
-    for text in warnings(explanation.result):
-        warn(text)
+    warn(*warnings(explanation.result))
     tables = screen_table(explanation), models_table(explanation)
     for table in tables:
         stdout.print(table)
@@ -274,7 +259,7 @@ def doctor(
     else:
         stdout.print("nothing of this makes the measurements fit the mechanism")
         _say_what_converged(mech, measurements, known, tries)
-    answer({"commands": lines, "tried": [_remedy_answer(remedy) for remedy in tries]})
+    answer({"commands": lines, "tried": list(map(_remedy_answer, tries))})
     if len(cures) != 1:
         fail(1)
 

@@ -241,8 +241,7 @@ def identifiability(
     with reading_in(units.printed):
         stdout.print(standard_errors(expected))
         lines = forecast_lines(expected, error)
-        for line in (*lines, *drift_lines(drifted), *scale_lines(scale)):
-            stdout.print(line)
+        stdout.print(*lines, *drift_lines(drifted), *scale_lines(scale), sep="\n")
         if options.accuracy is not None:
             needed = expected.poses_for(options.accuracy, workspace)
             stdout.print(poses_line(options.accuracy, needed))
@@ -311,5 +310,4 @@ def simulate(
         remark(f"{planned.place(row)} of the plan is not measured: {reason}")
     count, lost = len(simulation.measurements), len(simulation.unreachable)
     remark(f"{count} poses measured, {lost} not reached")
-    for path, _ in outputs:
-        wrote(path)
+    wrote(*(path for path, _ in outputs))

@@ -167,8 +167,7 @@ def import_(
     else:
         read = _import_tree if form in _TREES else _import_printer
         remarks = read(file, output, form, options)
-    for text in remarks:
-        warn(text)
+    warn(*remarks)
     wrote(output)
 
 
@@ -338,10 +337,8 @@ def export(
     with writing_together([(path, ()) for path in files], force=options.force) as scratch:
         for path, data in zip(scratch, files.values(), strict=True):
             path.write_bytes(data)
-    for text in remarks:
-        warn(text)
-    for path in files:
-        wrote(path)
+    warn(*remarks)
+    wrote(*files)
     if form not in _CORRECTIONS:
         _offer_corrections(mech, mechanism, firmware=form not in _TREES)
 

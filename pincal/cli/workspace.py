@@ -150,5 +150,4 @@ def _region(mechanism: Mechanism, output: Path, options: WorkspaceOptions) -> No
         for picture in pictures:
             save_figure(workspace_figure(region, circle), picture)
     stdout.print(workspace_table(region, circle, wanted=options.inscribed))
-    for path, _ in outputs:
-        wrote(path)
+    wrote(*(path for path, _ in outputs))

@@ -50,7 +50,13 @@ class Picture:
 
     def figure(self) -> Figure:
         """Return a figure of its own."""
-        return scene_figure(self.scene, self.row, self.dimensions)
+        drawn = _dimensions(self.scene, self.row, self.dimensions)
+        width, height = np.ptp(_extent(self.scene, self.row, drawn), axis=0)
+        inches = _LEGEND + np.clip(PICTURE_WIDTH * height / width, *PICTURE_HEIGHTS)
+        with drawing():
+            figure = Figure(figsize=(PICTURE_WIDTH, float(inches)), layout="constrained")
+            self.draw(figure.subplots())
+        return figure
 
     def save(self, path: str | Path, *, force: bool = False) -> Path:
         """Write the picture as .svg, .png or .pdf, whole or not at all, and return its path.
@@ -113,16 +119,6 @@ _EDGE = 0.0025  # thickness of outlines, of the scene's diagonal
 _ARC = 0.055  # radius of the smallest angle drawn, of the scene's diagonal
 _VALUES = 6  # of parameters, in a line, at most
 _TITLE = 100  # letters of a line of them
-
-
-def scene_figure(scene: Scene, row: int, leg: str = "") -> Figure:
-    """Return a figure of a scene, the mechanism at one of its poses; all else as of a picture."""
-    with drawing():
-        width, height = np.ptp(_extent(scene, row, _dimensions(scene, row, leg)), axis=0)
-        inches = _LEGEND + np.clip(PICTURE_WIDTH * height / width, *PICTURE_HEIGHTS)
-        figure = Figure(figsize=(PICTURE_WIDTH, float(inches)), layout="constrained")
-        draw_scene(figure.subplots(), scene, row, leg)
-    return figure
 
 
 def draw_scene(
