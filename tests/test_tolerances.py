@@ -15,7 +15,7 @@ from scipy.stats import multivariate_normal
 import pincal
 from pincal.calibration.calibrate import prepared, started
 from pincal.calibration.fits import fitted
-from pincal.estimation.noise import Evidence, likeliest
+from pincal.estimation.components import Evidence, likeliest
 
 Array = NDArray[np.float64]
 NOISE = pincal.Noise(1e-4, 1e-4, 2e-5)
@@ -66,12 +66,12 @@ def test_ends_are_where_the_profile_has_risen() -> None:
     calibration = started(prepared("3RRR", data, noise=NOISE, tolerance=SIZES))
     groups = {p.id: 0 for p in calibration.mechanism.parameters if p.unit == "m"}
     parts = [Evidence.of(one, groups) for one in fitted(calibration).fits]
-    found = likeliest(parts, np.array([1e-3]), (np.array([1e-9]), np.array([1.0])), 3.84)
-    at = [sum(p.deviance(np.array([size])) for p in parts) for size in found.ends[0]]
-    every = np.geomspace(*found.ends[0], 200)
+    sizes, ends = likeliest(parts, np.array([1e-3]), (np.array([1e-9]), np.array([1.0])), 3.84)
+    at = [sum(p.deviance(np.array([size])) for p in parts) for size in ends[0]]
+    every = np.geomspace(*ends[0], 200)
     least = min(sum(p.deviance(np.array([size])) for p in parts) for size in every)
     np.testing.assert_allclose(at, least + 3.84 * (1.0 + 1.0 / (3 * len(groups))), atol=2e-3)
-    assert found.ends[0, 0] < found.most[0] < found.ends[0, 1]
+    assert ends[0, 0] < sizes[0] < ends[0, 1]
 
 
 def test_sizes_are_found_and_said() -> None:

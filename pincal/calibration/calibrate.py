@@ -15,8 +15,9 @@ import numpy as np
 from pincal.blas import on_one_thread
 from pincal.calibration.assemble import assemble
 from pincal.calibration.calibration import Calibration, with_followed_influences
+from pincal.calibration.covariance import with_unsure_tolerances
 from pincal.calibration.findings import blame_wrong_rows, findings_of
-from pincal.calibration.fits import Fits, fitted
+from pincal.calibration.fits import Fits, fitted, with_found_tolerance
 from pincal.calibration.hypotheses.plausibility import (
     check_copies,
     check_noise,
@@ -33,7 +34,6 @@ from pincal.calibration.runs import RunComparison, run_names, runs_compared
 from pincal.calibration.terms.candidates import extended
 from pincal.calibration.terms.choice import choose
 from pincal.calibration.terms.kinds import columns_of_terms, every_pair, parse_terms
-from pincal.calibration.tolerances import with_found_tolerance, with_unsure_tolerances
 from pincal.calibration.validation import Validation, held_out
 from pincal.errors import MeasurementError, MisfitError, ObservabilityError, PincalError
 from pincal.estimation.unknowns import External

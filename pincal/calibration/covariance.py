@@ -8,7 +8,7 @@ parameters are nearest to nominal, they all follow that, too.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import chdtrc, chdtri, fdtrc, ndtri, stdtrit
@@ -16,9 +16,8 @@ from scipy.special import chdtrc, chdtri, fdtrc, ndtri, stdtrit
 from pincal.calibration.fits import Fits
 from pincal.calibration.leg_result import TieTest
 from pincal.design.platform_error import CONFIDENCE
-from pincal.estimation.components import Moments, freedoms
+from pincal.estimation.components import freedoms
 from pincal.estimation.fit import Fit
-from pincal.estimation.noise import assumed_noise
 from pincal.estimation.observability.gauge import Gauge
 from pincal.estimation.observability.indices import RANK_TOLERANCE
 from pincal.estimation.unknowns import Unknowns
@@ -108,22 +107,22 @@ def systematic(fits: Fits) -> Array:
         return np.zeros((n + len(observation.external), 0))
     if fits.latent:
         fit = fits.fits[0]
-        own = observation.systematic(fit.last.state.matrices, fit.last.state.external)
-        errors = np.zeros((*fit.last.conditions.shape, own.shape[2]))
-        errors[:, errors.shape[1] - own.shape[1] :] = own
+        measured = observation.systematic(fit.last.state.matrices, fit.last.state.external)
+        errors = np.zeros((*fit.last.conditions.shape, measured.shape[2]))
+        errors[:, errors.shape[1] - measured.shape[1] :] = measured
         return fit.spread.response(errors)
     external = fits.external or observation.external.start
     poses, _ = calibration.given_poses(fits.external)
     matrices = mechanism.platform.matrices(poses)
-    own = observation.systematic(matrices, external)
+    measured = observation.systematic(matrices, external)
     rows = [observation.names.index(name) for name in mechanism.platform.freedoms]
     by_twist = observation.residuals(matrices, external)[1][:, rows]
-    twists = -np.linalg.solve(by_twist, own[:, rows])  # where what is measured takes the poses
-    follows = np.zeros((n, own.shape[2]))
+    twists = -np.linalg.solve(by_twist, measured[:, rows])  # where what is measured takes the poses
+    follows = np.zeros((n, measured.shape[2]))
     for fit in fits.fits:
         places = parameter_places(mechanism, fit.problem.legs)
         moved = [demand.pose @ twists[fit.rows] for demand in fit.last.demands]
-        errors = np.zeros((*fit.last.conditions.shape, own.shape[2]))
+        errors = np.zeros((*fit.last.conditions.shape, measured.shape[2]))
         block = fit.problem.leg_block
         for leg, error, used in zip(block.leg_rows, moved, block.used.T, strict=True):
             errors[used, leg] = error[used]
@@ -147,6 +146,35 @@ def covariance_by_noise(fits: Fits) -> Array:
     return np.asarray(P @ covariance @ P.T)
 
 
+def with_unsure_tolerances(fits_of_all: Fits) -> Fits:
+    """Return fits with what uncertain tolerances add to their covariances.
+
+    By how far the estimate follows the logarithm of each, to first order: ∂φ/∂ log τ² =
+    C (φ − φ₀) / τ² of the parameters of that unit (R. E. Kass and D. Steffey 1989). What the
+    measurements determine of k of them is worth k − tr C / τ² (D. J. C. MacKay 1992), and log τ²
+    is known as if so many were seen.
+    """
+    mechanism, fits = fits_of_all.calibration.mechanism, []
+    units = {parameter.id: parameter.unit for parameter in mechanism.parameters}
+    for fit in fits_of_all.fits:
+        unknowns, widening = fit.unknowns, fit.widening
+        values = np.zeros_like(unknowns.nominal)
+        values[: len(fit.parameters)] = fit.parameters - unknowns.nominal[: len(fit.parameters)]
+        for tolerance in fits_of_all.calibration.tolerances:
+            of_unit = np.array([units.get(id_) == tolerance.unit for id_ in unknowns.labels])
+            # others have one of their own
+            tolerated = of_unit & (unknowns.priors == tolerance.size)
+            pull = np.where(tolerated, values / tolerance.size**2, 0.0)
+            determined = (
+                tolerated.sum() - np.diagonal(fit.covariance)[tolerated].sum() / tolerance.size**2
+            )
+            unsure = np.sqrt(2.0 / max(determined, 0.5))  # of the logarithm; at most a factor of e²
+            follows = unsure / fit.noise_scale**2 * (fit.covariance @ pull)
+            widening = widening + np.outer(follows, follows)
+        fits.append(replace(fit, widening=widening))
+    return replace(fits_of_all, fits=fits)
+
+
 @dataclass(frozen=True)
 class Confidence:
     """Degrees of freedom of the noise's variance; infinite where the noise is known."""
@@ -165,30 +193,25 @@ class Confidence:
         return fewest if np.isfinite(fewest) else None
 
 
-def confidence(found: Fits) -> Confidence:
+def confidence(fits: Fits) -> Confidence:
     """Return how well the noise of fits is known.
 
     Noise of repeated rows: as many degrees of freedom as these have. Estimated noise: by the
     covariance of the variance components; of a fit with its own scale, its own.
     """
-    calibration, fits = found.calibration, found.fits
-    model = calibration.noise
-    sizes = [len(fit.covariance) for fit in fits]
-    if not model.known and not (found.latent and found.variances is not None):
-        own = [
-            np.full(n, float(fit.degrees_of_freedom)) for n, fit in zip(sizes, fits, strict=True)
-        ]
-        return Confidence(tuple(own), np.inf)
+    model = fits.calibration.noise
+    if not model.known and not (fits.latent and fits.variances is not None):
+        by_fit = [np.full(len(f.covariance), float(f.degrees_of_freedom)) for f in fits.fits]
+        return Confidence(tuple(by_fit), np.inf)
     if model.source != "repeats" and model.known:
-        return Confidence(tuple(np.full(n, np.inf) for n in sizes), np.inf)
-    unit = model.noise.reading or assumed_noise(calibration.mechanism, exact=False).reading
-    moments = Moments.of([(fit, fit.problem) for fit in fits], unit)
-    spread, of_chi2 = found.variances, np.inf
+        return Confidence(tuple(np.full(len(f.covariance), np.inf) for f in fits.fits), np.inf)
+    moments = fits.moments
+    spread, of_chi2 = fits.variances, np.inf
     if spread is None:
         freedom = np.array(model.freedoms)
         spread = np.diag(2.0 / freedom)
-        some = np.isfinite(freedom)
-        shares = np.where(some, moments.F[:, some].sum(axis=1), 0.0)
+        finite = np.isfinite(freedom)
+        shares = np.where(finite, moments.F[:, finite].sum(axis=1), 0.0)
         of_chi2 = float(shares.sum() ** 2 / (shares**2 / freedom).sum())
     return Confidence(tuple(freedoms(group, spread) for group in moments.parts), of_chi2)
 

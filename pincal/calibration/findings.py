@@ -13,9 +13,7 @@ from pincal.calibration.fits import Fits, fitted
 from pincal.calibration.promise import UNEXPLAINED
 from pincal.calibration.result import CalibrationResult
 from pincal.errors import PincalError
-from pincal.estimation.components import Moments
 from pincal.estimation.fit import Fit, Outlier, curvature
-from pincal.estimation.noise import assumed_noise
 from pincal.estimation.observability.courses import Score, scores
 from pincal.estimation.observability.indices import DIFFER, plausible_changes
 from pincal.estimation.observability.residuals import together
@@ -194,8 +192,7 @@ def _proportion(fits: Fits) -> list[Finding]:
     noise = fits.calibration.noise
     if not noise.known or any(fit.system.loss is not None for fit in fits.fits):
         return []
-    unit = noise.noise.reading or assumed_noise(fits.calibration.mechanism, exact=False).reading
-    moments = Moments.of([(fit, fit.problem) for fit in fits.fits], unit)
+    moments = fits.moments
     readings = any(fit.problem.leg_block.sigma.any() for fit in fits.fits)
     testable = np.array([True, True, readings and noise.source != "rows"])
     groups = np.flatnonzero(testable & (np.diagonal(moments.F) > 0.0))

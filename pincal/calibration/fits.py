@@ -1,8 +1,11 @@
-"""The fits of a calibration: all legs at once, or each leg alone, poses as measured.
+"""The fits of a calibration: all legs at once, or each leg alone; noise and tolerances found.
 
 Where poses are taken as measured in an unknown frame, each leg's base point takes that up: the legs
 are identified in the tracker's frame, aligned with the nominal machine, and the frame is then moved
 so that the parameters are nearest to the nominal ones, the same choice as all legs at once make.
+
+Standard deviations that were not given, of the noise and of how far machines differ from their
+drawing (``--tolerance auto``), are variance components: fits and these follow each other.
 """
 
 from __future__ import annotations
@@ -10,19 +13,32 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import chdtri
 
 from pincal.calibration.calibration import Calibration
+from pincal.calibration.options import AUTO
+from pincal.design.platform_error import CONFIDENCE
 from pincal.errors import MeasurementError, ObservabilityError
-from pincal.estimation.components import Beforehand, Moments, estimated_noise, widened
+from pincal.estimation.components import (
+    Beforehand,
+    Evidence,
+    FoundTolerance,
+    Moments,
+    estimated_noise,
+    likeliest,
+    widened,
+)
 from pincal.estimation.fit import Fit
 from pincal.estimation.noise import assumed_noise
 from pincal.estimation.observability.gauge import Gauge, find_gauge
 from pincal.estimation.observability.identifiable import HeldUnknowns, hold_unobservable
+from pincal.estimation.observability.indices import DIFFER
 from pincal.estimation.problem import Problem
 from pincal.estimation.robust import robust_fit
-from pincal.estimation.system import Loss, System, loss_of
+from pincal.estimation.system import System, loss_of
 from pincal.estimation.unknowns import External, State, Unknowns
 from pincal.kinematics.closure import largest_size
+from pincal.model.checks import ALIKE
 from pincal.model.measurements import Noise
 from pincal.model.mechanism import Mechanism
 from pincal.types import Array, Mask
@@ -45,17 +61,23 @@ class Near:
         """Return the fits' gauge if it is a problem's too: the same is free, measured and known."""
         if self.fits is None or self.fits.unknowns is None:
             return None
-        whole, free = self.fits.fits[0].problem, self.fits.unknowns
-        same = (
+        free = self.fits.unknowns
+        applies = (
             free.labels == unknowns.labels
             and np.array_equal(free.map, unknowns.map)
             and np.array_equal(free.priors, unknowns.priors, equal_nan=True)
-            and _said(whole) == _said(problem)
+            and _known_somewhere(self.fits.fits[0].problem) == _known_somewhere(problem)
         )
-        return self.fits.gauge if same else None
+        return self.fits.gauge if applies else None
+
+    @property
+    def holds(self) -> bool:
+        """Whether the fits held what the measurements cannot observe."""
+        held = None if self.fits is None else self.fits.held
+        return held is not None and held.directions.size > 0
 
 
-def _said(problem: Problem) -> tuple[list[bool], dict[str, bool]]:
+def _known_somewhere(problem: Problem) -> tuple[list[bool], dict[str, bool]]:
     """Return what is measured in some row, and which influences are known in some."""
     known = {
         name: bool(np.isfinite(influence).any())
@@ -110,6 +132,20 @@ class Fits:
         """Whether all fits converged."""
         return all(fit.converged for fit in self.fits)
 
+    @property
+    def reading_unit(self) -> float:
+        """Standard deviation of readings, [m or rad]; an assumed one if they are exact."""
+        calibration = self.calibration
+        return (
+            calibration.noise.noise.reading
+            or assumed_noise(calibration.mechanism, exact=False).reading
+        )
+
+    @property
+    def moments(self) -> Moments:
+        """What the residuals say of the variances of groups at the noise of the fits."""
+        return Moments.of([(fit, fit.problem) for fit in self.fits], self.reading_unit)
+
     def parameters(self, mechanism: Mechanism) -> dict[str, Array]:
         """Return identified parameters by leg, each of shape (n_params,)."""
         by_leg = {
@@ -133,39 +169,34 @@ def fitted(calibration: Calibration, *, tied: bool = True, near: Near | None = N
         ObservabilityError: too few poses, or poses that leave parameters undetermined.
         MeasurementError: measurements that do not suit the method.
     """
-    latent = calibration.options.latent
-    one = _all_legs(calibration, tied, None, near) if latent else _measured(calibration, tied, None)
-    search = _all_legs if latent else _measured
+    search = _all_legs if calibration.options.latent else _measured
+    fits = search(calibration, tied, near)
     noise = calibration.noise.noise
-    if (
-        calibration.fixed_noise
-        or calibration.noise.known
-        or calibration.options.residual == "joint"
-    ):
-        return one
-    unit = noise.reading or assumed_noise(calibration.mechanism, exact=False).reading
+    fixed = calibration.fixed_noise or calibration.noise.known
+    if fixed or calibration.options.residual == "joint":
+        return fits
+    unit = fits.reading_unit
     unscaled, tie = noise, None
     for _ in range(_REFITS):
-        if not _sound(one):
+        if not _sound(fits):
             break
-        estimate = _noise_of(one, noise, unit, tie)
-        if tie is None and (tie := _moments(one, estimate, unit).tie(estimate)):
-            estimate = _noise_of(one, noise, unit, tie)
-        if _alike(unscaled, estimate):
+        estimate = _noise_of(fits, noise, unit, tie)
+        if tie is None and (tie := _moments(fits, estimate, unit).tie(estimate)):
+            estimate = _noise_of(fits, noise, unit, tie)
+        if _agree(unscaled, estimate):
             break
         noise, unscaled, unit = estimate, estimate, estimate.reading or unit
-        one = search(calibration.with_noise(noise), tied, one)
-        scale = float(np.mean([fit.noise_scale for fit in one.fits]))
+        fits = search(calibration.with_noise(noise), tied, fits)
+        scale = float(np.mean([fit.noise_scale for fit in fits.fits]))
         if abs(scale - 1.0) > SCALE_OFF and scale > 0.0:  # a group at its floor leaves that to all
             noise = Noise(*(scale * value for value in vars(noise).values()))
-            one = search(calibration.with_noise(noise), tied, one)
-    return _with_variances(one, noise, unit, tie)
+            fits = search(calibration.with_noise(noise), tied, fits)
+    return _with_variances(fits, noise, unit, tie)
 
 
-def _sound(fits_of_all: Fits) -> bool:
+def _sound(fits: Fits) -> bool:
     """Return whether the residuals of fits say something about the noise."""
-    fits = fits_of_all.fits
-    return all(fit.converged and fit.degrees_of_freedom > 0 for fit in fits)
+    return fits.converged and all(fit.degrees_of_freedom > 0 for fit in fits.fits)
 
 
 def _with_variances(fits_of_all: Fits, noise: Noise, unit: float, tie: Tie) -> Fits:
@@ -206,13 +237,13 @@ def _noise_of(fits_of_all: Fits, noise: Noise, unit: float, tie: Tie) -> Noise:
             return noise
         before = _beforehand(fits_of_all.calibration, noise, tie)
         estimate = estimated_noise(moments, noise, noise.reading or unit, before)
-        if _alike(noise, estimate):
+        if _agree(noise, estimate):
             break
         noise = estimate
     return noise
 
 
-def _alike(noise: Noise, estimate: Noise) -> bool:
+def _agree(noise: Noise, estimate: Noise) -> bool:
     changes = zip(vars(noise).values(), vars(estimate).values(), strict=True)
     return all(abs(a - b) <= SETTLED * max(a, b) for a, b in changes)
 
@@ -233,69 +264,82 @@ def _moments(fits_of_all: Fits, noise: Noise | None, unit: float) -> Moments:
     return Moments.of(list(zip(fits, problems, strict=True)), unit)
 
 
-def _loss(calibration: Calibration) -> Loss | None:
-    return loss_of(calibration.options.loss)
+def _system(calibration: Calibration, problem: Problem, unknowns: Unknowns, counts: Mask) -> System:
+    """Return the system of a problem whose fit follows the rows that count, shape (N,)."""
+    kept = None if counts.all() else counts
+    return System(problem, unknowns, calibration.noise.known, kept=kept)
 
 
-def _all_legs(
-    calibration: Calibration, tied: bool, before: Fits | None, near: Near | None = None
-) -> Fits:
+def _all_legs(calibration: Calibration, tied: bool, begin: Fits | Near | None) -> Fits:
     """Return the fit of all legs, poses and frames at once.
 
     Args:
         calibration: What is to be identified.
         tied: Whether ties count.
-        before: Fits at other noise, from which this one starts.
-        near: Where it starts otherwise, if that is known.
+        begin: Where it starts, if that is known: fits at other noise, or near an optimum.
     """
     mechanism, options = calibration.mechanism, calibration.options
     problem, unknowns = calibration.latent_problem, calibration.unknowns(tied=tied)
     if options.setup.plain and not options.tied and (options.strict or not calibration.noise.known):
         calibration.check_counts()
-    start = gauge = None
+    start = gauge = first = None
+    before = begin if isinstance(begin, Fits) else None
     if before is not None:
         start, gauge = before.fits[0].last.state, before.gauge
         first = before.fits[0].problem.first
-    else:
-        if near is not None:
-            start, gauge = near.state, near.gauge(problem, unknowns)
-        held_before = None if near is None or near.fits is None else near.fits.held
+    elif isinstance(begin, Near):
+        start, gauge = begin.state, begin.gauge(problem, unknowns)
         # what is held follows where the search would have started
-        anything_held = held_before is not None and held_before.directions.size > 0
-        started = gauge is not None and not anything_held
-        first = start if started else calibration.started(problem).first
-    problem = replace(problem, first=first)
+        first = None if gauge is None or begin.holds else start
+    problem = calibration.started(problem) if first is None else replace(problem, first=first)
     if gauge is None:
         gauge = find_gauge(mechanism, problem, unknowns, strict=not options.holds)
     free = unknowns.held(gauge.constraints) if gauge.found else unknowns
     options.report("identifying all legs and poses")
-    kept = None if calibration.counts.all() else calibration.counts
-    system = System(problem, free, calibration.noise.known, kept=kept)
-    held, loss = None, _loss(calibration)
+    system = _system(calibration, problem, free, calibration.counts)
+    held = None
+    if options.holds:
+        fit, held = _fit_holding(calibration, system, start, before)
+    else:
+        fit = robust_fit(mechanism, system, loss_of(options.loss), start, options.progress)
+    if before is not None:  # whose search began where this one's would have
+        fit = replace(fit, first=before.fits[0].first)
+    return Fits(calibration, [fit], fit.last.state.external, gauge, unknowns, held)
+
+
+def _fit_holding(
+    calibration: Calibration, system: System, start: State | None, before: Fits | None
+) -> tuple[Fit, HeldUnknowns]:
+    """Return a fit with weak directions held, and what was: more of them until it converges.
+
+    Args:
+        calibration: What is to be identified.
+        system: Of all legs, nothing held.
+        start: Where the search starts, if not where the problem does.
+        before: Fits at other noise, which held as much at least.
+    """
+    mechanism, options, free = calibration.mechanism, calibration.options, system.unknowns
     least = 1.0 if before is None or before.held is None else before.held.least
-    while options.holds:
-        held = hold_unobservable(mechanism, problem, free, least)
+    while True:
+        held = hold_unobservable(mechanism, system.problem, free, least)
         may_hold_more = held.weakest < _HELD_MORE * least and least < _HELD_MOST
         patience = _PATIENCE if may_hold_more else None
         system = replace(system, unknowns=held.unknowns, max_evaluations=patience)
         try:
-            found = robust_fit(mechanism, system, loss, start, options.progress)
-            if found.converged or not may_hold_more:
-                break
+            fit = robust_fit(mechanism, system, loss_of(options.loss), start, options.progress)
+            if fit.converged or not may_hold_more:
+                return fit, held
         except ObservabilityError:
             if not may_hold_more:
                 raise
         least *= _HELD_MORE
-    else:
-        found = robust_fit(mechanism, system, loss, start, options.progress)
-    if before is not None:  # whose search began where this one's would have
-        found = replace(found, first=before.fits[0].first)
-    external = found.last.state.external
-    return Fits(calibration, [found], external, gauge, unknowns, held)
 
 
-def _measured(calibration: Calibration, tied: bool, before: Fits | None) -> Fits:
-    """Return the fits of all legs, poses as measured; arguments are those of ``_all_legs``."""
+def _measured(calibration: Calibration, tied: bool, begin: Fits | Near | None) -> Fits:
+    """Return the fits of all legs, poses as measured; arguments are those of ``_all_legs``.
+
+    Each leg begins at its nominal parameters, the frames where those of fits are.
+    """
     calibration.check_whole()
     calibration.check_counts()
     unknowns = calibration.unknowns(tied=tied)
@@ -312,7 +356,8 @@ def _measured(calibration: Calibration, tied: bool, before: Fits | None) -> Fits
             "(leave out --method per-leg)"
         )
     first = problem.first.external
-    external = first if before is None or before.external is None else before.external
+    known = begin.external if isinstance(begin, Fits) else None
+    external = first if known is None else known
     size = largest_size(calibration.mechanism.legs)
     units = np.array([size if u == "m" else 1.0 for u in problem.observation.external.units])
     for _ in range(ROUNDS):
@@ -341,10 +386,8 @@ def _fit_groups(
         names = [mechanism.leg_names[i] for i in group]
         options.report(f"identifying {', '.join(names)}")
         problem, rows = calibration.measured_problem(group, poses, roots)
-        kept = calibration.counts[rows]
-        known = calibration.noise.known
-        system = System(problem, unknowns.part(names), known, kept=None if kept.all() else kept)
-        loss = _loss(calibration)
+        system = _system(calibration, problem, unknowns.part(names), calibration.counts[rows])
+        loss = loss_of(calibration.options.loss)
         fits.append(robust_fit(mechanism, system, loss, progress=options.progress))
     return fits
 
@@ -379,3 +422,52 @@ def _toward_nominal(
     along = gauge.constraints @ gauge.directions.T
     amounts = -np.linalg.solve(along, gauge.constraints @ deviations)
     return np.asarray((unknowns.map @ (gauge.directions.T @ amounts))[n:])
+
+
+def with_found_tolerance(calibration: Calibration) -> Calibration:
+    """Return a calibration with tolerances found by its measurements, if it asks for that.
+
+    Raises:
+        MeasurementError: residuals of readings, which are not white.
+        ObservabilityError: what leaves parameters undetermined, tolerances or not.
+    """
+    if calibration.options.tolerance != AUTO:
+        return calibration
+    if calibration.options.residual == "joint":
+        raise MeasurementError(
+            "the size of tolerances is asked of white residuals, which those of readings "
+            "(--residual joint) are not; leave that out, or give tolerances (--tolerance 0.5mm)"
+        )
+    units = _tolerated(calibration)
+    size = largest_size(calibration.mechanism.legs)
+    sought = [unit for unit, ids in units.items() if len(ids) > 2]  # one or two say nothing
+    groups = {id_: place for place, unit in enumerate(sought) for id_ in units[unit]}
+    farthest = np.array([DIFFER * (size if unit == "m" else 1.0) for unit in sought])
+    estimates = dict.fromkeys(units, (np.inf, 0.0, np.inf))  # size, ends of its interval
+    sizes = farthest
+    for _ in range(ROUNDS if sought else 0):
+        known = dict(zip(sought, sizes.tolist(), strict=True))
+        calibration = calibration.with_options(tolerance=known)
+        calibration.options.report("finding how far the machine is from its drawing")
+        parts = [Evidence.of(fit, groups) for fit in fitted(calibration).fits]
+        rise = float(chdtri(1, 1.0 - CONFIDENCE))
+        last, (sizes, ends) = sizes, likeliest(parts, sizes, (ALIKE * farthest, farthest), rise)
+        estimates.update(
+            zip(sought, zip(sizes.tolist(), *ends.T.tolist(), strict=True), strict=True)
+        )
+        if np.abs(np.log(sizes / last)).max() <= SETTLED:
+            break
+    tolerances = [FoundTolerance(unit, *estimates[unit], len(ids)) for unit, ids in units.items()]
+    known = dict(zip(sought, sizes.tolist(), strict=True))
+    return replace(calibration.with_options(tolerance=known), tolerances=tuple(tolerances))
+
+
+def _tolerated(calibration: Calibration) -> dict[str, list[str]]:
+    """Return ids of the parameters whose tolerance is to be found, by unit."""
+    ids_by_unit: dict[str, list[str]] = {}
+    free = calibration.unknowns()
+    moved = dict(zip(free.labels, free.map.any(axis=1) & ~np.isfinite(free.priors), strict=True))
+    for parameter in calibration.mechanism.parameters:
+        if moved[parameter.id] and parameter.id not in calibration.mechanism.amplitudes:
+            ids_by_unit.setdefault(parameter.unit, []).append(parameter.id)
+    return ids_by_unit

@@ -1,10 +1,10 @@
-"""Noise that was not given: variance components of positions, orientations and readings.
+"""Variance components: of the noise by its groups, and of machines from their drawing.
 
 With white rows r = L⁻¹Nᵀe of covariance Σ_g s_g V_g, V_g = U_g U_gᵀ the part of group g, and M the
 projection on what parameters do not take up, the expectation of rᵀ M V_g M r is Σ_h F_gh s_h,
 F_gh = tr(M V_g M V_h). Solved for s, and repeated with the rows whitened by it, that is the
 restricted maximum likelihood estimator (Patterson and Thompson 1971; Helmert, in geodesy); its
-covariance is 2 F⁻¹.
+covariance is 2 F⁻¹. How far machines differ from their drawing is found by the evidence.
 """
 
 from __future__ import annotations
@@ -15,11 +15,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from pincal.estimation.fit import Fit
+from pincal.estimation.observability.indices import RANK_TOLERANCE
 from pincal.estimation.problem import Linear, Problem
 from pincal.estimation.system import NormalEquations, outlying
 from pincal.kinematics.batches import over_rows
 from pincal.model.measurements import Noise
-from pincal.types import Array
+from pincal.types import Array, Index
 
 _P, _O, _R = range(3)  # position, orientation, reading
 
@@ -288,3 +289,128 @@ def _levers(problem: Problem, linear: Linear, by_reading: Array) -> Array:
     squares = np.median((moved**2).sum(axis=2), axis=0)
     means = [squares[units == unit].mean() if unit in units else np.nan for unit in ("m", "rad")]
     return np.sqrt(means)
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """White rows at an optimum, and deviations of groups from nominal values."""
+
+    triangle: Array
+    """R of the rows beside their residuals, other priors included, shape (n + 1, n + 1)."""
+    deviations: Array
+    """T: how deviations follow the unknowns, shape (k, n)."""
+    offsets: Array
+    """d: deviations at the optimum, shape (k,)."""
+    groups: Index
+    """The group of each, from 0, shape (k,)."""
+
+    @classmethod
+    def of(cls, fit: Fit, groups: dict[str, int]) -> Evidence:
+        """Return what a fit says of groups of its parameters.
+
+        Args:
+            fit: The fit; priors of these parameters do not count.
+            groups: By ids of parameters.
+        """
+        labels, unknowns = fit.unknowns.labels, fit.unknowns
+        places = [place for place, id_ in enumerate(labels) if id_ in groups]
+        priors = unknowns.priors.copy()
+        priors[places] = np.inf
+        system = fit.system.with_priors(priors)
+        return cls(
+            system.triangle(fit.last, fit.weights) / fit.noise_scale,
+            unknowns.map[places],
+            (fit.parameters - unknowns.nominal[: len(fit.parameters)])[places],
+            np.array([groups[labels[place]] for place in places], dtype=np.intp),
+        )
+
+    def counts(self, groups: int) -> Array:
+        """Return how many deviations of each group are independent, shape (groups,)."""
+        members = [self.deviations[self.groups == group] for group in range(groups)]
+        return np.array([_rank(rows) if len(rows) else 0 for rows in members], dtype=float)
+
+    def deviance(self, sizes: Array) -> float:
+        """Return minus twice the log evidence of sizes τ of the groups, but for a constant."""
+        n, weights = len(self.triangle) - 1, 1.0 / sizes[self.groups]
+        prior = weights[:, None] * np.column_stack((self.deviations, self.offsets))
+        R = np.linalg.qr(np.concatenate((self.triangle, prior)), mode="r")
+        every = np.abs(np.diagonal(R))
+        prior_only = np.linalg.svd(prior[:, :n], compute_uv=False)[: _rank(self.deviations)]
+        return float(every[n] ** 2 + 2.0 * np.log(every[:n]).sum() - 2.0 * np.log(prior_only).sum())
+
+
+@dataclass(frozen=True)
+class FoundTolerance:
+    """By how much parameters of one unit differ from the drawing."""
+
+    unit: str
+    """``"m"``, ``"rad"`` or ``"1"``."""
+    size: float
+    """Standard deviation of the parameters, [unit]; infinite where measurements do not say it."""
+    low: float
+    high: float
+    """Ends of its 95 % interval; 0 where the drawing may be exact, infinite without an end."""
+    count: int
+    """Parameters of this unit without a prior of their own."""
+
+
+def likeliest(
+    parts: Sequence[Evidence], start: Array, within: tuple[Array, Array], rise: float
+) -> tuple[Array, Array]:
+    """Return the likeliest sizes of groups, (k,), and the ends of their intervals, shape (k, 2).
+
+    The evidence times each of the sizes is largest, which none that is zero can be (Y. Chung et
+    al., Psychometrika 2013), but they are not beyond the intervals. These hold 95 %, by the
+    likelihood's profile: 0 where no size is as likely, infinite without an upper end. The deviance
+    of k deviations is a little more than χ² distributed: 1 + 1 / 3k times, exactly so where they
+    are seen without noise (M. S. Bartlett 1937).
+
+    Args:
+        parts: Independent evidence.
+        start: Where the search starts, shape (k,).
+        within: Smallest and largest sizes that mean something, shape (k,) each.
+        rise: Of the deviance, to the ends of intervals, were it χ² distributed.
+    """
+    from scipy.optimize import brentq, minimize  # slow to load: when needed
+
+    low, high = (np.log(sizes) for sizes in within)
+    counts = np.sum([evidence.counts(len(start)) for evidence in parts], axis=0)
+
+    def least(begin: Array, held: int | None = None, penalty: float = 0.0) -> tuple[Array, float]:
+        """Return where the deviance is least, one logarithm held, and its value there."""
+        free = np.arange(len(begin)) != held
+
+        def cost(values: Array) -> float:
+            logs = begin.copy()
+            logs[free] = values
+            deviance = sum(evidence.deviance(np.exp(logs)) for evidence in parts)
+            return deviance - 2.0 * penalty * float(values.sum())
+
+        logs = begin.copy()
+        if not free.any():
+            return logs, cost(logs[free])
+        bounds = np.column_stack((low, high))[free]
+        minimum = minimize(cost, logs[free], method="L-BFGS-B", bounds=bounds)
+        logs[free] = minimum.x
+        return logs, float(minimum.fun)
+
+    modes, _ = least(np.clip(np.log(start), low, high), penalty=1.0)
+    best, bottom = least(modes)
+    ends = np.empty((len(best), 2))
+    for place, middle in enumerate(best):
+
+        def above(value: float, place: int = place) -> float:
+            begin = best.copy()
+            begin[place] = value
+            return least(begin, place)[1] - bottom - rise * (1.0 + 1.0 / (3.0 * counts[place]))
+
+        for side, (end, open_end) in enumerate(((low[place], 0.0), (high[place], np.inf))):
+            closed = end != middle and above(end) > 0.0
+            between = sorted((float(end), float(middle)))
+            ends[place, side] = np.exp(brentq(above, *between)) if closed else open_end
+    return np.clip(np.exp(modes), *ends.T), ends
+
+
+def _rank(T: Array) -> int:
+    """Return the rank of rows that a choice of free unknowns made, with its rounding errors."""
+    return int(np.linalg.matrix_rank(T, rtol=RANK_TOLERANCE))
