@@ -139,3 +139,37 @@ def test_the_error_is_that_of_the_points_measured(tolerance: dict[str, float], s
     off = np.hypot(error.position, np.sqrt(3.0) * TRACKER)
     assert 0.8 <= off / missed(result, unseen) <= 1.25
     assert error.units == ("m",) * 9
+
+
+@pytest.mark.parametrize(("motion", "seed"), [(0.3, 0), (0.1, 1)])
+def test_where_all_was_measured_held_directions_leave_the_error_finite(
+    motion: float, seed: int
+) -> None:
+    """A Panda of seven joints, the first still, or all nearly: at measured poses a number.
+
+    Its readings do not follow from its poses, and some held directions are weak, not unseen.
+    """
+    arm, rng = loaded("panda"), np.random.default_rng(seed)
+    middle = pincal.sample_configurations(arm, 1, seed=seed).readings
+    assert middle is not None
+    readings = middle + motion * rng.uniform(-1.0, 1.0, (40, 7))
+    readings[:, 0] = middle[0, 0]
+    truth = pincal.disturb(arm, 1e-3, seed=seed + 100)
+    goes = pincal.forward(truth, readings).poses
+    poses = np.full((40, 6), np.nan)
+    poses[:, :3] = goes[:, :3] + [2.0, -1.0, 0.5] + 5e-5 * rng.standard_normal((40, 3))
+    result = pincal.calibrate(
+        arm,
+        pincal.Measurements(poses, readings=readings),
+        noise=pincal.Noise(5e-5, 1e-4, 0.0),
+        setup=pincal.Setup(unknown_frame=True),
+    )
+    assert result.undetermined_directions is not None
+    error = result.expected_error()
+    assert np.isfinite(error.std).all()
+    went = pincal.forward(result.identified, readings).poses
+    ratio = error.position / apart(went[:, :3], goes[:, :3])
+    assert ratio >= 0.7
+    assert ratio <= 1.4 or not result.promises
+    assert "nan" not in str(result)
+    assert "not determined anywhere" not in str(result)

@@ -102,15 +102,15 @@ def corrects(result: CalibrationResult) -> bool:
     return result.excess == 1.0 or bool(after <= _FELL**2 * before)
 
 
-def expected_error(result: CalibrationResult, poses: Plan | Array) -> PlatformError:
-    """Return the platform error to expect of the calibrated mechanism at poses.
+def expected_error(result: CalibrationResult, poses: Plan | Array | None) -> PlatformError:
+    """Return the platform error to expect of the calibrated mechanism at poses, or where measured.
 
     Without a limit while something contradicts the model, and then as many times larger as the
     platform misses the measured poses by more than uncertainties say. The measured region is where
     no pose is more uncertain than the most uncertain one that was measured: what the model lacks
     there, the measurements show or parameters have taken up; beyond, it grows with the uncertainty.
     """
-    error = _by_covariance(result, poses)
+    error = _by_covariance(result, measured_plan(result) if poses is None else poses)
     error = replace(error, outside=_outside(result, error), uncovered=uncovered(result))
     return error if result.promises else error.without_limit(*_seen(result))
 
@@ -160,13 +160,16 @@ def uncovered(result: CalibrationResult) -> tuple[str, ...]:
 
 
 def _by_covariance(result: CalibrationResult, poses: Plan | Array) -> PlatformError:
-    lost = result.undetermined_directions
+    lost, seen = result.undetermined_directions, seen_by(result)
+    data, distances = result.measurements, result.options.setup.distances
+    measures = callable(seen) or (np.isfinite(data.poses).all() and not distances)
+    measured = measured_plan(result) if measures and np.isfinite(data.readings).all() else None
     error = platform_error(
         result.identified,
         result.covariance,
         poses,
-        None if lost is None else Unidentified(lost, result.nominal),
-        seen_by(result),
+        None if lost is None else Unidentified(lost, result.nominal, measured),
+        seen,
         result.noise_freedoms,
     )
     return replace(error, unseen=unseen(result.reduced_chi2, result.chi2_freedoms))
@@ -221,9 +224,14 @@ def seen_by(result: CalibrationResult) -> Array | Seen | None:
     return seen
 
 
-def _at_measured(result: CalibrationResult) -> PlatformError:
+def measured_plan(result: CalibrationResult) -> Plan:
+    """Return the measured configurations: poses, and readings where these do not follow."""
     read = result.measurements.readings if result.nominal.by_readings else None
-    return _by_covariance(result, Plan(result.poses, readings=read))
+    return Plan(result.poses, readings=read)
+
+
+def _at_measured(result: CalibrationResult) -> PlatformError:
+    return _by_covariance(result, measured_plan(result))
 
 
 def _seen(result: CalibrationResult) -> list[float]:

@@ -260,18 +260,19 @@ class CalibrationResult:
         """Return the platform error to expect of the calibrated mechanism.
 
         Where frames were fixed by choice, less what a motion of these frames explains. Infinite
-        where what was held, being undetermined, moves the platform at one of the poses. While
+        where what was held, being undetermined, moves the platform at one of the poses, and by more
+        than where all that is seen of it was measured. While
         something contradicts the model, no limit is promised, and no error is smaller than that
         with which the platform misses the measured poses.
 
         Args:
             poses: Poses over which to take the mean, coordinates of shape (N, dof), or a plan;
-                those of the measurements if not given.
+                the measured configurations if not given.
 
         Raises:
             MechanismError: poses of a wrong shape, or not finite.
         """
-        return expected_error(self, self.poses if poses is None else poses)
+        return expected_error(self, poses)
 
     @cached_property
     def misses(self) -> tuple[float, float]:

@@ -29,6 +29,7 @@ are unknown apart, (N, r, k), and the unit of each of the r; positions of severa
 square root of how many they are."""
 CONFIDENCE = 0.95
 DRAWS = 10_000
+_ROUNDING = 1e-6  # by which what is moved at one pose may differ
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,8 @@ class Unidentified:
     """Columns of shape (n, n_lost), as long as parameters may differ from nominal."""
     nominal: Mechanism
     """The mechanism at which they were found."""
+    measured: Plan | None = None
+    """Where all that is seen of the platform was measured: no more than there do they move it."""
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -181,9 +184,11 @@ def platform_error(
     std = np.full((len(legs.reached), len(units)), np.nan)
     std[legs.reached] = np.inf
     std[rows] = np.sqrt(np.einsum("nip,pq,niq->ni", gain, covariance, gain).clip(0.0))
+    held_moves = np.zeros((*std.shape, 0))
     if isinstance(lost, Unidentified):
         least = np.median(std[rows], axis=0) if len(rows) else np.zeros(len(units))
-        std[slides(lost, planned, least, frames)] = np.inf
+        held_moves = motions_of_held(lost, planned, least, frames)
+        std = np.sqrt(std**2 + (held_moves**2).sum(axis=2))
     elif lost is not None and lost.shape[1]:
         std[rows] = np.where(_moving(gain, lost), np.inf, std[rows])
     determined = np.isfinite(std).all(axis=1)
@@ -191,8 +196,11 @@ def platform_error(
     root = axes * np.sqrt(values.clip(0.0))
     weights = []
     for unit in ("m", "rad"):
-        gain_of_unit = gain[determined[rows]][:, [name == unit for name in units]]
-        G = gain_of_unit.reshape(-1, len(root)) @ root
+        of_unit = [name == unit for name in units]
+        gain_of_unit = gain[determined[rows]][:, of_unit]
+        moves_of_unit = held_moves[rows[determined[rows]]][:, of_unit]
+        G = np.concatenate((gain_of_unit @ root, moves_of_unit), axis=2)
+        G = G.reshape(-1, G.shape[2])
         weights.append(np.linalg.eigvalsh(G.T @ G).clip(0.0) / max(len(gain_of_unit), 1))
     position, orientation = root_mean_squares(sizes(units, std), infinite=True)
     return PlatformError(
@@ -206,10 +214,13 @@ def platform_error(
     )
 
 
-def slides(
+def motions_of_held(
     lost: Unidentified, planned: Plan | Array, least: Array, frames: Array | Seen | None
-) -> Mask:
-    """Return at which planned configurations which freedoms are not determined, shape (N, r).
+) -> Array:
+    """Return what held directions may move at planned configurations, shape (N, r, k).
+
+    Infinite where that is not determined: more than a least motion, and than where all of it was
+    measured. Zero where it is less than a least motion; without directions that move nothing.
 
     Args:
         lost: What is not identified.
@@ -217,11 +228,26 @@ def slides(
         least: By how much each freedom is uncertain anyway, shape (r,), [m] and [rad].
         frames: See ``platform_error``.
     """
+    reached, gain = _gain_at_nominal(lost, planned, frames)
+    largest = least
+    if lost.measured is not None:
+        at_measured = np.abs(_gain_at_nominal(lost, lost.measured, frames)[1] @ lost.directions)
+        shown = at_measured.max(axis=(0, 2), where=np.isfinite(at_measured), initial=0.0)
+        largest = np.maximum(least, shown * (1.0 + _ROUNDING))
+    moving, undetermined = (_moving(gain, lost.directions, size) for size in (least, largest))
+    moved = np.where(moving[:, :, None], gain @ lost.directions, 0.0)
+    moved[undetermined] = np.inf
+    moves = np.zeros((len(reached), *moved.shape[1:]))
+    moves[reached] = moved
+    return moves[:, :, moves.any(axis=(0, 1))]
+
+
+def _gain_at_nominal(
+    lost: Unidentified, planned: Plan | Array, frames: Array | Seen | None
+) -> tuple[Mask, Array]:
+    """Return which plans the nominal mechanism reaches, and what is seen of its gain there."""
     legs = legs_at(lost.nominal, planned)
-    gain, units = seen_of(lost.nominal, legs.poses, legs.gain, frames)
-    moving = np.zeros((len(legs.reached), len(units)), dtype=bool)
-    moving[legs.reached] = _moving(gain, lost.directions, least)
-    return moving
+    return legs.reached, seen_of(lost.nominal, legs.poses, legs.gain, frames)[0]
 
 
 def seen_of(

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pincal.calibration.promise import seen_by
+from pincal.calibration.promise import measured_plan, seen_by
 from pincal.calibration.result import CalibrationResult
 from pincal.design.platform_error import PlatformError, root_mean_squares, seen_of, sizes
 from pincal.design.simulate import platform_errors
@@ -173,8 +173,7 @@ def workspace_errors(result: CalibrationResult) -> WorkspaceErrors:
             return sampled
     except WorkspaceError:
         pass
-    readings = result.measurements.readings if result.nominal.by_readings else None
-    return errors_at(result, Plan(result.poses, readings=readings), sampled=False)
+    return errors_at(result, measured_plan(result), sampled=False)
 
 
 def errors_at(
