@@ -462,5 +462,5 @@ def _export_corrections(mechanism: Mechanism, output: Path, options: ExportOptio
         limits = listed(amount(size, unit) for unit, size in largest.items())
     stdout.print(f"{counted(len(reached), 'pose')}: at most {limits} to add to a reading")
     wrote(output)
-    places = [plan.place(row) for row in range(len(plan))]
-    fail_if_lost(options.poses or output, places, list(table.reasons), "pose")
+    places = list(map(plan.place, range(len(plan))))
+    fail_if_lost(options.poses or output, places, table.reasons, "pose")

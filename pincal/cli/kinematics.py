@@ -43,14 +43,13 @@ def inverse(
     refuse_existing(output, force=force)
     influences = own_influences(mechanism, plan.influences)
     solution = solve_inverse(mechanism, plan.poses, influences)
-    lost = np.atleast_1d(~solution.reached.all(axis=1))
-    reasons = [solution.reason(row) if lost[row] else "" for row in range(len(lost))]
-    values = np.where(lost[:, None], np.nan, solution.readings)
+    reasons = list(map(solution.reason, range(len(plan))))
+    values = np.where(solution.reached.all(axis=1, keepdims=True), solution.readings, np.nan)
     columns = reading_columns(mechanism, values) | dict(influences) | reason_column(reasons)
     write_table(output, columns, units=units, force=force)
     say_reference(mechanism, influences)
     wrote(output)
-    places = [plan.place(row) for row in range(len(lost))]
+    places = list(map(plan.place, range(len(plan))))
     limits = zip(places, outside_limits(mechanism, solution), strict=True)
     if beyond := [f"{place}: {', '.join(joints)}" for place, joints in limits if joints]:
         warn(
@@ -82,20 +81,17 @@ def forward(
     influences = own_influences(mechanism, influences)
     solution = solve_forward(mechanism, values, influences=influences)
     say_reference(mechanism, influences)
-    lost = ~solution.converged
-    reasons = [solution.reasons[row] if lost[row] else "" for row in range(len(lost))]
-    poses = np.where(lost[:, None], np.nan, solution.poses)
-    columns = columns_of(mechanism, Plan(poses)) | reason_column(reasons)
+    columns = columns_of(mechanism, Plan(solution.poses)) | reason_column(solution.reasons)
     write_table(output, columns, units=units, force=force)
-    if mechanism.redundant and not lost.all():
-        gap = np.where(lost[:, None], -np.inf, solution.gap)
-        row, leg = np.unravel_index(np.argmax(gap), gap.shape)
+    if mechanism.redundant and solution.converged.any():
+        row, leg = np.unravel_index(np.nanargmax(solution.gap), solution.gap.shape)
         remark(
             f"readings fit together within {solution.gap[row, leg]:.2g} m "
             f"(row {row + 1}, {mechanism.leg_names[leg]})"
         )
     wrote(output)
-    fail_if_lost(readings, [f"row {row + 1}" for row in range(len(lost))], reasons, "reading")
+    places = [f"row {row + 1}" for row in range(len(values))]
+    fail_if_lost(readings, places, solution.reasons, "reading")
 
 
 def say_reference(mechanism: Mechanism, influences: Mapping[str, object]) -> None:

@@ -324,9 +324,8 @@ def colour_of(p: IdentifiedParameter) -> str:
 def dimensioned(axes: Axes, result: CalibrationResult, leg: str = "") -> Axes:
     """Draw the nominal mechanism, dimensions of a leg in the colours of their changes."""
     mechanism = result.nominal
-    parameters = result.leg(leg or mechanism.leg_names[0]).parameters
-    colours = {p.name: colour_of(p) for p in parameters}
     name = leg or mechanism.leg_names[0]
+    colours = {p.name: colour_of(p) for p in result.leg(name).parameters}
     return draw_scene(axes, scene(mechanism, home_of(mechanism)), 0, name, colours)
 
 

@@ -80,8 +80,3 @@ def look(index: int) -> Look:
 def dark_variables() -> str:
     """Return the colours of figures on dark ground, as variables of CSS."""
     return " ".join(f"--c{light[1:]}: {dark};" for light, dark in DARK_OF.items())
-
-
-def other_look(index: int) -> Look:
-    """Return the look of a coordinate or a run by its number: no colour of a leg, but a marker."""
-    return Look(DIMENSION, MARKERS[index % len(MARKERS)])

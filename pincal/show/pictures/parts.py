@@ -23,7 +23,6 @@ from pincal.show.style import (
     PAGE_INCHES,
     RASTER_FROM,
     look,
-    other_look,
 )
 from pincal.types import Array
 from pincal.words.numbers import STORED, amount, minus, per_si
@@ -140,9 +139,9 @@ def draw_strokes(axes: Axes, begin: Array, end: Array, **look: Any) -> None:
 
 def marks(index: int, *, of_leg: bool) -> dict[str, Any]:
     """Return the marker of a series of points: of a leg by its colour, of others by filling."""
-    series_look = look(index) if of_leg else other_look(index)
+    colour, marker = look(index)
     filled: dict[str, Any] = {} if of_leg or index % 2 == 0 else {"mfc": "none"}
-    return {"marker": series_look.marker, "color": series_look.colour, **filled}
+    return {"marker": marker, "color": colour if of_leg else EVERY, **filled}
 
 
 def legend_beside(axes: Axes) -> Axes:
