@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import done
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import pincal
@@ -65,6 +66,19 @@ def test_with_all_parameters_held_frame_and_target_are_found(
     assert len(result.external) == 12
     for unknown, value in zip(result.external, expected, strict=True):
         assert abs(unknown.identified - value) < 5.0 * unknown.std < 2e-4, unknown.id
+
+
+def test_hand_eye_calibration_alone_has_a_verdict_and_a_report(
+    arm: pincal.Mechanism, tmp_path: Path
+) -> None:
+    """By the command: no error of the machine is claimed, neither 0 nor any other."""
+    path = measured(arm, RigidTransform.identity(), RigidTransform.identity(), tmp_path / "eye.csv")
+    arm.save(tmp_path / "arm")
+    options = ("--unknown-frame", "--unknown-target", "--fixed", "*", "-o", tmp_path / "eye")
+    outcome = done("calibrate", tmp_path / "arm", path, *options)
+    assert "the machine itself was held" in outcome.out.lower()
+    assert "≤" not in outcome.out
+    assert (tmp_path / "eye" / "report.html").exists()
 
 
 @pytest.mark.parametrize(

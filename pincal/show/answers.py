@@ -38,6 +38,8 @@ _MOST_PAIRS = 3  # weak pairs that are named
 _MARKS = {"good": "✓", "care": "⚠", "bad": "✗"}
 _STYLES = {"good": "bold green", "care": "bold yellow", "bad": "bold red"}
 _UNDETERMINED = "not determined anywhere, since what was held moves it at every pose"
+_HELD = "The machine itself was held"
+_ONLY_FRAMES = "No parameter of it was identified, only where the frames lie"
 _FRAMES = ", but for where the base and platform frames lie"
 
 
@@ -96,6 +98,8 @@ def _better(result: CalibrationResult, errors: WorkspaceErrors) -> Answer:
         return Answer(question, "Not shown" if result.corrects else "No", "bad", [text])
     if not errors.expected.determined.any():
         return Answer(question, "Not determined", "bad", [f"{_UNDETERMINED}."])
+    if not _moved(errors):
+        return Answer(question, _HELD, "good", [f"{_ONLY_FRAMES}."])
     sizes = np.array([errors.mean_before(), errors.mean_after(), errors.limit])
     before, after, limit = sizes[:, sizes[:2].any(axis=0)]  # of what moves and was measured
     ratios = before / after
@@ -110,6 +114,11 @@ def _better(result: CalibrationResult, errors: WorkspaceErrors) -> Answer:
         return Answer(question, "Hardly", "bad", [text])
     text = "The correction is smaller than its own uncertainty."
     return Answer(question, "No sign of it", "bad", [text])
+
+
+def _moved(errors: WorkspaceErrors) -> bool:
+    """Return whether parameters that were identified move the platform at all."""
+    return any((*errors.mean_before(), *errors.mean_after()))
 
 
 def _factors(ratios: Sequence[float]) -> str:
@@ -127,8 +136,9 @@ def _excess(result: CalibrationResult) -> str:
 def _accuracy(result: CalibrationResult, errors: WorkspaceErrors) -> Answer:
     """Return by how much the platform is off: before, as expected, held out."""
     lines = [f"{capital(line)}." for line in limit_lines(result, errors)]
-    if not result.explained or not errors.expected.determined.any():
-        shown = WORDINGS["residuals-too-large"].title
+    if not result.explained or not errors.expected.determined.any() or not _moved(errors):
+        held = result.explained and not _moved(errors)
+        shown = _HELD if held else WORDINGS["residuals-too-large"].title
         return Answer("By how much?", shown, "", [accuracy_table(result, errors), *lines])
     kind, unit = (0, "m") if result.nominal.platform.lengths else (1, "rad")
     before, after = (sizes()[kind] for sizes in (errors.mean_before, errors.mean_after))
@@ -143,7 +153,7 @@ def accuracy_table(result: CalibrationResult, errors: WorkspaceErrors) -> Table:
     Of the model alone where it can be promised; held-out rows miss by what they miss.
     """
     names, rows = list(errors.units.items()), dict[str, dict[tuple[str, str], float]]()
-    if result.explained and errors.expected.determined.any():
+    if result.explained and errors.expected.determined.any() and _moved(errors):
         sizes = {"nominal": errors.mean_before(), "calibrated": errors.mean_after()}
         sizes |= {"95 %: below": errors.limit} if result.promises else {}
         kinds = {"m": 0, "rad": 1}

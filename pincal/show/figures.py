@@ -105,8 +105,9 @@ def _poses(result: CalibrationResult, errors: WorkspaceErrors | None) -> Caption
 
 
 def _changes(result: CalibrationResult, errors: WorkspaceErrors | None) -> Captioned:
-    """Return what changes of parameters move the platform by, where it has a workspace."""
-    if errors is None or not errors.sampled:
+    """Return what changes of parameters move the platform by, where some could change."""
+    could_change = any(p.std > 0.0 for leg in result.legs for p in leg.parameters)
+    if errors is None or not errors.sampled or not could_change:
         return None
     return _chart(charts.changes, _CHANGES, 4.6)(result, errors)
 
