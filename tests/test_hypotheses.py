@@ -538,7 +538,7 @@ def test_readings_at_their_cut_are_sound() -> None:
         replace(one, home=homes) if one.name == "shoulder" else one for one in leg.joints
     )
     near = replace(mechanism, legs=(replace(leg, joints=joints), *mechanism.legs[1:]))
-    case = Case.of(near, replace(data, readings=turned), pincal.Setup())
+    case = Case.of(near, replace(data, readings=turned), False, pincal.Target())
     assert plausibility._turns(case) == ()
-    case = Case.of(mechanism, replace(data, readings=turned), pincal.Setup())
+    case = Case.of(mechanism, replace(data, readings=turned), False, pincal.Target())
     assert [one.code for one in plausibility._turns(case)] == ["whole-turns"]

@@ -67,7 +67,7 @@ class Noise:
         return np.array([self.position if unit == "m" else self.orientation for unit in units])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Plan:
     """Poses to measure, and for which leg each was chosen."""
 
@@ -83,9 +83,9 @@ class Plan:
     influences: Mapping[str, Array] = field(default_factory=dict, kw_only=True)
     """Influence quantities by column, on which terms depend (``Mechanism.influences``),
     each of shape (N,); NaN where not known, which counts as at its reference."""
-    lines: tuple[int, ...] | None = field(default=None, compare=False, kw_only=True)
+    lines: tuple[int, ...] | None = field(default=None, kw_only=True)
     """Line of the file that holds each row, if they were read from one."""
-    written: str | None = field(default=None, compare=False, kw_only=True)
+    written: str | None = field(default=None, kw_only=True)
     """Way in which the file gives a spatial platform's orientation, a key of ``WAYS``; None if
     they were not read from one."""
 
@@ -226,7 +226,7 @@ class Plan:
         return np.array(list(served), dtype=bool)
 
 
-@dataclass(frozen=True, kw_only=True, repr=False)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Measurements(Plan):
     """What was measured, row by row; NaN where it was not.
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property, lru_cache, partial
 from itertools import accumulate
 from typing import Any
 
@@ -32,7 +32,7 @@ from pincal.kinematics.inverse import inverse
 from pincal.kinematics.singularity import margins
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
-from pincal.model.setup import ORIGIN, Setup
+from pincal.model.setup import ORIGIN, Setup, Target
 from pincal.types import Array, Index, Mask
 
 QUESTIONED = 0.02  # misfit over the stroke that was measured, from which legs are questioned
@@ -61,44 +61,41 @@ class Hypothesis:
 AS_MEASURED = Hypothesis("nothing", lambda _, data: data)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Case:
     """Measurements that are judged, and the rows by which this is done."""
 
     mechanism: Mechanism
     data: Measurements
     """All measurements."""
-    setup: Setup
-    """What is unknown of the frame, and of the target whose poses were measured."""
+    free: bool
+    """Whether the base is at an unknown place in the frame of the measurements."""
+    target: Target
+    """The target whose poses were measured."""
     rows: Index
     """Rows by which the measurements are judged."""
     oriented: bool
     """Whether orientations were measured there."""
 
-    @classmethod
-    def of(cls, mechanism: Mechanism, data: Measurements, setup: Setup) -> Case | None:
+    @staticmethod
+    @lru_cache(maxsize=4)
+    def of(mechanism: Mechanism, data: Measurements, free: bool, target: Target) -> Case | None:
         """Return a case; None without rows, or if only the target's place is unknown.
 
         Its rows are those with complete poses, or else those with positions and all readings.
+        Who asks again gets the same case: what explains it is found once.
         """
-        target, known = setup.targets[ORIGIN], np.isfinite(data.poses)
+        known = np.isfinite(data.poses)
         rows, oriented = np.flatnonzero(known.all(axis=1)), True
         if len(rows) < 2:
             known_rows = np.isfinite(data.readings).all(axis=1)
             rows = np.flatnonzero(known[:, : mechanism.platform.lengths].all(axis=1) & known_rows)
             oriented = False
-        free = setup.unknown_frame
         if len(rows) < 2 or (target.unknown and np.any(target.offset) and not free):
             return None
         target = replace(target, unknown=target.unknown and free)
-        setup = Setup(unknown_frame=free, targets={ORIGIN: target})
         rows = rows[spread(len(rows), _ROWS if oriented and not free else _ROWS_FORWARD)]
-        return cls(mechanism, data, setup, rows, oriented)
-
-    @property
-    def free(self) -> bool:
-        """Whether the base is at an unknown place in the frame of the measurements."""
-        return self.setup.unknown_frame
+        return Case(mechanism, data, free, target, rows, oriented)
 
     @property
     def alone(self) -> bool:
@@ -112,7 +109,7 @@ class Case:
 
     def anywhere(self, count: int) -> Case:
         """Return the case with the base at an unknown place, judged by its first rows."""
-        return replace(self, setup=replace(self.setup, unknown_frame=True), rows=self.rows[:count])
+        return replace(self, free=True, rows=self.rows[:count])
 
     def nominal_readings(self, matrices: Array) -> Array:
         """Return what the nominal machine reads at poses, shape (N, n_readings)."""
@@ -126,7 +123,8 @@ class Case:
         poses[:, mechanism.platform.lengths :] *= 1.0 if self.oriented else np.nan
         data = Measurements(poses, readings=right.readings, influences=right.influences)
         noise = Noise(PRECISE * largest_size(mechanism.legs), PRECISE)
-        return Calibration(mechanism, data, Options(noise=noise, setup=self.setup))
+        setup = Setup(unknown_frame=self.free, targets={ORIGIN: self.target})
+        return Calibration(mechanism, data, Options(noise=noise, setup=setup))
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -47,10 +48,11 @@ _SLIP = 10.0  # times the median that a row misses by, if fewer than one row in 
 _CHANCE = 1e-5  # probability of so much motion as one body by chance, above which it is none
 _MATTERS = 0.25  # of the platform's error: a motion of less is not worth a warning
 _ZEROS = ("reading-offset", False)  # the fault that a search may start from
+_PLAIN = Setup()
 _ROWS_MOVED = 200  # enough, where the motion of a body is looked for
 
 
-def check_plausible(mechanism: Mechanism, data: Measurements, setup: Setup | None = None) -> None:
+def check_plausible(mechanism: Mechanism, data: Measurements, setup: Setup = _PLAIN) -> None:
     """Raise if measurements cannot come from a mechanism like the nominal one.
 
     Raises:
@@ -61,20 +63,20 @@ def check_plausible(mechanism: Mechanism, data: Measurements, setup: Setup | Non
 
 
 def implausible(
-    mechanism: Mechanism, data: Measurements, setup: Setup | None = None
+    mechanism: Mechanism, data: Measurements, setup: Setup = _PLAIN
 ) -> tuple[Finding, ...]:
     """Return why measurements cannot come from a mechanism like the nominal one; empty if they can.
 
     Only rows with complete poses are looked at, and of a leg those with its reading.
     """
-    case = Case.of(mechanism, data, setup or Setup())
+    case = Case.of(mechanism, data, setup.unknown_frame, setup.targets[ORIGIN])
     return () if case is None or not case.oriented else _faults(case, _strange)
 
 
 def explain_misfit(
     mechanism: Mechanism,
     data: Measurements,
-    setup: Setup | None = None,
+    setup: Setup = _PLAIN,
     frame: External | None = None,
 ) -> tuple[Finding, ...]:
     """Return what would explain that measurements do not fit; empty if nothing does.
@@ -85,19 +87,19 @@ def explain_misfit(
         setup: What the numbers mean.
         frame: Frames and targets as they were estimated, if they were.
     """
-    setup = setup or Setup()
-    if frame is not None and setup.targets[ORIGIN].unknown:
+    target = setup.targets[ORIGIN]
+    if frame is not None and target.unknown:
         x, y, z = frame.offsets[0].tolist()
-        setup = replace(setup, targets={**setup.targets, ORIGIN: Target((x, y, z))})
-    case = Case.of(mechanism, data, setup)
+        target = Target((x, y, z))
+    case = Case.of(mechanism, data, setup.unknown_frame, target)
     return () if case is None else _faults(case, _slips)
 
 
 def hypotheses_of(
-    mechanism: Mechanism, data: Measurements, setup: Setup | None = None
+    mechanism: Mechanism, data: Measurements, setup: Setup
 ) -> list[tuple[Finding, Judged]]:
     """Return hypotheses that explain measurements that do not fit, each with what it says."""
-    case = Case.of(mechanism, data, setup or Setup())
+    case = Case.of(mechanism, data, setup.unknown_frame, setup.targets[ORIGIN])
     if case is None:
         return []
     explaining, as_measured = _explaining(case)
@@ -119,6 +121,7 @@ def _faults(
     return as_findings(case.mechanism, as_measured, explaining) or unexplained(case, as_measured)
 
 
+@lru_cache(maxsize=4)
 def _explaining(case: Case) -> tuple[list[Judged], Judged]:
     """Return what explains measurements that do not fit, and how these fit as given."""
     (as_measured,) = judge(case)
@@ -373,8 +376,8 @@ def zeros_measured(calibration: Calibration) -> Array | None:
 
     None without full poses, or if no zero is identified.
     """
-    mechanism = calibration.mechanism
-    case = Case.of(mechanism, calibration.measurements, calibration.options.setup)
+    mechanism, setup = calibration.mechanism, calibration.options.setup
+    case = Case.of(mechanism, calibration.measurements, setup.unknown_frame, setup.targets[ORIGIN])
     matrices = None if case is None or not case.alone else poses_as_measured(case)
     if case is None or matrices is None or mechanism.by_readings:
         return None
