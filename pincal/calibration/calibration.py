@@ -83,8 +83,8 @@ class Calibration:
 
     def rows(self, chosen: Index | Mask) -> Calibration:
         """Return the calibration on some of its rows, their noise as it is."""
-        own = self.noise
-        known = replace(own, poses=own.poses.rows(chosen), readings=own.readings[chosen])
+        noise = self.noise
+        known = replace(noise, poses=noise.poses.rows(chosen), readings=noise.readings[chosen])
         return replace(self, measurements=self.measurements.rows(chosen), known_noise=known)
 
     def unknowns(self, *, tied: bool = True) -> Unknowns:
@@ -96,7 +96,7 @@ class Calibration:
         Raises:
             MeasurementError: a parameter that does not exist, or is held twice.
         """
-        found = unknowns(
+        from_nominal = unknowns(
             self.mechanism.legs,
             self.observation.external.names,
             fixed=self.options.fixed,
@@ -104,10 +104,10 @@ class Calibration:
             priors=self.priors,
         )
         if self.start is None:
-            return found
-        start = found.start.copy()
+            return from_nominal
+        start = from_nominal.start.copy()
         start[: len(self.start)] = self.start
-        return replace(found, start=start)
+        return replace(from_nominal, start=start)
 
     @property
     def priors(self) -> dict[str, float]:
@@ -116,10 +116,13 @@ class Calibration:
         In the order in which they count: a prior is said of a name, or of an id.
         """
         by_unit = {} if isinstance(self.options.tolerance, str) else self.options.tolerance
-        every = self.mechanism.parameters
-        kept = [p for p in every if p.unit in by_unit and p.id not in self.mechanism.amplitudes]
-        own = {p.id: by_unit[p.unit] for p in kept}
-        return {**own, **self.options.priors}
+        amplitudes = self.mechanism.amplitudes
+        tolerances = {
+            parameter.id: by_unit[parameter.unit]
+            for parameter in self.mechanism.parameters
+            if parameter.unit in by_unit and parameter.id not in amplitudes
+        }
+        return {**tolerances, **self.options.priors}
 
     @cached_property
     def observation(self) -> Observation:
@@ -152,10 +155,10 @@ class Calibration:
             return counted
         measured = np.column_stack([data.poses, data.readings, *data.extra.values()])
         runs = data.runs or ("",) * len(data)
-        seen: set[tuple[str, str, bytes]] = set()
+        keys: set[tuple[str, str, bytes]] = set()
         for row, key in enumerate(zip(data.places, runs, map(bytes, measured), strict=True)):
-            counted[row] &= not key[0] or key not in seen
-            seen.add(key)
+            counted[row] &= not key[0] or key not in keys
+            keys.add(key)
         return counted
 
     def leg_block(
@@ -204,8 +207,8 @@ class Calibration:
     def influences(self) -> Array | None:
         """What terms depend on, row by row, shape (N, n_influences); None if nothing."""
         data = self.measurements
-        own = {name: data.influences[name] for name in self.mechanism.influences}
-        return influence_columns(self.mechanism, own, len(data))
+        values = {name: data.influences[name] for name in self.mechanism.influences}
+        return influence_columns(self.mechanism, values, len(data))
 
     @cached_property
     def latent_problem(self) -> Problem:
@@ -215,10 +218,10 @@ class Calibration:
             MeasurementError: rows with too little measured; exact readings that contradict.
         """
         every = np.arange(len(self.measurements))
-        seen, legs = self.observation, range(len(self.mechanism.legs))
-        noise = seen.row_noise(self.measurements, self.noise.noise)
+        noise = self.observation.row_noise(self.measurements, self.noise.noise)
         used = self.used if self.options.latent else None
-        problem = Problem(self.leg_block(legs, every, used), seen.with_noise(noise))
+        leg_block = self.leg_block(range(len(self.mechanism.legs)), every, used)
+        problem = Problem(leg_block, self.observation.with_noise(noise))
         _check_equations(problem)
         return problem
 
@@ -231,8 +234,8 @@ class Calibration:
         self.options.report("finding poses and frames to start from")
         nominal = self.unknowns().start[: problem.leg_block.n_parameters]
         first = align_start(self.mechanism, problem, self.measurements, nominal)
-        whole = self.options.setup.plain and np.isfinite(self.measurements.poses).all()
-        if not (self.options.rough or whole):  # whole poses are checked as such
+        complete = self.options.setup.plain and np.isfinite(self.measurements.poses).all()
+        if not (self.options.rough or complete):  # complete poses are checked as such
             check_start(problem, first)
         return replace(problem, first=first)
 
@@ -251,9 +254,10 @@ class Calibration:
         matrices = self.mechanism.platform.matrices(poses[rows])
         nominal = np.concatenate([self.mechanism.legs[i].nominal for i in legs])
         plain = replace(self.options.setup, unknown_frame=False, targets={}, distances={})
-        seen = Observation(self.mechanism, self.measurements.rows(rows), plain)
-        first = State(nominal, matrices, external=seen.external.start)
-        return Problem(self.leg_block(legs, rows, used[rows], roots[rows]), seen, first), rows
+        observation = Observation(self.mechanism, self.measurements.rows(rows), plain)
+        first = State(nominal, matrices, external=observation.external.start)
+        leg_block = self.leg_block(legs, rows, used[rows], roots[rows])
+        return Problem(leg_block, observation, first), rows
 
     def given_poses(self, external: External | None) -> tuple[Array, Array]:
         """Return measured poses in the base frame, shape (N, dof), and roots of their covariance.
@@ -310,16 +314,16 @@ class Calibration:
         """
         free, served = self.unknowns(), self.used[self.counts].sum(axis=0)
         for leg, count in zip(self.mechanism.legs, served, strict=True):
-            own = free.part([leg.name])
-            n = own.map.shape[1] - int(np.isfinite(own.priors).sum())
+            of_leg = free.part([leg.name])
+            n = of_leg.map.shape[1] - int(np.isfinite(of_leg.priors).sum())
             equations = self.mechanism.platform.equations(leg)
             scale = not (self.noise.known or self.options.latent)
             least = -(-(n + scale) // equations)
             if count < least:
-                why = " and the scale of the noise" if scale else ""
+                added = " and the scale of the noise" if scale else ""
                 raise ObservabilityError(
-                    f"{leg.name}: {count} measured poses for {n} parameters{why}; at least {least} "
-                    f"are needed, {2 * least} or more advised"
+                    f"{leg.name}: {count} measured poses for {n} parameters{added}; at least "
+                    f"{least} are needed, {2 * least} or more advised"
                     + (
                         ""
                         if self.options.every_pose

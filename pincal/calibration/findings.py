@@ -26,9 +26,9 @@ from pincal.model.setup import ORIGIN, Setup
 from pincal.types import Index
 from pincal.words.sentences import finding
 
-_MANY = 0.1  # share of rows that do not fit, from which the noise or the model is questioned
+_MANY_ROWS = 0.1  # share of rows that do not fit, from which the noise or the model is questioned
 _CURVED = 0.5  # curved part over the straight one, at one standard error (Bates and Watts 1980)
-_FEW = 1.5  # residuals a parameter, below which more poses are advised
+_FEW_RESIDUALS = 1.5  # residuals a parameter, below which more poses are advised
 _REPEATS = 4  # times that a pose was measured, from which one asks whether it moved
 _SPREAD = 0.5  # share of the run over which these must lie
 
@@ -40,26 +40,26 @@ def findings_of(result: CalibrationResult, fits: Fits | None = None) -> tuple[Fi
         result: The result.
         fits: The fits, whose residuals are tested for what the model lacks.
     """
-    found = []
+    remarks = []
     held = None if fits is None else fits.held
     if held is not None and (held.groups or held.weak):
-        found.append(finding("undetermined-held", groups=held.groups, weak=held.weak))
-    found += _zeros(result)
-    found += [
+        remarks.append(finding("undetermined-held", groups=held.groups, weak=held.weak))
+    remarks += _zeros(result)
+    remarks += [
         finding("tolerance-found", **vars(tolerance)) for tolerance in result.calibration.tolerances
     ]
     lacks: list[Finding] = []
     noise, far = _noise(result), [*_far(result), *_signs(result)]
     if fits is not None and rounding(fits):
         noise = [finding("no-noise")] if result.noise_source == "estimated" else noise
-        return (*found, *noise, *far, *_legs(result))
+        return (*remarks, *noise, *far, *_legs(result))
     if fits is not None and result.converged:
         noise += _proportion(fits) if not noise else []
         lacks = lacking(fits)
         noise += lacks
     curved = _curved(fits) if fits is not None and result.converged else []
     return (
-        *found,
+        *remarks,
         *noise,
         *far,
         *curved,
@@ -105,7 +105,7 @@ def blame_wrong_rows(
     total = len(result.measurements)
     least = -ndtri(FALSE_ALARM / (2.0 * total))  # Bonferroni: one sound set in a hundred has any
     rejected = [row for row in robust.outliers if row.weight == 0.0 and row.sigma > least]
-    are_few = 0 < len(rejected) <= _MANY * total
+    are_few = 0 < len(rejected) <= _MANY_ROWS * total
     if not (are_few and robust.converged and robust.excess == 1.0):
         return findings, result.outliers
     worst = rejected[0]
@@ -127,16 +127,15 @@ def blame_wrong_rows(
 
 def rounding(fits: Fits) -> bool:
     """Return whether residuals are rounding errors, in which nothing can be read."""
-    mechanism, every = fits.calibration.mechanism, fits.fits
-    size = largest_size(mechanism.legs)
-    parts = [one.last.conditions[one.good] for one in every]
+    size = largest_size(fits.calibration.mechanism.legs)
+    parts = [fit.last.conditions[fit.good] for fit in fits.fits]
     return all(np.abs(part).max(initial=0.0) <= 10.0 * ROUNDING * max(1.0, size) for part in parts)
 
 
 def _zeros(result: CalibrationResult) -> list[Finding]:
     """Return that motors' zeros were found far from the drawing's."""
     every = [p for leg in result.legs for p in leg.parameters]
-    ids = [one.id for one, off in zip(every, result.calibration.shift, strict=True) if off]
+    ids = [p.id for p, shift in zip(every, result.calibration.shift, strict=True) if shift]
     if not ids or result.options.rough:
         return []
     changes = tuple((id_, result[id_].change, result[id_].unit) for id_ in ids)
@@ -215,23 +214,25 @@ def lacking(fits: Fits) -> list[Finding]:
     much as all single ones. One in a hundred sound calibrations has such findings.
     """
     data = fits.calibration.measurements
-    found = [(score, fit) for fit in fits.fits for score in scores(fit, _again(data, fit.rows))]
-    if not found:  # residuals that are not white
+    scored = [
+        (score, fit) for fit in fits.fits for score in scores(fit, _repeated_poses(data, fit.rows))
+    ]
+    if not scored:  # residuals that are not white
         return []
-    common = np.array([score.common for score, _ in found])
+    common = np.array([score.common for score, _ in scored])
     weights = np.where(common, 0.5 / max(common.sum(), 1), 0.5 / max((~common).sum(), 1))
-    again = np.array([score.term == "again" for score, _ in found], dtype=bool)
-    p_values = np.array([score.p_value for score, _ in found])
+    repeated = np.array([score.term == "again" for score, _ in scored], dtype=bool)
+    p_values = np.array([score.p_value for score, _ in scored])
     clear = []
-    for kind, some in ((_lacks, ~again), (_moved, again)):
-        p_value = together(p_values[some], weights[some])
+    for kind, of_kind in ((_lacks, ~repeated), (_moved, repeated)):
+        p_value = together(p_values[of_kind], weights[of_kind])
         if p_value < FALSE_ALARM:
-            worst, fit = found[np.flatnonzero(some)[np.argmin(p_values[some])]]
+            worst, fit = scored[np.flatnonzero(of_kind)[np.argmin(p_values[of_kind])]]
             clear.append(kind(p_value, worst, fit, data))
     return clear
 
 
-def _again(data: Measurements, rows: Index) -> dict[str, Index]:
+def _repeated_poses(data: Measurements, rows: Index) -> dict[str, Index]:
     """Return which rows of a fit are of poses that were measured again through the run."""
     names = np.array(data.places or ("",) * len(data))[rows]
     rows_by_name = {str(name): np.flatnonzero(names == name) for name in np.unique(names) if name}
@@ -244,7 +245,7 @@ def _again(data: Measurements, rows: Index) -> dict[str, Index]:
 
 def _moved(p_value: float, worst: Score, fit: Fit, data: Measurements) -> Finding:
     """Return that what was measured at one pose moved with time."""
-    rows = fit.rows[_again(data, fit.rows)[worst.place]]
+    rows = fit.rows[_repeated_poses(data, fit.rows)[worst.place]]
     values: dict[str, Any] = {"pose": worst.place, "quantity": worst.quantity, "size": worst.size}
     unit = fit.problem.quantities[worst.quantity]
     return finding("reference-moved", rows, **values, unit=unit, p_value=p_value)
@@ -317,7 +318,7 @@ def _rows(result: CalibrationResult, *, lacking: bool) -> list[Finding]:
     """Return which rows do not fit, and whether residuals follow something besides."""
     outliers, total = result.outliers, len(result.measurements)
     rows = [outlier.row for outlier in outliers]
-    if len(outliers) > _MANY * total:
+    if len(outliers) > _MANY_ROWS * total:
         return [finding("many-outliers", rows, share=len(outliers) / total)]
     if not outliers or result.loss != "none":
         return []
@@ -335,5 +336,5 @@ def _legs(result: CalibrationResult) -> list[Finding]:
     return ties + [
         finding("few-poses", legs=(leg.name,), poses=leg.n_poses, unknowns=len(leg.parameters))
         for leg in result.legs
-        if leg.n_residuals < _FEW * len(leg.parameters)
+        if leg.n_residuals < _FEW_RESIDUALS * len(leg.parameters)
     ]

@@ -266,8 +266,8 @@ def _moments(fits_of_all: Fits, noise: Noise | None, unit: float) -> Moments:
 
 def _system(calibration: Calibration, problem: Problem, unknowns: Unknowns, counts: Mask) -> System:
     """Return the system of a problem whose fit follows the rows that count, shape (N,)."""
-    kept = None if counts.all() else counts
-    return System(problem, unknowns, calibration.noise.known, kept=kept)
+    known = calibration.noise.known
+    return System(problem, unknowns, known, kept=None if counts.all() else counts)
 
 
 def _all_legs(calibration: Calibration, tied: bool, begin: Fits | Near | None) -> Fits:

@@ -41,7 +41,7 @@ from pincal.types import Array
 from pincal.words.sentences import sentence
 
 _NOT_FINITE = ("inf", "-inf", "nan")
-_APART = ("calibration", "identified")
+_SAVED_ELSEWHERE = ("calibration", "identified")
 _REPORTS = {"Validation": Validation, "RunComparison": RunComparison}
 
 
@@ -59,7 +59,7 @@ def _plain(array: NDArray[Any]) -> Any:
 
 
 def _array(data: Any, _: Any) -> NDArray[Any]:
-    values = [float(one) if isinstance(one, str) else one for one in data["values"]]
+    values = [float(entry) if isinstance(entry, str) else entry for entry in data["values"]]
     return np.array(values, dtype=np.dtype(str(data["type"]))).reshape(data["shape"])
 
 
@@ -104,7 +104,7 @@ def _frozen(data: Any) -> Any:
     if data in _NOT_FINITE:
         return float(data)
     if isinstance(data, list):
-        return tuple(_frozen(one) for one in data)
+        return tuple(_frozen(entry) for entry in data)
     if isinstance(data, dict):
         return {name: _frozen(value) for name, value in data.items()}
     return data
@@ -134,12 +134,12 @@ def stored(result: CalibrationResult) -> dict[str, Any]:
         **{
             part.name: _CONVERTER.unstructure(getattr(result, part.name))
             for part in fields(CalibrationResult)
-            if part.name not in _APART
+            if part.name not in _SAVED_ELSEWHERE
         },
     }
 
 
-def _kept(data: dict[str, Any], name: str, kind: Any) -> Any:
+def _worked_out(data: dict[str, Any], name: str, kind: Any) -> Any:
     """Return what a calibration had worked out; None of results saved before this was kept."""
     return None if data.get(name) is None else _CONVERTER.structure(data[name], kind)
 
@@ -151,13 +151,13 @@ def restored(data: dict[str, Any], nominal: Mechanism) -> CalibrationResult:
         nominal,
         _CONVERTER.structure(data["measurements"], Measurements),
         _CONVERTER.structure(options, Options),
-        start=_kept(data, "start", Array),
-        known_noise=_kept(data, "noise_model", NoiseModel),
+        start=_worked_out(data, "start", Array),
+        known_noise=_worked_out(data, "noise_model", NoiseModel),
     )
     fields_found = {
         name: _CONVERTER.structure(data[name], kind)
         for name, kind in _HINTS.items()
-        if name not in _APART and name in data
+        if name not in _SAVED_ELSEWHERE and name in data
     }
     known = [(parameter.id, parameter.unit) for parameter in nominal.parameters]
     if known != [
@@ -256,7 +256,7 @@ def as_json(result: CalibrationResult) -> dict[str, Any]:
         "external": [_parameter(p) for p in result.external],
         "gauge": [sentence(freedom) for freedom in result.gauge],
         "ties": [vars(tie) | {"holds": tie.holds} for tie in result.ties],
-        "observed": [_named(seen, "name unit count rms sigma") for seen in result.observed],
+        "observed": [_named(part, "name unit count rms sigma") for part in result.observed],
         "weakly_determined": result.weak,
         "validation": result.validation,
         "runs": None if result.runs is None else _runs(result.runs),
@@ -267,9 +267,9 @@ def as_json(result: CalibrationResult) -> dict[str, Any]:
     return dict(plain(contents))
 
 
-def _named(whole: object, names: str) -> dict[str, Any]:
+def _named(instance: object, names: str) -> dict[str, Any]:
     """Return attributes by their names."""
-    return {name: getattr(whole, name) for name in names.split()}
+    return {name: getattr(instance, name) for name in names.split()}
 
 
 def _residuals(result: CalibrationResult) -> dict[str, list[str]]:
@@ -282,8 +282,8 @@ def _residuals(result: CalibrationResult) -> dict[str, list[str]]:
         for leg in result.legs
     ]
     series += [
-        ("", seen.name, seen.unit, seen.rows, seen.residuals, seen.sigmas)
-        for seen in result.observed
+        ("", part.name, part.unit, part.rows, part.residuals, part.sigmas)
+        for part in result.observed
     ]
     lines = [
         (leg, str(row + 1), quantity, unit, repr(float(residual)), repr(float(sigma)))

@@ -82,7 +82,7 @@ class Validation:
 
 @on_one_thread
 def held_out(
-    calibration: Calibration, folds: int = FOLDS, by: By = "region", whole: Fits | None = None
+    calibration: Calibration, folds: int = FOLDS, by: By = "region", fits_of_all: Fits | None = None
 ) -> Validation:
     """Return the errors of a calibration at held-out rows; errors are those of ``validate``.
 
@@ -90,27 +90,28 @@ def held_out(
         calibration: What was calibrated.
         folds: How many times a share of the rows is held out.
         by: What is held out together.
-        whole: Its fits of all rows, if they are known; else they are made.
+        fits_of_all: Its fits of all rows, if they are known; else they are made.
     """
-    whole = _converged(calibration, "the fit of all rows") if whole is None else whole
-    calibration = whole.calibration
+    if fits_of_all is None:
+        fits_of_all = _converged(calibration, "the fit of all rows")
+    calibration = fits_of_all.calibration
     if calibration.options.loss != "none":
-        outlying = [outlier.row for fit in whole.fits for outlier in fit.outliers]
+        outlying = [outlier.row for fit in fits_of_all.fits for outlier in fit.outliers]
         fitting_rows = ~np.isin(np.arange(len(calibration.measurements)), outlying)
         calibration = calibration.rows(fitting_rows).with_options(loss="none")
-        whole = _converged(calibration, "the fit of the rows that fit")
-        calibration = whole.calibration
+        fits_of_all = _converged(calibration, "the fit of the rows that fit")
+        calibration = fits_of_all.calibration
     groups = folds_of(calibration.measurements, folds, by)
     count, of_folds, misses, chances = int(groups.max()) + 1, np.zeros(4), [], []
-    dof = whole.degrees_of_freedom
-    chi2 = sum(fit.chi2 for fit in whole.fits)
+    dof = fits_of_all.degrees_of_freedom
+    chi2 = sum(fit.chi2 for fit in fits_of_all.fits)
     total = chi2 if (groups >= 0).all() else None  # rows to verify with are in no fit
     for fold in range(count):
         calibration.options.report(f"held-out rows, fold {fold + 1} of {count}")
         seen_rows, unseen = groups != fold, calibration.rows(groups == fold)
-        near = Near.of(whole, seen_rows) if whole.latent else None
-        seen = calibration.rows(seen_rows).at_this_noise()
-        fits = _converged(seen, f"fold {fold + 1} of {count}", near)
+        near = Near.of(fits_of_all, seen_rows) if fits_of_all.latent else None
+        fold_calibration = calibration.rows(seen_rows).at_this_noise()
+        fits = _converged(fold_calibration, f"fold {fold + 1} of {count}", near)
         sums = _sums(predictions(fits, unseen))
         chances.append(_chance(fits, sums, total))
         misses.append((unseen, misses_of(unseen, fits)))
@@ -121,14 +122,14 @@ def held_out(
     fit = float(np.sqrt(chi2 / max(dof, 1) / unit))
     held = float(np.sqrt(squares / equations / unit))
     expected = float(fit * np.sqrt(1.0 + unknown / equations))
-    p_value = least_of_folds(min(chances), whole.fits, groups, known=known)
+    p_value = least_of_folds(min(chances), fits_of_all.fits, groups, known=known)
     remarks = []
-    if not rounding(whole):
-        remarks = lacking(whole)
+    if not rounding(fits_of_all):
+        remarks = lacking(fits_of_all)
         if p_value < UNLIKELY and fit <= MISSES:
             worse = finding("held-out-worse", held_out=held, expected=expected, p_value=p_value)
             remarks.append(worse)
-    targets = missed(misses_of(calibration.rows(calibration.counts), whole), misses)
+    targets = missed(misses_of(calibration.rows(calibration.counts), fits_of_all), misses)
     return Validation(
         folds=count,
         rows=int((groups >= 0).sum()),
@@ -136,14 +137,14 @@ def held_out(
         held_out=held,
         expected=expected,
         p_value=p_value,
-        position=_both(targets, "m"),
-        orientation=_both(targets, "rad"),
+        position=_root_mean_squares(targets, "m"),
+        orientation=_root_mean_squares(targets, "rad"),
         findings=tuple(remarks),
         targets=targets,
     )
 
 
-def _converged(calibration: Calibration, what: str, near: Near | None = None) -> Fits:
+def _converged(calibration: Calibration, subject: str, near: Near | None = None) -> Fits:
     """Return the fits of a calibration, the search begun near another optimum if one is given.
 
     Raises:
@@ -152,7 +153,7 @@ def _converged(calibration: Calibration, what: str, near: Near | None = None) ->
     fits = fitted(calibration, near=near)
     if not fits.converged:
         raise MeasurementError(
-            f"{what} does not converge; measure more poses, or give a better nominal mechanism"
+            f"{subject} does not converge; measure more poses, or give a better nominal mechanism"
         )
     return fits
 
@@ -195,7 +196,7 @@ def _sums(predicted: Sequence[tuple[Fit, Linear]]) -> Array:
     return sums
 
 
-def _chance(seen: Fits, sums: Array, total: float | None) -> float:
+def _chance(fits: Fits, sums: Array, total: float | None) -> float:
     """Return the probability that rows miss a fit so far, or farther, if the model is right.
 
     χ² of all rows is larger than that of the rows seen by a χ² of its own, independent of theirs;
@@ -203,18 +204,18 @@ def _chance(seen: Fits, sums: Array, total: float | None) -> float:
     Σ rᵀ (1 + J C Jᵀ)⁻¹ r, which curvature spoils where a region is left out.
 
     Args:
-        seen: The fits of the rows seen.
+        fits: The fits of the rows seen.
         sums: What they predict of the others (see ``_sums``), shape (4,).
         total: χ² of all rows at this noise; by the first order if not given.
     """
     statistic, _, _, equations = sums.tolist()
-    dof = seen.degrees_of_freedom
-    share = 1.0 if seen.latent else chi2_freedoms(seen.fits) / max(dof, 1)
-    chi2_seen = sum(fit.chi2 for fit in seen.fits)
+    dof = fits.degrees_of_freedom
+    share = 1.0 if fits.latent else chi2_freedoms(fits.fits) / max(dof, 1)
+    chi2_seen = sum(fit.chi2 for fit in fits.fits)
     inside = statistic if total is None else max(total - chi2_seen, 0.0)
     ratio, own_ratio = inside / equations, chi2_seen / max(dof, 1)
-    if seen.calibration.noise.known:
-        known = confidence(seen).of_chi2
+    if fits.calibration.noise.known:
+        known = confidence(fits).of_chi2
         if exceeded(own_ratio, share * dof, known) >= UNEXPLAINED:  # else the noise is not as given
             return exceeded(ratio, share * equations, known)
     if not own_ratio > 0.0:
@@ -222,7 +223,7 @@ def _chance(seen: Fits, sums: Array, total: float | None) -> float:
     return exceeded(ratio / own_ratio, share * equations, share * dof)
 
 
-def _both(targets: Sequence[Missed], unit: str) -> tuple[float, float] | None:
+def _root_mean_squares(targets: Sequence[Missed], unit: str) -> tuple[float, float] | None:
     """Return root mean square misses of all targets, in the fit and held out; None without any."""
     squares = [(target.fit**2, target.rms**2) for target in targets if target.unit == unit]
     if not squares:
@@ -252,14 +253,14 @@ def least_of_folds(least: float, fits: Sequence[Fit], groups: Index, *, known: b
         return bound
     random = np.random.default_rng(0)
     parts = [_drawn(fit, groups[fit.rows], count, random) for fit in fits]
-    inside, own, equations = (np.sum(one, axis=0) for one in zip(*parts, strict=True))
+    inside, squares, equations = (np.sum(part, axis=0) for part in zip(*parts, strict=True))
     dof = sum(fit.degrees_of_freedom for fit in fits)
     if known:
         unlikely = inside >= chdtri(equations, least)
     else:  # of a share x of all, or more: the chance that 1 − x follows a beta distribution
-        rest = own.sum(axis=1, keepdims=True) - inside
+        outside = squares.sum(axis=1, keepdims=True) - inside
         share = betaincinv(0.5 * (dof - equations), 0.5 * equations, least)
-        unlikely = (rest > 0.0) & (inside * share >= rest * (1.0 - share))
+        unlikely = (outside > 0.0) & (inside * share >= outside * (1.0 - share))
     below = int(unlikely.any(axis=1).sum())
     return (1 + below) / (1 + DRAWS) if below else min(bound, 1 / (1 + DRAWS))
 
@@ -281,15 +282,15 @@ def _drawn(
         root = np.sqrt(share[has])[:, None] * V[:, has].T
         roots.append((root.astype(np.float32), (1.0 - share[has]).astype(np.float32)))
         equations.append(int(fit.last.equations[folds == fold][used[folds == fold]].sum()))
-    drawn = [random.standard_normal((DRAWS, len(left)), np.float32) for _, left in roots]
+    drawn = [random.standard_normal((DRAWS, len(unfitted)), np.float32) for _, unfitted in roots]
     taken = sum(u @ root for u, (root, _) in zip(drawn, roots, strict=True))
     if len(prior):
         held = normal.orthonormal(prior).astype(np.float32)
         taken = taken + random.standard_normal((DRAWS, len(prior)), np.float32) @ held
     inside, squared = np.empty((DRAWS, count)), np.empty((DRAWS, count))
-    for fold, (u, (root, left)) in enumerate(zip(drawn, roots, strict=True)):
+    for fold, (u, (root, unfitted)) in enumerate(zip(drawn, roots, strict=True)):
         squares = np.square(u - taken @ root.T)
-        rest = random.chisquare(max(equations[fold] - len(left), 1e-9), DRAWS)
-        inside[:, fold] = squares @ (1.0 / np.maximum(left, _RANK)) + rest
-        squared[:, fold] = squares.sum(axis=1) + rest
+        remainder = random.chisquare(max(equations[fold] - len(unfitted), 1e-9), DRAWS)
+        inside[:, fold] = squares @ (1.0 / np.maximum(unfitted, _RANK)) + remainder
+        squared[:, fold] = squares.sum(axis=1) + remainder
     return inside, squared, np.array(equations, dtype=float)
