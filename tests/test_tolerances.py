@@ -136,6 +136,16 @@ def test_sizes_of_a_single_pose_lie_in_their_intervals() -> None:
         assert one.low <= one.size <= one.high
 
 
+def test_a_single_pose_is_said_to_be_few() -> None:
+    """With tolerances in numbers, of which a pose corrects little; with neither, it is refused."""
+    _, data = drawn("3RRR", 24, seed=2)
+    pose = data.rows(np.arange(1))
+    result = pincal.calibrate("3RRR", pose, noise=NOISE, tolerance={"m": 1e-3, "rad": 1e-3})
+    assert "few-poses" in {one.code for one in result.findings}
+    with pytest.raises(pincal.ObservabilityError, match="do not tell noise from"):
+        pincal.calibrate("3RRR", pose, tolerance="auto")
+
+
 def test_what_cannot_be_is_refused() -> None:
     """Unweighted residuals have no evidence; another word is none."""
     _, data = drawn("5R", 24, seed=1)

@@ -449,7 +449,14 @@ def with_found_tolerance(calibration: Calibration) -> Calibration:
         known = dict(zip(sought, sizes.tolist(), strict=True))
         calibration = calibration.with_options(tolerance=known)
         calibration.options.report("finding how far the machine is from its drawing")
-        parts = [Evidence.of(fit, groups) for fit in fitted(calibration).fits]
+        try:
+            parts = [Evidence.of(fit, groups) for fit in fitted(calibration).fits]
+        except np.linalg.LinAlgError as error:
+            raise ObservabilityError(
+                "these rows do not tell noise from how far the machine "
+                "is from its drawing; measure more poses, give the noise (--noise-position …), or "
+                "give the tolerance in numbers (--tolerance 0.5mm,5mrad)"
+            ) from error
         rise = float(chdtri(1, 1.0 - CONFIDENCE))
         last, (sizes, ends) = sizes, likeliest(parts, sizes, (ALIKE * farthest, farthest), rise)
         estimates.update(

@@ -162,8 +162,8 @@ def _of_readings(fit: Fit, used: Index) -> dict[str, list[Array]]:
     poses = platform.from_matrices(fit.last.state.matrices[used])
     alike = np.equal.outer(platform.units, platform.units)
     scale = np.ptp(poses, axis=0)
-    varied = scale > _FLAT * (alike * scale).max(axis=1)
-    x = ((poses - poses.mean(axis=0)) / np.where(varied, scale, 1.0))[:, varied]
+    varied = scale >= _FLAT * (alike * scale).max(axis=1)  # all of them, if none varies
+    x = ((poses - poses.mean(axis=0)) / np.where(scale > 0.0, scale, 1.0))[:, varied]
     i, j = np.triu_indices(x.shape[1])
     pose = np.concatenate((x, x[:, i] * x[:, j]), axis=1)
     units = [unit for leg in block.legs for unit in leg.reading_units]
