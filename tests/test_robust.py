@@ -520,3 +520,14 @@ def test_one_slip_of_the_decimal_in_an_unknown_frame_is_named(
     judged = pincal.calibrate(mechanism, wrong, setup=setup, noise=NOISE)
     assert judged.findings[0].code == "wrong-rows"
     assert judged.findings[0].rows == (30,)
+
+
+def test_one_slip_without_known_noise_is_not_laid_on_the_poses_alone() -> None:
+    """The noise estimated with a wrong row hides all parameters: rows that do not fit are named."""
+    mechanism, _, data = machine("delta", 40)
+    data = seen_from_elsewhere(mechanism, data, (0.0, 0.0, 0.0))
+    wrong = put(data, "poses", (4, 0), 10.0 * data.poses[4, 0])
+    setup = pincal.Setup(unknown_frame=True)
+    with pytest.raises(pincal.ObservabilityError, match="--loss reject"):
+        pincal.calibrate(mechanism, wrong, setup=setup)
+    assert pincal.calibrate(mechanism, wrong, setup=setup, loss="reject").outliers[0].row == 4
