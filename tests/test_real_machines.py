@@ -101,7 +101,7 @@ def test_frames_are_no_error_of_the_machine(name: str, tolerance: dict[str, floa
     """
     machine, noise = pincal.load_mechanism(name), pincal.Noise(2e-5, 5e-5, 0.0)
     promised, true = [], []
-    for seed in range(2):
+    for seed in range(2 if name == "6UPS" else 6):
         poses = pincal.sample_workspace(machine, 400, seed=seed)[:90]
         truth = pincal.disturb(machine, 1e-3, seed=seed + 100)
         data = pincal.simulate(machine, truth, pincal.Plan(poses[:50]), noise, seed).measurements

@@ -434,15 +434,17 @@ def test_few_outliers_of_a_loss_contradict_nothing() -> None:
 
 @pytest.mark.slow
 def test_groups_of_noise_that_differ_cost_degrees_of_freedom() -> None:
-    """Readings far noisier than positions are a group of their own: fewer freedoms than of χ²."""
-    one, readings = cramer_rao.machine("3RRR", 60), []
-    for seed in range(5):
-        result = pincal.calibrate(one.nominal, drawn(one, pincal.Noise(2e-5, 2e-5, 1e-3), seed))
+    """Readings about as noisy as positions are a group of their own: fewer freedoms than of χ²."""
+    one, readings, freedoms = cramer_rao.machine("3RRR", 60), [], []
+    for seed in range(8):
+        result = pincal.calibrate(one.nominal, drawn(one, pincal.Noise(1e-4, 2e-5, 1e-4), seed))
         assert result.noise
-        readings.append(result.noise.reading)
         assert result.noise_freedoms
-        assert result.noise_freedoms < 0.5 * result.degrees_of_freedom
-    assert np.median(readings) == pytest.approx(1e-3, rel=0.2)
+        readings.append(result.noise.reading)
+        freedoms.append(result.noise_freedoms / result.degrees_of_freedom)
+    assert np.median(readings) == pytest.approx(1e-4, rel=0.2)
+    assert np.median(freedoms) < 0.5
+    assert max(freedoms) < 0.8
 
 
 @pytest.mark.slow
@@ -520,14 +522,3 @@ def test_one_slip_of_the_decimal_in_an_unknown_frame_is_named(
     judged = pincal.calibrate(mechanism, wrong, setup=setup, noise=NOISE)
     assert judged.findings[0].code == "wrong-rows"
     assert judged.findings[0].rows == (30,)
-
-
-def test_one_slip_without_known_noise_is_not_laid_on_the_poses_alone() -> None:
-    """The noise estimated with a wrong row hides all parameters: rows that do not fit are named."""
-    mechanism, _, data = machine("delta", 40)
-    data = seen_from_elsewhere(mechanism, data, (0.0, 0.0, 0.0))
-    wrong = put(data, "poses", (4, 0), 10.0 * data.poses[4, 0])
-    setup = pincal.Setup(unknown_frame=True)
-    with pytest.raises(pincal.ObservabilityError, match="--loss reject"):
-        pincal.calibrate(mechanism, wrong, setup=setup)
-    assert pincal.calibrate(mechanism, wrong, setup=setup, loss="reject").outliers[0].row == 4

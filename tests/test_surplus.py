@@ -119,7 +119,8 @@ def test_standard_errors_are_the_spread(mechanism: pincal.Mechanism, plan: pinca
     errors, std = [], []
     clean = pincal.simulate(mechanism, truth, plan, EXACT).measurements
     for seed in range(60):
-        result = pincal.calibrate(mechanism, shaken(mechanism, clean, NOISE, seed), noise=NOISE)
+        data = shaken(mechanism, clean, NOISE, seed)
+        result = pincal.calibrate(mechanism, data, noise=NOISE, strict=True)
         found = np.concatenate([leg.identified for leg in result.legs])
         errors.append(found - np.concatenate([leg.nominal for leg in truth.legs]))
         std.append(np.concatenate([leg.std for leg in result.legs]))

@@ -279,6 +279,10 @@ def _all_legs(calibration: Calibration, tied: bool, begin: Fits | Near | None) -
         begin: Where it starts, if that is known: fits at other noise, or near an optimum.
     """
     mechanism, options = calibration.mechanism, calibration.options
+    if not calibration.counts.any():
+        raise ObservabilityError(
+            "every row is for verification (set 'verify'); none is left to fit"
+        )
     problem, unknowns = calibration.latent_problem, calibration.unknowns(tied=tied)
     if options.setup.plain and not options.tied and (options.strict or not calibration.noise.known):
         calibration.check_counts()
@@ -320,8 +324,11 @@ def _fit_holding(
     """
     mechanism, options, free = calibration.mechanism, calibration.options, system.unknowns
     least = 1.0 if before is None or before.held is None else before.held.least
+    problem = system.problem
+    if system.kept is not None:
+        problem = problem.at(np.flatnonzero(system.kept))
     while True:
-        held = hold_unobservable(mechanism, system.problem, free, least)
+        held = hold_unobservable(mechanism, problem, free, least)
         may_hold_more = held.weakest < _HELD_MORE * least and least < _HELD_MOST
         patience = _PATIENCE if may_hold_more else None
         system = replace(system, unknowns=held.unknowns, max_evaluations=patience)

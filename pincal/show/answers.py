@@ -96,7 +96,7 @@ def _better(result: CalibrationResult, errors: WorkspaceErrors) -> Answer:
         words = "Residuals fell, but are still" if result.corrects else "Residuals are"
         text = f"{words} {_excess(result)}. {wording.means}"
         return Answer(question, "Not shown" if result.corrects else "No", "bad", [text])
-    if not errors.expected.determined.any():
+    if not _determined(errors):
         return Answer(question, "Not determined", "bad", [f"{_UNDETERMINED}."])
     if not _moved(errors):
         return Answer(question, _HELD, "good", [f"{_ONLY_FRAMES}."])
@@ -121,6 +121,11 @@ def _moved(errors: WorkspaceErrors) -> bool:
     return any((*errors.mean_before(), *errors.mean_after()))
 
 
+def _determined(errors: WorkspaceErrors) -> bool:
+    """Return whether the measurements say how far the calibrated platform is off anywhere."""
+    return bool(errors.expected.determined.any() and np.isfinite(errors.mean_after()).all())
+
+
 def _factors(ratios: Sequence[float]) -> str:
     """Return factors in position and, where the platform turns, in orientation."""
     shown = [rounded(ratio) for ratio in ratios]
@@ -136,9 +141,10 @@ def _excess(result: CalibrationResult) -> str:
 def _accuracy(result: CalibrationResult, errors: WorkspaceErrors) -> Answer:
     """Return by how much the platform is off: before, as expected, held out."""
     lines = [f"{capital(line)}." for line in limit_lines(result, errors)]
-    if not result.explained or not errors.expected.determined.any() or not _moved(errors):
-        held = result.explained and not _moved(errors)
-        shown = _HELD if held else WORDINGS["residuals-too-large"].title
+    if not (result.explained and _determined(errors) and _moved(errors)):
+        shown = WORDINGS["residuals-too-large"].title
+        if result.explained:
+            shown = _HELD if _determined(errors) else "Not determined"
         return Answer("By how much?", shown, "", [accuracy_table(result, errors), *lines])
     kind, unit = (0, "m") if result.nominal.platform.lengths else (1, "rad")
     before, after = (sizes()[kind] for sizes in (errors.mean_before, errors.mean_after))
@@ -153,7 +159,7 @@ def accuracy_table(result: CalibrationResult, errors: WorkspaceErrors) -> Table:
     Of the model alone where it can be promised; held-out rows miss by what they miss.
     """
     names, rows = list(errors.units.items()), dict[str, dict[tuple[str, str], float]]()
-    if result.explained and errors.expected.determined.any() and _moved(errors):
+    if result.explained and _determined(errors) and _moved(errors):
         sizes = {"nominal": errors.mean_before(), "calibrated": errors.mean_after()}
         sizes |= {"95 %: below": errors.limit} if result.promises else {}
         kinds = {"m": 0, "rad": 1}

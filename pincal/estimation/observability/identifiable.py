@@ -268,8 +268,7 @@ def _weak(ids: Sequence[str]) -> ObservabilityError:
         f"{named} {'is' if single else 'are'} weakly determined by the measured poses: noise moves "
         f"{them} farther than machines differ from their drawings. Measure poses that differ more "
         f"(in orientation above all), hold {them} as near to nominal as can be "
-        "(without --strict), leave out rows that do not fit (--loss reject), or say how well "
-        "nominal values are known (--priors)"
+        "(leave out --strict), or say how well nominal values are known (--priors)"
     )
 
 
