@@ -137,11 +137,12 @@ def test_one_error_gives_the_numbers_of_all(name: str, setup: pincal.Setup | Non
 
 
 def test_held_directions_give_the_numbers_of_all() -> None:
-    """Few poses, the rest held at nominal: the same configurations count, with the same means."""
+    """Poses that never turn, the rest held: the same configurations count, with the same means."""
     mechanism = pincal.load_mechanism("3RRR")
     poses = pincal.sample_workspace(mechanism, 80, seed=0)
     noise = pincal.Noise(1e-6, 1e-6, 0.0)  # so small that nothing is curved: limits are promised
-    data = pincal.simulate(mechanism, mechanism, pincal.Plan(poses[:7]), noise).measurements
+    turned_alike = poses[:12] * [1.0, 1.0, 0.0] + [0.0, 0.0, poses[0, 2]]
+    data = pincal.simulate(mechanism, mechanism, pincal.Plan(turned_alike), noise).measurements
     result = pincal.calibrate(mechanism, data, noise=noise)
     assert result.undetermined_directions is not None
     held = Unidentified(result.undetermined_directions, result.nominal)

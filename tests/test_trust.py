@@ -270,14 +270,11 @@ def test_the_command_holds_runs_out(tmp_path: Path) -> None:
     parts = [pincal.simulate(mechanism, truth, plan, NOISE, run).measurements for run in range(3)]
     data = joined(parts)
     data.to_csv(tmp_path / "m.csv", mechanism)
-    said = done(
-        "calibrate", "--no-report", "5R", tmp_path / "m.csv", "--by", "run", "-o", tmp_path / "r"
-    ).out
+    done("calibrate", "--no-report", "5R", tmp_path / "m.csv", "--by", "run", "-o", tmp_path / "r")
     found = pincal.load_result(tmp_path / "r").validation
     expected = pincal.validate(mechanism, data, by="run")
     assert found.folds == expected.folds == 3
     assert found.held_out == pytest.approx(expected.held_out, rel=1e-9)
-    assert f"{found.held_out:.2f} σ" in said
     result = pincal.calibrate(mechanism, data).validated(by="run").compared()
     assert result.validation.held_out == pytest.approx(found.held_out, rel=1e-9)
     assert result.runs.runs == ("run 0", "run 1", "run 2")

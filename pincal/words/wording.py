@@ -205,6 +205,7 @@ def _pages() -> Environment:
             [PackageLoader("pincal.words", ""), PackageLoader("pincal.show", "pages")]
         ),
         autoescape=True,
+        keep_trailing_newline=True,
         finalize=_cleaned,
         undefined=StrictUndefined,
         trim_blocks=True,
