@@ -50,7 +50,7 @@ def test_intervals_of_a_curved_problem_cover() -> None:
     one, noise, shares = machine("3RRR", 24), pincal.Noise(1e-3, 1e-3, 0.0), []
     for seed in range(16):
         data = drawn(one, noise, seed)
-        result = pincal.calibrate(one.nominal, data, noise=noise, rough=True)
+        result = pincal.calibrate(one.nominal, data, noise=noise, rough=True, strict=True)
         ends = [(p.low, p.high) for p in of_legs(result)]
         inside = [a <= true <= b for (a, b), true in zip(ends, one.parameters, strict=True)]
         shares.append(np.mean(inside))

@@ -216,7 +216,7 @@ class Judged:
 
     @property
     def questioned(self) -> list[int]:
-        """Legs of which machines near nominal leave much of what was measured; all without fits."""
+        """Legs of which machines near nominal leave much of what was measured."""
         return [i for i, fit in enumerate(self.fits) if fit.questioned]
 
     def within(self, most: float) -> bool:

@@ -86,8 +86,8 @@ def _stages(case: Case, as_measured: Judged) -> Iterator[list[Judged]]:
 
 def _explains(judged: Judged, as_measured: Judged) -> bool:
     """Return whether a hypothesis leaves little enough of the misfit of what was given."""
-    if not as_measured.fits and judged.questioned:
-        return False  # anything is better than nothing
+    if not as_measured.fits and 2 * len(judged.questioned) >= len(judged.judged):
+        return False  # anything is better than nothing: most legs must fit
     wrong_units = judged.hypothesis.values.get("units", ())
     shrinks = any((unit, written) == ("m", "mm") for _, unit, written in wrong_units)
     gap = max((fit.gap for fit in as_measured.judged), default=np.inf)
