@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from arms import loaded
 from numpy.typing import NDArray
 
 import pincal
@@ -50,6 +52,39 @@ def test_finite_intervals_hold_the_truth(cut: Callable[[Array], Array]) -> None:
             finite |= {p.owner for p in known}
     assert finite == ({"leg_1"} if cut is one_leg_seldom_read else set())
     assert not inside or np.mean(inside) >= 0.9
+
+
+def test_a_promise_takes_as_many_equations_as_unknowns() -> None:
+    """Seven poses of eight-parameter legs promise nothing, tolerances beside them do.
+
+    Nor is a promise a matter of poses: each of an arm's gives six equations.
+    """
+    robot, poses = pincal.load_mechanism("3RRR"), pincal.sample_workspace("3RRR", 7, seed=0)
+    truth, known = pincal.disturb(robot, 1e-3, seed=1), {"m": 2e-3, "rad": 2e-3}
+    data = pincal.simulate(robot, truth, pincal.Plan(poses), NOISE, seed=2).measurements
+    short = pincal.calibrate(robot, data, noise=NOISE)
+    assert {finding.code for finding in short.contradictions} == {"few-poses"}
+    assert pincal.calibrate(robot, data, noise=NOISE, tolerance=known).promises
+    arm = loaded("ur10")
+    plan = pincal.sample_configurations(arm, 10, seed=0)
+    data = pincal.simulate(arm, pincal.disturb(arm, 1e-3, seed=1), plan, NOISE, 2).measurements
+    assert pincal.calibrate(arm, data, noise=NOISE).promises
+
+
+def test_rows_for_verification_determine_nothing() -> None:
+    """Four rows to fit hold the same directions whether others verify or not; none is refused."""
+    robot, poses = pincal.load_mechanism("3RRR"), pincal.sample_workspace("3RRR", 20, seed=0)
+    truth = pincal.disturb(robot, 1e-3, seed=1)
+    data = pincal.simulate(robot, truth, pincal.Plan(poses), NOISE, seed=2).measurements
+    verified = replace(data, sets=("all",) * 4 + ("verify",) * 16)
+    alone = pincal.calibrate(robot, data.rows(np.arange(4)), noise=NOISE)
+    beside = pincal.calibrate(robot, verified, noise=NOISE)
+    assert alone.undetermined_directions is not None
+    assert beside.undetermined_directions is not None
+    assert beside.undetermined_directions.shape == alone.undetermined_directions.shape
+    assert beside.degrees_of_freedom == alone.degrees_of_freedom >= 0
+    with pytest.raises(pincal.ObservabilityError, match="every row is for verification"):
+        pincal.calibrate(robot, replace(data, sets=("verify",) * 20), noise=NOISE)
 
 
 def test_what_was_held_is_marked_wherever_it_is_shown(tmp_path: Path) -> None:

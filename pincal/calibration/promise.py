@@ -72,8 +72,8 @@ def explained(result: CalibrationResult) -> bool:
 def contradictions(result: CalibrationResult) -> tuple[Finding, ...]:
     """Return what contradicts the model or its noise: χ², residuals, held-out rows, runs, ties.
 
-    Or leaves it unproved: fewer poses than unknowns. Terms that these measurements chose are made
-    to fit them: only held-out rows can vouch for them.
+    Or leaves it unproved: fewer equations than unknowns. Terms that these measurements chose are
+    made to fit them: only held-out rows can vouch for them.
     """
     remarks = list(result.findings)
     for check in (result.validation, result.runs):
@@ -81,16 +81,14 @@ def contradictions(result: CalibrationResult) -> tuple[Finding, ...]:
             remark for remark in (() if check is None else check.findings) if remark not in remarks
         ]
     vouched = {"terms-chosen"} if result.validation is not None else set()
-    return tuple(
-        remark
-        for remark in remarks
-        if remark.code in CONTRADICT - vouched or (remark.code == "few-poses" and _too_few(remark))
-    )
+    short = {"few-poses"} if _short_of_equations(result) else set()
+    return tuple(remark for remark in remarks if remark.code in (CONTRADICT - vouched) | short)
 
 
-def _too_few(remark: Finding) -> bool:
-    """Return whether a leg has fewer poses than unknowns: the rest was held, whatever it is."""
-    return bool(remark.values["poses"] < remark.values["unknowns"])
+def _short_of_equations(result: CalibrationResult) -> bool:
+    """Return whether there are fewer equations than unknowns, so that some had to be held."""
+    held = result.undetermined_directions
+    return held is not None and result.degrees_of_freedom < held.shape[1]
 
 
 def whitened(parts: Sequence[LegResult | Observed]) -> tuple[Array, Array]:
