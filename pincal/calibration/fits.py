@@ -88,10 +88,9 @@ def _known_somewhere(problem: Problem) -> tuple[list[bool], dict[str, bool]]:
 
 Tie = tuple[int, float] | None  # of the noise of readings to another, see ``Moments.tie``
 ROUNDS = 20  # of noise, or of frames, in turn with the legs
-# Weak directions are held where noise moves them farther than machines differ; where the search
-_HELD_MORE = 10.0  # does not converge with them, also those moved a tenth as far, and so on
-_HELD_MOST = 100.0  # until a hundredth,
-_PATIENCE = 500  # so many evaluations each
+_HELD_MORE = 10.0  # times better determined are directions held next if a search does not converge
+_HELD_MOST = 100.0  # times better than machines differ: those are always free
+_PATIENCE = 500  # evaluations of a search before more directions are held
 _REFITS = 5  # with noise that was estimated
 _STILL = 1e-10  # of the machine's size, and [rad]: the frame moves no more
 SCALE_OFF = 5e-3  # of the scale of the noise that was estimated: fitted once more
@@ -203,7 +202,8 @@ def _with_variances(fits_of_all: Fits, noise: Noise, unit: float, tie: Tie) -> F
     """Return fits at noise that was estimated, with what that adds to their covariances."""
     if not _sound(fits_of_all):
         return fits_of_all
-    moments = _moments(fits_of_all, None, noise.reading or unit)
+    pairs = [(fit, fit.problem) for fit in fits_of_all.fits]
+    moments = Moments.of(pairs, noise.reading or unit)
     if moments.rounding:
         return fits_of_all
     information, _ = moments.information(_beforehand(fits_of_all.calibration, noise, tie))
@@ -248,19 +248,16 @@ def _agree(noise: Noise, estimate: Noise) -> bool:
     return all(abs(a - b) <= SETTLED * max(a, b) for a, b in changes)
 
 
-def _moments(fits_of_all: Fits, noise: Noise | None, unit: float) -> Moments:
-    """Return the moments of fits at some noise, or at their own; of readings over a unit."""
-    fits, calibration = fits_of_all.fits, fits_of_all.calibration
-    problems = [fit.problem for fit in fits]
-    if noise is not None:
-        calibration = calibration.with_noise(noise)
-        if fits_of_all.latent:
-            problems = [calibration.latent_problem]
-        else:
-            external = None if calibration.options.setup.plain else fits_of_all.external
-            poses, names = calibration.given_poses(external), calibration.mechanism.leg_names
-            groups = [[names.index(leg.name) for leg in problem.legs] for problem in problems]
-            problems = [calibration.measured_problem(group, *poses)[0] for group in groups]
+def _moments(fits_of_all: Fits, noise: Noise, unit: float) -> Moments:
+    """Return the moments of fits at some noise; of readings over a unit."""
+    fits, calibration = fits_of_all.fits, fits_of_all.calibration.with_noise(noise)
+    if fits_of_all.latent:
+        problems = [calibration.latent_problem]
+    else:
+        external = None if calibration.options.setup.plain else fits_of_all.external
+        poses, names = calibration.given_poses(external), calibration.mechanism.leg_names
+        groups = [[names.index(leg.name) for leg in fit.problem.legs] for fit in fits]
+        problems = [calibration.measured_problem(group, *poses)[0] for group in groups]
     return Moments.of(list(zip(fits, problems, strict=True)), unit)
 
 

@@ -84,7 +84,8 @@ def _compiled(path: Path) -> mujoco.MjModel:
         raise MechanismError(f"{path}: MuJoCo does not read it: {why}") from error
     finally:
         mujoco.set_mju_user_warning(handler)
-    for numbers in (model.body_pos, model.body_quat, model.jnt_pos, model.site_pos, model.eq_data):
+    places = (model.body_pos, model.body_quat, model.jnt_pos, model.jnt_axis, model.site_pos)
+    for numbers in (*places, model.eq_data):
         if not (np.abs(numbers) <= LARGEST).all():
             raise MechanismError(f"{path}: a place holds a number that is not finite or too large")
     return model

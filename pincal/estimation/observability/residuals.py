@@ -116,12 +116,6 @@ class Remainders:
         noise, taken, gained = (rows[:, columns] for rows in (self.noise, self.taken, self.given))
         return Remainders(noise, taken, gained, self.estimate)
 
-    def of_sum(self, factors: Array) -> float:
-        """Return the variance of a sum of the quantities times factors, shape (N, q)."""
-        noise = np.einsum("nq,nqs->ns", factors, self.noise)
-        taken, gained = (np.einsum("nq,nqk->k", factors, rows) for rows in (self.taken, self.given))
-        return float((noise**2).sum() - 2.0 * taken @ gained + taken @ self.estimate @ taken)
-
 
 def every_residual(fit: Fit) -> tuple[list[LegResiduals], Array, list[slice]]:
     """Return the residuals of legs and what they and those of all that was measured follow.
