@@ -349,6 +349,22 @@ def test_joints_go_out_under_their_own_names(tmp_path: Path) -> None:
     assert "quat_xyzw" in (tmp_path / "out.urdf").read_text()
 
 
+@pytest.mark.parametrize(
+    ("axis", "quaternion"),
+    [("inf 0 1", "1 0 0 0"), ("0 0 1", "inf 2 3 4"), ("0 0 1", "1e300 1e300 0 0")],
+)
+def test_mjcf_without_a_direction_is_refused(axis: str, quaternion: str, tmp_path: Path) -> None:
+    """Axes and quaternions that MuJoCo compiles to no direction."""
+    file = tmp_path / "arm.xml"
+    file.write_text(
+        f"""<mujoco><worldbody><body name="a"><joint name="j" axis="{axis}"/><geom size="1"/>
+        <body name="b"><joint name="k"/><geom size="1"/><site name="tip" quat="{quaternion}"/>
+        </body></body></worldbody></mujoco>"""
+    )
+    with pytest.raises(MechanismError, match="not finite or too large"):
+        read_mjcf(file)
+
+
 def test_an_arm_that_floats_stands_on_the_base_that_is_named(tmp_path: Path) -> None:
     """A floating joint at the root is refused with the --base that leaves it out, which works."""
     file = tmp_path / "arm.urdf"

@@ -84,10 +84,11 @@ def _compiled(path: Path) -> mujoco.MjModel:
         raise MechanismError(f"{path}: MuJoCo does not read it: {why}") from error
     finally:
         mujoco.set_mju_user_warning(handler)
-    places = (model.body_pos, model.body_quat, model.jnt_pos, model.jnt_axis, model.site_pos)
-    for numbers in (*places, model.eq_data):
-        if not (np.abs(numbers) <= LARGEST).all():
-            raise MechanismError(f"{path}: a place holds a number that is not finite or too large")
+    places = (model.body_pos, model.jnt_pos, model.jnt_axis, model.site_pos, model.eq_data)
+    turns_of_places = np.linalg.norm(np.concatenate((model.body_quat, model.site_quat)), axis=1)
+    small = all((np.abs(numbers) <= LARGEST).all() for numbers in places)
+    if not (small and (turns_of_places > 0.0).all()):
+        raise MechanismError(f"{path}: a place holds a number that is not finite or too large")
     return model
 
 
