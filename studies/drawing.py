@@ -41,6 +41,8 @@ def draw_mechanism(axes: Axes, mechanism: pincal.Mechanism, pose: Sequence[float
     pincal.picture(mechanism, [pose]).draw(axes)
     if legend := axes.get_legend():
         legend.remove()
+    for text in axes.texts:
+        text.set_clip_on(True)  # names outside narrower limits leave no room for the axes
     from_above(axes)
     (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
     room = 0.1 * max(right - left, high - low)

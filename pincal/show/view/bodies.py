@@ -74,7 +74,7 @@ def plate(points: Array, thickness: float) -> tuple[Shape, ...]:
         return ()
     shift = 0.5 * thickness * axes[2]
     corners = np.concatenate((points + shift, points - shift))
-    return (Shape("hull", (), np.eye(4), GREY, corners[ConvexHull(corners).vertices]),)
+    return (Shape("hull", (), np.eye(4), PALE, corners[ConvexHull(corners).vertices]),)
 
 
 def frame(feet: Array, radius: float) -> tuple[Shape, ...]:
