@@ -1,12 +1,8 @@
-"""Corrections for controllers that know no terms: tables over poses, code of sensors' laws."""
+"""Corrections for controllers that know no terms: tables over poses."""
 
 from __future__ import annotations
 
-import ctypes
-import inspect
 import shlex
-import shutil
-import subprocess
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -24,14 +20,11 @@ from test_terms import FORMS, extended, truth_of
 
 import pincal
 from pincal.errors import MeasurementError, MechanismError, WorkspaceError
-from pincal.formats.corrections import LANGUAGES, Corrections, code_of
+from pincal.formats.corrections import Corrections
 from pincal.kinematics.closing import sensor_law
 from pincal.kinematics.closure import nominal_legs
-from pincal.model.units import Units
 from pincal.workspace.criteria import in_workspace
 from pincal.workspace.sampling import grid_poses, sample_configurations
-
-Laws = dict[str, Callable[..., float]]
 
 
 def with_forms(mechanism: pincal.Mechanism, *forms: str) -> pincal.Mechanism:
@@ -181,118 +174,6 @@ def test_a_side_of_approach_that_is_not_given_is_the_middle() -> None:
     np.testing.assert_allclose(found[:, 1], 0.0, atol=1e-15)
 
 
-def python_of(machine: pincal.Mechanism, units: Units) -> Laws:
-    """Return the functions of generated Python."""
-    made: dict[str, Any] = {}
-    exec(compile(code_of(machine, LANGUAGES["python"], units), "corrections", "exec"), made)
-    return {name: law for name, law in made.items() if name.endswith(("_joint", "_reading"))}
-
-
-def c_of(machine: pincal.Mechanism, units: Units, folder: Path) -> Laws:
-    """Return the functions of the generated header, compiled without a warning."""
-    (folder / "corrections.h").write_text(code_of(machine, LANGUAGES["c"], units))
-    shapes = {
-        name: len(inspect.signature(one).parameters)
-        for name, one in python_of(machine, units).items()
-    }
-    called = "".join(
-        f"double c_{name}(const double *a);\n"
-        f"double c_{name}(const double *a) {{ return {name}("
-        f"{', '.join(f'a[{k}]' for k in range(count))}); }}\n"
-        for name, count in shapes.items()
-    )
-    (folder / "all.c").write_text('#include "corrections.h"\n' + called)
-    strict = ("-std=c99", "-Wall", "-Wextra", "-pedantic", "-Werror")
-    built = ("-shared", "-fPIC", "-o", "all.so", "all.c", "-lm")
-    subprocess.run(["gcc", *strict, *built], cwd=folder, check=True)
-    library = ctypes.CDLL(str(folder / "all.so"))
-
-    def one(name: str) -> Callable[..., float]:
-        function = getattr(library, f"c_{name}")
-        function.restype = ctypes.c_double
-
-        def call(*given: float) -> float:
-            given = given + (np.nan,) * (shapes[name] - len(given))
-            return float(function((ctypes.c_double * len(given))(*given)))
-
-        return call
-
-    return {name: one(name) for name in shapes}
-
-
-@pytest.mark.parametrize("said", ["", "mm,deg", "mm,counts"])
-@pytest.mark.parametrize("language", ["python", "c"])
-def test_code_is_the_law_of_the_sensor(language: str, said: str, tmp_path: Path) -> None:
-    """At random points, all forms of terms together: positions, and back by secants."""
-    if language == "c" and not shutil.which("gcc"):
-        pytest.skip("no gcc")
-    machine = with_forms(pincal.load_mechanism("5R"), *FORMS)
-    counts = dict.fromkeys(machine.reading_names, 65536 / (2 * np.pi))
-    units = Units.of(said, counts, machine.reading_names)
-    made = python_of(machine, units) if language == "python" else c_of(machine, units, tmp_path)
-    per_joint = 180 / np.pi if "deg" in said else 1.0
-    per_reading = counts["leg_1"] if "counts" in said else per_joint
-    draw = np.random.default_rng(0)
-    for leg in nominal_legs(machine):
-        name, law = leg.leg.name, sensor_law(leg)
-        assert leg.leg.influences == ("temperature", "time", f"approach_{name}", f"load_{name}")
-        readings, by = draw.uniform(-5.0, 5.0, (40, 1)), draw.uniform(-30.0, 30.0, (40, 4))
-        by[draw.random(by.shape) < 0.2] = np.nan
-        known = np.hstack((readings, by))
-        rows = list(zip((per_reading * readings[:, 0]).tolist(), by.tolist(), strict=True))
-        joints = [made[f"{name}_joint"](at, *row) for at, row in rows]
-        wanted = per_joint * law.position(known)[:, 0]
-        np.testing.assert_allclose(joints, wanted, rtol=0.0, atol=1e-13 * per_joint)
-        back = [made[f"{name}_reading"](q, *row) for q, (_, row) in zip(joints, rows, strict=True)]
-        np.testing.assert_allclose(
-            back, per_reading * readings[:, 0], rtol=0.0, atol=1e-12 * per_reading
-        )
-        alone = made[f"{name}_joint"](rows[0][0])  # at the reference of all else
-        assert alone == pytest.approx(per_joint * law.position(readings[:1])[0, 0], abs=1e-11)
-
-
-def test_code_of_several_sensors_and_of_homed_ones_is_the_law() -> None:
-    """Readings of an arm by joint; readings that count from the home pose."""
-    for machine in (
-        with_forms(loaded("ur5"), "sine", "gravity"),
-        with_forms(pincal.load_mechanism("linear_delta"), "power"),
-    ):
-        made = python_of(machine, Units.of("", {}))
-        readings = np.full((1, len(machine.reading_names)), 0.07)
-        for index, leg in enumerate(nominal_legs(machine)):
-            own = readings[:, machine.reading_columns[index]]
-            joints = [made[f"{name}_joint"](0.07) for name in leg.leg.reading_names]
-            np.testing.assert_allclose(joints, sensor_law(leg).position(own)[0], atol=1e-14)
-
-
-def test_where_a_law_turns_back_code_finds_no_reading_and_export_warns(tmp_path: Path) -> None:
-    machine = extended(pincal.load_mechanism("5R"), FORMS["power"])
-    machine = machine.with_parameters({"leg_1.a_0": -0.5})
-    assert np.isnan(python_of(machine, Units.of("", {}))["leg_1_reading"](3.0))
-    machine.save(tmp_path / "m")
-    outcome = done("export", tmp_path / "m", "-o", tmp_path / "c.py")
-    assert "leg_1: with its terms the joint turns back" in outcome.err
-    assert "leg_2: with" not in outcome.err
-
-
-def test_names_of_columns_are_no_code(tmp_path: Path) -> None:
-    """Whatever a column is called, code is sound, and its arguments are told apart."""
-    odd = ['a"""\nraise SystemExit', "a */ #error", "a  ' #error", "for", "sin", "température"]
-    terms = [pincal.Term(f"a_{k}", pincal.Share(10.0), of=name) for k, name in enumerate(odd)]
-    machine = truth_of(extended(pincal.load_mechanism("5R"), *terms))
-    made = python_of(machine, Units.of("", {}))
-    assert len(inspect.signature(made["leg_1_joint"]).parameters) == 1 + len(odd)
-    for place, name in enumerate(odd):
-        at = [np.nan] * len(odd)
-        at[place] = 10.0
-        more = made["leg_1_joint"](0.1, *at) - made["leg_1_joint"](0.1)
-        assert more == pytest.approx(machine.parameters[f"leg_1.a_{place}_0"].nominal), name
-    if shutil.which("gcc"):
-        assert c_of(machine, Units.of("", {}), tmp_path)["leg_2_joint"](0.1) == pytest.approx(
-            made["leg_2_joint"](0.1)
-        )
-
-
 def test_a_grid_holds_poses_that_count_at_round_numbers() -> None:
     poses = grid_poses("5R", 300)
     assert 50 < len(poses) < 600
@@ -317,7 +198,7 @@ def test_what_an_export_leaves_out_is_offered_and_the_command_works(tmp_path: Pa
     for file in ("m.urdf", "m.xml", "m.cfg", "m.g"):
         outcome = done("export", tmp_path / "a printer", "-o", tmp_path / file)
         offered = [line for line in outcome.err.splitlines() if ": pincal export " in line]
-        assert len(offered) == 2
+        assert len(offered) == 1
     for line in offered:
         typed = shlex.split(line.partition(": pincal ")[2].partition(" (")[0])
         place = typed.index("-o") + 1
@@ -335,39 +216,11 @@ def test_what_an_export_leaves_out_is_offered_and_the_command_works(tmp_path: Pa
     found = np.array([table[f"correction_{one} [mm]"] for one in names], dtype=float).T / 1e3
     ends = [pincal.inverse(one, poses).readings for one in (machine, machine.without_terms)]
     np.testing.assert_allclose(found, ends[0] - ends[1], atol=2e-12)
-    assert "leg_3_reading(joint)" in (tmp_path / "corrections.py").read_text()
-    assert "at a reading [mm]" in (tmp_path / "corrections.py").read_text()
 
 
-def test_joints_of_the_exported_urdf_become_readings_by_the_code(tmp_path: Path) -> None:
-    """What a controller does: joints of the URDF at a pose, readings of these by the code."""
-    machine = with_forms(pincal.load_mechanism("5R"), "sine", "power", "temperature", "backlash")
-    machine.save(tmp_path / "m")
-    done("export", tmp_path / "m", "-o", tmp_path / "m.urdf")
-    done("export", tmp_path / "m", "-o", tmp_path / "c.py")
-    done("import", tmp_path / "m.urdf", "-o", tmp_path / "again")
-    laws: dict[str, Any] = {}
-    exec((tmp_path / "c.py").read_text(), laws)
-    poses = workspace("5R", 4)
-    joints = pincal.inverse(tmp_path / "again", poses).readings
-    sides = {"approach_leg_1": 1.0, "approach_leg_2": -1.0}
-    wanted = pincal.inverse(machine, poses, {"temperature": 31.0, **sides}).readings
-    for place, (name, side) in enumerate(sides.items()):
-        reading = laws[f"{name.removeprefix('approach_')}_reading"]
-        found = [reading(q, at_temperature=31.0, at_approach=side) for q in joints[:, place]]
-        np.testing.assert_allclose(found, wanted[:, place], atol=1e-11)
-
-
-def test_gains_alone_are_code_and_no_table(tmp_path: Path) -> None:
-    """A machine without terms: URDF has no gains, firmware has; no table is offered or written."""
-    outcome = done("export", "5R", "-o", tmp_path / "m.urdf")
-    assert "-o corrections.py" in outcome.err
-    assert "corrections.csv" not in outcome.err
-    assert "corrections" not in done("export", "linear_delta", "-o", tmp_path / "m.cfg").err
-    laws: dict[str, Any] = {}
-    done("export", "5R", "-o", tmp_path / "c.py")
-    exec((tmp_path / "c.py").read_text(), laws)
-    assert laws["leg_2_reading"](1.0) == pytest.approx(np.pi - 1.0)
+def test_without_terms_no_table_is_offered(tmp_path: Path) -> None:
+    for name, file in (("5R", "m.urdf"), ("linear_delta", "m.cfg")):
+        assert "corrections" not in done("export", name, "-o", tmp_path / file).err
 
 
 def test_poses_with_columns_give_corrections_at_these(tmp_path: Path) -> None:
@@ -419,8 +272,6 @@ def test_wrong_uses_are_refused_and_nothing_is_written(tmp_path: Path) -> None:
     with_forms(pincal.load_mechanism("5R"), "sine").save(tmp_path / "m")
     with_forms(pincal.load_mechanism("5R"), "temperature").save(tmp_path / "warm")
     with_forms(pincal.load_mechanism("6UPS"), "power").save(tmp_path / "six")
-    gainless = loaded("ur5")
-    gainless.save(tmp_path / "arm")
     poses = tmp_path / "poses.csv"
     poses.write_text("x [m],y [m]\n0,\n")
     filled = tmp_path / "filled.csv"
@@ -429,7 +280,6 @@ def test_wrong_uses_are_refused_and_nothing_is_written(tmp_path: Path) -> None:
     m, out = tmp_path / "m", ("-o", tmp_path / "c.csv")
     for words, message in [
         (("5R", *out), "'5R' has no terms: a controller with its geometry"),
-        ((tmp_path / "arm", "-o", tmp_path / "c.py"), "no code is needed"),
         ((tmp_path / "warm", *out), "all terms of '5R' follow temperature"),
         ((tmp_path / "six", *out), "too coarse; give the poses"),
         ((m, *out, "--poses", poses), "line 2: empty cell in column 'y'"),
@@ -437,8 +287,8 @@ def test_wrong_uses_are_refused_and_nothing_is_written(tmp_path: Path) -> None:
         ((m, *out, "--units", "mm,counts"), "how many counts"),
         ((m, *out, "--original", poses), "leave out --original: not for the format table"),
         (
-            (m, "-o", tmp_path / "c.py", "--poses", poses),
-            "leave out --poses: not for the format python",
+            (m, "-o", tmp_path / "c.urdf", "--poses", poses),
+            "leave out --poses: not for the format urdf",
         ),
         (
             (m, "-o", tmp_path / "c.urdf", "--units", "mm"),
@@ -455,11 +305,9 @@ def test_wrong_uses_are_refused_and_nothing_is_written(tmp_path: Path) -> None:
 
 
 def test_python_refuses_alike() -> None:
-    """Functions of one's own are no code, but have corrections; shapes and numbers are checked."""
+    """Functions of one's own have corrections; shapes and numbers are checked."""
     own = pincal.Term("a", np.sin, slope=np.cos)
     machine = truth_of(extended(pincal.load_mechanism("5R"), own))
-    with pytest.raises(MechanismError, match="function of your own"):
-        code_of(machine, LANGUAGES["c"])
     assert np.abs(pincal.corrections(machine, [[0.0, 1.1]]).readings).max() > 1e-5
     with pytest.raises(MechanismError):
         pincal.corrections(machine, [[0.0, np.nan]])

@@ -8,13 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import done, run
-from scipy.spatial.transform import Rotation
 from test_linear_delta import bed, drawn
 
 import pincal
-from pincal.errors import FileError, MeasurementError, MechanismError
+from pincal.errors import FileError, MechanismError
 from pincal.formats.delta_printer import DeltaPrinter, delta_printer
-from pincal.formats.figaroh import read_figaroh
 from pincal.formats.firmware import read_klipper, read_reprap, write_klipper, write_reprap
 
 #: A ``printer.cfg`` with what Klipper allows: comments, macros, defaults, a SAVE_CONFIG block.
@@ -321,32 +319,6 @@ def test_what_reprap_lines_do_not_say_is_said(tmp_path: Path, text: str, message
         read_reprap(config_file(tmp_path, text, "config.g"))
 
 
-def test_tables_of_figaroh_are_read(tmp_path: Path) -> None:
-    """Positions, roll-pitch-yaw and joint columns, by leg or joint; others are said."""
-    mechanism = pincal.load_mechanism("6UPS")
-    rng = np.random.default_rng(0)
-    place, rpy = rng.normal(size=(5, 3)), rng.uniform(-1, 1, (5, 3))
-    readings = rng.uniform(1.6, 2.6, (5, 6))
-    header = ["x1", "y1", "z1", "phix1", "phiy1", "phiz1", *mechanism.leg_names, "time"]
-    rows = np.column_stack((place, rpy, readings, np.arange(5)))
-    lines = [",".join(header), *(",".join(map(repr, row)) for row in rows.tolist())]
-    path = config_file(tmp_path, "\n".join(lines) + "\n", "data.csv")
-    data, remarks = read_figaroh(path, mechanism)
-    np.testing.assert_array_equal(data.readings, readings)
-    np.testing.assert_array_equal(data.poses[:, :3], place)
-    R = mechanism.platform.transforms(data.poses).rotation.as_matrix()
-    x, y, z = (Rotation.from_rotvec(np.outer(v, e)) for v, e in zip(rpy.T, np.eye(3), strict=True))
-    np.testing.assert_allclose(R, (z * y * x).as_matrix(), atol=1e-12)
-    assert remarks == ("columns left out: time",)
-    with pytest.raises(MeasurementError, match="no column 'leg_3'"):
-        read_figaroh(config_file(tmp_path, path.read_text().replace("leg_3", "l3")), mechanism)
-    text = ",".join(mechanism.leg_names) + "\n1,2,3,4,5,6\n"
-    with pytest.raises(MeasurementError, match="nothing of the platform's pose"):
-        read_figaroh(config_file(tmp_path, text), mechanism)
-    with pytest.raises(MeasurementError, match="'x1' has a unit"):
-        read_figaroh(config_file(tmp_path, path.read_text().replace("x1", "x1 [mm]", 1)), mechanism)
-
-
 def printed(truth: DeltaPrinter, noise: float) -> str:
     """Return a ``printer.cfg`` of the nominal printer with 41 heights probed by the true one.
 
@@ -417,9 +389,8 @@ def test_import_and_export_refuse_in_words(tmp_path: Path) -> None:
     far = config_file(tmp_path, "x [mm],y [mm],z [mm]\n0,0,0\n900,0,0\n", "far.csv")
     out = tmp_path / "out"
     for words, message in [
-        (("import", path, "-o", out, "--mech", "5R"), "leave out --mech"),
-        (("import", table, "-o", out), "say whose measurements"),
-        (("import", table, "-o", out, "--mech", "5R"), "no column 'leg_1'"),
+        (("import", path, "-o", out, "--tip", "a"), "leave out --tip"),
+        (("import", table, "-o", out), "a table of measurements needs no import"),
         (("import", path, "-o", out, "--probed", far), "point 2 is out of reach"),
         (("export", "5R", "-o", tmp_path / "a.cfg"), "no linear delta"),
         (("export", "linear_delta", "-o", out), "does not say what to write"),

@@ -30,7 +30,6 @@ from pincal.files.mechanism_folders import bundled
 from pincal.files.table import write_table
 from pincal.formats.arm import serial_arm
 from pincal.formats.delta_printer import DeltaPrinter
-from pincal.formats.figaroh import read_figaroh
 from pincal.formats.firmware import read_klipper, read_reprap, write_klipper, write_reprap
 from pincal.formats.mjcf import read_mjcf
 
@@ -112,13 +111,6 @@ def read_measurements(path: Path) -> None:
 
 def read_partial(path: Path) -> None:
     data = pincal.Measurements.from_csv(path, SPACE, partial=True)
-    data.to_csv(path, SPACE, force=True)
-    assert equal(pincal.Measurements.from_csv(path, SPACE, partial=True), data)
-
-
-def read_table_of_figaroh(path: Path) -> None:
-    data, _ = read_figaroh(path, SPACE)
-    assert np.isfinite(data.poses).any()
     data.to_csv(path, SPACE, force=True)
     assert equal(pincal.Measurements.from_csv(path, SPACE, partial=True), data)
 
@@ -220,11 +212,6 @@ READERS: dict[str, tuple[str, bytes, Callable[[Path], None]]] = {
         "p.csv",
         rows(f"x [m],y [mm],z [m],yaw [deg],{LEGS},pose", 4).replace(b"0.000", b""),
         read_partial,
-    ),
-    "figaroh": (
-        "f.csv",
-        rows("x1,y1,z1,phix1,phiy1,phiz1," + LEGS.replace(" [m]", ""), 4),
-        read_table_of_figaroh,
     ),
     "setup": ("setup.yaml", SETUP.encode(), read_setup),
     "result": (

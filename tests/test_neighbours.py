@@ -834,7 +834,6 @@ def test_options_that_do_not_go_together(tmp_path: Path) -> None:
     again = ("-o", tmp_path / "other")
     both = ("--tip", "a2", "--platform", "a2")
     assert "--tip is for serial arms" in run("import", file, *both, *again).trouble
-    assert "--mech" in run("import", file, "--mech", "5R", *again).trouble
     (tmp_path / "printer.cfg").write_text("")
     told = run("import", tmp_path / "printer.cfg", "--tip", "a", *again).trouble
     assert "leave out --tip: not for" in told

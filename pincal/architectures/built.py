@@ -1,4 +1,4 @@
-"""Architectures built from numbers: cable robots of any number of cables, and serial arms."""
+"""Architectures built from numbers: cable robots, and serial arms of a table."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from pincal.architectures.dimension import Architecture, SheetDimension, Values, length
+from pincal.architectures.dimension import Architecture, Values, length, text
 from pincal.errors import MechanismError
 from pincal.files.table import is_dataframe, read_table
-from pincal.formats.arm import arm, load_arm
+from pincal.formats.arm import arm
 from pincal.model.leg import Joint, Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.placement import Placement, placement_of
@@ -35,22 +35,21 @@ def _cable(number: int, anchor: Array, corner: Array, home: Array) -> Leg:
     along = home + corner - anchor
     length = float(np.linalg.norm(along))
     foot = Placement.of(values, **{axis: f"A_{axis}" for axis in axes})
-    lower, upper = 0.02 * length, 3.0 * length
-    swivel: tuple[Joint, ...]
     if len(axes) == 2:
-        swivel = (Joint("swivel", "revolute", foot, home=atan2(along[1], along[0])),)
-        line = Joint("line", "prismatic", Placement(), (1.0, 0.0, 0.0), lower, upper, length)
+        swivel = [Joint("swivel", "revolute", foot, home=atan2(along[1], along[0]))]
+        direction = (1.0, 0.0, 0.0)
     else:
-        frame = np.eye(4)  # z along the cable, y level
+        frame, direction = np.eye(4), (0.0, 0.0, 1.0)  # z along the cable, y level
         frame[:3, 2] = along / length
         level = np.cross((0.0, 0.0, 1.0), along)
         frame[:3, 1] = level / np.linalg.norm(level) if level.any() else (0.0, 1.0, 0.0)
         frame[:3, 0] = np.cross(frame[:3, 1], frame[:3, 2])
-        swivel = (
-            Joint("swivel_x", "revolute", foot.at(values, frame), (1.0, 0.0, 0.0), -pi / 2, pi / 2),
+        turned = foot.at(values, frame)
+        swivel = [
+            Joint("swivel_x", "revolute", turned, (1.0, 0.0, 0.0), -pi / 2, pi / 2),
             Joint("swivel_y", "revolute", Placement(), (0.0, 1.0, 0.0), -pi / 2, pi / 2),
-        )
-        line = Joint("line", "prismatic", Placement(), (0.0, 0.0, 1.0), lower, upper, length)
+        ]
+    line = Joint("line", "prismatic", Placement(), direction, 0.02 * length, 3.0 * length, length)
     end = Placement.of(values, **{axis: f"b_{axis}" for axis in axes})
     return Leg(
         name=f"cable_{number}",
@@ -97,16 +96,15 @@ def _spatial(d: Values) -> Mechanism:
 
 def _in_plane(d: Values) -> tuple[Array, Array]:
     """Return where a platform is well inside its frame, turned by 20° at most."""
-    sides = d["frame_width"] - d["platform_width"], d["frame_height"] - d["platform_height"]
-    high = np.array([*(_WITHIN * side / 2 for side in sides), _TURN])
+    half = _free(d, "width", "height")
+    high = np.array([*half, _TURN])
     return -high, high
 
 
 def _in_space(d: Values) -> tuple[Array, Array]:
     """Return where a platform is well inside its frame, tilted and turned by 20° at most."""
-    frame = np.array([d["frame_length"], d["frame_width"], d["upper"] - d["lower"]])
-    sides = np.array([d["platform_length"], d["platform_width"], d["platform_height"]])
-    half = _WITHIN * np.maximum(frame - sides, 0.0) / 2
+    height = d["upper"] - d["lower"]
+    half = _free({**d, "frame_height": height}, "length", "width", "height")
     middle = np.array([0.0, 0.0, (d["upper"] + d["lower"]) / 2])
     return (
         np.array([*(middle - half), -np.pi, 0.0, -_TURN]),
@@ -114,14 +112,19 @@ def _in_space(d: Values) -> tuple[Array, Array]:
     )
 
 
+def _free(d: Values, *sides: str) -> Array:
+    """Return most of half the room that a platform has along the sides of its frame, [m]."""
+    room = [d[f"frame_{side}"] - d[f"platform_{side}"] for side in sides]
+    return _WITHIN * np.maximum(room, 0.0) / 2
+
+
 _FOUR = (
     length("frame_width", "distance of the anchors along x", 2.0),
     length("frame_height", "distance of the anchors along y", 0.75, "frame_width"),
     length("platform_width", "width of the platform", 0.15, "frame_width", below="frame_width"),
     length("platform_height", "its height", 1.0, "platform_width", below="frame_height"),
-    SheetDimension("cables", "way of the cables", "", "crossed", choices=("crossed", "straight")),
+    text("cables", "way of the cables", "crossed", "straight"),
 )
-_TURNED = ("turned", "crossed", "straight")
 _EIGHT = (
     length("frame_length", "distance of the anchors along x", 4.0),
     length("frame_width", "distance of the anchors along y", 1.0, "frame_length"),
@@ -131,7 +134,7 @@ _EIGHT = (
     length("platform_width", "width of the platform", 0.2, "frame_width", below="frame_width"),
     length("platform_height", "height of the platform", 1.0, "platform_width"),
     length("height", "height of the platform's middle at home", 0.5, "upper"),
-    SheetDimension("cables", "way of the cables", "", "turned", choices=_TURNED),
+    text("cables", "way of the cables", "turned", "crossed", "straight"),
 )
 CABLES = (
     Architecture("cable-4", "Planar cable robot, four cables", _FOUR, _planar, _in_plane),
@@ -179,28 +182,19 @@ def dh_joints(table: Any, convention: str = "standard") -> tuple[Joint, ...]:
 
 
 def _arm(d: Values) -> Mechanism:
-    """Return the arm of a URDF, or of a table."""
-    table = d["dh"] if is_dataframe(d["dh"]) else d["dh"] or None
-    if bool(d["urdf"]) == (table is not None):
-        raise MechanismError("an arm is made of one: urdf, with tip; or dh, a table")
-    if table is not None:
-        description = (
-            f"Serial arm of a table of Denavit and Hartenberg, {d['convention']} convention."
+    """Return the arm of a table."""
+    if not is_dataframe(d["dh"]) and not d["dh"]:
+        raise MechanismError(
+            "an arm is made of a table of Denavit and Hartenberg (dh); one of a URDF is read by "
+            "'pincal import --tip LINK', or Mechanism.from_urdf"
         )
-        return arm("arm", dh_joints(table, d["convention"]), description)
-    if not d["tip"]:
-        raise MechanismError(f"{d['urdf']}: name the link whose frame is measured (tip)")
-    return load_arm(d["urdf"], d["tip"], d["base"] or None)
+    convention = d["convention"]
+    description = f"Serial arm of a table of Denavit and Hartenberg, {convention} convention."
+    return arm("arm", dh_joints(d["dh"], convention), description)
 
 
-_CONVENTIONS = ("standard", "modified")
 _ARM = (
-    SheetDimension("urdf", "URDF file", ""),
-    SheetDimension("tip", "link whose frame is measured", "", goes_with="urdf"),
-    SheetDimension("base", "link at the foot, if not the root", "", goes_with="urdf"),
-    SheetDimension("dh", "CSV table of Denavit and Hartenberg", "", instead_of="urdf"),
-    SheetDimension(
-        "convention", "of the table", "", "standard", goes_with="dh", choices=_CONVENTIONS
-    ),
+    text("dh", "CSV table of Denavit and Hartenberg"),
+    text("convention", "of the table", "standard", "modified"),
 )
 ARM = Architecture("arm", "Serial arm", _ARM, _arm)

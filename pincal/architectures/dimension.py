@@ -15,14 +15,14 @@ from pincal.types import Array
 #: Dimensions by name: lengths [m], angles [rad], and texts.
 Values: TypeAlias = Mapping[str, Any]
 Corner: TypeAlias = "Sequence[float] | Array"
+LEAST = 1e-6
 
 
 @dataclass(frozen=True)
 class SheetDimension:
-    """One dimension of an architecture."""
+    """One dimension of an architecture, which is also an option: ``base_radius``."""
 
     name: str
-    """Of the argument, and of the option: ``base_radius``, ``--base-radius``."""
     label: str
     """What it is, for people."""
     unit: str = "m"
@@ -30,30 +30,20 @@ class SheetDimension:
     default: float | str = ""
     """[m], [rad], or a text; with ``of`` a factor."""
     of: str = ""
-    """SheetDimension before it, of which the default is a multiple."""
-    least: float = 1e-6
-    """[m] or [rad]."""
+    """Dimension before it, of which the default is a multiple."""
+    least: float = LEAST
+    """[m] or [rad], as ``most``."""
     most: float = 1e3
-    """[m] or [rad]."""
     above: str = ""
-    """SheetDimension before it, than which it must be more."""
+    """Dimension before it, than which it must be more."""
     below: str = ""
-    """SheetDimension before it, than which it must be less."""
-    goes_with: str = ""
-    """Text before it, without which it means nothing."""
-    instead_of: str = ""
-    """Text before it, with which it means nothing."""
+    """Dimension before it, than which it must be less."""
     choices: tuple[str, ...] = ()
     """What a text may be; anything if there are none."""
 
     def usual(self, before: Values) -> float | str:
-        """Return the default, where other dimensions are what they are."""
+        """Return the default, where those before it are what they are."""
         return float(self.default) * before[self.of] if self.of else self.default
-
-    def applies(self, before: Values) -> bool:
-        """Return whether it means something, where others before it are what they are."""
-        meant = not self.goes_with or bool(before[self.goes_with])
-        return meant and not (self.instead_of and before[self.instead_of])
 
     def checked(self, value: Any, before: Values) -> float | str:
         """Return a value that the dimension may have, where those before it are what they are.
@@ -61,40 +51,35 @@ class SheetDimension:
         Raises:
             MechanismError: something else.
         """
+        title = f"the {self.label} ({self.name})"
         if self.choices and value not in self.choices:
-            must_be(value, (str,), self.title, MechanismError)
-            raise MechanismError(f"{self.title} is {value!r}; expected {' or '.join(self.choices)}")
+            must_be(value, (str,), title, MechanismError)
+            raise MechanismError(f"{title} is {value!r}; expected {' or '.join(self.choices)}")
         if not self.unit:
             return value
-        number = number_of(value, self.title, MechanismError)
+        number = number_of(value, title, MechanismError)
+        expected = ""
         if not self.least <= number <= self.most:
-            expected = f"{self.text(self.least)} to {self.text(self.most)}"
-            if self.least == LEAST and not number >= LEAST:
-                expected = "more than zero"
-            raise MechanismError(f"{self.title} is {self.text(number)}; expected {expected}")
-        for bound, word, sign in ((self.above, "more", 1.0), (self.below, "less", -1.0)):
-            if bound and not sign * number > sign * before[bound]:
-                raise MechanismError(
-                    f"{self.title} is {self.text(number)}; expected {word} than {bound}, "
-                    f"{self.text(before[bound])}"
-                )
+            above_zero = self.least == LEAST and not number >= LEAST
+            limits = f"{self.text(self.least)} to {self.text(self.most)}"
+            expected = "more than zero" if above_zero else limits
+        elif self.above and not number > before[self.above]:
+            expected = f"more than {self.above}, {self.text(before[self.above])}"
+        elif self.below and not number < before[self.below]:
+            expected = f"less than {self.below}, {self.text(before[self.below])}"
+        if expected:
+            raise MechanismError(f"{title} is {self.text(number)}; expected {expected}")
         return number
 
-    @property
-    def title(self) -> str:
-        """Return what it is and its name, for messages."""
-        return f"the {self.label} ({self.name})"
-
-    def text(self, value: float | str, *, typed: bool = False) -> str:
-        """Return a value with its unit as data sheets have it, in mm or degrees; or as typed."""
-        if not self.unit:
-            return str(value)
-        number = 1e3 * float(value) if self.unit == "m" else degrees(float(value))
-        unit = "mm" if self.unit == "m" else "deg"
-        return f"{number:.12g}{unit}" if typed else f"{number:.6g} {unit}"
+    def text(self, value: float | str) -> str:
+        """Return a value with its unit as data sheets have it, in mm or degrees."""
+        return sized(float(value), self.unit) if self.unit else str(value)
 
 
-LEAST = SheetDimension.least
+def sized(value: float, unit: str, digits: str = ".6g", blank: str = " ") -> str:
+    """Return a length [m] in mm, or an angle [rad] in degrees."""
+    number, shown = (1e3 * value, "mm") if unit == "m" else (degrees(value), "deg")
+    return f"{number:{digits}}{blank}{shown}"
 
 
 def length(name: str, label: str, default: float, of: str = "", **limits: Any) -> SheetDimension:
@@ -107,6 +92,11 @@ def angle(
 ) -> SheetDimension:
     """Return an angle, its default in degrees, its limits in [rad]."""
     return SheetDimension(name, label, "rad", radians(default), "", least, most, above)
+
+
+def text(name: str, label: str, *choices: str) -> SheetDimension:
+    """Return a text, the first of some choices if it is not given."""
+    return SheetDimension(name, label, "", (*choices, "")[0], choices=choices)
 
 
 @dataclass(frozen=True)
@@ -132,15 +122,14 @@ class Architecture:
             raise MechanismError(
                 f"{unknown[0]} is no dimension of a {self.name}; it has {', '.join(names)}"
             )
-        values: dict[str, float | str] = {}
+        values: dict[str, Any] = {}
         for dimension in self.dimensions:
             value = dimensions.get(dimension.name)
             value = dimension.usual(values) if value is None else value
             values[dimension.name] = dimension.checked(value, values)
         return values
 
-    def described(self, values: Values) -> str:
-        """Return title and dimensions in a line."""
+    def sheet(self, values: Values) -> list[str]:
+        """Return names and values of the dimensions that are sizes or choices."""
         shown = [item for item in self.dimensions if item.unit or item.choices]
-        texts = [f"{item.name} {item.text(values[item.name])}" for item in shown]
-        return f"{self.title}{': ' * bool(texts)}{', '.join(texts)}."
+        return [f"{item.name} {item.text(values[item.name])}" for item in shown]

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from difflib import get_close_matches
 from math import isfinite
 from typing import Any
 
 from pincal.architectures.built import ARM, CABLES
-from pincal.architectures.dimension import Architecture, SheetDimension, Values
+from pincal.architectures.dimension import Architecture, Values, sized
 from pincal.architectures.resized import RESIZED
 from pincal.errors import MechanismError
 from pincal.kinematics.singularity import home_determinant
@@ -17,7 +18,6 @@ from pincal.model.mechanism import Mechanism
 from pincal.symmetry.carry import at_home
 
 ARCHITECTURES = {kind.name: kind for kind in (*RESIZED, *CABLES, ARM)}
-LENGTH, ANGLE = SheetDimension("", "", "m"), SheetDimension("", "", "rad")
 _FLAT = 1e-3  # of what the legs' lines span at home
 
 
@@ -35,17 +35,15 @@ def new_mechanism(architecture: str, *, name: str = "", **dimensions: Any) -> Me
         MechanismError: no such architecture or dimension; one that cannot be; dimensions with
             which a leg does not reach home, or is outside its limits there, or with which the
             legs do not hold the platform there.
-        FileError: a file of an arm is missing or cannot be read.
+        FileError: the table of an arm is missing or cannot be read.
         MeasurementError: a table of an arm with a column or cell that is missing or wrong.
     """
     kind = architecture_of(architecture)
     values = kind.complete(dimensions)
     made = kind.make(values)
-    made = replace(
-        made,
-        name=name or kind.name.replace("-", "_"),
-        description=made.description or kind.described(values),
-    )
+    described = f"{kind.title}: {', '.join(kind.sheet(values))}."
+    name, description = name or kind.name.replace("-", "_"), made.description or described
+    made = replace(made, name=name, description=description)
     return made if made.by_readings else _at_home(made, kind, values)
 
 
@@ -55,22 +53,20 @@ def architecture_of(name: str) -> Architecture:
     Raises:
         MechanismError: no such architecture.
     """
-    known = {key.lower().replace("-", ""): key for key in ARCHITECTURES}
-    plain = str(must_be(name, (str,), "the architecture", MechanismError)).lower()
-    plain = plain.replace("-", "").replace("_", "")
+    known = {key.lower().replace("-", ""): kind for key, kind in ARCHITECTURES.items()}
+    plain = re.sub("[-_]", "", must_be(name, str, "the architecture", MechanismError).lower())
     if plain not in known:
         near = get_close_matches(plain, known, 1)
-        meant = f"; did you mean {known[near[0]]!r}?" if near else ""
+        meant = f"; did you mean {known[near[0]].name!r}?" if near else ""
         raise MechanismError(
             f"no architecture {name!r}; expected one of {', '.join(ARCHITECTURES)}{meant}"
         )
-    return ARCHITECTURES[known[plain]]
+    return known[plain]
 
 
 def _at_home(made: Mechanism, kind: Architecture, values: Values) -> Mechanism:
     """Return a mechanism with its legs closed at home."""
-    numbers = {d.name: d.text(values[d.name]) for d in kind.dimensions if d.unit or d.choices}
-    change = "change one of " + ", ".join(f"{key} {text}" for key, text in numbers.items())
+    change = f"change one of {', '.join(kind.sheet(values))}"
     platform, legs = made.platform, []
     for leg in made.legs:
         try:
@@ -82,8 +78,9 @@ def _at_home(made: Mechanism, kind: Architecture, values: Values) -> Mechanism:
         for joint in (j for j in legs[-1].moving if j.limited):
             slack = ROUNDING * max(abs(joint.lower), abs(joint.upper))
             if not joint.lower - slack <= joint.home <= joint.upper + slack:
-                unit = ANGLE if joint.turns else LENGTH
-                position, lower, upper = map(unit.text, (joint.home, joint.lower, joint.upper))
+                unit = "rad" if joint.turns else "m"
+                ends = (joint.home, joint.lower, joint.upper)
+                position, lower, upper = (sized(end, unit) for end in ends)
                 raise MechanismError(
                     f"{kind.name}: at home joint {joint.name!r} of {leg.name} is at {position}, "
                     f"outside its limits {lower} to {upper}; {change}"

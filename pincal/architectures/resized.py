@@ -11,7 +11,7 @@ from dataclasses import replace
 from itertools import cycle
 from math import pi, radians
 
-from pincal.architectures.dimension import Architecture, Corner, Values, angle, length
+from pincal.architectures.dimension import LEAST, Architecture, Corner, Values, angle, length
 from pincal.errors import MechanismError
 from pincal.files.mechanism_folders import load_mechanism
 from pincal.formats.delta_printer import ANGLES, DeltaPrinter
@@ -36,15 +36,13 @@ def _resized(
     """
     template = load_mechanism(bundled)
     made = template.with_parameters(dict(zip(template.leg_names, legs, strict=True)))
-
-    def moved(joint: Joint, leg_limits: Limits) -> Joint:
-        lower, upper = leg_limits.get(joint.name, (joint.lower, joint.upper))
-        return replace(joint, lower=lower, upper=upper)
-
-    limited = [
-        replace(leg, joints=tuple(moved(joint, leg_limits) for joint in leg.joints))
-        for leg, leg_limits in zip(made.legs, cycle(limits or ({},)), strict=False)
-    ]
+    limited = []
+    for leg, ends in zip(made.legs, cycle(limits or ({},)), strict=False):
+        joints = []
+        for joint in leg.joints:
+            lower, upper = ends.get(joint.name, (joint.lower, joint.upper))
+            joints.append(replace(joint, lower=lower, upper=upper))
+        limited.append(replace(leg, joints=tuple(joints)))
     platform = replace(made.platform, home=home)
     return replace(made, platform=platform, legs=tuple(limited), description="")
 
@@ -56,15 +54,8 @@ def _hexapod(d: Values) -> Mechanism:
         side = 1 - 2 * (k % 2)
         base = 2 * pi / 3 * ((k + 1) // 2) + side * d["base_half_angle"]
         platform = pi / 3 + 2 * pi / 3 * (k // 2) - side * d["platform_half_angle"]
-        legs.append(
-            {
-                "OA": d["base_radius"],
-                "beta": wrapped(base),
-                "ob": d["platform_radius"],
-                "beta_b": wrapped(platform),
-                "gamma": d["zero_length"],
-            }
-        )
+        radii = {"OA": d["base_radius"], "ob": d["platform_radius"], "gamma": d["zero_length"]}
+        legs.append(radii | {"beta": wrapped(base), "beta_b": wrapped(platform)})
     stroke = {"leg": (d["shortest"], d["longest"])}
     return _resized("6UPS", legs, (0.0, 0.0, d["height"], 0.0, 0.0, 0.0), stroke)
 
@@ -142,13 +133,7 @@ _FIVE_BAR = (
     length("conducted_link", "length of the conducted links", 1.1, "motor_distance"),
     length("height", "distance of the end from the motors at home", 1.0, "conducted_link"),
     angle("motor_least", "least angle of a motor, 0 towards the other one", 30, -2 * pi),
-    angle(
-        "motor_most",
-        "largest angle of a motor, 0 towards the other one",
-        225,
-        most=2 * pi,
-        above="motor_least",
-    ),
+    angle("motor_most", "largest angle of a motor", 225, LEAST, 2 * pi, "motor_least"),
 )
 _3RRR = (
     length("base_radius", "radius of the motors", 0.3),

@@ -13,14 +13,12 @@ import typer
 
 from pincal.cli.app import command, remark, say, stdout, warn, working, wrote
 from pincal.cli.kinematics import fail_if_lost, first_of, say_reference
-from pincal.cli.mechanisms import warn_of_turns
 from pincal.cli.options import FORCE, Mech, TableOptions, output_option, refuse_options
 from pincal.errors import FileError, MeasurementError, MechanismError
 from pincal.files.measurement_writing import write_plan
 from pincal.files.measurements import read_poses
 from pincal.files.mechanism_folders import (
     MECHANISM_FILES,
-    load_mechanism,
     save_mechanism,
     write_mechanism,
 )
@@ -30,21 +28,14 @@ from pincal.files.text import LARGEST_FILE, read_bytes
 from pincal.formats.arm import serial_arm
 from pincal.formats.calibrated_urdf import calibrated_urdf
 from pincal.formats.closed import closed_mechanism, closing_in_words, slack_of
-from pincal.formats.corrections import (
-    LANGUAGES,
-    code_of,
-    corrected,
-    correction_columns,
-    corrections,
-)
+from pincal.formats.corrections import CORRECTION, correction_columns, corrections
 from pincal.formats.delta_printer import delta_printer
-from pincal.formats.figaroh import read_figaroh
 from pincal.formats.firmware import read_klipper, read_reprap, write_klipper, write_reprap
 from pincal.formats.mjcf import mjcf, read_mjcf
 from pincal.formats.tree import Tree
 from pincal.formats.tree_of import loops_urdf, loops_yaml, tree_of, unwritten
 from pincal.formats.urdf_tree import XACRO, loops_beside, read_loops, read_urdf
-from pincal.kinematics.closure import largest_size, nominal_legs
+from pincal.kinematics.closure import largest_size
 from pincal.kinematics.influences import own_influences
 from pincal.kinematics.inverse import inverse
 from pincal.model.measurements import Measurements, Plan
@@ -56,9 +47,8 @@ from pincal.workspace.sampling import grid_poses, has_grid
 PROBING = "probing.csv"
 _LARGE = 20.0  # [m]
 _TREES = ("urdf", "mjcf")
-_CORRECTIONS = ("table", "python", "c")
-InputFormat = Literal["urdf", "mjcf", "klipper", "reprap", "marlin", "figaroh"]
-OutputFormat = Literal["urdf", "mjcf", "klipper", "reprap", "table", "python", "c"]
+InputFormat = Literal["urdf", "mjcf", "klipper", "reprap", "marlin"]
+OutputFormat = Literal["urdf", "mjcf", "klipper", "reprap", "table"]
 #: Formats by the ending of a file.
 INPUTS: dict[str, InputFormat] = {
     ".cfg": "klipper",
@@ -70,10 +60,8 @@ INPUTS: dict[str, InputFormat] = {
     ".mjcf": "mjcf",
 }
 OUTPUTS: dict[str, OutputFormat] = {
-    **{suffix: form for suffix, form in INPUTS.items() if form != "figaroh"},  # type: ignore[misc]
+    **INPUTS,  # type: ignore[dict-item]
     ".csv": "table",
-    ".py": "python",
-    ".h": "c",
 }
 #: What a file is that must become another one before it is read.
 _TO_CONVERT = {
@@ -85,7 +73,6 @@ _TO_CONVERT = {
 _IMPORTS = {
     "urdf": ("loops", "platform", "tip", "base"),
     "mjcf": ("platform", "tip", "base"),
-    "figaroh": ("mech",),
     "": ("probed",),
 }
 _EXPORTS = {"urdf": ("original", "leg"), "table": ("poses",)}
@@ -98,7 +85,7 @@ class ImportOptions:
     """What the file does not say itself."""
 
     format: InputFormat | None = option(
-        None, "Whose file it is, if its ending (.urdf, .xml, .cfg, .g, .csv) is other."
+        None, "Whose file it is, if its ending (.urdf, .xml, .cfg, .g) is other."
     )
     loops: Path | None = option(
         None,
@@ -122,7 +109,6 @@ class ImportOptions:
         "x, y, z of the nozzle, as the printer's firmware believed, where it touched the bed.",
         metavar="POINTS.csv",
     )
-    mech: str | None = option(None, "Mechanism that a table belongs to.", metavar="MECH")
     force: bool = option(False, FORCE)
 
 
@@ -130,16 +116,12 @@ class ImportOptions:
 def import_(
     file: Annotated[
         Path,
-        typer.Argument(
-            metavar="FILE", help="URDF, MJCF, printer.cfg, config.g, or a table of FIGAROH's."
-        ),
+        typer.Argument(metavar="FILE", help="URDF, MJCF, printer.cfg or config.g."),
     ],
-    output: Annotated[
-        Path, output_option("OUT", "Mechanism folder; of a table: measurements, CSV.")
-    ],
+    output: Annotated[Path, output_option("OUT", "Mechanism folder.")],
     options: ImportOptions,
 ) -> None:
-    """Read URDF, MJCF, printer.cfg, config.g, FIGAROH tables.
+    """Read URDF, MJCF, printer.cfg, config.g.
 
     A URDF whose loops a YAML file closes (the convention of example-parallel-robots), or MJCF
     with connect and weld and actuators, becomes a mechanism folder: legs, platform and drives are
@@ -159,14 +141,16 @@ def import_(
     suffix = file.suffix.lower()
     if options.format is None and suffix in _TO_CONVERT:
         raise FileError(f"{file} is {_TO_CONVERT[suffix]}")
-    form = options.format or INPUTS.get(suffix, "figaroh")
+    form = options.format or INPUTS.get(suffix)
+    if form is None:
+        raise FileError(
+            f"{file} does not say whose file it is; expected the ending {', '.join(INPUTS)}, or "
+            "--format (a table of measurements needs no import: see 'pincal calibrate')"
+        )
     foreign = {name for names in _IMPORTS.values() for name in names}
     refuse_options(options, foreign.difference(_IMPORTS.get(form, _IMPORTS[""])), str(file))
-    if form == "figaroh":
-        remarks = _import_table(file, output, options)
-    else:
-        read = _import_tree if form in _TREES else _import_printer
-        remarks = read(file, output, form, options)
+    read = _import_tree if form in _TREES else _import_printer
+    remarks = read(file, output, form, options)
     warn(*remarks)
     wrote(output)
 
@@ -204,16 +188,6 @@ def _import_printer(
     if len(heights):
         remark(f"{len(heights)} probed points in {output / PROBING}")
     return printer.remarks
-
-
-def _import_table(file: Path, output: Path, options: ImportOptions) -> tuple[str, ...]:
-    """Write another tool's measurements as those of a mechanism."""
-    if options.mech is None:
-        raise MeasurementError(f"{file} is a table; say whose measurements they are: --mech MECH")
-    mechanism = load_mechanism(options.mech)
-    data, remarks = read_figaroh(file, mechanism)
-    write_plan(data, output, mechanism, force=options.force)
-    return tuple(remarks)
 
 
 def _import_tree(
@@ -277,7 +251,7 @@ class ExportOptions(TableOptions):
     """What is written, and where corrections are wanted."""
 
     format: OutputFormat | None = option(
-        None, "What to write, if FILE's ending (.urdf, .xml, .cfg, .g; .csv, .py, .h) is other."
+        None, "What to write, if FILE's ending (.urdf, .xml, .cfg, .g, .csv) is other."
     )
     original: Path | None = option(
         None,
@@ -300,7 +274,7 @@ def export(
     output: Annotated[
         Path,
         output_option(
-            "FILE", "URDF, MJCF, printer.cfg section, M665 and M666, or corrections (CSV, code)."
+            "FILE", "URDF, MJCF, printer.cfg section, M665 and M666, or corrections (CSV)."
         ),
     ],
     options: ExportOptions,
@@ -315,19 +289,17 @@ def export(
     RepRapFirmware (.g). What a file has no place for is said. MECH may be a result of 'pincal
     calibrate', whose legs as URDFs are in its own folder 'mechanism'.
 
-    Terms of sensors, lengths and angles have no place in these. Corrections make up for them: over
-    poses as a table (.csv: what to add to readings, or which pose to command instead), or the
-    sensors' laws as code (.py, .h: readings of joint positions, and back).
+    Terms of sensors, lengths and angles have no place in these. A table of corrections over poses
+    (.csv) makes up for them: what to add to readings, or which pose to command instead.
     """
     form = options.format or OUTPUTS.get(output.suffix.lower())
     if form is None:
         raise MechanismError(
             f"{output.name!r} does not say what to write; give it the ending .urdf, .xml (MJCF), "
-            ".cfg (Klipper), .g (RepRapFirmware), .csv (table of corrections), .py or .h (code), "
-            "or say --format"
+            ".cfg (Klipper), .g (RepRapFirmware) or .csv (table of corrections), or say --format"
         )
     foreign = {"original", "leg", "poses"}.difference(_EXPORTS.get(form, ()))
-    foreign |= set() if form in _CORRECTIONS else {"units", "counts"}
+    foreign |= set() if form == "table" else {"units", "counts"}
     refuse_options(options, foreign, f"the format {form}")
     mechanism = options.load(mech)
     if form == "table":
@@ -339,7 +311,7 @@ def export(
             path.write_bytes(data)
     warn(*remarks)
     wrote(*files)
-    if form not in _CORRECTIONS:
+    if mechanism.amplitudes:
         _offer_corrections(mech, mechanism, firmware=form not in _TREES)
 
 
@@ -352,10 +324,7 @@ def _exported(
     if options.leg is not None:
         raise MechanismError("--leg goes with --original; the whole mechanism is written")
     remarks: list[str] = []
-    if form == "python" or form == "c":
-        texts = {output: code_of(mechanism, LANGUAGES[form], options.written_in(mechanism))}
-        remarks = _missing_in_laws(mechanism)
-    elif form in _TREES:
+    if form in _TREES:
         tree, unwritten_parts = tree_of(mechanism)
         remarks = [*unwritten_parts]
         texts = {output: mjcf(tree) if form == "mjcf" else loops_urdf(tree)}
@@ -366,22 +335,8 @@ def _exported(
         remarks = [*printer.remarks]
         texts = {output: write_klipper(printer) if form == "klipper" else write_reprap(printer)}
         say(texts[output].rstrip())
-    if form not in _CORRECTIONS:
-        _check_numbers(mechanism, *texts.values())
+    _check_numbers(mechanism, *texts.values())
     return {path: text.encode() for path, text in texts.items()}, remarks
-
-
-def _missing_in_laws(mechanism: Mechanism) -> list[str]:
-    """Return what the laws of sensors do not hold; say where they turn back."""
-    for closure in nominal_legs(mechanism):
-        warn_of_turns(closure)
-    deformed = [f"{leg.name}.{name}" for leg in mechanism.legs for name in leg.deformed]
-    if not deformed:
-        return []
-    return [
-        f"terms of {first_of(deformed, ', ')} are in no law of a joint; a table over poses (.csv) "
-        "corrects for them"
-    ]
 
 
 def _calibrated(original: Path, mechanism: Mechanism, options: ExportOptions) -> bytes:
@@ -407,23 +362,16 @@ def _check_numbers(mechanism: Mechanism, *texts: str) -> None:
             )
 
 
-def _offer_corrections(mech: str, mechanism: Mechanism, *, firmware: bool = False) -> None:
-    """Say which commands make up for what a file has no place for; firmwares have gains."""
-    units = " --units mm" * firmware
+def _offer_corrections(mech: str, mechanism: Mechanism, *, firmware: bool) -> None:
+    """Say which command makes up for terms, which a file has no place for."""
     named = _columns(mechanism)
-    if mechanism.amplitudes:
-        poses = " --poses POSES.csv" if named or not has_grid(mechanism) else ""
-        columns = f" (with what terms follow: {first_of(named, ', ')})" if named else ""
-        remark(
-            "to correct for terms pose by pose (what to add to readings, or which pose to command "
-            f"instead): pincal export {quote(mech)} -o corrections.csv{units}{poses}{columns}"
-        )
-    of_sensors = any(sensor.terms for leg in mechanism.legs for sensor in leg.sensors)
-    if of_sensors or not (firmware or mechanism.reads_positions):
-        remark(
-            "to turn joint positions into readings and back, as code: pincal export "
-            f"{quote(mech)} -o corrections.py{units} (or .h, for C)"
-        )
+    units = " --units mm" * firmware
+    poses = " --poses POSES.csv" if named or not has_grid(mechanism) else ""
+    columns = f" (with what terms follow: {first_of(named, ', ')})" if named else ""
+    remark(
+        "to correct for terms pose by pose (what to add to readings, or which pose to command "
+        f"instead): pincal export {quote(mech)} -o corrections.csv{units}{poses}{columns}"
+    )
 
 
 def _columns(mechanism: Mechanism) -> list[str]:
@@ -451,7 +399,7 @@ def _export_corrections(mechanism: Mechanism, output: Path, options: ExportOptio
             plan = Plan(grid_poses(mechanism, _ROWS))
     table = corrections(mechanism, plan)
     written = correction_columns(mechanism, table, plan.written or "tilt-torsion")
-    counts = {**units.counts, **corrected(units.counts)}
+    counts = {**units.counts, **{f"{CORRECTION}{k}": v for k, v in units.counts.items()}}
     write_table(output, written, units=replace(units, counts=counts), force=options.force)
     say_reference(mechanism, influences)
     reached = np.abs(table.readings[np.isfinite(table.readings).all(axis=1)])

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from pincal.architectures.dimension import Architecture, Values
+from pincal.architectures.dimension import Architecture, Values, sized
 from pincal.architectures.new import ARCHITECTURES, architecture_of, new_mechanism
 from pincal.cli.app import command, remark, stdout, working, wrote
 from pincal.cli.options import FORCE, SEED, output_option
@@ -125,7 +125,8 @@ def new(
     if len(given) < len(values):
         words = ["pincal", "new", design.name]
         for dimension in design.dimensions:
-            if text := dimension.text(values[dimension.name], typed=True):
+            value, unit = values[dimension.name], dimension.unit
+            if text := sized(float(value), unit, ".12g", "") if unit else str(value):
                 words += [f"--{dimension.name.replace('_', '-')}", text]
         remark(f"some dimensions are in proportion; all of them: {shlex.join(words)} -o {output}")
     wrote(output)

@@ -23,8 +23,7 @@ if TYPE_CHECKING:
     from pincal.model.leg import Leg
 
 
-STEPS = 50
-"""Of Newton's method, at most, from a position to its reading."""
+_STEPS = 50  # of Newton's method, at most, from a position to its reading
 _GRID, _OF_A_PERIOD = 2000, 24  # readings at which a law is tried for where it turns back
 
 
@@ -81,7 +80,7 @@ class SensorLaw:
         readings = (joints - self.start) / self.slope
         if not self.terms:
             return readings
-        for _ in range(STEPS):
+        for _ in range(_STEPS):
             known = readings if influences is None else np.hstack((readings, influences))
             step = (joints - self.position(known)) / self.slopes(known)
             readings = readings + step
