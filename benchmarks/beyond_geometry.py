@@ -305,12 +305,12 @@ def first_named(found: pincal.Explanation) -> list[str]:
 
     What slipped or drifts, else the first candidate.
     """
-    for one in found.choice.slips[:1]:
+    for one in found.slips[:1]:
         if not one.steady:
             return [f"slip of {one.what} {one.name} at {one.row}"]
         every = ((one.what, one.name), *one.or_else)
         return [f"drift of {what} {name}".strip() for what, name in every]
-    first = found.choice.candidates[0]
+    first = found.candidates[0]
     return [f"{first.reading} {first.kind}"] if first.corrected < LEVEL else []
 
 

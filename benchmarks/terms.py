@@ -44,7 +44,7 @@ from pincal.calibration.fits import fitted
 from pincal.calibration.terms.candidates import tied_by, with_terms
 from pincal.calibration.terms.choice import LEVEL
 from pincal.calibration.terms.kinds import GROWTH, ORDER, Kind, every_pair, lengths
-from pincal.calibration.terms.screen import Candidate, Trial, screened, trials
+from pincal.calibration.terms.screen import Candidate, screened, trials
 from pincal.estimation.observability.residuals import Residuals
 from pincal.model.terms import Load
 from pincal.workspace.sampling import sample_workspace
@@ -60,7 +60,7 @@ POOL = 4000
 SIZES = (3.0, 5.0, 7.0)
 ANY = ("any",)
 Pair = tuple[str, Kind]
-Parts = list[tuple[Residuals, list[Trial]]]
+Parts = list[tuple[Residuals, list[Candidate]]]
 #: What is drawn, machine by machine: terms alone and in pairs.
 GROWS = (("growth=temperature",), ("length=temperature",))
 CASES: dict[str, tuple[tuple[str, ...], ...]] = {
@@ -200,7 +200,7 @@ def likelihoods(inside: np.ndarray, ranks: np.ndarray, size: float) -> np.ndarra
 def with_term(parts: Parts, pair: Pair, size: float, draw: np.random.Generator) -> Parts:
     """Return residuals of a machine with a term, of so many standard errors in any direction."""
 
-    def of(residuals: Residuals, terms: list[Trial]) -> Residuals:
+    def of(residuals: Residuals, terms: list[Candidate]) -> Residuals:
         own = [one for one in terms if (one.reading, one.kind) == pair]
         if not own:
             return residuals

@@ -5,7 +5,8 @@ from .calibration.calibrate import calibrate, validate
 from .calibration.options import Options
 from .calibration.result import CalibrationResult
 from .calibration.result_files import load_result
-from .calibration.terms.explain import Explanation, explain
+from .calibration.terms.choice import Explanation
+from .calibration.terms.explain import explain
 from .design.forecast import forecast
 from .design.select import Selection, select_poses
 from .design.select_configurations import select_configurations

@@ -194,7 +194,7 @@ def tried(
     data = replace(data, influences=given)  # no loads: they are worked out
     answer = pincal.explain(mechanism, data, noise=NOISE)
     result, terms = answer.result, answer.terms
-    first = answer.choice.candidates[0]
+    first = answer.candidates[0]
     seen = first.corrected < LEAST and first.kind.name != "order"
     found.first[f"{first.reading} {first.kind}" if seen else "nothing"] += 1
     if not terms and seen and not result.promises:
@@ -272,15 +272,15 @@ def arms(study: Study, files: dict[str, Path]) -> None:
         renamed = {name: f"joint_{i + 1} [rad]" for i, name in enumerate(joints)}
         table = table.rename(columns=renamed)[[*renamed.values(), "x [m]", "y [m]", "z [m]"]]
         answer = pincal.explain(arm(side), table, noise=SEEN, setup=setup, rough=True)
-        models = answer.choice.models
-        first = answer.choice.candidates[:3]
+        models = answer.models
+        first = answer.candidates[:3]
         study.table(
             f"motoman_{side}",
             f"The {side} arm, {len(table)} rows: models on rows held out, five folds; ± is against "
             "the best, in standard deviations of 50 µm.",
             {
                 "model": [one.name if i < 2 else f"+ {one.name}" for i, one in enumerate(models)],
-                "chosen": ["→" if i == answer.choice.chosen else "" for i in range(len(models))],
+                "chosen": ["→" if i == answer.chosen else "" for i in range(len(models))],
                 "free": [one.parameters for one in models],
                 "held out [σ]": [one.held_out for one in models],
                 "±": [one.spread for one in models],
@@ -296,7 +296,7 @@ def arms(study: Study, files: dict[str, Path]) -> None:
             rough=True,
             terms="gravity",
         )
-        tail = gravity.choice.models[1:]
+        tail = gravity.models[1:]
         said = ", ".join(f"{1e3 * one.position:.4f}" for one in tail)
         study.say(
             f"""Named first: {named}. Gravity on joints' readings alone: {said} mm held out,

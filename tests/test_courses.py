@@ -167,5 +167,5 @@ def test_a_drift_that_a_column_explains_is_none() -> None:
     assert first.unit == "m"
     assert seems
     found = pincal.explain(one.nominal, data, noise=NOISE, terms="L=temperature")
-    assert not found.choice.slips
+    assert not found.slips
     assert found.terms == ("L=temperature",)

@@ -167,7 +167,7 @@ def test_gravity_on_all_joints_pays(side: str, least: float) -> None:
         rough=True,
         terms="gravity",
     )
-    geometry, gravity = found.choice.models[1:3]
+    geometry, gravity = found.models[1:3]
     assert found.terms == ("gravity",)
     assert gravity.chance < 1e-10
     assert gravity.position == pytest.approx(least, rel=0.03)

@@ -369,7 +369,7 @@ def test_a_machine_without_terms_needs_none() -> None:
     plain, noise, data = plain_rows(60)
     found = pincal.explain(plain, data, noise=noise)
     assert found.verdict == "geometry"
-    assert min(one.corrected for one in found.choice.candidates) > 0.01
+    assert min(one.corrected for one in found.candidates) > 0.01
 
 
 @pytest.mark.slow
@@ -432,8 +432,8 @@ def test_folds_that_leave_geometry_undetermined_are_left_out() -> None:
     few = replace(data, readings=readings)
     strict = {"noise": noise, "folds": 4, "terms": "backlash", "strict": True}
     found = pincal.explain(plain, few, **strict)
-    assert [fold for fold, _ in found.choice.lost] == [0]
-    assert all(np.isfinite(one.held_out) for one in found.choice.models)
+    assert [fold for fold, _ in found.lost] == [0]
+    assert all(np.isfinite(one.held_out) for one in found.models)
     assert "fold 1 is left out of the comparison" in str(found)
     readings[4:, 2] = np.nan
     poses_of_few = replace(few, readings=readings)

@@ -212,7 +212,8 @@ def _with_terms(calibration: Calibration) -> Calibration:
     plain = extended(plain, parse_terms([term for term in terms if term != AUTO], mechanism))
     if AUTO not in terms:
         return plain
-    return extended(plain, choose(started(plain), every_pair(mechanism, data)).model.added)
+    models, chosen, *_ = choose(started(plain), every_pair(mechanism, data))
+    return extended(plain, models[chosen].added)
 
 
 def _start(calibration: Calibration) -> Array | None:

@@ -178,7 +178,6 @@ def explain(mech: Mech, measurements: Measured, options: Options, known: InputOp
         added = (word for term in explanation.terms for word in ("--terms", term))
         line = _retyped("calibrate", *added)
         say(f"  {line}")
-    choice = explanation.choice
     answer(
         {
             "verdict": explanation.verdict,
@@ -186,8 +185,8 @@ def explain(mech: Mech, measurements: Measured, options: Options, known: InputOp
             "command": line or None,
             "candidates": tables[0].records(),
             "models": tables[1].records(),
-            "slips": choice.slips,
-            "folds_left_out": [fold + 1 for fold, _ in choice.lost],
+            "slips": explanation.slips,
+            "folds_left_out": [fold + 1 for fold, _ in explanation.lost],
         }
     )
 

@@ -7,9 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from pincal.calibration.hypotheses.doctor import Remedy
-from pincal.calibration.terms.choice import LEVEL
-from pincal.calibration.terms.explain import Explanation
-from pincal.calibration.terms.kinds import GROWTH, ORDER, parts_of, term_text
+from pincal.calibration.terms.choice import LEVEL, Explanation
+from pincal.calibration.terms.kinds import GROWTH, ORDER, READINGS, parts_of, term_text
 from pincal.calibration.terms.screen import Candidate
 from pincal.estimation.observability.courses import Slip
 from pincal.model.mechanism import Mechanism
@@ -74,57 +73,47 @@ _NO_LOAD = (
 
 def explanation_lines(explanation: Explanation) -> list[str]:
     """Return what is seen, and the verdict."""
-    choice, nominal = explanation.choice, explanation.result.nominal
-    visible = [item for item in choice.candidates if item.corrected < LEVEL]
-    terms = [item for item in visible if item.kind.name != ORDER]
-    least = min((item.corrected for item in choice.candidates), default=1.0)
-    nothing = (
-        "nothing that was tried is seen in the residuals: the least probable of "
-        f"{len(choice.candidates)} has a chance of {least:.2g}, their number taken in"
-    )
-    notes = (
-        (_MEND, choice.slips),
-        (nothing, not visible),
-        (_NO_TERM, len(terms) < len(visible)),  # the order of rows is none
-        (_NO_LOAD, nominal.load is None and nominal.platform.space == 3),
-    )
-    lines = [
-        *map(_slip_line, choice.slips),
-        *_seen_lines(visible, nominal),
-        *(text for text, holds in notes if holds),
-    ]
+    result, candidates = explanation.result, explanation.candidates
+    nominal, visible = result.nominal, [c for c in candidates if c.corrected < LEVEL]
+    terms = [candidate for candidate in visible if candidate.kind.name != ORDER]
+    lines = [_slip_line(slip) for slip in explanation.slips]
+    remaining = list(visible)
+    while remaining and len(lines) < NAMED + len(explanation.slips):
+        first = remaining.pop(0)
+        remaining = [rival for rival in remaining if rival.pair not in first.or_else]
+        lines.append(_seen_line(first, nominal))
+    if explanation.slips:
+        lines.append(_MEND)
+    if not visible:
+        least = min((candidate.corrected for candidate in candidates), default=1.0)
+        lines.append(
+            "nothing that was tried is seen in the residuals: the least probable of "
+            f"{len(candidates)} has a chance of {least:.2g}, their number taken in"
+        )
+    if len(terms) < len(visible):  # the order of rows is none
+        lines.append(_NO_TERM)
+    if nominal.load is None and nominal.platform.space == 3:
+        lines.append(_NO_LOAD)
     lines += [
         f"fold {fold + 1} is left out of the comparison, the other rows do not determine it: {why}"
-        for fold, why in choice.lost
+        for fold, why in explanation.lost
     ]
-    sizes = {"held_out": choice.model.held_out, "before": choice.models[1].held_out}
+    sizes = {"held_out": explanation.model.held_out, "before": explanation.models[1].held_out}
     lines.append(_VERDICTS[explanation.verdict].format(**sizes))
-    if terms and explanation.verdict == "geometry" and not explanation.result.promises:
-        term = term_text(terms[0].reading, terms[0].kind)
+    if terms and explanation.verdict == "geometry" and not result.promises:
         lines.append(
             "but no limit is promised while residuals follow something: with --terms "
-            f"{term} it is modelled"
+            f"{term_text(*terms[0].pair)} it is modelled"
         )
-    return lines
-
-
-def _seen_lines(candidates: Sequence[Candidate], mechanism: Mechanism) -> list[str]:
-    """Return what residuals follow, the likeliest first, without what is not separate from it."""
-    lines, remaining = list[str](), list(candidates)
-    while remaining and len(lines) < NAMED:
-        candidate = remaining.pop(0)
-        remaining = [rival for rival in remaining if rival.pair not in candidate.or_else]
-        lines.append(_seen_line(candidate, mechanism))
     return lines
 
 
 def _seen_line(candidate: Candidate, mechanism: Mechanism) -> str:
     """Return what residuals follow, its likely cause, and what these rows do not separate."""
-    kind = candidate.kind
-    units = {known.id: known.unit for known in mechanism.parameters}
-    parts = parts_of(candidate.reading, mechanism)
+    kind, parameters = candidate.kind, mechanism.parameters
+    lengths = {parameter.id for parameter in parameters if parameter.unit == "m"}
     cause = "warming, a load or a setting that is in this column"
-    if candidate.reading == GROWTH or all(units.get(part) == "m" for part in parts):
+    if candidate.reading == GROWTH or lengths.issuperset(parts_of(candidate.reading, mechanism)):
         cause = "lengths that grow with this column"
     alternatives = [
         _place(place, mechanism) if rival == kind else f"{rival} of the same reading"
@@ -143,9 +132,9 @@ def _or_else(words: str) -> str:
 
 def _place(place: str, mechanism: Mechanism) -> str:
     """Return what a place is called."""
-    names = {"growth": "every length", "readings": "each reading"}
-    names |= {name: name for name in mechanism.load_names}
-    return names.get(place, f"{place} of each leg")
+    if place in mechanism.load_names:
+        return place
+    return {GROWTH: "every length", READINGS: "each reading"}.get(place, f"{place} of each leg")
 
 
 def _slip_line(slip: Slip) -> str:

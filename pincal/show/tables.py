@@ -9,7 +9,7 @@ import numpy as np
 from pincal.calibration.leg_result import IdentifiedParameter
 from pincal.calibration.result import CalibrationResult
 from pincal.calibration.runs import RunComparison
-from pincal.calibration.terms.explain import Explanation
+from pincal.calibration.terms.choice import Explanation
 from pincal.calibration.terms.screen import Candidate
 from pincal.design.forecast import Forecast
 from pincal.design.select import Selection
@@ -366,7 +366,7 @@ def runs_table(runs: RunComparison) -> Table:
 
 def screen_table(explanation: Explanation) -> Table:
     """Return what was tried, the least probable by chance first."""
-    candidates = explanation.choice.candidates
+    candidates = explanation.candidates
     caption = "amplitude: as one step of the fit would find it, at the scale in which the term is "
     caption += "added"
     if len(candidates) > NAMED:
@@ -398,30 +398,28 @@ def _amplitudes(candidate: Candidate) -> tuple[Value, ...]:
 
 def models_table(explanation: Explanation) -> Table:
     """Return the models compared on rows held out, the one that was chosen marked."""
-    choice = explanation.choice
     sizes = {
         name: unit
         for name, unit in (("position", "m"), ("orientation", "rad"))
-        if all(np.isfinite(getattr(model, name)) for model in choice.models)
+        if all(np.isfinite(getattr(model, name)) for model in explanation.models)
     }
     heads = columns("", "model", "chance", "free", "held out [σ]:.3f", "±:.3f")
     misses = [Column(name, unit, ".3g") for name, unit in sizes.items()]
     rows = [
         (
-            "→" if index == choice.chosen else "",
+            "→" if index == explanation.chosen else "",
             model.name if index < 2 else f"+ {model.name}",
             chance(model.chance) if index > 1 else "",
             model.parameters,
             model.held_out,
             model.spread or None,
             *(getattr(model, name) for name in sizes),
-            model.bic,
         )
-        for index, model in enumerate(choice.models)
+        for index, model in enumerate(explanation.models)
     ]
     return Table(
         "Models on rows held out",
-        (*heads, *misses, *columns("BIC:.1f")),
+        (*heads, *misses),
         rows,
         "chance: when the term was added; free: parameters; held out: white residuals of rows that "
         "the fit has not seen; ±: against the best",

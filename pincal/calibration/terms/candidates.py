@@ -18,6 +18,7 @@ from pincal.calibration.terms.kinds import (
     OF_ONES_OWN,
     POLYNOMIAL,
     Kind,
+    Pair,
     check_place,
     parts_of,
 )
@@ -39,8 +40,8 @@ _TRUE = 1e-3  # [rad], to which a joint's axis is known to stand
 def with_terms(
     mechanism: Mechanism,
     measurements: Measurements,
-    kinds: Iterable[tuple[str, Kind]],
-) -> tuple[Mechanism, dict[tuple[str, Kind], tuple[str, ...]]]:
+    kinds: Iterable[Pair],
+) -> tuple[Mechanism, dict[Pair, tuple[str, ...]]]:
     """Return a mechanism with more terms, at zero, and the ids of their amplitudes.
 
     What it has already is not added again, and harmonics are of turning joints only. Growth of all
@@ -63,7 +64,7 @@ def with_terms(
     idle = {(place, GRAVITY) for place in idle_places(mechanism, data)}
     wanted = [(place, kind) for place, kind in pairs if (place, kind.name) not in idle]
     legs, labels = [], list(mechanism.labels)
-    ids: dict[tuple[str, Kind], tuple[str, ...]] = dict.fromkeys(pairs, ())
+    ids: dict[Pair, tuple[str, ...]] = dict.fromkeys(pairs, ())
     for leg, columns in zip(mechanism.legs, mechanism.reading_columns, strict=True):
         extended_leg = leg
         for pair, terms, label in _lacking(leg, wanted, data, data.readings[:, columns]):
@@ -78,8 +79,8 @@ def with_terms(
 
 
 def _lacking(
-    leg: Leg, wanted: Sequence[tuple[str, Kind]], data: Measurements, readings: Array
-) -> Iterator[tuple[tuple[str, Kind], dict[int | str, Term], str]]:
+    leg: Leg, wanted: Sequence[Pair], data: Measurements, readings: Array
+) -> Iterator[tuple[Pair, dict[int | str, Term], str]]:
     """Yield places and kinds with their terms, all of one amplitude, and what that is.
 
     Terms are those of sensors, by index, or of parameters, by name. Readings of the leg have shape
@@ -130,7 +131,7 @@ def _with_amplitude(leg: Leg, terms: Mapping[int | str, Term]) -> Leg:
     )
 
 
-def extended(calibration: Calibration, pairs: Sequence[tuple[str, Kind]]) -> Calibration:
+def extended(calibration: Calibration, pairs: Sequence[Pair]) -> Calibration:
     """Return a calibration of a mechanism with more terms; errors are those of ``with_terms``.
 
     Growth of all lengths is one amplitude for all legs: they are tied.
@@ -145,7 +146,7 @@ def extended(calibration: Calibration, pairs: Sequence[tuple[str, Kind]]) -> Cal
     return with_followed_influences(replace(calibration, mechanism=mechanism, options=options))
 
 
-def tied_by(ids: Mapping[tuple[str, Kind], Sequence[str]]) -> tuple[str, ...]:
+def tied_by(ids: Mapping[Pair, Sequence[str]]) -> tuple[str, ...]:
     """Return the names of amplitudes that are one for all legs: those of growth."""
     every = [names for (place, _), names in ids.items() if place == GROWTH and len(names) > 1]
     return tuple(dict.fromkeys(names[0].partition(".")[2] for names in every))

@@ -10,16 +10,18 @@ and Regression Trees, 1984): a term that does not pay is not kept, however proba
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from pincal.attached import attached
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.fits import Fits, fitted
 from pincal.calibration.missed import misses_of, per_row
 from pincal.calibration.options import FOLDS, clusters, folds_of
+from pincal.calibration.result import CalibrationResult
 from pincal.calibration.terms.candidates import extended, with_columns
-from pincal.calibration.terms.kinds import ORDER, Kind
+from pincal.calibration.terms.kinds import ORDER, Pair, term_text
 from pincal.calibration.terms.screen import Candidate, screen
 from pincal.calibration.validation import predictions
 from pincal.errors import MeasurementError, PincalError
@@ -34,15 +36,27 @@ _TROUBLE = (PincalError, np.linalg.LinAlgError)  # what rows that do not determi
 
 
 @dataclass(frozen=True)
-class NestedModel:
-    """A model and its fit."""
+class Model:
+    """One of the models compared: its fit of all rows, and how it predicts held-out rows."""
 
-    added: tuple[tuple[str, Kind], ...]
+    name: str
+    """``"as drawn"`` (``"rigid alignment"`` where frame or target are unknown), ``"geometry"``, or
+    what was added last."""
+    fits: Fits = field(repr=False)
+    added: tuple[Pair, ...] = ()
     """All terms that the mechanism given has not: place and kind."""
-    chance: float
+    chance: float = 1.0
     """Probability by chance of the last term when it was added, the number of tests taken in."""
-    calibration: Calibration
-    fits: Fits
+    held_out: float = np.nan
+    """Root mean square of white residuals of held-out rows, [σ of the noise]; NaN where no fold
+    can be identified."""
+    spread: float = 0.0
+    """Standard error of how much larger that is than the best model's, poses as clusters, [σ]."""
+    position: float = np.nan
+    """Root mean square by which positions of targets are missed at held-out rows, [m]; NaN where
+    none were measured."""
+    orientation: float = np.nan
+    """Root mean square by which the measured orientation is missed there, [rad]."""
 
     @property
     def parameters(self) -> int:
@@ -53,64 +67,48 @@ class NestedModel:
         )
 
     def errors(self, unseen: Calibration) -> Array:
-        """Return errors at rows not seen: shape (N, 4).
+        """Return errors at rows not seen, shape (N, 4).
 
         Squared white residuals and how many they are; by how much targets are missed, [m] and
         [rad].
         """
-        unseen_rows = replace(unseen, mechanism=self.calibration.mechanism)
-        count = len(unseen_rows.measurements)
-        errors = np.hstack(
-            (np.zeros((count, 2)), per_row(misses_of(unseen_rows, self.fits), count))
-        )
-        for fit, linear in predictions(self.fits, unseen_rows):
-            legs = [unseen_rows.mechanism.leg_names.index(leg.name) for leg in fit.problem.legs]
-            serves = unseen_rows.used[:, legs].any(axis=1) | self.fits.latent
+        unseen = replace(unseen, mechanism=self.fits.calibration.mechanism)
+        count = len(unseen.measurements)
+        errors = np.hstack((np.zeros((count, 2)), per_row(misses_of(unseen, self.fits), count)))
+        for fit, linear in predictions(self.fits, unseen):
+            legs = [unseen.mechanism.leg_names.index(leg.name) for leg in fit.problem.legs]
+            serves = unseen.used[:, legs].any(axis=1) | self.fits.latent
             errors[serves, 0] += linear.squares
             errors[serves, 1] += linear.equations
         return errors
 
 
-@dataclass(frozen=True)
-class Model:
-    """One of the models compared."""
+@dataclass(frozen=True, repr=False)
+class Explanation:
+    """What residuals of a calibration follow, and which model predicts rows best.
 
-    name: str
-    """``"as drawn"`` (``"rigid alignment"`` where frame or target are unknown), ``"geometry"``, or
-    what was added last."""
-    added: tuple[tuple[str, Kind], ...]
-    """All terms that the mechanism given has not: place and kind."""
-    chance: float
-    """Probability by chance of the last term when it was added, the number of tests taken in."""
-    parameters: int
-    """Number of free parameters."""
-    held_out: float
-    """Root mean square of white residuals of held-out rows, [σ of the noise]; NaN where no fold
-    can be identified."""
-    spread: float
-    """Standard error of how much larger that is than the best model's, poses as clusters, [σ]."""
-    position: float
-    """Root mean square by which positions of targets are missed at held-out rows, [m]; NaN where
-    none were measured."""
-    orientation: float
-    """Root mean square by which the measured orientation is missed there, [rad]."""
-    bic: float
-    """Schwarz's criterion, χ² + k ln n of n residuals, at the noise of the geometry's fit."""
+    Example:
+        >>> import numpy as np, pincal
+        >>> plan = pincal.Plan(pincal.sample_workspace("5R", 40, seed=0))
+        >>> truth = pincal.disturb("5R", 1e-3, seed=1)
+        >>> noise = pincal.Noise(position=1e-4)
+        >>> data = pincal.simulate("5R", truth, plan, noise, seed=1).measurements
+        >>> found = pincal.explain("5R", data, noise=noise, terms=["harmonics"])
+        >>> found.terms  # geometry is all there is
+        ()
+    """
 
-
-@dataclass(frozen=True)
-class Choice:
-    """Models compared, and the one to take."""
-
-    models: tuple[Model, ...]
-    """In the order of their size."""
+    result: CalibrationResult
+    """The calibration of the geometry."""
+    models: Sequence[Model]
+    """Those compared, in the order of their size."""
     chosen: int
     """Index of the simplest within one standard error of the best."""
-    candidates: tuple[Candidate, ...]
+    candidates: Sequence[Candidate]
     """The screen of the geometry's residuals."""
-    slips: tuple[Slip, ...] = ()
+    slips: Sequence[Slip]
     """What slipped or drifted, unless a term explains it better; rows those of the measurements."""
-    lost: tuple[tuple[int, str], ...] = ()
+    lost: Sequence[tuple[int, str]]
     """Folds, from 0, without whose rows the geometry is not identified, and why: they are left out
     of the comparison."""
 
@@ -119,9 +117,34 @@ class Choice:
         """The model that was chosen."""
         return self.models[self.chosen]
 
+    @property
+    def verdict(self) -> str:
+        """Which model to take: ``"as drawn"``, ``"rigid alignment"``, ``"geometry"``, ``"terms"``.
 
-def choose(calibration: Calibration, pairs: Sequence[tuple[str, Kind]]) -> Choice:
-    """Return which terms pay, of some kinds.
+        ``"not compared"`` where no fold can be identified.
+        """
+        if np.isnan(self.model.held_out):
+            return "not compared"
+        return "terms" if self.chosen > 1 else self.model.name
+
+    @property
+    def terms(self) -> tuple[str, ...]:
+        """The terms that pay, as options say them: ``leg_2=harmonics:1``, ``leg_1.l=warm``."""
+        return tuple(term_text(*term) for term in self.model.added)
+
+    @attached
+    def __str__(self) -> str:
+        """Return a page: what residuals follow, the models compared, and what to do."""
+
+    def __repr__(self) -> str:
+        found = ", ".join(self.terms) or self.verdict
+        return f"Explanation({self.result.nominal.name!r}: {found})"
+
+
+def choose(
+    calibration: Calibration, pairs: Sequence[Pair]
+) -> tuple[list[Model], int, list[Candidate], list[Slip], list[tuple[int, str]]]:
+    """Return which terms pay, of some kinds: the fields of an ``Explanation`` behind its result.
 
     Rows whose ``set`` is ``verify`` have no part in the choice.
 
@@ -147,69 +170,62 @@ def choose(calibration: Calibration, pairs: Sequence[tuple[str, Kind]]) -> Choic
     geometry = fits.calibration.at_this_noise()
     parameters = calibration.mechanism.parameters
     drawn = geometry.with_options(priors={parameter.id: _PINNED for parameter in parameters})
-    steps = [NestedModel((), 1.0, drawn, fitted(drawn)), NestedModel((), 1.0, geometry, fits)]
+    outside = bool(drawn.observation.external.names)
+    models = [Model("rigid alignment" if outside else "as drawn", fitted(drawn))]
+    models.append(Model("geometry", fits))
     candidates = screen(fits, pairs)
-    steps += _grown(geometry, candidates, pairs, _MOST_TERMS)
-    slipped = [replace(slip, row=int(choosing_rows[slip.row])) for slip in _slips(steps[1:])]
+    models += _grown(geometry, candidates, pairs, _MOST_TERMS)
+    slipped = [replace(slip, row=int(choosing_rows[slip.row])) for slip in _slips(models[1:])]
     groups = folds_of(calibration.measurements, calibration.options.folds or FOLDS, "turn")
-    errors, lost = np.full((len(steps), len(groups), 4), np.nan), []
+    errors, lost = np.full((len(models), len(groups), 4), np.nan), []
     for fold in range(int(groups.max()) + 1):
         geometry.options.report(f"models on held-out rows, fold {fold + 1} of {groups.max() + 1}")
-        held_rows = np.flatnonzero(groups == fold)
-        seen = [
-            calibration_of_all.rows(groups != fold).at_this_noise()
-            for calibration_of_all in (drawn, geometry)
-        ]
+        held, seen = groups == fold, [c.rows(groups != fold) for c in (drawn, geometry)]
         try:
-            parts = _errors_of_fold(geometry.rows(held_rows), seen, pairs, len(steps) - 2)
+            parts = _errors_of_fold(geometry.rows(held), seen, pairs, len(models) - 2)
         except _TROUBLE as error:
             lost.append((fold, str(error)))
             continue
-        parts += parts[-1:] * (len(steps) - len(parts))  # a path that ended stays where it is
-        errors[:, held_rows] = parts[: len(steps)]
-    models, chosen = _compared(steps, errors, clusters(calibration.measurements))
-    return Choice(models, chosen, tuple(candidates), tuple(slipped), tuple(lost))
+        parts += parts[-1:] * (len(models) - len(parts))  # a path that ended stays where it is
+        errors[:, held] = parts
+    models, chosen = _compared(models, errors, clusters(calibration.measurements))
+    return models, chosen, candidates, slipped, lost
 
 
 def _grown(
-    geometry: Calibration,
-    candidates: Sequence[Candidate],
-    pairs: Sequence[tuple[str, Kind]],
-    most: int,
-) -> list[NestedModel]:
+    geometry: Calibration, candidates: Sequence[Candidate], pairs: Sequence[Pair], most: int
+) -> list[Model]:
     """Return models that grow by the likeliest term of a screen, until none is likely, or most."""
-    steps: list[NestedModel] = []
-    while len(steps) < most:
+    models: list[Model] = []
+    while len(models) < most:
         likely = [term for term in candidates if term.corrected < LEVEL and term.kind.name != ORDER]
         if not likely:
             break
-        added = (*(steps[-1].added if steps else ()), likely[0].pair)
-        larger = replace(extended(geometry, added), start=None)
+        added = (*(models[-1].added if models else ()), likely[0].pair)
         try:
-            fits = _identified(larger)
+            fits = _identified(replace(extended(geometry, added), start=None))
         except _TROUBLE:  # what the rows do not determine
             break
-        steps.append(NestedModel(added, likely[0].corrected, larger, fits))
+        name = "{} {}".format(*likely[0].pair)
+        models.append(Model(name, fits, added, likely[0].corrected))
         candidates = screen(fits, pairs)
-    return steps
+    return models
 
 
 def _errors_of_fold(
-    unseen: Calibration,
-    seen: Sequence[Calibration],
-    pairs: Sequence[tuple[str, Kind]],
-    most: int,
+    unseen: Calibration, seen: Sequence[Calibration], pairs: Sequence[Pair], most: int
 ) -> list[Array]:
     """Return errors of rows held out by each model, of the machine as drawn and its geometry first.
 
     Raises:
         PincalError, LinAlgError: the rows seen do not determine the geometry.
     """
-    steps = [NestedModel((), 1.0, calibration, _identified(calibration)) for calibration in seen]
-    errors = [step.errors(unseen) for step in steps]
-    for step in _grown(seen[1], screen(steps[1].fits, pairs), pairs, most):
+    drawn, geometry = (calibration.at_this_noise() for calibration in seen)
+    models = [Model("", _identified(calibration)) for calibration in (drawn, geometry)]
+    errors = [model.errors(unseen) for model in models]
+    for model in _grown(geometry, screen(models[1].fits, pairs), pairs, most):
         try:
-            errors.append(step.errors(unseen))
+            errors.append(model.errors(unseen))
         except _TROUBLE:
             break  # as a path that ended
     return errors
@@ -227,72 +243,60 @@ def _identified(calibration: Calibration) -> Fits:
     return fits
 
 
-def _slips(steps: Sequence[NestedModel]) -> list[Slip]:
+def _slips(models: Sequence[Model]) -> list[Slip]:
     """Return what slipped or drifted, its rows those of the measurements.
 
-    By the residuals of the geometry, the first step; or, while a term is likelier than the clearest
-    slip, of the model with that term: a slip may only follow it, as terms may follow a slip.
+    By the residuals of the geometry, the first model; or, while a term is likelier than the
+    clearest slip, of the model with that term: a slip may only follow it, as terms may follow a
+    slip.
     """
     slipped: list[Slip] = []
-    for index, step in enumerate(steps):
-        if index and not (slipped and step.chance < slipped[0].p_value):
+    for index, model in enumerate(models):
+        if index and not (slipped and model.chance < slipped[0].p_value):
             break
         slipped = [
             replace(slip, row=int(fit.rows[slip.row]))
-            for fit in step.fits.fits
+            for fit in model.fits.fits
             for slip in slips(fit)
         ]
-    noise_given = steps[0].fits.calibration.options.noise is not None
+    noise_given = models[0].fits.calibration.options.noise is not None
     return slipped if noise_given else slipped[:1]  # or estimated with slips in it
 
 
 def _compared(
-    steps: Sequence[NestedModel], errors: Array, places: Sequence[str]
-) -> tuple[tuple[Model, ...], int]:
+    models: Sequence[Model], errors: Array, places: Sequence[str]
+) -> tuple[list[Model], int]:
     """Return models, and the index of the simplest within one standard error of the best.
 
     Args:
-        steps: Models by their size, the machine as drawn first, then its geometry.
+        models: By their size, the machine as drawn first, then its geometry.
         errors: Of held-out rows (see ``errors``), shape (n_models, N, 4); NaN of folds lost.
         places: Poses of the rows: those of one go together.
     """
     known = np.isfinite(errors[0, :, 0])
-    chosen, means, spread = 1, np.full(len(steps), np.nan), np.zeros(len(steps))
-    if known.any():
-        squares, count = errors[:, known, 0], float(errors[0, known, 1].sum())
-        _, cluster = np.unique(np.array(places)[known], return_inverse=True)
-        sums = np.stack([np.bincount(cluster, weights=of_model) for of_model in squares])
-        means = sums.sum(axis=1) / count
-        best, poses = int(np.argmin(means)), sums.shape[1]
-        spread = (sums - sums[best]).std(axis=1, ddof=int(poses > 1)) * np.sqrt(poses) / count
-        chosen = int(np.flatnonzero(means - means[best] <= spread)[0])
-    outside = bool(steps[0].calibration.observation.external.names)
-    names = ["rigid alignment" if outside else "as drawn", "geometry"]
-    names += ["{} {}".format(*step.added[-1]) for step in steps[2:]]
-    models = []
-    for step, name, mean, wide, of_model in zip(steps, names, means, spread, errors, strict=True):
+    if not known.any():
+        return list(models), 1
+    squares, count = errors[:, known, 0], float(errors[0, known, 1].sum())
+    _, cluster = np.unique(np.array(places)[known], return_inverse=True)
+    sums = np.stack([np.bincount(cluster, weights=of_model) for of_model in squares])
+    means = sums.sum(axis=1) / count
+    best, poses = int(np.argmin(means)), sums.shape[1]
+    spread = (sums - sums[best]).std(axis=1, ddof=int(poses > 1)) * np.sqrt(poses) / count
+    compared = []
+    for model, mean, wide, of_model in zip(models, means, spread, errors, strict=True):
         position, orientation = (_root_mean_square(column) for column in of_model.T[2:])
-        chi2, equations = _chi2(step.fits)
-        models.append(
-            Model(
-                name=name,
-                added=step.added,
-                chance=step.chance,
-                parameters=step.parameters,
-                held_out=float(np.sqrt(mean)),
-                spread=float(wide / (2.0 * np.sqrt(mean))) if mean > 0.0 else 0.0,
+        held_out = float(np.sqrt(mean))
+        relative = float(wide / (2.0 * held_out)) if mean > 0.0 else 0.0
+        compared.append(
+            replace(
+                model,
+                held_out=held_out,
+                spread=relative,
                 position=position,
                 orientation=orientation,
-                bic=chi2 + step.parameters * float(np.log(equations)),
             )
         )
-    return tuple(models), chosen
-
-
-def _chi2(fits: Fits) -> tuple[float, int]:
-    """Return χ² of all residuals, at the noise of the geometry's fit, and how many they are."""
-    counts = [fit.last.equations[fit.weights > 0.0].sum() for fit in fits.fits]
-    return float(sum(fit.chi2 for fit in fits.fits)), int(sum(counts))
+    return compared, int(np.flatnonzero(means - means[best] <= spread)[0])
 
 
 def _root_mean_square(values: Array) -> float:

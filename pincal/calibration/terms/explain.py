@@ -1,69 +1,19 @@
-"""What geometry does not explain in measurements: a screen of what sensors lack, and what pays."""
+"""``pincal.explain``: what geometry does not explain in measurements, and which terms pay."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
-import numpy as np
-
-from pincal.attached import attached
 from pincal.blas import on_one_thread
 from pincal.calibration.calibrate import prepared, run, started
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.options import AUTO, Options
-from pincal.calibration.result import CalibrationResult
-from pincal.calibration.terms.choice import Choice, choose
-from pincal.calibration.terms.kinds import every_pair, parse_terms, term_text
+from pincal.calibration.terms.choice import Explanation, choose
+from pincal.calibration.terms.kinds import every_pair, parse_terms
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
-
-Verdict = Literal["as drawn", "rigid alignment", "geometry", "terms", "not compared"]
-
-
-@dataclass(frozen=True, repr=False)
-class Explanation:
-    """What residuals of a calibration follow, and which model predicts rows best.
-
-    Example:
-        >>> import numpy as np, pincal
-        >>> plan = pincal.Plan(pincal.sample_workspace("5R", 40, seed=0))
-        >>> truth = pincal.disturb("5R", 1e-3, seed=1)
-        >>> noise = pincal.Noise(position=1e-4)
-        >>> data = pincal.simulate("5R", truth, plan, noise, seed=1).measurements
-        >>> found = pincal.explain("5R", data, noise=noise, terms=["harmonics"])
-        >>> found.terms  # geometry is all there is
-        ()
-    """
-
-    result: CalibrationResult
-    """The calibration of the geometry."""
-    choice: Choice
-    """Candidates of the screen, and the models compared."""
-
-    @property
-    def verdict(self) -> Verdict:
-        """Which model to take; ``"not compared"`` where no fold can be identified."""
-        if np.isnan(self.choice.model.held_out):
-            return "not compared"
-        if self.choice.chosen > 1:
-            return "terms"
-        name: Verdict = self.choice.model.name  # type: ignore[assignment]
-        return name
-
-    @property
-    def terms(self) -> tuple[str, ...]:
-        """The terms that pay, as options say them: ``leg_2=harmonics:1``, ``leg_1.l=warm``."""
-        return tuple(term_text(*term) for term in self.choice.model.added)
-
-    @attached
-    def __str__(self) -> str:
-        """Return a page: what residuals follow, the models compared, and what to do."""
-
-    def __repr__(self) -> str:
-        found = ", ".join(self.terms) or self.verdict
-        return f"Explanation({self.result.nominal.name!r}: {found})"
 
 
 def explain(
@@ -99,4 +49,4 @@ def explained(calibration: Calibration) -> Explanation:
     every = every_pair(plain.mechanism, plain.measurements) if AUTO in tried else []
     pairs = list(dict.fromkeys((*named, *every)))
     result, _ = run(plain)
-    return Explanation(result, choose(started(plain), pairs))
+    return Explanation(result, *choose(started(plain), pairs))

@@ -70,6 +70,10 @@ class Kind:
         return f"{self.name}:{','.join(f'{number:g}' for number in self.numbers)}"
 
 
+Pair = tuple[str, Kind]
+"""A place, and a kind of term that it has or may lack."""
+
+
 def _is_order(number: float) -> bool:
     """Return whether so many periods in a turn can be: the finest gratings have 100,000."""
     return 0.0 < number <= 1e5
@@ -88,7 +92,7 @@ def kinds_of(mechanism: Mechanism, measurements: Measurements) -> tuple[Kind, ..
     return tuple(Kind.of(name) for name in dict.fromkeys(names))
 
 
-def every_pair(mechanism: Mechanism, measurements: Measurements) -> list[tuple[str, Kind]]:
+def every_pair(mechanism: Mechanism, measurements: Measurements) -> list[Pair]:
     """Return where which kinds of term are tried that measurements can show.
 
     All kinds at all readings; at lengths, each alone and all as one, what follows a column; at
@@ -138,7 +142,7 @@ def _of_links(mechanism: Mechanism) -> list[str]:
     ]
 
 
-def parse_terms(terms: Sequence[str], mechanism: Mechanism) -> list[tuple[str, Kind]]:
+def parse_terms(terms: Sequence[str], mechanism: Mechanism) -> list[Pair]:
     """Return places and kinds that texts name: ``backlash`` of all, ``leg_1=backlash`` of one.
 
     Several places that one text names are there one by one, and together.

@@ -9,14 +9,14 @@ of the rest is taken from the residuals). One step gives the amplitudes: a = −
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.fits import Fits
 from pincal.calibration.terms.candidates import with_columns, with_terms
-from pincal.calibration.terms.kinds import GROWTH, ORDER, Kind
+from pincal.calibration.terms.kinds import GROWTH, ORDER, Kind, Pair
 from pincal.estimation.fit import Fit
 from pincal.estimation.observability.residuals import Residuals
 from pincal.estimation.system import CLEAR, FALSE_ALARM
@@ -26,7 +26,7 @@ from pincal.types import Array, Index
 
 @dataclass(frozen=True)
 class Candidate:
-    """One kind of term in one place, and what residuals say of it."""
+    """One kind of term in one place, and what residuals say of it, once they were asked."""
 
     reading: str
     """The place: a reading, a length or angle by its id, or ``"growth"`` of all lengths;
@@ -40,40 +40,29 @@ class Candidate:
     """As one step finds them, shape (k,)."""
     std: Array
     """Standard errors, shape (k,); infinite where geometry takes the term up."""
-    F: float
+    F: float = 1.0
     """χ² in the term by its degrees of freedom, over that of the rest."""
-    rank: int
+    rank: int = 0
     """Degrees of freedom; 0 where geometry takes up all of it."""
-    share: float
+    share: float = 0.0
     """Share of χ² that the term would take off."""
-    p_value: float
+    p_value: float = 1.0
     """Probability of so large an F by chance, for this test alone."""
-    corrected: float
+    corrected: float = 1.0
     """The same with the number of tests (Holm 1979)."""
-    or_else: tuple[tuple[str, Kind], ...] = ()
+    or_else: tuple[Pair, ...] = ()
     """What else it may be: places and kinds that these rows cannot separate from it. Said of the
     first, and of those that are improbable by chance."""
+    rows: Array = field(default_factory=lambda: np.zeros((0, 0, 0)), repr=False)
+    """White rows of the amplitudes, by which it would show in a fit, shape (n_used, m, k)."""
 
     @property
-    def pair(self) -> tuple[str, Kind]:
+    def pair(self) -> Pair:
         """Place and kind, by which a candidate is known."""
         return self.reading, self.kind
 
 
-@dataclass(frozen=True)
-class Trial:
-    """A kind of term in one place, and how it would show in the white rows of a fit."""
-
-    reading: str
-    kind: Kind
-    unit: str
-    names: tuple[str, ...]
-    """Ids of the amplitudes."""
-    rows: Array
-    """White rows of the amplitudes, shape (n_used, m, k)."""
-
-
-def screen(fits: Fits, pairs: Sequence[tuple[str, Kind]]) -> list[Candidate]:
+def screen(fits: Fits, pairs: Sequence[Pair]) -> list[Candidate]:
     """Return what readings and parameters may lack, the most improbable by chance first.
 
     Args:
@@ -83,58 +72,48 @@ def screen(fits: Fits, pairs: Sequence[tuple[str, Kind]]) -> list[Candidate]:
     return screened(trials(fits, pairs))
 
 
-def screened(parts: Sequence[tuple[Residuals, Sequence[Trial]]]) -> list[Candidate]:
+def screened(parts: Sequence[tuple[Residuals, Sequence[Candidate]]]) -> list[Candidate]:
     """Return what residuals say of the terms that are tried on them."""
     tried = [
-        (_candidate(residuals, trial), residuals, trial.rows)
-        for residuals, trials_of_part in parts
-        for trial in trials_of_part
+        (_asked(residuals, candidate), residuals)
+        for residuals, candidates_of_part in parts
+        for candidate in candidates_of_part
     ]
     tried.sort(key=lambda entry: (entry[0].p_value, -entry[0].share))
-    candidates = _corrected([candidate for candidate, _, _ in tried])
-    for index, candidate in enumerate(candidates):
+    candidates = _corrected([candidate for candidate, _ in tried])
+    for index, (candidate, (_, residuals)) in enumerate(zip(candidates, tried, strict=True)):
         if index and candidate.corrected >= FALSE_ALARM:
             break
-        _, residuals, rows = tried[index]
-        rivals = {
-            rival.pair: (rival, rival_rows)
-            for rival, of_rival, rival_rows in tried[index + 1 :]
-            if of_rival is residuals
-        }
+        rivals = [rival for rival, of_rival in tried[index + 1 :] if of_rival is residuals]
         dof = max(residuals.degrees_of_freedom - candidate.rank, 1)
         variance = (1.0 - candidate.share) * residuals.chi2 / dof  # of what is left, as in F tests
-        chi2 = residuals.chi2 / max(variance, 1e-300)
-        alike = inseparable(candidate, [rival for rival, _ in rivals.values()], chi2)
-        without = residuals.without(rows) if alike else residuals
-        gone = [rival.pair for rival in alike if not _clear(without, rivals[rival.pair][1])]
+        alike = inseparable(candidate, rivals, residuals.chi2 / max(variance, 1e-300))
+        without = residuals.without(candidate.rows) if alike else residuals
+        gone = [rival.pair for rival in alike if not _clear(_asked(without, rival))]
         candidates[index] = replace(candidate, or_else=tuple(gone))
     return candidates
 
 
-def _candidate(residuals: Residuals, trial: Trial) -> Candidate:
-    answer = residuals.amplitudes(trial.rows)
-    return Candidate(
-        reading=trial.reading,
-        kind=trial.kind,
-        unit=trial.unit,
-        names=trial.names,
+def _asked(residuals: Residuals, candidate: Candidate) -> Candidate:
+    """Return a candidate with what residuals say of it."""
+    answer = residuals.amplitudes(candidate.rows)
+    return replace(
+        candidate,
         amplitudes=answer.values,
         std=answer.std,
         F=answer.F,
         rank=answer.rank,
         share=float(answer.inside / max(residuals.chi2, 1e-300)),
         p_value=answer.p_value,
-        corrected=1.0,
     )
 
 
-def _clear(residuals: Residuals, rows: Array) -> bool:
-    """Return whether a term is still there."""
-    answer = residuals.amplitudes(rows)
-    return answer.rank * (answer.F - 1.0) >= CLEAR**2
+def _clear(candidate: Candidate) -> bool:
+    """Return whether a term is seen."""
+    return candidate.rank * (candidate.F - 1.0) >= CLEAR**2
 
 
-def trials(fits: Fits, pairs: Sequence[tuple[str, Kind]]) -> list[tuple[Residuals, list[Trial]]]:
+def trials(fits: Fits, pairs: Sequence[Pair]) -> list[tuple[Residuals, list[Candidate]]]:
     """Return residuals of fits, and the terms that may be tried on them; see ``screen``."""
     calibration = fits.calibration
     data = with_columns(calibration, [kind for _, kind in pairs])
@@ -146,8 +125,8 @@ def trials(fits: Fits, pairs: Sequence[tuple[str, Kind]]) -> list[tuple[Residual
 
 
 def _trials_of(
-    fit: Fit, extended: Calibration, ids: Mapping[tuple[str, Kind], tuple[str, ...]]
-) -> tuple[Residuals, list[Trial]]:
+    fit: Fit, extended: Calibration, ids: Mapping[Pair, tuple[str, ...]]
+) -> tuple[Residuals, list[Candidate]]:
     """Return residuals of a fit, and the terms that may be tried on them.
 
     Args:
@@ -157,7 +136,7 @@ def _trials_of(
     """
     residuals, parameters = Residuals.of(fit), extended.mechanism.parameters
     names, W = _columns(extended, fit, residuals.used)
-    by_amplitudes: dict[tuple[str, ...], Trial] = {}  # not of several places where one has it
+    by_amplitudes: dict[tuple[str, ...], Candidate] = {}  # not of several places where one has it
     for (reading, kind), amplitudes in ids.items():
         places = [names.index(name) for name in amplitudes if name in names]
         in_fit = len(places) == len(amplitudes) or reading == GROWTH
@@ -167,7 +146,8 @@ def _trials_of(
         rows, shown = W[:, :, places], amplitudes
         if reading == GROWTH:  # one amplitude of all legs
             rows, shown = rows.sum(axis=2, keepdims=True), amplitudes[:1]
-        by_amplitudes[amplitudes] = Trial(reading, kind, units.pop(), shown, rows)
+        unseen = np.zeros(len(shown)), np.full(len(shown), np.inf)
+        by_amplitudes[amplitudes] = Candidate(reading, kind, units.pop(), shown, *unseen, rows=rows)
     return residuals, list(by_amplitudes.values())
 
 
