@@ -123,7 +123,7 @@ def test_every_finding_is_explained() -> None:
     page, _, values = text.partition("## Values of findings")
     rows = dict(re.findall(r"^\| `([a-z0-9-]+)` \|(.*)$", page, re.MULTILINE))
     assert set(rows) == set(WORDINGS)
-    names = {name for one in WORDINGS.values() for name in one.value_names.split()}
+    names = {name for one in WORDINGS.values() for name in one.value_names}
     assert set(re.findall(r"^\| `(\w+)` \| \S", values, re.MULTILINE)) == names
     for code, one in WORDINGS.items():
         plain = rows[code].replace("`", "")

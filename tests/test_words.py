@@ -18,7 +18,7 @@ from rich.console import Console
 from pincal import load_mechanism
 from pincal.estimation.observability.identifiable import WeakPair
 from pincal.show.answers import weak_lines
-from pincal.words.faults import HYPOTHESES, cause
+from pincal.words.faults import HYPOTHESES
 from pincal.words.numbers import (
     amount,
     capital,
@@ -32,7 +32,7 @@ from pincal.words.numbers import (
     uncertainty,
 )
 from pincal.words.sentences import WORDINGS, finding, sentence, sentences
-from pincal.words.table import Cell, Column, Table, quantity
+from pincal.words.table import Cell, Table, quantity
 
 EVIL = '<b>"é"\'&amp;|*_$x$\0'
 BANNED = ("told", "tell", "hollow", "accused", "doubtful", "stands", "eased", "shaken", "settled")
@@ -119,14 +119,7 @@ def test_two_numbers_that_are_shown_alike_are_not_compared() -> None:
 @pytest.fixture
 def table() -> Table:
     """A table of every kind of cell."""
-    columns = (
-        Column("leg"),
-        Column("name"),
-        Column("rms", "m", ".4f"),
-        Column("poses"),
-        Column("value"),
-        Column("unit"),
-    )
+    columns = ("leg", "name", "rms [m]:.4f", "poses", "value", "unit")
     rows = [
         (EVIL, "l", 1.25e-3, 12, quantity(0.5, "m", 1e-5), Cell("m", "mm")),
         (EVIL, "L", math.nan, 9, Cell(0.25, "a quarter"), None),
@@ -163,7 +156,7 @@ def test_words_of_a_table_are_whole(width: int) -> None:
     """Where the longest words of all columns fit, cells are broken between words alone."""
     words = [f"leg_{i}.backlash" for i in range(9)]
     rows = [(words[i], " ".join(words), " and ".join(words[:3]), 1e-3 * i) for i in range(3)]
-    heads = (Column("reading"), Column("amplitudes"), Column("likely cause"), Column("F", "m"))
+    heads = ("reading", "amplitudes", "likely cause", "F [m]")
     buffer = io.StringIO()
     Console(file=buffer, width=width).print(Table("A title", heads, rows))
     lines = buffer.getvalue().splitlines()
@@ -185,7 +178,7 @@ def test_a_table_is_data(table: Table) -> None:
 
 def test_a_table_without_rows() -> None:
     """Heads alone are a table too."""
-    empty = Table("None", (Column("a"), Column("b", "m")), [])
+    empty = Table("None", ("a", "b [m]"), [])
     assert empty.aligned == ("left", "left")
     assert "b [mm]" in str(empty)
     assert "<tbody>" in empty.__html__()
@@ -289,7 +282,7 @@ def test_what_each_hypothesis_says(code: str) -> None:
     """Its clause follows 'if'; it is a finding whose sentence ends with its remedy."""
     values, words = CLAUSES[code]
     one = finding(code, **(COMMON | values))
-    assert cause(one).startswith(words)
+    assert HYPOTHESES[code].said(one).startswith(words)
     text = sentence(one)
     assert text.startswith("leg_1: the measurements miss every mechanism near the nominal one by ")
     assert f"by 5.1 % of a leg's length (median), but only by 0.01 % if {words}" in text

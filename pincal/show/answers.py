@@ -31,7 +31,7 @@ from pincal.words.numbers import (
     size,
 )
 from pincal.words.sentences import WORDINGS, finding, sentence
-from pincal.words.table import Column, Table
+from pincal.words.table import Table
 from pincal.words.wording import UNCOVERED, missed_line, noise_in_words
 
 _MOST_PAIRS = 3  # weak pairs that are named
@@ -175,7 +175,7 @@ def accuracy_table(result: CalibrationResult, errors: WorkspaceErrors) -> Table:
     names = list(dict.fromkeys([*names, *rows.get("held out", {})]))
     return Table(
         f"RMS error of the platform{region}",
-        (Column(""), *(Column(name, unit, ".3g") for name, unit in names)),
+        ["", *(f"{name} [{unit}]:.3g" for name, unit in names)],
         [[head, *(row.get(name) for name in names)] for head, row in rows.items()],
         "held out: rows not fitted, noise included" * ("held out" in rows),
     )

@@ -17,7 +17,7 @@ from pincal.show.answers import unpromised
 from pincal.show.tables import models_table, screen_table
 from pincal.words.faults import HYPOTHESES
 from pincal.words.numbers import amount, chance, listed
-from pincal.words.table import Table, columns
+from pincal.words.table import Table
 from pincal.words.wording import NAMED
 
 #: What a mechanic looks at, by kind of term; other kinds are columns.
@@ -164,9 +164,9 @@ def explanation_page(explanation: Explanation) -> str:
 def tried(remedy: Remedy) -> str:
     """Return what was tried, in a few words."""
     options = remedy.calibration.options
-    codes = [finding.code for finding in remedy.findings]
+    framed = any(finding.values["unknown_frame"] for finding in remedy.findings)
     parts = [HYPOTHESES[finding.code].said(finding) for finding in remedy.findings]
-    if options.setup.unknown_frame and "unknown-frame" not in codes:
+    if options.setup.unknown_frame and not framed:
         parts.append("the base is elsewhere in the frame of the measurements")
     if options.setup.targets[ORIGIN].unknown:
         parts.append("the target is elsewhere on the platform")
@@ -181,7 +181,7 @@ def remedy_table(remedies: Sequence[Remedy]) -> Table:
         (tried(remedy), remedy.result.reduced_chi2 if remedy.result else None, _outcome(remedy))
         for remedy in remedies
     ]
-    return Table("What was tried", columns("if", "χ²/dof:.3g", "calibration"), rows)
+    return Table("What was tried", ["if", "χ²/dof:.3g", "calibration"], rows)
 
 
 def _outcome(remedy: Remedy) -> str:

@@ -28,7 +28,7 @@ from pincal.words.numbers import (
     shown_in,
     uncertainty,
 )
-from pincal.words.table import Cell, Column, Table, Value, columns, quantity
+from pincal.words.table import Cell, Table, Value, quantity
 from pincal.words.wording import NAMED, mapped_diagonals
 from pincal.workspace.inscribed import Inscribed
 from pincal.workspace.region import Workspace
@@ -49,7 +49,7 @@ def nominal_table(mechanism: Mechanism) -> Table:
         grid = [list(row) for row in zip(*grid, strict=True)]
     heads, *rows = grid
     title = f"{mechanism.name}: nominal parameters"
-    return Table(title, columns(*map(str, heads)), rows, mechanism.labelled)
+    return Table(title, [*map(str, heads)], rows, mechanism.labelled)
 
 
 def symmetry_table(group: SymmetryGroup, equivariance: float) -> Table:
@@ -60,7 +60,7 @@ def symmetry_table(group: SymmetryGroup, equivariance: float) -> Table:
     size = f"{group.name}, {counted(len(group.elements), 'element')}"
     return Table(
         f"{group.mechanism.name}: {size}, nominal geometry and modes",
-        columns("element", *(f"{name} to" for name in names)),
+        ["element", *(f"{name} to" for name in names)],
         [
             (str(element), *(names[i] for i in permutation))
             for element, permutation in zip(group.elements, group.permutations, strict=True)
@@ -83,7 +83,7 @@ def selection_table(selection: Selection) -> Table:
     return Table(
         f"{len(selection.plan.poses)} poses, {selection.protocol} selection from "
         f"{selection.candidates} candidates",
-        columns("leg", "poses", "efficiency:.4f", "O1:.4f", "condition:.3g"),
+        ["leg", "poses", "efficiency:.4f", "O1:.4f", "condition:.3g"],
         [
             (leg.leg, leg.poses, leg.efficiency, leg.indices.O1_per_parameter, leg.condition)
             for leg in selection.legs
@@ -112,7 +112,7 @@ def choice_table(mechanism: Mechanism, chosen: ConfigurationChoice) -> Table:
     )
     return Table(
         f"{mechanism.name}: configurations for {_GOALS[chosen.goal]}{words}",
-        columns("poses", "of", "efficiency:.3f", "rank", "measured"),
+        ["poses", "of", "efficiency:.3f", "rank", "measured"],
         [row],
     )
 
@@ -132,7 +132,7 @@ def accuracy_table(errors: Mapping[str, Accuracy], turns: bool) -> Table:
     heads = ("position rms [m]:.4f", "worst [m]:.4f", "orientation rms [rad]:.4f")[: 2 + turns]
     return Table(
         f"platform error over the workspace, {errors[nominal].poses} poses",
-        columns("model", *heads, "not reached"),
+        ["model", *heads, "not reached"],
         rows,
     )
 
@@ -152,7 +152,7 @@ def standard_errors(forecast: Forecast) -> Table:
     return Table(
         f"{mechanism.name}: standard errors (1 σ) from {forecast.poses} poses, measured: "
         f"{', '.join(forecast.measured) or 'nothing'}",
-        columns("parameter", "unit", *mechanism.leg_names),
+        ["parameter", "unit", *mechanism.leg_names],
         [
             (name, SMALL[unit], *(cell(leg, name) for leg in mechanism.leg_names))
             for name, unit in units.items()
@@ -206,7 +206,7 @@ def workspace_table(
         text += "; it touches the edge of the grid" * inscribed.at_edge
         facts.append((f"largest {'ball' if positions.dimension == 3 else 'circle'}", text))
     title = f"{test.mechanism.name}: {workspace.kind} workspace"
-    return Table(title, columns("what", "is"), facts, heads=False)
+    return Table(title, ["what", "is"], facts, heads=False)
 
 
 # Calibrations
@@ -231,7 +231,7 @@ def parameters_table(result: CalibrationResult) -> Table:
         for leg in result.legs
         for p in leg.parameters
     ]
-    heads = columns("leg", "parameter", *_HEADS, "change", "change [σ]", "given")
+    heads = ["leg", "parameter", *_HEADS, "change", "change [σ]", "given"]
     if not any(row[-1] for row in rows):
         rows, heads = [row[:-1] for row in rows], heads[:-1]
     caption = "change [σ]: by how many standard errors the parameter moved" + _chosen(result)
@@ -277,7 +277,7 @@ def outside_table(result: CalibrationResult) -> Table:
     """Return the unknowns outside the mechanism: frames and targets."""
     return Table(
         "Outside the mechanism",
-        columns("unknown", "start", *_HEADS[1:]),
+        ["unknown", "start", *_HEADS[1:]],
         [(p.id, *_values(p)) for p in result.external],
         "tracker: where the base is in the frame of the measurements (rx, ry, rz a rotation "
         "vector); others: where what was measured is on the platform; start: where the search "
@@ -294,7 +294,7 @@ def legs_table(result: CalibrationResult) -> Table:
     caption = "condition: of the leg's whitened identification Jacobian, columns scaled"
     return Table(
         f"Legs: {'readings were taken as exact' if exact else 'residuals, rank and condition'}",
-        columns("leg", *([] if exact else _SIZES), "poses", "rank", "condition:.3g"),
+        ["leg", *([] if exact else _SIZES), "poses", "rank", "condition:.3g"],
         [
             (
                 leg.name,
@@ -313,7 +313,7 @@ def observed_table(result: CalibrationResult) -> Table:
     """Return how the measured quantities of the platform fit, where poses are unknowns."""
     return Table(
         "The platform as measured, at the estimated poses",
-        columns("measured", "rows", *_SIZES),
+        ["measured", "rows", *_SIZES],
         [(series.name, len(series.rows), *_sizes(series)) for series in observed_series(result)],
     )
 
@@ -332,7 +332,7 @@ def outliers_table(result: CalibrationResult, most: int = 20) -> Table:
     omitted = len(result.outliers) - most
     return Table(
         f"Rows that do not fit, the worst first (robust loss: {result.loss})",
-        columns("data row", "residual [σ]:.1f", "weight:.2f", "of", "what"),
+        ["data row", "residual [σ]:.1f", "weight:.2f", "of", "what"],
         [
             (
                 outlier.row + 1,
@@ -349,14 +349,14 @@ def outliers_table(result: CalibrationResult, most: int = 20) -> Table:
 
 def files_table(files: Sequence[tuple[str, str]]) -> Table:
     """Return files that were read, and their SHA-256."""
-    return Table("Files read, and their SHA-256", columns("file", "SHA-256"), files)
+    return Table("Files read, and their SHA-256", ["file", "SHA-256"], files)
 
 
 def runs_table(runs: RunComparison) -> Table:
     """Return the spread of parameters over runs against their standard errors."""
     return Table(
         "Spread of the parameters over the runs, against their standard errors, in SI",
-        columns("parameter", "spread:.3g", "predicted:.3g"),
+        ["parameter", "spread:.3g", "predicted:.3g"],
         list(zip(runs.names, runs.spread.tolist(), runs.predicted.tolist(), strict=True)),
     )
 
@@ -373,7 +373,7 @@ def screen_table(explanation: Explanation) -> Table:
         caption += f"; {len(candidates) - NAMED} more are less clear"
     return Table(
         f"{explanation.result.nominal.name}: what geometry does not explain",
-        columns("reading", "term", "amplitudes", "off χ² [%]:.1f", "F:.3g", "chance"),
+        ["reading", "term", "amplitudes", "off χ² [%]:.1f", "F:.3g", "chance"],
         [
             (candidate.reading, str(candidate.kind), *_amplitudes(candidate))
             for candidate in candidates[:NAMED]
@@ -403,8 +403,8 @@ def models_table(explanation: Explanation) -> Table:
         for name, unit in (("position", "m"), ("orientation", "rad"))
         if all(np.isfinite(getattr(model, name)) for model in explanation.models)
     }
-    heads = columns("", "model", "chance", "free", "held out [σ]:.3f", "±:.3f")
-    misses = [Column(name, unit, ".3g") for name, unit in sizes.items()]
+    heads = ["", "model", "chance", "free", "held out [σ]:.3f", "±:.3f"]
+    misses = [f"{name} [{unit}]:.3g" for name, unit in sizes.items()]
     rows = [
         (
             "→" if index == explanation.chosen else "",

@@ -10,12 +10,11 @@ from collections.abc import Sequence
 
 from pincal.finding import Finding
 from pincal.words.numbers import percent
-from pincal.words.wording import Wording
+from pincal.words.wording import Wording, filled
 
 FAULTS: dict[str, Wording] = {
     "readings-still": Wording(
         "A sensor does not move",
-        "readings",
         "{% for name, value, unit, moved in readings %}{', ' if not loop.first}{name} reads the "
         "same in all rows ({value|g(6)} {unit}){% endfor %}, where readings of the nominal "
         "mechanism differ by {% for name, value, unit, moved in readings %}"
@@ -26,7 +25,6 @@ FAULTS: dict[str, Wording] = {
     ),
     "whole-turns": Wording(
         "Readings off by whole turns",
-        "leg reading nominal",
         "{leg}: {rows|length|counted('reading is', 'readings are')} off by whole turns, the first "
         "in data row {row}: {reading|g(6)} rad, where the nominal mechanism reads {nominal|g(6)} "
         "rad",
@@ -37,7 +35,6 @@ FAULTS: dict[str, Wording] = {
     ),
     "other-working-mode": Wording(
         "Another working mode",
-        "legs",
         "readings and poses close the legs, but these bend the other way than in mechanism.yaml's "
         "home: {% for leg, passive, bent, total in legs %}{', ' if not loop.first}{leg} "
         "({passive|join(' and ')}, in {bent} of {total} rows){% endfor %}",
@@ -47,7 +44,6 @@ FAULTS: dict[str, Wording] = {
     ),
     "not-this-mechanism": Wording(
         "Measurements of another mechanism",
-        "leg gap",
         "{leg}: the measurements miss the nominal mechanism by {(100 * gap)|f(1)} % of a leg's "
         "length (median), and no single fault in units, signs, order, zeros or frame explains it",
         "Poses and readings are those of a machine unlike the nominal one.",
@@ -57,7 +53,6 @@ FAULTS: dict[str, Wording] = {
     ),
     "readings-do-not-follow": Wording(
         "Readings do not follow the poses",
-        "leg left stroke",
         "{leg}: the readings do not follow those of the nominal mechanism (machines near it leave "
         "{(100 * left)|g(2)} % of the leg's length where readings move it by "
         "{(100 * stroke)|g(2)} %)",
@@ -67,7 +62,6 @@ FAULTS: dict[str, Wording] = {
     ),
     "rows-copied": Wording(
         "Copied rows",
-        "first pairs",
         "data rows {first[0] + 1} and {first[1] + 1} are identical in all that was measured"
         "{' (and %d more such pairs)' % (pairs - 1) if pairs > 1}; measured twice, they would "
         "differ by noise",
@@ -77,7 +71,6 @@ FAULTS: dict[str, Wording] = {
     ),
     "noise-too-large": Wording(
         "Noise far too large",
-        "what given unit most size",
         "the noise of {what} is given as {'%g' % given} {unit}{% if what == 'position' %}, more "
         "than {(100 * most / size)|f(0)} % of a leg's length ({size|g} m){% else %}; expected less "
         "than {'%g' % most}{% endif %}",
@@ -88,7 +81,6 @@ FAULTS: dict[str, Wording] = {
     ),
     "bad-rows": Wording(
         "Few rows far from the nominal mechanism",
-        "worst times",
         "data row {worst + 1} misses the nominal mechanism {times|g} times as far as rows usually "
         "do{% if rows|length > 1 %}, and {(rows|length - 1)|counted('more row')} so{% endif %}",
         "The fit failed, and few rows are far from where the others are. The finding's rows are "
@@ -97,7 +89,6 @@ FAULTS: dict[str, Wording] = {
     ),
     "frame-misaligned": Wording(
         "Parameters moved as one body",
-        "frame remedy share shift turn p_value",
         "{(100 * share)|f(0)} % of what the nominal model is off by (in squares) is one motion of "
         "the {frame}'s frame, by {size_in_words(shift, turn)}, and parameters that differ each in "
         "its own way hardly move so ({p_value|chance})",
@@ -109,42 +100,39 @@ FAULTS: dict[str, Wording] = {
         "again",
     ),
 }
-_COMMON = " legs left unknown_frame given questioned other_side"
+_COMMON = "legs left unknown_frame given questioned other_side"
 _READINGS = "the readings{' of ' ~ legs|join(', ') if legs}"
 _SIGN = "Change {}, or the sensor's 'direction' in mechanism.yaml"
 _ORDER = "Correct the order of columns"
+_FRAMED = "{' and the base is elsewhere in their frame' if unknown_frame}"
 
 
-def _hypothesis(title: str, value_names: str, says: str, means: str, remedy: str) -> Wording:
+def _hypothesis(title: str, says: str, means: str, remedy: str, framed: str = _FRAMED) -> Wording:
     """Return the wording of a hypothesis, which has values that all hypotheses have."""
-    return Wording(title, value_names + _COMMON, says, means, remedy, "error")
+    return Wording(title, says + framed, means, remedy, "error", unsaid=_COMMON)
 
 
 HYPOTHESES: dict[str, Wording] = {
     "sign-of-readings": _hypothesis(
         "Sign of the readings",
-        "",
         f"{_READINGS} have the other sign",
         "Sensors count the other way than mechanism.yaml says.",
         _SIGN.format("their sign"),
     ),
     "sign-of-column": _hypothesis(
         "Sign of one reading",
-        "column",
         "{column} has the other sign",
         "One sensor of a leg with several counts the other way.",
         _SIGN.format("its sign"),
     ),
     "columns-exchanged": _hypothesis(
         "Exchanged columns of a leg",
-        "columns",
         "{columns|join(' and ')} are exchanged",
         "Two readings of a leg stand below each other's names.",
         _ORDER,
     ),
     "legs-exchanged": _hypothesis(
         "Exchanged legs",
-        "order",
         "legs are exchanged: {% for leg, column in order %}{' and ' if not loop.first}column "
         "{column} fits {leg}{% endfor %}",
         "Readings stand below the names of other legs.",
@@ -152,7 +140,6 @@ HYPOTHESES: dict[str, Wording] = {
     ),
     "unit": _hypothesis(
         "Wrong unit",
-        "units",
         "{% for kind, unit, written in units %}{' and ' if not loop.first}"
         f"{{% if kind == 'readings' %}}{_READINGS}{{% else %}}the {{kind}}{{% endif %}}"
         " are {UNIT_NAMES[written]} under {HEADERS[unit, written]}{% endfor %}",
@@ -161,7 +148,6 @@ HYPOTHESES: dict[str, Wording] = {
     ),
     "left-handed-frame": _hypothesis(
         "Left-handed frame",
-        "axis orientations_right",
         "{axis|join(' and ')} {'has the other sign' if axis|length == 1 else 'are exchanged'}"
         "{' and the orientations are right' if orientations_right else ', as in a left-handed "
         "frame'}",
@@ -170,14 +156,12 @@ HYPOTHESES: dict[str, Wording] = {
     ),
     "sign-of-angle": _hypothesis(
         "Sign of an angle of the platform",
-        "column",
         "{column} has the other sign",
         "An angle of the platform's orientation turns the other way.",
         "Change the sign of that angle",
     ),
     "angles-exchanged": _hypothesis(
         "Exchanged columns of the orientation",
-        "order",
         "{% if order|length == 2 %}{order[0][0]} and {order[1][0]} are exchanged{% else %}columns "
         "of the orientation are exchanged: {% for name, column in order %}"
         "{', ' if not loop.first}{name} is below {column}{% endfor %}{% endif %}",
@@ -186,21 +170,18 @@ HYPOTHESES: dict[str, Wording] = {
     ),
     "orientation-inverted": _hypothesis(
         "Inverted orientation",
-        "",
         "the orientations turn the other way (that of the base seen from the platform)",
         "The base's orientation in the platform's frame was given.",
         "Give the orientation of the platform in the base frame",
     ),
     "pose-inverted": _hypothesis(
         "Inverted pose",
-        "",
         "the poses are those of the base in the platform's frame",
         "The base's pose in the platform's frame was given.",
         "Give the poses of the platform in the base frame",
     ),
     "rows-shifted": _hypothesis(
         "Logs out of step",
-        "shift",
         "the readings stand {shift|abs|counted('row')} {'below' if shift > 0 else 'above'} the "
         "poses they belong to",
         "Readings and poses of one row were not measured together.",
@@ -208,7 +189,6 @@ HYPOTHESES: dict[str, Wording] = {
     ),
     "reading-offset": _hypothesis(
         "Zero of a sensor",
-        "offsets",
         "the zeros of readings are off: {% for name, offset, unit in offsets %}"
         "{', ' if not loop.first}{name} by about {offset|g(2)} {unit}{% endfor %}",
         "A sensor's zero is farther off than machines differ from their drawings.",
@@ -216,7 +196,6 @@ HYPOTHESES: dict[str, Wording] = {
     ),
     "scale-of-readings": _hypothesis(
         "Scale of the readings",
-        "factors",
         "{% if factors|map(attribute=1)|unique|list|length == 1 %}"
         f"{_READINGS} are {{factors[0][1]|times}}"
         "{% else %}the readings of {% for name, factor, unit in factors %}"
@@ -227,40 +206,31 @@ HYPOTHESES: dict[str, Wording] = {
     ),
     "unknown-frame": _hypothesis(
         "Frame of the measurements",
-        "",
         "the poses are those in another frame than the base's",
         "The tracker's frame is not the base's.",
         "Say that the base is elsewhere in that frame (--unknown-frame; in Python "
         "Setup(unknown_frame=True))",
+        framed="",
     ),
 }
 
 
+_MISSED = (
+    "{% if other_side > 0.5 %}{(100 * other_side)|f(0)} % of the poses lie on the other side of a "
+    "singularity than mechanism.yaml's home; they would lie on its side, and miss "
+    "{% elif given is none %}readings and measured positions cannot be brought together; they "
+    "would miss {% else %}{questioned|join(', ')}: the measurements miss every mechanism near the "
+    "nominal one by {given|percent} of a leg's length (median), but only {% endif %}"
+)
+
+
 def explanation(findings: Sequence[Finding]) -> str:
     """Return one sentence for hypotheses that explain measurements alike, and their remedies."""
-    first = findings[0].values
-    causes = [f"by {percent(finding.values['left'])} if {cause(finding)}" for finding in findings]
-    if first["other_side"] > 0.5:
-        start = (
-            f"{100 * first['other_side']:.0f} % of the poses lie on the other side of a "
-            "singularity than mechanism.yaml's home; they would lie on its side, and miss "
-        )
-    elif first["given"] is None:
-        start = "readings and measured positions cannot be brought together; they would miss "
-    else:
-        start = (
-            f"{', '.join(first['questioned'])}: the measurements miss every mechanism near the "
-            f"nominal one by {percent(first['given'])} of a leg's length (median), but only "
-        )
+    causes = [
+        f"by {percent(finding.values['left'])} if {HYPOTHESES[finding.code].said(finding)}"
+        for finding in findings
+    ]
     codes = [finding.code for finding in findings]
     codes += ["unknown-frame" for finding in findings if finding.values["unknown_frame"]]
     remedies = dict.fromkeys(HYPOTHESES[code].remedy for code in codes)
-    return f"{start}{', or '.join(causes)}. {'; or: '.join(remedies)}"
-
-
-def cause(finding: Finding) -> str:
-    """Return what a hypothesis says, as what follows 'if'."""
-    words = HYPOTHESES[finding.code].said(finding)
-    if finding.values["unknown_frame"] and finding.code != "unknown-frame":
-        words += " and the base is elsewhere in their frame"
-    return words
+    return f"{filled(_MISSED, findings[0])}{', or '.join(causes)}. {'; or: '.join(remedies)}"

@@ -1,7 +1,7 @@
 """Sentences of findings about a calibration: its fit, its rows, its parameters, its freedoms.
 
 One table for each kind, from code to ``Wording``; those of measurements that cannot be right are in
-``faults``. What values are called and mean: ``docs/errors.py``.
+``faults``. What values mean: ``docs/errors.py``.
 """
 
 from __future__ import annotations
@@ -20,7 +20,6 @@ _ASSUMED = "the uncertainties assume that noise"
 RESULTS: dict[str, Wording] = {
     "not-converged": Wording(
         "The fit did not converge",
-        "message",
         "the fit did not converge: {message}",
         "The search for the parameters ended without an answer: there is no calibrated mechanism.",
         "Look at the units and at the working mode; give a better nominal mechanism, more poses, "
@@ -29,7 +28,6 @@ RESULTS: dict[str, Wording] = {
     ),
     "not-corrected": Wording(
         "The fit failed",
-        "excess",
         _EXCESS + ", and hardly fell",
         "Parameters that fit no better than nominal ones correct nothing.",
         "Look at the warnings first",
@@ -37,7 +35,6 @@ RESULTS: dict[str, Wording] = {
     ),
     "residuals-too-large": Wording(
         "No accuracy can be promised",
-        "excess",
         _EXCESS,
         "Something is wrong with rows, noise or model, and the parameters follow it.",
         "Look at the warnings first",
@@ -45,7 +42,6 @@ RESULTS: dict[str, Wording] = {
     ),
     "no-noise": Wording(
         "Measurements without noise",
-        "",
         "residuals are rounding errors: nothing was measured like that",
         "Uncertainties and tests come from the size of residuals, and these have none. So it is "
         "with simulated data without noise.",
@@ -53,7 +49,6 @@ RESULTS: dict[str, Wording] = {
     ),
     "noise-estimated": Wording(
         "Noise estimated by group",
-        "position orientation reading units",
         "the noise was not given: it was estimated from the residuals, "
         "{noise_in_words(position, orientation, reading, units)}",
         "Variance components of positions, orientations and readings were estimated with the "
@@ -62,22 +57,21 @@ RESULTS: dict[str, Wording] = {
     ),
     "chi2-too-large": Wording(
         "Residuals larger than the noise",
-        "chi2 dof source",
         f"{_CHI2}larger than {_SOURCE}, or the model lacks something; {_ASSUMED}",
         "Residuals are larger than the noise given makes them: intervals are too narrow, and the "
         "model may lack something, such as play, bending, temperature, a wrong unit or frame.",
         "See what they follow (pincal explain), and look at outlying rows",
+        unsaid="dof",
     ),
     "chi2-too-small": Wording(
         "Residuals smaller than the noise",
-        "chi2 dof source",
         f"{_CHI2}smaller than {_SOURCE}; {_ASSUMED}",
         "Residuals are smaller than the noise given makes them: intervals are too wide.",
         "Correct the noise, if it is known to be smaller",
+        unsaid="dof",
     ),
     "noise-in-other-proportion": Wording(
         "Noise in another proportion",
-        "ratios p_value",
         "the noise is not in the proportion given ({p_value|chance}): residuals show "
         "{% for name, ratio in ratios.items() %}{(100 * ratio)|f(0)} % of it in {name}"
         "{', ' if not loop.last}{% endfor %}",
@@ -87,7 +81,6 @@ RESULTS: dict[str, Wording] = {
     ),
     "curved": Wording(
         "Intervals of a curved problem",
-        "curvature",
         "within one standard error the problem is curved: the curved part of the residuals' change "
         "is {curvature|g(2)} of the straight one",
         "Standard errors come from a straight line through a curve, and joint intervals are too "
@@ -96,7 +89,6 @@ RESULTS: dict[str, Wording] = {
     ),
     "beyond-measured": Wording(
         "Outside the measured region",
-        "share position orientation undetermined",
         "{share|percent} of the workspace lies outside the measured region"
         "{% if undetermined < 1 %}: expect {size_in_words(position, orientation)} there, if the "
         "model holds as it does where it was measured{% endif %}"
@@ -110,7 +102,6 @@ RESULTS: dict[str, Wording] = {
     ),
     "terms-chosen": Wording(
         "Terms were chosen by the same measurements",
-        "",
         "{parameters|join(', ')} were added because they fit these measurements",
         "A wrong term takes up what residuals showed: they do not contradict it any more. No limit "
         "is promised until held-out rows vouch for it.",
@@ -119,7 +110,6 @@ RESULTS: dict[str, Wording] = {
     ),
     "promise-leaves-out": Wording(
         "What the promise leaves out",
-        "what",
         "the promise leaves out {what|of(UNCOVERED)|listed}: nothing was said of that",
         "Parameters take these up, so that residuals show them only if they are large.",
         severity="info",
@@ -131,7 +121,6 @@ RESULTS: dict[str, Wording] = {
 ROWS: dict[str, Wording] = {
     "model-lacks": Wording(
         "Residuals follow something",
-        "quantity term p_value",
         "{quantity}: residuals follow {TERMS[term][0]} ({p_value|chance}), and the model has "
         "nothing for that: {TERMS[term][1]}",
         "Residuals follow what the model lacks, more than chance explains (p below 0.01, all tests "
@@ -141,7 +130,6 @@ ROWS: dict[str, Wording] = {
     ),
     "step": Wording(
         "A step",
-        "quantity size unit p_value",
         "{quantity} is off by {size|amount(unit)} from data row {row} on ({p_value|chance})",
         "A sensor, target or frame changed its place during the experiment. The finding's row is "
         "the first after it.",
@@ -150,7 +138,6 @@ ROWS: dict[str, Wording] = {
     ),
     "reference-moved": Wording(
         "A pose moved that was measured again",
-        "pose quantity size unit p_value",
         "the pose '{pose}', measured {rows|length} times: {quantity} moved by {size|amount(unit)} "
         "from data row {row} to {rows[-1]} ({p_value|chance})",
         "What was measured of one pose, four times or more, moved with time, more than readings "
@@ -160,7 +147,6 @@ ROWS: dict[str, Wording] = {
     ),
     "outliers": Wording(
         "Outliers",
-        "total sigma quantity off lacking",
         "{rows|length} of {total} rows do{'es' if rows|length == 1} not fit the others, "
         "{'' if rows|length == 1 else 'the worst '}data row {row} by {sigma|f(1)} standard "
         "deviations ({quantity} off by {off|f(1)} σ)",
@@ -173,7 +159,6 @@ ROWS: dict[str, Wording] = {
     ),
     "wrong-rows": Wording(
         "Few rows spoil the fit",
-        "total chi2 without sigma quantity off",
         "{% if rows|length == 1 %}data row {row} does not fit the others, by{% else %}"
         "{rows|length} data rows of {total}, {rows[:6]|listed}"
         "{% if rows|length > 6 %} and {rows|length - 6} more{% endif %}, do not fit the others, "
@@ -187,7 +172,6 @@ ROWS: dict[str, Wording] = {
     ),
     "many-outliers": Wording(
         "Many rows do not fit",
-        "share",
         "{(100 * share)|f(0)} % of the rows do not fit the others, data row {row} least",
         "More than a tenth of the rows are outliers: rather the noise is larger than given, or the "
         "model lacks something, than that so many are wrong. The finding's rows are those.",
@@ -195,7 +179,6 @@ ROWS: dict[str, Wording] = {
     ),
     "held-out-worse": Wording(
         "Held-out rows miss by more than is expected",
-        "held_out expected p_value",
         "held-out rows miss by {held_out|f(2)} standard deviations where {expected|f(2)} are "
         "expected ({p_value|chance}): the model follows its rows more closely than the machine",
         "Rows that a fit has not seen miss by more than is explained (p below 0.001).",
@@ -203,7 +186,6 @@ ROWS: dict[str, Wording] = {
     ),
     "runs-differ": Wording(
         "Runs differ",
-        "ratio p_value",
         "parameters differ between runs {ratio|f(1)} times as much as their standard errors say "
         "({p_value|chance}), {parameters|join(', ')} most: something changed between runs, or the "
         "noise is larger than given",
@@ -215,7 +197,6 @@ ROWS: dict[str, Wording] = {
 PARAMETERS: dict[str, Wording] = {
     "tolerance-found": Wording(
         "Tolerances found with the parameters",
-        "unit size low high count",
         "{% set kinds = {'m': 'lengths', 'rad': 'angles', '1': 'gains'}[unit] %}"
         "{% if size|finite %}{kinds} differ from the drawing by {size|amount(unit)}, standard "
         "deviation of {count} (95 %: {low|amount(unit)} "
@@ -231,14 +212,12 @@ PARAMETERS: dict[str, Wording] = {
     ),
     "few-poses": Wording(
         "Few poses",
-        "legs poses unknowns",
         "{legs|join(', ')}: {poses} poses for {unknowns} parameters",
         "So few equations that residuals are small whatever the machine is.",
         "Measure more: two or three times as many poses as parameters are advised",
     ),
     "weakly-determined": Wording(
         "Weakly determined parameters",
-        "parameter half unit held",
         "{% if parameters|length == 1 %}{parameter} is weakly determined, known{% else %}"
         "{parameters|length} parameters are weakly determined, {parameter}{% endif %} to ± "
         "{half|g(2)}{unit|si} only",
@@ -252,7 +231,6 @@ PARAMETERS: dict[str, Wording] = {
     ),
     "undetermined-held": Wording(
         "Undetermined parameters were held",
-        "groups weak",
         "these measurements do not determine everything: {groups|groups}{'; ' if groups and weak}"
         "{weak|listed ~ ' are weakly determined' if weak}",
         "What is named was held as near to nominal as can be: the machine is calibrated where it "
@@ -262,7 +240,6 @@ PARAMETERS: dict[str, Wording] = {
     ),
     "far-from-nominal": Wording(
         "A parameter moved far",
-        "parameter change unit options",
         "{parameter} moved by {'%+.3g' % change}{unit|si}, farther than a machine differs from its "
         "drawing",
         "A parameter moved by more than 5 % of the mechanism's size, or 0.05 rad or 1. If the "
@@ -274,7 +251,6 @@ PARAMETERS: dict[str, Wording] = {
     ),
     "zeros-found": Wording(
         "Zeros of motors are far off",
-        "changes",
         "zeros of readings are far from the drawing's: {% for id, change, unit in changes %}"
         "{loop|joint}{id} by {change|g}{unit|si or ' '}{% endfor %}",
         "Nothing but other zeros explains the measurements, and full poses give these in closed "
@@ -283,7 +259,6 @@ PARAMETERS: dict[str, Wording] = {
     ),
     "sign-changed": Wording(
         "A length changed its sign",
-        "lengths",
         "lengths changed their sign: {% for id, nominal, length in lengths %}{loop|joint}{id} from "
         "{nominal|g(4)} to {length|g(4)} m{% endfor %}",
         "The mirror image of a leg fits, or the search went astray: a length of the drawing cannot "
@@ -292,7 +267,6 @@ PARAMETERS: dict[str, Wording] = {
     ),
     "tie-contradicted": Wording(
         "A tie does not hold",
-        "name p_value",
         "{name} is tied over the legs, and the measurements contradict that ({p_value|chance})",
         "The legs differ in this parameter by more than their standard errors explain (1 %).",
         "Leave the tie out (--tied)",
@@ -302,7 +276,6 @@ _NEAREST = "Of equal parameters, those nearest to nominal were taken."
 FREEDOMS: dict[str, Wording] = {
     "gauge-base-frame": Wording(
         "Gauge freedom of the base frame",
-        "freedoms unknown_frame",
         "the base frame: {freedoms|counted('freedom')}, since "
         "{% if unknown_frame %}the frame of the measurements is unknown{% else %}what was measured "
         "does not fix it{% endif %}",
@@ -311,7 +284,6 @@ FREEDOMS: dict[str, Wording] = {
     ),
     "gauge-platform-frame": Wording(
         "Gauge freedom of the platform's frame",
-        "freedoms",
         "the platform's frame: {freedoms|counted('freedom')}, since what was measured does not say "
         "how the platform's points lie in it",
         f"Moving the platform's frame in the platform changes nothing that is measured. {_NEAREST}",
@@ -319,7 +291,6 @@ FREEDOMS: dict[str, Wording] = {
     ),
     "redundant-parameters": Wording(
         "Redundant parameters",
-        "count groups",
         "{count|counted('parameter is', 'parameters are')} redundant, whatever is measured: "
         "{groups|groups}",
         f"Some parameters do the same to the platform as others. {_NEAREST}",

@@ -30,9 +30,9 @@ def finding(
         TypeError: values that are missing, or that the code does not have.
     """
     wording = WORDINGS[code]
-    if set(values) != set(wording.value_names.split()):
+    if set(values) != wording.value_names:
         raise TypeError(
-            f"{code} has the values {sorted(wording.value_names.split())}, got {sorted(values)}: "
+            f"{code} has the values {sorted(wording.value_names)}, got {sorted(values)}: "
             "see pincal.words"
         )
     places = tuple(int(row) for row in rows)

@@ -9,7 +9,8 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from math import isfinite
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
@@ -40,48 +41,7 @@ def quantity(
     return Cell(value, "" if value != value else fixed(value, half, unit, units, sign))
 
 
-@dataclass(frozen=True)
-class Column:
-    """A column of a table."""
-
-    name: str
-    """What heads it, and the key of its values in records."""
-    unit: str = ""
-    """SI unit of its numbers, ``"m"``, ``"rad"`` or ``"1"``, if it is one for all."""
-    format: str = ".4g"
-    """Of its numbers, in the unit in which they are read."""
-    units: Mapping[str, str] = field(default_factory=lambda: SMALL)
-    """In which unit numbers are read, by SI unit."""
-
-    @property
-    def head(self) -> str:
-        """The name with the unit in which numbers are read."""
-        shown = self.units[self.unit] if self.unit else ""
-        return f"{self.name} [{shown}]" if shown else self.name
-
-    def text(self, value: Value) -> str:
-        """Return a value as it is shown."""
-        if isinstance(value, Cell):
-            return value.text
-        if value is None or value != value:
-            return ""
-        if isinstance(value, str | int):
-            return str(value)
-        if not isfinite(value):
-            return "∞"
-        shown = shown_in(value, self.unit, self.units) if self.unit else value
-        if self.format.endswith("g"):
-            return rounded(shown, int(self.format[1:-1]))
-        return f"{shown:{self.format}}"
-
-
 _HEAD = re.compile(r"(.*?)(?: \[(m|rad)\])?(?::(\.\d[fg]))?")
-
-
-def columns(*heads: str) -> tuple[Column, ...]:
-    """Return columns by heads, with the SI unit and the format of numbers: ``worst [m]:.3f``."""
-    parts = (_HEAD.fullmatch(head) for head in heads)
-    return tuple(Column(m[1], m[2] or "", m[3] or ".4g") for m in parts if m)
 
 
 @dataclass(frozen=True)
@@ -89,7 +49,8 @@ class Table:
     """A table: shown by rich's console, by a page's template, by a notebook."""
 
     title: str
-    columns: tuple[Column, ...]
+    columns: Sequence[str]
+    """What heads them, with SI unit and format of numbers: ``rms``, ``worst [m]:.3f``."""
     rows: Sequence[Sequence[Value]]
     caption: str = ""
     """What to know of it."""
@@ -98,10 +59,22 @@ class Table:
     heads: bool = True
     """Whether columns have heads; a list of facts has none."""
 
+    @cached_property
+    def _parts(self) -> list[tuple[str, str, str]]:
+        """Name, SI unit and format of each column; unit and format are empty if there is none."""
+        matches = (_HEAD.fullmatch(column) for column in self.columns)
+        return [(m[1], m[2] or "", m[3] or ".4g") for m in matches if m]
+
+    @property
+    def head_cells(self) -> list[str]:
+        """What heads the columns, with the units in which numbers are read."""
+        return [f"{name} [{SMALL[unit]}]" if unit else name for name, unit, _ in self._parts]
+
     def cells(self) -> list[list[str]]:
         """Return all cells as text, those of a group's name but once."""
+        parts = self._parts
         shown = [
-            [column.text(value) for column, value in zip(self.columns, row, strict=True)]
+            [_text(value, unit, form) for (_, unit, form), value in zip(parts, row, strict=True)]
             for row in self.rows
         ]
         if self.grouped:
@@ -119,7 +92,7 @@ class Table:
 
     def records(self) -> list[dict[str, Any]]:
         """Return the rows for JSON: raw values in SI by the columns' names; None if not finite."""
-        names = [column.name for column in self.columns]
+        names = [name for name, _, _ in self._parts]
         raw = [[_raw(value) for value in row] for row in self.rows]
         return [
             {
@@ -149,8 +122,8 @@ class Table:
 
         def drawn(*, broken: bool, whole_words: bool = False) -> RichTable:
             table = RichTable(box=style, pad_edge=False, show_header=self.heads)
-            for place, (column, side) in enumerate(zip(self.columns, self.aligned, strict=True)):
-                head = column.head.replace(" [", "\n[") if broken else column.head
+            for place, (head, side) in enumerate(zip(self.head_cells, self.aligned, strict=True)):
+                head = head.replace(" [", "\n[") if broken else head
                 words = " ".join([head, *(row[place] for row in cells)]).split()
                 table.add_column(
                     Text(head),
@@ -181,6 +154,20 @@ class Table:
         buffer = io.StringIO()
         Console(file=buffer, width=120).print(self)
         return "\n".join(line.rstrip() for line in buffer.getvalue().splitlines())
+
+
+def _text(value: Value, unit: str, form: str) -> str:
+    """Return a value as it is shown."""
+    if isinstance(value, Cell):
+        return value.text
+    if value is None or value != value:
+        return ""
+    if isinstance(value, str | int):
+        return str(value)
+    if not isfinite(value):
+        return "∞"
+    shown = shown_in(value, unit) if unit else value
+    return rounded(shown, int(form[1:-1])) if form.endswith("g") else f"{shown:{form}}"
 
 
 def _raw(value: Value) -> float | str | None:

@@ -15,7 +15,7 @@ from functools import cache
 from math import isfinite
 from typing import Any
 
-from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined, Template
+from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined, Template, meta
 
 from pincal.finding import Finding, Severity
 from pincal.model.checks import ALIKE
@@ -48,8 +48,6 @@ class Wording:
 
     title: str
     """What it is, in few words."""
-    value_names: str
-    """Names of the values that a finding of it has (``docs/errors.py`` says what they are)."""
     says: str
     """Template of what was found, in one sentence without capital and full stop."""
     means: str
@@ -59,6 +57,13 @@ class Wording:
     severity: Severity = "warning"
     general: str = ""
     """The remedy as the page of errors says it, where it depends on values."""
+    unsaid: str = ""
+    """Names of values that are not in these templates."""
+
+    @property
+    def value_names(self) -> set[str]:
+        """Names of the values that a finding of it has (``docs/errors.py`` says what they are)."""
+        return {*_names_in(self.says), *_names_in(self.remedy), *self.unsaid.split()}
 
     @property
     def advice(self) -> str:
@@ -67,19 +72,34 @@ class Wording:
 
     def said(self, finding: Finding) -> str:
         """Return what was found."""
-        return _filled(self.says, finding)
+        return filled(self.says, finding)
 
     def remedied(self, finding: Finding) -> str:
         """Return what to do about it."""
-        return _filled(self.remedy, finding)
+        return filled(self.remedy, finding)
 
 
-def _filled(words: str, finding: Finding) -> str:
+def filled(words: str, finding: Finding) -> str:
     """Return a template with the values of a finding."""
     rows = [row + 1 for row in finding.rows]
-    names = {"rows": rows, "row": rows[0] if rows else None, "them": "them"}
-    names |= {"them": "it"} if len(rows) == 1 else {}
-    return sentence_template(words).render(names, parameters=finding.parameters, **finding.values)
+    them = "it" if len(rows) == 1 else "them"
+    names = {"rows": rows, "row": rows[0] if rows else None, "them": them}
+    template = _template(words)
+    return template.render(names, parameters=finding.parameters, **finding.values)
+
+
+@cache
+def _template(words: str) -> Template:
+    """Return a sentence with what differs in braces."""
+    return _sentences().from_string(words)
+
+
+@cache
+def _names_in(words: str) -> set[str]:
+    """Return the names of values that a template asks for."""
+    environment = _sentences()
+    names = meta.find_undeclared_variables(environment.parse(words))
+    return names - {"rows", "row", "them", "parameters", *environment.globals}
 
 
 def group_in_words(group: tuple[str, ...]) -> str:
@@ -127,12 +147,6 @@ def _cleaned(value: Any) -> Any:
 def rendered(template: str, **values: Any) -> str:
     """Return a template of ``pincal/words`` or ``pincal/show/pages`` with values."""
     return _pages().get_template(template).render(**values)
-
-
-@cache
-def sentence_template(words: str) -> Template:
-    """Return a sentence with what differs in braces."""
-    return _sentences().from_string(words)
 
 
 _FILTERS = {
