@@ -7,8 +7,8 @@ import numpy as np
 import pincal
 
 # Freedoms are rows of a twist; the coordinates x, y, z and phi follow from them.
-kind = pincal.PlatformKind("3T1R", ("x", "y", "z", "rz"))
-platform = pincal.Platform(kind, home=(0.0, 0.0, -0.47, 0.0))
+home, twist = (0.0, 0.0, -0.47, 0.0), ("x", "y", "z", "rz")
+platform = pincal.Platform("3T1R", home, twist)
 
 # One leg: a driven crank, and a rod that turns both ways at the elbow. It is set askew, else
 # no leg would feel phi.

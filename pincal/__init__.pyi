@@ -34,7 +34,7 @@ from .model.measurements import Measurements, Noise, Plan
 from .model.mechanism import Mechanism
 from .model.parameter import Parameter
 from .model.placement import Placement
-from .model.platform import Platform, PlatformKind
+from .model.platform import Platform
 from .model.sensor import Sensor
 from .model.setup import Condition, Distance, Image, Instrument, Setup, Systematic, Target, Tracker
 from .model.terms import Harmonic, Load, Power, Share, Term
@@ -83,7 +83,6 @@ __all__ = [
     "Placement",
     "Plan",
     "Platform",
-    "PlatformKind",
     "Power",
     "Selection",
     "Sensor",

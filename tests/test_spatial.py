@@ -112,16 +112,16 @@ def test_tilted_matrices_are_turns_about_axes() -> None:
 
 
 @pytest.mark.parametrize("kind", ["planar", "translational", "spatial"])
-def test_matrices_are_made_of_the_rows_that_are_asked_for(kind: str) -> None:
-    """By slice, places or mask, of coordinates and of transforms: those of all poses, of no row."""
+def test_matrices_of_transforms_are_those_of_coordinates(kind: str) -> None:
+    """Transforms pass as they are; memory runs along the poses; a single one is refused."""
     dof = {"planar": 3, "translational": 3, "spatial": 6}[kind]
     platform = pincal.Platform(kind, (0.0,) * dof)
     poses = np.random.default_rng(2).uniform(-1.0, 1.0, (20, dof))
-    whole = platform.matrices(poses)
-    for placed in (platform.placed(poses), platform.placed(platform.transforms(poses))):
-        assert len(placed) == len(poses)
-        for rows in (slice(3, 9), np.array([7, 2, 2]), poses[:, 0] > 0.0, slice(0)):
-            np.testing.assert_array_equal(placed[rows], whole[rows])
+    matrices, transforms = platform.matrices(poses), platform.transforms(poses)
+    np.testing.assert_array_equal(platform.matrices(transforms), matrices)
+    assert platform.matrices(transforms).strides == matrices.strides
+    with pytest.raises(pincal.MechanismError, match="got a single one"):
+        platform.matrices(transforms[0])
 
 
 @pytest.mark.parametrize("kind", ["spatial", "translational"])

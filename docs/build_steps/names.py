@@ -4,7 +4,7 @@ from __future__ import annotations
 
 GROUPS = {
     "Mechanisms": "load_mechanism new_mechanism Mechanism Leg Joint Placement Parameter Platform "
-    "PlatformKind generate",
+    "generate",
     "Sensors and terms": "Sensor Term Harmonic Power Share Load",
     "Kinematics": "inverse forward margins identification_jacobian",
     "Workspace": "sample_workspace sample_configurations compute_workspace Workspace Grid "

@@ -20,7 +20,7 @@ from pincal.files.text import Name, Number, Strict
 from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.placement import Coordinate
-from pincal.model.platform import KINDS, Platform, PlatformKind
+from pincal.model.platform import KINDS, Platform
 from pincal.model.sensor import Sensor
 from pincal.model.terms import Harmonic, Load, Power, Share, Term
 
@@ -186,8 +186,8 @@ class PlatformSpec(Strict):
     def platform(self) -> Platform:
         """Return the platform."""
         kind = self.kind
-        form = kind if isinstance(kind, str) else PlatformKind(kind.name, tuple(kind.freedoms))
-        platform = Platform(form, tuple(self.home.values()))
+        name, twist = (kind, ()) if isinstance(kind, str) else (kind.name, tuple(kind.freedoms))
+        platform = Platform(name, tuple(self.home.values()), twist)
         if tuple(self.home) != platform.coordinates:
             raise MechanismError(
                 f"platform.home has {', '.join(self.home)}; expected "
@@ -226,7 +226,7 @@ def mechanism_yaml(mechanism: Mechanism) -> str:
     platform, load = mechanism.platform, mechanism.load
     kind: Any = platform.kind
     if kind not in KINDS:
-        kind = {"name": platform.kind, "freedoms": platform.form.freedoms}
+        kind = {"name": platform.kind, "freedoms": platform.twist}
     home = dict(zip(platform.coordinates, platform.home, strict=True))
     keys = {
         "pincal": FORMAT,

@@ -66,7 +66,7 @@ def closing_in_words(tree: Tree, mechanism: Mechanism) -> tuple[str, bool]:
         leg.with_home([drawn.get(joint.name, 0.0) for joint in leg.moving])
         for leg in mechanism.legs
     ]
-    gap = opening(legs, mechanism.platform.form)
+    gap = opening(legs, mechanism.platform)
     if gap <= max(ALIKE, tree.slack) * largest_size(mechanism.legs):
         return f"the loops close as drawn, within {gap:.2g} m", False
     moved: dict[str, tuple[float, str]] = {}
@@ -132,7 +132,8 @@ def _outside_limits(legs: Iterable[Leg]) -> list[str]:
 
 def _closed(tree: Tree, legs: list[Leg], kind: str) -> tuple[tuple[Leg, ...], Platform]:
     """Return the legs with home positions that close them, and the platform at its home pose."""
-    gap, size = opening(legs, kind), largest_size(legs)
+    platform = Platform.at_origin(kind)
+    gap, size = opening(legs, platform), largest_size(legs)
     if gap > ROUGH * size and not tree.homed:
         raise MechanismError(
             f"{tree.source}: the loops do not close near the joint positions that the file draws: "
@@ -141,7 +142,7 @@ def _closed(tree: Tree, legs: list[Leg], kind: str) -> tuple[tuple[Leg, ...], Pl
             "look at the frames of the loops and at units (metres, radians)"
         )
     try:
-        return assembled(legs, kind, tree.slack)
+        return assembled(legs, platform, tree.slack)
     except MechanismError as error:
         raise MechanismError(f"{tree.source}: {error}") from error
 

@@ -34,7 +34,7 @@ def tree_of(mechanism: Mechanism) -> tuple[Tree, tuple[str, ...]]:
     if it can.
     """
     with suppress(MechanismError):
-        legs, platform = assembled(mechanism.legs, mechanism.platform.form)
+        legs, platform = assembled(mechanism.legs, mechanism.platform)
         mechanism = replace(mechanism, legs=legs, platform=platform)
     names = [joint.name for leg in mechanism.legs for joint in leg.joints]
     shared = len(set(names)) != len(names) or PLATFORM in names

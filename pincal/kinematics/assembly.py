@@ -13,6 +13,7 @@ others. Of the parameters in order, those that add to the rank are kept, ranks c
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -22,7 +23,7 @@ from pincal.errors import MechanismError
 from pincal.kinematics.closure import LegClosure, Newton, joint_range, largest_size
 from pincal.model.checks import ROUNDING
 from pincal.model.leg import Leg
-from pincal.model.platform import Platform, PlatformKind
+from pincal.model.platform import Platform
 from pincal.types import Array
 
 _NEWTON = Newton(steps=100, largest=0.3, closed=1e-10)
@@ -32,24 +33,24 @@ _DEPENDS = 1e-7  # of a column, what others leave of it
 
 
 def assembled(
-    legs: Sequence[Leg], kind: str | PlatformKind, slack: float = 0.0
+    legs: Sequence[Leg], platform: Platform, slack: float = 0.0
 ) -> tuple[tuple[Leg, ...], Platform]:
     """Return the legs with home positions that close them, and the platform at its home pose.
 
     Args:
         legs: The legs; their home positions are where to start.
-        kind: Of the platform.
+        platform: The platform; its home does not count.
         slack: What cut digits may have moved frames by, of a leg's size and [rad].
 
     Raises:
         MechanismError: no such configuration was found.
     """
-    free = Platform.at_origin(kind)
+    free = Platform.at_origin(platform.kind, platform.twist)
     size = largest_size(legs) or 1.0
     pose, joints, gap = _closed(legs, free, size, _SINGULAR)
     ends = zip(legs, joints, strict=True)
     moved = max(float(np.abs(q[0] - leg.home).max(initial=0.0)) for leg, q in ends)
-    far = slack > _SINGULAR and moved > opening(legs, kind) / size / slack
+    far = slack > _SINGULAR and moved > opening(legs, platform) / size / slack
     if far or not gap <= _NEWTON.closed * size:
         pose, joints, gap = _closed(legs, free, size, max(slack, _SINGULAR))
     if not gap <= max(_NEWTON.closed, slack) * size:
@@ -60,7 +61,7 @@ def assembled(
         )
     home = free.from_matrices(pose)[0]
     placed = tuple(leg.with_home(q[0]) for leg, q in zip(legs, joints, strict=True))
-    return placed, Platform(kind, tuple(home.tolist()))
+    return placed, replace(platform, home=tuple(home.tolist()))
 
 
 def _closed(
@@ -113,12 +114,12 @@ def cut_in_gap(values: Array, least: float) -> float:
     return float(np.sqrt(ends[widest] * ends[widest + 1]))
 
 
-def opening(legs: Sequence[Leg], kind: str | PlatformKind) -> float:
+def opening(legs: Sequence[Leg], platform: Platform) -> float:
     """Return how far ends that should meet are apart at home, the platform put in between, [m].
 
     Where whole frames meet, their turn counts times the leg's size.
     """
-    free = Platform.at_origin(kind)
+    free = Platform.at_origin(platform.kind, platform.twist)
     closures, joints = [LegClosure(leg, free) for leg in legs], [leg.home[None] for leg in legs]
     pose = _fitted(closures, joints, free)
     gaps = [closure.evaluate(q, pose).gap[0] for closure, q in zip(closures, joints, strict=True)]

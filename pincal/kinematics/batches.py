@@ -8,15 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pincal.model.platform import PoseMatrices
 from pincal.types import Array
 
-Matrices: TypeAlias = PoseMatrices | Array  # T_base_platform, shape (N, 4, 4)
 CHUNK = 6000  # poses at once: their matrices stay near the processor
 _SERIES = float(np.finfo(float).eps) ** 0.25  # fourth root of rounding errors, [rad]
 
@@ -27,7 +25,7 @@ def chunks(count: int, size: int = CHUNK) -> Iterator[slice]:
         yield slice(begin, min(begin + size, count))
 
 
-def matrix_chunks(placed: Matrices) -> Iterator[tuple[slice, Array]]:
+def matrix_chunks(placed: Array) -> Iterator[tuple[slice, Array]]:
     """Yield rows of poses and their matrices, shape (n, 4, 4), so many as memory holds well."""
     for rows in chunks(len(placed)):
         yield rows, placed[rows]

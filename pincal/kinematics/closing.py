@@ -19,7 +19,6 @@ from scipy.spatial import KDTree
 
 from pincal.errors import MechanismError
 from pincal.kinematics.batches import (
-    Matrices,
     cross,
     least_squares,
     matrix_chunks,
@@ -356,7 +355,7 @@ def by_leg(
 
 def close_chunks(
     mechanism: Mechanism,
-    placed: Matrices,
+    placed: Array,
     influences: Array | None = None,
     near: Mapping[str, Array] | None = None,
 ) -> Iterator[tuple[slice, list[tuple[list[int], ClosedLegs]]]]:

@@ -14,7 +14,6 @@ import numpy as np
 
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.batches import (
-    Matrices,
     chunks,
     least_squares,
     matrix_chunks,
@@ -109,7 +108,7 @@ def _closed(
 
 def leg_demands_at(
     legs: Sequence[LegClosure],
-    placed: Sequence[Matrices],
+    placed: Sequence[Array],
     readings: Sequence[Array] | None = None,
     influences: Sequence[Array] | None = None,
 ) -> list[Demand]:
@@ -117,7 +116,7 @@ def leg_demands_at(
 
     Args:
         legs: The legs at their parameter values.
-        placed: Of each leg N poses, ``PoseMatrices`` or matrices (N, 4, 4).
+        placed: Of each leg N poses, matrices (N, 4, 4).
         readings: Of each leg, shape (N, n_active); those of inverse kinematics if not given.
         influences: Of each leg, shape (N, n_influences); at their reference if not given.
     """
@@ -166,7 +165,7 @@ def leg_demand(
     """
     closure = LegClosure(mechanism.leg(leg), mechanism.platform, parameters)
     measured = (None if columns is None else [columns] for columns in (readings, influences))
-    return leg_demands_at((closure,), (mechanism.platform.placed(poses),), *measured)[0]
+    return leg_demands_at((closure,), (mechanism.platform.matrices(poses),), *measured)[0]
 
 
 def identification_jacobian(
@@ -196,7 +195,7 @@ def identification_jacobian(
         (2, 6)
     """
     mechanism = as_mechanism(mechanism)
-    placed = mechanism.platform.placed(poses)
+    placed = mechanism.platform.matrices(poses)
     closure = LegClosure(mechanism.leg(leg), mechanism.platform, parameters)
     law = sensor_law(closure)
     C = np.empty((len(law.slope), len(closure.parameters), len(placed))).transpose(2, 0, 1)

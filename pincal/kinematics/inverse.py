@@ -13,7 +13,7 @@ import numpy as np
 from pincal.blas import on_one_thread
 from pincal.errors import MechanismError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
-from pincal.kinematics.batches import Matrices, matrix_chunks
+from pincal.kinematics.batches import matrix_chunks
 from pincal.kinematics.closed_forms import closed_form
 from pincal.kinematics.closing import by_leg, close, close_chunks, sensor_law, start_joints
 from pincal.kinematics.closure import largest_size, nominal_legs
@@ -81,7 +81,7 @@ def inverse(
         MeasurementError: an influence on which nothing depends, or of a wrong shape.
     """
     mechanism = as_mechanism(mechanism)
-    placed = mechanism.platform.placed(poses)
+    placed = mechanism.platform.matrices(poses)
     columns = influence_columns(mechanism, influences, len(placed))
     if near is not None:
         near = {
@@ -105,7 +105,7 @@ def inverse(
 
 def _inverse(
     mechanism: Mechanism,
-    placed: Matrices,
+    placed: Array,
     columns: Array | None,
     near: Mapping[str, Array] | None,
 ) -> InverseSolution:
@@ -152,7 +152,7 @@ def reached(mechanism: Mechanism, poses: Poses) -> Mask:
     Raises:
         MechanismError: poses of a wrong shape, or not finite.
     """
-    placed, legs = mechanism.platform.placed(poses), nominal_legs(mechanism)
+    placed, legs = mechanism.platform.matrices(poses), nominal_legs(mechanism)
     in_reach = np.empty((len(placed), len(legs)), dtype=bool)
     for rows, matrices in matrix_chunks(placed):
         for index, leg in enumerate(legs):

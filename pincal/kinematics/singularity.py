@@ -47,7 +47,7 @@ def margins(mechanism: GivenMechanism, poses: Poses) -> SingularityMargins:
         MechanismError: poses of a wrong shape, or not finite.
     """
     mechanism = as_mechanism(mechanism)
-    placed = mechanism.platform.placed(poses)
+    placed = mechanism.platform.matrices(poses)
     type1 = np.empty((len(placed), len(mechanism.legs)))
     type2 = np.empty(len(placed))
     for rows, closed in close_chunks(mechanism, placed):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -14,85 +14,22 @@ from pincal.errors import MechanismError
 from pincal.model.checks import array_of, must_be, names_of, numbers_of, sine_and_cosine, wrapped
 from pincal.model.orientation import WAYS, columns_of, tilted
 from pincal.model.overview import one_line, triple
-from pincal.types import Array, Index, Mask
+from pincal.types import Array
 
 if TYPE_CHECKING:
     from pincal.model.leg import Leg
 
 
-Rows: TypeAlias = slice | Index | Mask
 TWIST = ("x", "y", "z", "rx", "ry", "rz")
 """Rows of a twist, linear first."""
-_ANY, _TURN, _TILT = (-np.inf, np.inf), (-np.pi, np.pi), (0.0, np.pi)
-
-
-@dataclass(frozen=True)
-class PlatformKind:
-    """What a platform can do: ``PlatformKind("3T1R", ("x", "y", "z", "rz"))``."""
-
-    name: str
-    freedoms: tuple[str, ...]
-    """Of ``x, y, z, rx, ry, rz``, in this order: x, x and y, or all three; one turn, three or none.
-    The base's axes are chosen so that a platform that moves along one moves along x."""
-
-    def __post_init__(self) -> None:
-        must_be(self.name, str, "the name of a platform kind", MechanismError)
-        if not (self.name and self.name.isprintable() and len(self.name) <= 64):
-            raise MechanismError(f"{self.name!r} is no name for a platform kind")
-        label = f"freedoms of a {self.name!r} platform"
-        count = len(must_be(self.freedoms, Sequence, label, MechanismError))
-        freedoms = names_of(self.freedoms, count, label, MechanismError)
-        object.__setattr__(self, "freedoms", freedoms)
-        lengths = tuple(name for name in freedoms if not name.startswith("r"))
-        expected = ""
-        if not freedoms or freedoms != tuple(name for name in TWIST if name in freedoms):
-            expected = f"; expected some of {', '.join(TWIST)}, in this order"
-        elif lengths != TWIST[: len(lengths)]:
-            expected = (
-                "; a platform moves along x, along x and y, or along x, y and z: choose the base's "
-                "axes so"
-            )
-        elif len(freedoms) - len(lengths) == 2:
-            expected = (
-                "; turns about two axes are turns about a third as well: give all three, the legs "
-                "hold what the platform does not do"
-            )
-        if expected:
-            raise MechanismError(f"{label}: {', '.join(freedoms) or 'none'}{expected}")
-
-
-@dataclass(frozen=True)
-class PoseMatrices:
-    """Matrices of N poses, made of the rows that are asked for: no others fill memory."""
-
-    platform: Platform
-    poses: RigidTransform | Array
-    """Coordinates, shape (N, dof), or transforms."""
-
-    def __len__(self) -> int:
-        return len(self.poses)
-
-    def __getitem__(self, rows: Rows) -> Array:
-        """Return ``T_base_platform`` of some, shape (s, 4, 4)."""
-        poses = self.poses[rows]
-        if not isinstance(poses, RigidTransform):
-            return self.platform.matrices_of(poses)
-        entries = poses.as_matrix().transpose(1, 2, 0)
-        return np.ascontiguousarray(entries).transpose(2, 0, 1)  # memory runs along the poses
-
-
-#: Kinds with a name that files may say.
 KINDS = {
-    kind.name: kind
-    for kind in (
-        PlatformKind("point", ("x", "y")),
-        PlatformKind("planar", ("x", "y", "rz")),
-        PlatformKind("translational", ("x", "y", "z")),
-        PlatformKind("spatial", TWIST),
-    )
+    "point": ("x", "y"),
+    "planar": ("x", "y", "rz"),
+    "translational": ("x", "y", "z"),
+    "spatial": TWIST,
 }
-
-
+"""Kinds with a name that files may say, and their rows of a twist."""
+_ANY, _TURN, _TILT = (-np.inf, np.inf), (-np.pi, np.pi), (0.0, np.pi)
 Poses: TypeAlias = Array | RigidTransform  # coordinates (N, dof), or transforms of length N
 
 
@@ -107,55 +44,46 @@ class Platform:
       (6-UPS paper, Section 2.2); azimuth and torsion turn about one axis at tilt 0, where the
       azimuth is 0, and at tilt π, where the torsion is 0: orientations come back as they were.
 
-    A ``PlatformKind`` of one's own has other freedoms, such as x, y, z, phi.
-
-    Poses are ``T_base_platform``, a SciPy ``RigidTransform`` of length N, or the
+    Another kind, as of ``Platform("3T1R", home, ("x", "y", "z", "rz"))``, has other freedoms, here
+    x, y, z, phi. Poses are ``T_base_platform``, a SciPy ``RigidTransform`` of length N, or the
     coordinates, shape (N, dof), in [m] and [rad].
     """
 
-    kind: str | PlatformKind
-    """Name of a kind above, or a ``PlatformKind`` of one's own; its name from then on."""
+    kind: str
+    """Name of a kind above, or of one's own."""
     home: tuple[float, ...]
     """Coordinates of the home pose, [m] and [rad]."""
-    form: PlatformKind = None  # type: ignore[assignment]
-    """The kind's freedoms; follows from ``kind``."""
+    twist: tuple[str, ...] = ()
+    """Rows of a twist in which it moves, in the order of ``x, y, z, rx, ry, rz``; of the kind if
+    not given. Along none, x, x and y, or all three; about one, three or none. The base's axes are
+    chosen so that a platform that moves along one moves along x."""
 
     def __post_init__(self) -> None:
-        form: Any = self.form
-        kind: Any = must_be(self.kind, (str, PlatformKind), "a platform's kind", MechanismError)
-        if isinstance(kind, PlatformKind):
-            form, kind = kind, kind.name
-        if kind in KINDS and form not in (None, KINDS[kind]) and form.name == kind:
+        kind = must_be(self.kind, str, "a platform's kind", MechanismError)
+        twist: tuple[str, ...] = KINDS.get(kind, ())
+        if twist and self.twist and tuple(self.twist) != twist:
             raise MechanismError(f"the kind {kind!r} has other freedoms; name your own otherwise")
-        if form is None or form.name != kind:
-            if kind not in KINDS:
-                raise MechanismError(
-                    f"unknown platform kind {kind!r}; expected one of {', '.join(KINDS)}"
-                )
-            form = KINDS[kind]
-        object.__setattr__(self, "kind", kind)
-        object.__setattr__(self, "form", form)
+        object.__setattr__(self, "twist", twist or _own_twist(kind, self.twist))
         home = array_of(self.home, ("dof",), "the home pose", MechanismError).tolist()
         object.__setattr__(self, "home", tuple(home))
-        if len(self.home) != self.dof:
+        if len(home) != self.dof:
             raise MechanismError(
-                f"the home pose of a {self.kind!r} platform has {self.dof} coordinates "
-                f"({', '.join(self.coordinates)}), got {len(self.home)}"
+                f"the home pose of a {kind!r} platform has {self.dof} coordinates "
+                f"({', '.join(self.coordinates)}), got {len(home)}"
             )
 
     def __repr__(self) -> str:
         return one_line("Platform", repr(self.kind), f"home={triple(self.home)}")
 
     @staticmethod
-    def at_origin(kind: str | PlatformKind) -> Platform:
+    def at_origin(kind: str, twist: tuple[str, ...] = ()) -> Platform:
         """Return a platform of a kind whose home coordinates are zero."""
-        form = KINDS[kind] if isinstance(kind, str) else kind
-        return Platform(kind, (0.0,) * len(form.freedoms))
+        return Platform(kind, (0.0,) * len(twist or KINDS[kind]), twist)
 
     @cached_property
     def lengths(self) -> int:
         """Number of coordinates that are positions; they come first."""
-        return sum(not name.startswith("r") for name in self.form.freedoms)
+        return sum(not name.startswith("r") for name in self.twist)
 
     @property
     def turns(self) -> int:
@@ -165,18 +93,18 @@ class Platform:
     @property
     def dof(self) -> int:
         """Number of freedoms."""
-        return len(self.form.freedoms)
+        return len(self.twist)
 
     @cached_property
     def coordinates(self) -> tuple[str, ...]:
         """Names of the coordinates: positions; ``phi``, or azimuth, tilt and torsion."""
         angles = {0: (), 1: ("phi",), 3: WAYS["tilt-torsion"][0]}[self.turns]
-        return (*self.form.freedoms[: self.lengths], *angles)
+        return (*self.twist[: self.lengths], *angles)
 
     @property
     def freedoms(self) -> tuple[str, ...]:
         """Names of the twist rows: three turns are rx, ry, rz in base axes, one is phi."""
-        return self.form.freedoms if self.turns == 3 else self.coordinates
+        return self.twist if self.turns == 3 else self.coordinates
 
     @cached_property
     def units(self) -> tuple[str, ...]:
@@ -191,13 +119,13 @@ class Platform:
 
     @cached_property
     def twist_rows(self) -> tuple[int, ...]:
-        """Rows of a twist (linear first) that the platform can move in, one per freedom."""
-        return tuple(TWIST.index(name) for name in self.form.freedoms)
+        """Where the rows of ``twist`` are among all six, one per freedom."""
+        return tuple(TWIST.index(name) for name in self.twist)
 
     @property
     def space(self) -> int:
         """Dimension of the space that the mechanism moves in: 2 or 3."""
-        plane = self.lengths == 2 and set(self.form.freedoms) <= {"x", "y", "rz"}
+        plane = self.lengths == 2 and set(self.twist) <= {"x", "y", "rz"}
         return 2 if plane else 3
 
     def closing(self, closes: str) -> tuple[int, ...]:
@@ -223,21 +151,15 @@ class Platform:
             return poses
         return RigidTransform(self.matrices(poses), normalize=False, copy=False)
 
-    def placed(self, poses: Poses) -> PoseMatrices:
-        """Return poses whose matrices are made where they are asked for: see ``transforms``."""
-        if not isinstance(poses, RigidTransform):
-            return PoseMatrices(self, self.checked(poses))
-        if poses.single:
-            raise MechanismError("poses are N transforms; got a single one: put it in brackets")
-        return PoseMatrices(self, poses)
-
     def matrices(self, poses: Poses) -> Array:
-        """Return poses as homogeneous matrices, shape (N, 4, 4); see ``transforms``."""
-        return self.placed(poses)[:]
-
-    def matrices_of(self, coordinates: Array) -> Array:
-        """Return ``T_base_platform`` of sound coordinates, shape (N, dof) to (N, 4, 4)."""
-        T = np.zeros((4, 4, len(coordinates)))  # memory runs along the poses: see ``batches``
+        """Return poses as homogeneous matrices, shape (N, 4, 4), memory along the poses."""
+        if isinstance(poses, RigidTransform):
+            if poses.single:
+                raise MechanismError("poses are N transforms; got a single one: put it in brackets")
+            entries = poses.as_matrix().transpose(1, 2, 0)
+            return np.ascontiguousarray(entries).transpose(2, 0, 1)
+        coordinates = self.checked(poses)
+        T = np.zeros((4, 4, len(coordinates)))
         T[range(4), range(4)] = 1.0
         T[: self.lengths, 3] = coordinates[:, : self.lengths].T
         if self.turns == 1:
@@ -320,3 +242,34 @@ class Platform:
     def home_pose(self) -> RigidTransform:
         """Home pose, length 1."""
         return self.transforms(np.array([self.home]))
+
+
+def _own_twist(kind: str, twist: object) -> tuple[str, ...]:
+    """Return the rows of a twist of a kind of the user's own, checked."""
+    if twist == () and kind not in KINDS:
+        raise MechanismError(
+            f"unknown platform kind {kind!r}; expected one of {', '.join(KINDS)}, or the rows of a "
+            "twist in which yours moves"
+        )
+    if not (kind and kind.isprintable() and len(kind) <= 64):
+        raise MechanismError(f"{kind!r} is no name for a platform kind")
+    label = f"freedoms of a {kind!r} platform"
+    count = len(must_be(twist, Sequence, label, MechanismError))
+    rows = names_of(twist, count, label, MechanismError)
+    lengths = tuple(name for name in rows if not name.startswith("r"))
+    expected = ""
+    if rows != tuple(name for name in TWIST if name in rows):
+        expected = f"expected some of {', '.join(TWIST)}, in this order"
+    elif lengths != TWIST[: len(lengths)]:
+        expected = (
+            "a platform moves along x, along x and y, or along x, y and z: choose the base's axes "
+            "so"
+        )
+    elif len(rows) - len(lengths) == 2:
+        expected = (
+            "turns about two axes are turns about a third as well: give all three, the legs hold "
+            "what the platform does not do"
+        )
+    if expected:
+        raise MechanismError(f"{label}: {', '.join(rows)}; {expected}")
+    return rows

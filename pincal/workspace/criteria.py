@@ -178,7 +178,7 @@ def in_workspace(mechanism: GivenMechanism, poses: Poses, least: Margins | None 
         MechanismError: poses of a wrong shape, or not finite.
     """
     mechanism = as_mechanism(mechanism)
-    placed = mechanism.platform.placed(poses)
+    placed = mechanism.platform.matrices(poses)
     criteria = criteria_of(mechanism, as_margins(least))
     inside = np.empty(len(placed), dtype=bool)
     for rows, matrices in matrix_chunks(placed):
