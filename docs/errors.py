@@ -52,7 +52,7 @@ empty list means: no problems found.
 _KINDS: tuple[tuple[str, str, Mapping[str, Wording]], ...] = (
     ("The fit", "Whether it converged, its noise, χ² and intervals.", RESULTS),
     ("Rows", "What residuals follow, outliers, held-out rows, runs.", ROWS),
-    ("Parameters", "Poses that are too few, values that moved far, ties.", PARAMETERS),
+    ("Parameters", "Poses that are too few, values that moved far.", PARAMETERS),
     ("Gauge freedoms", "Fixed by choice; `result.gauge`.", FREEDOMS),
     ("Measurements", "Cannot be right, whatever the parameters.", FAULTS),
     (

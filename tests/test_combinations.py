@@ -83,12 +83,13 @@ def measurements(folder: Path, mechanism: str, plan: str) -> Path:
 
 def combinations() -> list[object]:
     """Return what is tried: of the first plan all, of the other ones and machines the corners."""
-    every = [("3RRR", "default", *one) for one in product(METHODS, FRAMES, TARGETS)]
+    every = [("3RRR", "default", "default", *one) for one in product(FRAMES, TARGETS)]
+    every += [("3RRR", "default", method, "base", "origin") for method in METHODS]
     ends = (("base", "origin"), ("tracker", "target"), ("tracker", "origin"))
     others = [plan for plan in PLANS if plan != "default"]
-    chosen = ("default", "per leg")
-    every += [("3RRR", plan, m, *end) for plan, m, end in product(others, chosen, ends)]
-    every += [("5R", "default", method, "tracker", "origin") for method in METHODS]
+    every += [("3RRR", plan, "default", *end) for plan, end in product(others, ends)]
+    every += [("3RRR", plan, "per leg", "base", "origin") for plan in others]
+    every += [("5R", "default", method, "base", "origin") for method in METHODS]
     every += [("6UPS", "default", "default", "tracker", "target")]
     found = []
     for one in every:

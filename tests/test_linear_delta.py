@@ -166,26 +166,17 @@ def test_weak_pairs_are_conditional_standard_errors() -> None:
 
 
 @pytest.mark.slow
-def test_ties_are_tested_free_of_frames() -> None:
-    """With heights alone the towers' circle has a centre anywhere, so one radius always fits.
-
-    A tie of arms that differ is still contradicted.
-    """
+def test_ties_are_free_of_frames() -> None:
+    """With heights alone the towers' circle has a centre anywhere, so one radius always fits."""
     mechanism, truth = pincal.load_mechanism("linear_delta"), drawn(4)
     data = probed(mechanism, truth, PROBE)
     tied = pincal.calibrate(mechanism, data, noise=PROBE, tied=["radius"])
-    assert tied.ties == ()
     assert tied.reduced_chi2 < 2.0
     radii = [leg.identified[0] for leg in tied.legs]
     assert np.ptp(radii) < 1e-12
     assert all(
         "radius" not in (one.first[1], one.second[1]) or one.known[0] > 0 for one in tied.weak
     )
-    longer = truth.with_parameters({"leg_1": {"arm": 0.343}})
-    data = probed(mechanism, longer, PROBE)
-    tied = pincal.calibrate(mechanism, data, noise=PROBE, tied=["arm"], rough=True)
-    assert tied.ties[0].restrictions == 2
-    assert not tied.ties[0].holds
 
 
 @pytest.mark.parametrize("runs", slow_or_fuzz([100], [200]))

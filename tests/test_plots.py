@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -243,17 +242,3 @@ def test_command_draws_in_the_width_asked_for(
     assert refused.code == 2
     assert "drawing" in refused.err
     assert not (tmp_path / "n.svg").exists()
-
-
-def test_steps_are_kept_and_old_results_load(
-    result: pincal.CalibrationResult, tmp_path: Path
-) -> None:
-    """The steps come back from a file; a file without them loads."""
-    folder = result.save(tmp_path / "result")
-    assert pincal.load_result(folder).costs == result.costs
-    path = folder / "result.json"
-    kept = json.loads(path.read_text("utf-8"))
-    del kept["data"]["costs"]
-    path.write_text(json.dumps(kept), encoding="utf-8")
-    old = pincal.load_result(folder)
-    assert old.costs == ()

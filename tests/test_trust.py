@@ -16,7 +16,7 @@ from scipy.stats import chi2, f
 import pincal
 from pincal.calibration.calibrate import compare_runs
 from pincal.calibration.calibration import Calibration
-from pincal.calibration.fits import Near, fitted
+from pincal.calibration.fits import _same_gauge, fitted
 from pincal.calibration.options import Options, folds_of
 from pincal.calibration.validation import least_of_folds
 from pincal.show.answers import check_lines
@@ -56,16 +56,16 @@ def test_rows_of_a_fit_keep_its_gauge_where_the_same_is_measured() -> None:
     options = Options(noise=NOISE, setup=FRAME)
     whole = fitted(Calibration(mechanism, moved, options))
     some = np.arange(40) < 30
-    near, free = Near.of(whole, some), whole.unknowns
+    free = whole.unknowns
     assert free is not None
     part = Calibration(mechanism, moved.rows(some), options)
-    assert near.gauge(part.latent_problem, free) is whole.gauge
+    assert _same_gauge(whole, part.latent_problem, free) is whole.gauge
     poses = moved.poses.copy()
     poses[:, 2] = np.nan  # no orientations
     blind = Calibration(mechanism, replace(moved, poses=poses).rows(some), options)
-    assert near.gauge(blind.latent_problem, free) is None
+    assert _same_gauge(whole, blind.latent_problem, free) is None
     fixed = replace(part, options=replace(options, fixed=("leg_1.l",)))
-    assert near.gauge(part.latent_problem, fixed.unknowns()) is None
+    assert _same_gauge(whole, part.latent_problem, fixed.unknowns) is None
 
 
 def test_what_rows_hold_is_theirs_wherever_the_search_begins() -> None:
@@ -75,7 +75,7 @@ def test_what_rows_hold_is_theirs_wherever_the_search_begins() -> None:
     few = Calibration(mechanism, data.rows(np.arange(8)), options)
     some = np.arange(8) != 3
     part = few.rows(some)
-    near, alone = (fitted(part, near=one).held for one in (Near.of(fitted(few), some), None))
+    near, alone = fitted(part, fitted(few), some).held, fitted(part).held
     assert near is not None
     assert alone is not None
     assert near.directions.shape[1] > 0

@@ -17,7 +17,6 @@ from pincal.calibration.covariance import (
     parameter_places,
     quantiles,
     systematic,
-    tie_tests,
 )
 from pincal.calibration.fits import Fits
 from pincal.calibration.leg_result import HELD, IdentifiedParameter, LegResult, Observed
@@ -38,13 +37,8 @@ from pincal.types import Array
 _UNMOVED = 0.1  # of a standard error: what is held and moves a value by less leaves its interval
 
 
-def assemble(fits: Fits, without_ties: Fits | None) -> CalibrationResult:
-    """Return the result of all legs from one fit of all, or one fit each.
-
-    Args:
-        fits: The fits.
-        without_ties: The fits without ties, if there were any.
-    """
+def assemble(fits: Fits) -> CalibrationResult:
+    """Return the result of all legs from one fit of all, or one fit each."""
     calibration, gauge = fits.calibration, fits.gauge
     mechanism = calibration.mechanism
     sure = confidence(fits)
@@ -76,13 +70,11 @@ def assemble(fits: Fits, without_ties: Fits | None) -> CalibrationResult:
         evaluations=sum(fit.evaluations for fit in fits.fits),
         left=max(fit.distance for fit in fits.fits),
         converged=fits.converged,
-        costs=_costs(fits),
         outliers=_merged_outliers(fits.fits),
         gauge=() if gauge is None else gauge.found,
         gauge_directions=None if gauge is None else gauge.of_legs,
         frames_moved=None if gauge is None else gauge.frames,
         undetermined_directions=held[:n] if held.shape[1] else None,
-        ties=() if without_ties is None else tie_tests(without_ties),
         observed=_observed(fits, redundancies[0][1][-1]),
         outside=fits.external if len(calibration.observation.external) else None,
         estimated_poses=mechanism.platform.from_matrices(fits.fits[0].last.state.matrices)
@@ -95,13 +87,6 @@ def _reduced_chi2(fits: Fits) -> float:
     """Return χ² of all fits over its degrees of freedom, NaN if there are none."""
     dof = fits.degrees_of_freedom
     return float(sum(fit.chi2 for fit in fits.fits) / dof) if dof > 0 else np.nan
-
-
-def _costs(fits: Fits) -> tuple[tuple[float, ...], ...]:
-    """Return the costs of each fit's iterations over its degrees of freedom."""
-    return tuple(
-        tuple(cost / max(fit.degrees_of_freedom, 1) for cost in fit.costs) for fit in fits.fits
-    )
 
 
 def _standard_errors(covariance: Array, by_systematic: Array, held: Array) -> Array:
@@ -244,7 +229,7 @@ def _external(
         sure: How well the noise is known.
     """
     outside, values = fits.calibration.observation.external, fits.external
-    if values is None or not len(outside):
+    if not len(outside):
         return ()
     began = fits.fits[0].first.state.external
     # of instruments, what their makers say
@@ -366,9 +351,8 @@ def _leg_misses(
         every_row = np.arange(len(calibration.measurements))
         problems = [(calibration.latent_problem, every_row, every_leg)]
     else:
-        poses = calibration.given_poses(result.outside)
         problems = [
-            (*calibration.measured_problem([leg], *poses), range(leg, leg + 1)) for leg in every_leg
+            (*calibration.measured_problem([leg]), range(leg, leg + 1)) for leg in every_leg
         ]
     misses = []
     for problem, rows, legs in problems:

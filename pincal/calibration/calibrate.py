@@ -165,10 +165,9 @@ def run(
     try:
         fits = fitted(calibration)
         sure_fits = with_unsure_tolerances(fits)
-        free_fits = fitted(calibration, tied=False) if calibration.options.tied else None
     except (PincalError, np.linalg.LinAlgError) as error:
         raise explained_error(calibration, error) from error
-    result = assemble(sure_fits, free_fits)
+    result = assemble(sure_fits)
     checks: dict[str, Any] = {}
     notes: list[str] = []
     if folds is not None and result.converged:

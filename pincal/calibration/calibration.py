@@ -22,7 +22,6 @@ from pincal.kinematics.configurations import planned_influences
 from pincal.kinematics.influences import by_name, influence_columns
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
-from pincal.model.setup import ORIGIN
 from pincal.types import Array, Index, Mask
 
 
@@ -87,11 +86,9 @@ class Calibration:
         known = replace(noise, poses=noise.poses.rows(chosen), readings=noise.readings[chosen])
         return replace(self, measurements=self.measurements.rows(chosen), known_noise=known)
 
-    def unknowns(self, *, tied: bool = True) -> Unknowns:
-        """Return the unknowns of all legs, and those outside the mechanism if poses are unknown.
-
-        Args:
-            tied: Whether ties count, or are left out for the test of the same estimator.
+    @property
+    def unknowns(self) -> Unknowns:
+        """The unknowns of all legs, and those outside the mechanism if poses are unknown.
 
         Raises:
             MeasurementError: a parameter that does not exist, or is held twice.
@@ -100,7 +97,7 @@ class Calibration:
             self.mechanism.legs,
             self.observation.external.names,
             fixed=self.options.fixed,
-            tied=self.options.tied if tied else (),
+            tied=self.options.tied,
             priors=self.priors,
         )
         if self.start is None:
@@ -232,72 +229,49 @@ class Calibration:
             MeasurementError: frames that cannot be aligned; readings that contradict poses.
         """
         self.options.report("finding poses and frames to start from")
-        nominal = self.unknowns().start[: problem.leg_block.n_parameters]
+        nominal = self.unknowns.start[: problem.leg_block.n_parameters]
         first = align_start(self.mechanism, problem, self.measurements, nominal)
         complete = self.options.setup.plain and np.isfinite(self.measurements.poses).all()
         if not (self.options.rough or complete):  # complete poses are checked as such
             check_start(problem, first)
         return replace(problem, first=first)
 
-    def measured_problem(
-        self, legs: Sequence[int], poses: Array, roots: Array
-    ) -> tuple[Problem, Index]:
-        """Return the problem of some legs, poses as measured, and the rows that serve them.
-
-        Args:
-            legs: By index.
-            poses: In the base frame, shape (N, dof).
-            roots: Roots of their covariance, as twists in base axes, shape (N, dof, dof).
-        """
-        used = self.used[:, legs]
+    def measured_problem(self, legs: Sequence[int]) -> tuple[Problem, Index]:
+        """Return the problem of some legs at poses as measured, and the rows that serve them."""
+        used, mechanism = self.used[:, legs], self.mechanism
         rows = np.flatnonzero(used.any(axis=1))
-        matrices = self.mechanism.platform.matrices(poses[rows])
-        nominal = np.concatenate([self.mechanism.legs[i].nominal for i in legs])
-        plain = replace(self.options.setup, unknown_frame=False, targets={}, distances={})
-        observation = Observation(self.mechanism, self.measurements.rows(rows), plain)
-        first = State(nominal, matrices, external=observation.external.start)
-        leg_block = self.leg_block(legs, rows, used[rows], roots[rows])
-        return Problem(leg_block, observation, first), rows
+        measured = self.measurements.rows(rows)
+        matrices = mechanism.platform.matrices(measured.poses)
+        nominal = np.concatenate([mechanism.legs[i].nominal for i in legs])
+        leg_block = self.leg_block(legs, rows, used[rows], self.noise.poses.roots[rows])
+        observation = Observation(mechanism, measured, self.options.setup)
+        return Problem(leg_block, observation, State(nominal, matrices)), rows
 
-    def given_poses(self, external: External | None) -> tuple[Array, Array]:
-        """Return measured poses in the base frame, shape (N, dof), and roots of their covariance.
-
-        Args:
-            external: Frame and targets; those of the base if not given.
-        """
+    def given_poses(self, external: External | None) -> Array:
+        """Return measured poses in the base frame, shape (N, dof), by frame and target if known."""
         platform, data = self.mechanism.platform, self.measurements
         if external is None:
-            return data.poses, self.noise.poses.roots
+            return data.poses
         F = external.frame[:3, :3]
-        turns = self.observation.orientations if "rad" in platform.units else None
         measured = np.zeros((len(data), 3))
         measured[:, : platform.space] = data.poses[:, : platform.space]
         matrices = np.tile(np.eye(4), (len(data), 1, 1))
-        if turns is not None:
-            matrices[:, :3, :3] = F.T @ turns @ external.turn.T
+        if "rad" in platform.units:
+            matrices[:, :3, :3] = F.T @ self.observation.orientations @ external.turn.T
         arm = matrices[:, :3, :3] @ external.offsets[0]
         matrices[:, :3, 3] = (measured - external.frame[:3, 3]) @ F - arm
-        by_measured = np.zeros((len(data), 6, 6))  # of the twist in base axes
-        by_measured[:, :3, :3] = by_measured[:, 3:, 3:] = F.T
-        by_measured[:, :3, 3:] = np.cross(arm[:, None], np.eye(3)).transpose(0, 2, 1) @ F.T
-        rows = list(platform.twist_rows)
-        roots = by_measured[:, rows][:, :, rows] @ self.noise.poses.roots
-        return platform.from_matrices(matrices), roots
+        return platform.from_matrices(matrices)
 
-    def check_whole(self) -> None:
+    def check_complete(self) -> None:
         """Raise if poses cannot be taken as measured.
 
         Raises:
-            MeasurementError: a pose or reading that is not whole; further targets or distances.
+            MeasurementError: a pose or reading that is not complete.
         """
-        data, platform, setup = self.measurements, self.mechanism.platform, self.options.setup
-        if set(setup.targets) != {ORIGIN} or setup.distances:
-            raise MeasurementError(
-                "further targets and distances need all legs at once; leave out --method per-leg"
-            )
+        data, mechanism = self.measurements, self.mechanism
         for values, columns in (
-            (data.poses, platform.coordinates),
-            (data.readings, self.mechanism.reading_names),
+            (data.poses, mechanism.platform.coordinates),
+            (data.readings, mechanism.reading_names),
         ):
             if not (measured := np.isfinite(values)).all():
                 row, column = (int(i) for i in np.argwhere(~measured)[0])
@@ -312,7 +286,7 @@ class Calibration:
         Raises:
             ObservabilityError: there are.
         """
-        free, served = self.unknowns(), self.used[self.counts].sum(axis=0)
+        free, served = self.unknowns, self.used[self.counts].sum(axis=0)
         for leg, count in zip(self.mechanism.legs, served, strict=True):
             of_leg = free.part([leg.name])
             n = of_leg.map.shape[1] - int(np.isfinite(of_leg.priors).sum())

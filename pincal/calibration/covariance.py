@@ -1,8 +1,7 @@
 """Covariance of all parameters from several fits: legs identified alone share the poses' noise.
 
 Each fit's estimate follows the noise by its influence K; two legs that use the same pose have the
-cross covariance Σ K_i K_iᵀ over the columns of its noise. If a frame was moved so that the
-parameters are nearest to nominal, they all follow that, too.
+cross covariance Σ K_i K_iᵀ over the columns of its noise.
 """
 
 from __future__ import annotations
@@ -14,40 +13,14 @@ import numpy as np
 from scipy.special import chdtrc, chdtri, fdtrc, ndtri, stdtrit
 
 from pincal.calibration.fits import Fits
-from pincal.calibration.leg_result import TieTest
 from pincal.design.platform_error import CONFIDENCE
 from pincal.estimation.components import freedoms
 from pincal.estimation.fit import Fit
-from pincal.estimation.observability.gauge import Gauge
-from pincal.estimation.observability.indices import RANK_TOLERANCE
-from pincal.estimation.unknowns import Unknowns
 from pincal.kinematics.batches import over_rows
 from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.setup import Systematic
 from pincal.types import Array, Index
-
-
-def all_legs(mechanism: Mechanism, fits: Sequence[Fit]) -> Array:
-    """Return the covariance of all legs' parameters in the mechanism's order, shape (n, n)."""
-    n = len(mechanism.parameters)
-    covariance = np.zeros((n, n))
-    parts = []
-    for fit in fits:
-        places = parameter_places(mechanism, fit.problem.legs)
-        covariance[np.ix_(places, places)] = fit.covariance[: len(places), : len(places)]
-        last = fit.problem.leg_block.n_readings
-        columns = [*range(last, last + mechanism.platform.dof), -1]  # the pose's noise, an outlier
-        by_pose = fit.influence[:, : len(places), columns]
-        parts.append((places, fit.rows, by_pose))
-    for index, (places, rows, K) in enumerate(parts):
-        for their_places, their_rows, L in parts[:index]:
-            shared, mine, theirs = np.intersect1d(rows, their_rows, return_indices=True)
-            if len(shared):
-                cross = np.einsum("npd,nqd->pq", K[mine], L[theirs])
-                covariance[np.ix_(places, their_places)] = cross
-                covariance[np.ix_(their_places, places)] = cross.T
-    return covariance
 
 
 def parameter_places(mechanism: Mechanism, legs: Sequence[Leg]) -> Index:
@@ -84,66 +57,44 @@ def chi2_freedoms(fits: Sequence[Fit]) -> float:
     return total**2 / (total + 2.0 * shared) if total else 0.0
 
 
-def _nearest(gauge: Gauge, unknowns: Unknowns, n: int) -> Array:
-    """Return what moves n parameters nearest to nominal, the frames following, (n + n_ext, n)."""
-    T = unknowns.map
-    along = T @ gauge.directions.T
-    amounts = np.linalg.solve(
-        gauge.constraints @ gauge.directions.T, gauge.constraints @ np.linalg.pinv(T)[:, :n]
-    )
-    follows = along @ amounts
-    return np.concatenate((np.eye(n) - follows[:n], -follows[n:]))
-
-
 def systematic(fits: Fits) -> Array:
     """Return how all parameters, then frames, follow what is off in all rows, shape (n, q).
 
     Columns are for one standard uncertainty each (see ``Observation.systematic``); none where
     nothing is uncertain so.
     """
-    calibration, mechanism = fits.calibration, fits.calibration.mechanism
-    observation, n = calibration.observation, len(mechanism.parameters)
+    calibration = fits.calibration
+    observation, n = calibration.observation, len(calibration.mechanism.parameters)
     if calibration.options.setup.systematic == Systematic():
         return np.zeros((n + len(observation.external), 0))
-    if fits.latent:
-        fit = fits.fits[0]
-        measured = observation.systematic(fit.last.state.matrices, fit.last.state.external)
-        errors = np.zeros((*fit.last.conditions.shape, measured.shape[2]))
-        errors[:, errors.shape[1] - measured.shape[1] :] = measured
-        return fit.spread.response(errors)
-    external = fits.external or observation.external.start
-    poses, _ = calibration.given_poses(fits.external)
-    matrices = mechanism.platform.matrices(poses)
-    measured = observation.systematic(matrices, external)
-    rows = [observation.names.index(name) for name in mechanism.platform.freedoms]
-    by_twist = observation.residuals(matrices, external)[1][:, rows]
-    twists = -np.linalg.solve(by_twist, measured[:, rows])  # where what is measured takes the poses
-    follows = np.zeros((n, measured.shape[2]))
-    for fit in fits.fits:
-        places = parameter_places(mechanism, fit.problem.legs)
-        moved = [demand.pose @ twists[fit.rows] for demand in fit.last.demands]
-        errors = np.zeros((*fit.last.conditions.shape, measured.shape[2]))
-        block = fit.problem.leg_block
-        for leg, error, used in zip(block.leg_rows, moved, block.used.T, strict=True):
-            errors[used, leg] = error[used]
-        follows[places] = fit.spread.response(errors)[: len(places)]
-    if fits.gauge is None or fits.unknowns is None:
-        return follows
-    return _nearest(fits.gauge, fits.unknowns, n) @ follows
+    fit = fits.fits[0]  # of all legs at once
+    measured = observation.systematic(fit.last.state.matrices, fit.last.state.external)
+    errors = np.zeros((*fit.last.conditions.shape, measured.shape[2]))
+    errors[:, errors.shape[1] - measured.shape[1] :] = measured
+    return fit.spread.response(errors)
 
 
 def covariance_by_noise(fits: Fits) -> Array:
     """Return the covariance of all legs' parameters, then of the external unknowns' steps, (n, n).
 
-    Of parameters that were moved along gauge directions, the frames following, if legs are alone.
+    Legs identified alone at the same poses follow the noise of these, K, together: Σ K Kᵀ.
     """
     if fits.latent:
         return fits.fits[0].covariance
-    covariance = all_legs(fits.calibration.mechanism, fits.fits)
-    if fits.gauge is None or fits.unknowns is None:
-        return covariance
-    P = _nearest(fits.gauge, fits.unknowns, len(covariance))
-    return np.asarray(P @ covariance @ P.T)
+    mechanism, count = fits.calibration.mechanism, len(fits.calibration.measurements)
+    n = len(mechanism.parameters)
+    by_pose = np.zeros((count, n, mechanism.platform.dof + 1))
+    alone = np.zeros((n, n), dtype=bool)
+    covariance = np.zeros((n, n))
+    for fit in fits.fits:
+        places = parameter_places(mechanism, fit.problem.legs)
+        last = fit.problem.leg_block.n_readings
+        columns = [*range(last, last + mechanism.platform.dof), -1]  # the pose's noise, an outlier
+        by_pose[np.ix_(fit.rows, places)] = fit.influence[:, :, columns]
+        covariance[np.ix_(places, places)] = fit.covariance
+        alone[np.ix_(places, places)] = True
+    together = np.einsum("npd,nqd->pq", by_pose, by_pose, optimize=True)
+    return np.where(alone, covariance, together)
 
 
 def with_unsure_tolerances(fits_of_all: Fits) -> Fits:
@@ -250,35 +201,3 @@ def exceeded(chi2: float, degrees_of_freedom: float, of_noise: float = np.inf) -
     if np.isfinite(of_noise):
         return float(fdtrc(degrees_of_freedom, of_noise, chi2))
     return float(chdtrc(degrees_of_freedom, degrees_of_freedom * chi2))
-
-
-def tie_tests(free: Fits) -> tuple[TieTest, ...]:
-    """Return, for all ties together, the test whether they hold, by the fit without them.
-
-    Differences that a motion of the frames makes or undoes say nothing: they are left out.
-    Differences of tied parameters between legs over their covariance (Wald): χ² where the noise is
-    known, an F test where its scale is estimated.
-    """
-    calibration = free.calibration
-    mechanism = calibration.mechanism
-    names = [(leg.name, name) for leg in mechanism.legs for name in leg.parameter_names]
-    parameters = free.parameters(mechanism)
-    values = np.concatenate([parameters[leg] for leg in mechanism.leg_names])
-    n = len(names)
-    covariance = covariance_by_noise(free)[:n, :n]
-    rows = []
-    for tie in calibration.options.tied:
-        places = [i for i, (_, name) in enumerate(names) if name == tie]
-        rows += [np.eye(n)[i] - np.eye(n)[places[0]] for i in places[1:]]
-    R = np.array(rows)
-    if free.gauge is not None and free.gauge.of_legs is not None:
-        directions = free.gauge.of_legs
-        moved = R @ directions / np.linalg.norm(directions, axis=0)
-        axes, size, _ = np.linalg.svd(moved)
-        R = axes[:, int((size > RANK_TOLERANCE).sum()) :].T @ R
-    if not len(R):
-        return ()
-    differences = R @ values
-    statistic = float(differences @ np.linalg.solve(R @ covariance @ R.T, differences)) / len(R)
-    p = exceeded(statistic, len(R), confidence(free).least or np.inf)
-    return (TieTest(", ".join(calibration.options.tied), len(R), statistic, p),)

@@ -99,7 +99,7 @@ def blame_wrong_rows(
     """
     try:
         fits = fitted(result.calibration.with_options(loss="reject"))
-        robust = assemble(fits, None)
+        robust = assemble(fits)
     except PincalError:
         return findings, result.outliers
     total = len(result.measurements)
@@ -328,12 +328,7 @@ def _rows(result: CalibrationResult, *, lacking: bool) -> list[Finding]:
 
 
 def _legs(result: CalibrationResult) -> list[Finding]:
-    ties = [
-        finding("tie-contradicted", name=tie.name, p_value=tie.p_value)
-        for tie in result.ties
-        if not tie.holds
-    ]
-    return ties + [
+    return [
         finding("few-poses", legs=(leg.name,), poses=leg.n_poses, unknowns=len(leg.parameters))
         for leg in result.legs
         if leg.n_residuals < _FEW_RESIDUALS * len(leg.parameters)

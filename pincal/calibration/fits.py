@@ -1,9 +1,5 @@
 """The fits of a calibration: all legs at once, or each leg alone; noise and tolerances found.
 
-Where poses are taken as measured in an unknown frame, each leg's base point takes that up: the legs
-are identified in the tracker's frame, aligned with the nominal machine, and the frame is then moved
-so that the parameters are nearest to the nominal ones, the same choice as all legs at once make.
-
 Standard deviations that were not given, of the noise and of how far machines differ from their
 drawing (``--tolerance auto``), are variance components: fits and these follow each other.
 """
@@ -43,56 +39,12 @@ from pincal.model.measurements import Noise
 from pincal.model.mechanism import Mechanism
 from pincal.types import Array, Mask
 
-
-@dataclass(frozen=True)
-class Near:
-    """Where all legs at once were identified from other rows, or from the same ones before."""
-
-    state: State
-    fits: Fits | None = None
-    """The fits that ended there, whose gauge may be the same; None if they are not at hand."""
-
-    @classmethod
-    def of(cls, fits: Fits, rows: Mask) -> Near:
-        """Return where fits of all legs at once ended, at some of their rows, shape (N,)."""
-        return cls(fits.fits[0].last.state.rows(np.flatnonzero(rows)), fits)
-
-    def gauge(self, problem: Problem, unknowns: Unknowns) -> Gauge | None:
-        """Return the fits' gauge if it is a problem's too: the same is free, measured and known."""
-        if self.fits is None or self.fits.unknowns is None:
-            return None
-        free = self.fits.unknowns
-        applies = (
-            free.labels == unknowns.labels
-            and np.array_equal(free.map, unknowns.map)
-            and np.array_equal(free.priors, unknowns.priors, equal_nan=True)
-            and _known_somewhere(self.fits.fits[0].problem) == _known_somewhere(problem)
-        )
-        return self.fits.gauge if applies else None
-
-    @property
-    def holds(self) -> bool:
-        """Whether the fits held what the measurements cannot observe."""
-        held = None if self.fits is None else self.fits.held
-        return held is not None and held.directions.size > 0
-
-
-def _known_somewhere(problem: Problem) -> tuple[list[bool], dict[str, bool]]:
-    """Return what is measured in some row, and which influences are known in some."""
-    known = {
-        name: bool(np.isfinite(influence).any())
-        for name, influence in problem.leg_block.influences.items()
-    }
-    return [bool(column.any()) for column in problem.observation.measured.T], known
-
-
 Tie = tuple[int, float] | None  # of the noise of readings to another, see ``Moments.tie``
 ROUNDS = 20  # of noise, or of frames, in turn with the legs
 _HELD_MORE = 10.0  # times better determined are directions held next if a search does not converge
 _HELD_MOST = 100.0  # times better than machines differ: those are always free
 _PATIENCE = 500  # evaluations of a search before more directions are held
 _REFITS = 5  # with noise that was estimated
-_STILL = 1e-10  # of the machine's size, and [rad]: the frame moves no more
 SCALE_OFF = 5e-3  # of the scale of the noise that was estimated: fitted once more
 SETTLED = 1e-3  # relative change of a standard deviation, below which it is estimated
 
@@ -104,12 +56,10 @@ class Fits:
     calibration: Calibration
     """With the noise that was given or estimated."""
     fits: list[Fit]
-    external: External | None = None
-    """Values of the unknowns outside the mechanism, if there are any."""
     gauge: Gauge | None = None
     """Gauge freedoms."""
     unknowns: Unknowns | None = None
-    """Of legs and what is outside, of which the gauge speaks."""
+    """What was free before gauge and weak directions were held; None where poses are measured."""
     held: HeldUnknowns | None = None
     """What the measurements cannot observe, if that was held."""
     variances: Array | None = None
@@ -120,6 +70,11 @@ class Fits:
     def latent(self) -> bool:
         """Whether poses were unknowns."""
         return self.calibration.options.latent
+
+    @property
+    def external(self) -> External:
+        """Values of the unknowns outside the mechanism."""
+        return self.fits[0].last.state.external
 
     @property
     def degrees_of_freedom(self) -> int:
@@ -155,21 +110,22 @@ class Fits:
         return {name: by_leg[name] for name in mechanism.leg_names}
 
 
-def fitted(calibration: Calibration, *, tied: bool = True, near: Near | None = None) -> Fits:
+def fitted(calibration: Calibration, near: Fits | None = None, rows: Mask | None = None) -> Fits:
     """Return the fits of a calibration, the noise estimated by group if it was not given.
 
     Args:
         calibration: What is to be identified.
-        tied: Whether ties count, or are left out for the test of the same estimator.
-        near: Where the search for all legs at once begins, if the optimum is known to be near; each
-            leg alone begins at its nominal parameters.
+        near: Fits of all legs at once near which the optimum is, from which the search begins.
+        rows: Which of their rows these are, shape (N,).
 
     Raises:
         ObservabilityError: too few poses, or poses that leave parameters undetermined.
         MeasurementError: measurements that do not suit the method.
     """
-    search = _all_legs if calibration.options.latent else _measured
-    fits = search(calibration, tied, near)
+    if calibration.options.latent:
+        fits = _all_legs(calibration, near, rows)
+    else:
+        fits = _measured(calibration)
     noise = calibration.noise.noise
     fixed = calibration.fixed_noise or calibration.noise.known
     if fixed or calibration.options.residual == "joint":
@@ -185,12 +141,18 @@ def fitted(calibration: Calibration, *, tied: bool = True, near: Near | None = N
         if _agree(unscaled, estimate):
             break
         noise, unscaled, unit = estimate, estimate, estimate.reading or unit
-        fits = search(calibration.with_noise(noise), tied, fits)
+        fits = _again(fits, noise)
         scale = float(np.mean([fit.noise_scale for fit in fits.fits]))
         if abs(scale - 1.0) > SCALE_OFF and scale > 0.0:  # a group at its floor leaves that to all
             noise = Noise(*(scale * value for value in vars(noise).values()))
-            fits = search(calibration.with_noise(noise), tied, fits)
+            fits = _again(fits, noise)
     return _with_variances(fits, noise, unit, tie)
+
+
+def _again(fits: Fits, noise: Noise) -> Fits:
+    """Return fits at other noise, begun where they ended."""
+    calibration = fits.calibration.with_noise(noise)
+    return _all_legs(calibration, fits) if fits.latent else _measured(calibration)
 
 
 def _sound(fits: Fits) -> bool:
@@ -254,10 +216,9 @@ def _moments(fits_of_all: Fits, noise: Noise, unit: float) -> Moments:
     if fits_of_all.latent:
         problems = [calibration.latent_problem]
     else:
-        external = None if calibration.options.setup.plain else fits_of_all.external
-        poses, names = calibration.given_poses(external), calibration.mechanism.leg_names
+        names = calibration.mechanism.leg_names
         groups = [[names.index(leg.name) for leg in fit.problem.legs] for fit in fits]
-        problems = [calibration.measured_problem(group, *poses)[0] for group in groups]
+        problems = [calibration.measured_problem(group)[0] for group in groups]
     return Moments.of(list(zip(fits, problems, strict=True)), unit)
 
 
@@ -267,31 +228,34 @@ def _system(calibration: Calibration, problem: Problem, unknowns: Unknowns, coun
     return System(problem, unknowns, known, kept=None if counts.all() else counts)
 
 
-def _all_legs(calibration: Calibration, tied: bool, begin: Fits | Near | None) -> Fits:
+def _all_legs(
+    calibration: Calibration, begin: Fits | None = None, rows: Mask | None = None
+) -> Fits:
     """Return the fit of all legs, poses and frames at once.
 
     Args:
         calibration: What is to be identified.
-        tied: Whether ties count.
-        begin: Where it starts, if that is known: fits at other noise, or near an optimum.
+        begin: Fits where it starts, if that is known: at other noise, or of more rows.
+        rows: Which of their rows these are, shape (N,); all if None.
     """
     mechanism, options = calibration.mechanism, calibration.options
     if not calibration.counts.any():
         raise ObservabilityError(
             "every row is for verification (set 'verify'); none is left to fit"
         )
-    problem, unknowns = calibration.latent_problem, calibration.unknowns(tied=tied)
+    problem, unknowns = calibration.latent_problem, calibration.unknowns
     if options.setup.plain and not options.tied and (options.strict or not calibration.noise.known):
         calibration.check_counts()
-    start = gauge = first = None
-    before = begin if isinstance(begin, Fits) else None
-    if before is not None:
-        start, gauge = before.fits[0].last.state, before.gauge
-        first = before.fits[0].problem.first
-    elif isinstance(begin, Near):
-        start, gauge = begin.state, begin.gauge(problem, unknowns)
+    start = gauge = first = before = None
+    if begin is not None and rows is None:
+        before = begin.fits[0]
+        start, gauge, first = before.last.state, begin.gauge, before.problem.first
+    elif begin is not None and rows is not None:
+        start = begin.fits[0].last.state.rows(np.flatnonzero(rows))
+        gauge = _same_gauge(begin, problem, unknowns)
         # what is held follows where the search would have started
-        first = None if gauge is None or begin.holds else start
+        holds = begin.held is not None and begin.held.directions.size > 0
+        first = None if gauge is None or holds else start
     problem = calibration.started(problem) if first is None else replace(problem, first=first)
     if gauge is None:
         gauge = find_gauge(mechanism, problem, unknowns, strict=not options.holds)
@@ -300,16 +264,17 @@ def _all_legs(calibration: Calibration, tied: bool, begin: Fits | Near | None) -
     system = _system(calibration, problem, free, calibration.counts)
     held = None
     if options.holds:
-        fit, held = _fit_holding(calibration, system, start, before)
+        least = begin.held.least if before is not None and begin and begin.held else 1.0
+        fit, held = _fit_holding(calibration, system, start, least)
     else:
         fit = robust_fit(mechanism, system, loss_of(options.loss), start, options.progress)
     if before is not None:  # whose search began where this one's would have
-        fit = replace(fit, first=before.fits[0].first)
-    return Fits(calibration, [fit], fit.last.state.external, gauge, unknowns, held)
+        fit = replace(fit, first=before.first)
+    return Fits(calibration, [fit], gauge, unknowns, held)
 
 
 def _fit_holding(
-    calibration: Calibration, system: System, start: State | None, before: Fits | None
+    calibration: Calibration, system: System, start: State | None, least: float
 ) -> tuple[Fit, HeldUnknowns]:
     """Return a fit with weak directions held, and what was: more of them until it converges.
 
@@ -317,10 +282,9 @@ def _fit_holding(
         calibration: What is to be identified.
         system: Of all legs, nothing held.
         start: Where the search starts, if not where the problem does.
-        before: Fits at other noise, which held as much at least.
+        least: How well determined are directions that are held at least (see ``HeldUnknowns``).
     """
     mechanism, options, free = calibration.mechanism, calibration.options, system.unknowns
-    least = 1.0 if before is None or before.held is None else before.held.least
     problem = system.problem
     if system.kept is not None:
         problem = problem.at(np.flatnonzero(system.kept))
@@ -339,61 +303,41 @@ def _fit_holding(
         least *= _HELD_MORE
 
 
-def _measured(calibration: Calibration, tied: bool, begin: Fits | Near | None) -> Fits:
-    """Return the fits of all legs, poses as measured; arguments are those of ``_all_legs``.
-
-    Each leg begins at its nominal parameters, the frames where those of fits are.
-    """
-    calibration.check_whole()
-    calibration.check_counts()
-    unknowns = calibration.unknowns(tied=tied)
-    groups = _groups(calibration)
-    if calibration.options.setup.plain:
-        return Fits(calibration, _fit_groups(calibration, groups, unknowns, None))
-    problem = calibration.started(calibration.latent_problem)
-    gauge = find_gauge(calibration.mechanism, problem, unknowns, strict=True)
-    n_external = len(problem.observation.external)
-    if len(gauge.directions) != n_external or problem.first is None:
-        raise ObservabilityError(
-            f"the legs' parameters can take up {len(gauge.directions)} of the {n_external} "
-            "unknowns outside the mechanism only; all legs at once identify the others with them "
-            "(leave out --method per-leg)"
-        )
-    first = problem.first.external
-    known = begin.external if isinstance(begin, Fits) else None
-    external = first if known is None else known
-    size = largest_size(calibration.mechanism.legs)
-    units = np.array([size if u == "m" else 1.0 for u in problem.observation.external.units])
-    for _ in range(ROUNDS):
-        fits = _fit_groups(calibration, groups, unknowns, external)
-        step = _toward_nominal(gauge, problem, unknowns, fits, external)
-        if np.abs(step / units).max(initial=0.0) <= _STILL:
-            return Fits(calibration, fits, external, gauge, unknowns)
-        external = problem.observation.external.moved(external, step)
-    raise MeasurementError(
-        "the frames of the measurements were not found by aligning leg after leg; all legs at once "
-        "find them with the parameters (leave out --method per-leg)"
+def _same_gauge(fits: Fits, problem: Problem, unknowns: Unknowns) -> Gauge | None:
+    """Return the gauge of fits if it is a problem's too: the same is free, measured and known."""
+    free = fits.unknowns
+    applies = (
+        free is not None
+        and free.labels == unknowns.labels
+        and np.array_equal(free.map, unknowns.map)
+        and np.array_equal(free.priors, unknowns.priors, equal_nan=True)
+        and _known_somewhere(fits.fits[0].problem) == _known_somewhere(problem)
     )
+    return fits.gauge if applies else None
 
 
-def _fit_groups(
-    calibration: Calibration,
-    groups: list[list[int]],
-    unknowns: Unknowns,
-    external: External | None,
-) -> list[Fit]:
-    """Return a fit for each group of legs, poses as measured in a frame."""
+def _known_somewhere(problem: Problem) -> tuple[list[bool], dict[str, bool]]:
+    """Return what is measured in some row, and which influences are known in some."""
+    known = {
+        name: bool(np.isfinite(influence).any())
+        for name, influence in problem.leg_block.influences.items()
+    }
+    return [bool(column.any()) for column in problem.observation.measured.T], known
+
+
+def _measured(calibration: Calibration) -> Fits:
+    """Return the fits of all legs, or of each alone, at poses as measured; from nominal values."""
     mechanism, options = calibration.mechanism, calibration.options
-    poses, roots = calibration.given_poses(external)
-    fits = []
-    for group in groups:
+    calibration.check_complete()
+    calibration.check_counts()
+    unknowns, fits = calibration.unknowns, []
+    for group in _groups(calibration):
         names = [mechanism.leg_names[i] for i in group]
         options.report(f"identifying {', '.join(names)}")
-        problem, rows = calibration.measured_problem(group, poses, roots)
+        problem, rows = calibration.measured_problem(group)
         system = _system(calibration, problem, unknowns.part(names), calibration.counts[rows])
-        loss = loss_of(calibration.options.loss)
-        fits.append(robust_fit(mechanism, system, loss, progress=options.progress))
-    return fits
+        fits.append(robust_fit(mechanism, system, loss_of(options.loss), None, options.progress))
+    return Fits(calibration, fits)
 
 
 def _groups(calibration: Calibration) -> list[list[int]]:
@@ -406,26 +350,6 @@ def _groups(calibration: Calibration) -> list[list[int]]:
     ]
     single_legs = [[i] for i in range(len(legs)) if i not in together]
     return [together, *single_legs] if together else single_legs
-
-
-def _toward_nominal(
-    gauge: Gauge, problem: Problem, unknowns: Unknowns, fits: list[Fit], external: External
-) -> Array:
-    """Return the step of the external unknowns that brings the parameters nearest to nominal."""
-    n = problem.leg_block.n_parameters
-    if problem.first is None:
-        raise TypeError("the problem has no start")
-    values = unknowns.start.copy()
-    for fit in fits:
-        for leg, columns in zip(fit.problem.legs, fit.problem.leg_block.columns, strict=True):
-            place = [leg.name for leg in problem.legs].index(leg.name)
-            values[problem.leg_block.columns[place]] = fit.parameters[columns]
-    outside = problem.observation.external
-    values[n:] = outside.coordinates(external) - outside.coordinates(problem.first.external)
-    deviations = np.linalg.lstsq(unknowns.map, values - unknowns.start, rcond=None)[0]
-    along = gauge.constraints @ gauge.directions.T
-    amounts = -np.linalg.solve(along, gauge.constraints @ deviations)
-    return np.asarray((unknowns.map @ (gauge.directions.T @ amounts))[n:])
 
 
 def with_found_tolerance(calibration: Calibration) -> Calibration:
@@ -476,7 +400,7 @@ def with_found_tolerance(calibration: Calibration) -> Calibration:
 def _tolerated(calibration: Calibration) -> dict[str, list[str]]:
     """Return ids of the parameters whose tolerance is to be found, by unit."""
     ids_by_unit: dict[str, list[str]] = {}
-    free = calibration.unknowns()
+    free = calibration.unknowns
     moved = dict(zip(free.labels, free.map.any(axis=1) & ~np.isfinite(free.priors), strict=True))
     for parameter in calibration.mechanism.parameters:
         if moved[parameter.id] and parameter.id not in calibration.mechanism.amplitudes:

@@ -1,4 +1,4 @@
-"""Parts of a result: one parameter, one leg, one measured quantity, one tie."""
+"""Parts of a result: one parameter, one leg, one measured quantity."""
 
 from __future__ import annotations
 
@@ -140,21 +140,3 @@ class Observed:
     """Predicted less measured, shape (count,)."""
     redundancy: Array | None = None
     """As of a leg's residuals, shape (count,)."""
-
-
-@dataclass(frozen=True)
-class TieTest:
-    """Whether a parameter that was tied has one value for all legs."""
-
-    name: str
-    restrictions: int
-    """By how many parameters there are fewer."""
-    statistic: float
-    """Square of the differences between legs in standard errors, over the restrictions."""
-    p_value: float
-    """Probability of such a growth, or a larger one, if the tie holds."""
-
-    @property
-    def holds(self) -> bool:
-        """Whether the measurements do not contradict the tie, at 1 %."""
-        return self.p_value >= 0.01

@@ -61,12 +61,12 @@ def misses_of(calibration: Calibration, fits: Fits) -> Misses:
     observation, data = calibration.observation, calibration.measurements
     machine = calibration.mechanism.with_parameters(fits.parameters(calibration.mechanism))
     platform, setup = machine.platform, calibration.options.setup
-    external = fits.external or observation.external.start
+    external = fits.external
     complete = np.isfinite(data.readings).all(axis=1) & observation.measured.any(axis=1)
     rows = np.flatnonzero(complete)
     influences = None if calibration.influences is None else calibration.influences[rows]
     guess = None  # measured in another frame
-    if fits.external is None or setup.plain:
+    if setup.plain:
         guess = np.where(np.isfinite(data.poses[rows]), data.poses[rows], platform.home)
     solution = forward(machine, data.readings[rows], guess, influences)
     rows, poses = rows[solution.converged], solution.poses[solution.converged]

@@ -16,7 +16,7 @@ from pincal.files.text import in_si, plain_number
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.option import option
 from pincal.model.parameter import Parameter, means
-from pincal.model.setup import Setup
+from pincal.model.setup import Setup, Systematic
 from pincal.model.units import UNITS
 from pincal.types import Array, Index
 
@@ -193,10 +193,11 @@ class Options:
                 f"--folds {self.folds!r}: expected 2 or more, or 0 for no held-out validation; "
                 "models are compared on at least two folds"
             )
-        if self.setup.instruments and not self.latent:
+        if not (self.latent or (self.setup.plain and self.setup.systematic == Systematic())):
             raise MeasurementError(
-                "instruments need all legs at once and the closure residual; leave out "
-                "method='per-leg' and residual='joint'"
+                "unknown frames, targets, distances, instruments and systematic errors need all "
+                "legs at once and the closure residual; leave out "
+                + ("--method per-leg" if self.method == "per-leg" else "--residual joint")
             )
         as_said: dict[str, Any] = {name: getattr(self, name) for name in ("fixed", "tied", "terms")}
         parsed: dict[str, Any] = {

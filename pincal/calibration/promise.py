@@ -44,7 +44,6 @@ CONTRADICT = frozenset(
         "model-lacks",
         "no-noise",
         "many-outliers",
-        "tie-contradicted",
         "held-out-worse",
         "step",
         "reference-moved",
@@ -70,7 +69,7 @@ def explained(result: CalibrationResult) -> bool:
 
 
 def contradictions(result: CalibrationResult) -> tuple[Finding, ...]:
-    """Return what contradicts the model or its noise: χ², residuals, held-out rows, runs, ties.
+    """Return what contradicts the model or its noise: χ², residuals, held-out rows, runs.
 
     Or leaves it unproved: fewer equations than unknowns. Terms that these measurements chose are
     made to fit them: only held-out rows can vouch for them.
@@ -300,7 +299,7 @@ def pose_misses(calibration: Calibration, machine: Mechanism, external: External
     twists = np.full(data.poses.shape, np.nan)
     complete: Mask = np.asarray(np.isfinite(data.poses).all(axis=1))
     if complete.any() and not setup.distances and len(setup.targets) <= 1:
-        poses, _ = calibration.rows(complete).given_poses(external)
+        poses = calibration.rows(complete).given_poses(external)
         rows = data.rows(complete)
         known = {name: rows.influences[name] for name in machine.influences}
         plan = Plan(poses, readings=rows.readings, influences=known)

@@ -11,7 +11,7 @@ import numpy as np
 
 from pincal.attached import attached
 from pincal.calibration.calibration import Calibration
-from pincal.calibration.leg_result import IdentifiedParameter, LegResult, Observed, TieTest
+from pincal.calibration.leg_result import IdentifiedParameter, LegResult, Observed
 from pincal.calibration.options import FOLDS, By, Options
 from pincal.calibration.promise import (
     contradictions,
@@ -96,10 +96,6 @@ class CalibrationResult:
     left: float
     """How far the optimum is where the search ended, to first order, in standard errors."""
     converged: bool
-    costs: tuple[tuple[float, ...], ...] = ()
-    """Of each fit (of all legs, or of each), what was minimised, per degree of freedom: at the
-    start, where the search began if that is elsewhere, and after each step taken. With a robust
-    loss of its first search, by Cauchy's; empty of results saved by version 0.2.0 and before."""
     systematic: Array | None = None
     """Part of the covariance that is off by the same in all rows (type B), shape (n, n)."""
     findings: tuple[Finding, ...] = ()
@@ -115,7 +111,6 @@ class CalibrationResult:
     undetermined_directions: Array | None = None
     """Directions of the legs' parameters that were held near nominal, as far as machines may
     differ, shape (n, n_lost)."""
-    ties: tuple[TieTest, ...] = ()
     observed: tuple[Observed, ...] = ()
     """How the measured quantities of the platform fit, where poses were unknowns."""
     outside: External | None = None
@@ -220,7 +215,7 @@ class CalibrationResult:
 
     @property
     def contradictions(self) -> tuple[Finding, ...]:
-        """What contradicts the model or its noise: χ², residuals, held-out rows, runs, ties.
+        """What contradicts the model or its noise: χ², residuals, held-out rows, runs.
 
         While there are any, no limit is promised for the platform's error, anywhere.
         """
@@ -289,7 +284,7 @@ class CalibrationResult:
         """Poses of all rows in the base frame, measured or estimated, shape (N, dof)."""
         if self.estimated_poses is not None:
             return self.estimated_poses
-        return self.calibration.given_poses(self.outside)[0]
+        return self.measurements.poses
 
     def with_checks(self, **checks: Validation | RunComparison) -> CalibrationResult:
         """Return the result with checks of it, and with what these say that it does not say yet.

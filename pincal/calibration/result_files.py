@@ -255,7 +255,6 @@ def as_json(result: CalibrationResult) -> dict[str, Any]:
         "outliers": [vars(outlier) | {"row": outlier.row + 1} for outlier in result.outliers],
         "external": [_parameter(p) for p in result.external],
         "gauge": [sentence(freedom) for freedom in result.gauge],
-        "ties": [vars(tie) | {"holds": tie.holds} for tie in result.ties],
         "observed": [_named(part, "name unit count rms sigma") for part in result.observed],
         "weakly_determined": result.weak,
         "validation": result.validation,

@@ -17,7 +17,7 @@ from pincal.blas import on_one_thread
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.covariance import chi2_freedoms, confidence, exceeded
 from pincal.calibration.findings import lacking, rounding
-from pincal.calibration.fits import Fits, Near, fitted
+from pincal.calibration.fits import Fits, fitted
 from pincal.calibration.missed import Missed, missed, misses_of
 from pincal.calibration.options import FOLDS, By, folds_of
 from pincal.calibration.promise import UNEXPLAINED
@@ -29,7 +29,7 @@ from pincal.estimation.solver import solve_poses
 from pincal.estimation.start import placed, poses_at_rest
 from pincal.estimation.system import UNLIKELY, NormalEquations
 from pincal.finding import Finding
-from pincal.types import Array, Index
+from pincal.types import Array, Index, Mask
 from pincal.words.numbers import chance
 from pincal.words.sentences import finding, sentences
 from pincal.words.wording import missed_line
@@ -109,9 +109,8 @@ def held_out(
     for fold in range(count):
         calibration.options.report(f"held-out rows, fold {fold + 1} of {count}")
         seen_rows, unseen = groups != fold, calibration.rows(groups == fold)
-        near = Near.of(fits_of_all, seen_rows) if fits_of_all.latent else None
         fold_calibration = calibration.rows(seen_rows).at_this_noise()
-        fits = _converged(fold_calibration, f"fold {fold + 1} of {count}", near)
+        fits = _converged(fold_calibration, f"fold {fold + 1} of {count}", fits_of_all, seen_rows)
         sums = _sums(predictions(fits, unseen))
         chances.append(_chance(fits, sums, total))
         misses.append((unseen, misses_of(unseen, fits)))
@@ -144,13 +143,15 @@ def held_out(
     )
 
 
-def _converged(calibration: Calibration, subject: str, near: Near | None = None) -> Fits:
-    """Return the fits of a calibration, the search begun near another optimum if one is given.
+def _converged(
+    calibration: Calibration, subject: str, near: Fits | None = None, rows: Mask | None = None
+) -> Fits:
+    """Return the fits of a calibration, the search begun near others of which these are some rows.
 
     Raises:
         MeasurementError: they do not converge.
     """
-    fits = fitted(calibration, near=near)
+    fits = fitted(calibration, near, rows)
     if not fits.converged:
         raise MeasurementError(
             f"{subject} does not converge; measure more poses, or give a better nominal mechanism"
@@ -167,11 +168,10 @@ def predictions(fits_of_all: Fits, unseen: Calibration) -> list[tuple[Fit, Linea
         linear = problem.evaluate(poses_at_rest(problem, state))
         return [(fit, solve_poses(problem, linear)[0])]
     names = list(unseen.mechanism.leg_names)
-    measured_poses = unseen.given_poses(fits_of_all.external)
     pairs = []
     for fit in fits_of_all.fits:
         group = [names.index(leg.name) for leg in fit.problem.legs]
-        problem, _ = unseen.measured_problem(group, *measured_poses)
+        problem, _ = unseen.measured_problem(group)
         pairs.append((fit, problem.evaluate(problem.start(fit.parameters))))
     return pairs
 

@@ -273,7 +273,7 @@ def fit(
     check_rank(problem, unknowns, first)
     if not problem.weighted:
         system = replace(system, unit=float(np.median(np.linalg.norm(first.noise_root, axis=2))))
-    begun = highest = system.cost_at(first)
+    highest = system.cost_at(first)
     near = first
     if start is not None:  # where the last steps ended, which the search does not know of
         highest *= 1.0 + ROWS_FOLLOW
@@ -301,8 +301,7 @@ def fit(
             )
         judged = (optimum.last, optimum.noise_scale) if solution.converged else (first, 1.0)
         check_information(problem, unknowns, judged[:1], judged[1])
-    costs = solution.costs if near is first else (float(begun), *solution.costs)
-    return replace(optimum, evaluations=solution.evaluations + evaluations, costs=costs)
+    return replace(optimum, evaluations=solution.evaluations + evaluations)
 
 
 _PAIRS, _CLEARLY = 3, 0.1

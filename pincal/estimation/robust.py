@@ -76,7 +76,7 @@ def _under_loss(
     scale = optimum.scale
     if loss.name == "reject":
         optimum = _without_outliers(optimum, search)
-    return replace(optimum, first=coarse.first, costs=coarse.costs), scale
+    return replace(optimum, first=coarse.first), scale
 
 
 def _seen_scale(fit: Fit) -> float:

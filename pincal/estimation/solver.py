@@ -63,8 +63,6 @@ class SolverResult:
     """Distance of the optimum, to first order, in standard errors."""
     converged: bool
     """Whether that is negligible, or rounding."""
-    costs: tuple[float, ...]
-    """Sums of squares, the priors' included, where the search began and after each step taken."""
 
 
 @dataclass(frozen=True)
@@ -123,7 +121,7 @@ def search(
         max_evaluations: Evaluations of the conditions after which to stop; a usual number if None.
     """
     current, damping, growth = Iterate.of(system, start), 0.0, 10.0
-    costs, evaluations, highest = [current.cost], 1, max(current.cost, highest)
+    evaluations, highest = 1, max(current.cost, highest)
     unused = ~system.in_use(start)
     fixed_poses, cost_when_fixed = unused, np.inf
     while current.normal.decrement > _tolerance(system, current, enough):
@@ -140,7 +138,6 @@ def search(
             damping = damping if damping > _DAMPING[0] else 0.0
             at_end = current.blind and _at_end(current, trial)
             current = trial
-            costs.append(current.cost)
             if current.cost < 0.5 * cost_when_fixed:
                 fixed_poses, cost_when_fixed = unused, np.inf
             if at_end:
@@ -161,7 +158,6 @@ def search(
         evaluations,
         distance,
         exact or distance <= (10.0 if system.adjusted else 1.0) * NEGLIGIBLE,
-        tuple(float(cost) for cost in costs),
     )
 
 
@@ -177,8 +173,7 @@ def last_steps(system: System, optimum: SolverResult) -> SolverResult:
             end = search(replace(system, adjusted=True), optimum.last)
     except (MeasurementError, np.linalg.LinAlgError):
         return optimum
-    evaluations, costs = optimum.evaluations + end.evaluations - 1, end.costs[1:]
-    return replace(end, evaluations=evaluations, costs=(*optimum.costs, *costs))
+    return replace(end, evaluations=optimum.evaluations + end.evaluations - 1)
 
 
 def adjusts(problem: Problem) -> bool:

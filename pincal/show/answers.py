@@ -245,7 +245,7 @@ def supporting_lines(result: CalibrationResult, errors: WorkspaceErrors | None) 
     if not result.converged:
         return lines
     lines += platform_lines(result, errors) if errors is not None else []
-    lines += [*check_lines(result), *tie_lines(result), *weak_lines(result.weak, result.nominal)]
+    lines += [*check_lines(result), *weak_lines(result.weak, result.nominal)]
     lines += [f"fixed by choice, {gauge_line(result)}"] if result.gauge else []
     return lines
 
@@ -334,15 +334,6 @@ def systematic_lines(result: CalibrationResult) -> list[str]:
     return [
         f"every ± holds what more rows do not make smaller, {listed(parts)}: {100 * share:.2g} % "
         "of the platform's expected mean square error of position"
-    ]
-
-
-def tie_lines(result: CalibrationResult) -> list[str]:
-    """Return whether ties hold."""
-    return [
-        f"tie of {tie.name}: {'holds' if tie.holds else 'contradicted'} "
-        f"({chance(tie.p_value)}, {tie.restrictions} parameters fewer)"
-        for tie in result.ties
     ]
 
 

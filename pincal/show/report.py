@@ -158,7 +158,7 @@ def _sections(report: Report) -> list[tuple[Any, ...]]:
             [f"{capital(line)}." for line in answers.platform_lines(result, errors)],
         ),
         ("outliers", "What was rejected or weighted down", *_outliers(result)),
-        ("checks", "Held-out rows, ties and runs", *_checks(result, report.notes)),
+        ("checks", "Held-out rows and runs", *_checks(result, report.notes)),
         reproduction,
     ]
 
@@ -205,8 +205,8 @@ def _outliers(result: CalibrationResult) -> list[Any]:
 
 
 def _checks(result: CalibrationResult, notes: Sequence[str]) -> list[Any]:
-    """Return what ties, held-out rows and runs show, and notes on what was not done."""
-    lines = [capital(line) for line in (*answers.tie_lines(result), *answers.check_lines(result))]
+    """Return what held-out rows and runs show, and notes on what was not done."""
+    lines = [capital(line) for line in answers.check_lines(result)]
     lines = [f"{line}." for line in (*lines, *notes)]
     runs = [tables.runs_table(result.runs)] if result.runs is not None else []
-    return [lines or ["No rows were held out, and no ties tested."], *runs]
+    return [lines or ["No rows were held out."], *runs]

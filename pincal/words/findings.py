@@ -265,12 +265,6 @@ PARAMETERS: dict[str, Wording] = {
         "be negative.",
         "Correct the nominal values (zeros of motors first), or fix these lengths (--fixed)",
     ),
-    "tie-contradicted": Wording(
-        "A tie does not hold",
-        "{name} is tied over the legs, and the measurements contradict that ({p_value|chance})",
-        "The legs differ in this parameter by more than their standard errors explain (1 %).",
-        "Leave the tie out (--tied)",
-    ),
 }
 _NEAREST = "Of equal parameters, those nearest to nominal were taken."
 FREEDOMS: dict[str, Wording] = {

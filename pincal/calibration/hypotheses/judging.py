@@ -262,9 +262,7 @@ def _placed(case: Case, calibrations: Sequence[Calibration]) -> list[Array | Non
     if case.alone:
         starts = (calibration.observation.external.start for calibration in calibrations)
         pairs = zip(calibrations, starts, strict=True)
-        return [
-            platform.matrices(calibration.given_poses(start)[0]) for calibration, start in pairs
-        ]
+        return [platform.matrices(calibration.given_poses(start)) for calibration, start in pairs]
     every = [calibration.measurements.readings for calibration in calibrations]
     known = np.isfinite(readings := np.concatenate(every or [case.readings[:0]])).all(axis=1)
     distinct, index = np.unique(readings[known], axis=0, return_inverse=True)
@@ -299,7 +297,7 @@ def _aligned(calibration: Calibration, reached: Array, good: Mask) -> Array | No
         return None
     oriented = np.isfinite(data.poses).all(axis=1)
     if oriented.all():
-        return mechanism.platform.matrices(calibration.given_poses(external)[0])
+        return mechanism.platform.matrices(calibration.given_poses(external))
     position = np.zeros((len(data), 3))
     position[:, : mechanism.platform.space] = data.poses[:, : mechanism.platform.space]
     matrices = np.where(good[:, None, None], reached, np.nan)

@@ -392,7 +392,7 @@ def _zeros(calibration: Calibration) -> tuple[Array, Array]:
     ψ = d k q + γ grows with γ; q = d k ψ + γ falls by d k of it. Zeros with priors, ties or terms,
     or of several sensors, start at nominal: columns of zeros, of (n_params, n_readings).
     """
-    unknowns, legs = calibration.unknowns(), calibration.mechanism.legs
+    unknowns, legs = calibration.unknowns, calibration.mechanism.legs
     free = unknowns.map != 0.0
     alone = free[:, free.sum(axis=0) == 1].sum(axis=1) == 1
     start = np.concatenate([leg.nominal for leg in legs])

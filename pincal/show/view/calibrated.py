@@ -127,7 +127,7 @@ def _measured(result: CalibrationResult) -> tuple[Array, Array]:
     poses, lengths = np.full(twists.shape, np.nan), platform.lengths
     complete: Mask = np.asarray(np.isfinite(result.measurements.poses).all(axis=1))
     if complete.any():
-        poses[complete] = calibration.rows(complete).given_poses(result.outside)[0]
+        poses[complete] = calibration.rows(complete).given_poses(result.outside)
     measured, shifts = np.zeros((2, len(poses), 3))
     measured[:, :lengths] = poses[:, :lengths]
     shifts[:, :lengths] = twists[:, [row < 3 for row in platform.twist_rows]]
