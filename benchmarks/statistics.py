@@ -23,6 +23,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 import correlated
 import cramer_rao
 from cramer_rao import drawn
+from measured import validated
 from resized import scaled
 
 import pincal
@@ -309,7 +310,7 @@ def held_out(sets: int) -> Lines:
     one = machine("3RRR", 60)
     for name, given in (("given", NOISE), ("estimated", None)):
         p = [
-            pincal.validate(one.nominal, drawn(one, NOISE, seed), noise=given).p_value
+            validated(one.nominal, drawn(one, NOISE, seed), noise=given).p_value
             for seed in range(sets)
         ]
         yield f"clean data, noise {name}: held-out p-values", uniform(p)
@@ -318,7 +319,7 @@ def held_out(sets: int) -> Lines:
     for name, given in (("given", NOISE), ("estimated", None)):
         found = [
             bool(
-                pincal.validate(
+                validated(
                     one.nominal,
                     drawn(one, pincal.Noise(5e-5, 5e-5, 2e-5), seed, waves),
                     noise=None if given is None else pincal.Noise(5e-5, 5e-5, 2e-5),
@@ -483,7 +484,7 @@ def chances(sets: int) -> Lines:
             data = drawn(one, NOISE, seed)
             chi.append(_chance(pincal.calibrate(one.nominal, data, **options)))
             for by, found in held.items():
-                found.append(pincal.validate(one.nominal, data, by=by, **options).p_value)
+                found.append(validated(one.nominal, data, by=by, **options).p_value)
         yield f"clean {kind}, {method}: χ² p-values ({sets} sets)", uniform(chi)
         for by, found in held.items():
             yield f"… held-out rows by {by}", uniform(found)

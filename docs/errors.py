@@ -51,7 +51,7 @@ empty list means: no problems found.
 #: Kinds of findings: title, what they are, and their wordings.
 _KINDS: tuple[tuple[str, str, Mapping[str, Wording]], ...] = (
     ("The fit", "Whether it converged, its noise, χ² and intervals.", RESULTS),
-    ("Rows", "What residuals follow, outliers, held-out rows, runs.", ROWS),
+    ("Rows", "What residuals follow, outliers, held-out rows.", ROWS),
     ("Parameters", "Poses that are too few, values that moved far.", PARAMETERS),
     ("Gauge freedoms", "Fixed by choice; `result.gauge`.", FREEDOMS),
     ("Measurements", "Cannot be right, whatever the parameters.", FAULTS),
@@ -105,7 +105,6 @@ VALUES = {
     "low": "lower end of a 95 % interval; 0 where the drawing may be exact",
     "message": "why the search ended",
     "most": "the largest noise that is taken [unit]",
-    "name": "of the tied parameters, several with commas",
     "nominal": "what the reading should be [rad]",
     "off": "largest residual of the worst row [standard deviations]",
     "offsets": "name, offset [unit] and unit of each reading",
@@ -125,7 +124,6 @@ VALUES = {
     "quantity": 'the reading or measured quantity that is off, such as x or leg_1; "readings" is '
     'all of them, "lengths" those of the legs',
     "questioned": "names of the legs that do not fit as measured",
-    "ratio": "spread of parameters over the runs, in predicted standard errors",
     "ratios": "standard deviations seen over those given, of positions, orientations, readings",
     "reading": "the first reading that is off [rad]; standard deviation of readings, 0 if exact",
     "readings": "name, value, unit, and by how much the nominal one differs, of each",

@@ -17,7 +17,7 @@ for seed in (1, 2):
 
 first, second = runs
 print(first)
-held_out = pincal.validate(robot, data, noise=noise, folds=5)
+held_out = second.validated(folds=5).validation
 print(f"held-out rows miss by {held_out.held_out:.2f} σ")
 
 names = [one.id for one in first.parameters]

@@ -1,7 +1,7 @@
 """The names of ``pincal``, and where each is: imported when it is first used."""
 
 from .architectures.new import new_mechanism
-from .calibration.calibrate import calibrate, validate
+from .calibration.calibrate import calibrate
 from .calibration.options import Options
 from .calibration.result import CalibrationResult
 from .calibration.result_files import load_result
@@ -123,6 +123,5 @@ __all__ = [
     "select_poses",
     "simulate",
     "symmetry_group",
-    "validate",
     "view",
 ]

@@ -18,7 +18,6 @@ Method = TypeVar("Method", bound=Callable[..., Any])
 DONE_BY = {
     "CalibrationResult.__str__": "pincal.show.answers.result_text",
     "CalibrationResult._repr_html_": "pincal.show.notebook.result_html",
-    "CalibrationResult.compared": "pincal.calibration.calibrate.with_runs",
     "CalibrationResult.plot": "pincal.show.charts.Plots",
     "CalibrationResult.report": "pincal.show.report.report",
     "CalibrationResult.save": "pincal.calibration.result_files.save_result",

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 import pincal
+from pincal.calibration.validation import Validation
 from pincal.design.simulate import platform_errors
 
 NOISE = pincal.Noise(1e-4, 1e-4, 5e-5)
@@ -157,3 +159,17 @@ def _motion(twist: np.ndarray) -> np.ndarray:
     matrix[:3, 3] = twist[:3]
     matrix[:3, :3] = Rotation.from_rotvec(twist[3:]).as_matrix()
     return matrix
+
+
+def validated(
+    mechanism: pincal.Mechanism,
+    data: pincal.Measurements,
+    *,
+    folds: int = 5,
+    by: Any = "region",
+    **options: Any,
+) -> Validation:
+    """Return the held-out errors of a calibration."""
+    validation = pincal.calibrate(mechanism, data, **options).validated(folds, by).validation
+    assert validation is not None
+    return validation

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from arms import loaded
 from command_line import done
-from measured import workspace
+from measured import validated, workspace
 from test_loads import energy, heavy
 
 import pincal
@@ -202,9 +202,9 @@ def test_held_out_rows_are_predicted_at_their_temperatures() -> None:
     nominal, true = machine_of("3RRR")
     noise = pincal.Noise(2e-5, 2e-5, 2e-5)
     data = pincal.simulate(nominal, true, plan_of(nominal, 60), noise, seed=0).measurements
-    held = pincal.validate(nominal, data, noise=noise)
+    held = validated(nominal, data, noise=noise)
     assert held.p_value > 0.01
-    blind = pincal.validate(pincal.load_mechanism("3RRR"), data, noise=noise)
+    blind = validated(pincal.load_mechanism("3RRR"), data, noise=noise)
     assert blind.targets[0].rms > 2.0 * held.targets[0].rms
 
 

@@ -171,22 +171,6 @@ def test_columns_without_a_meaning_are_copied_to_the_mended_file(tmp_path: Path)
 
 
 @pytest.mark.slow
-def test_doctor_does_not_say_works_for_what_calibrate_contradicts() -> None:
-    """Two runs 0.2 mm apart fit within the noise; compared, they differ: nothing works."""
-    mechanism, _, data = machine("3RRR", 24, NOISE)
-    side = np.arange(24) % 2
-    moved = data.poses + np.outer(2e-4 * side - 1e-4, [1.0, 1.0, 0.0])
-    data = replace(data, runs=tuple(map(str, side)), poses=moved)
-    calibration = Calibration(mechanism, data, Options(noise=NOISE))
-    assert pincal.calibrate(mechanism, data, noise=NOISE).promises
-    first = next(iter(remedies(calibration)))
-    assert first.result is not None
-    assert first.result.validation is not None
-    assert [one.code for one in first.result.contradictions] == ["runs-differ"]
-    assert not first.works
-
-
-@pytest.mark.slow
 def test_counts_of_another_scale_are_mended(tmp_path: Path) -> None:
     """Ten times the counts a turn: the mended file has the readings themselves."""
     mechanism, _, data = machine("3RRR", 24, NOISE)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from arms import loaded
-from measured import workspace
+from measured import validated, workspace
 
 import pincal
 from pincal.calibration.calibrate import prepared, run
@@ -73,7 +73,7 @@ def test_positions_of_an_arm_are_missed_in_mm() -> None:
     poses[:, 3:] = np.nan
     target = pincal.Target(unknown=True)
     setup = pincal.Setup(unknown_frame=True, targets={"platform": target})
-    found = pincal.validate(
+    found = validated(
         arm,
         replace(data, poses=poses),
         noise=noise,

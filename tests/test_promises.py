@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from cramer_rao import Machine, drawn, machine, values_of
 from marks import some_slow
+from measured import validated
 from numpy.typing import NDArray
 from resized import scaled
 from scipy.stats import kstest
@@ -138,7 +139,7 @@ def test_held_out_p_values_are_uniform() -> None:
     one = machine("3RRR", 60)
     for noise in (NOISE, None):
         p = [
-            pincal.validate(one.nominal, drawn(one, NOISE, seed, 0.0), noise=noise).p_value
+            validated(one.nominal, drawn(one, NOISE, seed, 0.0), noise=noise).p_value
             for seed in range(24)
         ]
         assert kstest(p, "uniform").pvalue > 0.01
@@ -154,12 +155,12 @@ def test_rows_to_verify_are_not_followed() -> None:
     without = pincal.calibrate(one.nominal, data.rows(~last), noise=NOISE)
     assert with_them.degrees_of_freedom == without.degrees_of_freedom
     np.testing.assert_allclose(values_of(with_them)[0], values_of(without)[0], atol=1e-9)
-    found = pincal.validate(one.nominal, marked, noise=NOISE)
+    found = validated(one.nominal, marked, noise=NOISE)
     assert (found.folds, found.rows) == (1, 8)
     assert found.p_value > 1e-3
     moved = marked.readings.copy()
     moved[last] += 1e-3
-    wrong = pincal.validate(one.nominal, replace(marked, readings=moved), noise=NOISE)
+    wrong = validated(one.nominal, replace(marked, readings=moved), noise=NOISE)
     assert wrong.findings
 
 

@@ -22,7 +22,7 @@ from command_line import done
 from lxml import html as lxml_html
 from marks import some_slow
 from matplotlib.figure import Figure
-from measured import workspace
+from measured import validated, workspace
 from rich.console import Console
 
 import pincal
@@ -70,7 +70,7 @@ def planar() -> tuple[pincal.CalibrationResult, pincal.Measurements, Report]:
     data = replace(data, poses=poses)
     options: dict[str, Any] = {"noise": NOISE, "loss": "reject"}
     result = pincal.calibrate(mechanism, data, **options)
-    result = replace(result, validation=pincal.validate(mechanism, data, **options))
+    result = replace(result, validation=validated(mechanism, data, **options))
     return result, data, result.report(command="pincal", date=DATE)
 
 

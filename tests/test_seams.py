@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from differences import assert_derivative
-from measured import machine, put
+from measured import machine, put, validated
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
@@ -155,7 +155,7 @@ def test_an_instrument_is_known_everywhere(tmp_path: Path) -> None:
     assert "station.zero" in result.report().html()
     with pytest.raises(pincal.MeasurementError, match="'station' is code"):
         result.save(tmp_path / "r")
-    validation = pincal.validate(robot, read, setup=setup, noise=pincal.Noise(1e-4, 1e-4, 0.0))
+    validation = validated(robot, read, setup=setup, noise=pincal.Noise(1e-4, 1e-4, 0.0))
     assert validation.findings is not None
 
 

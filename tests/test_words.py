@@ -221,7 +221,6 @@ SAID: dict[str, tuple[dict[str, Any], tuple[int, ...], tuple[str, ...], str]] = 
     "zeros-found": ({"changes": (("leg_1.gamma", 0.7, "rad"),)}, (), ("leg_1.gamma",), "zeros of readings are far from the drawing's: leg_1.gamma by 0.7 rad. Nothing to do if"),
     "sign-changed": ({"lengths": (("leg_1.l", 0.05, -0.0478),)}, (), ("leg_1.l",), "lengths changed their sign: leg_1.l from 0.05 to -0.0478 m"),
     "held-out-worse": ({"held_out": 3.0, "expected": 1.1, "p_value": 1e-6}, (), (), "the model follows its rows more closely than the machine. Measure more poses"),
-    "runs-differ": ({"ratio": 4.2, "p_value": 1e-9}, (), ("leg_2.OA",), "parameters differ between runs 4.2 times as much as their standard errors say (p = 1e-09), leg_2.OA most: something changed between runs"),
     "bad-rows": ({"worst": 7, "times": 123.4}, (7, 8), (), "data row 8 misses the nominal mechanism 123 times as far as rows usually do, and 1 more row so. Look for a slip"),
     "frame-misaligned": ({"frame": "base", "remedy": "base", "share": 0.9, "shift": 5e-3, "turn": 1e-3, "p_value": 1e-7}, (), (), "one motion of the base's frame, by 5 mm and 1 mrad"),
     "readings-still": ({"readings": (("leg_1", 0.5, "rad", 0.3),)}, (), (), "leg_1 reads the same in all rows (0.5 rad), where readings of the nominal mechanism differ by 0.3 rad over these poses. Check the sensor"),

@@ -13,7 +13,7 @@ GROUPS = {
     "Poses to measure": "select_poses Selection select_configurations Plan forecast indices",
     "Measurements": "Measurements Noise Setup Target Distance Tracker Systematic Instrument "
     "Condition Image",
-    "Calibration": "calibrate Options Loss CalibrationResult load_result validate explain "
+    "Calibration": "calibrate Options Loss CalibrationResult load_result explain "
     "Explanation corrections Corrections",
     "Simulation": "disturb simulate accuracy",
     "Pictures": "picture view",
@@ -23,7 +23,6 @@ GROUPS = {
 #: What functions return, by the module that holds it.
 RETURNED = """
 pincal.calibration.result.IdentifiedParameter
-pincal.calibration.runs.RunComparison
 pincal.calibration.validation.Validation
 pincal.design.forecast.Forecast
 pincal.design.platform_error.PlatformError

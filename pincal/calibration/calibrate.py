@@ -1,7 +1,6 @@
 """The pipeline of a calibration: read, check, start, fit, verify, decide what to say of it.
 
-``calibrate``, ``validate``, ``compare_runs``, ``explain``, the command and the doctor all go this
-way; ``run`` has its steps in order.
+``calibrate``, ``explain``, the command and the doctor go this way; ``run`` has its steps in order.
 """
 
 from __future__ import annotations
@@ -30,12 +29,11 @@ from pincal.calibration.hypotheses.plausibility import (
 )
 from pincal.calibration.options import AUTO, FOLDS, By, Options
 from pincal.calibration.result import CalibrationResult
-from pincal.calibration.runs import RunComparison, run_names, runs_compared
 from pincal.calibration.terms.candidates import extended
 from pincal.calibration.terms.choice import choose
 from pincal.calibration.terms.kinds import columns_of_terms, every_pair, parse_terms
-from pincal.calibration.validation import Validation, held_out
-from pincal.errors import MeasurementError, MisfitError, ObservabilityError, PincalError
+from pincal.calibration.validation import held_out
+from pincal.errors import MisfitError, ObservabilityError, PincalError
 from pincal.estimation.unknowns import External
 from pincal.files.measurements import read_measurements
 from pincal.files.mechanism_folders import as_mechanism
@@ -72,60 +70,6 @@ def calibrate(
     return run(prepared(mechanism, measurements, options, **single_options))[0]
 
 
-def validate(
-    mechanism: Mechanism | str | Path,
-    measurements: Measurements | str | Path | Any,
-    options: Options | None = None,
-    *,
-    folds: int | None = None,
-    by: By = "region",
-    **single_options: Any,
-) -> Validation:
-    """Return the errors at rows that a calibration has not seen.
-
-    Rows whose ``set`` is ``verify`` are those, if there are any. Else each fold is left out in
-    turn: neighbours in the space of readings, so that an error of the model cannot hide in rows
-    nearby; rows of each ``set`` alike, those of one ``pose`` together. Rows that a robust loss
-    finds outlying are left out.
-
-    Args:
-        mechanism: The nominal mechanism; or its name or folder.
-        measurements: What was measured; or a CSV file or a DataFrame of it.
-        options: How to calibrate.
-        folds: How many times a share of the rows is held out; as in the options if not given.
-        by: ``"region"``, ``"turn"`` (rows dealt to the folds in turn), or ``"run"`` (each run of
-            the experiment is a fold).
-        **single_options: Options by name: see ``Options``.
-
-    Raises:
-        MeasurementError: fewer rows than folds, or fewer than two folds; a fold does not converge.
-        ObservabilityError: what is left does not determine the parameters.
-    """
-    calibration = prepared(mechanism, measurements, options, folds=folds, **single_options)
-    return held_out(started(calibration), calibration.options.folds, by)
-
-
-def compare_runs(
-    mechanism: Mechanism | str | Path,
-    measurements: Measurements | str | Path | Any,
-    options: Options | None = None,
-    **single_options: Any,
-) -> RunComparison:
-    """Return how well the runs of an experiment agree, each calibrated alone.
-
-    Args:
-        mechanism: The nominal mechanism; or its name or folder.
-        measurements: What was measured, with the run of each row; or a CSV file or DataFrame.
-        options: How to calibrate.
-        **single_options: Options by name: see ``Options``.
-
-    Raises:
-        MeasurementError: no runs, or only one; a run whose fit does not converge.
-        ObservabilityError: a run that does not determine the parameters alone.
-    """
-    return calibrate_runs(prepared(mechanism, measurements, options, **single_options))
-
-
 def prepared(
     mechanism: Mechanism | str | Path,
     measurements: Measurements | str | Path | Any,
@@ -150,13 +94,12 @@ def prepared(
 def run(
     asked: Calibration, folds: int | None = None, by: By = "region"
 ) -> tuple[CalibrationResult, list[str]]:
-    """Return the result of a calibration, and why a check of it was not made, if one was not.
+    """Return the result of a calibration, and why no rows were held out, if any were to be.
 
     Args:
         asked: The calibration as it was read.
-        folds: How many times a share of the rows is held out, 0 for not at all; None makes no
-            checks: no rows are held out, and runs are not compared.
-        by: What is held out together: see ``validate``.
+        folds: How many times a share of the rows is held out, 0 or None for not at all.
+        by: What is held out together: see ``CalibrationResult.validated``.
 
     Raises:
         PincalError: those of ``calibrate``.
@@ -168,10 +111,6 @@ def run(
     except (PincalError, np.linalg.LinAlgError) as error:
         raise explained_error(calibration, error) from error
     result = assemble(sure_fits)
-    checks: dict[str, Any] = {}
-    notes: list[str] = []
-    if folds is not None and result.converged:
-        checks, notes = check_result(result, folds, by, fits)
     findings = (
         *explain_result(result, fits.external),
         *findings_of(result, sure_fits),
@@ -181,7 +120,14 @@ def run(
     if result.excess > 1.0 and result.loss == "none":
         findings, outliers = blame_wrong_rows(result, findings)
     result = replace(result, findings=findings, outliers=outliers)
-    return result.with_checks(**checks), notes
+    if folds is None or not result.converged:
+        return result, []
+    if not folds:
+        return result, ["no rows were held out (--folds 0)"]
+    try:
+        return with_validation(result, folds, by, fits), []
+    except (PincalError, ArithmeticError) as error:
+        return result, [f"no held-out validation: {error}"]
 
 
 @on_one_thread
@@ -274,54 +220,11 @@ def chosen_terms(asked: Calibration, calibration: Calibration) -> tuple[Finding,
     return (finding("terms-chosen", parameters=terms),)
 
 
-def check_result(
-    result: CalibrationResult, folds: int = FOLDS, by: By = "region", fits: Fits | None = None
-) -> tuple[dict[str, Validation | RunComparison], list[str]]:
-    """Return checks of a result that converged, by its fields, and why others were not made.
-
-    Args:
-        result: The result.
-        folds: How many times a share of the rows is held out; 0 for not at all.
-        by: What is held out together: see ``validate``.
-        fits: The fits of all rows, if they are at hand; else they are made again.
-    """
-    checks: dict[str, Validation | RunComparison] = {}
-    notes = [] if folds else ["no rows were held out (--folds 0)"]
-    try:
-        if folds:
-            checks["validation"] = held_out(result.calibration, folds, by, fits)
-    except (PincalError, ArithmeticError) as error:
-        notes.append(f"no held-out validation: {error}")
-    try:
-        if result.measurements.runs is not None:
-            result.options.report("comparing the runs")
-            checks["runs"] = calibrate_runs(result.calibration)
-    except PincalError as error:
-        notes.append(f"runs not compared: {error}")
-    return checks, notes
-
-
-def calibrate_runs(calibration: Calibration) -> RunComparison:
-    """Return how well the runs of a calibration agree; errors are those of ``compare_runs``."""
-    names = run_names(calibration.measurements)
-    of_rows = np.array(calibration.measurements.runs)
-    results = []
-    for name in names:
-        run_alone = calibration.rows(of_rows == name)
-        result, _ = run(run_alone)
-        if not result.converged:
-            raise MeasurementError(f"run {name!r}: {result.message}")
-        results.append(result)
-    return runs_compared(names, results)
-
-
 def with_validation(
-    result: CalibrationResult, folds: int = FOLDS, by: By = "region"
+    result: CalibrationResult, folds: int = FOLDS, by: By = "region", fits: Fits | None = None
 ) -> CalibrationResult:
-    """Return what ``CalibrationResult.validated`` does."""
-    return result.with_checks(validation=held_out(result.calibration, folds, by))
-
-
-def with_runs(result: CalibrationResult) -> CalibrationResult:
-    """Return what ``CalibrationResult.compared`` does."""
-    return result.with_checks(runs=calibrate_runs(result.calibration))
+    """Return what ``CalibrationResult.validated`` does; by the fits of all rows if at hand."""
+    validation = held_out(result.calibration, folds, by, fits)
+    codes = {remark.code for remark in result.findings}
+    news = tuple(remark for remark in validation.findings if remark.code not in codes)
+    return replace(result, validation=validation, findings=(*result.findings, *news))

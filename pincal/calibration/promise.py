@@ -47,7 +47,6 @@ CONTRADICT = frozenset(
         "held-out-worse",
         "step",
         "reference-moved",
-        "runs-differ",
         "terms-chosen",
     }
 )
@@ -69,16 +68,14 @@ def explained(result: CalibrationResult) -> bool:
 
 
 def contradictions(result: CalibrationResult) -> tuple[Finding, ...]:
-    """Return what contradicts the model or its noise: χ², residuals, held-out rows, runs.
+    """Return what contradicts the model or its noise: χ², residuals, held-out rows.
 
     Or leaves it unproved: fewer equations than unknowns. Terms that these measurements chose are
     made to fit them: only held-out rows can vouch for them.
     """
     remarks = list(result.findings)
-    for check in (result.validation, result.runs):
-        remarks += [
-            remark for remark in (() if check is None else check.findings) if remark not in remarks
-        ]
+    if result.validation is not None:
+        remarks += [remark for remark in result.validation.findings if remark not in remarks]
     vouched = {"terms-chosen"} if result.validation is not None else set()
     short = {"few-poses"} if _short_of_equations(result) else set()
     return tuple(remark for remark in remarks if remark.code in (CONTRADICT - vouched) | short)
@@ -161,7 +158,7 @@ def uncovered(result: CalibrationResult) -> tuple[str, ...]:
     named = {
         "weight": not result.nominal.loaded,
         "scale": lengths and not setup.systematic.relative,
-        "time": result.runs is None and not any(data.places or ()),
+        "time": not any(data.places or ()),
     }
     return tuple(code for code, applies in named.items() if applies)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -35,7 +35,6 @@ from pincal.words.numbers import rounded
 from pincal.words.sentences import sentences
 
 if TYPE_CHECKING:
-    from pincal.calibration.runs import RunComparison
     from pincal.calibration.validation import Validation
     from pincal.show.charts import Plots
     from pincal.show.report import Report
@@ -119,8 +118,6 @@ class CalibrationResult:
     """The poses of all rows in the base frame, shape (N, dof), where they were unknowns."""
     validation: Validation | None = None
     """Errors at held-out rows, if that was asked for."""
-    runs: RunComparison | None = None
-    """How well runs of the experiment agree, if that was asked for."""
 
     @property
     def nominal(self) -> Mechanism:
@@ -215,7 +212,7 @@ class CalibrationResult:
 
     @property
     def contradictions(self) -> tuple[Finding, ...]:
-        """What contradicts the model or its noise: χ², residuals, held-out rows, runs.
+        """What contradicts the model or its noise: χ², residuals, held-out rows.
 
         While there are any, no limit is promised for the platform's error, anywhere.
         """
@@ -286,40 +283,24 @@ class CalibrationResult:
             return self.estimated_poses
         return self.measurements.poses
 
-    def with_checks(self, **checks: Validation | RunComparison) -> CalibrationResult:
-        """Return the result with checks of it, and with what these say that it does not say yet.
-
-        Args:
-            **checks: ``validation``, ``runs`` or both.
-        """
-        findings = self.findings
-        for check in checks.values():
-            codes = {finding.code for finding in findings}
-            findings += tuple(remark for remark in check.findings if remark.code not in codes)
-        changes: dict[str, Any] = {"findings": findings, **checks}
-        return replace(self, **changes)
-
     @attached
     def validated(self, folds: int = FOLDS, by: By = "region") -> CalibrationResult:
         """Return the result with its errors at held-out rows, and what these contradict.
 
+        Rows whose ``set`` is ``verify`` are those, if there are any. Else each fold is left out in
+        turn: neighbours in the space of readings, so that an error of the model cannot hide in rows
+        nearby; rows of each ``set`` alike, those of one ``pose`` together. Rows that a robust loss
+        finds outlying are left out.
+
         Args:
             folds: How many times a share of the rows is held out.
-            by: What is held out together: see ``validate``.
+            by: ``"region"``, ``"turn"`` (rows dealt to the folds in turn), or ``"run"`` (each run
+                of the experiment is a fold).
 
         Raises:
             MeasurementError: fewer rows than folds, or fewer than two folds; a fold does not
                 converge.
             ObservabilityError: what is left does not determine the parameters.
-        """
-
-    @attached
-    def compared(self) -> CalibrationResult:
-        """Return the result with how well the runs of its measurements agree.
-
-        Raises:
-            MeasurementError: no runs, or only one; a run whose fit does not converge.
-            ObservabilityError: a run that does not determine the parameters alone.
         """
 
     def to_dataframe(self) -> Any:

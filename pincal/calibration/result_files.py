@@ -25,7 +25,6 @@ from pincal.calibration.leg_result import IdentifiedParameter, LegResult
 from pincal.calibration.options import Options, Progress, Tolerance
 from pincal.calibration.promise import most_uncertain, uncovered
 from pincal.calibration.result import CalibrationResult, HtmlPage
-from pincal.calibration.runs import RunComparison
 from pincal.calibration.validation import Validation
 from pincal.errors import MeasurementError, PincalError
 from pincal.estimation.noise import NoiseModel
@@ -42,7 +41,6 @@ from pincal.words.sentences import sentence
 
 _NOT_FINITE = ("inf", "-inf", "nan")
 _SAVED_ELSEWHERE = ("calibration", "identified")
-_REPORTS = {"Validation": Validation, "RunComparison": RunComparison}
 
 
 def _is_array(kind: Any) -> bool:
@@ -111,7 +109,7 @@ def _frozen(data: Any) -> Any:
 
 
 _CONVERTER = _converter()
-_HINTS = get_type_hints(CalibrationResult, localns=dict(_REPORTS))
+_HINTS = get_type_hints(CalibrationResult, localns={"Validation": Validation})
 
 
 def stored(result: CalibrationResult) -> dict[str, Any]:
@@ -258,7 +256,6 @@ def as_json(result: CalibrationResult) -> dict[str, Any]:
         "observed": [_named(part, "name unit count rms sigma") for part in result.observed],
         "weakly_determined": result.weak,
         "validation": result.validation,
-        "runs": None if result.runs is None else _runs(result.runs),
         "legs": [_leg(leg) for leg in result.legs],
         "covariance": result.parameter_covariance,
         "data": stored(result),
@@ -309,15 +306,6 @@ def _parameter(p: IdentifiedParameter) -> dict[str, Any]:
         "interval_95": [p.low, p.high],
         "given": p.given or None,
         "label": p.label or None,
-    }
-
-
-def _runs(runs: RunComparison) -> dict[str, Any]:
-    columns = zip(runs.names, runs.spread, runs.predicted, runs.values.T, strict=True)
-    names = ("name", "spread", "predicted", "values")
-    return {
-        **_named(runs, "runs ratio p_value"),
-        "parameters": [dict(zip(names, column, strict=True)) for column in columns],
     }
 
 

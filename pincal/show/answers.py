@@ -22,7 +22,6 @@ from pincal.show.workspace_errors import WorkspaceErrors, workspace_errors
 from pincal.words.numbers import (
     amount,
     capital,
-    chance,
     counted,
     listed,
     number,
@@ -182,7 +181,7 @@ def accuracy_table(result: CalibrationResult, errors: WorkspaceErrors) -> Table:
 
 
 def _reliable(result: CalibrationResult, notes: Sequence[str]) -> Answer:
-    """Return whether the result can be relied on: warnings, χ², held-out rows, runs, outliers."""
+    """Return whether the result can be relied on: warnings, χ², held-out rows, outliers."""
     lines = [*noise_lines(result), *_comparisons(result)]
     if result.outliers:
         lines.append(f"{counted(len(result.outliers), 'row does', 'rows do')} not fit the others")
@@ -362,7 +361,7 @@ def platform_lines(result: CalibrationResult, errors: WorkspaceErrors) -> list[s
 
 
 def check_lines(result: CalibrationResult) -> list[str]:
-    """Return how held-out rows and runs compare, and how far held-out targets are missed."""
+    """Return how held-out rows compare, and how far held-out targets are missed."""
     return [*_comparisons(result), *(missed_line(**vars(missed)) for missed in _missed(result))]
 
 
@@ -373,7 +372,7 @@ def _missed(result: CalibrationResult) -> Sequence[Missed]:
 
 
 def _comparisons(result: CalibrationResult) -> list[str]:
-    """Return how held-out rows and runs compare."""
+    """Return how held-out rows compare."""
     lines, validation = [], result.validation
     if validation is not None:
         folds, count = validation.folds, validation.rows
@@ -386,11 +385,6 @@ def _comparisons(result: CalibrationResult) -> list[str]:
             text = "held-out rows show nothing: the fit misses even its own rows by "
             text += f"{validation.fit:.3g} σ. Look at the warnings first"
         lines.append(f"{text} ({rows})")
-    if result.runs is not None:
-        lines.append(
-            f"{len(result.runs.runs)} runs: parameters spread {result.runs.ratio:.2f} times as "
-            f"much as their standard errors say ({chance(result.runs.p_value)})"
-        )
     return lines
 
 

@@ -86,7 +86,7 @@ def report(
         result: The calibration.
         command: What was typed, to say how to do it again.
         files: Files that were read; the report holds their SHA-256.
-        notes: Sentences beside those on held-out rows and runs.
+        notes: Sentences beside those on held-out rows.
         date: When it was made; now if not given. Nothing else differs from one time to the next.
         units: In which numbers are read, such as ``"in,deg"``; mm and mrad where not said.
 
@@ -158,7 +158,7 @@ def _sections(report: Report) -> list[tuple[Any, ...]]:
             [f"{capital(line)}." for line in answers.platform_lines(result, errors)],
         ),
         ("outliers", "What was rejected or weighted down", *_outliers(result)),
-        ("checks", "Held-out rows and runs", *_checks(result, report.notes)),
+        ("checks", "Held-out rows", *_checks(result, report.notes)),
         reproduction,
     ]
 
@@ -205,8 +205,7 @@ def _outliers(result: CalibrationResult) -> list[Any]:
 
 
 def _checks(result: CalibrationResult, notes: Sequence[str]) -> list[Any]:
-    """Return what held-out rows and runs show, and notes on what was not done."""
+    """Return what held-out rows show, and notes on what was not done."""
     lines = [capital(line) for line in answers.check_lines(result)]
     lines = [f"{line}." for line in (*lines, *notes)]
-    runs = [tables.runs_table(result.runs)] if result.runs is not None else []
-    return [lines or ["No rows were held out."], *runs]
+    return [lines or ["No rows were held out."]]

@@ -8,7 +8,6 @@ import numpy as np
 
 from pincal.calibration.leg_result import IdentifiedParameter
 from pincal.calibration.result import CalibrationResult
-from pincal.calibration.runs import RunComparison
 from pincal.calibration.terms.choice import Explanation
 from pincal.calibration.terms.screen import Candidate
 from pincal.design.forecast import Forecast
@@ -350,15 +349,6 @@ def outliers_table(result: CalibrationResult, most: int = 20) -> Table:
 def files_table(files: Sequence[tuple[str, str]]) -> Table:
     """Return files that were read, and their SHA-256."""
     return Table("Files read, and their SHA-256", ["file", "SHA-256"], files)
-
-
-def runs_table(runs: RunComparison) -> Table:
-    """Return the spread of parameters over runs against their standard errors."""
-    return Table(
-        "Spread of the parameters over the runs, against their standard errors, in SI",
-        ["parameter", "spread:.3g", "predicted:.3g"],
-        list(zip(runs.names, runs.spread.tolist(), runs.predicted.tolist(), strict=True)),
-    )
 
 
 # What explains a calibration that does not fit

@@ -114,7 +114,7 @@ RESULTS: dict[str, Wording] = {
         "Parameters take these up, so that residuals show them only if they are large.",
         severity="info",
         general="Terms of loads (--terms) take in weight, systematic: in the setup scale and "
-        "temperature; a pose that is measured again and again, or several runs, shows what changes "
+        "temperature; a pose that is measured again and again shows what changes "
         "with time",
     ),
 }
@@ -133,8 +133,7 @@ ROWS: dict[str, Wording] = {
         "{quantity} is off by {size|amount(unit)} from data row {row} on ({p_value|chance})",
         "A sensor, target or frame changed its place during the experiment. The finding's row is "
         "the first after it.",
-        "Look for an encoder that slipped, or a target that was hit; name runs in a column run, or "
-        "leave the shorter part out",
+        "Look for an encoder that slipped, or a target that was hit; leave the shorter part out",
     ),
     "reference-moved": Wording(
         "A pose moved that was measured again",
@@ -183,15 +182,6 @@ ROWS: dict[str, Wording] = {
         "expected ({p_value|chance}): the model follows its rows more closely than the machine",
         "Rows that a fit has not seen miss by more than is explained (p below 0.001).",
         "Measure more poses, or fix parameters",
-    ),
-    "runs-differ": Wording(
-        "Runs differ",
-        "parameters differ between runs {ratio|f(1)} times as much as their standard errors say "
-        "({p_value|chance}), {parameters|join(', ')} most: something changed between runs, or the "
-        "noise is larger than given",
-        "Runs, calibrated each alone, spread more than their standard errors say (p below 0.001). "
-        "The finding's parameters are the three that differ most.",
-        "Find what changed between runs",
     ),
 }
 PARAMETERS: dict[str, Wording] = {

@@ -2,7 +2,7 @@
 
 As measured; with what explains the misfit put right; each of these without rows that do not fit;
 the same in an unknown frame, and of an unknown target too; of a machine known roughly. A remedy
-works if its search converges and nothing contradicts it, rows held out and runs included: as
+works if its search converges and nothing contradicts it, rows held out included: as
 ``pincal calibrate`` has it.
 """
 
@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from pincal.blas import on_one_thread
-from pincal.calibration.calibrate import check_result, run
+from pincal.calibration.calibrate import run
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.hypotheses.plausibility import check_noise, hypotheses_of
 from pincal.calibration.result import CalibrationResult
@@ -135,8 +135,10 @@ def _attempt(findings: tuple[Finding, ...], calibration: Calibration) -> Remedy:
     remedy = Remedy(findings, calibration, result, "")
     if not remedy.works:
         return remedy
-    checks, _ = check_result(result)
-    return replace(remedy, result=result.with_checks(**checks))
+    try:
+        return replace(remedy, result=result.validated())
+    except (PincalError, ArithmeticError):
+        return remedy
 
 
 def _left_out(result: CalibrationResult) -> float:
