@@ -22,7 +22,7 @@ from resized import scaled
 import pincal
 from pincal import Measurements, Mechanism, Noise, Platform
 from pincal.blas import on_one_thread, one_thread
-from pincal.model.home import home_gap
+from pincal.model.consistency import home_gap
 from pincal.workspace.criteria import in_workspace
 
 Array = NDArray[np.float64]

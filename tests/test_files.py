@@ -23,7 +23,7 @@ from pincal.files import mechanism_folders
 from pincal.files.mechanism_folders import bundled
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.readers import tips_by_reader
-from pincal.model.home import home_gap
+from pincal.model.consistency import home_gap
 from pincal.workspace.criteria import in_workspace
 
 YAML, LEG, PLATFORM = "mechanism.yaml", "leg_1.urdf", "platform.urdf"

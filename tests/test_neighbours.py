@@ -39,7 +39,6 @@ from pincal.kinematics.assembly import independent
 from pincal.kinematics.batches import cross
 from pincal.kinematics.closed_forms import PointingSlide, closed_form, reach_of
 from pincal.kinematics.closure import LegClosure
-from pincal.model.home import link_placements
 from pincal.model.leg import Leg
 from pincal.model.placement import Coordinate
 
@@ -185,7 +184,7 @@ def sites_at(file: Path, q: np.ndarray) -> np.ndarray:
     site = np.eye(4)
     site[:3, 3] = (0.1, 0.2, 0.3)
     site[:3, :3] = Rotation.from_quat([2, 3, 4, 1]).as_matrix()
-    return link_placements(leg, q)[:, -1] @ site
+    return leg.link_placements(q)[:, -1] @ site
 
 
 def bounded(text: str) -> str:

@@ -17,7 +17,7 @@ from rich.console import Console
 
 import pincal
 from pincal.files.mechanism_folders import bundled
-from pincal.model.sensor import sensor_laws
+from pincal.model.sensor import law_of_sensors
 from pincal.show.tables import symmetry_table
 from pincal.symmetry.carry import canonical, carry
 
@@ -147,7 +147,7 @@ def test_generated_parameters_are_the_papers() -> None:
     first, second = pincal.load_mechanism("5R").legs
     assert (second.nominal_by_name["A_x"], first.nominal_by_name["A_x"]) == (0.5, -0.5)
     p = second.nominal_by_name | {"k": 1.3, "gamma": 0.2}
-    law = sensor_laws(second.sensors, p, np.zeros(1), np.zeros((1, len(p))))
+    law = law_of_sensors(second, p, np.zeros(1), np.zeros((1, len(p))))
     theta = np.array([[0.4]])
     np.testing.assert_allclose(law.reading(theta), 1.3 * (np.pi - theta) + 0.2)
 

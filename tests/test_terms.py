@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -471,3 +472,18 @@ def test_a_joint_about_the_vertical_has_no_term_of_gravity() -> None:
     assert pan == ()
     assert all(len(own) == 1 for own in others)
     assert every == tuple(id_ for own in others for id_ in own)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: pincal.Power(2.5, 1.0), "a power: expected a whole number; got 2.5"),
+        (lambda: pincal.Power(2, 1.0, np.nan), "a power's centre is nan; expected a finite number"),
+        (lambda: pincal.Share(1.0, np.nan), "reference is nan; expected a finite number"),
+        (lambda: pincal.Share(np.inf), "is inf; expected a finite number"),
+        (lambda: pincal.Harmonic(np.nan, "sine"), "order is nan; expected a number above 0"),
+    ],
+)
+def test_numbers_of_a_form_are_finite(make: Callable[[], object], words: str) -> None:
+    with pytest.raises(MechanismError, match=words):
+        make()

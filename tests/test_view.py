@@ -26,7 +26,6 @@ from command_line import contents, done, run
 
 import pincal
 from pincal.kinematics.readers import skeleton
-from pincal.model.home import link_placements
 from pincal.show.view.bodies import Body, body
 from pincal.show.view.scene import scene
 
@@ -58,7 +57,7 @@ def test_links_are_where_pinocchio_puts_them(name: str) -> None:
     solution = pincal.inverse(mechanism, some_poses(mechanism))
     for leg in mechanism.legs:
         joints = solution.joints[leg.name]
-        own = link_placements(leg, joints)[:, :, :3, 3]
+        own = leg.link_placements(joints)[:, :, :3, 3]
         moving = [i for i, j in enumerate(leg.joints) if j.kind != "fixed"]
         for row, values in zip(own, joints, strict=True):
             assert np.allclose(row[[*moving, -1]], skeleton(leg, values), atol=1e-12)

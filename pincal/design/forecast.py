@@ -32,10 +32,9 @@ from pincal.files.measurements import as_noise
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.files.yaml import read_setup
 from pincal.kinematics.configurations import as_plan, check_reached, legs_at
-from pincal.model.checks import ALIKE
+from pincal.model.checks import ALIKE, ROWS
 from pincal.model.measurements import Noise, Plan
 from pincal.model.mechanism import Mechanism
-from pincal.model.overview import ROWS
 from pincal.model.setup import Setup, Systematic
 from pincal.types import Array
 from pincal.words.numbers import amount

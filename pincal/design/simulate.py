@@ -22,10 +22,9 @@ from pincal.kinematics.configurations import command, planned_influences
 from pincal.kinematics.forward import forward
 from pincal.kinematics.influences import by_name, influences_of
 from pincal.kinematics.inverse import inverse
-from pincal.model.checks import generator_of, number_of
+from pincal.model.checks import ROWS, generator_of, number_of
 from pincal.model.measurements import Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism
-from pincal.model.overview import ROWS
 from pincal.model.platform import Poses
 from pincal.types import Array, Index
 from pincal.words.numbers import amount

@@ -16,7 +16,7 @@ from pincal.files.urdf import read_chain, read_points
 from pincal.files.urdf_writing import leg_urdf, platform_urdf
 from pincal.files.yaml import read_yaml
 from pincal.model.checks import must_be
-from pincal.model.home import check_home
+from pincal.model.consistency import check_home
 from pincal.model.leg import Joint, Leg
 from pincal.model.mechanism import Mechanism
 

@@ -17,9 +17,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pincal.errors import MechanismError
-from pincal.formats.tree import Edge, listed
+from pincal.formats.tree import Edge
 from pincal.formats.urdf_tree import read_urdf
-from pincal.model.checks import ROUNDING
+from pincal.model.checks import ROUNDING, listed
 from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.placement import Placement, placement_of

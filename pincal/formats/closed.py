@@ -17,12 +17,11 @@ from scipy.spatial.transform import Rotation
 from pincal.errors import MechanismError
 from pincal.formats.arm import displaced, with_tip
 from pincal.formats.limbs import Limb, limb_along, paths_to_platform, point_platform
-from pincal.formats.tree import Step, Tree, listed
+from pincal.formats.tree import Step, Tree
 from pincal.kinematics.assembly import assembled, independent, opening
 from pincal.kinematics.closure import LegClosure, largest_size
-from pincal.model.checks import ALIKE, EXACT, ROUNDING
-from pincal.model.consistency import identifiers
-from pincal.model.home import ROUGH
+from pincal.model.checks import ALIKE, EXACT, ROUNDING, listed
+from pincal.model.consistency import ROUGH, identifiers
 from pincal.model.leg import Closing, Joint, Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.placement import placement_of

@@ -14,8 +14,8 @@ from itertools import accumulate
 import numpy as np
 
 from pincal.errors import MechanismError
-from pincal.formats.tree import Edge, Step, Tree, joints_along, listed, route
-from pincal.model.checks import EXACT
+from pincal.formats.tree import Edge, Step, Tree, joints_along, route
+from pincal.model.checks import EXACT, listed
 from pincal.model.leg import Joint
 from pincal.model.placement import Placement
 from pincal.types import Array

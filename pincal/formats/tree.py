@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from pincal.errors import MechanismError
+from pincal.model.checks import listed
 from pincal.model.leg import Closing, Joint
 from pincal.model.placement import Placement, placement_of
 from pincal.types import Array
@@ -221,10 +222,3 @@ def root_of(edges: Sequence[Edge], links: Sequence[str], source: str) -> str:
             f"{source}: {listed(sorted(lost))} cannot be reached from the root {roots[0]!r}"
         )
     return roots[0]
-
-
-def listed(names: Iterable[str], limit: int = 12) -> str:
-    """Return names in a row, not all of many."""
-    every = list(names)
-    remainder = f" and {len(every) - limit} more" if len(every) > limit else ""
-    return (", ".join(every[:limit]) or "none") + remainder

@@ -18,7 +18,6 @@ from pincal.files.urdf_writing import ends_element, joint_element, xml_text
 from pincal.formats.tree import FREE, Edge, Tree, turns
 from pincal.kinematics.assembly import assembled
 from pincal.kinematics.closure import LegClosure
-from pincal.model.home import link_placements
 from pincal.model.leg import Joint, Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import turns_in_series
@@ -86,7 +85,7 @@ def _point(leg: Leg, mechanism: Mechanism) -> Placement:
     """Return where a platform point is; in the plane at the height of the leg's tip."""
     placement = Placement((), leg.point.placement.xyz, leg.point.placement.rpy)
     if mechanism.platform.space == 2:
-        tip = link_placements(leg, leg.home[None])[0, -1]
+        tip = leg.link_placements(leg.home[None])[0, -1]
         placement = replace(placement, xyz=(*placement.xyz[:2], float(tip[2, 3])))
     return placement
 

@@ -24,7 +24,8 @@ from pincal.errors import FileError, MechanismError
 from pincal.files.text import Number, read_xml
 from pincal.files.urdf import link_of, read_joint, weighed
 from pincal.files.yaml import meant, read_yaml
-from pincal.formats.tree import Edge, Tree, at_home, listed, root_of, turns, with_ranges
+from pincal.formats.tree import Edge, Tree, at_home, root_of, turns, with_ranges
+from pincal.model.checks import listed
 from pincal.model.leg import Joint
 from pincal.model.placement import placement_of
 

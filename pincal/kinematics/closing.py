@@ -40,7 +40,7 @@ from pincal.model.checks import ROUNDING, wrapped
 from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Platform
-from pincal.model.sensor import SensorLaw, sensor_laws
+from pincal.model.sensor import SensorLaw, law_of_sensors
 from pincal.types import Array, Mask
 
 Group = TypeVar("Group")
@@ -276,8 +276,7 @@ def sensor_law(leg: LegClosure) -> SensorLaw:
         zeros, slopes = _at_home(leg)
     else:
         zeros, slopes = np.zeros(len(sensors)), np.zeros((len(sensors), len(leg.parameters)))
-    columns = (*leg.leg.reading_names, *leg.leg.influences)
-    return sensor_laws(sensors, leg.by_name, zeros, slopes, columns)
+    return law_of_sensors(leg.leg, leg.by_name, zeros, slopes)
 
 
 def driven(leg: LegClosure, joints: Array, known: Array) -> Array:

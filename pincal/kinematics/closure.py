@@ -42,7 +42,7 @@ from pincal.kinematics.forest import Motion, moments
 from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Platform
-from pincal.model.sensor import Deformations
+from pincal.model.sensor import SensorLaw, law_of_deformations
 from pincal.types import Array
 
 
@@ -296,9 +296,9 @@ class LegClosure:
         return applied(matrices, self._point.place)[:, 0].T
 
     @cached_property
-    def deformations(self) -> Deformations:
+    def deformations(self) -> SensorLaw:
         """What parameters deform by."""
-        return Deformations.of(self.leg, self.parameters)
+        return law_of_deformations(self.leg, self.by_name)
 
     def deformed(self, joints: Array, influences: Array | None = None) -> Array:
         """Return joint positions, and behind them how far parameters deform.
@@ -308,9 +308,9 @@ class LegClosure:
         """
         if not self.leg.deformed:
             return joints
-        none = np.empty((len(joints), 0))
-        deformations = self.deformations(none if influences is None else influences)
-        return np.concatenate((joints, deformations), axis=1)
+        known = np.zeros((len(joints), len(self.leg.deformed)))
+        known = known if influences is None else np.hstack((known, influences))
+        return np.concatenate((joints, self.deformations.position(known)), axis=1)
 
     def point_at(self, joints: Array) -> PlatformPoint:
         """Return the platform point at joint positions, with deformations or without."""

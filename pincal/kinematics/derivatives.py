@@ -77,8 +77,10 @@ def _by_parameter(leg: LegClosure, rows: Array, drive: Array, known: Array) -> A
     law, derivatives = sensor_law(leg), rows.copy("K")
     derivatives[:, :, law.parameter_places] += product(drive, law.by_parameter(known))
     if leg.leg.deformed:
-        deforming = leg.deformations.by_parameter(known[:, len(leg.leg.sensors) :])
-        derivatives += rows[:, :, leg.deformations.parameters] @ deforming
+        law, names = leg.deformations, leg.leg.parameter_names
+        places = [names.index(name) for name in leg.leg.deformed]
+        known = np.hstack((np.zeros((len(known), len(places))), known[:, len(leg.leg.sensors) :]))
+        derivatives[:, :, law.parameter_places] += rows[:, :, places] @ law.by_parameter(known)
     return derivatives
 
 

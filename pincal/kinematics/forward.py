@@ -46,7 +46,7 @@ from pincal.kinematics.influences import Influences, gravity_loads, influence_co
 from pincal.kinematics.nearest_closure import arm_poses
 from pincal.kinematics.singularity import platform_margin
 from pincal.model.checks import ROUNDING, numbers_of
-from pincal.model.home import ROUGH
+from pincal.model.consistency import ROUGH
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
 from pincal.model.terms import LOAD

@@ -19,10 +19,9 @@ from pincal.kinematics.closing import by_leg, close, close_chunks, sensor_law, s
 from pincal.kinematics.closure import largest_size, nominal_legs
 from pincal.kinematics.forward import LOADS, needs_loads, with_loads
 from pincal.kinematics.influences import Influences, influence_columns
-from pincal.model.checks import ROUNDING, array_of
+from pincal.model.checks import ROUNDING, ROWS, array_of
 from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
-from pincal.model.overview import ROWS
 from pincal.model.platform import Poses
 from pincal.types import Array, Mask
 

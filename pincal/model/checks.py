@@ -1,4 +1,4 @@
-"""What people hand over is checked once, where an object is made: types, shapes, numbers."""
+"""What people hand over is checked once, where an object is made; and how it is described."""
 
 from __future__ import annotations
 
@@ -21,6 +21,11 @@ ALIKE = 1e-6
 """Of the size: what agrees so far is the same place, though digits were cut in between."""
 
 
+ROWS = 30
+"""Of a table or list on a printed page; those that follow are counted."""
+_WIDTH = 118  # of a line
+
+
 def described(value: object) -> str:
     """Return a thing's type, with its shape or a short value, for a message."""
     if isinstance(value, np.ndarray):
@@ -29,6 +34,30 @@ def described(value: object) -> str:
         text = repr(value)
         return text if len(text) <= 60 else f"{text[:57]}…"
     return f"a {type(value).__name__}"
+
+
+def one_line(kind: str, *parts: str) -> str:
+    """Return ``Kind(part, part)``, on one line and not longer than it may be."""
+    text = f"{kind}({', '.join(part for part in parts if part)})"
+    return text if len(text) <= _WIDTH else f"{text[: _WIDTH - 2]}…)"
+
+
+def triple(values: Iterable[float]) -> str:
+    """Return numbers in brackets."""
+    return f"({', '.join(f'{value:.4g}' for value in values)})"
+
+
+def counted(count: int, noun: str) -> str:
+    """Return a number and a noun that agrees with it."""
+    return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
+def listed(names: Iterable[str], limit: int = 6) -> str:
+    """Return names joined by commas, those in the middle left out if there are many."""
+    names = tuple(names)
+    if len(names) > limit:
+        names = (*names[: limit - 2], "…", *names[-1:])
+    return ", ".join(names) or "none"
 
 
 def array_of(

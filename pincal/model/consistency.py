@@ -1,28 +1,34 @@
-"""What must agree in a leg and in a mechanism: checked where they are made."""
+"""What must agree in a leg and in a mechanism: checked where they are made, or read."""
 
 from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from itertools import chain
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from pincal.errors import MechanismError
 from pincal.model.checks import EXACT, LARGEST
 from pincal.model.orientation import SINGLE_ANGLES, WAYS
-from pincal.model.sensor import term_faults
+from pincal.model.terms import APPROACH, Term
 
 if TYPE_CHECKING:
     from pincal.model.leg import Joint, Leg
     from pincal.model.mechanism import Mechanism
+    from pincal.model.platform import Platform
 
 #: Columns of tables that mean something else than a reading.
 RESERVED = {"x", "y", "z", "phi", "set", "run", "pose", *SINGLE_ANGLES} | {
     name for names, _ in WAYS.values() for name in names
 }
+
+
+ROUGH = 0.1
+"""Of the size: what is drawn and misses by more is wrong, not rough."""
 
 
 def identifiers(names: Iterable[str]) -> tuple[str, ...]:
@@ -43,7 +49,7 @@ def identifiers(names: Iterable[str]) -> tuple[str, ...]:
 
 def check_leg(leg: Leg) -> None:
     """Raise MechanismError if joints, sensors, parameters and terms do not go together."""
-    topics = (_joint_faults, _sensor_faults, term_faults, _parameter_faults)
+    topics = (_joint_faults, _sensor_faults, _term_faults, _parameter_faults)
     for fault in chain.from_iterable(faults(leg) for faults in topics):
         raise MechanismError(f"{leg.name}: {fault}")
     for joint in (*leg.joints, leg.point):
@@ -104,6 +110,57 @@ def _parameter_faults(leg: Leg) -> Iterator[str]:
                 f"the sensor's gain is {gain:g}; expected one that is neither zero nor more than "
                 f"{LARGEST:g} times too small or large"
             )
+
+
+def _term_faults(leg: Leg) -> Iterator[str]:
+    """Yield why a term of a leg's sensors or parameters cannot be one."""
+    placed, constants = leg.placed, {c for s in leg.sensors for c in (s.gain, s.offset)}
+    for name, term in leg.terms:
+        if fault := _fault_of_growth(name, term, constants, placed):
+            yield f"term {term.parameter!r} of parameter {name!r}{fault}"
+    units: dict[str, str] = {}
+    for owner, term, unit in _amplitudes(leg):
+        context = f"term {term.parameter!r} of {owner}: its amplitude"
+        if term.parameter in placed or term.parameter in constants:
+            yield f"{context} is also a parameter of a placement or sensor; name it otherwise"
+        if units.setdefault(term.parameter, unit) != unit:
+            yield (
+                f"{context}, [{unit}], is also that of another term, [{units[term.parameter]}]; "
+                "name one of them otherwise"
+            )
+
+
+def _fault_of_growth(
+    name: str, term: Term, constants: Collection[object], placed: Collection[str]
+) -> str:
+    """Return why a parameter cannot have a term; empty if it can."""
+    if name in constants and name not in placed:
+        return (
+            ": that is the sensor's, whose position terms are added to as it is; give the term to "
+            "the sensor (sensors: terms)"
+        )
+    if name not in placed:
+        return f": no placement has such a parameter; expected one of {', '.join(placed) or 'none'}"
+    if not term.of:
+        return (
+            " depends on a reading; a parameter's depends on an influence: of a column such as "
+            "'temperature', or of 'load'"
+        )
+    if term.of == APPROACH:
+        return (
+            " depends on the side of approach, which is a joint's; give the term to a sensor, or "
+            "name a column of your own"
+        )
+    return ""
+
+
+def _amplitudes(leg: Leg) -> Iterator[tuple[str, Term, str]]:
+    """Yield the owners of a leg's terms, the terms, and the units of their amplitudes."""
+    for sensor, unit in zip(leg.sensors, leg.reading_units, strict=True):
+        for term in sensor.terms:
+            yield f"sensor {sensor.joint!r}", term, term.unit or unit
+    for name, term in leg.terms:
+        yield f"parameter {name!r}", term, term.unit or leg.placed[name]
 
 
 def check_mechanism(mechanism: Mechanism) -> None:
@@ -196,3 +253,52 @@ def _leaves_plane(joint: Joint) -> bool:
     height = abs(joint.axis[2])
     flat = abs(height - 1.0) < EXACT if joint.turns else height < EXACT
     return not (across and (flat or joint.kind == "fixed"))
+
+
+def check_home(leg: Leg, platform: Platform) -> None:
+    """Raise MechanismError if a leg is open at home by more than a tenth of its size.
+
+    Of an angle of more than a full turn it asks whether it is degrees.
+    """
+    gap, turn = _gap_and_turn(leg, platform)
+    if max(gap, leg.size * turn) <= ROUGH * leg.size:
+        return
+    how = (
+        f"its tip is {gap:.2g} m from the platform's point {leg.point.name!r}, the leg is "
+        f"{leg.size:.2g} m long; expected a tenth of that at most"
+        if gap >= leg.size * turn
+        else f"its tip is turned by {turn:.2g} rad against the platform's frame "
+        f"{leg.point.name!r}; expected {ROUGH:g} rad at most"
+    )
+    angles = [(f"{joint.name} of {leg.name}", joint.home) for joint in leg.moving if joint.turns]
+    named = list(zip(platform.coordinates, platform.home, strict=True))[platform.lengths :]
+    angles += [(f"{name} of the platform", value) for name, value in named]
+    questions = [
+        f". {name} is {value:g} at home: radians are expected; is this degrees "
+        f"({np.radians(value):.6g} rad)?"
+        for name, value in angles
+        if abs(value) > 2 * np.pi
+    ]
+    raise MechanismError(
+        f"{leg.name} does not close at home: {how}. Correct 'home' of {leg.name} or of the "
+        f"platform{''.join(questions[:1])}"
+    )
+
+
+def home_gap(leg: Leg, platform: Platform) -> float:
+    """Return by how much a leg is open at home, [m]; a turn of its frame counts times its size."""
+    gap, turn = _gap_and_turn(leg, platform)
+    return max(gap, leg.size * turn)
+
+
+def _gap_and_turn(leg: Leg, platform: Platform) -> tuple[float, float]:
+    """Return how far a leg's tip is from where it closes at home, [m], and turned, [rad].
+
+    A leg that closes a point may be turned.
+    """
+    tip = leg.link_placements(leg.home[None])[0, -1]
+    point = platform.home_pose.as_matrix()[0] @ leg.point.placement.origin()
+    gap = float(np.linalg.norm((tip - point)[: platform.space, 3]))
+    if leg.closes == "point":
+        return gap, 0.0
+    return gap, float(Rotation.from_matrix(point[:3, :3].T @ tip[:3, :3]).magnitude())

@@ -10,10 +10,8 @@ from typing import Any, Literal
 import numpy as np
 
 from pincal.errors import MechanismError
-from pincal.model.checks import must_be, number_of
+from pincal.model.checks import counted, listed, must_be, number_of, one_line, triple
 from pincal.model.consistency import check_leg, identifiers
-from pincal.model.overview import counted, one_line, triple
-from pincal.model.parameter import listed
 from pincal.model.placement import Placement
 from pincal.model.sensor import Sensor
 from pincal.model.terms import Term
@@ -263,6 +261,22 @@ class Leg:
     @property
     def _slides(self) -> list[Joint]:
         return [joint for joint in self.moving if not joint.turns]
+
+    def link_placements(self, joints: Array) -> Array:
+        """Return ``T_base_link`` of the link after each joint, shape (N, n_all_joints, 4, 4), [m].
+
+        Fixed joints count, the last link is the tip. Joints are positions of the moving ones, shape
+        (N, n_joints), [rad] or [m]; where they are NaN, so are the links that they move.
+        """
+        positions = iter(np.asarray(joints, dtype=np.float64).T)
+        T_base_link = np.broadcast_to(np.eye(4), (len(joints), 4, 4))
+        placements = []
+        for joint in self.joints:
+            T_base_link = T_base_link @ joint.placement.origin()
+            if joint.kind != "fixed":
+                T_base_link = T_base_link @ joint.motion(next(positions))
+            placements.append(T_base_link)
+        return np.stack(placements, axis=1)
 
     @cached_property
     def passive_scales(self) -> Array:

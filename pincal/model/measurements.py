@@ -11,10 +11,9 @@ import numpy as np
 
 from pincal.attached import attached
 from pincal.errors import MeasurementError
-from pincal.model.checks import LARGEST, array_of, must_be, names_of, number_of
+from pincal.model.checks import LARGEST, array_of, counted, must_be, names_of, number_of, one_line
 from pincal.model.mechanism import Mechanism
 from pincal.model.option import option
-from pincal.model.overview import counted, one_line
 from pincal.model.setup import Setup
 from pincal.types import Array, Index, Mask
 

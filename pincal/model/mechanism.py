@@ -14,10 +14,9 @@ import numpy as np
 
 from pincal.attached import attached
 from pincal.errors import MechanismError
-from pincal.model.checks import must_be
+from pincal.model.checks import counted, must_be, one_line
 from pincal.model.consistency import check_mechanism
 from pincal.model.leg import Leg
-from pincal.model.overview import counted, one_line
 from pincal.model.parameter import Parameter, Parameters, labels_of
 from pincal.model.platform import Platform
 from pincal.model.terms import LOAD, OF_JOINTS, Load

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from fnmatch import fnmatchcase
@@ -12,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from pincal.errors import MechanismError
+from pincal.model.checks import listed
 from pincal.types import Array
 
 #: Letters of a parameter's label, at most.
@@ -110,14 +110,6 @@ def labels_of(labels: object, name: str) -> tuple[tuple[str, str], ...]:
                 f"words, {LONGEST_LABEL} letters at most"
             )
     return tuple((str(key), str(text)) for key, text in texts.items())
-
-
-def listed(names: Iterable[str], limit: int = 6) -> str:
-    """Return names joined by commas, those in the middle left out if there are many."""
-    names = tuple(names)
-    if len(names) > limit:
-        names = (*names[: limit - 2], "…", *names[-1:])
-    return ", ".join(names)
 
 
 def unknown_id(key: str, ids: tuple[str, ...]) -> str:

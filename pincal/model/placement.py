@@ -17,9 +17,8 @@ from math import cos, sin
 import numpy as np
 
 from pincal.errors import MechanismError
-from pincal.model.checks import EXACT
+from pincal.model.checks import EXACT, one_line, triple
 from pincal.model.orientation import yaw_pitch_roll
-from pincal.model.overview import one_line, triple
 from pincal.types import Array
 
 Value = str | float  # a parameter's name, or a constant

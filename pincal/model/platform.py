@@ -11,9 +11,17 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from pincal.errors import MechanismError
-from pincal.model.checks import array_of, must_be, names_of, numbers_of, sine_and_cosine, wrapped
+from pincal.model.checks import (
+    array_of,
+    must_be,
+    names_of,
+    numbers_of,
+    one_line,
+    sine_and_cosine,
+    triple,
+    wrapped,
+)
 from pincal.model.orientation import WAYS, columns_of, tilted
-from pincal.model.overview import one_line, triple
 from pincal.types import Array
 
 if TYPE_CHECKING:

@@ -2,12 +2,13 @@
 
 q = k ψ + γ + Σ a_j b_j: linear in all that is unknown. Where a row says more than readings, its
 influence quantities stand beside them, as columns that follow the readings; what is not known of
-them, NaN or no column, is at its reference, where its terms are zero.
+them, NaN or no column, is at its reference, where its terms are zero. Lengths and angles that have
+terms follow such a law, too, of no reading: ε = Σ a_j b_j is added to them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal
@@ -16,12 +17,11 @@ import numpy as np
 
 from pincal.errors import MechanismError
 from pincal.model.checks import LARGEST
-from pincal.model.terms import APPROACH, Harmonic, Term
+from pincal.model.terms import Harmonic, Term
 from pincal.types import Array, Index
 
 if TYPE_CHECKING:
     from pincal.model.leg import Leg
-
 
 _STEPS = 50  # of Newton's method, at most, from a position to its reading
 _GRID, _OF_A_PERIOD = 2000, 24  # readings at which a law is tried for where it turns back
@@ -35,8 +35,7 @@ class PlacedTerm:
     target: int
     """Which of the leg's active joints it is added to, or of the parameters that deform."""
     column: int
-    """On which column it depends: a reading, or behind them an influence; an influence, if it is
-    of a parameter."""
+    """On which column it depends: a reading, or behind them an influence."""
     parameter: int
     """Which of the leg's parameters its amplitude is."""
     amplitude: float
@@ -50,16 +49,12 @@ class PlacedTerm:
         return np.where(np.isfinite(column), b, 0.0) if self.term.of else b
 
 
-def _add_terms(terms: Iterable[PlacedTerm], known: Array, to: Array) -> Array:
-    """Return targets (N, n), to which a b of terms is added."""
-    for term in terms:
-        to[:, term.target] += term.amplitude * term.basis(known)
-    return to
-
-
 @dataclass(frozen=True)
 class SensorLaw:
-    """Active joints' positions of readings, at parameter values: q = slope ψ + start + terms."""
+    """Active joints' positions of readings, at parameter values: q = slope ψ + start + terms.
+
+    What is known of rows are readings, and behind them influences, (N, n_active [+ n_influences]).
+    """
 
     slope: Array
     """∂q/∂ψ, shape (n_active,), [1]."""
@@ -92,15 +87,14 @@ class SensorLaw:
         return np.where(lost, np.nan, readings)
 
     def position(self, known: Array) -> Array:
-        """Return the active joints' positions of readings ψ, shape (N, n_active).
-
-        ``known`` are readings, and behind them influences, shape (N, n_active [+ n_influences]).
-        """
-        linear = self.slope * known[:, : len(self.slope)] + self.start
-        return _add_terms(self.terms, known, linear)
+        """Return the active joints' positions at what is known of rows, shape (N, n_active)."""
+        positions = self.slope * known[:, : len(self.slope)] + self.start
+        for term in self.terms:
+            positions[:, term.target] += term.amplitude * term.basis(known)
+        return positions
 
     def slopes(self, known: Array) -> Array:
-        """Return ∂q/∂ψ at given readings, shape (N, n_active), or (n_active,) if everywhere."""
+        """Return ∂q/∂ψ at what is known, shape (N, n_active), or (n_active,) if everywhere."""
         if not self.terms:
             return self.slope
         slopes = np.tile(self.slope, (len(known), 1))
@@ -145,6 +139,62 @@ class SensorLaw:
         back = np.broadcast_to(self.slopes(readings), readings.shape) * np.sign(self.slope) <= 0.0
         where = readings[back.argmax(axis=0), np.arange(len(first))]
         return np.where(back.any(axis=0), where, np.nan)
+
+
+def law_of_sensors(
+    leg: Leg, parameters: Mapping[str, float], home: Array, home_by_parameter: Array
+) -> SensorLaw:
+    """Return the law of a leg's sensors at parameter values, by name, in order.
+
+    Args:
+        leg: The leg.
+        parameters: Of the leg.
+        home: The active joints' positions at the platform's home pose, shape (n_active,).
+        home_by_parameter: Their derivatives, shape (n_active, n_params).
+    """
+    slope, start, slopes, starts = map(
+        np.array, zip(*(sensor.law(parameters) for sensor in leg.sensors), strict=True)
+    )
+    homed = np.array([sensor.homed for sensor in leg.sensors])
+    zeros = np.array([0.0 if sensor.homed else sensor.zero for sensor in leg.sensors], np.float64)
+    columns = (*leg.reading_names, *leg.influences)
+    terms = [
+        (term, index, columns.index(term.column(columns[index])) if term.of else index)
+        for index, sensor in enumerate(leg.sensors)
+        for term in sensor.terms
+    ]
+    return SensorLaw(
+        slope,
+        start + np.where(homed, home, zeros),
+        slopes,
+        starts + np.where(homed[:, None], home_by_parameter, 0.0),
+        _placed(terms, parameters),
+    )
+
+
+def law_of_deformations(leg: Leg, parameters: Mapping[str, float]) -> SensorLaw:
+    """Return how far the ``leg.deformed`` deform, at parameter values, by name, in order.
+
+    What is known of rows are zeros in place of readings, n_deformed, then the leg's influences.
+    """
+    columns = (*leg.deformed, *leg.influences)
+    terms = [
+        (term, leg.deformed.index(name), columns.index(term.column(f"{leg.name}.{name}")))
+        for name, term in leg.terms
+    ]
+    none = np.zeros((len(leg.deformed), len(parameters)))
+    return SensorLaw(none[:, 0], none[:, 0], none, none, _placed(terms, parameters))
+
+
+def _placed(
+    terms: Sequence[tuple[Term, int, int]], parameters: Mapping[str, float]
+) -> tuple[PlacedTerm, ...]:
+    """Return terms with their targets and columns at parameter values."""
+    place = {name: index for index, name in enumerate(parameters)}
+    return tuple(
+        PlacedTerm(term, target, column, place[term.parameter], parameters[term.parameter])
+        for term, target, column in terms
+    )
 
 
 @dataclass(frozen=True)
@@ -212,139 +262,3 @@ class Sensor:
             slopes = -self.direction * slope**2 * by_gain
             starts = -slope * by_offset + offset * self.direction * slope**2 * by_gain
         return slope, start, slopes, starts
-
-
-def sensor_laws(
-    sensors: Sequence[Sensor],
-    parameters: Mapping[str, float],
-    home: Array,
-    home_by_parameter: Array,
-    columns: Sequence[str] = (),
-) -> SensorLaw:
-    """Return the law of a leg's sensors at parameter values, by name, in order.
-
-    Args:
-        sensors: The sensors.
-        parameters: Of the leg.
-        home: The active joints' positions at the platform's home pose, shape (n_active,).
-        home_by_parameter: Their derivatives, shape (n_active, n_params).
-        columns: Names of the leg's readings, one for each sensor, and of its influences; not
-            needed where no term depends on any.
-    """
-    slope, start, slopes, starts = map(
-        np.array, zip(*(sensor.law(parameters) for sensor in sensors), strict=True)
-    )
-    homed = np.array([sensor.homed for sensor in sensors])
-    zeros = np.array([0.0 if isinstance(sensor.zero, str) else sensor.zero for sensor in sensors])
-    place = {name: index for index, name in enumerate(parameters)}
-    terms = tuple(
-        PlacedTerm(
-            term,
-            index,
-            columns.index(term.column(columns[index])) if term.of else index,
-            place[term.parameter],
-            parameters[term.parameter],
-        )
-        for index, sensor in enumerate(sensors)
-        for term in sensor.terms
-    )
-    return SensorLaw(
-        slope,
-        start + np.where(homed, home, zeros),
-        slopes,
-        starts + np.where(homed[:, None], home_by_parameter, 0.0),
-        terms,
-    )
-
-
-@dataclass(frozen=True)
-class Deformations:
-    """How far a leg's parameters deform, at parameter values."""
-
-    parameters: tuple[int, ...]
-    """Indices of the parameters that deform, length n_deformed."""
-    terms: tuple[PlacedTerm, ...]
-    """What is added to these, by the leg's influences."""
-    n_parameters: int
-    """All parameters of the leg."""
-
-    @classmethod
-    def of(cls, leg: Leg, values: Array) -> Deformations:
-        """Return those of a leg at parameter values, shape (n_params,)."""
-        place = {name: index for index, name in enumerate(leg.parameter_names)}
-        terms = tuple(
-            PlacedTerm(
-                term,
-                leg.deformed.index(name),
-                leg.influences.index(term.column(f"{leg.name}.{name}")),
-                place[term.parameter],
-                float(values[place[term.parameter]]),
-            )
-            for name, term in leg.terms
-        )
-        return cls(tuple(place[name] for name in leg.deformed), terms, len(place))
-
-    def __call__(self, influences: Array) -> Array:
-        """Return deformations ε, shape (N, n_deformed), [m] or [rad], at influences of the leg.
-
-        Zero where these, shape (N, n_influences), are NaN, or none are given.
-        """
-        return _add_terms(self.terms, influences, np.zeros((len(influences), len(self.parameters))))
-
-    def by_parameter(self, influences: Array) -> Array:
-        """Return ∂ε/∂φ, shape (N, n_deformed, n_params): that of an amplitude is its b."""
-        derivatives = np.zeros((len(influences), len(self.parameters), self.n_parameters))
-        for term in self.terms:
-            derivatives[:, term.target, term.parameter] += term.basis(influences)
-        return derivatives
-
-
-def term_faults(leg: Leg) -> Iterator[str]:
-    """Yield why a term of a leg's sensors or parameters cannot be one."""
-    placed, constants = leg.placed, {c for s in leg.sensors for c in (s.gain, s.offset)}
-    for name, term in leg.terms:
-        if fault := _fault_of_growth(name, term, constants, placed):
-            yield f"term {term.parameter!r} of parameter {name!r}{fault}"
-    units: dict[str, str] = {}
-    for owner, term, unit in _amplitudes(leg):
-        context = f"term {term.parameter!r} of {owner}: its amplitude"
-        if term.parameter in placed or term.parameter in constants:
-            yield f"{context} is also a parameter of a placement or sensor; name it otherwise"
-        if units.setdefault(term.parameter, unit) != unit:
-            yield (
-                f"{context}, [{unit}], is also that of another term, [{units[term.parameter]}]; "
-                "name one of them otherwise"
-            )
-
-
-def _fault_of_growth(
-    name: str, term: Term, constants: Collection[object], placed: Collection[str]
-) -> str:
-    """Return why a parameter cannot have a term; empty if it can."""
-    if name in constants and name not in placed:
-        return (
-            ": that is the sensor's, whose position terms are added to as it is; give the term to "
-            "the sensor (sensors: terms)"
-        )
-    if name not in placed:
-        return f": no placement has such a parameter; expected one of {', '.join(placed) or 'none'}"
-    if not term.of:
-        return (
-            " depends on a reading; a parameter's depends on an influence: of a column such as "
-            "'temperature', or of 'load'"
-        )
-    if term.of == APPROACH:
-        return (
-            " depends on the side of approach, which is a joint's; give the term to a sensor, or "
-            "name a column of your own"
-        )
-    return ""
-
-
-def _amplitudes(leg: Leg) -> Iterator[tuple[str, Term, str]]:
-    """Yield the owners of a leg's terms, the terms, and the units of their amplitudes."""
-    for sensor, unit in zip(leg.sensors, leg.reading_units, strict=True):
-        for term in sensor.terms:
-            yield f"sensor {sensor.joint!r}", term, term.unit or unit
-    for name, term in leg.terms:
-        yield f"parameter {name!r}", term, term.unit or leg.placed[name]

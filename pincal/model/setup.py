@@ -16,12 +16,11 @@ import numpy as np
 
 from pincal.attached import attached
 from pincal.errors import MeasurementError
-from pincal.model.checks import array_of, count_of, must_be, number_of
+from pincal.model.checks import array_of, count_of, listed, must_be, number_of, one_line
 from pincal.model.mechanism import Mechanism
 from pincal.model.option import option
 from pincal.model.orientation import WAYS
-from pincal.model.overview import one_line
-from pincal.model.parameter import Parameter, listed
+from pincal.model.parameter import Parameter
 from pincal.model.platform import Platform
 from pincal.types import Array
 

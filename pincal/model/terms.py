@@ -1,20 +1,21 @@
 """Terms of sensors and parameters: known functions of what a row says, times unknown amplitudes.
 
 What is not geometry lives in the joint's reading: q = k ψ + γ + Σ a_j b_j; and a parameter is a
-joint, so it may be p + Σ a_j b_j (``Deformations``). Each b_j is a number for each row,
-of its reading or of an influence quantity beside it (temperature, time, side of approach, load),
-scaled so that its amplitude is in the joint's own unit. Linear in the unknowns.
+joint, so it may be p + Σ a_j b_j. Each b_j is a number for each row, of its reading or of an
+influence quantity beside it (temperature, time, side of approach, load), scaled so that its
+amplitude is in the joint's own unit. Linear in the unknowns.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from pincal.errors import MechanismError
+from pincal.model.checks import count_of, number_of
 from pincal.types import Array
 
 APPROACH = "approach"
@@ -37,8 +38,8 @@ class Harmonic:
     period: float = 2.0 * np.pi
 
     def __post_init__(self) -> None:
-        _positive("a harmonic's order", self.order)
-        _positive("a harmonic's period", self.period)
+        _check("a harmonic's order", self.order, positive=True)
+        _check("a harmonic's period", self.period, positive=True)
         if self.phase not in ("sine", "cosine"):
             raise MechanismError(f"a harmonic's phase is {self.phase!r}; expected sine or cosine")
 
@@ -77,8 +78,9 @@ class Power:
     centre: float = 0.0
 
     def __post_init__(self) -> None:
-        _positive("a power's range", self.range)
-        if not 2 <= self.power <= 20:
+        _check("a power's range", self.range, positive=True)
+        _check("a power's centre", self.centre)
+        if not 2 <= count_of(self.power, "a power", MechanismError) <= 20:
             raise MechanismError(
                 f"a power of {self.power!r}; expected 2 to 20 (0 and 1 are offset and gain)"
             )
@@ -111,9 +113,11 @@ class Share:
     reference: float = 0.0
 
     def __post_init__(self) -> None:
-        if not 0.0 < abs(self.per) < np.inf:
+        _check("an influence's reference", self.reference)
+        _check("an influence's share ('per')", self.per)
+        if self.per == 0.0:
             raise MechanismError(
-                f"an influence's share ('per') is {self.per!r}; expected a number other than 0"
+                "an influence's share ('per') is 0; expected a number other than 0"
             )
 
     def __call__(self, value: Array) -> Array:
@@ -125,13 +129,11 @@ class Share:
         return np.full_like(value, 1.0 / self.per)
 
 
-def _positive(name: str, value: float) -> None:
-    if not 0.0 < value < np.inf:
-        raise MechanismError(f"{name} is {value!r}; expected a number above 0")
-
-
-FORMS = (Harmonic, Power, Share)
-"""Forms that a mechanism's folder may hold."""
+def _check(name: str, value: float, *, positive: bool = False) -> None:
+    """Raise unless a number is finite, and above 0 if it has to be."""
+    if not abs(number_of(value, name, MechanismError)) < np.inf or (positive and value <= 0.0):
+        expected = "a number above 0" if positive else "a finite number"
+        raise MechanismError(f"{name} is {value!r}; expected {expected}")
 
 
 @dataclass(frozen=True)
@@ -166,9 +168,8 @@ class Term:
     @property
     def slope_of(self) -> Callable[[Array], Array]:
         """db/dψ."""
-        if self.slope is not None:
-            return self.slope
-        slope: Callable[[Array], Array] = self.basis.slope  # type: ignore[attr-defined]
+        basis: Any = self.basis
+        slope: Callable[[Array], Array] = self.slope or basis.slope
         return slope
 
     def column(self, owner: str) -> str:
@@ -181,8 +182,8 @@ class Term:
 
     @property
     def has_form(self) -> bool:
-        """Whether a folder can hold it: one of the forms, not a function of one's own."""
-        return self.slope is None and isinstance(self.basis, FORMS)
+        """Whether a folder can hold it: one of the forms above, no function of one's own."""
+        return self.slope is None and isinstance(self.basis, Harmonic | Power | Share)
 
 
 Triple = tuple[float, float, float]

@@ -28,7 +28,7 @@ from pincal.kinematics.singularity import (
     rods_margin,
 )
 from pincal.model.checks import EXACT, ROUNDING, must_be
-from pincal.model.home import home_gap
+from pincal.model.consistency import home_gap
 from pincal.model.mechanism import Mechanism
 from pincal.model.option import option
 from pincal.model.platform import Poses

@@ -26,10 +26,10 @@ from pincal.errors import MeasurementError
 from pincal.kinematics.closure import largest_size
 from pincal.kinematics.configurations import planned_influences
 from pincal.kinematics.influences import by_name
+from pincal.model.checks import listed
 from pincal.model.leg import Leg
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
-from pincal.model.parameter import listed
 from pincal.model.terms import APPROACH, LOAD, Harmonic, Power, Share, Term
 from pincal.types import Array
 

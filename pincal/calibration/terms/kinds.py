@@ -15,9 +15,9 @@ import numpy as np
 
 from pincal.calibration.options import AUTO
 from pincal.errors import MeasurementError
+from pincal.model.checks import listed
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
-from pincal.model.parameter import listed
 from pincal.model.terms import APPROACH, LOAD
 
 HARMONICS, POLYNOMIAL, BACKLASH, GRAVITY = "harmonics", "polynomial", "backlash", "gravity"

@@ -17,7 +17,6 @@ from scipy.spatial.transform import Rotation
 from pincal.kinematics.closing import sensor_law
 from pincal.kinematics.closure import LegClosure
 from pincal.model.checks import EXACT
-from pincal.model.home import link_placements
 from pincal.model.leg import Joint
 from pincal.model.sensor import Sensor
 from pincal.types import Array
@@ -66,7 +65,7 @@ def dimensions_of(
     """
     leg, law = closure.leg, sensor_law(closure)
     values = leg.nominal_by_name
-    links = link_placements(leg, np.asarray(joints)[None])[0]
+    links = leg.link_placements(np.asarray(joints)[None])[0]
     dimensions: list[Dimension] = []
     for index, joint in enumerate(leg.joints):
         parent = links[index - 1] if index else np.eye(4)

@@ -21,7 +21,6 @@ from scipy.spatial.transform import Rotation
 
 from pincal.files.urdf_writing import leg_urdf, platform_urdf
 from pincal.kinematics.configurations import as_plan, joints_at
-from pincal.model.home import link_placements
 from pincal.model.leg import Leg
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
@@ -204,7 +203,7 @@ def body(mechanism: Mechanism, planned: Plan | Array) -> Body:
         foot, *shapes = urdf_shapes(leg_urdf(leg))
         radius = foot[0].size[2]
         add(f"leg {number}/base", foot, np.eye(4))
-        links = link_placements(leg, joints)
+        links = leg.link_placements(joints)
         chains.append(tuple(range(len(parts), len(parts) + len(shapes))))
         pair = parallelogram(leg) if mechanism.platform.kind == "translational" else None
         for place, link_shapes in enumerate(shapes):
