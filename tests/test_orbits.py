@@ -13,11 +13,11 @@ from moved import moved, random_motion
 import pincal
 from pincal.design.information import leg_rows
 from pincal.design.orbits import (
+    carried_legs,
     distinct,
     maps,
     merged,
     orbit_of,
-    orbits_of_legs,
     representatives,
     selection_group,
     smallest,
@@ -74,7 +74,7 @@ def distinct_orbits(
     mechanism: pincal.Mechanism, elements: tuple[pincal.Element, ...], poses: np.ndarray
 ) -> np.ndarray:
     """Return the poses that are no image of an earlier one, as indices."""
-    images = representatives(elements, mechanism.platform.matrices(poses))
+    images = representatives(orbit_of(elements, mechanism.platform.matrices(poses))[0])
     return distinct(mechanism.platform, mechanism.platform.from_matrices(images))
 
 
@@ -228,7 +228,7 @@ def test_parameters_that_do_not_map_are_refused() -> None:
     group = selection_group(other)
     assert len(group.elements) == 3
     with pytest.raises(pincal.SymmetryError, match="not the parameters of one"):
-        orbits_of_legs(group, workspace("3RRR", 30))
+        carried_legs(group, workspace("3RRR", 30))
 
 
 def test_rows_map_by_one_matrix() -> None:
@@ -263,10 +263,9 @@ def test_orbits_are_as_good_as_all_legs_together() -> None:
     poses = workspace("3RRR", 150)
     found, _ = orbit_of(elements, mechanism.platform.matrices(poses))
     names = mechanism.leg_names
-    images = mechanism.platform.from_matrices(found.reshape(-1, 4, 4))
     search = Search(mechanism, poses, 1, SelectionOptions())
-    every = block_diagonal(list(search.rows(images, names)))
-    (orbits,) = search.rows(poses, ("leg_1",), elements)
+    every = block_diagonal(list(search.rows(found.reshape(1, -1, 4, 4), names)))
+    (orbits,) = search.rows(found, ("leg_1",))
     common = continuous_design((every,)).bound / len(mechanism.legs)
     own = continuous_design((orbits,)).bound - orbits.shape[2] * np.log(len(elements))
     assert own == pytest.approx(common, abs=2e-2)

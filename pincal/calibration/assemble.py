@@ -158,7 +158,7 @@ def _leg_results(
             parameters = tuple(
                 _identified(p, value, error, half, _beforehand(fits.calibration, p, error))
                 for p, value, error, half in zip(
-                    [nominal[f"{leg.name}.{name}"] for name in leg.parameter_names],
+                    [nominal[name] for name in leg.parameter_ids],
                     fit.parameters[columns],
                     errors[columns],
                     quantile[columns],

@@ -157,7 +157,6 @@ def _choose(
     else:
         candidates = read_poses(options.candidates, mechanism)
     search: dict[str, Any] = {"noise": noise, "seed": options.seed, "starts": options.starts}
-    search["progress"] = progress
     if not together:
         protocol = options.protocol or _protocol_of(mechanism)
         chosen = select_poses(mechanism, candidates.poses, options.count, protocol, **search)

@@ -11,9 +11,9 @@ candidates. With M⁻¹ = R Rᵀ and a direction H of the criterion,
     W = A R,   K = W Wᵀ,   Q = W H (W H)ᵀ,
     gradient  gⱼ = tr Qⱼⱼ,   minus Hessian  (1 + p) tr Kᵢⱼ Qⱼᵢ − p gᵢ gⱼ,
 
-and rows that come (s = 1) or go (s = −1) change the value by a function of the same K and Q
-(Woodbury). Parameters that share no row, such as those of two legs, share no information: M falls
-into parts, and their determinants multiply. Rows are a tuple with an array for each part.
+and rows that come add to the value a function of the same K and Q (Woodbury). Parameters that
+share no row, such as those of two legs, share no information: M falls into parts, and their
+determinants multiply. Rows are a tuple with an array for each part.
 """
 
 from __future__ import annotations
@@ -72,26 +72,34 @@ class Criterion:
         half = root.swapaxes(1, 2) @ self.C
         return np.asarray(half / np.linalg.norm(half, axis=(1, 2), keepdims=True))
 
-    def change(self, K: Array, Q: Array, signs: Array) -> Array:
-        """Return what rows that come and go add to the value of one part, shape (m,).
+    def gain(self, rows: Array, root: Array) -> Array:
+        """Return what each of M candidates adds to the value of one part, shape (S, M).
 
-        log det(1 + s K), or −log(1 − tr (s + K)⁻¹ Q).
+        log det(1 + K), or −log(1 − tr (1 + K)⁻¹ Q): see the module.
 
         Args:
-            K: See the module, of the rows of each change, shape (m, r, r).
-            Q: The same.
-            signs: 1 for rows that come, −1 for rows that go, shape (r,).
+            rows: Rows of the candidates, shape (M, r, n).
+            root: R of M⁻¹ = R Rᵀ of S sets to which they come, shape (S, n, n).
         """
-        sign, log_det = np.linalg.slogdet(np.eye(len(signs)) + signs[:, None] * K)
+        r, n = rows.shape[1:]
+        W = rows.reshape(-1, n) @ root
+        K = _blocks(W, r)
         if self.C is None:
-            return np.where(sign > 0.0, log_det, -np.inf)
-        ratio = 1.0 - np.trace(solve(np.diag(signs) + K, Q), axis1=1, axis2=2)
-        regular = (sign > 0.0) & (log_det > np.log(ROUNDING))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return np.where(regular & (ratio > 0.0), -np.log(ratio), -np.inf)
+            gain = np.log1p(K[:, 0, 0]) if r == 1 else np.linalg.slogdet(np.eye(r) + K)[1]
+        else:
+            Q = _blocks(W @ self.direction(root), r)
+            share = np.trace(solve(np.eye(r) + K, Q), axis1=1, axis2=2)
+            gain = -np.log(np.maximum(1.0 - share, ROUNDING))
+        return np.asarray(gain.reshape(len(root), -1))
 
 
 DETERMINANT = Criterion()
+
+
+def _blocks(W: Array, r: int) -> Array:
+    """Return Wⱼ Wⱼᵀ of candidates with r rows each, shape (S, M r, k) to (S M, r, r)."""
+    W = W.reshape(-1, r, W.shape[2])
+    return np.einsum("mik,mik->m", W, W)[:, None, None] if r == 1 else W @ W.mT
 
 
 def triangles(rows: Parts) -> Parts:

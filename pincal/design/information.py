@@ -34,7 +34,7 @@ from pincal.types import Array
 
 def parameter_ids(mechanism: Mechanism) -> tuple[str, ...]:
     """Return the ids of all parameters, leg by leg: ``leg_1.l``."""
-    return tuple(f"{leg.name}.{name}" for leg in mechanism.legs for name in leg.parameter_names)
+    return tuple(name for leg in mechanism.legs for name in leg.parameter_ids)
 
 
 @dataclass(frozen=True)

@@ -7,20 +7,17 @@ alike, under any offset of a sensor, whose columns M mixes.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
-from math import gcd
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from pincal.design.information import leg_rows
 from pincal.errors import SymmetryError
 from pincal.files.measurements import as_noise
-from pincal.kinematics.batches import chunks
 from pincal.kinematics.closure import nominal_legs
-from pincal.kinematics.derivatives import Demand, leg_demands_at
+from pincal.kinematics.derivatives import leg_demands_at
 from pincal.kinematics.singularity import margins
 from pincal.model.checks import ALIKE
 from pincal.model.measurements import EVERY_LEG, Noise, Plan
@@ -31,10 +28,10 @@ from pincal.symmetry.elements import Element
 from pincal.types import Array, Index, Mask
 
 
-def places_of(platform: Platform, poses: Poses, readings: Array | None = None) -> Array:
-    """Return positions, rotation matrices and readings over their extents, shape (N, 12 or more).
+def distinct(platform: Platform, poses: Poses, readings: Array | None = None) -> Index:
+    """Return the configurations that are no copies of earlier ones, as indices in order.
 
-    Coordinates that say the same pose, such as angles a whole turn apart, have the same place.
+    Coordinates that say the same pose, such as angles a whole turn apart, are copies.
 
     Args:
         platform: The platform.
@@ -43,55 +40,37 @@ def places_of(platform: Platform, poses: Poses, readings: Array | None = None) -
 
     Raises:
         MechanismError: a pose of a wrong shape, or not finite.
+    """
+    originals = _originals(platform, poses, readings)
+    return np.flatnonzero(originals == np.arange(len(originals)))
+
+
+def _originals(platform: Platform, poses: Poses, readings: Array | None = None) -> Index:
+    """Return of each configuration the first one of which it is a copy, or itself, shape (N,).
+
+    Positions, rotation matrices and readings are compared, over their extents. Only what is close
+    along a line can be.
     """
     matrices = platform.matrices(poses)
     parts = [matrices[:, :3, 3], matrices[:, :3, :3].reshape(-1, 9)]
     parts += [] if readings is None else list(readings.T[:, :, None])
-    sizes = [np.abs(part).max(initial=0.0) for part in parts]
-    extents = [
-        max(np.ptp(part, axis=0).max(), ALIKE * size) if size > 0.0 else 1.0
-        for part, size in zip(parts, sizes, strict=True)
-    ]
-    return np.concatenate([p / e for p, e in zip(parts, extents, strict=True)], axis=1)
-
-
-def distinct(platform: Platform, poses: Poses, readings: Array | None = None) -> Index:
-    """Return the configurations that are no copies of earlier ones, as indices in order.
-
-    Args:
-        platform: The platform.
-        poses: Coordinates, shape (N, dof), [m] and [rad], or transforms.
-        readings: Shape (N, n_readings), where poses do not determine them, [rad] or [m].
-
-    Raises:
-        MechanismError: a pose of a wrong shape, or not finite.
-    """
-    places = places_of(platform, poses, readings)
-    originals = np.sort(np.unique(places, axis=0, return_index=True)[1])
-    while len(originals) > 1:  # of a pair of nearest neighbours the later one goes
-        tree, index = KDTree(places[originals]), np.arange(len(originals))
-        distance, neighbour = tree.query(tree.data, k=2, p=np.inf, distance_upper_bound=2 * ALIKE)
-        nearest = np.where(neighbour[:, 0] == index, 1, 0)
-        copies = (distance[index, nearest] <= ALIKE) & (neighbour[index, nearest] < index)
-        if not copies.any():
-            break
-        originals = originals[~copies]
+    for place, part in enumerate(parts):
+        size = np.abs(part).max(initial=0.0)
+        parts[place] = part / max(np.ptp(part, axis=0).max(), ALIKE * size) if size else part
+    places = np.concatenate(parts, axis=1)
+    along = places @ np.random.default_rng(0).uniform(-1.0, 1.0, places.shape[1])
+    order, originals = np.argsort(along, kind="stable"), np.arange(len(places))
+    breaks = np.flatnonzero(np.diff(along[order]) > ALIKE * places.shape[1]) + 1
+    for begin, end in itertools.pairwise((0, *breaks.tolist(), len(places))):
+        rows = np.sort(order[begin:end])
+        while len(rows) > 1:
+            alike = np.abs(places[rows] - places[rows[0]]).max(axis=1) <= ALIKE
+            originals[rows[alike]] = rows[0]
+            rows = rows[~alike]
     return originals
 
 
 _MAPPED = 1e-5  # part of rows that a change of parameters may leave: a group found within 1e-6
-
-
-@dataclass(frozen=True)
-class LegOrbit:
-    """Legs that a group carries onto each other."""
-
-    legs: tuple[str, ...]
-    """Names of the legs, the reference leg first."""
-    carriers: tuple[Element, ...]
-    """Elements that carry the reference leg onto each."""
-    equivalent: tuple[bool, ...]
-    """Whether whitened rows of each map too, so that the reference leg's choice is as good."""
 
 
 @lru_cache(maxsize=64)
@@ -116,10 +95,12 @@ def selection_group(mechanism: Mechanism) -> SymmetryGroup:
     return drivable
 
 
-def orbits_of_legs(
+def carried_legs(
     group: SymmetryGroup, poses: Array, noise: Noise | None = None
-) -> tuple[LegOrbit, ...]:
-    """Return the orbits of legs whose parameters map too.
+) -> dict[str, tuple[str, Element, bool]]:
+    """Return what carries each leg's poses: from which leg, by which element, and whether as good.
+
+    The reference leg's choice is as good for a leg if whitened rows map too, not only parameters.
 
     Args:
         group: The group.
@@ -130,24 +111,27 @@ def orbits_of_legs(
         SymmetryError: legs of one orbit have other parameters.
         MeasurementError: a residual has no noise.
     """
-    orbits, mechanism = [], group.mechanism
-    matrices, noise = mechanism.platform.matrices(poses), as_noise(noise)
+    mechanism, noise = group.mechanism, as_noise(noise)
+    matrices = mechanism.platform.matrices(poses)
     nominal = dict(zip(mechanism.leg_names, nominal_legs(mechanism), strict=True))
+    carried: dict[str, tuple[str, Element, bool]] = {}
     for legs in group.leg_orbits:
-        carriers, whitened_map = group.carriers(legs[0]), [True]
-        closures = [nominal[name] for name in legs]
-        demands = leg_demands_at(closures, [element.matrices(matrices) for element in carriers])
-        (rows, white), *images = (_rows(demand, mechanism, noise) for demand in demands)
-        for name, element, image in zip(legs[1:], carriers[1:], images, strict=True):
-            if not maps(rows, image[0]):
+        carriers = group.carriers(legs[0])
+        placed = [element.matrices(matrices) for element in carriers]
+        by_reading, whitened = [], []
+        for demand in leg_demands_at([nominal[name] for name in legs], placed):
+            n = demand.parameter.shape[2]
+            by_reading.append(demand.as_joint().parameter.reshape(-1, n))
+            whitened.append(leg_rows(demand, mechanism, noise).reshape(-1, n))
+        for place, (name, element) in enumerate(zip(legs, carriers, strict=True)):
+            if not maps(by_reading[0], by_reading[place]):
                 raise SymmetryError(
                     f"{element} carries {legs[0]} onto {name}, but not the parameters of one to "
                     "those of the other: their columns span other spaces. Give both the same set "
                     "of parameters, or choose poses for each leg alone (--protocol independent)"
                 )
-            whitened_map.append(maps(white, image[1]))
-        orbits.append(LegOrbit(legs, carriers, tuple(whitened_map)))
-    return tuple(orbits)
+            carried[name] = legs[0], element, maps(whitened[0], whitened[place])
+    return {name: carried[name] for name in mechanism.leg_names}
 
 
 def maps(first: Array, second: Array) -> bool:
@@ -161,25 +145,12 @@ def maps(first: Array, second: Array) -> bool:
     return bool((misfit <= _MAPPED * np.linalg.norm(second, axis=0)).all())
 
 
-def _rows(demand: Demand, mechanism: Mechanism, noise: Noise) -> tuple[Array, Array]:
-    """Return rows of a leg by readings, and whitened ones, shape (N k, n) each."""
-    by_reading, white = demand.as_joint().parameter, leg_rows(demand, mechanism, noise)
-    n = white.shape[2]
-    return by_reading.reshape(-1, n), white.reshape(-1, n)
-
-
 def smallest(group: SymmetryGroup) -> tuple[Element, ...]:
     """Return the elements of the smallest subgroup with the same orbits of legs."""
     sufficient = [part for part in group.subgroups() if part.leg_orbits == group.leg_orbits]
     return min(
         sufficient, key=lambda part: (len(part.elements), sum(e.reflection for e in part.elements))
     ).elements
-
-
-def multiplicities(orbits: Sequence[LegOrbit]) -> list[int]:
-    """Return how often each orbit's reference leg counts, so that every leg counts alike."""
-    sizes = [len(orbit.legs) for orbit in orbits]
-    return [size // gcd(*sizes) for size in sizes]
 
 
 def orbit_of(elements: Sequence[Element], matrices: Array) -> tuple[Array, Mask]:
@@ -215,21 +186,14 @@ def _coincide(first: Array, second: Array, within: Array) -> Mask:
     return agree
 
 
-def representatives(elements: Sequence[Element], matrices: Array) -> Array:
+def representatives(images: Array) -> Array:
     """Return of each pose's orbit the image that is farthest along a line, shape (M, 4, 4).
 
-    Poses of one orbit have the same representative.
-
-    Args:
-        elements: Elements of a group, the identity first.
-        matrices: Poses ``T_base_platform``, shape (M, 4, 4).
+    Poses of one orbit have the same representative. Images are those of ``orbit_of``.
     """
-    line, chosen = np.random.default_rng(0).uniform(-1.0, 1.0, (3, 4)), np.empty(matrices.shape)
-    for chunk in chunks(len(matrices)):
-        images = np.stack([element.matrices(matrices[chunk]) for element in elements])
-        along = np.einsum("emij,ij->em", images[:, :, :3], line)
-        chosen[chunk] = images[along.argmax(axis=0), np.arange(along.shape[1])]
-    return chosen
+    line = np.random.default_rng(0).uniform(-1.0, 1.0, (3, 4))
+    farthest = np.einsum("emij,ij->em", images[:, :, :3], line).argmax(axis=0)
+    return np.asarray(images[farthest, np.arange(len(farthest))])
 
 
 def merged(mechanism: Mechanism, poses: Array, legs: Sequence[str]) -> Plan:
@@ -240,15 +204,9 @@ def merged(mechanism: Mechanism, poses: Array, legs: Sequence[str]) -> Plan:
         poses: Coordinates, shape (N, dof).
         legs: For which leg each was chosen, length N.
     """
-    places = places_of(mechanism.platform, poses)
-    earlier: dict[int, list[int]] = {}
-    for pair in KDTree(places).query_pairs(ALIKE, p=np.inf):
-        earlier.setdefault(max(pair), []).append(min(pair))
-    legs_of_row: dict[int, list[str]] = {}  # by the first row of each pose
-    for row, leg in enumerate(legs):
-        copies = [copy for copy in sorted(earlier.get(row, ())) if copy in legs_of_row]
-        legs_of_row.setdefault(copies[0] if copies else row, []).append(leg)
+    served: dict[int, list[str]] = {}
+    for row, leg in zip(_originals(mechanism.platform, poses).tolist(), legs, strict=True):
+        served.setdefault(row, []).append(leg)
     every = len(mechanism.legs)
-    served = legs_of_row.values()
-    sets = tuple(EVERY_LEG if len(names) == every > 1 else "+".join(names) for names in served)
-    return Plan(poses[list(legs_of_row)], sets)
+    sets = (EVERY_LEG if len(names) == every > 1 else "+".join(names) for names in served.values())
+    return Plan(poses[list(served)], tuple(sets))

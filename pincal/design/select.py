@@ -10,8 +10,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
+from math import gcd
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -22,11 +24,10 @@ from pincal.design.criteria import Criterion, Parts, triangles
 from pincal.design.exchange import best_choice
 from pincal.design.information import leg_rows
 from pincal.design.orbits import (
+    carried_legs,
     distinct,
     merged,
-    multiplicities,
     orbit_of,
-    orbits_of_legs,
     representatives,
     selection_group,
     smallest,
@@ -42,7 +43,7 @@ from pincal.model.checks import ALIKE, count_of, described, generator_of
 from pincal.model.measurements import EVERY_LEG, Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.symmetry.elements import IDENTITY, Element
-from pincal.types import Array
+from pincal.types import Array, Mask
 from pincal.words.wording import mapped_diagonals
 
 _SAMPLE = 64  # candidates on which it is looked at whether rows map
@@ -59,18 +60,11 @@ class SelectionOptions:
     """Seed or generator of the random starts."""
     starts: int = 5
     """Number of starts of the exchange; the best result is taken."""
-    progress: Callable[[str], None] | None = None
-    """Function that is called with what is being done."""
 
     def __post_init__(self) -> None:
         as_noise(self.noise)
         count_of(self.starts, "starts", MeasurementError, 1)
         generator_of(self.seed, MeasurementError)
-
-    def say(self, text: str) -> None:
-        """Pass on what is being done."""
-        if self.progress is not None:
-            self.progress(text)
 
 
 @dataclass(frozen=True)
@@ -184,20 +178,21 @@ class Search:
     def choose(
         self, legs: Sequence[str], elements: Sequence[Element] = (IDENTITY,)
     ) -> tuple[Array, float]:
-        """Return the best poses for legs, shape (count, dof), and their efficiency.
+        """Return the best poses for legs, with their orbits, shape (N, dof), and their efficiency.
 
         Args:
             legs: Legs that the poses are for, as often as each is to count.
-            elements: Group whose orbits of the poses are measured.
+            elements: Group whose orbits of the poses are measured, the identity first.
 
         Raises:
             ObservabilityError: too few poses or candidates, or some parameter undetermined.
         """
         poses, platform = self.poses, self.mechanism.platform
+        images, first = orbit_of(elements, platform.matrices(poses))
         if len(elements) > 1:
-            images = representatives(elements, platform.matrices(poses))
-            poses = poses[distinct(platform, platform.from_matrices(images))]
-        rows = self.rows(poses, legs, elements)
+            originals = distinct(platform, platform.from_matrices(representatives(images)))
+            poses, images, first = poses[originals], images[:, originals], first[:, originals]
+        rows = self.rows(images, legs, first)
         r, n = (sum(part.shape[axis] for part in rows) for axis in (1, 2))
         if self.count * r < n:
             subject = legs[0] if len(legs) == 1 else self.mechanism.name
@@ -205,55 +200,46 @@ class Search:
                 f"{self.count} poses give {self.count * r} equations for the {n} parameters of "
                 f"{subject}; choose at least {-(-n // r)}, better two or three times as many"
             )
-        lost = []
-        for leg, factor in zip(legs, triangles(rows), strict=True):
-            ids = [f"{leg}.{name}" for name in self.mechanism.leg(leg).parameter_names]
-            rank = identifiability(factor, ids)
-            lost += [] if rank.complete else [rank.describe()]
-        if lost:
+        ranks = [
+            identifiability(factor, self.mechanism.leg(leg).parameter_ids)
+            for leg, factor in zip(legs, triangles(rows), strict=True)
+        ]
+        if lost := [rank.describe() for rank in ranks if not rank.complete]:
             raise ObservabilityError(
                 f"the candidate poses leave parameters undetermined: {'; '.join(lost)}. "
                 "Add poses that determine each of them, or make one of them a constant"
             )
         chosen, efficiency = best_choice(rows, self.count, self.rng, self.options.starts)
-        return poses[chosen], efficiency
+        if len(elements) == 1:
+            return poses[chosen], efficiency
+        return platform.from_matrices(images[:, chosen][first[:, chosen]]), efficiency
 
     def efficiency(self, leg: str, element: Element, chosen: Array) -> float:
-        """Return the efficiency of carried poses for a leg, among carried candidates.
+        """Return the efficiency for a leg of chosen poses that an element carries, (count, dof).
 
-        Args:
-            leg: The leg.
-            element: Element that carries candidates to the leg's.
-            chosen: Poses that were chosen, coordinates of shape (count, dof).
+        It is that among carried candidates.
         """
-        offered, taken = (
-            self.rows(element.poses(self.mechanism.platform, poses), (leg,))
-            for poses in (self.poses, chosen)
-        )
+        matrices = map(self.mechanism.platform.matrices, (self.poses, chosen))
+        offered, taken = (self.rows(element.matrices(m)[None], (leg,)) for m in matrices)
         return continuous_design(offered).efficiency(Criterion().value(taken), len(chosen))
 
-    def rows(
-        self, poses: Array, legs: Sequence[str], elements: Sequence[Element] = (IDENTITY,)
-    ) -> Parts:
-        """Return whitened rows of legs at poses, or at all poses of their orbits.
+    def rows(self, images: Array, legs: Sequence[str], first: Mask | None = None) -> Parts:
+        """Return whitened rows of legs at poses and their images, a part for each leg.
 
         They are zero at an image that is an earlier one of its pose, which is measured once.
 
         Args:
-            poses: Poses that all legs reach, coordinates of shape (M, dof).
+            images: Poses that all legs reach, of each their images, shape (E, M, 4, 4).
             legs: Leg of each part, as often as it is to count.
-            elements: Elements of the group that makes orbits, the identity first.
+            first: Which images count, shape (E, M); all if not given.
         """
-        platform, rows = self.mechanism.platform, {}
-        orbits = list(zip(*orbit_of(elements, platform.matrices(poses)), strict=True))
+        rows: dict[str, Array] = {}
         for leg in dict.fromkeys(legs):
-            closure, images = LegClosure(self.mechanism.leg(leg), platform), []
-            for image, first in orbits:
-                (demand,) = leg_demands_at((closure,), (image,))
-                images.append(leg_rows(demand, self.mechanism, self.noise))
-                finite = np.isfinite(images[-1]).all(axis=(1, 2))
-                images[-1][~(first & finite)] = 0.0
-            rows[leg] = np.concatenate(images, axis=1)
+            closure = LegClosure(self.mechanism.leg(leg), self.mechanism.platform)
+            demands = (leg_demands_at((closure,), (image,))[0] for image in images)
+            parts = np.stack([leg_rows(demand, self.mechanism, self.noise) for demand in demands])
+            counts = np.isfinite(parts).all(axis=(2, 3)) & (True if first is None else first)
+            rows[leg] = np.concatenate(np.where(counts[:, :, None, None], parts, 0.0), axis=1)
         return tuple(rows[leg] for leg in legs)
 
 
@@ -276,7 +262,7 @@ def select_poses(
             is there twice counts once, whatever its whole turns and its last digits.
         count: Poses for each leg; with ``orbits``, number of orbits; with ``common``, poses.
         protocol: See the module.
-        **options: ``noise``, ``seed``, ``starts``, ``progress``: see ``SelectionOptions``.
+        **options: ``noise``, ``seed``, ``starts``: see ``SelectionOptions``.
 
     Raises:
         ObservabilityError: too few poses for the parameters, too few candidates in reach, or
@@ -291,65 +277,48 @@ def select_poses(
         raise MeasurementError(f"no protocol {described(protocol)}; expected one of {known}")
     _refuse_ranks(mechanism)
     search = Search(mechanism, candidates, count, SelectionOptions(**options))
-    names = references = mechanism.leg_names
-    if protocol == "independent":
-        choices = [_for_leg(search, name) for name in names]
-        sets = tuple(name for name in names for _ in range(count))
-        plan = Plan(np.concatenate([poses for poses, _ in choices]), sets)
-        efficiencies = [efficiency for _, efficiency in choices]
-    elif protocol == "common":
-        search.options.say("choosing common poses")
-        poses, efficiency = search.choose(names)
-        plan, efficiencies = Plan(poses, (EVERY_LEG,) * count), [efficiency] * len(names)
+    names = mechanism.leg_names
+    carried = {name: (name, IDENTITY, True) for name in names}
+    if protocol in ("symmetric", "orbits"):
+        group = selection_group(mechanism)
+        spread = search.poses[:: max(1, len(search.poses) // _SAMPLE)][:_SAMPLE]
+        carried = carried_legs(group, spread, search.noise)
+    if protocol in ("common", "orbits"):
+        # a reference leg counts as often as its orbit has legs, over what all orbits have in common
+        times = Counter(reference for reference, _, _ in carried.values())
+        legs = [leg for leg, size in times.items() for _ in range(size // gcd(*times.values()))]
+        elements = smallest(group) if protocol == "orbits" else (IDENTITY,)
+        poses, efficiency = search.choose(legs, elements)
+        plan, efficiencies = Plan(poses, (EVERY_LEG,) * len(poses)), [efficiency] * len(names)
     else:
-        plan, efficiencies, references = _by_symmetry(search, orbits=protocol == "orbits")
+        plan, efficiencies = _leg_by_leg(search, carried)
+    references = [reference for reference, _, _ in carried.values()]
     legs = _leg_designs(mechanism, plan, efficiencies, references)
     return Selection(plan, protocol, legs, search.in_reach, search.unreachable)
 
 
-def _for_leg(search: Search, leg: str) -> tuple[Array, float]:
-    """Return the best poses for one leg, and their efficiency."""
-    search.options.say(f"choosing poses for {leg}")
-    return search.choose([leg])
-
-
-def _by_symmetry(search: Search, *, orbits: bool) -> tuple[Plan, list[float], tuple[str, ...]]:
-    """Return poses mapped by the mechanism's group, and each leg's efficiency and reference leg.
+def _leg_by_leg(
+    search: Search, carried: dict[str, tuple[str, Element, bool]]
+) -> tuple[Plan, list[float]]:
+    """Return poses of each leg, its own or carried ones, and their efficiencies in order.
 
     Args:
         search: The search.
-        orbits: Whether every pose is to serve every leg.
-
-    Raises:
-        SymmetryError: the group carries no leg onto another one, or not its parameters.
+        carried: See ``carried_legs``.
     """
-    mechanism, platform = search.mechanism, search.mechanism.platform
-    group = selection_group(mechanism)
-    spread = search.poses[:: max(1, len(search.poses) // _SAMPLE)][:_SAMPLE]
-    leg_orbits = orbits_of_legs(group, spread, search.noise)
-    first = {leg: orbit.legs[0] for orbit in leg_orbits for leg in orbit.legs}
-    references = tuple(first[name] for name in mechanism.leg_names)
-    if orbits:
-        search.options.say("choosing orbits")
-        times = multiplicities(leg_orbits)
-        legs = np.repeat([orbit.legs[0] for orbit in leg_orbits], times).tolist()
-        elements = smallest(group)
-        chosen, efficiency = search.choose(legs, elements)
-        matrices, first_images = orbit_of(elements, platform.matrices(chosen))
-        poses = platform.from_matrices(matrices[first_images])
-        return Plan(poses, (EVERY_LEG,) * len(poses)), [efficiency] * len(first), references
-    images, serving, efficiencies = [], [], {}
-    for orbit in leg_orbits:
-        chosen, efficiency = _for_leg(search, orbit.legs[0])
-        carried = zip(orbit.legs, orbit.carriers, orbit.equivalent, strict=True)
-        for leg, element, equivalent in carried:
-            images.append(element.poses(platform, chosen))
-            serving += [leg] * len(chosen)
-            efficiencies[leg] = (
-                efficiency if equivalent else search.efficiency(leg, element, chosen)
-            )
-    plan = merged(mechanism, np.concatenate(images), serving)
-    return plan, [efficiencies[name] for name in mechanism.leg_names], references
+    platform = search.mechanism.platform
+    choices: dict[str, tuple[Array, float]] = {}
+    poses, efficiencies = [], []
+    for leg, (reference, element, equivalent) in carried.items():
+        if reference not in choices:
+            choices[reference] = search.choose([reference])
+        chosen, efficiency = choices[reference]
+        poses.append(chosen if element.is_identity else element.poses(platform, chosen))
+        efficiencies.append(efficiency if equivalent else search.efficiency(leg, element, chosen))
+    legs, every = np.repeat(list(carried), search.count).tolist(), np.concatenate(poses)
+    own = all(element.is_identity for _, element, _ in carried.values())
+    plan = Plan(every, tuple(legs)) if own else merged(search.mechanism, every, legs)
+    return plan, efficiencies
 
 
 def _refuse_ranks(mechanism: Mechanism) -> None:
@@ -379,7 +348,6 @@ def _leg_designs(
     parts = zip(mechanism.legs, demands, efficiencies, references, strict=True)
     for leg, demand, efficiency, reference in parts:
         C = demand.as_joint().parameter.reshape(-1, len(leg.parameters))
-        names = [f"{leg.name}.{name}" for name in leg.parameter_names]
         designs.append(
             LegDesign(
                 leg.name,
@@ -387,7 +355,7 @@ def _leg_designs(
                 efficiency,
                 indices(C),
                 r_diagonal(C),
-                identifiability(C, names).condition,
+                identifiability(C, leg.parameter_ids).condition,
                 reference,
             )
         )

@@ -89,7 +89,7 @@ def select_configurations(
         goal: ``"parameters"``: D-optimality. ``"platform"``: the calibrated platform's mean
             variance over the candidates is smallest (L-optimality), of its position and, times
             the radius at which its legs hold it, its orientation.
-        **options: ``noise``, ``seed``, ``starts``, ``progress``: see ``SelectionOptions``.
+        **options: ``noise``, ``seed``, ``starts``: see ``SelectionOptions``.
 
     Raises:
         ObservabilityError: too few configurations for what can be identified.
@@ -104,7 +104,6 @@ def select_configurations(
     plan = as_plan(mechanism, candidates)
     originals = distinct(mechanism.platform, plan.poses, plan.readings)
     plan = Plan(plan.poses, readings=plan.readings).rows(originals)
-    search.say("looking at candidates")
     legs = legs_at(mechanism, plan)
     if not len(legs.poses):
         check_reached(mechanism, plan, "the candidates")
@@ -125,7 +124,6 @@ def select_configurations(
             f"{rank} unknowns that can be identified; choose at least "
             f"{-(-rank // blocks.shape[1])}, better two or three times as many"
         )
-    search.say("choosing configurations")
     rng, criterion = np.random.default_rng(search.seed), Criterion()
     if goal == "platform":
         n = legs.gain.shape[2]

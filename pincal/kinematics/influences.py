@@ -145,8 +145,9 @@ def gravity_loads(mechanism: Mechanism, readings: Array, matrices: Array) -> dic
     for leg, held, mu in zip(mechanism.legs, legs, forces, strict=True):
         by_joint = held.joints + _along(held.drive, mu)
         by_parameter = held.parameters + _along(held.parameter, mu)
-        ids = (f"{leg.name}.{name}" for name in leg.parameter_names)
-        loads |= zip((*leg.reading_names, *ids), (*by_joint.T, *by_parameter.T), strict=True)
+        loads |= zip(
+            (*leg.reading_names, *leg.parameter_ids), (*by_joint.T, *by_parameter.T), strict=True
+        )
     return loads
 
 

@@ -140,6 +140,11 @@ class Leg:
         """Names of the identified parameters, in order."""
         return tuple(name for name, _ in self.parameters)
 
+    @property
+    def parameter_ids(self) -> tuple[str, ...]:
+        """Ids of the parameters: ``leg_1.l``."""
+        return tuple(f"{self.name}.{name}" for name in self.parameter_names)
+
     @cached_property
     def nominal(self) -> Array:
         """Nominal parameter values, shape (n_params,), SI units; not writable."""

@@ -193,7 +193,7 @@ def _columns(extended: Calibration, fit: Fit, used: Index) -> tuple[list[str], A
     for leg, columns in zip(legs.legs, before.columns, strict=True):
         fitted = fit.parameters[columns]
         values += [fitted, np.zeros(len(leg.parameters) - len(fitted))]
-        names += [f"{leg.name}.{name}" for name in leg.parameter_names]
+        names += leg.parameter_ids
     state = State(np.concatenate(values), state.matrices, state.joints, state.external)
     problem = replace(fit.problem, leg_block=legs, first=None)
     return names, problem.evaluate(state).jacobian[used]

@@ -256,7 +256,7 @@ def check_covariance(
     moved = np.abs(optimum.last.state.parameters - nominal) > limit
     far = std > limit
     if (moved & (2.0 * std > limit / DIFFER)).any() if optimum.converged else far.any():
-        ids = [f"{leg.name}.{name}" for leg in problem.legs for name in leg.parameter_names]
+        ids = [name for leg in problem.legs for name in leg.parameter_ids]
         raise _weak([parameter for parameter, weak in zip(ids, far, strict=True) if weak])
 
 
