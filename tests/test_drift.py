@@ -1,4 +1,4 @@
-"""What a drift over the run does to a calibration, said before it is measured; reference poses."""
+"""Reference poses, and what of a drift over the run they show."""
 
 from __future__ import annotations
 
@@ -12,9 +12,7 @@ from command_line import done
 from measured import workspace
 
 import pincal
-from pincal.design.forecast import drift
 from pincal.design.order import REFERENCE, in_turns, with_reference
-from pincal.show.forecasts import drift_lines
 
 NOISE = pincal.Noise(2e-5, 2e-5, 1e-5)
 
@@ -24,47 +22,6 @@ def leg_after_leg(count: int) -> tuple[pincal.Mechanism, pincal.Plan]:
     mechanism = pincal.load_mechanism("3RRR")
     sets = tuple(leg for leg in mechanism.leg_names for _ in range(count))
     return mechanism, pincal.Plan(workspace("3RRR", 3 * count), sets)
-
-
-def test_the_shift_is_that_of_calibrations() -> None:
-    """Mean of calibrations with a drift less those of the same noise without: as forecast, to 2 %.
-
-    Of a reading and of a coordinate, in standard errors, of the largest shift.
-    """
-    mechanism, plan = leg_after_leg(12)
-    found = drift(pincal.forecast(mechanism, plan, NOISE), plan)
-    when = np.linspace(-0.5, 0.5, len(plan))
-
-    def fitted(data: pincal.Measurements) -> pincal.CalibrationResult:
-        return pincal.calibrate(mechanism, data, noise=NOISE)
-
-    for column, field, place, sigma in (
-        (1, "readings", 1, NOISE.reading),
-        (len(mechanism.reading_names), "poses", 0, NOISE.position),
-    ):
-        shifts = []
-        for seed in range(3):
-            data = pincal.simulate(mechanism, mechanism, plan, NOISE, seed).measurements
-            drifted = getattr(data, field).copy()
-            drifted[:, place] += sigma * when
-            first, then = fitted(data), fitted(replace(data, **{field: drifted}))
-            std = np.array([p.std for p in first.parameters])
-            shifts.append(
-                [(b.identified - a.identified) / a.std
-                 for a, b in zip(first.parameters, then.parameters, strict=True)]
-            )  # fmt: skip
-        mean, told = np.mean(shifts, axis=0), found.shifts[:, column] / std
-        off = np.abs(np.sign(mean @ told) * told - mean).max()
-        assert off < 0.02 * np.abs(mean).max()
-
-
-def test_rows_to_verify_with_take_time() -> None:
-    """They are in the run, and no parameter follows them."""
-    mechanism, plan = leg_after_leg(12)
-    verify = replace(plan, sets=("verify", *("all",) * 35))
-    found = pincal.forecast(mechanism, verify, NOISE)
-    np.testing.assert_allclose(found.when, np.linspace(-0.5, 0.5, 36)[1:])
-    assert len(found.influence) == 35
 
 
 def test_one_pose_is_measured_again(tmp_path: Path) -> None:
@@ -104,13 +61,11 @@ def test_reference_poses_show_a_drift() -> None:
 
 
 def test_the_command_line_says_it(tmp_path: Path) -> None:
-    """``select --reference`` writes the rows, and what a drift would do is printed."""
+    """``select --reference`` writes the rows."""
     pincal.Plan(workspace("3RRR", 100)).to_csv(tmp_path / "some.csv", "3RRR")
     given: list[Any] = ["3RRR", "-o", tmp_path / "plan.csv", "--candidates", tmp_path / "some.csv"]
     said = done("select", *given, "--count", 12, "--starts", 1, "--reference", 6)
     assert "as the pose 'reference'" in said.err
-    assert "a drift of each measured quantity" in said.out
-    assert "that does not matter beside the noise" in " ".join(said.out.split())
     plan = pincal.Plan.from_csv(tmp_path / "plan.csv", "3RRR")
     assert plan.places is not None
     assert plan.places.count(REFERENCE) > 2
@@ -149,19 +104,3 @@ def test_a_step_has_its_sign(field: str, column: int) -> None:
     (one,) = (one for one in found if one.code == "step")
     assert one.rows == (20,)
     assert abs(one.values["size"] - 2e-4) < 2e-5
-
-
-@pytest.mark.parametrize(
-    ("relative", "says"),
-    [(0.3, "does not matter"), (0.7, "a drift twice as large would"), (2.0, "measure in turns")],
-)
-def test_whether_a_drift_matters_is_said(relative: float, says: str) -> None:
-    """By the larger of what it does to a parameter and to the platform, over the noise."""
-    mechanism, plan = leg_after_leg(12)
-    found = drift(pincal.forecast(mechanism, plan, NOISE), plan)
-    for one in (
-        replace(found, most=relative, share=0.1),
-        replace(found, most=0.0, share=relative),
-    ):
-        (line,) = drift_lines(one)
-        assert says in line

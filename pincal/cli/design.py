@@ -20,7 +20,7 @@ from pincal.cli.options import (
     TableOptions,
     output_option,
 )
-from pincal.design.forecast import drift, forecast, scale_effect
+from pincal.design.forecast import forecast, scale_effect
 from pincal.design.orbits import selection_group
 from pincal.design.order import in_turns, with_reference, with_verification
 from pincal.design.select import Protocol, select_poses
@@ -38,7 +38,7 @@ from pincal.kinematics.readers import arm_free_of_collision
 from pincal.model.measurements import Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.option import option
-from pincal.show.forecasts import drift_lines, forecast_lines, poses_line, scale_lines
+from pincal.show.forecasts import forecast_lines, poses_line, scale_lines
 from pincal.show.tables import choice_table, selection_table, standard_errors
 from pincal.words.numbers import reading_in
 from pincal.words.table import Table
@@ -102,9 +102,9 @@ def select(
     the calibrated platform most accurate over the workspace, whatever single parameters are.
 
     The sets take turns in the plan, in a random order, so that what drifts while you measure is
-    no leg's error; what a drift would do all the same is printed. --verify adds poses of the set
-    'verify', which 'pincal calibrate' predicts. --reference N measures the pose in the middle again
-    every N rows; in the column 'pose' its rows have one name, 'reference'.
+    no leg's error. --verify adds poses of the set 'verify', which 'pincal calibrate' predicts.
+    --reference N measures the pose in the middle again every N rows; in the column 'pose' its rows
+    have one name, 'reference'.
     """
     mechanism = options.load(mech)
     if mechanism.influences:
@@ -127,13 +127,6 @@ def select(
         remark(f"one pose is measured {len(plan) - count} times more, as the pose 'reference'")
     write_table(output, columns_of(mechanism, plan), units=units, force=options.force)
     stdout.print(table)
-    setup = options.read_setup()
-    try:
-        expected = forecast(mechanism, plan, noise, options.measured(mechanism, setup), setup)
-    except MeasurementError:  # noise that leaves something exact: only its ratios chose the poses
-        pass
-    else:
-        stdout.print(*drift_lines(drift(expected, plan)), sep="\n")
     wrote(output)
 
 
@@ -215,9 +208,8 @@ def identifiability(
 
     Prints the rank, what cannot be determined, the standard error of each parameter as 'pincal
     calibrate' will give it (the Cramér-Rao bound: the best that any calibration can reach), and
-    the platform error over the workspace; with --accuracy how many poses that takes; what a drift
-    over the run would do if poses are measured in the plan's order, and a wrong scale of the
-    instrument.
+    the platform error over the workspace; with --accuracy how many poses that takes; what a wrong
+    scale of the instrument would do.
 
     Positions are of the platform's origin in the robot's base frame, unless --unknown-frame,
     --unknown-target or --setup say otherwise.
@@ -235,12 +227,12 @@ def identifiability(
             poses = sample_configurations(mechanism, options.count, options.seed + 1)
     expected = forecast(mechanism, poses, noise, measured, setup)
     error = expected.platform_error(workspace)
-    drifted = drift(expected, workspace, error)
     scale = scale_effect(expected, as_plan(mechanism, poses), workspace, noise, setup)
     with reading_in(units.printed):
         stdout.print(standard_errors(expected))
         lines = forecast_lines(expected, error)
-        stdout.print(*lines, *drift_lines(drifted), *scale_lines(scale), sep="\n")
+        lines += scale_lines(scale, setup.systematic.scale > 0.0)
+        stdout.print(*lines, sep="\n")
         if options.accuracy is not None:
             needed = expected.poses_for(options.accuracy, workspace)
             stdout.print(poses_line(options.accuracy, needed))

@@ -1,7 +1,7 @@
 """What measurements will give before they are made: rank, standard errors, platform error.
 
 The covariance is the inverse of the information that the best estimator draws from them (see
-``information``): the Cramér-Rao bound. What a drift or a wrong scale would do is told beside it.
+``information``): the Cramér-Rao bound. What a wrong scale would do is told beside it.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from pincal.files.measurements import as_noise
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.files.yaml import read_setup
 from pincal.kinematics.configurations import as_plan, check_reached, legs_at
-from pincal.model.checks import ALIKE, ROWS
+from pincal.model.checks import ROWS
 from pincal.model.measurements import Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.setup import Setup, Systematic
@@ -53,9 +53,6 @@ class Forecast:
     """Of all parameters and external unknowns together, by their ids."""
     covariance: Array
     """Of what is determined, shape (n, n), parameters leg by leg: the Cramér-Rao bound."""
-    influence: Array
-    """How parameters follow the noise of each reading, then of each quantity measured, at each
-    pose, in standard deviations and but for a sign, shape (N, n, s)."""
     least: float
     """Fewest poses like these that can determine as much."""
     lost: Array
@@ -65,8 +62,6 @@ class Forecast:
     parameters are those nearest to the nominal ones."""
     frames: Array
     """Motions of frames that these are (see ``frames_moved``), shape (k, n_moved)."""
-    when: Array
-    """Part of the run at which each pose is measured, from -0.5 to 0.5, shape (N,)."""
 
     @cached_property
     def std(self) -> Array:
@@ -151,10 +146,9 @@ def forecast(
     """
     mechanism = as_mechanism(mechanism)
     noise, setup = as_noise(noise), read_setup(setup or Setup())
-    every = as_plan(mechanism, poses)
-    plan = every.rows(~every.verifying)  # no fit follows the others
+    plan = as_plan(mechanism, poses)
+    plan = plan.rows(~plan.verifying)  # no fit follows the others
     legs = legs_at(mechanism, plan)
-    when = np.linspace(-0.5, 0.5, len(every))[~every.verifying][legs.reached]
     if not len(legs.poses):
         check_reached(mechanism, plan)
     known = information_rows(mechanism, legs, noise, measured, setup)
@@ -171,54 +165,10 @@ def forecast(
         len(legs.poses),
         rank,
         covariance=to_nominal.T @ to_nominal + moved @ moved.T,
-        influence=(to_nominal.T @ root) @ known.rows.transpose(0, 2, 1) @ known.white.by_noise,
         least=float(np.ceil(rank.rank / known.rows.shape[1])),
         lost=lost,
         gauge=gauge,
         frames=frames,
-        when=when,
-    )
-
-
-@dataclass(frozen=True)
-class Drift:
-    """What drifts of all quantities, each by one standard deviation over the run, leave as bias."""
-
-    shifts: Array
-    """Of each parameter by each reading, then by each quantity measured, but for a sign, shape
-    (n, s), [m], [rad] or [1]."""
-    most: float
-    """Largest shift of a parameter by all quantities, root of the sum of squares, in standard
-    errors; NaN where none is known."""
-    worst: str
-    """Id of that parameter."""
-    share: float
-    """What it leaves of the platform's position, or of its orientation if that is more, over the
-    standard error; NaN where that is not known."""
-
-
-def drift(found: Forecast, poses: Plan | Array, expected: PlatformError | None = None) -> Drift:
-    """Return what a drift over the run would do to what was forecast.
-
-    Args:
-        found: The forecast of a plan in its order.
-        poses: Where the platform's errors are taken, shape (N, dof), or a plan.
-        expected: The error that the noise leaves there, if it is known already.
-    """
-    shifts = np.einsum("n,nis->is", found.when, found.influence)
-    bias = np.linalg.norm(shifts, axis=1)
-    known = np.isfinite(found.std) & (found.std > 0.0)
-    relative = np.where(known, bias / np.where(known, found.std, 1.0), 0.0)
-    there = platform_error(found.mechanism, shifts @ shifts.T, poses, found.lost, found.frames)
-    error = expected or found.platform_error(poses)
-    pairs = ((there.position, error.position), (there.orientation, error.orientation))
-    shares = [a / b for a, b in pairs if 0.0 < b < np.inf]
-    largest = int(np.argmax(relative >= (1.0 - ALIKE) * relative.max()))  # the first of equals
-    return Drift(
-        shifts,
-        most=float(relative[largest]) if known.any() else np.nan,
-        worst=parameter_ids(found.mechanism)[largest],
-        share=max(shares, default=np.nan),
     )
 
 
@@ -226,22 +176,13 @@ SCALE = 1e-4
 """Relative: a tracker or camera that was set up badly."""
 
 
-@dataclass(frozen=True)
-class ScaleEffect:
-    """What lengths do that are all measured a ten-thousandth too long."""
-
-    seen: float
-    """Root of what that adds to χ²: standard deviations by which a test made for it sees it."""
-    platform: PlatformError
-    """By how much it is off then."""
-    said: bool
-    """Whether the setup says how well the scale is known."""
-
-
 def scale_effect(
     found: Forecast, plan: Plan, over: Plan | Array, noise: Noise, setup: Setup
-) -> ScaleEffect | None:
-    """Return what a wrong scale would do to what was forecast; None if no lengths are measured.
+) -> tuple[PlatformError, float] | None:
+    """Return what lengths do that are all measured a ten-thousandth too long, None without lengths.
+
+    By how much the platform is off then; and the root of what that adds to χ²: the standard
+    deviations by which a test made for it sees it.
 
     Args:
         found: The forecast, of all legs together.
@@ -261,8 +202,5 @@ def scale_effect(
     taken = root.T @ (root @ (rows.T @ off))
     n = legs.parameter.shape[2]
     shift = nearest_to_nominal(mechanism, found.gauge) @ taken[:n]
-    return ScaleEffect(
-        seen=float(np.linalg.norm(off - rows @ taken)),
-        platform=platform_error(mechanism, np.outer(shift, shift), over, found.lost, found.frames),
-        said=setup.systematic.scale > 0.0,
-    )
+    error = platform_error(mechanism, np.outer(shift, shift), over, found.lost, found.frames)
+    return error, float(np.linalg.norm(off - rows @ taken))

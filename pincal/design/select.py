@@ -238,8 +238,10 @@ class Search:
             closure = LegClosure(self.mechanism.leg(leg), self.mechanism.platform)
             demands = (leg_demands_at((closure,), (image,))[0] for image in images)
             parts = np.stack([leg_rows(demand, self.mechanism, self.noise) for demand in demands])
-            counts = np.isfinite(parts).all(axis=(2, 3)) & (True if first is None else first)
-            rows[leg] = np.concatenate(np.where(counts[:, :, None, None], parts, 0.0), axis=1)
+            counts = np.isfinite(parts).all(axis=(2, 3), keepdims=True)
+            if first is not None:
+                counts &= first[:, :, None, None]
+            rows[leg] = np.concatenate(np.where(counts, parts, 0.0), axis=1)
         return tuple(rows[leg] for leg in legs)
 
 
@@ -293,8 +295,8 @@ def select_poses(
     else:
         plan, efficiencies = _leg_by_leg(search, carried)
     references = [reference for reference, _, _ in carried.values()]
-    legs = _leg_designs(mechanism, plan, efficiencies, references)
-    return Selection(plan, protocol, legs, search.in_reach, search.unreachable)
+    designs = _leg_designs(mechanism, plan, efficiencies, references)
+    return Selection(plan, protocol, designs, search.in_reach, search.unreachable)
 
 
 def _leg_by_leg(

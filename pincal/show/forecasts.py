@@ -1,10 +1,10 @@
-"""What a plan promises, in sentences and for scripts: rank, platform error, drift, scale."""
+"""What a plan promises, in sentences and for scripts: rank, platform error, scale."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from pincal.design.forecast import SCALE, Drift, Forecast, ScaleEffect
+from pincal.design.forecast import SCALE, Forecast
 from pincal.design.platform_error import PlatformError
 from pincal.estimation.system import CLEAR
 from pincal.show.answers import weak_lines
@@ -15,12 +15,6 @@ _BEST = "the best that any calibration can reach; 'pincal calibrate' does"
 _SAY_SCALE = (
     "no poses separate it from gains and lengths. Say how well the scale is known "
     "(systematic: {scale: …} in the setup), or measure lengths that are known"
-)
-_MATTERS = 0.5, 1.0  # standard errors: a bias by drift that adds an eighth to what noise leaves
-_VERDICTS = (
-    "that does not matter beside the noise",
-    "that matters little; a drift twice as large would",
-    "that matters: measure in turns (pincal select writes such an order), or again in parts",
 )
 
 
@@ -64,31 +58,21 @@ def _expected(error: PlatformError) -> str:
     return ", ".join([*([f"root mean square {listed(known)}"] if known else []), *lost])
 
 
-def drift_lines(drift: Drift) -> list[str]:
-    """Return what a drift over the run would do; nothing where nothing is determined."""
-    if not np.isfinite(drift.most):
-        return []
-    text = "a drift of each measured quantity by one σ over the run, in this order: "
-    text += f"{drift.worst} off by {drift.most:.2g} standard errors"
-    if np.isfinite(drift.share):
-        text += f", the platform by {drift.share:.2g} of its expected error"
-    size = max(drift.most, float(np.nan_to_num(drift.share)))
-    return [f"{text}: {_VERDICTS[int(np.searchsorted(_MATTERS, size))]}"]
+def scale_lines(effect: tuple[PlatformError, float] | None, known: bool) -> list[str]:
+    """Return what a wrong scale of the instrument would do (see ``scale_effect``).
 
-
-def scale_lines(effect: ScaleEffect | None) -> list[str]:
-    """Return what a wrong scale of the instrument would do.
-
-    Nothing if no lengths are measured, or the platform is not determined in the first place.
+    Nothing if no lengths are measured, or the platform is not determined in the first place. The
+    setup may say how well the scale is known.
     """
-    if effect is None or not np.isfinite(effect.platform.position):
+    if effect is None or not np.isfinite(effect[0].position):
         return []
+    error, seen = effect
     text = f"all lengths measured {1e6 * SCALE:.0f} µm/m too long: the platform off by "
-    text += amount(effect.platform.position, "m")
-    if effect.seen > CLEAR:
-        return [f"{text}; residuals would show it, by {effect.seen:.2g} standard deviations"]
-    known = "that is taken into what is promised" if effect.said else _SAY_SCALE
-    return [f"{text}, and no residual shows it ({effect.seen:.2g} standard deviations): {known}"]
+    text += amount(error.position, "m")
+    if seen > CLEAR:
+        return [f"{text}; residuals would show it, by {seen:.2g} standard deviations"]
+    remedy = "that is taken into what is promised" if known else _SAY_SCALE
+    return [f"{text}, and no residual shows it ({seen:.2g} standard deviations): {remedy}"]
 
 
 def poses_line(accuracy: float, needed: float) -> str:

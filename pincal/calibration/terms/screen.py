@@ -189,11 +189,11 @@ def _columns(extended: Calibration, fit: Fit, used: Index) -> tuple[list[str], A
     places = [extended.mechanism.leg_names.index(leg.name) for leg in before.legs]
     legs = extended.leg_block(places, fit.rows, before.used, before.pose_roots)
     legs = replace(legs, sigma=before.sigma)
-    names, values = [], []
+    names = [name for leg in legs.legs for name in leg.parameter_ids]
+    values: list[Array] = []
     for leg, columns in zip(legs.legs, before.columns, strict=True):
         fitted = fit.parameters[columns]
         values += [fitted, np.zeros(len(leg.parameters) - len(fitted))]
-        names += leg.parameter_ids
     state = State(np.concatenate(values), state.matrices, state.joints, state.external)
     problem = replace(fit.problem, leg_block=legs, first=None)
     return names, problem.evaluate(state).jacobian[used]
