@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import pincal
+from pincal.calibration.hypotheses.plausibility import implausible, said
 from pincal.calibration.validation import Validation
 from pincal.design.simulate import platform_errors
 
@@ -23,6 +24,14 @@ def put(
     array = getattr(data, field).copy()
     array[place] = values
     return replace(data, **{field: array})
+
+
+def check_plausible(
+    mechanism: pincal.Mechanism, data: pincal.Measurements, setup: pincal.Setup | None = None
+) -> None:
+    """Raise if measurements cannot come from a mechanism like the nominal one."""
+    if faults := implausible(mechanism, data, setup or pincal.Setup()):
+        raise pincal.MeasurementError(said(faults))
 
 
 #: Poses that are sampled at least: few cost hardly less than these, the workspace's box the most.

@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 import pytest
 from marks import quick, some_slow
-from measured import put
+from measured import check_plausible, put
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import pincal
 from pincal.calibration.hypotheses import plausibility
-from pincal.calibration.hypotheses.judging import Case
-from pincal.calibration.hypotheses.plausibility import check_copies, check_noise, check_plausible
+from pincal.calibration.hypotheses.judging import Case, judge
+from pincal.calibration.hypotheses.plausibility import check_copies, check_noise
 from pincal.kinematics.closing import close
 from pincal.kinematics.closure import LegClosure
 from pincal.model.orientation import columns_of, rotation_of
@@ -539,6 +539,6 @@ def test_readings_at_their_cut_are_sound() -> None:
     )
     near = replace(mechanism, legs=(replace(leg, joints=joints), *mechanism.legs[1:]))
     case = Case.of(near, replace(data, readings=turned), False, pincal.Target())
-    assert plausibility._turns(case) == ()
+    assert plausibility._turns(case, *judge(case)) == ()
     case = Case.of(mechanism, replace(data, readings=turned), False, pincal.Target())
-    assert [one.code for one in plausibility._turns(case)] == ["whole-turns"]
+    assert [one.code for one in plausibility._turns(case, *judge(case))] == ["whole-turns"]

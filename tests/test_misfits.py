@@ -9,15 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 from marks import quick
-from measured import machine, put, seen_from_elsewhere
+from measured import check_plausible, machine, put, seen_from_elsewhere
 
 import pincal
-from pincal.calibration.hypotheses.plausibility import (
-    check_plausible,
-    explain_misfit,
-    misaligned,
-    said,
-)
+from pincal.calibration.hypotheses.parameters import misaligned
+from pincal.calibration.hypotheses.plausibility import explain_misfit, said
 from pincal.estimation.observability.indices import DIFFER, plausible_changes
 from pincal.show.workspace_errors import errors_at
 

@@ -17,15 +17,13 @@ from pincal.calibration.calibration import Calibration, with_followed_influences
 from pincal.calibration.covariance import with_unsure_tolerances
 from pincal.calibration.findings import blame_wrong_rows, findings_of
 from pincal.calibration.fits import Fits, fitted, with_found_tolerance
+from pincal.calibration.hypotheses.parameters import misaligned, zeros_found, zeros_measured
 from pincal.calibration.hypotheses.plausibility import (
     check_copies,
     check_noise,
     explain_misfit,
     implausible,
-    misaligned,
     said,
-    zeros_found,
-    zeros_measured,
 )
 from pincal.calibration.options import AUTO, FOLDS, By, Options
 from pincal.calibration.result import CalibrationResult

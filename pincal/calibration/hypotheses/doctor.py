@@ -8,7 +8,7 @@ works if its search converges and nothing contradicts it, rows held out included
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from pincal.blas import on_one_thread
@@ -18,7 +18,7 @@ from pincal.calibration.hypotheses.plausibility import check_noise, hypotheses_o
 from pincal.calibration.result import CalibrationResult
 from pincal.errors import MeasurementError, PincalError
 from pincal.finding import Finding
-from pincal.model.setup import ORIGIN, Setup
+from pincal.model.setup import ORIGIN
 
 _FEW = 0.25  # of the rows: more that do not fit are no outliers
 
@@ -66,58 +66,54 @@ def remedies(calibration: Calibration) -> Iterator[Remedy]:
     Args:
         calibration: Measurements and options as the user has them.
     """
+    for stage in _stages(calibration):
+        yield from stage
+        if any(remedy.works for remedy in stage):
+            return
+
+
+def _stages(calibration: Calibration) -> Iterator[list[Remedy]]:
+    """Yield what is tried, stage by stage."""
     setup = calibration.options.setup
-    for known in (setup, *_wider(setup)):
-        in_setup = calibration.with_options(setup=known)
-        first = _attempt((), in_setup)
-        yield first
-        if first.works:
-            return
-        tried = [_attempt(*alternative) for alternative in _explained(in_setup)]
-        yield from tried
-        if any(remedy.works for remedy in tried):
-            return
-        tried = [fewer for remedy in (first, *tried) if (fewer := _rejecting(remedy))]
-        yield from tried
-        if any(remedy.works for remedy in tried):
-            return
-    if not calibration.options.rough:
-        rough = _attempt((), calibration.with_options(rough=True))
-        yield rough
-        if not rough.works and (fewer := _rejecting(rough)):
-            yield fewer
-
-
-def _rejecting(remedy: Remedy) -> Remedy | None:
-    """Return what a remedy gives without rows that do not fit; None if there are many, or none."""
-    lost = remedy.result is not None and not remedy.result.converged
-    if remedy.whatever_the_loss or lost or remedy.calibration.options.loss != "none":
-        return None
-    fewer = _attempt(remedy.findings, remedy.calibration.with_options(loss="reject"))
-    use = fewer.result is not None and _left_out(fewer.result) <= _FEW
-    return fewer if use else None
-
-
-def _explained(calibration: Calibration) -> list[tuple[tuple[Finding, ...], Calibration]]:
-    """Return calibrations with each fault put right that explains the misfit."""
-    alternatives: list[tuple[tuple[Finding, ...], Calibration]] = []
-    setup = calibration.options.setup
-    for fault, judged in hypotheses_of(calibration.mechanism, calibration.measurements, setup):
-        data = judged.hypothesis.right(calibration.mechanism, calibration.measurements)
-        mended = replace(calibration, measurements=data)
-        framed = replace(setup, unknown_frame=setup.unknown_frame or judged.free)
-        alternatives.append(((fault,), mended.with_options(setup=framed)))
-    return alternatives
-
-
-def _wider(setup: Setup) -> list[Setup]:
-    """Return setups in which less is known of where frame and target are, the nearest first."""
     origin = replace(setup.targets[ORIGIN], unknown=True)
     framed = replace(setup, unknown_frame=True)
-    framed_and_placed = replace(framed, targets={**setup.targets, ORIGIN: origin})
-    return [
-        wider for wider, known in ((framed, setup), (framed_and_placed, framed)) if wider != known
-    ]
+    placed = replace(framed, targets={**setup.targets, ORIGIN: origin})
+    setups = [setup]  # and in which less is known of frame and target
+    setups += [wider for wider in (framed, placed) if wider not in setups]
+    for known in setups:
+        in_setup = calibration.with_options(setup=known)
+        first = _attempt((), in_setup)
+        yield [first]
+        explained = [_attempt((fault,), mended) for fault, mended in _mended(in_setup)]
+        yield explained
+        yield _rejecting([first, *explained])
+    if not calibration.options.rough:
+        rough = _attempt((), calibration.with_options(rough=True))
+        yield [rough]
+        yield _rejecting([rough])
+
+
+def _rejecting(remedies: Sequence[Remedy]) -> list[Remedy]:
+    """Return what remedies give without rows that do not fit, where these are few."""
+    few = []
+    for remedy in remedies:
+        lost = remedy.result is not None and not remedy.result.converged
+        if remedy.whatever_the_loss or lost or remedy.calibration.options.loss != "none":
+            continue
+        fewer = _attempt(remedy.findings, remedy.calibration.with_options(loss="reject"))
+        if fewer.result is not None:
+            left_out = sum(outlier.weight == 0.0 for outlier in fewer.result.outliers)
+            few += [fewer] * (left_out <= _FEW * len(fewer.result.measurements))
+    return few
+
+
+def _mended(calibration: Calibration) -> Iterator[tuple[Finding, Calibration]]:
+    """Yield faults that explain the misfit, each with the calibration that has it put right."""
+    setup = calibration.options.setup
+    for fault, judged in hypotheses_of(calibration.mechanism, calibration.measurements, setup):
+        data = judged.hypothesis.right(calibration.measurements)
+        framed = replace(setup, unknown_frame=setup.unknown_frame or judged.free)
+        yield fault, replace(calibration, measurements=data).with_options(setup=framed)
 
 
 @on_one_thread
@@ -139,10 +135,3 @@ def _attempt(findings: tuple[Finding, ...], calibration: Calibration) -> Remedy:
         return replace(remedy, result=result.validated())
     except (PincalError, ArithmeticError):
         return remedy
-
-
-def _left_out(result: CalibrationResult) -> float:
-    """Return the share of the rows that were left out."""
-    return sum(outlier.weight == 0.0 for outlier in result.outliers) / max(
-        len(result.measurements), 1
-    )

@@ -7,20 +7,22 @@ measurements is decided by one rule, in ``ranking``.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import combinations, product
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pincal.calibration.hypotheses.judging import QUESTIONED, Case, Hypothesis, LegFit, judge
+from pincal.calibration.hypotheses.judging import QUESTIONED, Case, Hypothesis, Judged, judge
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import WAYS, columns_of, rotation_of
+from pincal.model.platform import Platform
 from pincal.types import Array
 
-Right = Callable[[Mechanism, Measurements], Measurements]
+Right = Callable[[Measurements], Measurements]
 #: For each unit of a header: what the numbers may be in, and the factor that puts them right.
 UNITS = {
     "m": {"mm": 1e-3, "m": 1e3},
@@ -36,27 +38,31 @@ REFLECTIONS = {
 }
 _SHIFTS = (1, -1, 2, -2)  # rows by which logs of poses and readings are out of step
 _ROUND = 0.03  # share by which readings may miss a whole multiple of what they should be
-_SCALES = (2.0, 4.0, 10.0, 100.0, 0.5, 0.25, 0.1, 0.01)  # tried where poses do not say it
 
 
-def single_faults(case: Case) -> Iterator[Hypothesis]:
-    """Yield signs, orders, units, frames and shifts, one wrong at a time."""
-    turning = case.oriented and "rad" in case.mechanism.platform.units
+def faults(case: Case) -> Iterator[Hypothesis]:
+    """Yield signs, orders, frames, shifts and units, these also several wrong at a time."""
+    platform = case.mechanism.platform
+    turning = case.oriented and "rad" in platform.units
     yield Hypothesis("sign-of-readings", _readings_times(-1.0), by_leg=True)
     yield from _columns_of_a_leg(case.mechanism)
-    yield from (hypothesis for hypothesis in units(case) if hypothesis.faults == 1)
-    yield from _mirrored(case.mechanism, turning)
+    yield from _units(case)
+    for axis, Q in REFLECTIONS.items():  # r → Q r, R → Q R Qᵀ; and Q r with R as it is
+        if platform.space == 3 or Q[2, 2] == 1.0:
+            for turned in (True, False) if turning else (True,):
+                values = {"axis": axis, "orientations_right": not turned}
+                yield Hypothesis("left-handed-frame", _reflected(platform, Q, turned), values)
     if turning:
         yield from _angles(case)
-        inverted = _posed(lambda r, R: (r, R.transpose(0, 2, 1)))
+        inverted = _posed(platform, lambda r, R: (r, R.transpose(0, 2, 1)))
         yield Hypothesis("orientation-inverted", inverted)
-        yield Hypothesis("pose-inverted", _posed(_inverted))
+        yield Hypothesis("pose-inverted", _posed(platform, _inverted))
     yield from _exchanged(case)
     for shift in _SHIFTS:
-        yield Hypothesis("rows-shifted", _shifted(shift), {"shift": shift})
+        yield Hypothesis("rows-shifted", _read(partial(_shifted, shift=shift)), {"shift": shift})
 
 
-def units(case: Case) -> Iterator[Hypothesis]:
+def _units(case: Case) -> Iterator[Hypothesis]:
     """Yield what units may be wrong, in one kind of columns or in several together."""
     mechanism = case.mechanism
     coordinates, columns = np.array(mechanism.platform.units), np.array(mechanism.reading_units)
@@ -66,13 +72,13 @@ def units(case: Case) -> Iterator[Hypothesis]:
     kinds = [kind for kind in kinds if kind[1] in kind[2]]
     for choice in product(*([None, *UNITS[unit].items()] for _, unit, _ in kinds)):
         wrong = [(kind, written) for kind, written in zip(kinds, choice, strict=True) if written]
-        scales = np.ones(len(coordinates)), np.ones(len(columns))
+        poses, readings = np.ones(len(coordinates)), np.ones(len(columns))
         for (name, unit, units_of_columns), (_, factor) in wrong:
-            scales[name == "readings"][units_of_columns == unit] = factor
+            (readings if name == "readings" else poses)[units_of_columns == unit] = factor
         if wrong:
             yield Hypothesis(
                 "unit",
-                _scaled(*scales),
+                partial(_scaled, poses=poses, readings=readings),
                 {"units": tuple((name, unit, written) for (name, unit, _), (written, _) in wrong)},
                 by_leg=all(name == "readings" for (name, _, _), _ in wrong),
                 faults=len(wrong),
@@ -81,20 +87,20 @@ def units(case: Case) -> Iterator[Hypothesis]:
 
 def zeros(offsets: Array) -> Hypothesis:
     """Return that readings are off by constants, shape (n_readings,), [rad] or [m]."""
+    return Hypothesis(
+        "reading-offset",
+        _read(partial(np.add, -offsets)),
+        {"offsets": tuple(offsets.tolist())},
+        by_leg=True,
+    )
 
-    def right(_: Mechanism, data: Measurements) -> Measurements:
-        return replace(data, readings=data.readings - offsets)
 
-    values = {"offsets": tuple(offsets.tolist())}
-    return Hypothesis("reading-offset", right, values, by_leg=True)
-
-
-def zeros_by_poses(case: Case, matrices: Array) -> Array:
+def zeros_by_poses(case: Case, nominal: Array) -> Array:
     """Return by which constants readings differ from the nominal ones, shape (n_readings,).
 
-    Medians; angles without whole turns.
+    Medians; angles without whole turns. Nominal readings have shape (N, n_readings).
     """
-    differences = case.readings - case.nominal_readings(matrices)
+    differences = case.readings - nominal
     offsets = np.zeros(differences.shape[1])
     for column, unit in enumerate(case.mechanism.reading_units):
         known = differences[np.isfinite(differences[:, column]), column]
@@ -105,46 +111,35 @@ def zeros_by_poses(case: Case, matrices: Array) -> Array:
     return offsets
 
 
-def scales(case: Case, matrices: Array | None) -> Iterator[Hypothesis]:
-    """Yield that readings have another scale than their header says, such as counts.
+def scale(case: Case, nominal: Array) -> Hypothesis:
+    """Return that readings have another scale than their header says, such as counts.
 
-    Args:
-        case: The measurements.
-        matrices: The nominal machine's poses that say by how much; usual scales are tried if None.
+    Nominal readings, shape (N, n_readings), say by how much.
     """
-    if case.mechanism.by_readings:
-        return
-    count = len(case.mechanism.reading_names)
-    by_poses = [] if matrices is None else [_factors(case, matrices)]
-    for factors in by_poses or [np.full(count, scale) for scale in _SCALES]:
-        values = {"factors": tuple(factors.tolist())}
-        right = _readings_times(1.0 / factors)
-        yield Hypothesis("scale-of-readings", right, values, by_leg=True)
+    factors = _factors(case, nominal)
+    values = {"factors": tuple(factors.tolist())}
+    return Hypothesis("scale-of-readings", _readings_times(1.0 / factors), values, by_leg=True)
 
 
-def _factors(case: Case, matrices: Array) -> Array:
-    """Return how many times too large readings are, shape (n_readings,).
+def _factors(case: Case, nominal: Array) -> Array:
+    """Return how many times too large readings are, shape (n_readings,), by their medians.
 
-    By least absolute values; whole numbers, or parts of one, where it is nearly that: edges that
-    are counted once or four times, a gear that is left out. 1 where none say, and where it is a
-    unit or a sign: hypotheses of their own.
+    Whole numbers, or parts of one, where it is nearly that: edges that are counted once or four
+    times, a gear that is left out. 1 where none say, and where it is a unit: a hypothesis of its
+    own.
     """
-    nominal = case.nominal_readings(matrices)
     factors = np.ones(nominal.shape[1])
     for column, unit in enumerate(case.mechanism.reading_units):
-        measured, expected = case.readings[:, column], nominal[:, column]
-        known = np.isfinite(measured * expected) & (expected != 0.0)
-        if not known.any():
+        pairs = np.abs(np.stack((case.readings[:, column], nominal[:, column])))
+        pairs = pairs[:, np.isfinite(pairs).all(axis=0)]
+        measured, expected = np.median(pairs, axis=1) if pairs.size else (0.0, 0.0)
+        if not (measured > 0.0 and expected > 0.0):
             continue
-        ratios, weights = measured[known] / expected[known], np.abs(expected[known])
-        order = np.argsort(ratios)
-        sums = np.cumsum(weights[order])
-        factor = float(ratios[order][np.searchsorted(sums, sums[-1] / 2)])
-        if factor > 0.0 and not any(
-            _nearly(factor, 1.0 / right_factor) for right_factor in UNITS[unit].values()
-        ):
-            whole_number = round(factor) if factor > 1.0 else 1.0 / round(1.0 / factor)
-            factors[column] = whole_number if _nearly(factor, whole_number) else factor
+        factor = float(measured / expected)
+        whole_number = round(factor) if factor > 1.0 else 1.0 / round(1.0 / factor)
+        of_unit = any(_nearly(factor * right, 1.0) for right in UNITS[unit].values())
+        nearest = whole_number if _nearly(factor, whole_number) else factor
+        factors[column] = 1.0 if of_unit else nearest
     return factors
 
 
@@ -152,11 +147,11 @@ def _nearly(factor: float, reference: float) -> bool:
     return abs(factor / reference - 1.0) < _ROUND
 
 
-def _posed(move: Callable[[Array, Array], tuple[Array, Array]]) -> Right:
+def _posed(platform: Platform, move: Callable[[Array, Array], tuple[Array, Array]]) -> Right:
     """Return what moves positions (N, 3) and orientations (N, 3, 3), where they were measured."""
 
-    def right(mechanism: Mechanism, data: Measurements) -> Measurements:
-        platform, measured = mechanism.platform, np.isfinite(data.poses)
+    def right(data: Measurements) -> Measurements:
+        measured = np.isfinite(data.poses)
         matrices = platform.matrices(np.where(measured, data.poses, platform.home)).copy()
         r, R = move(matrices[:, :3, 3], matrices[:, :3, :3])
         matrices[:, :3, 3], matrices[:, :3, :3] = r, R
@@ -171,45 +166,46 @@ def _inverted(r: Array, R: Array) -> tuple[Array, Array]:
     return -(turns @ r[:, :, None])[:, :, 0], turns
 
 
-def _scaled(poses: Array, readings: Array) -> Right:
-    """Return what multiplies coordinates (dof,) and readings (n_readings,)."""
-    return lambda _, data: replace(
-        data, poses=data.poses * poses, readings=data.readings * readings
-    )
+def _reflected(platform: Platform, Q: Array, turned: bool) -> Right:
+    return _posed(platform, lambda r, R: (r @ Q.T, Q @ R @ Q.T if turned else R))
+
+
+def _scaled(data: Measurements, poses: Array, readings: Array) -> Measurements:
+    """Return measurements with coordinates times (dof,), and readings times (n_readings,)."""
+    return replace(data, poses=data.poses * poses, readings=data.readings * readings)
+
+
+def _read(change: Callable[[Array], Array]) -> Right:
+    """Return what changes the readings, shape (N, n_readings)."""
+    return lambda data: replace(data, readings=change(data.readings))
 
 
 def _readings_times(factors: Array | float) -> Right:
-    return lambda _, data: replace(data, readings=data.readings * factors)
+    return _read(partial(np.multiply, factors))
 
 
-def _ordered(order: list[int]) -> Right:
+def _ordered(order: Sequence[int]) -> Right:
     """Return what puts columns of readings in an order."""
-    return lambda _, data: replace(data, readings=data.readings[:, order])
+    return _read(partial(np.take, indices=order, axis=1))
 
 
-def _shifted(shift: int) -> Right:
-    """Return what takes the readings that stand some rows below, or above, the poses."""
-
-    def right(_: Mechanism, data: Measurements) -> Measurements:
-        rows = np.arange(len(data)) + shift
-        inside = (rows >= 0) & (rows < len(data))
-        readings = np.full(data.readings.shape, np.nan)
-        readings[inside] = data.readings[rows[inside]]
-        return replace(data, readings=readings)
-
-    return right
+def _shifted(readings: Array, shift: int) -> Array:
+    """Return the readings that stand some rows below, or above, the poses; NaN where none are."""
+    moved = np.roll(readings, -shift, axis=0)
+    moved[slice(-shift, None) if shift > 0 else slice(-shift)] = np.nan
+    return moved
 
 
-def of_legs(hypothesis: Hypothesis, legs: list[int]) -> Hypothesis:
+def of_legs(hypothesis: Hypothesis, mechanism: Mechanism, legs: Sequence[int]) -> Hypothesis:
     """Return a hypothesis as of the readings of some legs only."""
 
-    def right(mechanism: Mechanism, data: Measurements) -> Measurements:
-        changed, readings = hypothesis.right(mechanism, data), data.readings.copy()
+    def right(data: Measurements) -> Measurements:
+        changed, readings = hypothesis.right(data), data.readings.copy()
         for columns in (mechanism.reading_columns[i] for i in legs):
             readings[:, columns] = changed.readings[:, columns]
         return replace(changed, readings=readings)
 
-    return replace(hypothesis, right=right)
+    return replace(hypothesis, right=right, legs=tuple(legs))
 
 
 def _swapped(count: int, i: int, j: int) -> list[int]:
@@ -217,57 +213,49 @@ def _swapped(count: int, i: int, j: int) -> list[int]:
     return [{i: j, j: i}.get(k, k) for k in range(count)]
 
 
+def _minus(count: int, i: int) -> Array:
+    """Return factors of 1, of which one is -1, shape (count,)."""
+    return np.where(np.arange(count) == i, -1.0, 1.0)
+
+
 def _columns_of_a_leg(mechanism: Mechanism) -> Iterator[Hypothesis]:
     """Yield one reading's sign, and two columns exchanged, of legs with several sensors."""
     names = mechanism.reading_names
+    n = len(names)
     for columns in (range(c.start, c.stop) for c in mechanism.reading_columns):
         for i in columns if len(columns) > 1 else ():
-            signs = np.where(np.arange(len(names)) == i, -1.0, 1.0)
-            yield Hypothesis("sign-of-column", _readings_times(signs), {"column": names[i]})
+            right = _readings_times(_minus(n, i))
+            yield Hypothesis("sign-of-column", right, {"column": names[i]})
         for i, j in combinations(columns, 2):
-            right, values = _ordered(_swapped(len(names), i, j)), {"columns": (names[i], names[j])}
+            right, values = _ordered(_swapped(n, i, j)), {"columns": (names[i], names[j])}
             yield Hypothesis("columns-exchanged", right, values)
-
-
-def _mirrored(mechanism: Mechanism, turning: bool) -> Iterator[Hypothesis]:
-    """Yield left-handed frames: r → Q r, R → Q R Qᵀ for a reflection Q; and Q r with R as it is."""
-    for axis, Q in REFLECTIONS.items():
-        if mechanism.platform.space == 3 or Q[2, 2] == 1.0:
-            for turned in (True, False) if turning else (True,):
-                values = {"axis": axis, "orientations_right": not turned}
-                yield Hypothesis("left-handed-frame", _reflected(Q, turned), values)
-
-
-def _reflected(Q: Array, turned: bool) -> Right:
-    return _posed(lambda r, R: (r @ Q.T, Q @ R @ Q.T if turned else R))
 
 
 def _angles(case: Case) -> Iterator[Hypothesis]:
     """Yield signs and orders of the columns by which a spatial platform's orientation was given."""
+    platform = case.mechanism.platform
     written = (case.data.written,) if case.data.written else tuple(WAYS)
-    for way in written if case.mechanism.platform.turns == 3 else ():
+    for way in written if platform.turns == 3 else ():
         names, unit = WAYS[way]
         n = len(names)
         for i in range(n) if unit == "rad" else ():
-            signs = np.where(np.arange(n) == i, -1.0, 1.0)
-            yield Hypothesis(
-                "sign-of-angle", _turned(way, [*range(n)], signs), {"column": names[i]}
-            )
+            right = _turned(platform, way, range(n), _minus(n, i))
+            yield Hypothesis("sign-of-angle", right, {"column": names[i]})
         swaps = [_swapped(n, i, j) for i, j in combinations(range(n), 2)]
         for order in [*swaps, [*range(1, n), 0], [n - 1, *range(n - 1)]]:
             moved = [(name, names[k]) for name, k in zip(names, order, strict=True)]
             values = {"order": tuple((name, column) for name, column in moved if name != column)}
-            yield Hypothesis("angles-exchanged", _turned(way, order, np.ones(n)), values)
+            yield Hypothesis("angles-exchanged", _turned(platform, way, order, np.ones(n)), values)
 
 
-def _turned(way: str, order: list[int], signs: Array) -> Right:
+def _turned(platform: Platform, way: str, order: Sequence[int], signs: Array) -> Right:
     """Return what takes the columns of orientations in another order, and with other signs."""
 
     def move(r: Array, R: Array) -> tuple[Array, Array]:
         columns = columns_of(way, Rotation.from_matrix(R))
         return r, rotation_of(way, columns[:, order] * signs).as_matrix()
 
-    return _posed(move)
+    return _posed(platform, move)
 
 
 def _exchanged(case: Case) -> Iterator[Hypothesis]:
@@ -300,12 +288,13 @@ def _best_order(case: Case) -> list[int]:
     n = len(case.mechanism.legs)
     every = np.arange(n)
 
-    def cost(fit: LegFit) -> float:
-        return float(np.clip(fit.near, QUESTIONED * fit.stroke, 1.0)) if fit.rows > 1 else 1.0
+    def cost(judged: Judged, leg: int) -> float:
+        least = QUESTIONED * judged.stroke[leg]
+        return float(np.clip(judged.near(leg), least, 1.0)) if judged.rows[leg] > 1 else 1.0
 
     costs = -1e-9 * np.eye(n)
     orders = [np.roll(every, -k).tolist() for k in range(n)]
     turned = [Hypothesis("legs-exchanged", _ordered(order)) for order in orders]
     for order, judged in zip(orders, judge(case, turned), strict=True):
-        costs[every, order] += np.nan_to_num([cost(fit) for fit in judged.fits], nan=1.0)
+        costs[every, order] += np.nan_to_num([cost(judged, leg) for leg in range(n)], nan=1.0)
     return [int(j) for j in linear_sum_assignment(costs)[1]]

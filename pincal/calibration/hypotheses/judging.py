@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache, partial
+from functools import cache, cached_property, lru_cache, partial
 from itertools import accumulate
 from typing import Any
 
@@ -48,7 +48,7 @@ class Hypothesis:
 
     code: str
     """Kebab case; its sentence and remedy are in ``pincal.words.faults``."""
-    right: Callable[[Mechanism, Measurements], Measurements]
+    right: Callable[[Measurements], Measurements]
     """Returns measurements put right."""
     values: Mapping[str, Any] = field(default_factory=dict)
     """What is wrong: names and numbers of which its sentence is made."""
@@ -56,9 +56,11 @@ class Hypothesis:
     """Whether it may concern the readings of some legs only."""
     faults: int = 1
     """How many things went wrong."""
+    legs: tuple[int, ...] = ()
+    """Legs whose readings it concerns, if not all."""
 
 
-AS_MEASURED = Hypothesis("nothing", lambda _, data: data)
+AS_MEASURED = Hypothesis("nothing", lambda data: data)
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,14 +113,15 @@ class Case:
         """Return the case with the base at an unknown place, judged by its first rows."""
         return replace(self, free=True, rows=self.rows[:count])
 
-    def nominal_readings(self, matrices: Array) -> Array:
-        """Return what the nominal machine reads at poses, shape (N, n_readings)."""
-        return inverse(self.mechanism, self.mechanism.platform.from_matrices(matrices)).readings
+    def few(self, count: int) -> Case:
+        """Return the case judged by some of its rows, evenly spaced."""
+        places = np.linspace(0, len(self.rows) - 1, min(count, len(self.rows)))
+        return replace(self, rows=self.rows[places.astype(int)])
 
     def put_right(self, hypothesis: Hypothesis) -> Calibration:
         """Return the calibration of the rows put right: nearly exact poses and readings."""
         mechanism = self.mechanism
-        right = hypothesis.right(mechanism, self.data).rows(self.rows)
+        right = hypothesis.right(self.data).rows(self.rows)
         poses = right.poses.copy()
         poses[:, mechanism.platform.lengths :] *= 1.0 if self.oriented else np.nan
         data = Measurements(poses, readings=right.readings, influences=right.influences)
@@ -127,122 +130,108 @@ class Case:
         return Calibration(mechanism, data, Options(noise=noise, setup=setup))
 
 
-@dataclass(frozen=True)
-class LegFit:
-    """How measurements fit a leg; lengths over the leg's size."""
-
-    rows: int
-    """Number of rows with a reading."""
-    gap: float
-    """Median closure residual at the nominal parameters; NaN with fewer than two rows."""
-    stroke: float
-    """Median distance by which readings move the leg's end over the rows."""
-    bent: int
-    """Number of rows that close the leg in another working mode than home's."""
-    nearest: Callable[[], Array]
-    """Returns what machines near nominal leave of the closure; see ``left``."""
-
-    @cached_property
-    def left(self) -> Array:
-        """Closure residual of each row at the parameters near nominal that fit best, shape (N,).
-
-        NaN where there is no reading.
-        """
-        return self.nearest()
-
-    @property
-    def as_home(self) -> bool:
-        """Whether most rows close the leg in home's working mode."""
-        return 2 * self.bent <= self.rows
-
-    @property
-    def near(self) -> float:
-        """What machines near nominal leave of the gaps; all, if machines do not differ so far."""
-        return self.gap if not self.gap <= DIFFER else min(self.gap, float(np.nanmedian(self.left)))
-
-    @property
-    def misfit(self) -> float:
-        """The leg's share in a hypothesis' score: what is left, or 1 in another working mode."""
-        return self.near if self.as_home else max(1.0, self.gap)
-
-    @property
-    def questioned(self) -> bool:
-        """Whether machines near nominal leave much of what was measured."""
-        most = max(min(QUESTIONED * self.stroke, DIFFER), PRECISE)
-        return self.rows > 1 and not (self.gap <= most or self.near <= most)
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Judged:
-    """A hypothesis and how the measurements, put right, fit the legs."""
+    """A hypothesis and how the measurements, put right, fit each leg; lengths over its size."""
 
     hypothesis: Hypothesis
-    fits: tuple[LegFit, ...]
-    """How each leg fits; empty if readings and measurements cannot be brought together."""
+    calibration: Calibration
+    """The measurements put right."""
     matrices: Array | None
-    """Poses put right, in the nominal machine's frame, shape (N, 4, 4); NaN where not known."""
-    free: bool
-    """Whether the base's place was aligned."""
-    legs: tuple[int, ...] = ()
-    """Legs whose readings it concerns, if not all."""
+    """Poses put right, in the nominal machine's frame, shape (N, 4, 4); NaN where not known, None
+    if readings and measurements cannot be brought together."""
+    rows: Index
+    """Number of rows with a reading, shape (n_legs,)."""
+    gap: Array
+    """Median closure residual at the nominal parameters, (n_legs,); NaN with less than two rows."""
+    stroke: Array
+    """Median distance by which readings move the leg's end over the rows, shape (n_legs,)."""
+    bent: Index
+    """Number of rows that close the leg in another working mode than home's, shape (n_legs,)."""
+    left: Callable[[int], Array]
+    """Returns what the machine near nominal that fits best leaves of a leg's closure, shape (N,);
+    NaN where there is no reading."""
     elsewhere: float = 0.0
     """Share of poses on the other side of a type-2 singularity than home, if it was asked."""
 
     @property
-    def judged(self) -> list[LegFit]:
-        """Fits of the legs that have rows."""
-        return [leg_fit for leg_fit in self.fits if leg_fit.rows > 1]
+    def free(self) -> bool:
+        """Whether the base's place was aligned."""
+        return self.calibration.options.setup.unknown_frame
+
+    @cached_property
+    def nominal_readings(self) -> Array | None:
+        """What the nominal machine reads at the poses, shape (N, n_readings); None if unknown."""
+        mechanism = self.calibration.mechanism
+        if self.matrices is None or mechanism.by_readings:
+            return None
+        return inverse(mechanism, mechanism.platform.from_matrices(self.matrices)).readings
+
+    @property
+    def judged(self) -> list[int]:
+        """Legs that have rows."""
+        return np.flatnonzero(self.rows > 1).tolist()
+
+    @property
+    def as_home(self) -> Mask:
+        """Whether most rows close a leg in home's working mode, shape (n_legs,)."""
+        return 2 * self.bent <= self.rows
+
+    def near(self, leg: int) -> float:
+        """Return what machines near nominal leave of a gap; all, if they do not differ so far."""
+        gap = float(self.gap[leg])
+        return min(gap, float(np.nanmedian(self.left(leg)))) if gap <= DIFFER else gap
+
+    def misfit_of(self, leg: int) -> float:
+        """Return a leg's share in the misfit: what is left, or 1 in another working mode."""
+        return self.near(leg) if self.as_home[leg] else max(1.0, float(self.gap[leg]))
 
     @property
     def misfits(self) -> Array:
         """Misfit of each leg, none below what is no gap, shape (n_legs,)."""
-        return np.array([max(fit.misfit if fit.rows > 1 else 0.0, PRECISE) for fit in self.fits])
-
-    @property
-    def gap(self) -> float:
-        """Mean gap over the legs that have rows, 1 at most and where nothing fits."""
-        return float(np.mean([min(leg_fit.gap, 1.0) for leg_fit in self.judged] or [1.0]))
+        legs = range(len(self.rows))
+        return np.array([max(self.misfit_of(i) if self.rows[i] > 1 else 0, PRECISE) for i in legs])
 
     @property
     def misfit(self) -> float:
         """Mean over the legs that have rows; 1 where nothing fits, or on the other side."""
-        mean = float(np.mean([leg_fit.misfit for leg_fit in self.judged] or [1.0]))
+        mean = float(np.mean([self.misfit_of(leg) for leg in self.judged] or [1.0]))
         return max(mean, 1.0) if self.elsewhere > 0.5 else mean
 
     def leaves(self, most: float) -> bool:
-        """Return whether the misfit is so small; legs are asked until it cannot be."""
-        sums = accumulate(leg_fit.misfit for leg_fit in self.judged)
+        """Return whether the mean misfit is so small; legs are asked until it cannot be."""
+        sums = accumulate(self.misfit_of(leg) for leg in self.judged)
         return bool(self.judged) and all(total <= most * len(self.judged) for total in sums)
 
     @property
+    def mean_gap(self) -> float:
+        """Mean gap over the legs that have rows, 1 at most and where nothing fits."""
+        return float(np.mean([min(self.gap[leg], 1.0) for leg in self.judged] or [1.0]))
+
+    @cached_property
     def questioned(self) -> list[int]:
         """Legs of which machines near nominal leave much of what was measured."""
-        return [i for i, fit in enumerate(self.fits) if fit.questioned]
+        most = np.maximum(np.minimum(QUESTIONED * self.stroke, DIFFER), PRECISE)
+        return [i for i in self.judged if not (self.gap[i] <= most[i] or self.near(i) <= most[i])]
 
     def within(self, most: float) -> bool:
         """Return whether every leg misses by so much of its size at most: ``DIFFER`` or more."""
-        return bool(self.fits) and all(fit.as_home and fit.gap <= most for fit in self.judged)
+        legs = self.judged
+        return self.matrices is not None and bool(
+            (self.as_home[legs] & (self.gap[legs] <= most)).all()
+        )
 
     @property
     def fits_well(self) -> bool:
         """Whether nothing is to be explained."""
-        return bool(self.fits) and not self.questioned and self.elsewhere <= 0.5
+        return self.matrices is not None and not self.questioned and self.elsewhere <= 0.5
 
 
 def judge(case: Case, hypotheses: Sequence[Hypothesis] = (AS_MEASURED,)) -> list[Judged]:
     """Return how measurements fit all legs if a hypothesis is true, of each hypothesis."""
     calibrations = [case.put_right(hypothesis) for hypothesis in hypotheses]
-    return [
-        Judged(hypothesis, () if T is None else _leg_fits(calibration, T), T, case.free)
-        for hypothesis, calibration, T in zip(
-            hypotheses, calibrations, _placed(case, calibrations), strict=True
-        )
-    ]
-
-
-def poses_as_measured(case: Case) -> Array | None:
-    """Return the poses of a case, shape (N, 4, 4); None if they cannot be aligned."""
-    return _placed(case, [case.put_right(AS_MEASURED)])[0]
+    placed = _placed(case, calibrations)
+    return [_fit(*each) for each in zip(hypotheses, calibrations, placed, strict=True)]
 
 
 def other_side(mechanism: Mechanism, matrices: Array | None) -> float:
@@ -259,12 +248,12 @@ def _placed(case: Case, calibrations: Sequence[Calibration]) -> list[Array | Non
     NaN where readings lead nowhere; None if readings and measurements cannot be brought together.
     """
     platform = case.mechanism.platform
-    if case.alone:
+    if case.alone or not calibrations:
         starts = (calibration.observation.external.start for calibration in calibrations)
         pairs = zip(calibrations, starts, strict=True)
         return [platform.matrices(calibration.given_poses(start)) for calibration, start in pairs]
-    every = [calibration.measurements.readings for calibration in calibrations]
-    known = np.isfinite(readings := np.concatenate(every or [case.readings[:0]])).all(axis=1)
+    readings = np.concatenate([calibration.measurements.readings for calibration in calibrations])
+    known = np.isfinite(readings).all(axis=1)
     distinct, index = np.unique(readings[known], axis=0, return_inverse=True)
     with np.errstate(all="ignore"):
         solution = forward(case.mechanism, distinct)
@@ -272,10 +261,10 @@ def _placed(case: Case, calibrations: Sequence[Calibration]) -> list[Array | Non
     converged = np.zeros(len(readings), dtype=bool)
     converged[known] = solution.converged[index.ravel()]
     reached[converged] = platform.matrices(solution.poses[index.ravel()][converged[known]])
-    parts = (np.split(values, len(calibrations) or 1) for values in (reached, known, converged))
+    parts = (np.split(values, len(calibrations)) for values in (reached, known, converged))
     return [
         _aligned(calibration, T, good) if 2 * good.sum() >= max(known_rows.sum(), 6) else None
-        for calibration, T, known_rows, good in zip(calibrations, *parts, strict=False)
+        for calibration, T, known_rows, good in zip(calibrations, *parts, strict=True)
     ]
 
 
@@ -306,44 +295,32 @@ def _aligned(calibration: Calibration, reached: Array, good: Mask) -> Array | No
     return matrices
 
 
-def _leg_fits(calibration: Calibration, matrices: Array) -> tuple[LegFit, ...]:
-    """Return how measurements fit each leg.
-
-    Args:
-        calibration: The measurements put right.
-        matrices: Poses ``T_base_platform``, shape (N, 4, 4); NaN where not known.
-    """
+def _fit(hypothesis: Hypothesis, calibration: Calibration, matrices: Array | None) -> Judged:
+    """Return how measurements put right fit each leg at poses (N, 4, 4), if these are known."""
     mechanism, data = calibration.mechanism, calibration.measurements
-    used: Mask = calibration.used & np.isfinite(matrices[:, :1, 0])
-    rows, fits = np.flatnonzero(used.any(axis=1)), []
-    block = calibration.leg_block(range(len(mechanism.legs)), rows, used[rows])
-    nominal = np.concatenate([leg.nominal for leg in mechanism.legs])
-    with np.errstate(all="ignore"):  # units may be far off
-        closed = block.evaluate(State(nominal, matrices[rows]))
-    for place, (leg, columns) in enumerate(
-        zip(mechanism.legs, mechanism.reading_columns, strict=True)
-    ):
-        served, demand = used[rows, place], closed.demands[place]
-        nearest = partial(_nearest, calibration, place, matrices, used[:, place])
-        if served.sum() < 2:
-            fits.append(LegFit(int(served.sum()), np.nan, np.nan, 0, nearest))
-            continue
-        readings = data.readings[rows[served]][:, columns]
-        with np.errstate(all="ignore"):
-            moved = demand.reading[served] * (readings - np.median(readings, axis=0))[:, None]
-            closure = LegClosure(leg, mechanism.platform).evaluate(
-                closed.joints[place][served], matrices[rows[served]]
-            )
-            bent = mode_sign(closure) * home_mode(leg, mechanism.platform) < 0.0
-            fit = LegFit(
-                rows=int(served.sum()),
-                gap=float(np.median(_missed(demand.value[served])) / leg.size),
-                stroke=float(np.median(np.linalg.norm(moved, axis=(1, 2))) / leg.size),
-                bent=int(bent.sum()),
-                nearest=nearest,
-            )
-        fits.append(fit)
-    return tuple(fits)
+    used, count = calibration.used, len(mechanism.legs)
+    used = used & (np.isfinite(matrices[:, :1, 0]) if matrices is not None else False)
+    rows, gap, stroke = np.flatnonzero(used.any(axis=1)), *np.full((2, count), np.nan)
+    bent, served_rows = np.zeros(count, dtype=int), used.sum(axis=0)
+    if matrices is not None and len(rows):
+        block = calibration.leg_block(range(count), rows, used[rows])
+        nominal = np.concatenate([leg.nominal for leg in mechanism.legs])
+        with np.errstate(all="ignore"):  # units may be far off
+            closed = block.evaluate(State(nominal, matrices[rows]))
+            for i in np.flatnonzero(served_rows > 1).tolist():
+                leg, served, demand = mechanism.legs[i], used[rows, i], closed.demands[i]
+                readings = data.readings[rows[served]][:, mechanism.reading_columns[i]]
+                deviations = (readings - np.median(readings, axis=0))[:, None]
+                moved = np.linalg.norm(demand.reading[served] * deviations, axis=(1, 2))
+                closure = LegClosure(leg, mechanism.platform).evaluate(
+                    closed.joints[i][served], matrices[rows[served]]
+                )
+                home = home_mode(leg, mechanism.platform)
+                bent[i] = (mode_sign(closure) * home < 0.0).sum()
+                gap[i] = np.median(_missed(demand.value[served])) / leg.size
+                stroke[i] = np.median(moved) / leg.size
+    left = cache(partial(_nearest, calibration, matrices, used))
+    return Judged(hypothesis, calibration, matrices, served_rows, gap, stroke, bent, left)
 
 
 def _missed(conditions: Array) -> Array:
@@ -351,19 +328,17 @@ def _missed(conditions: Array) -> Array:
     return np.nan_to_num(np.linalg.norm(conditions, axis=1), nan=np.inf)
 
 
-def _nearest(calibration: Calibration, place: int, matrices: Array, used: Mask) -> Array:
+def _nearest(calibration: Calibration, matrices: Array | None, used: Mask, place: int) -> Array:
     """Return what the machine near nominal that fits best leaves of a leg's closure, shape (N,).
 
     To first order and over the leg's size, by Gauss–Newton steps from the nominal parameters, in
     the weights of where the last one ended, none of them farther than machines differ.
 
-    Args:
-        calibration: The measurements put right.
-        place: Of the leg.
-        matrices: Poses ``T_base_platform``, taken as measured, shape (N, 4, 4).
-        used: Rows that serve the leg, shape (N,).
+    Poses ``T_base_platform`` (N, 4, 4) are taken as measured; rows used have shape (N, n_legs).
     """
-    leg, rows = calibration.mechanism.legs[place], np.flatnonzero(used)
+    leg, rows = calibration.mechanism.legs[place], np.flatnonzero(used[:, place])
+    if matrices is None:
+        return np.full(len(used), np.nan)
     observation = Observation(calibration.mechanism, calibration.measurements.rows(rows), Setup())
     roots = calibration.noise.poses.roots[rows]
     problem = Problem(calibration.leg_block([place], rows, None, roots), observation)

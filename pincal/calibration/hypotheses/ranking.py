@@ -5,20 +5,13 @@ Hypotheses that leave as little as the best cannot be separated from it; all of 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from pincal.calibration.hypotheses.faults import (
-    of_legs,
-    scales,
-    single_faults,
-    units,
-    zeros,
-    zeros_by_poses,
-)
+from pincal.calibration.hypotheses.faults import faults, of_legs, scale, zeros, zeros_by_poses
 from pincal.calibration.hypotheses.judging import (
     AS_MEASURED,
     EQUAL,
@@ -36,10 +29,8 @@ from pincal.words.sentences import finding
 
 _EACH = 3.0  # by which each fault that is put right divides the misfit
 _ROWS_FRAMED, _ROWS_FEW = 40, 12  # enough where another frame is tried; to see what is likely
-_CELLS, _TIMES = (
-    12,
-    3,
-)  # zeros of a motor tried at a time, over a turn, then over a cell of the last
+_CELLS = 12  # zeros of a motor tried at a time, over a turn,
+_TIMES = 3  # then over a cell of the last
 
 
 def explanations(case: Case, as_measured: Judged) -> list[Judged]:
@@ -66,82 +57,62 @@ def _stages(case: Case, as_measured: Judged) -> Iterator[list[Judged]]:
 
     A base that is near where it should be is a change of parameters, and no hypothesis.
     """
-    framed = case.anywhere(_ROWS_FRAMED)
+    every, framed = list(faults(case)), case.anywhere(_ROWS_FRAMED)
+    single = [hypothesis for hypothesis in every if hypothesis.faults == 1]
+    if case.alone and (nominal := as_measured.nominal_readings) is not None:
+        single += [scale(case, nominal), zeros(zeros_by_poses(case, nominal))]
     moved = case.alone and not as_measured.within(DIFFER)
-    by_poses = as_measured.matrices if case.alone else None
-    single = [*single_faults(case), *scales(case, by_poses)]
-    if case.alone and by_poses is not None and not case.mechanism.by_readings:
-        single.append(zeros(zeros_by_poses(case, by_poses)))
-    judged = _judged(case, as_measured, single)
+    stage = _judged(case, as_measured, single)
     if moved:
-        judged += _judged(framed, as_measured, [replace(AS_MEASURED, code="unknown-frame")])
-    yield judged
+        stage += judge(framed, [replace(AS_MEASURED, code="unknown-frame")])
+    yield stage
     if not case.alone:
         yield _zeros(case)
-    yield _judged(case, as_measured, (several for several in units(case) if several.faults > 1))
+    yield _judged(case, as_measured, (several for several in every if several.faults > 1))
     if moved:
-        second = (replace(fault, faults=fault.faults + 1) for fault in single_faults(framed))
-        yield _judged(framed, as_measured, second)
+        singly = (hypothesis for hypothesis in faults(framed) if hypothesis.faults == 1)
+        yield _judged(framed, as_measured, (replace(second, faults=2) for second in singly))
 
 
 def _explains(judged: Judged, as_measured: Judged) -> bool:
     """Return whether a hypothesis leaves little enough of the misfit of what was given."""
-    if not as_measured.fits and 2 * len(judged.questioned) >= len(judged.judged):
+    if as_measured.matrices is None and 2 * len(judged.questioned) >= len(judged.judged):
         return False  # anything is better than nothing: most legs must fit
     wrong_units = judged.hypothesis.values.get("units", ())
     shrinks = any((unit, written) == ("m", "mm") for _, unit, written in wrong_units)
-    gap = max((fit.gap for fit in as_measured.judged), default=np.inf)
+    gap = max(as_measured.gap[as_measured.judged], default=np.inf)
     if shrinks and (gap < 1.0 or judged.questioned):
         return False  # lengths too large miss by far, and shrinking makes any misfit small
-    largest = as_measured.misfit / _EACH**judged.hypothesis.faults
-    return judged.within(DIFFER) and judged.leaves(largest)
+    most = as_measured.misfit / _EACH**judged.hypothesis.faults
+    return judged.within(DIFFER) and judged.leaves(most)
 
 
 def _judged(case: Case, as_measured: Judged, hypotheses: Iterable[Hypothesis]) -> list[Judged]:
     """Return hypotheses with their fits; those of single legs for the legs that they help."""
-    every, hypotheses = range(len(case.mechanism.legs)), list(hypotheses)
-    if case.alone:
-        return [
-            _helped(judged, as_measured) if judged.hypothesis.by_leg else judged
-            for judged in judge(case, hypotheses)
-        ]
-    tried: list[tuple[Hypothesis, tuple[int, ...]]] = []
-    for hypothesis in hypotheses:  # the frame depends on all legs
-        single = every if hypothesis.by_leg and len(every) > 1 else ()
-        tried.append((hypothesis, ()))
-        tried += [(of_legs(hypothesis, [i]), (i,)) for i in single]
-    return _likely(case, tried)
+    mechanism, every = case.mechanism, range(len(case.mechanism.legs))
+    if not case.alone:  # the frame depends on all legs
+        tried: list[Hypothesis] = []
+        for hypothesis in hypotheses:
+            single = every if hypothesis.by_leg and len(every) > 1 else ()
+            tried += [hypothesis, *(of_legs(hypothesis, mechanism, [i]) for i in single)]
+        return _likely(case, tried)
+    stage = []
+    for judged in judge(case, list(hypotheses)):
+        if judged.hypothesis.by_leg:
+            divided = judged.misfits * _EACH <= as_measured.misfits
+            helped = [i for i in judged.judged if divided[i]]
+            if helped and len(helped) < len(every):
+                stage += judge(case, [of_legs(judged.hypothesis, mechanism, helped)])
+            if len(helped) < len(every):
+                continue
+        stage.append(judged)
+    return stage
 
 
-def _likely(case: Case, tried: Sequence[tuple[Hypothesis, tuple[int, ...]]]) -> list[Judged]:
-    """Return hypotheses, each with the legs that it concerns, of which a few rows fit the legs."""
-    on_few_rows = judge(_few(case), [hypothesis for hypothesis, _ in tried])
-    likely = [
-        pair
-        for pair, judged in zip(tried, on_few_rows, strict=True)
-        if judged.within(EQUAL * DIFFER)
-    ]
-    every = judge(case, [hypothesis for hypothesis, _ in likely])
-    return [replace(judged, legs=legs) for judged, (_, legs) in zip(every, likely, strict=True)]
-
-
-def _few(case: Case) -> Case:
-    """Return the case by a few of its rows."""
-    count = len(case.rows)
-    chosen = np.linspace(0, count - 1, min(_ROWS_FEW, count)).astype(int)
-    return replace(case, rows=case.rows[chosen])
-
-
-def _helped(judged: Judged, as_measured: Judged) -> Judged:
-    """Return a hypothesis for those legs only whose readings it puts right."""
-    pairs = list(enumerate(zip(judged.fits, as_measured.fits, strict=True)))
-    divided = judged.misfits * _EACH <= as_measured.misfits
-    helped = [i for i, (after, _) in pairs if after.rows > 1 and divided[i]]
-    fits = tuple(after if i in helped else before for i, (after, before) in pairs)
-    if len(helped) == len(pairs):
-        return judged
-    hypothesis = of_legs(judged.hypothesis, helped)
-    return replace(judged, hypothesis=hypothesis, fits=fits, legs=tuple(helped))
+def _likely(case: Case, tried: Sequence[Hypothesis]) -> list[Judged]:
+    """Return hypotheses with their fits, those of which a few rows fit the legs."""
+    on_few_rows = judge(case.few(_ROWS_FEW), tried)
+    return judge(case, [few.hypothesis for few in on_few_rows if few.within(EQUAL * DIFFER)])
 
 
 def _zeros(case: Case) -> list[Judged]:
@@ -149,7 +120,7 @@ def _zeros(case: Case) -> list[Judged]:
     mechanism = case.mechanism
     if mechanism.by_readings:
         return []
-    on_few_rows, axes = _few(case), np.eye(len(mechanism.legs))
+    on_few_rows, axes = case.few(_ROWS_FEW), np.eye(len(mechanism.legs))
     far = [np.pi if leg.reading_units[0] == "rad" else leg.size / 2 for leg in mechanism.legs]
     best, reach, equal = np.zeros(len(axes)), np.array(far), 1.0
     for _ in range(_TIMES):
@@ -157,45 +128,35 @@ def _zeros(case: Case) -> list[Judged]:
         tried = [
             zeros(offset * axis) for row in grid for offset, axis in zip(row, axes, strict=True)
         ]
-        costs = np.reshape([judged.gap for judged in judge(on_few_rows, tried)], grid.shape)
+        costs = np.reshape([judged.mean_gap for judged in judge(on_few_rows, tried)], grid.shape)
         among = costs <= equal * costs.min(axis=0)
         best = (grid * among).sum(axis=0) / among.sum(axis=0)
         # where no measurement says more, the middle
         reach, equal = 2 * reach / _CELLS, EQUAL
-    offsets = [replace(zeros(offsets), by_leg=False) for offsets in best[:, None] * axes]
-    return _likely(case, [(offset, (index,)) for index, offset in enumerate(offsets)])
+    offsets = enumerate(best[:, None] * axes)
+    return _likely(case, [replace(zeros(offset), legs=(leg,)) for leg, offset in offsets])
 
 
 def as_findings(
     mechanism: Mechanism, as_measured: Judged, explaining: Sequence[Judged]
 ) -> tuple[Finding, ...]:
     """Return hypotheses that explain measurements as findings."""
-    names = mechanism.leg_names
-    named_legs = as_measured.questioned or list(range(len(names)))
-    common: dict[str, Any] = {
-        "other_side": as_measured.elsewhere,
-        "questioned": tuple(names[i] for i in named_legs),
-        "given": float(as_measured.misfits[named_legs].max()) if as_measured.fits else None,
-    }
-    return tuple(
-        finding(
-            judged.hypothesis.code,
-            **common,
-            **_values(mechanism, judged),
-            legs=tuple(names[i] for i in judged.legs),
-            left=float(judged.misfits[named_legs].max()),
-            unknown_frame=judged.free and not as_measured.free,
-        )
-        for judged in explaining
-    )
-
-
-def _values(mechanism: Mechanism, judged: Judged) -> Mapping[str, Any]:
-    """Return the values of a hypothesis; numbers of the legs that it concerns, with names."""
-    values = dict(judged.hypothesis.values)
-    names, reading_units = mechanism.reading_names, mechanism.reading_units
-    legs = judged.legs or range(len(mechanism.legs))
-    for key in values.keys() & {"offsets", "factors"}:
-        every = list(zip(names, values[key], reading_units, strict=True))
-        values[key] = tuple(v for i in legs for v in every[mechanism.reading_columns[i]])
-    return values
+    names, reading_names = mechanism.leg_names, mechanism.reading_names
+    named_legs, found = as_measured.questioned or list(range(len(names))), []
+    placed = as_measured.matrices is not None
+    for judged in explaining:
+        hypothesis, values = judged.hypothesis, dict[str, Any](judged.hypothesis.values)
+        legs = hypothesis.legs or range(len(names))
+        for key in values.keys() & {"offsets", "factors"}:  # those of its legs, with their names
+            every = list(zip(reading_names, values[key], mechanism.reading_units, strict=True))
+            values[key] = tuple(v for i in legs for v in every[mechanism.reading_columns[i]])
+        values |= {
+            "legs": tuple(names[i] for i in hypothesis.legs),
+            "questioned": tuple(names[i] for i in named_legs),
+            "given": float(as_measured.misfits[named_legs].max()) if placed else None,
+            "left": float(judged.misfits[named_legs].max()),
+            "other_side": as_measured.elsewhere,
+            "unknown_frame": judged.free and not as_measured.free,
+        }
+        found.append(finding(hypothesis.code, **values))
+    return tuple(found)
