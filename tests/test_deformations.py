@@ -319,7 +319,6 @@ def test_a_folder_holds_terms_of_parameters(tmp_path: Path) -> None:
         ("L: {a: {sine: 2}}", "depends on a reading; a parameter's depends on an influence"),
         ("L: {a: {of: approach}}", "which is a joint's"),
         ("L: {l: {of: warmth}}", "its amplitude is also a parameter of a placement"),
-        ("L: {a: {of: load}}", "what weighs on the mechanism is not said"),
         ("L: {a: {of: warmth, per: 0}}", "parameter 'L', term 'a': an influence's share"),
         ("L: {b: {of: warmth}}", "'b' is used in a placement or the sensor but has no nominal"),
         ("L: {of: warmth}", "legs"),

@@ -138,3 +138,35 @@ def test_loads_are_those_where_the_platform_is(*, elsewhere: bool) -> None:
     found = asked.measurements.influences
     used = np.column_stack([found[f"load_{leg}"] for leg in plain.leg_names])
     assert np.abs(used - own).max() < 0.1 * np.abs(own).max()
+
+
+@pytest.mark.parametrize("known", ["masses of links", "measured loads"])
+def test_gravity_needs_no_load_where_masses_or_loads_are_known(known: str, tmp_path) -> None:
+    """Amplitudes that were simulated come back within five standard errors, and are saved.
+
+    From masses of links alone, and from torques that were measured, of a machine without masses.
+    """
+    plain = pincal.load_mechanism("delta")
+    weighing = replace(heavy(plain), load=None)
+    poses, noise = workspace("delta", 60), pincal.Noise(2e-5, 0.0, 1e-6)
+    nominal = pincal.Measurements(poses=poses, readings=pincal.inverse(plain, poses).readings)
+    extended = started(prepared(weighing, nominal, noise=noise, terms="gravity")).mechanism
+    assert len(extended.amplitudes) == 3
+    truth = extended.with_parameters(dict.fromkeys(extended.amplitudes, 2e-3))
+    data = pincal.simulate(extended, truth, pincal.Plan(poses), noise, seed=1).measurements
+    loads = [f"load_{leg}" for leg in plain.leg_names]
+    assert set(loads) <= set(data.influences)
+    machine = plain if known == "measured loads" else weighing
+    if machine is weighing:
+        data = replace(data, influences={})
+    result = pincal.calibrate(machine, data, noise=noise, terms="gravity")
+    for id_ in result.identified.amplitudes:
+        assert abs(result[id_].identified - 2e-3) < 5 * result[id_].std
+    result.identified.save(tmp_path / "saved")
+    again = pincal.load_mechanism(tmp_path / "saved")
+    measured = {name: data.influences[name] for name in loads} if machine is plain else None
+    reached = pincal.forward(again, data.readings, data.poses, influences=measured).poses
+    assert np.abs(reached - data.poses).max() < 6 * 2e-5
+    if machine is plain:  # nothing weighs on it: its term follows measured columns alone
+        with pytest.raises(pincal.MeasurementError, match="data row 1: 'load_leg_1' is not known"):
+            pincal.calibrate(again, replace(data, influences={}), noise=noise)

@@ -355,9 +355,10 @@ def _check_influences(mechanism: Mechanism, data: Measurements) -> None:
     Raises:
         MeasurementError: naming the column and the row.
     """
+    known = mechanism.followed - (set() if mechanism.weighs else set(mechanism.loaded))
     for name in mechanism.influences:
         values = data.influences.get(name, np.full(len(data), np.nan))
-        if name not in mechanism.followed and np.isnan(values).any():
+        if name not in known and np.isnan(values).any():
             raise MeasurementError(
                 f"data row {int(np.argmax(np.isnan(values))) + 1}: {name!r} is not known, on which "
                 "terms of sensors depend; fill it in, or leave the row out"

@@ -349,7 +349,9 @@ def with_loads(
 
 
 def needs_loads(mechanism: Mechanism, influences: Array) -> bool:
-    """Return whether terms depend on loads of joints that are not given."""
+    """Return whether terms depend on loads of joints that are not given but can be worked out."""
+    if not mechanism.weighs:
+        return False
     places = [mechanism.influences.index(name) for name in mechanism.loaded]
     return bool(np.isnan(influences[:, places]).any())
 

@@ -213,11 +213,6 @@ def _load_faults(mechanism: Mechanism) -> Iterator[str]:
     for name, _ in () if mechanism.load is None else mechanism.load.drawn:
         if name not in ids:
             yield f"the load's drawing has {name!r}, which is no parameter"
-    if mechanism.load is None and mechanism.loaded:
-        yield (
-            "a term depends on a load, but what weighs on the mechanism is not said; give 'load' "
-            "(mass, centre, gravity)"
-        )
 
 
 def _leg_faults(mechanism: Mechanism) -> Iterator[str]:

@@ -91,6 +91,11 @@ class Mechanism:
         return (*self.reading_names, *placed)
 
     @cached_property
+    def weighs(self) -> bool:
+        """Whether gravity's loads can be worked out: a link or the platform has a mass."""
+        return self.load is not None or any(j.mass for leg in self.legs for j in leg.joints)
+
+    @cached_property
     def loaded(self) -> tuple[str, ...]:
         """Those of the influences that are loads."""
         load_columns = {f"{LOAD}_{name}" for name in self.load_names}

@@ -8,7 +8,7 @@ import numpy as np
 
 from pincal.calibration.hypotheses.doctor import Remedy
 from pincal.calibration.terms.choice import LEVEL, Explanation
-from pincal.calibration.terms.kinds import GROWTH, ORDER, READINGS, parts_of, term_text
+from pincal.calibration.terms.kinds import GRAVITY, GROWTH, ORDER, READINGS, parts_of, term_text
 from pincal.calibration.terms.screen import Candidate
 from pincal.estimation.observability.courses import Slip
 from pincal.model.mechanism import Mechanism
@@ -92,7 +92,8 @@ def explanation_lines(explanation: Explanation) -> list[str]:
         )
     if len(terms) < len(visible):  # the order of rows is none
         lines.append(_NO_TERM)
-    if nominal.load is None and nominal.platform.space == 3:
+    loaded = nominal.weighs or any(candidate.kind.name == GRAVITY for candidate in candidates)
+    if nominal.platform.space == 3 and not loaded:
         lines.append(_NO_LOAD)
     lines += [
         f"fold {fold + 1} is left out of the comparison, the other rows do not determine it: {why}"

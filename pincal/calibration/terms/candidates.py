@@ -248,16 +248,19 @@ def with_influences(
     Sides of approach and loads follow from all rows in their order, which parts do not know.
 
     Raises:
-        MeasurementError: what weighs on the mechanism is not known.
+        MeasurementError: no load is measured, and what weighs on the mechanism is not known.
     """
     asked_for = {OF_ONES_OWN[kind.name] for kind in kinds if kind.name in OF_ONES_OWN}
-    if LOAD in asked_for and mechanism.load is None:
-        raise MeasurementError(
-            f"terms 'gravity': what weighs on {mechanism.name!r} is not known; say it in "
-            "mechanism.yaml: 'load: {mass: …, centre: […], gravity: […]}'"
-        )
     names = {APPROACH: mechanism.reading_names, LOAD: mechanism.load_names}
     known = measurements.influences
+    if LOAD in asked_for and not mechanism.weighs:
+        if not any(f"{LOAD}_{name}" in known for name in mechanism.load_names):
+            raise MeasurementError(
+                f"terms 'gravity': what weighs on {mechanism.name!r} is not known; measure columns "
+                f"{LOAD}_{mechanism.reading_names[0]} …, or say it in mechanism.yaml: 'load: "
+                "{mass: …, centre: […], gravity: […]}'"
+            )
+        asked_for.remove(LOAD)
     missing = sorted(
         influence
         for influence in asked_for
@@ -279,7 +282,7 @@ def with_columns(calibration: Calibration, kinds: Iterable[Kind]) -> Measurement
     """
     tried, data, mechanism = list(kinds), calibration.measurements, calibration.mechanism
     missing = {f"{LOAD}_{name}" for name in mechanism.load_names} - set(data.influences)
-    weigh = missing and mechanism.load is not None and any(kind.name == GRAVITY for kind in tried)
+    weigh = missing and mechanism.weighs and any(kind.name == GRAVITY for kind in tried)
     completed = with_influences(mechanism, located(calibration) if weigh else data, tried)
     return replace(data, influences=completed.influences)
 
@@ -288,7 +291,8 @@ def idle_places(mechanism: Mechanism, measurements: Measurements) -> set[str]:
     """Return readings and ids that gravity loads no more than their axes are true.
 
     As joints about the vertical: what loads them is rounding, or how far the axis leans. Forces
-    count by the moment that they have about the machine's size.
+    count by the moment that they have about the machine's size. Nothing is known to load those
+    whose loads were neither measured nor worked out.
     """
     size = largest_size(mechanism.legs)
     units = dict(zip(mechanism.reading_names, mechanism.reading_units, strict=True))
@@ -300,7 +304,7 @@ def idle_places(mechanism: Mechanism, measurements: Measurements) -> set[str]:
             largest = float(np.nanmax(np.abs(values), initial=0.0))
             loads[owner] = largest * (size if units[owner] == "m" else 1.0)
     least = _TRUE * max(loads.values(), default=0.0)
-    return {owner for owner, load in loads.items() if load <= least}
+    return {owner for owner in mechanism.load_names if not loads.get(owner, 0.0) > least}
 
 
 def _with_each(leg: Leg, influences: Sequence[str]) -> Leg:

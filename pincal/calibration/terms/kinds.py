@@ -84,10 +84,11 @@ def _is_power(number: float) -> bool:
 
 
 def kinds_of(mechanism: Mechanism, measurements: Measurements) -> tuple[Kind, ...]:
-    """Return the kinds of term that measurements can show: gravity where the load is known."""
+    """Return the kinds of term that measurements can show: gravity where loads are known."""
     angles = "rad" in mechanism.reading_units
     names = [HARMONICS] * angles + [POLYNOMIAL, BACKLASH, ORDER]
-    names += [GRAVITY] if mechanism.load is not None else []
+    loads = (f"{LOAD}_{name}" in measurements.influences for name in mechanism.reading_names)
+    names += [GRAVITY] if mechanism.weighs or any(loads) else []
     names += [n for n in measurements.influences if n not in {*mechanism.followed, *_KINDS}]
     return tuple(Kind.of(name) for name in dict.fromkeys(names))
 
