@@ -30,7 +30,7 @@ class DialGauge:
         x, y, z = poses[:, :3, 3].T
         by_twist = np.tile([-a, -b, 1.0, 0.0, 0.0, 0.0], (len(poses), 1, 1))
         by_own = np.column_stack((-np.ones_like(x), -x, -y))[:, None]
-        return pincal.Condition((z - height - a * x - b * y)[:, None] - measured, by_twist, by_own)
+        return (z - height - a * x - b * y)[:, None] - measured, by_twist, by_own
 
 
 robot = pincal.load_mechanism("6UPS")
@@ -40,7 +40,7 @@ plan = pincal.Plan(robot.platform.home + spread * draw.uniform(-1.0, 1.0, (60, 6
 data = pincal.simulate(robot, truth, plan, pincal.Noise(0.0, 0.0)).measurements
 plate, gauge = np.array([0.005, 2e-3, -1e-3]), DialGauge()
 poses = robot.platform.transforms(data.poses).as_matrix()
-read = gauge.evaluate(poses, plate, np.zeros((len(poses), 1))).value[:, 0]
+read = gauge.evaluate(poses, plate, np.zeros((len(poses), 1)))[0][:, 0]
 seen = robot.platform.moved(data.poses, 1e-4 * draw.standard_normal(data.poses.shape))
 camera = replace(data, poses=seen, sigma_poses=np.full(seen.shape, 1e-4))
 noisy, sigma = read + 1e-6 * draw.standard_normal(len(read)), np.full(len(read), 1e-6)

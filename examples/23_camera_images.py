@@ -35,7 +35,7 @@ class Camera:
         by_turn = np.cross(np.repeat(arms, 2, axis=1), by_point)
         by_own = np.concatenate((-by_point, uv[..., None]), axis=2)
         by_twist = np.concatenate((by_point, by_turn), axis=2)
-        return pincal.Condition(values[3] * uv - measured, by_twist, by_own)
+        return values[3] * uv - measured, by_twist, by_own
 
 
 robot = pincal.load_mechanism("6UPS")
@@ -47,7 +47,7 @@ data, extra = pincal.simulate(robot, truth, plan, pincal.Noise(0.0, 0.0)).measur
 for one in (front, side):
     values = np.add([p.nominal for p in one.parameters], (0.02, -0.03, 0.01, 0.004))
     poses = robot.platform.transforms(data.poses).as_matrix()
-    seen = one.evaluate(poses, values, 0.2 / 1500 * draw.standard_normal((50, 6))).value
+    seen = one.evaluate(poses, values, 0.2 / 1500 * draw.standard_normal((50, 6)))[0]
     extra |= dict(zip(one.columns, seen.T, strict=True))
 extra["side_b_u"][8] += 3.0 / 1500  # something else that looked like it
 sigma = {column: np.full(50, 0.2 / 1500) for column in extra}

@@ -36,7 +36,7 @@ from .model.parameter import Parameter
 from .model.placement import Placement
 from .model.platform import Platform
 from .model.sensor import Sensor
-from .model.setup import Condition, Distance, Image, Instrument, Setup, Systematic, Target, Tracker
+from .model.setup import Distance, Image, Instrument, Setup, Systematic, Target, Tracker
 from .model.terms import Harmonic, Load, Power, Share, Term
 from .show.pictures.picture import picture
 from .show.view.view import view
@@ -54,7 +54,6 @@ __version__: str
 
 __all__ = [
     "CalibrationResult",
-    "Condition",
     "Corrections",
     "Distance",
     "Element",

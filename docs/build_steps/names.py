@@ -11,8 +11,7 @@ GROUPS = {
     "Orientations Margins free_of_collision largest_inscribed Inscribed",
     "Symmetry": "symmetry_group articular_symmetry Element cyclic dihedral",
     "Poses to measure": "select_poses Selection select_configurations Plan forecast indices",
-    "Measurements": "Measurements Noise Setup Target Distance Tracker Systematic Instrument "
-    "Condition Image",
+    "Measurements": "Measurements Noise Setup Target Distance Tracker Systematic Instrument Image",
     "Calibration": "calibrate Options Loss CalibrationResult load_result explain "
     "Explanation corrections Corrections",
     "Simulation": "disturb simulate accuracy",

@@ -26,7 +26,7 @@ from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import SINGLE_ANGLES
 from pincal.model.platform import Platform
-from pincal.model.setup import ORIGIN, Setup, checked
+from pincal.model.setup import ORIGIN, Setup, evaluated
 from pincal.types import Array, Index, Mask
 
 Entry = tuple[Array, Array]
@@ -317,11 +317,11 @@ class Observation:
         for instrument in self.setup.instruments:
             last_row, last = first_row + len(instrument.columns), first + len(instrument.parameters)
             measured = self._conditions[:, first_row:last_row]
-            condition = instrument.evaluate(seen, external.instruments[first:last], measured)
-            condition = checked(condition, instrument, len(seen))
-            by_external = np.zeros((*condition.value.shape, self.external.own.stop))
-            by_external[:, :, self.external.own][:, :, first:last] = condition.by_parameter
-            rows.append((condition.value, condition.by_pose, by_external))
+            values = external.instruments[first:last]
+            value, by_pose, by_own = evaluated(instrument, seen, values, measured)
+            by_external = np.zeros((*value.shape, self.external.own.stop))
+            by_external[:, :, self.external.own][:, :, first:last] = by_own
+            rows.append((value, by_pose, by_external))
             first_row, first = last_row, last
         return rows
 

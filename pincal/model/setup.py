@@ -10,32 +10,21 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from math import hypot
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 
 from pincal.attached import attached
 from pincal.errors import MeasurementError
 from pincal.model.checks import array_of, count_of, listed, must_be, number_of, one_line
+from pincal.model.consistency import RESERVED
 from pincal.model.mechanism import Mechanism
 from pincal.model.option import option
-from pincal.model.orientation import WAYS
 from pincal.model.parameter import Parameter
 from pincal.model.platform import Platform
 from pincal.types import Array
 
-
-@dataclass(frozen=True)
-class Condition:
-    """What an instrument demands at N poses: one row for each of its r columns."""
-
-    value: Array
-    """Predicted less measured, shape (N, r), in the columns' units; angles within ±π."""
-    by_pose: Array
-    """By the twist of the platform at its origin, linear first, in the axes of the frame of the
-    measurements, shape (N, r, 6)."""
-    by_parameter: Array
-    """By the instrument's own parameters, shape (N, r, p)."""
+Residuals: TypeAlias = tuple[Array, Array, Array]
 
 
 @runtime_checkable
@@ -57,7 +46,7 @@ class Instrument(Protocol):
         ...         by_twist = np.tile([0.0, 0, 1, 0, 0, 0], (len(poses), 1, 1))
         ...         by_own = -np.ones((len(poses), 1, 1))
         ...         height = poses[:, 2, 3:]
-        ...         return pincal.Condition(height - values[0] - measured, by_twist, by_own)
+        ...         return height - values[0] - measured, by_twist, by_own
         >>> isinstance(Height(), pincal.Instrument)
         True
     """
@@ -74,8 +63,12 @@ class Instrument(Protocol):
     def parameters(self) -> tuple[Parameter, ...]:
         """Its unknowns; the search starts at their nominal values."""
 
-    def evaluate(self, poses: Array, values: Array, measured: Array) -> Condition:
-        """Return its residuals and their derivatives.
+    def evaluate(self, poses: Array, values: Array, measured: Array) -> Residuals:
+        """Return its residuals, their derivatives by the pose, and those by its own parameters.
+
+        Residuals are predicted less measured, in the columns' units, angles within ±π, shape
+        (N, r). The pose is the twist of the platform at its origin, linear first, in the axes of
+        the frame of the measurements: shape (N, r, 6). Parameters: shape (N, r, p).
 
         Args:
             poses: T_frame_platform, in the frame of the measurements, shape (N, 4, 4).
@@ -84,21 +77,19 @@ class Instrument(Protocol):
         """
 
 
-def checked(condition: Condition, instrument: Instrument, count: int) -> Condition:
-    """Return a condition of N poses that has the shapes it should have."""
-    r, p = len(instrument.columns), len(instrument.parameters)
-    shapes = {"value": (count, r), "by_pose": (count, r, 6), "by_parameter": (count, r, p)}
-    if not isinstance(condition, Condition):
+def evaluated(instrument: Instrument, poses: Array, values: Array, measured: Array) -> Residuals:
+    """Return what an instrument evaluates, its shapes checked: see ``Instrument.evaluate``."""
+    arrays = instrument.evaluate(poses, values, measured)
+    rows = (len(poses), len(instrument.columns))
+    shapes = (rows, (*rows, 6), (*rows, len(instrument.parameters)))
+    found = tuple(map(np.shape, arrays)) if isinstance(arrays, tuple) else type(arrays).__name__
+    if found != shapes:
         raise MeasurementError(
-            f"instrument {instrument.name!r} gave {type(condition).__name__}; expected a "
-            "pincal.Condition"
+            f"evaluate of instrument {instrument.name!r} gave {found}; expected residuals, and "
+            "their derivatives by the platform's twist and by its parameters, of the shapes "
+            f"{', '.join(map(str, shapes))}"
         )
-    for name, expected in shapes.items():
-        if (shape := np.shape(getattr(condition, name))) != expected:
-            raise MeasurementError(
-                f"{name} of instrument {instrument.name!r} has shape {shape}; expected {expected}"
-            )
-    return condition
+    return arrays
 
 
 @dataclass(frozen=True)
@@ -125,14 +116,14 @@ class Image:
 
     def __post_init__(self) -> None:
         size = must_be(self.size, (tuple, list), "size of an image", MeasurementError)
-        if len(size) != 2:
+        pixels = [count_of(side, "size of an image [px]", MeasurementError, 1) for side in size]
+        if len(pixels) != 2:
             raise MeasurementError(f"size of an image is {size!r}; expected width and height in px")
-        for pixels in size:
-            count_of(pixels, "size of an image [px]", MeasurementError, 1)
         if not number_of(self.scale, "scale of an image", MeasurementError) > 0.0:
             raise MeasurementError(f"scale of an image is {self.scale:g}; expected more than 0")
-        must_be(self.points, Mapping, "points of an image", MeasurementError)
-        for name, columns in self.points.items():
+        for name, columns in must_be(
+            self.points, Mapping, "points of an image", MeasurementError
+        ).items():
             if isinstance(columns, str) or len(columns) != 2:
                 raise MeasurementError(
                     f"point {name!r} of an image has the columns {columns!r}; expected two: one "
@@ -145,17 +136,9 @@ class Image:
         return np.asarray(middle + self.scale * np.column_stack((right, down)))
 
 
-@runtime_checkable
-class Camera(Protocol):
-    """An instrument that takes pictures."""
-
-    @property
-    def name(self) -> str:
-        """Its name."""
-
-    @property
-    def image(self) -> Image:
-        """What its columns are in them."""
+def image_of(instrument: Instrument) -> Image | None:
+    """Return what the columns of an instrument are in its pictures, if it is a camera."""
+    return getattr(instrument, "image", None)
 
 
 POLAR = {"range": "m", "azimuth": "rad", "elevation": "rad"}
@@ -178,8 +161,7 @@ class Tracker:
     """Of the elevation, [rad]."""
 
     def __post_init__(self) -> None:
-        at = array_of(self.at, (3,), "place of the tracker", MeasurementError)
-        object.__setattr__(self, "at", tuple(at.tolist()))
+        _set_point(self, "at", "place of the tracker")
         _check_sizes(self, tuple(POLAR), "noise of the tracker's")
 
     def by_polar(self, points: Array) -> Array:
@@ -242,9 +224,10 @@ _FAR = 3.0  # times the longest leg: no target is that far from its platform
 ORIGIN = "platform"  # the target whose position is x, y, z
 
 
-def _point(values: Any, label: str) -> Point:
-    x, y, z = array_of(values, (3,), label, MeasurementError).tolist()
-    return x, y, z
+def _set_point(owner: object, name: str, label: str) -> None:
+    """Make a field a point."""
+    point = array_of(getattr(owner, name), (3,), label, MeasurementError)
+    object.__setattr__(owner, name, tuple(point.tolist()))
 
 
 @dataclass(frozen=True)
@@ -260,7 +243,7 @@ class Target:
     against the platform's."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "offset", _point(self.offset, "offset of a target"))
+        _set_point(self, "offset", "offset of a target")
         must_be(self.unknown, bool, "unknown of a target", MeasurementError)
 
 
@@ -273,7 +256,7 @@ class Distance:
     target: str = ORIGIN
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "point", _point(self.point, "point of a distance"))
+        _set_point(self, "point", "point of a distance")
         must_be(self.target, str, "target of a distance", MeasurementError)
 
 
@@ -295,8 +278,7 @@ class Setup:
 
     def __post_init__(self) -> None:
         must_be(self.unknown_frame, bool, "unknown_frame", MeasurementError)
-        kinds: dict[str, type] = {"targets": Target, "distances": Distance}
-        for group, kind in kinds.items():
+        for group, kind in (("targets", Target), ("distances", Distance)):
             named = must_be(getattr(self, group), Mapping, group, MeasurementError)
             for name, entry in named.items():
                 must_be(name, str, f"a name in {group}", MeasurementError)
@@ -308,10 +290,15 @@ class Setup:
                     f"distance {column!r} is to a target {entry.target!r}; expected one of "
                     f"{', '.join(self.targets)}"
                 )
-        object.__setattr__(self, "instruments", tuple(self.instruments))
         must_be(self.tracker, (Tracker, type(None)), "tracker", MeasurementError)
         must_be(self.systematic, Systematic, "systematic", MeasurementError)
-        self._check_instruments()
+        object.__setattr__(self, "instruments", tuple(self.instruments))
+        names = {"tracker", "target", *self.targets}
+        for instrument in self.instruments:
+            must_be(instrument, Instrument, "an instrument", MeasurementError)
+            if fault := _fault(instrument, names):
+                raise MeasurementError(fault)
+            names.add(instrument.name)
 
     @staticmethod
     @attached
@@ -322,37 +309,6 @@ class Setup:
             FileError: the file is missing or cannot be read.
             MeasurementError: it does not parse, or says something else than it should.
         """
-
-    def _check_instruments(self) -> None:
-        """Raise if an instrument is none, or its names are another's."""
-        names = {"tracker", "target", *self.targets}
-        for instrument in self.instruments:
-            must_be(instrument, Instrument, "an instrument", MeasurementError)
-            name = instrument.name
-            if name in names or not name.isidentifier():
-                raise MeasurementError(
-                    f"an instrument is named {name!r}; expected a word that no target and no "
-                    "other instrument has"
-                )
-            names.add(name)
-            for column, unit in instrument.columns.items():
-                if unit not in ("m", "rad"):
-                    raise MeasurementError(
-                        f"column {column!r} of instrument {name!r} is in {unit!r}; expected m or "
-                        "rad"
-                    )
-            pairs = instrument.image.points.values() if isinstance(instrument, Camera) else ()
-            if unknown := sorted({c for pair in pairs for c in pair} - set(instrument.columns)):
-                raise MeasurementError(
-                    f"the image of instrument {name!r} has a column {unknown[0]!r}; "
-                    f"expected its own: {listed(instrument.columns)}"
-                )
-            for parameter in instrument.parameters:
-                if parameter.owner != name:
-                    raise MeasurementError(
-                        f"parameter {parameter.id!r} is of instrument {name!r}; expected "
-                        f"'{name}.{parameter.name}'"
-                    )
 
     def __repr__(self) -> str:
         targets = [n + " (unknown)" * t.unknown for n, t in self.targets.items() if t != Target()]
@@ -409,27 +365,51 @@ class Setup:
                     "millimetres?"
                 )
         platform, legs = mechanism.platform, set(mechanism.leg_names)
-        columns = self.points(platform) | dict.fromkeys(self.distances, "m")
-        named = [*self.points(platform), *self.distances]
-        for instrument in self.instruments:
-            if instrument.name in legs:
-                raise MeasurementError(
-                    f"an instrument is named {instrument.name!r}, as a leg of {mechanism.name!r}; "
-                    "choose another name"
-                )
-            named += instrument.columns
-            columns |= instrument.columns
+        if shared := [item.name for item in self.instruments if item.name in legs]:
+            raise MeasurementError(
+                f"an instrument is named {shared[0]!r}, as a leg of {mechanism.name!r}; choose "
+                "another name"
+            )
+        groups: list[Mapping[str, str]] = [self.points(platform)]
+        groups.append(dict.fromkeys(self.distances, "m"))
+        groups += [item.columns for item in self.instruments]
+        named = [name for group in groups for name in group]
         taken = {*legs, *mechanism.reading_names, *platform.coordinates, *platform.freedoms}
-        taken |= {"set", "run", "pose", "rx", "ry", "rz", *self.polar}
-        taken |= {name for names, _ in WAYS.values() for name in names}
-        ambiguous = [
+        taken |= {*RESERVED, *self.polar} - {"x", "y", "z", "phi"}
+        if ambiguous := [
             name
-            for name in columns
+            for name in named
             if name in taken or name.startswith("sigma_") or named.count(name) > 1
-        ]
-        if ambiguous:
+        ]:
             raise MeasurementError(
                 f"the setup names a column {min(ambiguous)!r}, which means something else in "
                 "measurements; choose another name"
             )
-        return columns
+        return {name: unit for group in groups for name, unit in group.items()}
+
+
+def _fault(instrument: Instrument, names: set[str]) -> str:
+    """Return what is wrong with an instrument beside others with names; empty if nothing is."""
+    name = instrument.name
+    if name in names or not name.isidentifier():
+        return (
+            f"an instrument is named {name!r}; expected a word that no target and no other "
+            "instrument has"
+        )
+    for column, unit in instrument.columns.items():
+        if unit not in ("m", "rad"):
+            return f"column {column!r} of instrument {name!r} is in {unit!r}; expected m or rad"
+    image = image_of(instrument)
+    pairs = image.points.values() if image else ()
+    if unknown := sorted({c for pair in pairs for c in pair} - set(instrument.columns)):
+        return (
+            f"the image of instrument {name!r} has a column {unknown[0]!r}; expected its own: "
+            f"{listed(instrument.columns)}"
+        )
+    for parameter in instrument.parameters:
+        if parameter.owner != name:
+            return (
+                f"parameter {parameter.id!r} is of instrument {name!r}; expected "
+                f"'{name}.{parameter.name}'"
+            )
+    return ""

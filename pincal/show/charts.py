@@ -22,7 +22,7 @@ from pincal.design.platform_error import without_frames
 from pincal.errors import MeasurementError, WorkspaceError
 from pincal.kinematics.configurations import home_of, legs_at
 from pincal.model.measurements import Plan
-from pincal.model.setup import Camera
+from pincal.model.setup import Image, image_of
 from pincal.show.pictures.parts import (
     NORMAL,
     axis_name,
@@ -112,7 +112,8 @@ def workspace(axes: Axes, result: CalibrationResult) -> Axes:
 class CameraResiduals(NamedTuple):
     """What a camera saw, and how far that is off."""
 
-    camera: Camera
+    name: str
+    image: Image
     points: Array
     """Points as seen, from the upper left corner, shape (N, 2), [px]."""
     misses: Array
@@ -125,21 +126,22 @@ def camera_residuals(result: CalibrationResult) -> list[CameraResiduals]:
     """Return what each camera of a result saw, points of which both columns were measured."""
     by_name = {series.name: series for series in observed_series(result)}
     every_camera = []
-    cameras = [item for item in result.options.setup.instruments if isinstance(item, Camera)]
-    for camera in cameras:
+    for camera in result.options.setup.instruments:
+        if (image := image_of(camera)) is None:
+            continue
         parts = []
-        for pair in camera.image.points.values():
+        for pair in image.points.values():
             if not set(pair) <= set(by_name):
                 continue
             right, down = (by_name[column] for column in pair)
             rows, i, j = np.intersect1d(right.rows, down.rows, return_indices=True)
             columns = (np.asarray(result.measurements.extra[column])[rows] for column in pair)
-            misses = camera.image.scale * np.stack((right.after[i], down.after[j]), axis=1)
+            misses = image.scale * np.stack((right.after[i], down.after[j]), axis=1)
             sizes = np.fmax(np.abs(right.standardised[i]), np.abs(down.standardised[j]))
-            parts.append((camera.image.at(*columns), misses, sizes))
+            parts.append((image.at(*columns), misses, sizes))
         if parts:
             every_camera.append(
-                CameraResiduals(camera, *map(np.concatenate, zip(*parts, strict=True)))
+                CameraResiduals(camera.name, image, *map(np.concatenate, zip(*parts, strict=True)))
             )
     return every_camera
 
@@ -158,7 +160,7 @@ def images(axes: Axes, result: CalibrationResult) -> Axes:
             f"{result.nominal.name}: no camera measured it: no instrument of the setup has an "
             "image; expected one with a pincal.Image as its 'image'"
         )
-    sizes = np.array([view.camera.image.size for view in cameras], dtype=np.float64)
+    sizes = np.array([view.image.size for view in cameras], dtype=np.float64)
     widest, highest = sizes.max(axis=0)
     gap = _GAP * widest
     step = np.array([widest + gap, highest + 2 * gap])
@@ -169,7 +171,7 @@ def images(axes: Axes, result: CalibrationResult) -> Axes:
         corner = step * (index % columns, index // columns)
         axes.add_patch(Rectangle(tuple(corner), *size, fill=False, ec="0.6", lw=0.8))
         rms = float(np.sqrt((view.misses**2).sum(axis=1).mean()))
-        title = f"{clean(view.camera.name)}: {len(view.points)} points, {rms:.2g} px"
+        title = f"{clean(view.name)}: {len(view.points)} points, {rms:.2g} px"
         axes.text(float(corner[0]), float(corner[1]) - 0.2 * gap, title, size=8, va="bottom")
         arrows = axes.quiver(
             *(corner + view.points).T,
