@@ -26,7 +26,7 @@ _HEAD = """\
 |---|---|
 | an error below: one message (what, where, what was expected, what to do); nothing is written | 2 |
 | a wrong option: `Usage: …`, `Try 'pincal COMMAND -h' for help.`, `Error: …` | 2 |
-| a calibration that does not converge, or whose χ² contradicts the noise (`--accept`: 0) | 1 |
+| a calibration that does not converge, or whose χ² contradicts the noise | 1 |
 | rows without a solution in `pincal inverse` and `forward`; each has its reason | 1 |
 | warnings | 0 |
 
@@ -43,7 +43,7 @@ A finding has a code, a severity and values. A **warning** is a line `warning: �
 with `--quiet`; files are written, but do not take the result as it is. An **error** ends the
 calibration with exit code 2, or replaces the accuracy in the report. An **info** is in the summary.
 
-Scripts read `findings` in `result.json`, in `pincal calibrate --json` or at `result.findings`, with
+Scripts read `findings` in `result.json` or at `result.findings`, with
 `code`, `severity`, `values` (SI), `rows` and `parameters`; `result.warnings` are the sentences. An
 empty list means: no problems found.
 

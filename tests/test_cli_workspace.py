@@ -128,21 +128,6 @@ def test_a_cut_workspace_says_so(tmp_path: Path) -> None:
     assert "cut off" not in outcome.out
 
 
-@pytest.mark.parametrize(
-    ("group", "missing"), [("D6", "3 of 3 mirrors"), ("C3", ""), ("C6", "rotation by 60°")]
-)
-def test_claimed_groups(group: str, missing: str) -> None:
-    """The 3-RRR has three rotations; what a claim lacks is named, with what breaks it."""
-    outcome = run("symmetry", "3RRR", "--group", group)
-    assert "3RRR: C3, 3 elements" in outcome.out
-    assert outcome.code == (2 if missing else 0)
-    assert missing in outcome.err
-    for wrong in ("D3", "E8", "C0", "D"):
-        outcome = run("symmetry", "3RRR", "--group", wrong)
-        assert (outcome.code, outcome.out) == (2, "")
-        assert wrong in outcome.err
-
-
 def test_devices_are_not_replaced() -> None:
     """--force replaces files, not what the system keeps under /dev."""
     outcome = run("workspace", "5R", "--count", 5, "--force", "-o", "/dev/null")

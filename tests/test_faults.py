@@ -264,7 +264,7 @@ def test_a_cache_that_cannot_be_written_is_no_matter(tmp_path: Path) -> None:
     assert (ended.returncode, ended.stderr.splitlines()) == (0, ["drawing …", "wrote a.svg"])
 
 
-FIT = "calibrate 5R {}/data.csv --no-report --folds 0 --quiet --json -o new.csv"
+FIT = "calibrate 5R {}/data.csv --no-report --folds 0 -o new.csv"
 
 
 @pytest.mark.parametrize(
@@ -333,7 +333,7 @@ def test_ctrl_c_is_quiet_from_the_start(begin: str) -> None:
     [
         "mechanisms",
         pytest.param("check 5R", marks=pytest.mark.slow),
-        pytest.param("calibrate 5R {}/data.csv -o result --json", marks=pytest.mark.slow),
+        pytest.param("calibrate 5R {}/data.csv -o result", marks=pytest.mark.slow),
         pytest.param("calibrate 5R {}/data.csv -o result 2>&1", marks=pytest.mark.slow),
         pytest.param("--help", marks=pytest.mark.slow),
         pytest.param("check --help", marks=pytest.mark.slow),

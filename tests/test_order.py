@@ -101,7 +101,3 @@ def test_select_writes_in_turns_and_calibrate_verifies(tmp_path: Path) -> None:
     found = pincal.load_result(tmp_path / "r")
     assert found.validation is not None
     assert found.validation.rows == 6
-    done(*choose, "--by-set", "-o", tmp_path / "b.csv")
-    blocks = pincal.Plan.from_csv(tmp_path / "b.csv", mechanism).sets
-    assert blocks is not None
-    assert list(blocks) == sorted(blocks)

@@ -244,7 +244,6 @@ def test_names_are_text(tmp_path: Path) -> None:
     ("arguments", "said"),
     [
         (["5R", "-o", "p.gif"], ".svg, .png or .pdf"),
-        (["5R", "--pose", "2", "-o", "p.svg"], "expected 1 to 1"),
         (["5R", "nothing.csv", "-o", "p.svg"], "cannot read"),
         (["5R", "--magnify", "2", "-o", "p.svg"], "RESULT"),
         (["5R", "-o", "nowhere/p.svg"], "does not exist"),

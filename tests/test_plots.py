@@ -220,15 +220,12 @@ def test_changes_have_the_colours_of_their_sizes(result: pincal.CalibrationResul
     assert colour_of(result["leg_1.k"]) not in [colour for _, colour, _ in LEVELS]
 
 
-@pytest.mark.parametrize("width", [80, 170])
-def test_command_draws_in_the_width_asked_for(
-    width: int, result: pincal.CalibrationResult, tmp_path: Path
-) -> None:
-    """A vector figure of one column or a page, letters of 7 to 9 points; wrong kinds say which."""
+def test_command_draws_across_a_page(result: pincal.CalibrationResult, tmp_path: Path) -> None:
+    """A vector figure 170 mm wide, letters of 7 to 9 points; wrong kinds say which."""
     result.save(tmp_path / "result")
-    done("plot", tmp_path / "result", "residuals", "-o", tmp_path / "r.svg", "--width", str(width))
+    done("plot", tmp_path / "result", "residuals", "-o", tmp_path / "r.svg")
     root = etree.parse(tmp_path / "r.svg").getroot()
-    assert float(root.get("width").removesuffix("pt")) == pytest.approx(width / 25.4 * 72, abs=0.5)
+    assert float(root.get("width").removesuffix("pt")) == pytest.approx(170 / 25.4 * 72, abs=0.5)
     styles = [text.get("style") for text in root.iter("{*}text")]
     sizes = {float(size) for one in styles for size in re.findall(r"([\d.]+)px", one)}
     assert sizes

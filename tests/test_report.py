@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import os
 import re
 import shutil
@@ -563,12 +562,11 @@ CALIBRATE += ["--noise-orientation", 1e-4, "--folds", 0]
 
 def test_calibrate_writes_the_report(work: Path) -> None:
     """'calibrate' writes it into the result, with the command and the hashes of the files read."""
-    outcome = done(*CALIBRATE, "-o", "a result", "--json")
-    assert json.loads(outcome.out) == json.loads((work / "a result/result.json").read_text())
+    outcome = done(*CALIBRATE, "-o", "a result")
     page = lxml_html.parse(work / "a result/report.html").getroot()
     typed = page.find(".//pre").text_content()
     assert typed.startswith("pincal calibrate robot measured.csv --noise-position 0.0001")
-    assert typed.endswith("-o 'a result' --json")
+    assert typed.endswith("-o 'a result'")
     rows = page.get_element_by_id("reproduction").xpath(".//tbody/tr")
     hashes = {row[0].text: row[1].text for row in rows}
     assert {"mechanism.yaml", "measured.csv", "platform.urdf"} <= set(hashes)

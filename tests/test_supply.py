@@ -50,7 +50,7 @@ for command in sys.argv[1].split(";"):
     [
         pytest.param(["check 5R", "view 5R --html {}/a.html"], ["a.html"], id="view"),
         pytest.param(
-            ["demo 3RRR -o {}/demo", "view 3RRR {}/demo/plan.csv {}/demo/result --html {}/a.html"],
+            ["demo 3RRR -o {}/demo", "view 3RRR {}/demo/result --html {}/a.html"],
             ["demo/result/report.html", "a.html"],
             id="demo",
         ),

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import run
 from marks import quick
 from rich.console import Console
 
@@ -316,11 +315,3 @@ def test_a_narrow_terminal_loses_no_letter() -> None:
     Console(file=out, width=80).print(symmetry_table(group, 0.0))
     words = set(out.getvalue().split())
     assert {"270°", "135°", *group.mechanism.leg_names} <= words
-
-
-@pytest.mark.parametrize("group", ["C999999999", "D" + "8" * 5000, "C\N{SUPERSCRIPT TWO}"])
-def test_groups_that_no_machine_has_are_refused_at_once(group: str) -> None:
-    """Before anything is computed, whatever number is claimed."""
-    outcome = run("symmetry", "delta", "--group", group)
-    assert outcome.code == 2
-    assert "expected D and its order" in outcome.err

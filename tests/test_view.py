@@ -317,12 +317,16 @@ def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_html_holds_plan_workspace_and_result(work: Path, tmp_path: Path) -> None:
-    """The file has the plan's sets, the cloud, and the identified machine with its factor."""
-    arguments = [work / "plan.csv", work / "result", "--workspace", work / "workspace.csv"]
-    done("view", "3RRR", *arguments, "--magnify", 50, "--html", tmp_path / "view.html")
-    page = (tmp_path / "view.html").read_text("utf-8")
-    for text in ('"leg_3"', "300 positions", "errors × 50", "plan.csv"):
-        assert text in page
+    """The file has the plan's sets, the cloud; or the identified machine with its factor."""
+    cloud = ["--workspace", work / "workspace.csv", "--html"]
+    done("view", "3RRR", work / "plan.csv", *cloud, tmp_path / "plan.html")
+    done("view", "3RRR", work / "result", "--magnify", 50, *cloud, tmp_path / "view.html")
+    for name, texts in (
+        ("plan.html", ('"leg_3"', "300 positions", "plan.csv")),
+        ("view.html", ("300 positions", "errors × 50")),
+    ):
+        page = (tmp_path / name).read_text("utf-8")
+        assert all(text in page for text in texts)
     assert run("view", "3RRR", "--html", tmp_path / "view.html").code == 2
     done("view", "3RRR", work / "measured.csv", "--html", tmp_path / "view.html", "--force")
     assert "errors ×" not in (tmp_path / "view.html").read_text("utf-8")
@@ -333,7 +337,6 @@ def test_html_holds_plan_workspace_and_result(work: Path, tmp_path: Path) -> Non
     [
         (["nothing"], "no mechanism"),
         (["3RRR", "nothing.csv"], "cannot read"),
-        (["3RRR", "{}/plan.csv", "{}/measured.csv"], "at most"),
         (["3RRR", "{}/empty"], "no result.json"),
         (["5R", "{}/result"], "other legs"),
         (["3RRR", "{}/failed"], "did not converge"),
@@ -376,22 +379,15 @@ def test_poses_in_part_are_shown_as_far_as_they_are_known(work: Path, tmp_path: 
     refused = run("view", "3RRR", tmp_path / "gone.csv", "--html", page, "--force")
     assert refused.code == 2
     assert "no column 'phi'" in refused.err
-    assert "RESULT/poses.csv" in refused.err
+    assert "RESULT in place of the measurements" in refused.err
 
     fit = ["--noise-position", 1e-5, "--folds", 0]
     done("calibrate", "3RRR", tmp_path / "gone.csv", *fit, "-o", tmp_path / "latent")
     estimated = pincal.Plan.from_csv(
         tmp_path / "latent" / "poses.csv", pincal.load_mechanism("3RRR")
     ).poses
-    for files in (["gone.csv", "latent"], ["latent"], ["holes.csv", "latent"]):
-        done("view", "3RRR", *[tmp_path / name for name in files], "--html", page, "--force")
-        assert np.allclose(shown_poses(page), estimated, atol=2e-6)
-    (tmp_path / "few.csv").write_text("\n".join(",".join(row) for row in gone[:5]) + "\n")
-    refused = run(
-        "view", "3RRR", tmp_path / "few.csv", tmp_path / "latent", "--html", page, "--force"
-    )
-    assert refused.code == 2
-    assert "has 4 rows" in refused.err
+    done("view", "3RRR", tmp_path / "latent", "--html", page, "--force")
+    assert np.allclose(shown_poses(page), estimated, atol=2e-6)
 
 
 def test_a_bad_calibration_is_not_shown_without_its_warnings(tmp_path: Path) -> None:

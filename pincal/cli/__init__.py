@@ -16,11 +16,9 @@ for module in (
     "mechanisms",
     "new",
     "view",
-    "kinematics",
     "workspace",
     "design",
     "calibration",
     "files",
-    "demo",
 ):
     import_module(f"{__name__}.{module}")

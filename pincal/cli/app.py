@@ -1,7 +1,7 @@
 """The application, and what its commands share: consoles, options, progress, answers.
 
-A command says what it found on stdout, and what it does on stderr. ``--quiet`` and ``--json`` are
-no matter of the commands: ``command`` gives them the options and turns the consoles down.
+A command says what it found on stdout, and what it does on stderr. ``--quiet`` is no matter of the
+commands: ``command`` gives them the option and turns the consoles down.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ import re
 import shlex
 import signal
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, is_dataclass
+from dataclasses import is_dataclass
 from functools import wraps
 from multiprocessing import active_children
 from pathlib import Path
@@ -26,14 +26,12 @@ from typing import Annotated, Any, NoReturn
 import numpy as np
 import typer
 from rich.console import Console
-from rich.text import Text
 from typer.core import TyperArgument, TyperGroup
 
 from pincal import __version__
 from pincal.cli.options import filled, option_parameters
 from pincal.errors import PincalError
-from pincal.files.text import json_text, sparing_inputs
-from pincal.model.option import option
+from pincal.files.text import sparing_inputs
 
 _WIDTH = None if sys.stdout and sys.stdout.isatty() else 100  # of tables in a file or pipe
 
@@ -74,8 +72,8 @@ _remarks = _Console(stderr=True, soft_wrap=True, **_PLAIN)  # all else that is n
 _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
 _LONGEST = 1300  # characters
 logging.getLogger("matplotlib").setLevel(logging.ERROR)  # where it caches fonts matters to nobody
-_state = {"json": False}
 _typed: list[str] = []
+_NAMED = inspect.Parameter.KEYWORD_ONLY
 
 
 @contextmanager
@@ -140,49 +138,33 @@ def _main(
     pass
 
 
-@dataclass(frozen=True)
-class Printing:
-    """What is printed."""
-
-    quiet: bool = option(False, "Say nothing but warnings and errors.")
+_Quiet = Annotated[bool, typer.Option("--quiet", help="Say nothing but warnings and errors.")]
 
 
-@dataclass(frozen=True)
-class AnswerPrinting(Printing):
-    """What is printed of a command that calls ``answer``."""
-
-    json: bool = option(False, "Print what was found as JSON.")
-
-
-def command(
-    name: str | None = None, *, answers: bool = False
-) -> Callable[[Callable[..., None]], Callable[..., None]]:
+def command(name: str | None = None) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Return a decorator that registers a command with ``--quiet``.
 
     A parameter that is a dataclass is a group of options: each field declared by ``option``.
 
     Args:
         name: What is typed, if not the function's name.
-        answers: Whether the command calls ``answer``, so that it can have ``--json`` too.
     """
 
     def register(function: Callable[..., None]) -> Callable[..., None]:
-        groups: dict[str, type] = {"": AnswerPrinting if answers else Printing}
+        groups: dict[str, type] = {}
         offered: list[inspect.Parameter] = []
         for argument in inspect.signature(function, eval_str=True).parameters.values():
             if is_dataclass(argument.annotation):
                 groups[argument.name] = argument.annotation  # type: ignore[assignment]
+                offered += option_parameters(groups[argument.name])
             else:
-                offered.append(argument.replace(kind=inspect.Parameter.KEYWORD_ONLY))
-        for group in groups.values():
-            offered += option_parameters(group)
+                offered.append(argument.replace(kind=_NAMED))
+        offered.append(inspect.Parameter("quiet", _NAMED, default=False, annotation=_Quiet))
 
         @wraps(function)
         def run(**values: Any) -> None:
+            stdout.quiet = _remarks.quiet = values.pop("quiet")
             values |= {group: filled(kind, values) for group, kind in groups.items()}
-            printed = values.pop("")
-            _state["json"] = getattr(printed, "json", False)
-            stdout.quiet, _remarks.quiet = printed.quiet or _state["json"], printed.quiet
             with sparing_inputs():
                 function(**values)
 
@@ -192,15 +174,6 @@ def command(
         return function
 
     return register
-
-
-def answer(result: Mapping[str, Any] | Callable[[], Mapping[str, Any]]) -> None:
-    """Print a command's result, or what a function makes of it, as JSON if that was asked for."""
-    if _state["json"]:
-        text = json_text(result() if callable(result) else result)
-        answers = _Console(file=sys.stdout, soft_wrap=True, **_PLAIN)
-        answers.print(Text(text))  # whole, whatever its length
-        stdout.failure = stdout.failure or answers.failure
 
 
 def typed() -> str:

@@ -4,43 +4,31 @@ from __future__ import annotations
 
 import argparse
 import shlex
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
+
+import numpy as np
 
 from pincal.calibration.calibrate import prepared, run
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.hypotheses.doctor import Remedy, remedies
-from pincal.calibration.options import AUTO, FOLDS, By, Options
-from pincal.calibration.result_files import REPORT, RESULT_FILES, as_json
+from pincal.calibration.options import AUTO, FOLDS, Options
+from pincal.calibration.result_files import REPORT, RESULT_FILES
 from pincal.calibration.terms.explain import explained
-from pincal.cli.app import answer, command, fail, remark, say, stdout, typed, warn, working, wrote
-from pincal.cli.options import (
-    FORCE,
-    CountOptions,
-    Force,
-    Measured,
-    Mech,
-    NoiseOptions,
-    SetupOptions,
-    UnitOptions,
-    output_option,
-)
+from pincal.cli.app import command, fail, remark, say, stdout, typed, warn, working, wrote
+from pincal.cli.options import FORCE, Force, Measured, Mech, SetupOptions, output_option
 from pincal.errors import MeasurementError, MisfitError
-from pincal.files.level import tilt_column
 from pincal.files.measurement_writing import columns_of
-from pincal.files.measurements import (
-    measured_columns,
-    read_measurements,
-    table_for,
-    unknown_columns,
-)
+from pincal.files.measurements import read_measurements
 from pincal.files.mechanism_folders import mechanism_files
 from pincal.files.output import refuse_existing
-from pincal.files.table import TextTable, write_table
-from pincal.model.option import option
-from pincal.model.setup import ORIGIN
+from pincal.files.table import write_table
+from pincal.model.measurements import Measurements, Noise
+from pincal.model.mechanism import Mechanism
+from pincal.model.option import option, option_of
+from pincal.model.orientation import SINGLE_ANGLES
+from pincal.model.setup import ORIGIN, Setup
 from pincal.show.answers import (
     accuracy_table,
     next_steps,
@@ -56,8 +44,12 @@ from pincal.words.numbers import reading_in
 
 
 @dataclass(frozen=True)
-class InputOptions(CountOptions, SetupOptions, NoiseOptions):
+class InputOptions(SetupOptions):
     """What is known of the measurements."""
+
+    noise_position: float | None = option(None, option_of(Noise, "position"))
+    noise_orientation: float | None = option(None, option_of(Noise, "orientation"))
+    noise_reading: float | None = option(None, option_of(Noise, "reading"))
 
     def calibration(self, mech: str, path: Path, options: Options) -> Calibration:
         """Return the calibration to be done, by measurements in a file."""
@@ -69,19 +61,45 @@ class InputOptions(CountOptions, SetupOptions, NoiseOptions):
         noise = self.noise_of(mechanism, calibration.measurements, options.setup)
         return replace(calibration, options=replace(options, noise=noise))
 
+    def noise_of(self, mechanism: Mechanism, data: Measurements, setup: Setup) -> Noise | None:
+        """Return the noise given, or None if none was."""
+        needed: dict[str, float | None] = {}
+        measured = _units_measured(mechanism, data, setup)
+        if "m" in measured:
+            needed["--noise-position"] = self.noise_position
+        if "rad" in measured:
+            needed["--noise-orientation"] = self.noise_orientation
+        deviations = (self.noise_position, self.noise_orientation, self.noise_reading)
+        if all(deviation is None for deviation in deviations):
+            return None
+        if None in needed.values():
+            raise MeasurementError(
+                f"give {' and '.join(needed)} with the other noise options, or none of them (the "
+                "scale is then estimated)"
+            )
+        return Noise(*(deviation or 0.0 for deviation in deviations))
+
+
+def _units_measured(mechanism: Mechanism, data: Measurements, setup: Setup) -> set[str]:
+    """Return the units of what was measured, but for what a tracker says itself how well."""
+    platform = mechanism.platform
+    columns = zip(platform.coordinates, platform.units, data.poses.T, strict=True)
+    units = {name: unit for name, unit, values in columns if np.isfinite(values).any()}
+    units |= {name: "rad" if name in SINGLE_ANGLES else "m" for name in data.extra}
+    known = {*platform.coordinates[: platform.lengths], *setup.points(platform)}
+    return {unit for name, unit in units.items() if setup.tracker is None or name not in known}
+
 
 @dataclass(frozen=True)
-class CalibrateOptions(UnitOptions):
-    """What is checked, written and printed of a calibration."""
+class CalibrateOptions:
+    """What is written and printed of a calibration."""
 
-    by: By = option("region", "What is held out together: regions, rows in turn, or runs.")
     verbose: bool = option(False, "Print all tables, and all that was found.")
-    accept: bool = option(False, "Exit code 0 even if residuals are larger than the noise given.")
     report: bool = option(True, "Draw no report.html.")
     force: bool = option(False, FORCE)
 
 
-@command(answers=True)
+@command()
 def calibrate(
     mech: Mech,
     measurements: Measured,
@@ -97,18 +115,18 @@ def calibrate(
     estimated by group from the residuals. RESULT holds report.html to read,
     result.json, residuals.csv and the calibrated mechanism; every command takes it as MECH. The
     exit code is 1, and no mechanism is written, if the fit does not converge; 1 with all files
-    written, if χ² contradicts the noise given, unless --accept; 3 if the result is written and its
-    report cannot be drawn.
+    written, if χ² contradicts the noise given; 3 if the result is written and its report cannot be
+    drawn.
     """
     if options.poses != "own" and options.method != "per-leg":
         remark("--poses is for --method per-leg; all legs at once use every pose")
     calibration = known.calibration(mech, measurements, options)
-    units = running.written_in(calibration.mechanism)
+    units = known.written_in(calibration.mechanism)
     refuse_existing(output, force=running.force, folder=RESULT_FILES)
     with working("identifying parameters") as progress:
         calibration = replace(calibration, options=replace(calibration.options, progress=progress))
         try:
-            result, notes = run(calibration, options.folds, running.by)
+            result, notes = run(calibration, options.folds)
         except MisfitError:
             remark(
                 f"pincal doctor {mech} {measurements} tries what may be wrong, and says what works"
@@ -121,7 +139,7 @@ def calibrate(
         try:
             progress("sampling the workspace for the platform's errors")
             page = report(
-                result, command=typed(), files=files, notes=notes, units=running.units or ""
+                result, command=typed(), files=files, notes=notes, units=known.units or ""
             )
             errors = page.errors
             if running.report:
@@ -141,7 +159,6 @@ def calibrate(
             stdout.print(part)
     wrote(output)
     say(f"next: {'; '.join(next_steps(result, mech, str(measurements), str(output)))}")
-    answer(lambda: as_json(result))
     if undrawn:
         fail(
             3,
@@ -149,11 +166,11 @@ def calibrate(
         )
     if not result.converged:
         fail(1)
-    if result.excess > 1.0 and not running.accept:
-        fail(1, "exit code 1, since χ² contradicts the noise; --accept takes the result as it is")
+    if result.excess > 1.0:
+        fail(1, "exit code 1, since χ² contradicts the noise")
 
 
-@command(answers=True)
+@command()
 def explain(mech: Mech, measurements: Measured, options: Options, known: InputOptions) -> None:
     """Say what geometry does not explain, and which terms pay.
 
@@ -168,42 +185,30 @@ def explain(mech: Mech, measurements: Measured, options: Options, known: InputOp
         terms = options.terms or (AUTO,)
         options = replace(options, terms=terms, progress=progress)
         explanation = explained(known.calibration(mech, measurements, options))
-    warn(*warnings(explanation.result))
-    tables = screen_table(explanation), models_table(explanation)
-    for table in tables:
-        stdout.print(table)
-    say(*explanation_lines(explanation))
-    line = ""
+    with reading_in(known.written_in(explanation.result.nominal).printed):
+        warn(*warnings(explanation.result))
+        stdout.print(screen_table(explanation))
+        stdout.print(models_table(explanation))
+        say(*explanation_lines(explanation))
     if explanation.terms:
         added = (word for term in explanation.terms for word in ("--terms", term))
-        line = _retyped("calibrate", *added)
-        say(f"  {line}")
-    answer(
-        {
-            "verdict": explanation.verdict,
-            "terms": explanation.terms,
-            "command": line or None,
-            "candidates": tables[0].records(),
-            "models": tables[1].records(),
-            "slips": explanation.slips,
-            "folds_left_out": [fold + 1 for fold, _ in explanation.lost],
-        }
-    )
+        say(f"  {_calibrate_line(*added)}")
 
 
-def _retyped(command_name: str, *added: str, files: Mapping[Path, Path] | None = None) -> str:
-    """Return what was typed as another command with further options, and with other files."""
+def _calibrate_line(*added: str, measured: tuple[Path, Path] | None = None) -> str:
+    """Return what was typed as ``calibrate`` with further options, and with a file for another."""
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     for option_name in ("--terms", "-o"):  # those that were tried, and another output
         parser.add_argument(option_name, *["--output"] * (option_name == "-o"), action="append")
-    for flag in ("--force", "--json", "--quiet"):
+    for flag in ("--force", "--quiet"):
         parser.add_argument(flag, action="store_true")
     _, words = parser.parse_known_args(shlex.split(typed())[2:])
-    words = [str((files or {}).get(Path(word), word)) for word in words]
-    return shlex.join(["pincal", command_name, *words, *added, "-o", "RESULT"])
+    if measured:
+        words = [str(measured[1]) if Path(word) == measured[0] else word for word in words]
+    return shlex.join(["pincal", "calibrate", *words, *added, "-o", "RESULT"])
 
 
-@command(answers=True)
+@command()
 def doctor(
     mech: Mech,
     measurements: Measured,
@@ -217,16 +222,13 @@ def doctor(
 
     Units, signs, orders, zeros, frames, shifted logs and bad rows are put right one by one, in the
     order of how likely they are, and each is tried by a whole calibration, until one converges and
-    nothing contradicts it, rows held out included. Columns without a meaning are copied to
+    nothing contradicts it, rows held out included. Further columns of numbers are copied to
     MENDED.csv. The exit code is 1 if none does, or several alike.
     """
     mechanism, setup = known.load(mech), known.read_setup()
-    columns = setup.columns(mechanism)
-    table = table_for(measurements, mechanism, columns, None)
-    table = table.where_measured(measured_columns(mechanism, columns))
     if output is not None:
         refuse_existing(output, force=force)
-    data = read_measurements(table, mechanism, setup, partial=True)
+    data = read_measurements(measurements, mechanism, setup, partial=True, influences=None)
     options = Options(noise=known.noise_of(mechanism, data, setup), setup=setup)
     tries: list[Remedy] = []
     with working("trying what may be wrong") as progress:
@@ -234,80 +236,46 @@ def doctor(
             tries.append(remedy)
             progress(tried(remedy))
     cures = [remedy for remedy in tries if remedy.works]
-    stdout.print(remedy_table(tries))
-    say(*advice(tries))
-    lines: list[str] = []
+    with reading_in(known.written_in(mechanism).printed):
+        stdout.print(remedy_table(tries))
+        say(*advice(tries))
     if len(cures) == 1:
-        mended = measurements
-        if not cures[0].mends:
-            if output is not None:
-                remark(f"options are enough: {output} is not written, take {measurements}")
-        elif output is None:
-            mended = Path("MENDED.csv")
-            lines.append(f"{typed()} -o MENDED.csv")
-        else:
-            mended = output
-            _write_mended(output, table, cures[0].calibration, force=force)
-        lines.append(_calibrate_line(cures[0], known, {measurements: mended}))
+        mended = output or Path("MENDED.csv")
+        lines = [f"{typed()} -o MENDED.csv"] if cures[0].mends and not output else []
+        if cures[0].mends and output:
+            data = cures[0].calibration.measurements
+            way = data.written or "tilt-torsion"
+            write_table(output, columns_of(mechanism, data, way, setup), force=force)
+            wrote(output)
+        elif output:
+            remark(f"options are enough: {output} is not written, take {measurements}")
+        exchanged = (measurements, mended) if cures[0].mends else None
+        lines.append(_calibrate_line(*_cure_options(cures[0], known), measured=exchanged))
         say("this works:", *(f"  {line}" for line in lines))
-    elif cures:
+        return
+    if cures:
         stdout.print(
             f"{len(cures)} of these work alike, and the measurements do not say which "
             "is true: look at the machine, and mend the source"
         )
     else:
         stdout.print("nothing of this makes the measurements fit the mechanism")
-        _say_what_converged(mech, measurements, known, tries)
-    answer({"commands": lines, "tried": list(map(_remedy_answer, tries))})
-    if len(cures) != 1:
-        fail(1)
+        converged = [remedy for remedy in tries if remedy.result and remedy.result.converged]
+        if converged:
+            line = f"pincal explain {mech} {measurements}"
+            stdout.print(f"the mechanism may lack a term: {line} looks for it")
+        near = next((remedy for remedy in converged if not remedy.mends), None)
+        if near and near.result and near.result.excess == 1.0:
+            line = _calibrate_line(*_cure_options(near, known))
+            say("this converges, and promises nothing:", f"  {line}")
+    fail(1)
 
 
-def _say_what_converged(
-    mech: str, measurements: Path, known: InputOptions, tries: Sequence[Remedy]
-) -> None:
-    """Say what to try where no remedy makes the measurements fit, but a fit converged."""
-    converged = [remedy for remedy in tries if remedy.result and remedy.result.converged]
-    if converged:
-        line = f"pincal explain {mech} {measurements}"
-        stdout.print(f"the mechanism may lack a term: {line} looks for it")
-    near = [remedy for remedy in converged if not remedy.mends]
-    if near and near[0].result and near[0].result.excess == 1.0:
-        say("this converges, and promises nothing:", f"  {_calibrate_line(near[0], known)}")
-
-
-def _remedy_answer(remedy: Remedy) -> dict[str, Any]:
-    """Return what became of a remedy, for JSON."""
-    return {
-        "what": tried(remedy),
-        "codes": [finding.code for finding in remedy.findings],
-        "works": remedy.works,
-        "reduced_chi2": remedy.result.reduced_chi2 if remedy.result else None,
-        "trouble": remedy.trouble or None,
-    }
-
-
-def _write_mended(output: Path, table: TextTable, calibration: Calibration, *, force: bool) -> None:
-    """Write measurements that were put right, and the columns that mean nothing here."""
-    mechanism, setup = calibration.mechanism, calibration.options.setup
-    data, known_columns = calibration.measurements, setup.columns(mechanism)
-    written = dict(columns_of(mechanism, data, data.written or "tilt-torsion", setup))
-    known_columns = known_columns | tilt_column(mechanism, known_columns)
-    for name, cells in unknown_columns(table, mechanism, known_columns).items():
-        unit = table.units[name]
-        written[f"{name} [{unit}]" if unit else name] = cells
-    write_table(output, written, force=force)
-    wrote(output)
-
-
-def _calibrate_line(
-    remedy: Remedy, known: InputOptions, files: Mapping[Path, Path] | None = None
-) -> str:
-    """Return the command by which to calibrate after a remedy."""
+def _cure_options(remedy: Remedy, known: InputOptions) -> list[str]:
+    """Return the options of ``calibrate`` that a remedy adds to those that were typed."""
     options, as_typed = remedy.calibration.options, known.read_setup()
     words = ["--unknown-frame"] * (options.setup.unknown_frame and not known.unknown_frame)
     unknown_target = options.setup.targets[ORIGIN].unknown
     words += ["--unknown-target"] * (unknown_target and not as_typed.targets[ORIGIN].unknown)
     words += ["--rough"] * options.rough
-    words += ["--loss", str(options.loss)] if options.loss != "none" else []
-    return _retyped("calibrate", *words, files=files)
+    return [*words, "--loss", str(options.loss)] if options.loss != "none" else words

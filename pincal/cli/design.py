@@ -18,6 +18,7 @@ from pincal.cli.options import (
     Mech,
     PlanOptions,
     TableOptions,
+    offered,
     output_option,
 )
 from pincal.design.forecast import forecast, scale_effect
@@ -37,7 +38,7 @@ from pincal.kinematics.configurations import as_plan, check_reached
 from pincal.kinematics.readers import arm_free_of_collision
 from pincal.model.measurements import Noise, Plan
 from pincal.model.mechanism import Mechanism
-from pincal.model.option import option
+from pincal.model.option import Option, option
 from pincal.show.forecasts import forecast_lines, poses_line, scale_lines
 from pincal.show.tables import choice_table, selection_table, standard_errors
 from pincal.words.numbers import reading_in
@@ -46,6 +47,7 @@ from pincal.workspace.sampling import sample_configurations
 
 _CONFIGURATIONS = 3000  # candidates, where all parameters are looked at together
 _POSES = 30_000  # candidates, where legs have poses of their own
+_FORECAST = 50  # poses, where no plan is given
 
 
 @dataclass(frozen=True)
@@ -80,7 +82,6 @@ class SelectOptions(PlanOptions):
     reference: int | None = option(
         None, "Measure one pose again every so many rows: that shows drift.", least=1
     )
-    by_set: bool = option(False, "Write set after set, not in turns: drift misleads.")
     force: bool = option(False, FORCE)
 
 
@@ -120,7 +121,7 @@ def select(
     if options.verify:
         plan = with_verification(mechanism, plan, candidates, options.verify, options.seed)
         remark(f"{options.verify} more poses of the set 'verify' are for no fit: they check it")
-    plan = plan if options.by_set else in_turns(plan, options.seed)
+    plan = in_turns(plan, options.seed)
     if options.reference is not None:
         count = len(plan)
         plan = with_reference(mechanism, plan, options.reference)
@@ -184,24 +185,20 @@ def _protocol_of(mechanism: Mechanism) -> Protocol:
     return "symmetric"
 
 
-@dataclass(frozen=True)
-class ForecastOptions(PlanOptions):
-    """What is asked of a plan."""
-
-    accuracy: float | None = option(
-        None, "Wanted root mean square position error over the workspace [m], or as 20um.", unit="m"
-    )
-    count: int = option(50, "Number of poses without a plan.", least=1)
-
-
 @command()
 def identifiability(
     mech: Mech,
-    options: ForecastOptions,
+    options: PlanOptions,
     noise: Noise,
     plan: Annotated[
-        Path | None,
-        typer.Argument(metavar="PLAN.csv", help="Poses to measure; else --count random ones."),
+        Path | None, typer.Argument(metavar="PLAN.csv", help="Poses to measure; else 50 at random.")
+    ] = None,
+    accuracy: Annotated[
+        float | None,
+        offered(
+            "accuracy",
+            Option("Wanted root mean square position error over the workspace [m].", unit="m"),
+        ),
     ] = None,
 ) -> None:
     """Say beforehand what measurements will determine.
@@ -224,7 +221,7 @@ def identifiability(
     with working("sampling the workspace"):
         workspace = sample_configurations(mechanism, 1000, options.seed)
         if plan is None:
-            poses = sample_configurations(mechanism, options.count, options.seed + 1)
+            poses = sample_configurations(mechanism, _FORECAST, options.seed + 1)
     expected = forecast(mechanism, poses, noise, measured, setup)
     error = expected.platform_error(workspace)
     scale = scale_effect(expected, as_plan(mechanism, poses), workspace, noise, setup)
@@ -233,9 +230,8 @@ def identifiability(
         lines = forecast_lines(expected, error)
         lines += scale_lines(scale, setup.systematic.scale > 0.0)
         stdout.print(*lines, sep="\n")
-        if options.accuracy is not None:
-            needed = expected.poses_for(options.accuracy, workspace)
-            stdout.print(poses_line(options.accuracy, needed))
+        if accuracy is not None:
+            stdout.print(poses_line(accuracy, expected.poses_for(accuracy, workspace)))
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from shlex import quote
@@ -12,9 +13,17 @@ import numpy as np
 import typer
 
 from pincal.cli.app import command, remark, say, stdout, warn, working, wrote
-from pincal.cli.kinematics import fail_if_lost, first_of, say_reference
-from pincal.cli.options import FORCE, Mech, TableOptions, output_option, refuse_options
-from pincal.errors import FileError, MeasurementError, MechanismError
+from pincal.cli.mechanisms import fail_if_lost, first_of, say_reference
+from pincal.cli.options import (
+    FORCE,
+    Force,
+    Mech,
+    TableOptions,
+    named_after,
+    output_option,
+    refuse_options,
+)
+from pincal.errors import FileError, MeasurementError, MechanismError, PincalError
 from pincal.files.measurement_writing import write_plan
 from pincal.files.measurements import read_poses
 from pincal.files.mechanism_folders import (
@@ -46,10 +55,8 @@ from pincal.workspace.sampling import grid_poses, has_grid
 
 PROBING = "probing.csv"
 _LARGE = 20.0  # [m]
-_TREES = ("urdf", "mjcf")
 InputFormat = Literal["urdf", "mjcf", "klipper", "reprap", "marlin"]
-OutputFormat = Literal["urdf", "mjcf", "klipper", "reprap", "table"]
-#: Formats by the ending of a file.
+#: Formats by the ending of a file, read and written.
 INPUTS: dict[str, InputFormat] = {
     ".cfg": "klipper",
     ".conf": "klipper",
@@ -59,23 +66,21 @@ INPUTS: dict[str, InputFormat] = {
     ".xml": "mjcf",
     ".mjcf": "mjcf",
 }
-OUTPUTS: dict[str, OutputFormat] = {
-    **INPUTS,  # type: ignore[dict-item]
-    ".csv": "table",
-}
+OUTPUTS: dict[str, str] = {**INPUTS, ".csv": "table"}
 #: What a file is that must become another one before it is read.
 _TO_CONVERT = {
     ".sdf": "SDF, which is not read; import the URDF that it was made from, or make one (sdf2urdf "
     "of sdformat_tools)",
     ".xacro": f"a file of macros, which xacro expands to URDF: {XACRO}",
 }
-#: Options that some formats have, by format.
-_IMPORTS = {
-    "urdf": ("loops", "platform", "tip", "base"),
-    "mjcf": ("platform", "tip", "base"),
-    "": ("probed",),
+#: Options that are of some formats only.
+_ONLY = {
+    "loops": ("urdf",),
+    "platform": ("urdf", "mjcf"),
+    "tip": ("urdf", "mjcf"),
+    "base": ("urdf", "mjcf"),
+    "probed": ("klipper", "reprap", "marlin"),
 }
-_EXPORTS = {"urdf": ("original", "leg"), "table": ("poses",)}
 _ROWS = 1000  # of a grid over the workspace, about
 _NO_NUMBER = re.compile(r"(?<![\w.-])[-+]?(?:nan|inf)(?![\w.-])", re.IGNORECASE)
 
@@ -133,11 +138,9 @@ def import_(
     Calibrate with 'pincal calibrate OUT OUT/probing.csv'.
     """
     if file.is_dir():
-        known = sorted(path.name for path in file.iterdir() if path.suffix.lower() in INPUTS)
-        raise FileError(
-            f"{file} is a folder; name the file to read"
-            f"{f', such as {file / known[0]}' if known else ''}"
-        )
+        known = sorted(path for path in file.iterdir() if path.suffix.lower() in INPUTS)
+        such_as = f", such as {known[0]}" if known else ""
+        raise FileError(f"{file} is a folder; name the file to read{such_as}")
     suffix = file.suffix.lower()
     if options.format is None and suffix in _TO_CONVERT:
         raise FileError(f"{file} is {_TO_CONVERT[suffix]}")
@@ -147,29 +150,23 @@ def import_(
             f"{file} does not say whose file it is; expected the ending {', '.join(INPUTS)}, or "
             "--format (a table of measurements needs no import: see 'pincal calibrate')"
         )
-    foreign = {name for names in _IMPORTS.values() for name in names}
-    refuse_options(options, foreign.difference(_IMPORTS.get(form, _IMPORTS[""])), str(file))
-    read = _import_tree if form in _TREES else _import_printer
+    refuse_options(options, [name for name in _ONLY if form not in _ONLY[name]], str(file))
+    read = _import_tree if form in _ONLY["tip"] else _import_printer
     remarks = read(file, output, form, options)
     warn(*remarks)
     wrote(output)
 
 
-def _named_after(output: Path) -> str:
-    """Return a mechanism's name by its folder."""
-    return re.sub(r"\W+", "_", output.absolute().name).strip("_") or "mechanism"
-
-
 def _import_printer(
     file: Path, output: Path, form: InputFormat, options: ImportOptions
-) -> tuple[str, ...]:
+) -> Sequence[str]:
     """Write the mechanism of a delta printer to a folder, with the points that it probed."""
     if form == "klipper":
         printer, heights, readings = read_klipper(file)
     else:
         firmware = form if options.format and (form == "reprap" or form == "marlin") else None
         printer, heights, readings = read_reprap(file, firmware), np.empty(0), np.empty((0, 3))
-    mechanism = printer.mechanism(_named_after(output), f"Linear delta of {file.name}.")
+    mechanism = printer.mechanism(named_after(output), f"Linear delta of {file.name}.")
     if options.probed is not None:
         solution = inverse(mechanism, read_poses(options.probed, mechanism).poses)
         readings, heights = solution.readings, np.zeros(len(solution.readings))
@@ -192,7 +189,7 @@ def _import_printer(
 
 def _import_tree(
     file: Path, output: Path, form: InputFormat, options: ImportOptions
-) -> tuple[str, ...]:
+) -> Sequence[str]:
     """Write the mechanism of a URDF or MJCF file to a folder, and say what it is."""
     if options.tip is not None and (options.platform or options.loops):
         raise MechanismError("--tip is for serial arms, --platform and --loops for closed loops")
@@ -209,9 +206,9 @@ def _import_tree(
         remarks.append(
             f"the longest leg is {size:.4g} m: metres are expected; is this millimetres?"
         )
-    save_mechanism(replace(mechanism, name=_named_after(output)), output, force=options.force)
+    save_mechanism(replace(mechanism, name=named_after(output)), output, force=options.force)
     _say_what_it_is(mechanism)
-    return tuple(remarks)
+    return remarks
 
 
 def _closed(
@@ -246,38 +243,34 @@ def _say_what_it_is(mechanism: Mechanism) -> None:
     stdout.print("* driven: its position is read")
 
 
-@dataclass(frozen=True)
-class ExportOptions(TableOptions):
-    """What is written, and where corrections are wanted."""
-
-    format: OutputFormat | None = option(
-        None, "What to write, if FILE's ending (.urdf, .xml, .cfg, .g, .csv) is other."
-    )
-    original: Path | None = option(
-        None,
-        "Your own URDF: its joints get the calibrated origins, all else stays.",
-        metavar="URDF",
-    )
-    leg: str | None = option(None, "Whose URDF it is, if it is not named so.", metavar="LEG")
-    poses: Path | None = option(
-        None,
-        "Where a table corrects, with the columns that terms depend on. A grid over the workspace "
-        "if not given.",
-        metavar="POSES.csv",
-    )
-    force: bool = option(False, FORCE)
-
-
 @command("export")
 def export(
     mech: Mech,
     output: Annotated[
         Path,
         output_option(
-            "FILE", "URDF, MJCF, printer.cfg section, M665 and M666, or corrections (CSV)."
+            "FILE",
+            "By its ending: .urdf, .xml (MJCF), .cfg (Klipper), .g (M665 and M666), .csv "
+            "(corrections).",
         ),
     ],
-    options: ExportOptions,
+    options: TableOptions,
+    original: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="URDF",
+            help="Your own URDF: its joints get the calibrated origins, all else stays.",
+        ),
+    ] = None,
+    poses: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="POSES.csv",
+            help="Where a table corrects, with the columns that terms depend on. A grid over the "
+            "workspace if not given.",
+        ),
+    ] = None,
+    force: Force = False,
 ) -> None:
     """Write URDF, MJCF, printer configurations, or corrections.
 
@@ -292,57 +285,65 @@ def export(
     Terms of sensors, lengths and angles have no place in these. A table of corrections over poses
     (.csv) makes up for them: what to add to readings, or which pose to command instead.
     """
-    form = options.format or OUTPUTS.get(output.suffix.lower())
+    form = OUTPUTS.get(output.suffix.lower())
     if form is None:
         raise MechanismError(
             f"{output.name!r} does not say what to write; give it the ending .urdf, .xml (MJCF), "
-            ".cfg (Klipper), .g (RepRapFirmware) or .csv (table of corrections), or say --format"
+            ".cfg (Klipper), .g (RepRapFirmware) or .csv (table of corrections)"
         )
-    foreign = {"original", "leg", "poses"}.difference(_EXPORTS.get(form, ()))
-    foreign |= set() if form == "table" else {"units", "counts"}
-    refuse_options(options, foreign, f"the format {form}")
+    purpose = f"the format {form}"
+    if form != "table":
+        refuse_options(options, ("units", "counts"), purpose)
+    for name, value, wanted in (("original", original, "urdf"), ("poses", poses, "table")):
+        if value is not None and form != wanted:
+            raise PincalError(f"leave out --{name}: not for {purpose}")
     mechanism = options.load(mech)
     if form == "table":
-        _export_corrections(mechanism, output, options)
+        _export_corrections(mechanism, output, options, poses, force=force)
         return
-    files, remarks = _exported(mechanism, output, form, options)
-    with writing_together([(path, ()) for path in files], force=options.force) as scratch:
+    if original is not None:
+        files, remarks = {output: _calibrated(original, mechanism)}, [*unwritten(mechanism)]
+    else:
+        files, remarks = _exported(mechanism, output, form)
+    with writing_together([(path, ()) for path in files], force=force) as scratch:
         for path, data in zip(scratch, files.values(), strict=True):
             path.write_bytes(data)
     warn(*remarks)
     wrote(*files)
     if mechanism.amplitudes:
-        _offer_corrections(mech, mechanism, firmware=form not in _TREES)
+        named = _columns(mechanism)
+        units = " --units mm" * (form not in _ONLY["tip"])
+        given = " --poses POSES.csv" * bool(named or not has_grid(mechanism))
+        columns = f" (with what terms follow: {first_of(named, ', ')})" if named else ""
+        remark(
+            "to correct for terms pose by pose (what to add to readings, or which pose to command "
+            f"instead): pincal export {quote(mech)} -o corrections.csv{units}{given}{columns}"
+        )
 
 
 def _exported(
-    mechanism: Mechanism, output: Path, form: OutputFormat, options: ExportOptions
-) -> tuple[dict[Path, bytes], list[str]]:
+    mechanism: Mechanism, output: Path, form: str
+) -> tuple[dict[Path, bytes], Sequence[str]]:
     """Return the files of a mechanism in another form, and what to know of them."""
-    if options.original is not None:
-        return {output: _calibrated(options.original, mechanism, options)}, [*unwritten(mechanism)]
-    if options.leg is not None:
-        raise MechanismError("--leg goes with --original; the whole mechanism is written")
-    remarks: list[str] = []
-    if form in _TREES:
-        tree, unwritten_parts = tree_of(mechanism)
-        remarks = [*unwritten_parts]
+    remarks: Sequence[str]
+    if form in _ONLY["tip"]:
+        tree, remarks = tree_of(mechanism)
         texts = {output: mjcf(tree) if form == "mjcf" else loops_urdf(tree)}
         if form == "urdf" and tree.loops:
             texts[output.with_suffix(".yaml")] = loops_yaml(tree)
     else:
         printer = delta_printer(mechanism)
-        remarks = [*printer.remarks]
+        remarks = printer.remarks
         texts = {output: write_klipper(printer) if form == "klipper" else write_reprap(printer)}
         say(texts[output].rstrip())
     _check_numbers(mechanism, *texts.values())
     return {path: text.encode() for path, text in texts.items()}, remarks
 
 
-def _calibrated(original: Path, mechanism: Mechanism, options: ExportOptions) -> bytes:
+def _calibrated(original: Path, mechanism: Mechanism) -> bytes:
     """Return the user's URDF with the origins of calibrated joints."""
     before = read_bytes(original, LARGEST_FILE["XML"], MechanismError)
-    data = calibrated_urdf(original, mechanism, options.leg)
+    data = calibrated_urdf(original, mechanism)
     if not _NO_NUMBER.search(before.decode(errors="replace")):
         _check_numbers(mechanism, data.decode(errors="replace"))
     lines = set(before.splitlines())
@@ -362,24 +363,14 @@ def _check_numbers(mechanism: Mechanism, *texts: str) -> None:
             )
 
 
-def _offer_corrections(mech: str, mechanism: Mechanism, *, firmware: bool) -> None:
-    """Say which command makes up for terms, which a file has no place for."""
-    named = _columns(mechanism)
-    units = " --units mm" * firmware
-    poses = " --poses POSES.csv" if named or not has_grid(mechanism) else ""
-    columns = f" (with what terms follow: {first_of(named, ', ')})" if named else ""
-    remark(
-        "to correct for terms pose by pose (what to add to readings, or which pose to command "
-        f"instead): pincal export {quote(mech)} -o corrections.csv{units}{poses}{columns}"
-    )
-
-
 def _columns(mechanism: Mechanism) -> list[str]:
     """Return the columns that terms follow and that nothing but a row says."""
     return [name for name in mechanism.influences if name not in mechanism.loaded]
 
 
-def _export_corrections(mechanism: Mechanism, output: Path, options: ExportOptions) -> None:
+def _export_corrections(
+    mechanism: Mechanism, output: Path, options: TableOptions, poses: Path | None, *, force: bool
+) -> None:
     """Write corrections over poses."""
     if not mechanism.amplitudes:
         raise MechanismError(
@@ -387,7 +378,7 @@ def _export_corrections(mechanism: Mechanism, output: Path, options: ExportOptio
             "needs no correction"
         )
     units = options.written_in(mechanism)
-    plan = None if options.poses is None else read_poses(options.poses, mechanism)
+    plan = None if poses is None else read_poses(poses, mechanism)
     influences = {} if plan is None else own_influences(mechanism, plan.influences)
     if not (influences or mechanism.loaded or mechanism.at_reference.amplitudes):
         raise MechanismError(
@@ -400,7 +391,7 @@ def _export_corrections(mechanism: Mechanism, output: Path, options: ExportOptio
     table = corrections(mechanism, plan)
     written = correction_columns(mechanism, table, plan.written or "tilt-torsion")
     counts = {**units.counts, **{f"{CORRECTION}{k}": v for k, v in units.counts.items()}}
-    write_table(output, written, units=replace(units, counts=counts), force=options.force)
+    write_table(output, written, units=replace(units, counts=counts), force=force)
     say_reference(mechanism, influences)
     reached = np.abs(table.readings[np.isfinite(table.readings).all(axis=1)])
     largest: dict[str, float] = {}
@@ -411,4 +402,4 @@ def _export_corrections(mechanism: Mechanism, output: Path, options: ExportOptio
     stdout.print(f"{counted(len(reached), 'pose')}: at most {limits} to add to a reading")
     wrote(output)
     places = list(map(plan.place, range(len(plan))))
-    fail_if_lost(options.poses or output, places, table.reasons, "pose")
+    fail_if_lost(poses or output, places, table.reasons, "pose")

@@ -1,8 +1,8 @@
-"""``pincal mechanisms``, ``check`` and ``symmetry``: what there is, and what it is like."""
+"""Mechanisms as they are: the bundled ones, what they are like, poses to readings and back."""
 
 from __future__ import annotations
 
-import re
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated
@@ -10,24 +10,30 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from pincal.cli.app import command, remark, stdout, warn, working, wrote
-from pincal.cli.options import Force, Mech, Seed, UnitOptions, output_option
-from pincal.errors import FileError, SymmetryError
+from pincal.cli.app import command, fail, remark, stdout, warn, working, wrote
+from pincal.cli.options import Force, Mech, Seed, TableOptions, output_option
+from pincal.errors import FileError
 from pincal.estimation.observability.indices import identifiability
+from pincal.files.measurement_writing import columns_of, reading_columns, reason_column
+from pincal.files.measurements import read_poses, read_readings
 from pincal.files.mechanism_folders import bundled, load_mechanism
 from pincal.files.output import refuse_existing, writing
+from pincal.files.table import write_table
 from pincal.kinematics.closing import sensor_law
 from pincal.kinematics.closure import LegClosure, joint_range
 from pincal.kinematics.derivatives import leg_demand
+from pincal.kinematics.forward import forward as solve_forward
+from pincal.kinematics.influences import own_influences
+from pincal.kinematics.inverse import inverse as solve_inverse
+from pincal.kinematics.inverse import outside_limits
 from pincal.kinematics.readers import tips_by_reader
 from pincal.model.leg import Leg
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.show.tables import nominal_table, symmetry_table
-from pincal.symmetry.breaks import no_symmetries
-from pincal.symmetry.detect import SymmetryGroup, symmetry_group
-from pincal.symmetry.elements import cyclic
+from pincal.symmetry.detect import symmetry_group
 from pincal.words.numbers import reading_in
+from pincal.words.wording import LISTED
 from pincal.workspace.sampling import sample_configurations, sample_workspace
 
 
@@ -42,12 +48,12 @@ def mechanisms() -> None:
 
 
 @command()
-def check(mech: Mech, options: UnitOptions) -> None:
+def check(mech: Mech, options: TableOptions) -> None:
     """Say whether a mechanism is sound.
 
     Loops closed at home, URDFs read alike by others, parameters observable, symmetry.
     """
-    mechanism = load_mechanism(mech)
+    mechanism = options.load(mech)
     with reading_in(options.written_in(mechanism).printed):
         stdout.print(nominal_table(mechanism))
     for leg in mechanism.legs:
@@ -110,10 +116,6 @@ def warn_of_turns(closure: LegClosure) -> None:
 @command()
 def symmetry(
     mech: Mech,
-    group: Annotated[
-        str | None,
-        typer.Option(metavar="D2n|Cn", help="Claim a group, such as D6 or C3: fail if it is not."),
-    ] = None,
     tolerance: Annotated[
         float, typer.Option(min=0, help="Largest deviation, relative to its size or [rad].")
     ] = 1e-6,
@@ -121,46 +123,107 @@ def symmetry(
     """Find the symmetry group of a mechanism.
 
     Prints where each element carries the legs, how well readings follow (equivariance, on
-    sampled poses), and what breaks the elements that fail. With --group the exit code is 2 if
-    the mechanism lacks an element of that group.
+    sampled poses), and what breaks the elements that fail.
     """
-    claimed = group and _parse_group(group)
     mechanism = load_mechanism(mech)
     detected = symmetry_group(mechanism, tolerance)
     with working("checking readings on sampled poses"):
         deviation = detected.equivariance(sample_workspace(mechanism, 300))
     stdout.print(symmetry_table(detected, deviation))
-    if claimed:
-        _check_claim(*claimed, detected)
 
 
-def _parse_group(group: str) -> tuple[int, bool]:
-    """Return the number of rotations of a claimed group, and whether it has mirrors."""
-    match = re.fullmatch(r"([CD])_?([1-9]\d{0,2})", group, re.ASCII | re.IGNORECASE)
-    mirrored = match is not None and match[1] in "dD"
-    if match is None or (mirrored and int(match[2]) % 2):
-        raise typer.BadParameter(
-            f"--group {group}: expected D and its order, twice the number of rotations, such as D6 "
-            "for three rotations and three mirrors; or C and the number of rotations, such as C3"
+@command()
+def inverse(
+    mech: Mech,
+    poses: Annotated[Path, typer.Argument(metavar="POSES.csv", help="Poses: x [m], y [m], …")],
+    output: Annotated[Path, output_option("READINGS.csv", "Readings, one column a leg.")],
+    options: TableOptions,
+    force: Force = False,
+) -> None:
+    """Write the sensor readings of poses.
+
+    Rows of poses that are out of reach stay empty, with the reason in the column 'reason'; the exit
+    code is then 1. Of poses outside the limits of joints readings are written, with a warning.
+    """
+    mechanism = options.load(mech)
+    units = options.written_in(mechanism)
+    plan = read_poses(poses, mechanism)
+    refuse_existing(output, force=force)
+    influences = own_influences(mechanism, plan.influences)
+    solution = solve_inverse(mechanism, plan.poses, influences)
+    reasons = list(map(solution.reason, range(len(plan))))
+    values = np.where(solution.reached.all(axis=1, keepdims=True), solution.readings, np.nan)
+    columns = reading_columns(mechanism, values) | dict(influences) | reason_column(reasons)
+    write_table(output, columns, units=units, force=force)
+    say_reference(mechanism, influences)
+    wrote(output)
+    places = list(map(plan.place, range(len(plan))))
+    limits = zip(places, outside_limits(mechanism, solution), strict=True)
+    if beyond := [f"{place}: {', '.join(joints)}" for place, joints in limits if joints]:
+        warn(
+            f"{poses}: {len(beyond)} of {len(places)} poses are outside the limits of joints; "
+            f"their readings are written all the same. {first_of(beyond)}"
         )
-    return int(match[2]) // (1 + mirrored), mirrored
+    fail_if_lost(poses, places, reasons, "pose")
 
 
-def _check_claim(order: int, mirrored: bool, group: SymmetryGroup) -> None:
-    """Raise if elements of a claimed group, about the axis of the mechanism's own, are missing."""
-    name = f"D{2 * order}" if mirrored else f"C{order}"
-    if any(subgroup.name == name for subgroup in group.subgroups()):
-        return
-    present = {str(element) for element in group.elements}
-    missing = [text for text in map(str, cyclic(order)) if text not in present]
-    mirrors = sum(element.reflection for element in group.elements)
-    if mirrored and mirrors < order:
-        missing.append(f"{order - mirrors} of {order} mirrors")
-    reason = "; ".join(no_symmetries(group.breaks)) or "nothing near suggests it"
-    raise SymmetryError(
-        f"not the group {name} but {group.name}: {', '.join(missing) or 'elements'} missing "
-        f"({reason})"
-    )
+@command()
+def forward(
+    mech: Mech,
+    readings: Annotated[Path, typer.Argument(metavar="READINGS.csv", help="leg_1 [rad], …")],
+    output: Annotated[Path, output_option("POSES.csv", "Poses of the platform.")],
+    options: TableOptions,
+    force: Force = False,
+) -> None:
+    """Write the poses of sensor readings.
+
+    Poses are those in the assembly mode of home. Readings of more legs than freedoms
+    give the pose of least gaps, and how far they contradict each other is said.
+    Rows of readings that have no pose stay empty, with the reason in the column 'reason'; the exit
+    code is then 1.
+    """
+    mechanism = options.load(mech)
+    units = options.written_in(mechanism)
+    values, influences = read_readings(readings, mechanism)
+    refuse_existing(output, force=force)
+    influences = own_influences(mechanism, influences)
+    solution = solve_forward(mechanism, values, influences=influences)
+    say_reference(mechanism, influences)
+    columns = columns_of(mechanism, Plan(solution.poses)) | reason_column(solution.reasons)
+    write_table(output, columns, units=units, force=force)
+    if mechanism.redundant and solution.converged.any():
+        row, leg = np.unravel_index(np.nanargmax(solution.gap), solution.gap.shape)
+        remark(
+            f"readings fit together within {solution.gap[row, leg]:.2g} m "
+            f"(row {row + 1}, {mechanism.leg_names[leg]})"
+        )
+    wrote(output)
+    places = [f"row {row + 1}" for row in range(len(values))]
+    fail_if_lost(readings, places, solution.reasons, "reading")
+
+
+def say_reference(mechanism: Mechanism, influences: Mapping[str, object]) -> None:
+    """Say which influences were not given."""
+    known = {*influences, *mechanism.loaded}
+    if missing := [name for name in mechanism.influences if name not in known]:
+        remark(f"{', '.join(missing)} not given: the machine is taken at their reference")
+
+
+def first_of(lines: Sequence[str], between: str = "; ") -> str:
+    """Return the first lines, and how many more there are."""
+    end = f"{between}and {len(lines) - LISTED} more" if len(lines) > LISTED else ""
+    return between.join(lines[:LISTED]) + end
+
+
+def fail_if_lost(path: Path, places: Sequence[str], reasons: Sequence[str], kind: str) -> None:
+    """End with exit code 1, and say why, if some rows have no solution."""
+    lost = [f"{place}: {reason}" for place, reason in zip(places, reasons, strict=True) if reason]
+    if lost:
+        fail(
+            1,
+            f"{path}: {len(lost)} of {len(places)} {kind}s without a solution; their rows are "
+            f"empty, with the reason. {first_of(lost)}",
+        )
 
 
 STUDY = "study.md"
@@ -192,17 +255,16 @@ def study(
             "; install pincal from its wheel, or run this in its sources"
         )
     studies = import_module(f"{installed[0]}.catalogue")
-    folders = dict.fromkeys(studies.named(name), output)
-    if name == "all":
-        folders = {study_name: output / study_name for study_name in folders}
-        if not output.is_dir():
-            refuse_existing(output, force=False).mkdir()
-    for folder in folders.values():
+    names = studies.named(name)
+    if name == "all" and not output.is_dir():
+        refuse_existing(output, force=False).mkdir()
+    folders = [output / study_name if name == "all" else output for study_name in names]
+    for folder in folders:
         refuse_existing(folder, force=force, folder=(STUDY,))
-    for study_name, folder in folders.items():
+    for study_name, folder in zip(names, folders, strict=True):
         with working(f"study of the {study_name}") as progress:
             result = studies.run_study(study_name, seed, quick, progress)
         with writing(folder, force=force, folder=(STUDY,)) as scratch:
             result.write(scratch)
         wrote(folder)
-    remark(f"read {next(iter(folders.values())) / STUDY}")
+    remark(f"read {folders[0] / STUDY}")

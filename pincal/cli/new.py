@@ -1,11 +1,10 @@
-"""``pincal new``: a mechanism of one's own from the dimensions of a data sheet."""
+"""Two ways to begin: ``pincal new``, one's own data sheet, and ``demo``, a simulated machine."""
 
 from __future__ import annotations
 
-import re
 import shlex
-from collections import defaultdict
-from dataclasses import asdict, dataclass, make_dataclass, replace
+import tempfile
+from dataclasses import asdict, make_dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,21 +13,25 @@ import typer
 
 from pincal.architectures.dimension import Architecture, Values, sized
 from pincal.architectures.new import ARCHITECTURES, architecture_of, new_mechanism
-from pincal.cli.app import command, remark, stdout, working, wrote
-from pincal.cli.options import FORCE, SEED, output_option
+from pincal.cli.app import app, command, remark, run_step, say, stdout, working, wrote
+from pincal.cli.options import Force, Seed, named_after, output_option
 from pincal.design.order import in_turns, with_verification
-from pincal.design.select_configurations import ConfigurationChoice, select_configurations
+from pincal.design.select_configurations import select_configurations
+from pincal.design.simulate import accuracy
+from pincal.errors import FileError
 from pincal.files.measurement_writing import columns_of, write_sheet
-from pincal.files.mechanism_folders import MECHANISM_FILES, write_mechanism
+from pincal.files.measurements import read_poses
+from pincal.files.mechanism_folders import MECHANISM_FILES, load_mechanism, write_mechanism
 from pincal.files.output import refuse_existing, writing
 from pincal.files.table import write_table
+from pincal.kinematics.closure import largest_size
 from pincal.kinematics.inverse import inverse
 from pincal.model.measurements import Noise, Plan
 from pincal.model.mechanism import Mechanism
-from pincal.model.option import option
+from pincal.model.option import Option, option
 from pincal.model.units import WRITTEN
 from pincal.show.pictures.picture import picture
-from pincal.show.tables import choice_table
+from pincal.show.tables import accuracy_table, choice_table
 from pincal.workspace.criteria import in_workspace
 from pincal.workspace.sampling import sample_configurations
 
@@ -39,34 +42,26 @@ DESCRIPTIONS = {
     "sheet.csv": "the sheet to fill in",
 }
 FOLDER = (*MECHANISM_FILES, *DESCRIPTIONS)
-_CANDIDATES, _STARTS = 1000, 5
+_CANDIDATES, _VERIFY, _SEED = 1000, 6, 0
 _READ = 1e-4  # standard deviation of readings, where there are more than freedoms [m or rad]
 
 
 def _dimension_options() -> type[Any]:
     """Return all dimensions of all architectures as a group of options."""
-    meanings: dict[str, list[str]] = defaultdict(list)
-    units: dict[str, str] = {}
+    offered: dict[str, Option] = {}
     for architecture in ARCHITECTURES.values():
         for dimension in architecture.dimensions:
-            choices = f" ({' or '.join(dimension.choices)})" if dimension.choices else ""
-            meanings[dimension.name].append(f"{architecture.name}: {dimension.label}{choices}")
-            units.setdefault(dimension.name, dimension.unit)
+            name, choices = dimension.name, " or ".join(dimension.choices)
+            meaning = f"{architecture.name}: {dimension.label}{f' ({choices})' * bool(choices)}."
+            if name in offered:
+                meaning = f"{offered[name].help.removesuffix('.')}; {meaning}"
+            metavar = None if dimension.unit else "TEXT"
+            offered[name] = Option(meaning, metavar, dimension.unit, needs_unit=True)
     return make_dataclass(
         "DimensionOptions",
         [
-            (
-                name,
-                (float if units[name] else str) | None,
-                option(
-                    None,
-                    f"{'; '.join(meanings[name])}.",
-                    metavar=None if units[name] else "TEXT",
-                    unit=units[name],
-                    needs_unit=True,
-                ),
-            )
-            for name in meanings
+            (name, (float if declared.unit else str) | None, option(None, declared))
+            for name, declared in offered.items()
         ],
         frozen=True,
     )
@@ -75,47 +70,41 @@ def _dimension_options() -> type[Any]:
 DimensionOptions = _dimension_options()
 
 
-@dataclass(frozen=True)
-class PlanSize:
-    """How many poses are planned."""
-
-    count: int = option(24, "Poses for the calibration.", least=1)
-    verify: int = option(6, "Random poses beside them, to check it.", least=0)
-    seed: int = option(0, SEED)
-    force: bool = option(False, FORCE)
-
-
 @command()
 def new(
     architecture: Annotated[
         str, typer.Argument(metavar="ARCHITECTURE", help=f"{', '.join(ARCHITECTURES)}.")
     ],
     output: Annotated[Path, output_option("MECH", "Folder of the mechanism, plan and sheet.")],
-    size: PlanSize,
     dimensions: DimensionOptions,  # type: ignore[valid-type]
+    count: Annotated[int, typer.Option(min=1, help="Poses for the calibration.")] = 24,
+    force: Force = False,
 ) -> None:
     """Make a mechanism of your own from its dimensions.
 
     Writes a mechanism folder, and into it a picture with dimensions (picture.svg), poses to
-    measure (plan.csv), and a sheet to fill in (sheet.csv). Dimensions that are not given are in
-    proportion to those that are; the line that is printed says all of them.
+    measure (plan.csv; six more to check the calibration), and a sheet to fill in (sheet.csv).
+    Dimensions that are not given are in proportion to those that are; the line that is printed says
+    all of them.
 
     Then measure, fill in the sheet, and type 'pincal calibrate MECH MECH/sheet.csv -o RESULT'.
     """
-    refuse_existing(output, force=size.force, folder=FOLDER)
+    refuse_existing(output, force=force, folder=FOLDER)
     design = architecture_of(architecture)
     given = {name: value for name, value in asdict(dimensions).items() if value is not None}
     values = design.complete(given)
-    name = re.sub(r"\W+", "_", output.absolute().name).strip("_") or design.name
-    mechanism = new_mechanism(design.name, name=name, **values)
+    mechanism = new_mechanism(design.name, name=named_after(output), **values)
+    noise = Noise(reading=_READ if mechanism.redundant else 0.0)
     with working("choosing poses"):
-        plan, chosen = _plan(mechanism, _candidates(design, values, mechanism, size.seed), size)
-    with writing(output, force=size.force, folder=FOLDER) as scratch:
+        candidates = _candidates(design, values, mechanism)
+        chosen = select_configurations(mechanism, candidates, count, noise=noise, seed=_SEED)
+        plan = with_verification(mechanism, chosen.plan, candidates, _VERIFY, _SEED)
+        plan = in_turns(plan, _SEED)
+    with writing(output, force=force, folder=FOLDER) as scratch:
         write_mechanism(mechanism, scratch)
         drawn = any(parameter.nominal for parameter in mechanism.parameters)
-        picture(mechanism, dimensions=mechanism.leg_names[0] if drawn else "").save(
-            scratch / "picture.svg"
-        )
+        image = picture(mechanism, dimensions=mechanism.leg_names[0] if drawn else "")
+        image.save(scratch / "picture.svg")
         write_table(scratch / "plan.csv", columns_of(mechanism, plan), units=WRITTEN)
         if plan.readings is None:
             plan = replace(plan, readings=inverse(mechanism, plan.poses).readings)
@@ -135,22 +124,61 @@ def new(
     remark(f"then: pincal calibrate {output} {output / 'sheet.csv'} -o RESULT")
 
 
-def _candidates(design: Architecture, values: Values, mechanism: Mechanism, seed: int) -> Plan:
+def _candidates(design: Architecture, values: Values, mechanism: Mechanism) -> Plan:
     """Return poses to choose from: where the machine works, or all that its readings reach."""
     if design.region is None:
-        return sample_configurations(mechanism, _CANDIDATES, seed)
+        return sample_configurations(mechanism, _CANDIDATES, _SEED)
     low, high = design.region(values)
-    poses = np.random.default_rng(seed).uniform(low, high, (4 * _CANDIDATES, len(low)))
+    poses = np.random.default_rng(_SEED).uniform(low, high, (4 * _CANDIDATES, len(low)))
     return Plan(poses[in_workspace(mechanism, poses)][:_CANDIDATES])
 
 
-def _plan(
-    mechanism: Mechanism, candidates: Plan, size: PlanSize
-) -> tuple[Plan, ConfigurationChoice]:
-    """Return a plan in the order of measuring, with the readings there, and how good it is."""
-    noise = Noise(reading=_READ if mechanism.redundant else 0.0)
-    chosen = select_configurations(
-        mechanism, candidates, size.count, noise=noise, seed=size.seed, starts=_STARTS
+_NOISE = 5e-5  # of positions, of the machine's size
+
+
+@app.command("demo")
+def demo(
+    mech: Annotated[str, typer.Argument(metavar="MECH", help="Mechanism.")] = "3RRR",
+    output: Annotated[
+        Path | None, output_option("FOLDER", "Folder for all files; else a temporary one.")
+    ] = None,
+    seed: Seed = 0,
+    force: Force = False,
+) -> None:
+    """See it all at work on a simulated machine.
+
+    Samples the workspace, chooses poses on one leg and maps them to all, simulates measurements of
+    a disturbed mechanism, calibrates each leg alone, as the papers do, and all together, and
+    compares the platform's errors before and after.
+    """
+    mechanism = load_mechanism(mech)
+    if output is None:
+        output = Path(tempfile.mkdtemp(prefix="pincal-demo-"))
+    elif not output.is_dir():
+        refuse_existing(output, force=False).mkdir()
+    elif any(output.iterdir()) and not force:
+        raise FileError(f"{output} is not empty; choose another, or say --force to write there")
+    candidates, plan = output / "candidates.csv", output / "plan.csv"
+    truth, measured = output / "truth", output / "measurements.csv"
+    position = float(f"{_NOISE * largest_size(mechanism.legs):.0e}")
+    noise: list[object] = ["--noise-position", f"{position:g}", "--noise-orientation", "1e-4"]
+    if mechanism.redundant:  # readings that are too many cannot be exact
+        noise += ["--noise-reading", f"{position:g}"]
+    forced = ["--force"] * force
+    drawn = ["--seed", seed, *forced]
+    run_step("workspace", mech, "--count", 30000, *drawn, "-o", candidates)
+    run_step("select", mech, "--count", 24, "--candidates", candidates, *drawn, "-o", plan)
+    run_step("simulate", mech, plan, *noise, *drawn, "--truth", truth, "-o", measured)
+    results = {"each leg alone": output / "per_leg", "all together": output / "result"}
+    for method, folder in zip(("per-leg", "all-legs"), results.values(), strict=True):
+        run_step("calibrate", mech, measured, *noise, "--method", method, "-o", folder, *forced)
+    stdout.print(
+        "\nThe true machine, driven by the nominal and by the calibrated models:", style="bold"
     )
-    plan = with_verification(mechanism, chosen.plan, candidates, size.verify, size.seed)
-    return in_turns(plan, size.seed), chosen
+    poses, true_mechanism = read_poses(candidates, mechanism).poses, load_mechanism(truth)
+    models = {"nominal": mechanism}
+    models |= {name: load_mechanism(folder) for name, folder in results.items()}
+    with working("driving the true machine over the workspace"):
+        errors = {name: accuracy(model, true_mechanism, poses) for name, model in models.items()}
+    stdout.print(accuracy_table(errors, "rad" in mechanism.platform.units))
+    say(f"All files are in {output}; open {output / 'result' / 'report.html'}")

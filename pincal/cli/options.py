@@ -3,39 +3,72 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Iterable, Iterator, Mapping
+import re
+from collections.abc import Iterable, Iterator
 from dataclasses import Field, dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
-import numpy as np
 import typer
 
 from pincal.errors import MeasurementError, PincalError
 from pincal.files.mechanism_folders import load_mechanism
 from pincal.files.text import in_si
 from pincal.files.yaml import read_setup
-from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
 from pincal.model.option import Option, option, option_of
-from pincal.model.orientation import SINGLE_ANGLES
 from pincal.model.setup import ORIGIN, Setup, Target
 from pincal.model.units import Units, counts_of
 
-Mech = Annotated[str, typer.Argument(metavar="MECH", help="Bundled mechanism or folder.")]
-Measured = Annotated[
-    Path, typer.Argument(metavar="MEASUREMENTS.csv", help="Measured poses and readings.")
-]
 FORCE = Option("Replace the output if it exists.")
 SEED = Option("Seed of all random choices.", least=0)
-Force = Annotated[bool, typer.Option("--force", help=FORCE.help)]
-Seed = Annotated[int, typer.Option("--seed", min=0, help=SEED.help)]
+
+
+def offered(name: str, declared: Option) -> typer.models.OptionInfo:
+    """Return an option as typer offers it."""
+    number = "NUMBER+UNIT" if declared.needs_unit else "NUMBER[UNIT]"
+    info: typer.models.OptionInfo = typer.Option(
+        f"--{name}",
+        help=declared.help,
+        metavar=declared.metavar or (number if declared.unit else None),
+        min=declared.least,
+        max=declared.most,
+        parser=_number_parser(declared) if declared.unit else None,
+    )
+    return info
+
+
+def _number_parser(declared: Option) -> Any:
+    """Return what reads a number that may have a unit."""
+
+    def parse(text: str | float) -> float:
+        if isinstance(text, float):
+            return text
+        try:
+            return in_si(text, declared.unit, None if declared.needs_unit else "")
+        except MeasurementError as error:
+            raise typer.BadParameter(str(error)) from None
+
+    return parse
 
 
 def output_option(metavar: str, text: str) -> typer.models.OptionInfo:
     """Return the ``-o`` option of a command."""
     output: typer.models.OptionInfo = typer.Option("-o", "--output", metavar=metavar, help=text)
     return output
+
+
+Mech = Annotated[str, typer.Argument(metavar="MECH", help="Bundled mechanism or folder.")]
+Measured = Annotated[
+    Path, typer.Argument(metavar="MEASUREMENTS.csv", help="Measured poses and readings.")
+]
+Force = Annotated[bool, offered("force", FORCE)]
+Seed = Annotated[int, offered("seed", SEED)]
+
+
+def named_after(output: Path) -> str:
+    """Return a mechanism's name by its folder."""
+    return re.sub(r"\W+", "_", output.absolute().name).strip("_") or "mechanism"
 
 
 def option_parameters(group: type) -> Iterator[inspect.Parameter]:
@@ -49,23 +82,12 @@ def option_parameters(group: type) -> Iterator[inspect.Parameter]:
             kind, default = list[get_args(kind)[0]] | None, None  # type: ignore[misc]
         if kind is bool:
             default = False
-        parser = _number_parser(declared) if declared.unit else None
-        if parser is not None:
-            number = "NUMBER+UNIT" if declared.needs_unit else "NUMBER[UNIT]"
-            declared = replace(declared, metavar=declared.metavar or number)
-        offered = typer.Option(
-            f"--{typed_name(option_field)}",
-            help=declared.help,
-            metavar=declared.metavar,
-            min=declared.least,
-            max=declared.most,
-            parser=parser,
-        )
+        name = typed_name(option_field)
         yield inspect.Parameter(
-            typed_name(option_field).replace("-", "_"),
+            name.replace("-", "_"),
             inspect.Parameter.KEYWORD_ONLY,
             default=default,
-            annotation=Annotated[kind, offered],
+            annotation=Annotated[kind, offered(name, declared)],
         )
 
 
@@ -103,23 +125,37 @@ def refuse_options(options: Any, names: Iterable[str], purpose: str) -> None:
         raise PincalError(f"leave out {', '.join(typed)}: not for {purpose}")
 
 
-def _number_parser(declared: Option) -> Any:
-    """Return what reads a number that may have a unit."""
+@dataclass(frozen=True)
+class TableOptions:
+    """Units of what is read, written and printed."""
 
-    def parse(text: str | float) -> float:
-        if isinstance(text, float):
-            return text
-        try:
-            return in_si(text, declared.unit, None if declared.needs_unit else "")
-        except MeasurementError as error:
-            raise typer.BadParameter(str(error)) from None
+    counts: tuple[str, ...] = option(
+        (),
+        "How many counts columns such as 'leg_1 [counts]' have: leg_1=4096/turn, 12.5/mm, "
+        "651.9/rad; without a leg of all.",
+        metavar="[LEG=]NUMBER/UNIT",
+    )
+    units: str | None = option(
+        None,
+        "Units to write and print in: m, cm, mm, um or in; rad, mrad, deg or turn; counts of "
+        "readings.",
+        metavar="mm,deg",
+    )
 
-    return parse
+    def load(self, mech: str) -> Mechanism:
+        """Return a mechanism, its readings in the counts given."""
+        mechanism = load_mechanism(mech)
+        units = dict(zip(mechanism.reading_names, mechanism.reading_units, strict=True))
+        return mechanism.with_counts(counts_of(self.counts, units))
+
+    def written_in(self, mechanism: Mechanism) -> Units:
+        """Return the units; SI where nothing is said."""
+        return Units.of(self.units or "", mechanism.counts, mechanism.reading_names)
 
 
 @dataclass(frozen=True)
-class SetupOptions:
-    """What the measured numbers mean."""
+class SetupOptions(TableOptions):
+    """What the measured numbers mean, and in which units they are."""
 
     setup_file: Path | None = option(
         None, "Frame, targets, distances of the measurements.", name="setup", metavar="YAML"
@@ -144,81 +180,7 @@ class SetupOptions:
 
 
 @dataclass(frozen=True)
-class CountOptions:
-    """What encoders count."""
-
-    counts: tuple[str, ...] = option(
-        (),
-        "How many counts columns such as 'leg_1 [counts]' have: leg_1=4096/turn, 12.5/mm, "
-        "651.9/rad; without a leg of all.",
-        metavar="[LEG=]NUMBER/UNIT",
-    )
-
-    def load(self, mech: str) -> Mechanism:
-        """Return a mechanism, its readings in the counts given."""
-        mechanism = load_mechanism(mech)
-        units = dict(zip(mechanism.reading_names, mechanism.reading_units, strict=True))
-        return mechanism.with_counts(counts_of(self.counts, units))
-
-
-@dataclass(frozen=True)
-class UnitOptions:
-    """In which units numbers are written."""
-
-    units: str | None = option(
-        None,
-        "Units to write and print in: m, cm, mm, um or in; rad, mrad, deg or turn; counts of "
-        "readings.",
-        metavar="mm,deg",
-    )
-
-    def written_in(self, mechanism: Mechanism) -> Units:
-        """Return the units; SI where nothing is said."""
-        return Units.of(self.units or "", mechanism.counts, mechanism.reading_names)
-
-
-@dataclass(frozen=True)
-class TableOptions(UnitOptions, CountOptions):
-    """Units of tables that are read and written."""
-
-
-@dataclass(frozen=True)
-class NoiseOptions:
-    """How well was measured, where that is known."""
-
-    noise_position: float | None = option(None, option_of(Noise, "position"))
-    noise_orientation: float | None = option(None, option_of(Noise, "orientation"))
-    noise_reading: float | None = option(None, option_of(Noise, "reading"))
-
-    def noise_of(self, mechanism: Mechanism, data: Measurements, setup: Setup) -> Noise | None:
-        """Return the noise given, or None if none was."""
-        position, orientation = self.noise_position, self.noise_orientation
-        if position is None and orientation is None and self.noise_reading is None:
-            return None
-        measured = _units_measured(mechanism, data, setup)
-        needed = {"--noise-position": position} if "m" in measured else {}
-        if "rad" in measured:
-            needed["--noise-orientation"] = orientation
-        if None in needed.values():
-            raise MeasurementError(
-                f"give {' and '.join(needed)} with the other noise options, or none of them (the "
-                "scale is then estimated)"
-            )
-        return Noise(position or 0.0, orientation or 0.0, self.noise_reading or 0.0)
-
-
-def _units_measured(mechanism: Mechanism, data: Measurements, setup: Setup) -> set[str]:
-    """Return the units of what was measured, but for what a tracker says itself how well."""
-    platform = mechanism.platform
-    columns = zip(platform.coordinates, platform.units, data.poses.T, strict=True)
-    units = {name: unit for name, unit, values in columns if np.isfinite(values).any()}
-    units |= {name: "rad" if name in SINGLE_ANGLES else "m" for name in data.extra}
-    known = {*platform.coordinates[: platform.lengths], *setup.points(platform)}
-    return {unit for name, unit in units.items() if setup.tracker is None or name not in known}
-
-
-@dataclass(frozen=True)
-class PlanOptions(TableOptions, SetupOptions):
+class PlanOptions(SetupOptions):
     """What will be measured, and in which units it is written."""
 
     measure: str | None = option(
@@ -231,14 +193,10 @@ class PlanOptions(TableOptions, SetupOptions):
     def measured(self, mechanism: Mechanism, setup: Setup) -> tuple[str, ...]:
         """Return what is measured of the platform, as ``--measure`` says it."""
         platform = mechanism.platform
-        units: Mapping[str, str] = dict(zip(platform.freedoms, platform.units, strict=True))
-        named = {
-            "pose": tuple(units),
-            "position": tuple(name for name, unit in units.items() if unit == "m"),
-            "orientation": tuple(name for name, unit in units.items() if unit == "rad"),
-            "nothing": (),
-        }
+        of_kind = {"pose": ("m", "rad"), "position": ("m",), "orientation": ("rad",), "nothing": ()}
         measure = self.measure or "pose"
-        if measure in named:
-            return (*named[measure], *setup.columns(mechanism))
-        return tuple(measure.replace(" ", "").split(","))
+        if measure not in of_kind:
+            return tuple(measure.replace(" ", "").split(","))
+        units = zip(platform.freedoms, platform.units, strict=True)
+        freedoms = (name for name, unit in units if unit in of_kind[measure])
+        return (*freedoms, *setup.columns(mechanism))

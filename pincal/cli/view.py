@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 import webbrowser
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
@@ -17,9 +16,9 @@ from matplotlib.figure import Figure
 
 from pincal.calibration.result import CalibrationResult
 from pincal.calibration.result_files import load_result
-from pincal.cli.app import command, remark, say, stderr, warn, working, wrote
+from pincal.cli.app import command, say, stderr, warn, working, wrote
 from pincal.cli.options import FORCE, Force, Mech, output_option
-from pincal.errors import FileError, MeasurementError
+from pincal.errors import FileError, MeasurementError, MechanismError
 from pincal.files.measurements import read_measurements, read_poses
 from pincal.files.mechanism_folders import is_folder, load_mechanism
 from pincal.files.output import refuse_existing
@@ -31,84 +30,58 @@ from pincal.model.option import option
 from pincal.show.charts import Plots
 from pincal.show.pictures.files import drawing, picture_path, save_figure
 from pincal.show.pictures.picture import picture as draw_picture
-from pincal.show.style import COLUMN, PAGE_WIDTH
+from pincal.show.style import PAGE_WIDTH
 from pincal.show.view.scene import MAGNIFY, Scene
 from pincal.show.view.view import view as make_view
-from pincal.types import Mask
 from pincal.words.wording import unreached
 
-Files = Annotated[
-    list[Path] | None,
+Shown = Annotated[
+    Path | None,
     typer.Argument(
         metavar="POSES.csv|RESULT",
-        help="Poses, a plan or measurements; the folder of a calibration.",
+        help="Poses, a plan or measurements; or the folder of a calibration.",
     ),
+]
+Magnify = Annotated[
+    float | None,
+    typer.Option(help=f"Factor on a RESULT's differences from nominal [default: {MAGNIFY:g}]."),
 ]
 
 
-@dataclass(frozen=True)
-class SceneOptions:
-    """What is shown beside the mechanism."""
-
-    magnify: float | None = option(
-        None, f"Factor on a RESULT's differences from nominal [default: {MAGNIFY:g}]."
-    )
-
-
 def _read(
-    mech: str, files: Sequence[Path], options: SceneOptions
+    mech: str, shown: Path | None, magnify: float | None
 ) -> tuple[dict[str, Any], CalibrationResult | None]:
-    """Return what is to be shown, as arguments of ``pincal.view``, and the result among the files.
+    """Return what is to be shown, as arguments of ``pincal.view``, and the result if it is one.
 
     Raises:
-        BadParameter: more than one file of a kind; a factor without a result.
+        BadParameter: a factor without a result.
         PincalError: a file that cannot be read, or does not belong to the mechanism.
     """
-    folders = [path for path in files if is_folder(path)]
-    tables = [path for path in files if not is_folder(path)]
-    for paths in (folders, tables):
-        if len(paths) > 1:
-            names = " and ".join(map(str, paths))
-            raise typer.BadParameter(f"{names}: expected one POSES.csv and one RESULT at most")
-    if options.magnify is not None and not folders:
-        raise typer.BadParameter("--magnify is for the errors of a RESULT, and none is given")
     mechanism = load_mechanism(mech)
-    shown: dict[str, Any] = {"mechanism": mechanism}
-    shown["magnify"] = MAGNIFY if options.magnify is None else options.magnify
-    result = estimates = None
-    for folder in folders:
-        result = _result(folder)
-        shown["identified"] = result.identified
-        if (folder / "poses.csv").is_file():
-            estimates = folder / "poses.csv"
-            shown["poses"] = read_poses(estimates, mechanism)
-    for table in tables:
-        shown["poses"] = _plan(table, estimates, mechanism)
-    return shown, result
-
-
-def _result(folder: Path) -> CalibrationResult:
-    """Return the result in a folder.
-
-    Raises:
-        FileError: there is none, or it cannot be read.
-        MeasurementError: its fit did not converge.
-    """
-    if not (folder / "result.json").is_file():
-        raise FileError(f"{folder} is no folder of 'pincal calibrate': it has no result.json")
-    result = load_result(folder)
+    if shown is None or not is_folder(shown):
+        if magnify is not None:
+            raise typer.BadParameter("--magnify is for the errors of a RESULT, and none is given")
+        poses = {} if shown is None else {"poses": _plan(shown, mechanism)}
+        return {"mechanism": mechanism, **poses}, None
+    if not (shown / "result.json").is_file():
+        raise FileError(f"{shown} is no folder of 'pincal calibrate': it has no result.json")
+    result = load_result(shown)
     if not result.converged:
         raise MeasurementError(
-            f"{folder}: the fit did not converge, so there is no calibrated mechanism to show"
+            f"{shown}: the fit did not converge, so there is no calibrated mechanism to show"
         )
-    return result
+    if result.nominal.leg_names != mechanism.leg_names:
+        raise MechanismError(f"{shown} is of {result.nominal.name!r}, which has other legs")
+    magnified = {} if magnify is None else {"magnify": magnify}
+    arguments = {"identified": result.identified, "poses": result.poses} | magnified
+    return {"mechanism": mechanism, **arguments}, result
 
 
-def _plan(table: Path, estimates: Path | None, mechanism: Mechanism) -> Plan:
-    """Return the poses of a table; where it lacks some, those that a result estimated.
+def _plan(table: Path, mechanism: Mechanism) -> Plan:
+    """Return the whole poses of a table.
 
     Raises:
-        MeasurementError: no row holds a whole pose, and there is no result with estimates of it.
+        MeasurementError: no row holds one.
     """
     plan: Plan
     if mechanism.by_readings or not set(mechanism.reading_names) <= set(read_table(table).units):
@@ -123,21 +96,12 @@ def _plan(table: Path, estimates: Path | None, mechanism: Mechanism) -> Plan:
                 f"{table}: {solution.reasons[0]} at {plan.place(0)}, and at all others"
             )
         return replace(plan, poses=solution.poses).rows(solution.converged)
-    complete: Mask = np.isfinite(plan.poses).all(axis=1).astype(bool)
+    complete = np.isfinite(plan.poses).all(axis=1)
     if complete.all():
         return plan
-    if estimates is not None:
-        poses = read_poses(estimates, mechanism).poses
-        if len(poses) != len(complete):
-            raise MeasurementError(
-                f"{table} has {len(complete)} rows, {estimates} has {len(poses)}; expected the "
-                "measurements of this calibration"
-            )
-        remark(f"poses as estimated by the calibration: {estimates}")
-        return Plan(poses, plan.sets, plan.readings)
     advice = (
-        "What was not measured, 'pincal calibrate -o RESULT' estimates for all rows; "
-        "RESULT beside the measurements, or RESULT/poses.csv, shows it"
+        "What was not measured, 'pincal calibrate -o RESULT' estimates for all rows; RESULT in "
+        "place of the measurements shows it"
     )
     if not complete.any():
         try:
@@ -152,7 +116,7 @@ def _plan(table: Path, estimates: Path | None, mechanism: Mechanism) -> Plan:
 
 
 @dataclass(frozen=True)
-class PageOptions(SceneOptions):
+class PageOptions:
     """What the page holds, and where it goes."""
 
     workspace: Path | None = option(
@@ -167,27 +131,26 @@ class PageOptions(SceneOptions):
 
 
 @command()
-def view(mech: Mech, options: PageOptions, files: Files = None) -> None:
+def view(mech: Mech, options: PageOptions, shown: Shown = None, magnify: Magnify = None) -> None:
     """Look at a mechanism in the browser.
 
     The slider and the arrow keys go from pose to pose, the space bar plays. Without POSES.csv:
-    home and some of the workspace, or the poses that RESULT estimated. With RESULT the
-    calibrated machine is shown too, where it goes when the nominal model drives it, its errors
-    magnified; arrows go from measured to predicted points. The page is served to this machine
-    alone, until Ctrl-C.
+    home and some of the workspace. With RESULT the poses of its rows, and the calibrated machine,
+    where it goes when the nominal model drives it, its errors magnified; arrows go from measured to
+    predicted points. The page is served to this machine alone, until Ctrl-C.
     """
     if options.html is not None and options.html.suffix.lower() not in (".html", ".htm"):
         raise FileError(f"{options.html} would be a page; give it the ending .html")
-    shown, result = _read(mech, files or [], options)
+    arguments, result = _read(mech, shown, magnify)
     if options.html is not None:
         refuse_existing(options.html, force=options.force)
     if options.workspace is not None:
-        platform = shown["mechanism"].platform
+        platform = arguments["mechanism"].platform
         cloud = read_table(options.workspace)
         axes = platform.coordinates[: platform.units.count("m")]
-        shown["workspace"] = np.column_stack([cloud.numbers(name, "m") for name in axes])
+        arguments["workspace"] = np.column_stack([cloud.numbers(name, "m") for name in axes])
     with working("placing the legs"):
-        page = make_view(**shown, source=", ".join(path.name for path in files or []))
+        page = make_view(**arguments, source=shown.name if shown else "")
         if result is not None:
             page = page.with_result(result)
         if options.meshes is not None:
@@ -209,34 +172,27 @@ def view(mech: Mech, options: PageOptions, files: Files = None) -> None:
         page.close()
 
 
-@dataclass(frozen=True)
-class PictureOptions(SceneOptions):
-    """What of the mechanism is drawn, and options."""
-
-    pose: int = option(1, "Which of the poses is drawn in full.", least=1, metavar="N")
-    dimensions: str = option(
-        "", "Draw the parameters of a leg as lengths and angles.", metavar="LEG"
-    )
-
-
 @command()
 def picture(
     mech: Mech,
     output: Annotated[Path, output_option("FILE.svg|png|pdf", "The picture.")],
-    options: PictureOptions,
-    files: Files = None,
+    shown: Shown = None,
+    magnify: Magnify = None,
+    dimensions: Annotated[
+        str, typer.Option(metavar="LEG", help="Draw a leg's parameters as lengths and angles.")
+    ] = "",
     force: Force = False,
 ) -> None:
     """Draw a mechanism into a file, as 'pincal view' shows it.
 
-    At home, or with POSES.csv at one of its poses, all of them as faint lines in the colours of
+    At home, or with POSES.csv at its first pose, all of them as faint lines in the colours of
     their sets. With RESULT the calibrated machine is drawn too, its errors magnified. The same
     picture gives the same bytes.
     """
-    shown, _ = _read(mech, files or [], options)
+    arguments, _ = _read(mech, shown, magnify)
     refuse_existing(picture_path(output), force=force)
     with working("drawing"):
-        image = draw_picture(**shown, row=options.pose - 1, dimensions=options.dimensions)
+        image = draw_picture(**arguments, dimensions=dimensions)
         image.save(output, force=force)
     _say_unreached(image.scene)
     wrote(output)
@@ -253,8 +209,6 @@ def _say_unreached(scene: Scene) -> None:
 
 #: What is drawn: the charts of ``result.plot``.
 Kind = StrEnum("Kind", [name for name in vars(Plots) if name[0] != "_"])  # type: ignore[misc]
-Width = StrEnum("Width", {"column": f"{COLUMN:g}", "page": f"{PAGE_WIDTH:g}"})
-"""Width of a figure, [mm]."""
 
 
 @command()
@@ -264,10 +218,6 @@ def plot(
     ],
     kind: Annotated[Kind, typer.Argument(metavar="KIND", help=f"One of {', '.join(Kind)}.")],
     output: Annotated[Path, output_option("FILE.svg|pdf|png", "The figure.")],
-    width: Annotated[
-        Width | None,
-        typer.Option(help="In mm: one column, or across the page, as if not given."),
-    ] = None,
     leg: Annotated[
         str, typer.Option(metavar="LEG", help="Whose drawing; the first leg's if not given.")
     ] = "",
@@ -275,7 +225,7 @@ def plot(
 ) -> None:
     """Draw a figure of a calibration.
 
-    One column or a page wide, letters of 7 to 9 points. residuals: by row; workspace: where they
+    170 mm wide, letters of 7 to 9 points. residuals: by row; workspace: where they
     were measured; images: over those of cameras; parameters: what their changes
     move the platform by; error_map: expected error over x and y; bed: z over
     a printer's bed; drawing: a leg with dimensions.
@@ -284,11 +234,11 @@ def plot(
     refuse_existing(picture_path(output), force=force)
     if leg and kind != "drawing":
         raise typer.BadParameter("--leg is for the kind 'drawing'")
-    inches = float(width or PAGE_WIDTH) / 25.4
-    height = max(0.62 * inches, 3.6 if kind == "parameters" else 2.4)
+    width = PAGE_WIDTH / 25.4
+    height = max(0.62 * width, 3.6 if kind == "parameters" else 2.4)
     with working("drawing"):
         with drawing():
-            axes = Figure(figsize=(inches, height), layout="compressed").subplots()
+            axes = Figure(figsize=(width, height), layout="compressed").subplots()
             of_leg = {"leg": leg} if leg else {}
             figure = getattr(calibrated.plot, kind)(axes, **of_leg).figure
         save_figure(figure, output, force=force, whole=True)

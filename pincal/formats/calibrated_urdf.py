@@ -29,15 +29,13 @@ _TAG = re.compile(rb"<(?:[^>\"']|\"[^\"]*\"|'[^']*')*>")  # attributes may hold 
 Edges = Mapping[str, Edge]
 
 
-def calibrated_urdf(original: str | Path, mechanism: Mechanism, leg: str | None = None) -> bytes:
+def calibrated_urdf(original: str | Path, mechanism: Mechanism) -> bytes:
     """Return the bytes of a URDF with the origins of a calibrated mechanism's joints.
 
     Args:
         original: The URDF whose joints the mechanism has: of an arm, of a tree with loops, of one
-            leg of a mechanism folder, or of its platform.
+            leg of a mechanism folder (named as the leg), or of its platform.
         mechanism: At its calibrated parameters.
-        leg: Whose URDF it is, if its joints are named as those of other legs; else it is the leg
-            of the file's name.
 
     Raises:
         FileError: the file is missing or cannot be read.
@@ -47,7 +45,7 @@ def calibrated_urdf(original: str | Path, mechanism: Mechanism, leg: str | None 
     urdf = {edge.joint.name: edge for edge in read_urdf(path).edges}
     placements: dict[str, Array] = {}
     shifts: list[tuple[str, Array]] = []
-    for calibrated in _legs_of(path, urdf, mechanism, leg):
+    for calibrated in _legs_of(path, urdf, mechanism):
         if calibrated.closes == "point" and calibrated.point.name in urdf:
             placements[calibrated.point.name] = calibrated.point.placement.origin()
         if any(_named(urdf, joint.name) for joint in calibrated.moving):
@@ -91,10 +89,8 @@ def _named(urdf: Edges, name: str) -> str | None:
     return name if name in urdf else stem if stem in urdf else None
 
 
-def _legs_of(path: Path, urdf: Edges, mechanism: Mechanism, name: str | None) -> list[Leg]:
+def _legs_of(path: Path, urdf: Edges, mechanism: Mechanism) -> list[Leg]:
     """Return the legs whose joints, or whose platform points, are in a URDF."""
-    if name is not None:
-        return [mechanism.leg(name)]
     legs: list[Leg] = []
     drawn: list[str | None] = []
     for leg in mechanism.legs:
@@ -112,8 +108,8 @@ def _legs_of(path: Path, urdf: Edges, mechanism: Mechanism, name: str | None) ->
         return legs
     if not (meant := [leg for leg in legs if leg.name == path.stem]):
         raise MechanismError(
-            f"{path}: {', '.join(leg.name for leg in legs)} have joints of these names; say "
-            "whose URDF it is (--leg)"
+            f"{path}: {', '.join(leg.name for leg in legs)} have joints of these names; name the "
+            f"file as the leg whose URDF it is, such as {legs[0].name}.urdf"
         )
     return meant
 
