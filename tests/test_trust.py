@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import done
 from marks import some_slow
 from measured import EXACT, NOISE, machine, put, seen_from_elsewhere, targets, validated
 from scipy.stats import chi2, f
@@ -215,14 +216,18 @@ def test_standard_errors_in_an_unknown_frame() -> None:
 
 
 @pytest.mark.slow
-def test_runs_are_held_out_in_turn() -> None:
-    """``by="run"`` leaves out each run in turn, of a result as of measurements."""
+def test_the_command_holds_runs_out(tmp_path: Path) -> None:
+    """``--by run`` leaves out each run in turn: what is said equals ``validate`` from Python."""
     mechanism, truth, clean = machine("5R", 40, EXACT)
     plan = pincal.Plan(clean.poses)
     parts = [pincal.simulate(mechanism, truth, plan, NOISE, run).measurements for run in range(3)]
     data = joined(parts)
-    found = validated(mechanism, data, by="run")
-    assert found.folds == 3
+    data.to_csv(tmp_path / "m.csv", mechanism)
+    done("calibrate", "--no-report", "5R", tmp_path / "m.csv", "--by", "run", "-o", tmp_path / "r")
+    found = pincal.load_result(tmp_path / "r").validation
+    expected = validated(mechanism, data, by="run")
+    assert found.folds == expected.folds == 3
+    assert found.held_out == pytest.approx(expected.held_out, rel=1e-9)
     result = pincal.calibrate(mechanism, data).validated(by="run")
     assert result.validation.held_out == pytest.approx(found.held_out, rel=1e-9)
     assert len(set(result.contradictions)) == len(result.contradictions)

@@ -13,7 +13,7 @@ import numpy as np
 from pincal.calibration.calibrate import prepared, run
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.hypotheses.doctor import Remedy, remedies
-from pincal.calibration.options import AUTO, FOLDS, Options
+from pincal.calibration.options import AUTO, FOLDS, By, Options
 from pincal.calibration.result_files import REPORT, RESULT_FILES
 from pincal.calibration.terms.explain import explained
 from pincal.cli.app import command, fail, remark, say, stdout, typed, warn, working, wrote
@@ -92,8 +92,9 @@ def _units_measured(mechanism: Mechanism, data: Measurements, setup: Setup) -> s
 
 @dataclass(frozen=True)
 class CalibrateOptions:
-    """What is written and printed of a calibration."""
+    """What is checked, written and printed of a calibration."""
 
+    by: By = option("region", "What is held out together: regions, rows in turn, or runs.")
     verbose: bool = option(False, "Print all tables, and all that was found.")
     report: bool = option(True, "Draw no report.html.")
     force: bool = option(False, FORCE)
@@ -126,7 +127,7 @@ def calibrate(
     with working("identifying parameters") as progress:
         calibration = replace(calibration, options=replace(calibration.options, progress=progress))
         try:
-            result, notes = run(calibration, options.folds)
+            result, notes = run(calibration, options.folds, running.by)
         except MisfitError:
             remark(
                 f"pincal doctor {mech} {measurements} tries what may be wrong, and says what works"

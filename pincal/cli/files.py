@@ -301,6 +301,7 @@ def export(
     if form == "table":
         _export_corrections(mechanism, output, options, poses, force=force)
         return
+    remarks: Sequence[str]
     if original is not None:
         files, remarks = {output: _calibrated(original, mechanism)}, [*unwritten(mechanism)]
     else:

@@ -33,6 +33,7 @@ from pincal.show.pictures.picture import picture as draw_picture
 from pincal.show.style import PAGE_WIDTH
 from pincal.show.view.scene import MAGNIFY, Scene
 from pincal.show.view.view import view as make_view
+from pincal.types import Mask
 from pincal.words.wording import unreached
 
 Shown = Annotated[
@@ -96,7 +97,7 @@ def _plan(table: Path, mechanism: Mechanism) -> Plan:
                 f"{table}: {solution.reasons[0]} at {plan.place(0)}, and at all others"
             )
         return replace(plan, poses=solution.poses).rows(solution.converged)
-    complete = np.isfinite(plan.poses).all(axis=1)
+    complete: Mask = np.isfinite(plan.poses).all(axis=1).astype(bool)
     if complete.all():
         return plan
     advice = (
