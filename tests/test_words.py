@@ -254,14 +254,12 @@ CLAUSES: dict[str, tuple[dict[str, Any], str]] = {
 
 
 def test_every_code_is_tried() -> None:
-    """No code without a test, a title, a meaning, and a sentence of its own."""
+    """No code without a test, a title, and a sentence of its own."""
     assert set(SAID) | set(CLAUSES) == set(WORDINGS)
     assert set(CLAUSES) == set(HYPOTHESES)
     for code, one in WORDINGS.items():
         assert code == code.lower().replace("_", "-")
         assert one.title[0].isupper()
-        assert one.means.endswith(".")
-        assert one.general or "{" not in one.remedy
 
 
 @pytest.mark.parametrize("code", SAID)

@@ -37,6 +37,8 @@ _MOST_PAIRS = 3  # weak pairs that are named
 _MARKS = {"good": "✓", "care": "⚠", "bad": "✗"}
 _STYLES = {"good": "bold green", "care": "bold yellow", "bad": "bold red"}
 _UNDETERMINED = "not determined anywhere, since what was held moves it at every pose"
+_FOLLOWED = "Something is wrong with rows, noise or model, and the parameters follow it."
+_NO_BETTER = "Parameters that fit no better than nominal ones correct nothing."
 _HELD = "The machine itself was held"
 _ONLY_FRAMES = "No parameter of it was identified, only where the frames lie"
 _FRAMES = ", but for where the base and platform frames lie"
@@ -64,8 +66,8 @@ def answers(
         notes: Sentences on what was not done, and why.
     """
     if errors is None:
-        wording = WORDINGS["not-converged"]
-        failed = Answer("Is it better?", "There is no result", "bad", [wording.means])
+        text = "The search for the parameters ended without an answer: there is no calibrated "
+        failed = Answer("Is it better?", "There is no result", "bad", [f"{text}mechanism."])
         return [failed, _next(result)]
     return [
         _better(result, errors),
@@ -91,9 +93,9 @@ def _better(result: CalibrationResult, errors: WorkspaceErrors) -> Answer:
     """Return whether the machine is better: by what the platform's errors fall."""
     question = "Is it better?"
     if not result.explained:
-        wording = WORDINGS["residuals-too-large" if result.corrects else "not-corrected"]
-        words = "Residuals fell, but are still" if result.corrects else "Residuals are"
-        text = f"{words} {_excess(result)}. {wording.means}"
+        text = f"Residuals are {_excess(result)}. {_NO_BETTER}"
+        if result.corrects:
+            text = f"Residuals fell, but are still {_excess(result)}. {_FOLLOWED}"
         return Answer(question, "Not shown" if result.corrects else "No", "bad", [text])
     if not _determined(errors):
         return Answer(question, "Not determined", "bad", [f"{_UNDETERMINED}."])

@@ -19,7 +19,6 @@ FAULTS: dict[str, Wording] = {
         "same in all rows ({value|g(6)} {unit}){% endfor %}, where readings of the nominal "
         "mechanism differ by {% for name, value, unit, moved in readings %}"
         "{', ' if not loop.first}{moved|g(2)} {unit}{% endfor %} over these poses",
-        "A sensor gave one number while the poses moved it.",
         "Check the sensor, its cable and the log",
         "error",
     ),
@@ -28,8 +27,6 @@ FAULTS: dict[str, Wording] = {
         "{leg}: {rows|length|counted('reading is', 'readings are')} off by whole turns, the first "
         "in data row {row}: {reading|g(6)} rad, where the nominal mechanism reads {nominal|g(6)} "
         "rad",
-        "A counter lost a turn, or counts on where others begin again. The finding's rows are all "
-        "of them.",
         "Count without the turns, or correct the nominal offset",
         "error",
     ),
@@ -38,7 +35,6 @@ FAULTS: dict[str, Wording] = {
         "readings and poses close the legs, but these bend the other way than in mechanism.yaml's "
         "home: {% for leg, passive, bent, total in legs %}{', ' if not loop.first}{leg} "
         "({passive|join(' and ')}, in {bent} of {total} rows){% endfor %}",
-        "Readings and poses have several solutions; the machine was measured in another one.",
         "Correct 'home' there, or measure in its working mode",
         "error",
     ),
@@ -46,7 +42,6 @@ FAULTS: dict[str, Wording] = {
         "Measurements of another mechanism",
         "{leg}: the measurements miss the nominal mechanism by {(100 * gap)|f(1)} % of a leg's "
         "length (median), and no single fault in units, signs, order, zeros or frame explains it",
-        "Poses and readings are those of a machine unlike the nominal one.",
         "Check the units, the order and signs of the readings, the frame of the poses, and that "
         "this is the right mechanism. If it is known but roughly, say so (--rough)",
         "error",
@@ -56,7 +51,6 @@ FAULTS: dict[str, Wording] = {
         "{leg}: the readings do not follow those of the nominal mechanism (machines near it leave "
         "{(100 * left)|g(2)} % of the leg's length where readings move it by "
         "{(100 * stroke)|g(2)} %)",
-        "The poses say nothing of what the readings say, in a workspace too small to see why.",
         "Check their order and signs, the signs and frame of the poses, and the mechanism",
         "error",
     ),
@@ -65,7 +59,6 @@ FAULTS: dict[str, Wording] = {
         "data rows {first[0] + 1} and {first[1] + 1} are identical in all that was measured"
         "{' (and %d more such pairs)' % (pairs - 1) if pairs > 1}; measured twice, they would "
         "differ by noise",
-        "A copy counts as a measurement, and makes intervals too narrow.",
         "Remove the copies",
         "error",
     ),
@@ -74,17 +67,13 @@ FAULTS: dict[str, Wording] = {
         "the noise of {what} is given as {'%g' % given} {unit}{% if what == 'position' %}, more "
         "than {(100 * most / size)|f(0)} % of a leg's length ({size|g} m){% else %}; expected less "
         "than {'%g' % most}{% endif %}",
-        "So large a noise is a slip in a unit.",
         "It is in {'metres' if unit == 'm' else 'radians'}",
         "error",
-        general="Give it in metres and radians",
     ),
     "bad-rows": Wording(
         "Few rows far from the nominal mechanism",
         "data row {worst + 1} misses the nominal mechanism {times|g} times as far as rows usually "
         "do{% if rows|length > 1 %}, and {(rows|length - 1)|counted('more row')} so{% endif %}",
-        "The fit failed, and few rows are far from where the others are. The finding's rows are "
-        "those.",
         "Look for a slip there first, or leave such rows out (--loss reject)",
     ),
     "frame-misaligned": Wording(
@@ -92,12 +81,9 @@ FAULTS: dict[str, Wording] = {
         "{(100 * share)|f(0)} % of what the nominal model is off by (in squares) is one motion of "
         "the {frame}'s frame, by {size_in_words(shift, turn)}, and parameters that differ each in "
         "its own way hardly move so ({p_value|chance})",
-        "More likely the tracker, or the target, was not aligned, than that the machine is such.",
         "{% if remedy == 'base' %}Is the tracker's frame the base's (--unknown-frame)?{% else %}Is "
         "the target the platform's origin (--unknown-target)?{% endif %} Else where the frame lies "
         "is taken for errors of the machine",
-        general="Leave that frame open (--unknown-frame, --unknown-target), or align and measure "
-        "again",
     ),
 }
 _COMMON = "legs left unknown_frame given questioned other_side"
@@ -107,35 +93,31 @@ _ORDER = "Correct the order of columns"
 _FRAMED = "{' and the base is elsewhere in their frame' if unknown_frame}"
 
 
-def _hypothesis(title: str, says: str, means: str, remedy: str, framed: str = _FRAMED) -> Wording:
+def _hypothesis(title: str, says: str, remedy: str, framed: str = _FRAMED) -> Wording:
     """Return the wording of a hypothesis, which has values that all hypotheses have."""
-    return Wording(title, says + framed, means, remedy, "error", unsaid=_COMMON)
+    return Wording(title, says + framed, remedy, "error", unsaid=_COMMON)
 
 
 HYPOTHESES: dict[str, Wording] = {
     "sign-of-readings": _hypothesis(
         "Sign of the readings",
         f"{_READINGS} have the other sign",
-        "Sensors count the other way than mechanism.yaml says.",
         _SIGN.format("their sign"),
     ),
     "sign-of-column": _hypothesis(
         "Sign of one reading",
         "{column} has the other sign",
-        "One sensor of a leg with several counts the other way.",
         _SIGN.format("its sign"),
     ),
     "columns-exchanged": _hypothesis(
         "Exchanged columns of a leg",
         "{columns|join(' and ')} are exchanged",
-        "Two readings of a leg stand below each other's names.",
         _ORDER,
     ),
     "legs-exchanged": _hypothesis(
         "Exchanged legs",
         "legs are exchanged: {% for leg, column in order %}{' and ' if not loop.first}column "
         "{column} fits {leg}{% endfor %}",
-        "Readings stand below the names of other legs.",
         _ORDER,
     ),
     "unit": _hypothesis(
@@ -143,7 +125,6 @@ HYPOTHESES: dict[str, Wording] = {
         "{% for kind, unit, written in units %}{' and ' if not loop.first}"
         f"{{% if kind == 'readings' %}}{_READINGS}{{% else %}}the {{kind}}{{% endif %}}"
         " are {UNIT_NAMES[written]} under {HEADERS[unit, written]}{% endfor %}",
-        "Numbers are in another unit than their header says.",
         "Correct the units in the headers",
     ),
     "left-handed-frame": _hypothesis(
@@ -151,13 +132,11 @@ HYPOTHESES: dict[str, Wording] = {
         "{axis|join(' and ')} {'has the other sign' if axis|length == 1 else 'are exchanged'}"
         "{' and the orientations are right' if orientations_right else ', as in a left-handed "
         "frame'}",
-        "An axis of the poses points the other way, or two are exchanged.",
         "Give the poses in the right-handed frame of the base",
     ),
     "sign-of-angle": _hypothesis(
         "Sign of an angle of the platform",
         "{column} has the other sign",
-        "An angle of the platform's orientation turns the other way.",
         "Change the sign of that angle",
     ),
     "angles-exchanged": _hypothesis(
@@ -165,33 +144,28 @@ HYPOTHESES: dict[str, Wording] = {
         "{% if order|length == 2 %}{order[0][0]} and {order[1][0]} are exchanged{% else %}columns "
         "of the orientation are exchanged: {% for name, column in order %}"
         "{', ' if not loop.first}{name} is below {column}{% endfor %}{% endif %}",
-        "Numbers of the platform's orientation stand below each other's names.",
         _ORDER,
     ),
     "orientation-inverted": _hypothesis(
         "Inverted orientation",
         "the orientations turn the other way (that of the base seen from the platform)",
-        "The base's orientation in the platform's frame was given.",
         "Give the orientation of the platform in the base frame",
     ),
     "pose-inverted": _hypothesis(
         "Inverted pose",
         "the poses are those of the base in the platform's frame",
-        "The base's pose in the platform's frame was given.",
         "Give the poses of the platform in the base frame",
     ),
     "rows-shifted": _hypothesis(
         "Logs out of step",
         "the readings stand {shift|abs|counted('row')} {'below' if shift > 0 else 'above'} the "
         "poses they belong to",
-        "Readings and poses of one row were not measured together.",
         "Bring the logs of poses and readings into step",
     ),
     "reading-offset": _hypothesis(
         "Zero of a sensor",
         "the zeros of readings are off: {% for name, offset, unit in offsets %}"
         "{', ' if not loop.first}{name} by about {offset|g(2)} {unit}{% endfor %}",
-        "A sensor's zero is farther off than machines differ from their drawings.",
         "Set the sensor's zero, or correct its nominal offset",
     ),
     "scale-of-readings": _hypothesis(
@@ -200,14 +174,12 @@ HYPOTHESES: dict[str, Wording] = {
         f"{_READINGS} are {{factors[0][1]|times}}"
         "{% else %}the readings of {% for name, factor, unit in factors %}"
         "{', those of ' if not loop.first}{name} are {factor|times}{% endfor %}{% endif %}",
-        "Readings are in other units than said: counts of another scale, a gear that is left out.",
         "Correct the scale of the readings (--counts, or counts_per_unit or gain of the sensor in "
         "mechanism.yaml)",
     ),
     "unknown-frame": _hypothesis(
         "Frame of the measurements",
         "the poses are those in another frame than the base's",
-        "The tracker's frame is not the base's.",
         "Say that the base is elsewhere in that frame (--unknown-frame; in Python "
         "Setup(unknown_frame=True))",
         framed="",

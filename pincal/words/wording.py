@@ -50,25 +50,16 @@ class Wording:
     """What it is, in few words."""
     says: str
     """Template of what was found, in one sentence without capital and full stop."""
-    means: str
-    """What that means, for the page of errors."""
     remedy: str = ""
     """Template of what to do about it, in a sentence without full stop."""
     severity: Severity = "warning"
-    general: str = ""
-    """The remedy as the page of errors says it, where it depends on values."""
     unsaid: str = ""
     """Names of values that are not in these templates."""
 
     @property
     def value_names(self) -> set[str]:
-        """Names of the values that a finding of it has (``docs/errors.py`` says what they are)."""
+        """Names of the values that a finding of it has (``docs/errors.md`` says what they are)."""
         return {*_names_in(self.says), *_names_in(self.remedy), *self.unsaid.split()}
-
-    @property
-    def advice(self) -> str:
-        """What to do about it in general."""
-        return self.general or self.remedy
 
     def said(self, finding: Finding) -> str:
         """Return what was found."""
