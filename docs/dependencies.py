@@ -25,10 +25,7 @@ WHY = {
     "cattrs": "results as plain data and back, bit for bit (`load_result`)",
     "jinja2": "pages (reports, tables, notebooks) from templates that escape what people's files "
     "hold",
-    "yourdfpy": "second reader of the URDFs that pincal writes (`pincal check`, tests); meshes for "
-    "`pincal view`",
-    "trimesh": "meshes of people's URDFs (STL, DAE, OBJ) in `pincal view --meshes`; yourdfpy needs "
-    "it, and its reader of DAE, too",
+    "yourdfpy": "second reader of the URDFs that pincal writes (`pincal check`, tests)",
     "PyYAML": "mechanism files, scanned by the libyaml in its wheels",
     "pydantic": "checks mechanism files, with errors that name the place",
     "typer": "command line",

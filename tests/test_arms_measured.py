@@ -12,7 +12,7 @@ from command_line import done
 from marks import slow_or_fuzz, some_slow
 
 import pincal
-from pincal.show.workspace_errors import workspace_errors
+from pincal.show.misses import workspace_errors
 from pincal.words.sentences import sentence
 
 NOISE = pincal.Noise(1e-4, 1e-4, 0.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import runpy
+from base64 import b64decode
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,6 @@ from matplotlib.quiver import Quiver
 from measured import machine
 
 import pincal
-from pincal.show.charts import camera_residuals
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "23_camera_images.py"
 
@@ -54,17 +54,18 @@ def test_marks_that_a_camera_did_not_see_have_no_arrow(made: dict[str, Any]) -> 
     column[:20] = np.nan
     other = replace(data, extra=dict(data.extra) | {"front_a_v": column})
     setup = pincal.Setup(instruments=(made["front"], made["side"]))
-    front, side = camera_residuals(pincal.calibrate("6UPS", other, setup=setup))
-    assert len(front.points) == 130
-    assert len(side.points) == 150
+    axes = pincal.calibrate("6UPS", other, setup=setup).plot.images()
+    front, side = (one for one in axes.collections if isinstance(one, Quiver))
+    assert len(front.XY) == 130
+    assert len(side.XY) == 150
 
 
 @pytest.mark.slow
 def test_the_report_shows_them(made: dict[str, Any]) -> None:
     """A figure with its caption, and none where no camera measured."""
     page = made["result"].report(date="").html()
-    assert 'id="figure-images"' in page
-    assert "front: 150 points" in page
+    figure = page.partition('id="figure-images"')[2].partition("base64,")[2].partition('"')[0]
+    assert "front: 150 points" in b64decode(figure).decode()
 
 
 def test_images_that_are_none_are_refused(made: dict[str, Any]) -> None:

@@ -15,7 +15,7 @@ import pincal
 from pincal.calibration.hypotheses.parameters import misaligned
 from pincal.calibration.hypotheses.plausibility import explain_misfit, said
 from pincal.estimation.observability.indices import DIFFER, plausible_changes
-from pincal.show.workspace_errors import errors_at
+from pincal.show.misses import errors_at
 
 FRAME = pincal.Setup(unknown_frame=True)
 KINDS = ["5R", "3RRR", "6UPS"]

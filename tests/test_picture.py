@@ -146,7 +146,7 @@ def test_joints_have_the_colours_of_the_urdfs(name: str) -> None:
         for joint, place in zip(leg.joints, chain, strict=True):
             if joint.kind != "fixed":
                 colour = ACTIVE if joint.name == leg.sensors[0].joint else PASSIVE
-                assert drawn.parts[place].shapes[0].colour == colour
+                assert list(drawn.parts.values())[place][0].colour == colour
 
 
 def numbers(svg: bytes) -> tuple[list[bytes], np.ndarray]:

@@ -15,7 +15,7 @@ from pincal.design.platform_error import (
     sizes,
 )
 from pincal.kinematics.configurations import legs_at
-from pincal.show.workspace_errors import errors_at
+from pincal.show.misses import errors_at
 
 NOISE = pincal.Noise(1e-4, 2e-4, 3e-5)
 

@@ -17,7 +17,6 @@ from matplotlib.figure import Figure
 
 import pincal
 from pincal.cli.view import Kind
-from pincal.show.charts import LEVELS, colour_of
 
 NOISE = pincal.Noise(1e-4, 1e-4)
 
@@ -67,9 +66,9 @@ def test_expected_errors_over_the_workspace(
     _lines_are_where_they_say(axes)
 
     def fail(*_: object) -> None:
-        raise pincal.WorkspaceError("none")
+        raise pincal.WorkspaceError("no workspace")
 
-    monkeypatch.setattr("pincal.show.workspace_errors.sample_configurations", fail)
+    monkeypatch.setattr("pincal.show.misses.sample_configurations", fail)
     with pytest.raises(pincal.WorkspaceError, match="no workspace"):
         result.plot.error_map()
 
@@ -163,63 +162,6 @@ def test_changes_move_the_platform_by_what_perturbed_machines_do(
     assert len(bars) == sum(p.high > p.low for leg in result.legs for p in leg.parameters)
 
 
-def test_residuals_over_the_workspace(result: pincal.CalibrationResult) -> None:
-    """Each row once, where it was measured, by its largest residual."""
-    axes = result.plot.workspace()
-    points = axes.collections[0]
-    np.testing.assert_allclose(points.get_offsets(), result.poses)
-    spread = [leg.sigma * np.sqrt(leg.redundancy) for leg in result.legs]
-    own = [leg.residuals / one for leg, one in zip(result.legs, spread, strict=True)]
-    white = np.abs(own)
-    np.testing.assert_allclose(points.get_array(), white.max(axis=0))
-
-
-def test_a_bed_needs_x_y_and_z(result: pincal.CalibrationResult) -> None:
-    """A five-bar has no bed: it is refused with what is needed."""
-    with pytest.raises(pincal.WorkspaceError, match="x, y and z"):
-        result.plot.bed()
-
-
-def test_a_bed_shows_how_far_the_nozzle_is_off() -> None:
-    """A delta's pixels are z where the identified machine goes, less what was commanded."""
-    mechanism = pincal.load_mechanism("linear_delta")
-    truth = pincal.disturb(mechanism, 1e-3, seed=1)
-    plan = pincal.sample_configurations(mechanism, 40, 0)
-    noise = pincal.Noise(1e-5)
-    data = pincal.simulate(mechanism, truth, plan, noise, 3).measurements
-    result = pincal.calibrate(mechanism, data, noise=noise)
-    image = result.plot.bed().images[0]
-    values, (left, right, low, high) = image.get_array(), image.get_extent()
-    _lines_are_where_they_say(result.plot.bed())
-    row, column = np.argwhere(np.isfinite(values.filled(np.nan)))[100]
-    x = left + (right - left) * (column + 0.5) / values.shape[1]
-    y = low + (high - low) * (row + 0.5) / values.shape[0]
-    pose = np.array([[x, y, mechanism.platform.home[2]]])
-    readings = pincal.inverse(mechanism, pose).readings
-    there = pincal.forward(result.identified, readings, pose).poses[0]
-    assert values[row, column] == pytest.approx(1e3 * (there[2] - pose[0, 2]), abs=1e-3)
-
-
-def test_a_drawing_has_the_colours_of_changes(result: pincal.CalibrationResult) -> None:
-    """Dimensions of a leg are drawn in the colours of the changes of its parameters."""
-    axes = result.plot.drawing(leg="leg_2")
-    drawn = {line.get_color() for line in axes.lines}
-    leg = next(one for one in result.legs if one.name == "leg_2")
-    assert drawn == {colour_of(p) for p in leg.parameters if p.nominal}
-    assert drawn & {colour for _, colour, _ in LEVELS}
-    with pytest.raises(pincal.MechanismError, match="leg_9"):
-        result.plot.drawing(leg="leg_9")
-
-
-def test_changes_have_the_colours_of_their_sizes(result: pincal.CalibrationResult) -> None:
-    """Below ±, up to five times it, beyond; a parameter that was fixed has none of them."""
-    p = next(p for p in result.legs[0].parameters if p.high > p.low)
-    at = [replace(p, identified=p.nominal + k * p.half) for k in (0.5, 2.0, 7.0)]
-    moved = [replace(q, low=q.identified - p.half, high=q.identified + p.half) for q in at]
-    assert [colour_of(q) for q in moved] == [colour for _, colour, _ in LEVELS]
-    assert colour_of(result["leg_1.k"]) not in [colour for _, colour, _ in LEVELS]
-
-
 def test_command_draws_across_a_page(result: pincal.CalibrationResult, tmp_path: Path) -> None:
     """A vector figure 170 mm wide, letters of 7 to 9 points; wrong kinds say which."""
     result.save(tmp_path / "result")
@@ -235,7 +177,4 @@ def test_command_draws_across_a_page(result: pincal.CalibrationResult, tmp_path:
     assert wrong.code == 2
     assert "residuals" in wrong.err
     assert "Value error" not in wrong.err
-    refused = run("plot", tmp_path / "result", "bed", "-o", tmp_path / "n.svg", "--leg", "leg_1")
-    assert refused.code == 2
-    assert "drawing" in refused.err
     assert not (tmp_path / "n.svg").exists()

@@ -16,7 +16,7 @@ import pincal
 from pincal.calibration.fits import fitted
 from pincal.estimation.fit import Fit
 from pincal.estimation.observability.residuals import Remainders, leg_residuals
-from pincal.show.series import noisy_series
+from pincal.show.misses import noisy_series
 
 EXACT, NOISY = pincal.Noise(1e-4, 1e-4), pincal.Noise(1e-4, 1e-4, 1e-4)
 #: Noise, and how it is calibrated.

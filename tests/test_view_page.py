@@ -66,7 +66,7 @@ class Window:
 
     def matrices(self, view: View, root: str = "mechanism") -> np.ndarray:
         """Return ``T_base_part`` from the scene graph, shape (n_parts, 4, 4); NaN if hidden."""
-        paths = [f"meshcat/{root}/{part.path}" for part in view.scene.body.parts]
+        paths = [f"meshcat/{root}/{path}" for path in view.scene.body.parts]
         found = self.page.evaluate(_MATRICES, paths)
         hidden = [float("nan")] * 16
         return np.array([m or hidden for m in found]).reshape(-1, 4, 4).swapaxes(1, 2)

@@ -124,9 +124,6 @@ class PageOptions:
         None, "Cloud of positions, from 'pincal workspace'.", metavar="CSV"
     )
     html: Path | None = option(None, "Write one file that opens anywhere, offline.", metavar="FILE")
-    meshes: Path | None = option(
-        None, "Your URDF: an arm's links as its meshes show them.", metavar="URDF"
-    )
     open: bool = option(True, "Print the address, open no browser.")
     force: bool = option(False, FORCE)
 
@@ -154,8 +151,6 @@ def view(mech: Mech, options: PageOptions, shown: Shown = None, magnify: Magnify
         page = make_view(**arguments, source=shown.name if shown else "")
         if result is not None:
             page = page.with_result(result)
-        if options.meshes is not None:
-            page = page.with_meshes(options.meshes)
         page.html()
     _say_unreached(page.scene)
     if options.html is not None:
@@ -219,28 +214,20 @@ def plot(
     ],
     kind: Annotated[Kind, typer.Argument(metavar="KIND", help=f"One of {', '.join(Kind)}.")],
     output: Annotated[Path, output_option("FILE.svg|pdf|png", "The figure.")],
-    leg: Annotated[
-        str, typer.Option(metavar="LEG", help="Whose drawing; the first leg's if not given.")
-    ] = "",
     force: Force = False,
 ) -> None:
     """Draw a figure of a calibration.
 
-    170 mm wide, letters of 7 to 9 points. residuals: by row; workspace: where they
-    were measured; images: over those of cameras; parameters: what their changes
-    move the platform by; error_map: expected error over x and y; bed: z over
-    a printer's bed; drawing: a leg with dimensions.
+    170 mm wide, letters of 7 to 9 points. residuals: by row; images: over those of cameras;
+    parameters: what their changes move the platform by; error_map: expected error over x and y.
     """
     calibrated = load_result(result)
     refuse_existing(picture_path(output), force=force)
-    if leg and kind != "drawing":
-        raise typer.BadParameter("--leg is for the kind 'drawing'")
     width = PAGE_WIDTH / 25.4
     height = max(0.62 * width, 3.6 if kind == "parameters" else 2.4)
     with working("drawing"):
         with drawing():
             axes = Figure(figsize=(width, height), layout="compressed").subplots()
-            of_leg = {"leg": leg} if leg else {}
-            figure = getattr(calibrated.plot, kind)(axes, **of_leg).figure
+            figure = getattr(calibrated.plot, kind)(axes).figure
         save_figure(figure, output, force=force, whole=True)
     wrote(output)

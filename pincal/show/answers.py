@@ -17,8 +17,8 @@ from pincal.estimation.observability.identifiable import WeakPair
 from pincal.model.measurements import Noise
 from pincal.model.mechanism import Mechanism
 from pincal.model.setup import ORIGIN
+from pincal.show.misses import WorkspaceErrors, workspace_errors
 from pincal.show.tables import calibration_tables
-from pincal.show.workspace_errors import WorkspaceErrors, workspace_errors
 from pincal.words.numbers import (
     amount,
     capital,
@@ -101,7 +101,7 @@ def _better(result: CalibrationResult, errors: WorkspaceErrors) -> Answer:
         return Answer(question, "Not determined", "bad", [f"{_UNDETERMINED}."])
     if not _moved(errors):
         return Answer(question, _HELD, "good", [f"{_ONLY_FRAMES}."])
-    sizes = np.array([errors.mean_before(), errors.mean_after(), errors.limit])
+    sizes = np.array([errors.mean_before(), errors.mean_after(), errors.inside.limit])
     before, after, limit = sizes[:, sizes[:2].any(axis=0)]  # of what moves and was measured
     ratios = before / after
     if min(ratios) >= 2.0:
@@ -150,7 +150,9 @@ def _accuracy(result: CalibrationResult, errors: WorkspaceErrors) -> Answer:
     kind, unit = (0, "m") if result.nominal.platform.lengths else (1, "rad")
     before, after = (sizes()[kind] for sizes in (errors.mean_before, errors.mean_after))
     text = f"{number(before, unit)} → {amount(after, unit)}"
-    text += f" (95 %: ≤ {number(errors.limit[kind], unit)})" if result.promises else " or more"
+    text += (
+        f" (95 %: ≤ {number(errors.inside.limit[kind], unit)})" if result.promises else " or more"
+    )
     return Answer("By how much?", text, "", [accuracy_table(result, errors), *lines])
 
 
@@ -162,7 +164,7 @@ def accuracy_table(result: CalibrationResult, errors: WorkspaceErrors) -> Table:
     names, rows = list(errors.units.items()), dict[str, dict[tuple[str, str], float]]()
     if result.explained and _determined(errors) and _moved(errors):
         sizes = {"nominal": errors.mean_before(), "calibrated": errors.mean_after()}
-        sizes |= {"95 %: below": errors.limit} if result.promises else {}
+        sizes |= {"95 %: below": errors.inside.limit} if result.promises else {}
         kinds = {"m": 0, "rad": 1}
         rows = {
             head: {(name, unit): values[kinds[unit]] for name, unit in names}

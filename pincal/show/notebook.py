@@ -5,7 +5,7 @@ from __future__ import annotations
 from pincal.calibration.result import CalibrationResult
 from pincal.model.mechanism import Mechanism
 from pincal.show import answers, tables
-from pincal.show.pictures.files import svg_figure
+from pincal.show.pictures.files import page_figure
 from pincal.show.pictures.picture import picture
 from pincal.words.wording import rendered
 
@@ -30,7 +30,7 @@ def mechanism_text(mechanism: Mechanism) -> str:
 def mechanism_html(mechanism: Mechanism) -> str:
     """Return a mechanism: a picture and its nominal parameters."""
     caption = f"{mechanism.name} at home"
-    drawn = svg_figure("figure-mechanism", lambda: (picture(mechanism).figure(), caption))
+    drawn = page_figure("mechanism", picture(mechanism).draw, caption)
     coordinates = ", ".join(mechanism.platform.coordinates)
     title = f"{mechanism.name}: {len(mechanism.legs)} legs, {coordinates}"
     description = [mechanism.description] if mechanism.description else []

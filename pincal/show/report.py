@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from functools import cached_property, partial
+from functools import cached_property
 from hashlib import sha256
 from importlib.metadata import version
 from pathlib import Path
@@ -20,14 +20,16 @@ from pincal import __version__
 from pincal.calibration.result import CalibrationResult
 from pincal.errors import FileError, MeasurementError, WorkspaceError
 from pincal.files.text import LARGEST_FILE, read_bytes
-from pincal.model.measurements import EVERY_LEG
+from pincal.model.measurements import EVERY_LEG, Plan
+from pincal.model.setup import image_of
 from pincal.model.units import SI, Units
 from pincal.show import answers, tables
-from pincal.show.figures import figure
+from pincal.show.charts import CAPTIONS
+from pincal.show.misses import WorkspaceErrors, readings_exact, workspace_errors
 from pincal.show.page import Page
-from pincal.show.series import readings_exact
-from pincal.show.style import dark_variables
-from pincal.show.workspace_errors import WorkspaceErrors, workspace_errors
+from pincal.show.pictures.files import page_figure
+from pincal.show.pictures.picture import Picture, picture
+from pincal.show.view.scene import MOST_POSES, scene
 from pincal.words.numbers import capital, reading_in
 from pincal.words.wording import clean, rendered
 
@@ -67,7 +69,6 @@ class Report(Page):
                     {"name": name, "title": title, "parts": filter(None, parts)}
                     for name, title, *parts in _sections(self)
                 ],
-                dark=dark_variables(),
             )
 
 
@@ -113,8 +114,7 @@ def _sections(report: Report) -> list[tuple[Any, ...]]:
     have nothing to show.
     """
     result, errors = report.result, report.errors
-    drawn = partial(figure, result=result, errors=errors)
-    measured = ("measured", "What was measured, and how well", _measured(result), drawn("poses"))
+    measured = ("measured", "What was measured, and how well", _measured(result), _poses(result))
     libraries = ", ".join(f"{name} {version(name)}" for name in ("pin", "numpy", "scipy"))
     reproduction = (
         "reproduction",
@@ -128,18 +128,16 @@ def _sections(report: Report) -> list[tuple[Any, ...]]:
         return [measured, reproduction]
     exact = "Readings were taken as exact: the legs close by construction, and what the model "
     exact += "leaves over is by how much the platform misses what was measured of it."
-    try:
-        maps: Any = drawn("maps")
-    except (MeasurementError, WorkspaceError) as error:
-        maps = f"{capital(str(error))}."
+    could_change = any(p.std > 0.0 for leg in result.legs for p in leg.parameters)
+    seen_by_cameras = any(map(image_of, result.options.setup.instruments))
     return [
         measured,
         (
             "parameters",
             "Parameters",
             tables.parameters_table(result),
-            drawn("changes"),
-            drawn("drawing"),
+            _chart(result, "parameters") if errors.sampled and could_change else None,
+            _dimensions(result),
             tables.outside_table(result) if result.external else None,
             [f"{line}." for line in answers.weak_lines(result.weak, result.nominal)],
         ),
@@ -148,19 +146,49 @@ def _sections(report: Report) -> list[tuple[Any, ...]]:
             "Residuals before and after",
             exact if readings_exact(result) else tables.legs_table(result),
             tables.observed_table(result) if result.observed else None,
-            drawn("residuals"),
-            drawn("images") if result.options.setup.instruments else None,
+            _chart(result, "residuals"),
+            _chart(result, "images") if seen_by_cameras else None,
         ),
         (
             "platform",
             "Error of the platform",
-            maps,
+            _chart(result, "error_map"),
             [f"{capital(line)}." for line in answers.platform_lines(result, errors)],
         ),
         ("outliers", "What was rejected or weighted down", *_outliers(result)),
         ("checks", "Held-out rows", *_checks(result, report.notes)),
         reproduction,
     ]
+
+
+def _chart(result: CalibrationResult, name: str) -> str:
+    """Return a chart with its caption, or why there is none."""
+    try:
+        height, caption = CAPTIONS[name]
+        return page_figure(name, getattr(result.plot, name), caption, height)
+    except (MeasurementError, WorkspaceError) as error:
+        return f"{capital(str(error))}."
+
+
+def _poses(result: CalibrationResult) -> Markup | None:
+    """Return the mechanism at the measured poses; None where no pose is known as a whole."""
+    data, poses = result.measurements, result.poses
+    rows = np.flatnonzero(np.isfinite(poses).all(axis=1))
+    if not len(rows):
+        return None
+    plan = Plan(poses, data.sets, data.readings).rows(rows[:: -(-len(rows) // MOST_POSES)])
+    drawn = Picture(scene(result.nominal, plan))
+    caption = f"The {len(rows)} measured poses of the platform, and the mechanism at the first."
+    return page_figure("poses", drawn.draw, caption)
+
+
+def _dimensions(result: CalibrationResult) -> Markup:
+    """Return where the parameters of the first leg are, at home."""
+    leg = result.legs[0].name
+    kinds = {tuple(p.name for p in each.parameters) for each in result.legs}
+    alike_legs = ", those of the others alike" if len(kinds) < len(result.legs) else ""
+    caption = f"Where the parameters of {leg} are{alike_legs}, and their nominal values."
+    return page_figure("dimensions", picture(result.nominal, dimensions=leg).draw, caption)
 
 
 def _measured(result: CalibrationResult) -> dict[str, str]:

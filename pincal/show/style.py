@@ -50,19 +50,11 @@ DARK = {
 }
 #: Grounds of pages and drawings, and text on them.
 PAPER, INK = ("#ffffff", "#16191d"), ("#222222", "#e8e8e8")
-#: Colours of drawings that are other on dark ground: those of the palette, black and white.
-DARK_OF = {**DARK, "#000000": INK[1], "#ffffff": PAPER[1], "#cccccc": "#40464e"}
 #: Where a mechanism in space is seen from: slightly from above.
 TOWARDS_VIEWER = (0.45, -0.85, 0.42)
 #: Widths of figures in one column and across two, [mm].
 COLUMN, PAGE_WIDTH = 80.0, 170.0
-
-
-PAGE_INCHES, PAGE_HEIGHT = PAGE_WIDTH / 25.4, 9.5  # of a figure across a page, at most, [inch]
-LETTER_WIDTH = 0.065  # of labels, [inch]
 RASTER_FROM = 1500  # points from which they are drawn as pixels: a vector picture stays small
-#: Width of a mechanism's picture, least and most height of what is drawn, [inch].
-PICTURE_WIDTH, PICTURE_HEIGHTS = 5.2, (1.8, 6.0)
 
 
 class Look(NamedTuple):
@@ -75,8 +67,3 @@ class Look(NamedTuple):
 def look(index: int) -> Look:
     """Return the look of a leg or set by its number."""
     return Look(*(values[index % len(values)] for values in (LEGS, MARKERS)))
-
-
-def dark_variables() -> str:
-    """Return the colours of figures on dark ground, as variables of CSS."""
-    return " ".join(f"--c{light[1:]}: {dark};" for light, dark in DARK_OF.items())

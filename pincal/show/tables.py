@@ -15,7 +15,7 @@ from pincal.design.select import Selection
 from pincal.design.select_configurations import ConfigurationChoice
 from pincal.design.simulate import Accuracy
 from pincal.model.mechanism import Mechanism
-from pincal.show.series import Series, legs_series, observed_series, readings_exact
+from pincal.show.misses import Series, legs_series, observed_series, readings_exact
 from pincal.symmetry.breaks import no_symmetries
 from pincal.symmetry.detect import SymmetryGroup
 from pincal.words.numbers import (

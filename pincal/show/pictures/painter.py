@@ -6,7 +6,7 @@ Shapes have dark outlines; names are of legs, axes and dimensions, the last besi
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any, TypeAlias
 
@@ -18,7 +18,7 @@ from matplotlib.patches import FancyArrowPatch
 from scipy.spatial import ConvexHull
 
 from pincal.show.pictures.dimensions import Dimension, symbol
-from pincal.show.style import DIMENSION, PICTURE_HEIGHTS, PICTURE_WIDTH
+from pincal.show.style import DIMENSION
 from pincal.show.view.bodies import Shape
 from pincal.types import Array
 
@@ -114,7 +114,6 @@ def _hull(points: Array) -> Array:
 
 _NAME_HEIGHT = 8.5  # of a parameter's name, [point]
 _LETTER = 0.58  # width of a letter of such a name, of its height
-_ROOM = 1.25  # of a figure, over what is left for the mechanism
 _ALONG = (0.5, 0.35, 0.65, 0.2, 0.8, 0.05, 0.95)  # where a name is tried, by a dimension's length
 _NAME_DISTANCES = (1.0, -1.0, 1.8, -1.8, 2.8, -2.8, 4.0, -4.0)  # from it, in heights of the name
 _LEG_DISTANCES = (11.0, 18.0, 26.0, 34.0)  # of a leg's name from its foot, [point]
@@ -134,10 +133,11 @@ class Names:
             links: Segments that names should not hide, shape (n, 2, 2), right and up, [m].
         """
         low, high = np.array((axes.get_xlim(), axes.get_ylim())).T
-        paper = 72.0 * np.array((PICTURE_WIDTH, PICTURE_HEIGHTS[1]))
+        figure: Any = axes.get_figure(root=True)
+        paper = 72.0 * figure.get_size_inches() * axes.get_position().size
         self.axes = axes
-        self._limits = low, high
-        self.point = _ROOM * float(np.max((high - low) / paper))
+        self._limits = low[1], high[1]
+        self.point = float(np.max((high - low) / paper))
         """What a point of the paper is in the picture, [m]; legend and values take some room."""
         self.middle = links.mean(axis=(0, 1)) if len(links) else (low + high) / 2
         self._boxes = np.zeros((0, 2, 2))
@@ -167,8 +167,9 @@ class Names:
         boxes = self._boxes
         over = (low[:, None] < boxes[:, 1]) & (boxes[:, 0] < high[:, None])
         cost = inside.all(axis=2).sum(axis=1) + _OVERLAP * over.all(axis=2).sum(axis=1)
-        outside = (low < self._limits[0]) | (high > self._limits[1])
-        cost = cost + _OUTSIDE * outside.any(axis=1) + _RANK * np.arange(len(places))
+        bottom, top = self._limits  # what is beside them is in the picture all the same
+        outside = (low[:, 1] < bottom) | (high[:, 1] > top)
+        cost = cost + _OUTSIDE * outside + _RANK * np.arange(len(places))
         best = int(np.argmin(cost))
         room = 0.3 * size * self.point  # names that touch read as one
         self._boxes = np.concatenate((boxes, [[low[best] - room, high[best] + room]]))
@@ -187,7 +188,6 @@ def draw_dimensions(
     names: Names,
     dimensions: Sequence[Dimension],
     V: Array,
-    colours: Mapping[str, str],
 ) -> None:
     """Draw dimensions, then their names beside their lines.
 
@@ -195,12 +195,8 @@ def draw_dimensions(
         names: Where to draw.
         dimensions: The dimensions.
         V: What points right, up and towards the viewer, shape (3, 3), rows in the base frame.
-        colours: Of lines, by the names of parameters; dark if not given.
     """
-    lines = [
-        _draw_line(names, dimension, V, colours.get(dimension.name, DIMENSION))
-        for dimension in dimensions
-    ]
+    lines = [_draw_line(names, dimension, V) for dimension in dimensions]
     for dimension, line in zip(dimensions, lines, strict=True):
         text = symbol(dimension.name) if dimension.name else ""
         if dimension.kind == "reading":
@@ -216,7 +212,7 @@ def draw_dimensions(
         names.write(text, np.array(places), _NAME_HEIGHT, **style)
 
 
-def _draw_line(names: Names, dimension: Dimension, V: Array, colour: str) -> Array:
+def _draw_line(names: Names, dimension: Dimension, V: Array) -> Array:
     """Draw a dimension without its name; return points of its line as drawn, shape (n, 2)."""
     axes, height = names.axes, _NAME_HEIGHT * names.point
     line = dimension.line @ V[:2].T
@@ -231,23 +227,23 @@ def _draw_line(names: Names, dimension: Dimension, V: Array, colour: str) -> Arr
         sides = (line[0], line[-1])
         thin += [(np.stack((corner, corner + 1.15 * (end - corner))), "--") for end in sides]
     for part, dashes in thin:
-        axes.plot(*part.T, dashes, lw=0.5, color=colour, zorder=8)
-    axes.plot(*line.T, lw=0.8 if colour == DIMENSION else 1.4, color=colour, zorder=8)
+        axes.plot(*part.T, dashes, lw=0.5, color=DIMENSION, zorder=8)
+    axes.plot(*line.T, lw=0.8, color=DIMENSION, zorder=8)
     if np.linalg.norm(np.diff(line, axis=0), axis=1).sum() > 0.3 * height:
-        _draw_head(axes, line[-1], line[-2], height, colour)
+        _draw_head(axes, line[-1], line[-2], height)
         if dimension.corner is None:
-            _draw_head(axes, line[0], line[1], height, colour)
+            _draw_head(axes, line[0], line[1], height)
     return names.keep_off(line)
 
 
-def _draw_head(axes: Axes, end: Array, before: Array, length: float, colour: str) -> None:
+def _draw_head(axes: Axes, end: Array, before: Array, length: float) -> None:
     """Draw the head of an arrow at a line's end."""
     backward = before - end
     tail = end + backward * min(1.0, length / max(float(np.linalg.norm(backward)), 1e-300))
     head = FancyArrowPatch(
         tuple(tail), tuple(end), arrowstyle="-|>", mutation_scale=6.0, lw=0.6, shrinkA=0, shrinkB=0
     )
-    head.set(color=colour, zorder=8)
+    head.set(color=DIMENSION, zorder=8)
     axes.add_patch(head)
 
 

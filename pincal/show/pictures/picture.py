@@ -5,8 +5,9 @@ Mechanisms in a plane are seen from above, others from the side, in parallel pro
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import cycle
 from pathlib import Path
 
@@ -27,7 +28,7 @@ from pincal.model.measurements import EVERY_LEG, Plan
 from pincal.show.pictures.dimensions import Dimension, dimensions_of, symbol
 from pincal.show.pictures.files import drawing, figure_bytes, save_figure
 from pincal.show.pictures.painter import Names, draw_dimensions, paint
-from pincal.show.style import ACTIVE, IDENTIFIED, MARKERS, PASSIVE, PICTURE_HEIGHTS, PICTURE_WIDTH
+from pincal.show.style import ACTIVE, IDENTIFIED, MARKERS, PASSIVE, RASTER_FROM
 from pincal.show.view.scene import MAGNIFY, Scene, plan_of, scene
 from pincal.types import Array
 from pincal.words.numbers import amount, counted, minus
@@ -46,15 +47,66 @@ class Picture:
 
     def draw(self, axes: Axes) -> Axes:
         """Draw into axes, best inside ``pincal.show.pictures.files.drawing()``."""
-        return draw_scene(axes, self.scene, self.row, self.dimensions)
+        scene, row, dimensions = self.scene, self.row, self._drawn
+        V, (low, high) = scene.axes, self._extent
+        edge = _EDGE * float(np.linalg.norm(high - low))
+        ground = scene.ground()
+        lines = list(ground.points @ V[:2].T)
+        axes.add_collection(LineCollection(lines, colors=ground.colour, lw=0.5, zorder=0))
+        legend = [Line2D([], [], color=ground.colour, lw=0.8, label=ground.name)]
+        if len(scene.plan.poses) > 1:
+            legend += _ghosts(axes, scene)
+        paint(axes, scene.body.shapes_at(row), V, edge)
+        if scene.identified:
+            paint(axes, scene.identified.body.shapes_at(row), V, edge, IDENTIFIED)
+            legend.append(_dot(IDENTIFIED, f"identified, errors × {scene.identified.magnify:g}"))
+        legend.append(_dot(ACTIVE, "active joint"))
+        if any(leg.passive for leg in scene.mechanism.legs):
+            legend.append(_dot(PASSIVE, "passive joint"))
+        axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+        axes.set_axis_off()
+        links = scene.body.skeletons()[row] @ V[:2].T
+        names = Names(axes, links[np.isfinite(links).all(axis=(1, 2))])
+        _name_axes_and_legs(names, scene)
+        draw_dimensions(names, dimensions, V)
+        _write_legend(axes, legend)
+        if dimensions:
+            _write_values(axes, scene, self.dimensions)
+        return axes
+
+    @cached_property
+    def _drawn(self) -> list[Dimension]:
+        """Parameters of the leg that are not zero; none where it is not drawn."""
+        mechanism, poses = self.scene.mechanism, self.scene.plan.poses[[self.row]]
+        if not self.dimensions:
+            return []
+        joints = joints_at(mechanism, poses).joints[self.dimensions][0]
+        if not np.isfinite(joints).all():
+            return []
+        size = _ARC * float(np.linalg.norm(np.ptp(self._extent_of(()), axis=0)))
+        closure = nominal_legs(mechanism)[mechanism.leg_names.index(self.dimensions)]
+        every = dimensions_of(closure, joints, mechanism.platform.matrices(poses)[0], size)
+        return [dimension for dimension in every if dimension.extent > EXACT * size]
+
+    @property
+    def _extent(self) -> Array:
+        """Least and largest of what is seen, right and up, shape (2, 2), [m]."""
+        return self._extent_of([dimension.line for dimension in self._drawn])
+
+    def _extent_of(self, lines: Sequence[Array]) -> Array:
+        scene = self.scene
+        tips = scene.body.platform[self.row] @ np.vstack((scene.body.axis * np.eye(3), np.ones(3)))
+        points = np.concatenate((scene.points(), tips[:3].T, *lines)) @ scene.axes[:2].T
+        low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
+        margin = 0.06 * float(np.max(high - low))
+        return np.stack((low - margin, high + margin))
 
     def figure(self) -> Figure:
         """Return a figure of its own."""
-        drawn = _dimensions(self.scene, self.row, self.dimensions)
-        width, height = np.ptp(_extent(self.scene, self.row, drawn), axis=0)
-        inches = _LEGEND + np.clip(PICTURE_WIDTH * height / width, *PICTURE_HEIGHTS)
+        width, height = np.ptp(self._extent, axis=0)
+        inches = _LEGEND + np.clip(_WIDTH * height / width, *_HEIGHTS)
         with drawing():
-            figure = Figure(figsize=(PICTURE_WIDTH, float(inches)), layout="constrained")
+            figure = Figure(figsize=(_WIDTH, float(inches)), layout="constrained")
             self.draw(figure.subplots())
         return figure
 
@@ -112,6 +164,7 @@ def picture(
     return Picture(scene(mechanism, plan, None, identified, magnify), row, leg)
 
 
+_WIDTH, _HEIGHTS = 5.2, (1.8, 6.0)  # of a picture; least and most of what is drawn, [inch]
 _LEGEND = 0.5  # height for the legend below, [inch]
 _LETTERS = 28  # of the longest name
 _LINE = 75  # letters of a legend's line
@@ -121,85 +174,15 @@ _VALUES = 6  # of parameters, in a line, at most
 _TITLE = 100  # letters of a line of them
 
 
-def draw_scene(
-    axes: Axes,
-    scene: Scene,
-    row: int,
-    leg: str = "",
-    colours: Mapping[str, str] | None = None,
-) -> Axes:
-    """Draw a scene, the mechanism at one of its poses.
-
-    Args:
-        axes: Where to draw.
-        scene: The scene.
-        row: The pose.
-        leg: Name of the leg whose parameters are drawn as dimensions, if that is wanted.
-        colours: Of dimensions, by the names of parameters; with them neither values nor legend.
-    """
-    V, dimensions = scene.axes, _dimensions(scene, row, leg)
-    low, high = _extent(scene, row, dimensions)
-    edge = _EDGE * float(np.linalg.norm(high - low))
-    ground = scene.ground()
-    axes.add_collection(
-        LineCollection(list(ground.points @ V[:2].T), colors=ground.colour, lw=0.5, zorder=0)
-    )
-    legend = [Line2D([], [], color=ground.colour, lw=0.8, label=ground.name)]
-    if len(scene.plan.poses) > 1:
-        legend += _ghosts(axes, scene)
-    paint(axes, scene.body.shapes_at(row), V, edge)
-    if scene.identified:
-        paint(axes, scene.identified.body.shapes_at(row), V, edge, IDENTIFIED)
-        legend.append(_dot(IDENTIFIED, f"identified, errors × {scene.identified.magnify:g}"))
-    legend.append(_dot(ACTIVE, "active joint"))
-    if any(leg.passive for leg in scene.mechanism.legs):
-        legend.append(_dot(PASSIVE, "passive joint"))
-    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
-    axes.set_axis_off()
-    links = scene.body.skeletons()[row] @ V[:2].T
-    names = Names(axes, links[np.isfinite(links).all(axis=(1, 2))])
-    _name_axes_and_legs(names, scene, (low + high) / 2)
-    draw_dimensions(names, dimensions, V, colours or {})
-    if colours is None:
-        _write_legend(axes, legend)
-        if dimensions:
-            _write_values(axes, scene, leg)
-    return axes
-
-
-def _extent(scene: Scene, row: int, dimensions: Sequence[Dimension]) -> Array:
-    """Return the least and largest of what is seen, right and up, shape (2, 2), [m]."""
-    tips = scene.body.platform[row] @ np.vstack((scene.body.axis * np.eye(3), np.ones(3)))
-    lines = [dimension.line for dimension in dimensions]
-    points = np.concatenate((scene.points(), tips[:3].T, *lines)) @ scene.axes[:2].T
-    low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
-    margin = 0.06 * float(np.max(high - low))
-    return np.stack((low - margin, high + margin))
-
-
-def _dimensions(scene: Scene, row: int, name: str) -> list[Dimension]:
-    """Return the parameters of a leg that are not zero; none where it is not drawn."""
-    mechanism, poses = scene.mechanism, scene.plan.poses[[row]]
-    if not name:
-        return []
-    joints = joints_at(mechanism, poses).joints[name][0]
-    if not np.isfinite(joints).all():
-        return []
-    size = _ARC * float(np.linalg.norm(np.ptp(_extent(scene, row, ()), axis=0)))
-    closure = nominal_legs(mechanism)[mechanism.leg_names.index(name)]
-    dimensions = dimensions_of(closure, joints, mechanism.platform.matrices(poses)[0], size)
-    return [dimension for dimension in dimensions if dimension.extent > EXACT * size]
-
-
 def _ghosts(axes: Axes, scene: Scene) -> list[Line2D]:
     """Draw all poses as lines from joint to joint, by set, and return their legend."""
     V = scene.axes[:2].T
     faint = float(np.clip(8 / len(scene.plan.poses), 0.12, 0.5))
     legend = []
     for (name, colour, points, lines), marker in zip(scene.by_set(), cycle(MARKERS), strict=False):
-        axes.add_collection(
-            LineCollection(list(lines @ V), colors=colour, lw=0.7, alpha=faint, zorder=0.5)
-        )
+        ghosts = LineCollection(list(lines @ V), colors=colour, lw=0.7, alpha=faint, zorder=0.5)
+        ghosts.set_rasterized(len(lines) > RASTER_FROM)  # a vector picture stays small
+        axes.add_collection(ghosts)
         axes.plot(*(points @ V).T, marker, ms=3, color=colour, zorder=0.6)
         owner = f" for {_short(name)}" if name not in ("", EVERY_LEG) else ""
         legend.append(_dot(colour, f"{counted(len(points), 'pose')}{owner}", marker))
@@ -217,32 +200,20 @@ def _short(name: str) -> str:
     return clean(name if len(name) <= limit else f"{name[: limit - 9]}…{name[-8:]}")
 
 
-def _name_axes_and_legs(names: Names, scene: Scene, middle: Array) -> None:
-    """Write letters beyond the ends of the base frame's axes, legs' names outwards of their feet.
-
-    Args:
-        names: Where to write.
-        scene: What is drawn.
-        middle: Of what is drawn, right and up, [m].
-    """
+def _name_axes_and_legs(names: Names, scene: Scene) -> None:
+    """Write letters beyond the ends of the base's axes, legs' names outwards of their feet."""
     V = scene.axes[:2]
     for letter, end in zip("xyz", scene.body.axis * V.T, strict=True):
         size = float(np.linalg.norm(end))
         if size > 0.3 * scene.body.axis:  # else it is seen from its end
             place = end * (1.0 + 4.5 * names.point / size)
             names.write(letter, place[None], size=7, style="normal")
-    for leg in scene.mechanism.legs:
-        foot = V @ np.array(leg.joints[0].placement.xyz)
-        outward = (foot - middle) / max(float(np.linalg.norm(foot - middle)), 1e-12)
-        turns = np.radians([0.0, 30.0, -30.0, 65.0, -65.0, 100.0, -100.0])
-        turned = np.stack(
-            [
-                np.cos(turns) * outward[0] - np.sin(turns) * outward[1],
-                np.sin(turns) * outward[0] + np.cos(turns) * outward[1],
-            ],
-            axis=1,
-        )
-        names.write_beside(_short(leg.name), foot, turned)
+    feet = np.array([leg.joints[0].placement.xyz for leg in scene.mechanism.legs]) @ V.T
+    for leg, foot in zip(scene.mechanism.legs, feet, strict=True):
+        outward = np.arctan2(*(foot - feet.mean(axis=0))[::-1])
+        turns = outward + np.radians([0.0, 30.0, -30.0, 65.0, -65.0, 100.0, -100.0])
+        directions = np.stack((np.cos(turns), np.sin(turns)), axis=1)
+        names.write_beside(_short(leg.name), foot, directions)
 
 
 def _write_legend(axes: Axes, handles: Sequence[Line2D]) -> None:

@@ -1,10 +1,8 @@
 """A mechanism as parts that move: shapes of its links, and where each is at every pose.
 
-Parts are what the exported URDFs draw, and what rigid links cannot show: cylinder and piston or
-cable of a prismatic joint, as long as the joint has moved, parallelograms, plates; in their place
-meshes of one's own URDF (STL, DAE, OBJ). Names of joints say what kinematics do not: a ``line`` or
-``cable`` pulls, and a rod behind a joint called ``elbow`` or ``sway`` of a platform that does not
-turn is a parallelogram. Where a leg does not reach, its links are NaN.
+Parts are what the exported URDFs draw, and what rigid links cannot show: cylinder and piston of a
+prismatic joint, or a thin cable where that is called ``line`` or ``cable``, as long as the joint
+has moved, and plates. Where a leg does not reach, its links are NaN.
 """
 
 from __future__ import annotations
@@ -15,7 +13,6 @@ from typing import Any
 
 import numpy as np
 from lxml import etree
-from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
@@ -33,7 +30,7 @@ _FLAT = 1e-6  # of what is a plane's size
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """A box, cylinder (along z) or sphere on a link, the hull of points, or a mesh."""
+    """A box, cylinder (along z) or sphere on a link, or the hull of points."""
 
     kind: str
     size: tuple[float, ...]
@@ -43,9 +40,7 @@ class Shape:
     colour: str
     """``"#rrggbb"``."""
     points: Array | None = None
-    """Of a hull, or corners of a mesh, shape (n, 3), [m]."""
-    faces: NDArray[np.int64] | None = None
-    """Corners of a mesh's triangles, shape (m, 3)."""
+    """Of a hull, shape (n, 3), [m]."""
 
 
 def rod(begin: Array, end: Array, radius: float, colour: str) -> Shape:
@@ -77,15 +72,13 @@ def plate(points: Array, thickness: float) -> tuple[Shape, ...]:
 
 
 def frame(feet: Array, radius: float) -> tuple[Shape, ...]:
-    """Return rods around feet (n, 3) in a plane; none of a single foot or where there is none."""
+    """Return rods around feet (n, 3) in a plane, from each to the next; else none."""
     feet = np.unique(feet.round(9), axis=0)
     sizes, axes = _principal(feet)
     if len(feet) < 2 or sizes[2] > _FLAT * sizes[0]:
         return ()
-    if sizes[1] <= _FLAT * sizes[0]:
-        along = feet @ axes[0]
-        return (rod(feet[np.argmin(along)], feet[np.argmax(along)], radius, PALE),)
-    corners = feet[ConvexHull(feet @ axes[:2].T).vertices]
+    x, y = axes[:2] @ (feet - feet.mean(axis=0)).T
+    corners = feet[np.argsort(np.arctan2(y, x))]
     return tuple(rod(corners[i - 1], corners[i], radius, PALE) for i in range(len(corners)))
 
 
@@ -123,34 +116,26 @@ _UPWARD = np.eye(4)
 _UPWARD[2, 3] = 0.5  # a cylinder of length 1 that begins at the origin
 
 
-@dataclass(frozen=True)
-class Part:
-    """What moves as one."""
-
-    path: str
-    """Place in the scene: ``leg 1/base``, ``leg 1/link 2``, ``leg 1/rod 3``, ``leg 1/cylinder 3``,
-    ``leg 1/parallel 4``, ``platform/body``, ``platform/point 1``, ``base/frame``, ``base/axes``;
-    legs, joints and points counted from 1."""
-    shapes: tuple[Shape, ...]
-
-
 @dataclass(frozen=True, eq=False)
 class Body:
     """A mechanism at N poses."""
 
-    parts: tuple[Part, ...]
+    parts: dict[str, tuple[Shape, ...]]
+    """Shapes of what moves as one, by its place in the scene: ``leg 1/base``, ``leg 1/link 2``,
+    ``leg 1/rod 3``, ``leg 1/cylinder 3``, ``platform/body``, ``platform/point 1``, ``base/frame``,
+    ``base/axes``; legs, joints and points counted from 1."""
     placements: Array
     """``T_base_part``, shape (N, n_parts, 4, 4), [m]; NaN where it is not to be drawn."""
     chains: tuple[tuple[int, ...], ...]
-    """For each leg, its links' places among the parts, base first, without base link and rods."""
+    """For each leg, its links' numbers among the parts, base first, without base link and rods."""
     readings: Array
     """Sensor readings, shape (N, n_readings), [rad] or [m]; NaN where not reached."""
     problems: tuple[str, ...]
     """Why something is not drawn at a pose; empty strings where all is."""
 
     def part(self, path: str) -> int:
-        """Return a part's place by its path."""
-        return [part.path for part in self.parts].index(path)
+        """Return the number of a part by its path."""
+        return list(self.parts).index(path)
 
     @property
     def platform(self) -> Array:
@@ -160,7 +145,7 @@ class Body:
     @property
     def axis(self) -> float:
         """Length of the axes of a frame, [m]."""
-        return self.parts[self.part("base/axes")].shapes[0].size[1]
+        return self.parts["base/axes"][0].size[1]
 
     def skeletons(self) -> Array:
         """Return segments from joint to joint and tip to platform, shape (N, n, 2, 3), [m]."""
@@ -172,8 +157,8 @@ class Body:
         """Return the shapes that are drawn at a pose, each with ``T_base_part``."""
         return [
             (shape, place)
-            for part, place in zip(self.parts, self.placements[row], strict=True)
-            for shape in part.shapes
+            for shapes, place in zip(self.parts.values(), self.placements[row], strict=True)
+            for shape in shapes
             if np.isfinite(place).all()
         ]
 
@@ -190,12 +175,12 @@ def body(mechanism: Mechanism, planned: Plan | Array) -> Body:
     """
     solution = joints_at(mechanism, planned)
     T_base_platform = mechanism.platform.matrices(as_plan(mechanism, planned).poses)
-    parts: list[Part] = []
+    parts: dict[str, tuple[Shape, ...]] = {}
     placements: list[Array] = []
     chains = []
 
     def add(path: str, shapes: tuple[Shape, ...], placement: Array) -> None:
-        parts.append(Part(path, shapes))
+        parts[path] = shapes
         placements.append(np.broadcast_to(placement, T_base_platform.shape))
 
     for number, leg in enumerate(mechanism.legs, 1):
@@ -205,13 +190,8 @@ def body(mechanism: Mechanism, planned: Plan | Array) -> Body:
         add(f"leg {number}/base", foot, np.eye(4))
         links = leg.link_placements(joints)
         chains.append(tuple(range(len(parts), len(parts) + len(shapes))))
-        pair = parallelogram(leg) if mechanism.platform.kind == "translational" else None
         for place, link_shapes in enumerate(shapes):
-            rigid = link_shapes[:1] if place == pair else link_shapes
-            add(f"leg {number}/link {place + 1}", rigid, links[:, place])
-        if pair is not None:
-            sheared = _parallel_frame(leg, links, pair)
-            add(f"leg {number}/parallel {pair + 1}", _two_rods(leg, radius), sheared)
+            add(f"leg {number}/link {place + 1}", link_shapes, links[:, place])
         for path, shape, placement in _pistons(leg, joints, links, radius):
             add(f"leg {number}/{path}", (shape,), placement)
     (hub, *arms), *balls = urdf_shapes(platform_urdf(mechanism.name, mechanism.legs))
@@ -228,35 +208,7 @@ def body(mechanism: Mechanism, planned: Plan | Array) -> Body:
     problems = tuple(solution.reason(row) for row in range(len(T_base_platform)))
     T_base_part = np.stack(placements, axis=1)
     T_base_part[~np.isfinite(T_base_part).all(axis=(2, 3))] = np.nan
-    return Body(tuple(parts), T_base_part, tuple(chains), np.array(solution.readings), problems)
-
-
-def parallelogram(leg: Leg) -> int | None:
-    """Return the place, among all joints, of the one that carries a parallelogram's rods."""
-    place = len(leg.joints) - 2
-    hinge = leg.joints[place - 1] if place > 0 else None
-    if hinge is None or not hinge.name.startswith(("elbow", "sway", "swing")):
-        return None
-    revolute = leg.joints[place].kind == hinge.kind == "revolute"
-    return place if revolute and np.any(leg.joints[-1].placement.xyz) else None
-
-
-def _two_rods(leg: Leg, radius: float) -> tuple[Shape, ...]:
-    """Return a parallelogram in a frame whose x is along its rods and whose y along its hinges."""
-    half, length = 2.4 * radius, float(np.linalg.norm(leg.joints[-1].placement.xyz))
-    corners = np.array([[0, -half, 0], [length, -half, 0], [length, half, 0], [0, half, 0]])
-    sides = ((0, 1, 0.35), (3, 2, 0.35), (0, 3, 0.4), (1, 2, 0.4))
-    return tuple(rod(corners[i], corners[j], thick * radius, GREY) for i, j, thick in sides)
-
-
-def _parallel_frame(leg: Leg, links: Array, place: int) -> Array:
-    """Return ``T_base_parallelogram``, shape (N, 4, 4): hinges stay parallel, so it shears."""
-    along = np.array(leg.joints[-1].placement.xyz)
-    T = links[:, place].copy()
-    T[:, :3, 0] = links[:, place, :3, :3] @ (along / np.linalg.norm(along))
-    T[:, :3, 1] = links[:, place - 1, :3, :3] @ np.array(leg.joints[place - 1].axis)
-    T[:, :3, 2] = np.cross(T[:, :3, 0], T[:, :3, 1])
-    return T
+    return Body(parts, T_base_part, tuple(chains), np.array(solution.readings), problems)
 
 
 def _pistons(

@@ -104,7 +104,7 @@ def _data(scene: Scene) -> dict[str, Any]:
         "bodies": [
             {
                 "name": root,
-                "paths": [f"meshcat/{root}/{part.path}" for part in body.parts],
+                "paths": [f"meshcat/{root}/{path}" for path in body.parts],
                 "matrices": _columns(body),
                 "problems": list(body.problems),
             }
@@ -235,7 +235,7 @@ class _Dots(g.PointsMaterial):  # type: ignore[misc]
 def _commands(scene: Scene, layers: Sequence[Layer]) -> list[bytes]:
     """Return what draws a scene and further layers in meshcat's viewer, at no pose yet.
 
-    Paths below ``/meshcat``: ``mechanism`` and ``identified`` with their parts (``bodies.Part``);
+    Paths below ``/meshcat``: ``mechanism`` and ``identified`` with their parts (``Body.parts``);
     ``sets/1`` and ``ghosts/1`` for the first set and so on; those of layers.
     """
     recorder = _Recorder()
@@ -265,14 +265,14 @@ def _draw_layer(draw: Any, layer: Layer, opacity: float = 1.0) -> None:
 
 def _draw_body(draw: Any, body: Body, colour: str = "", opacity: float = 1.0) -> None:
     """Draw the shapes of a body's parts, in their own colours or, but its base, in one."""
-    for part in body.parts:
-        if colour and part.path.startswith("base/"):
+    for path, shapes in body.parts.items():
+        if colour and path.startswith("base/"):
             continue
-        for number, shape in enumerate(part.shapes, 1):
+        for number, shape in enumerate(shapes, 1):
             material = g.MeshLambertMaterial(int((colour or shape.colour)[1:], 16), opacity=opacity)
             if opacity < 1.0:
                 material.side = 0  # its backs are not seen through it, which are drawn apart
-            node = draw[f"{part.path}/shape {number}"]
+            node = draw[f"{path}/shape {number}"]
             node.set_object(_geometry(shape), material)
             cylinder = shape.kind == "cylinder"
             node.set_transform(shape.T_link_shape @ (_UPRIGHT if cylinder else np.eye(4)))
@@ -287,13 +287,10 @@ def _geometry(shape: Shape) -> Any:
         return g.Cylinder(length, radius)
     if shape.points is None:
         return g.Sphere(*shape.size)
-    if shape.faces is None:
-        hull = ConvexHull(shape.points)
-        corners = shape.points[hull.simplices]
-        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        inward = np.einsum("ij,ij->i", normals, hull.equations[:, :3]) < 0.0
-        corners[inward] = corners[inward][:, ::-1]
-    else:
-        corners = shape.points[shape.faces]
+    hull = ConvexHull(shape.points)
+    corners = shape.points[hull.simplices]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    inward = np.einsum("ij,ij->i", normals, hull.equations[:, :3]) < 0.0
+    corners[inward] = corners[inward][:, ::-1]
     flat = corners.reshape(-1, 3)
     return g.TriangularMeshGeometry(flat, np.arange(len(flat)).reshape(-1, 3))

@@ -1,0 +1,236 @@
+"""How far a calibration misses: residuals of rows, and the platform's errors over the workspace.
+
+All in SI units, as charts, tables and answers show them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from pincal.calibration.leg_result import LegResult, Observed
+from pincal.calibration.promise import measured_plan, seen_by
+from pincal.calibration.result import CalibrationResult
+from pincal.design.platform_error import PlatformError, root_mean_squares, seen_of, sizes
+from pincal.design.simulate import platform_errors
+from pincal.errors import MeasurementError, WorkspaceError
+from pincal.finding import Finding
+from pincal.kinematics.configurations import as_plan
+from pincal.model.measurements import Plan
+from pincal.types import Array, Index
+from pincal.words.numbers import percent
+from pincal.words.sentences import finding
+from pincal.workspace.criteria import in_workspace
+from pincal.workspace.sampling import sample_configurations
+
+_SAMPLES = 1000  # of the workspace
+_ACROSS = {2: 45, 3: 25}  # cells of a map by the dimension of space
+_MENTIONED = 0.01  # share of the workspace outside the measured region, below which it is not said
+#: Redundancy up to which a residual is what the fit made of it, and says nothing of the noise.
+CONTROLLED = 1e-3
+
+
+@dataclass(frozen=True)
+class Series:
+    """Residuals of a leg, or of a measured quantity of the platform."""
+
+    name: str
+    unit: str
+    """``"m"`` or ``"rad"``."""
+    rows: Index
+    """Rows of the measurements."""
+    before: Array
+    """With nominal parameters, at the poses that suit these best where poses are unknowns."""
+    after: Array
+    sigma: Array
+    """Standard deviations of the noise."""
+    redundancy: Array | None
+    """Variance after the fit over that of the noise, 1 − h; None of results saved before that was
+    kept."""
+    of_leg: bool
+
+    @property
+    def standardised(self) -> Array:
+        """Residuals after the fit over their standard deviations σ√(1−h), h being the leverage.
+
+        Over σ where h is not known; NaN where nothing checks one.
+        """
+        share = 1.0 if self.redundancy is None else self.redundancy
+        spread = self.sigma * np.sqrt(share)
+        checked = (spread > np.sqrt(CONTROLLED) * self.sigma) & (self.sigma > 0.0)
+        return np.where(checked, self.after, np.nan) / np.where(checked, spread, 1.0)
+
+    @property
+    def rms(self) -> list[float]:
+        """Root mean squares before, after, and of the noise."""
+        parts = np.array([self.before, self.after, self.sigma])
+        return np.sqrt(np.mean(parts**2, axis=1)).tolist()
+
+
+def legs_series(result: CalibrationResult) -> list[Series]:
+    """Return the residuals of the legs."""
+    scale = np.sqrt(result.reduced_chi2) if result.noise_source == "estimated" else 1.0
+    return [_series(leg, leg.sigma * scale) for leg in result.legs]
+
+
+def observed_series(result: CalibrationResult) -> list[Series]:
+    """Return the residuals of what was measured of the platform, where poses are unknowns."""
+    return [_series(observed, observed.sigmas) for observed in result.observed]
+
+
+def _series(block: LegResult | Observed, sigma: Array) -> Series:
+    residuals = block.residuals_before, block.residuals, sigma, block.redundancy
+    return Series(block.name, block.unit, block.rows, *residuals, isinstance(block, LegResult))
+
+
+def noisy_series(result: CalibrationResult) -> list[Series]:
+    """Return residuals that carry noise: of legs, of the platform if legs cannot miss, or both.
+
+    Both where readings have noise: they share with the platform what is missed.
+    """
+    if readings_exact(result):
+        return observed_series(result)
+    shared = any(leg.quantity == "reading" for leg in result.legs)
+    return legs_series(result) + (observed_series(result) if shared else [])
+
+
+def readings_exact(result: CalibrationResult) -> bool:
+    """Return whether legs close by construction, so that only the platform can miss something."""
+    return bool(result.observed) and not any((leg.sigma > 0.0).any() for leg in result.legs)
+
+
+@dataclass(frozen=True)
+class WorkspaceErrors:
+    """Errors of the platform at poses; NaN where a mechanism does not reach one."""
+
+    poses: Array
+    """Coordinates, shape (N, dof)."""
+    before: Array
+    """Of the nominal model, zeros of motors as they were found, position [m] and orientation [rad],
+    shape (N, 2)."""
+    expected: PlatformError
+    """Of the identified one, at the same poses."""
+    inside: PlatformError
+    """Of those poses that lie in the measured region (see ``expected_error``)."""
+    sampled: bool = True
+    """Whether poses are of the workspace, or those of the measurements."""
+
+    @cached_property
+    def share(self) -> float:
+        """Share of the poses that are reached which lies in the measured region."""
+        return float(self.expected.within.sum()) / max(self.expected.poses, 1)
+
+    @property
+    def units(self) -> dict[str, str]:
+        """SI units of the platform's errors by their names."""
+        every = {"position": "m", "orientation": "rad"}
+        return {name: unit for name, unit in every.items() if unit in self.expected.units}
+
+    @property
+    def where(self) -> str:
+        """Over which poses means are taken, for sentences."""
+        if not self.sampled:
+            return "over the measured poses"
+        if self.share == 1.0:
+            return "over the workspace"
+        return f"over the measured region, {percent(self.share)} of the workspace"
+
+    def mean_before(self) -> tuple[float, float]:
+        """Return root mean squares of the nominal model's errors, [m] and [rad]."""
+        return root_mean_squares(self.before[self.expected.within])
+
+    def mean_after(self) -> tuple[float, float]:
+        """Return root mean squares of the errors to expect, [m] and [rad]."""
+        return self.inside.where_determined
+
+    @property
+    def beyond(self) -> Finding | None:
+        """What is to be expected outside the measured region; None if little lies there."""
+        outside = np.isinf(self.expected.outside) | (self.expected.outside > 1.0)
+        if not self.sampled or outside.mean() < _MENTIONED:
+            return None
+        sizes = self.expected.sizes[outside]
+        position, orientation = root_mean_squares(sizes)
+        return finding(
+            "beyond-measured",
+            share=1.0 - self.share,
+            position=position,
+            orientation=orientation if "rad" in self.expected.units else None,
+            undetermined=float(np.isinf(sizes).any(axis=1).mean()),
+        )
+
+
+def workspace_errors(result: CalibrationResult) -> WorkspaceErrors:
+    """Return the platform's errors at samples of the workspace.
+
+    At the measured configurations if no workspace is found with the default margins, or no sample
+    lies in the measured region.
+    """
+    try:
+        sampled = errors_at(result, sample_configurations(result.nominal, _SAMPLES))
+        if sampled.expected.within.any():
+            return sampled
+    except WorkspaceError:
+        pass
+    return errors_at(result, measured_plan(result), sampled=False)
+
+
+def errors_at(
+    result: CalibrationResult, planned: Plan | Array, *, sampled: bool = True
+) -> WorkspaceErrors:
+    """Return the platform's errors at planned poses, coordinates of shape (N, dof), or a plan."""
+    plan = as_plan(result.nominal, planned)
+    inside = expected = result.expected_error(plan)
+    within = expected.within
+    if not within.all():  # frames are those of other poses, the region is the same
+        inside = replace(result.expected_error(plan.rows(within)), outside=expected.outside[within])
+    twists = platform_errors(result.begun, result.identified, plan)
+    reached = np.isfinite(twists).all(axis=1)
+    seen, units = seen_of(
+        result.identified, plan.poses[reached], twists[reached, :, None], seen_by(result)
+    )
+    before = np.full((len(twists), 2), np.nan)
+    before[reached] = sizes(units, seen[:, :, 0])
+    return WorkspaceErrors(plan.poses, before, expected, inside, sampled)
+
+
+def error_map(result: CalibrationResult) -> tuple[Array, Array, float | None, Array]:
+    """Return the expected error of the calibrated platform's position over x and y.
+
+    The other coordinates are as at home.
+
+    Returns:
+        x and y, shapes (n,), [m]; z in the middle of the workspace, [m], or None in a plane;
+        errors, shape (n, n), rows of equal y, [m], NaN outside of the workspace or not determined.
+
+    Raises:
+        MeasurementError: residuals are so large that no accuracy can be promised.
+        WorkspaceError: no workspace was found, or it fills no plane.
+    """
+    nominal, platform = result.nominal, result.nominal.platform
+    if not result.explained:
+        raise MeasurementError(
+            "no map: no accuracy can be promised, since residuals are far larger than the noise"
+        )
+    if nominal.by_readings:
+        raise WorkspaceError("no map: its poses follow from readings, and do not fill a plane")
+    if platform.coordinates[:2] != ("x", "y"):
+        raise WorkspaceError("no map: its platform does not move in x and y")
+    samples = sample_configurations(nominal, _SAMPLES).poses
+    count, height = _ACROSS[platform.space], None
+    x, y = np.linspace(samples.min(axis=0)[:2], samples.max(axis=0)[:2], count, axis=1)
+    grid = np.tile(platform.home, (count, count, 1))
+    grid[..., 0], grid[..., 1] = x, y[:, None]
+    if platform.coordinates[2:3] == ("z",):
+        height = float(np.median(samples[:, 2]))
+        grid[..., 2] = height
+    poses = grid.reshape(-1, platform.dof)
+    inside = in_workspace(nominal, poses)
+    if not inside.any():
+        raise WorkspaceError("no map: no workspace was found with the default margins")
+    errors = np.full(len(poses), np.nan)
+    errors[inside] = result.expected_error(poses[inside]).sizes[:, 0]
+    errors[~np.isfinite(errors)] = np.nan
+    return x, y, height, errors.reshape(count, count)
