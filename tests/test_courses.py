@@ -17,13 +17,7 @@ from pincal.calibration.fits import fitted
 from pincal.calibration.terms.kinds import every_pair
 from pincal.calibration.terms.screen import Candidate, screen
 from pincal.estimation.observability.courses import scores, slips
-from pincal.estimation.observability.residuals import (
-    ResidualForm,
-    Residuals,
-    above,
-    of_forms,
-    together,
-)
+from pincal.estimation.observability.residuals import Residuals, above, together
 
 Array = NDArray[np.float64]
 NOISE = pincal.Noise(2e-5, 5e-5, 2e-5)
@@ -51,9 +45,12 @@ def test_equal_weights_have_the_law_of_beta() -> None:
 
 def test_what_parameters_take_up_is_not_seen() -> None:
     """Nothing is read in rounding errors: the probability is one."""
-    nothing = ResidualForm(np.array([1e-25, 1e-22]), 1e-22, 1.0)
-    something = ResidualForm(np.array([0.5, 1.0]), 6.0, 1.0)
-    chances = of_forms([nothing, something], 30.0, 30)
+    draw = np.random.default_rng(0)
+    Q = np.linalg.qr(draw.standard_normal((40, 3)))[0].reshape(20, 2, 3)
+    error = draw.standard_normal((20, 2, 1))
+    left = error[:, :, 0] - np.einsum("nmk,jlk,jl->nm", Q, Q, error[:, :, 0])
+    residuals = Residuals(np.arange(20), left, Q, float((left**2).sum()) + 30.0, 37)
+    chances = residuals.chances([Q @ draw.standard_normal((3, 2)), error])
     assert chances[0] == 1.0
     assert chances[1] < 0.1
 

@@ -22,8 +22,10 @@ def test_noise_is_found_in_a_few_rounds(
     rounds = []
     last = fits.estimated_noise
 
-    def counted(moments: object, noise: pincal.Noise, *more: object) -> pincal.Noise:
-        rounds.append((noise, last(moments, noise, *more)))
+    def counted(
+        moments: object, noise: pincal.Noise, *more: object, **options: object
+    ) -> pincal.Noise:
+        rounds.append((noise, last(moments, noise, *more, **options)))
         return rounds[-1][1]
 
     monkeypatch.setattr(fits, "estimated_noise", counted)

@@ -16,7 +16,7 @@ import pincal
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.fits import fitted
 from pincal.calibration.options import Options
-from pincal.estimation.components import Beforehand, Moments, widened
+from pincal.estimation.components import Moments, assumed_information
 from pincal.estimation.fit import Fit
 
 DRAWS = 12
@@ -70,11 +70,12 @@ def test_what_is_assumed_counts_where_residuals_say_little() -> None:
     noise = NOISES["readings too"]
     one = fit_at(noise)
     moments = Moments.of([(one, one.problem)], noise.reading)
-    before = Beforehand(np.array([1.0, 4.0, 9.0]), exact=True, noisy=True)
+    sizes, units = pincal.Noise(1.0, 2.0, 3.0), pincal.Noise(1.0, 1.0, 1.0)
+    before = assumed_information(sizes, units, moments.scale, exact=True)
     little = replace(moments, F=1e-9 * moments.F, q=1e-9 * moments.q).variances(before)
     assert little[0] == pytest.approx(4.0 * little[1], rel=1e-6)
     assert little[2] == pytest.approx(0.0, abs=1e-6)
-    alike = replace(before, exact=False)
+    alike = assumed_information(sizes, units, moments.scale, exact=False)
     little = replace(moments, F=1e-9 * moments.F, q=1e-9 * moments.q).variances(alike)
     assert little[0] == pytest.approx(9.0 * little[2], rel=1e-6)
     own = np.array([1.0, 2.0, 3.0])
@@ -87,7 +88,8 @@ def test_no_variance_is_below_zero() -> None:
     noise = NOISES["readings too"]
     one = fit_at(noise)
     moments = Moments.of([(one, one.problem)], noise.reading)
-    before = Beforehand(np.ones(3), exact=True, noisy=True)
+    units = pincal.Noise(1.0, 1.0, 1.0)
+    before = assumed_information(units, units, moments.scale, exact=True)
     for negative in range(3):
         own = np.where(np.arange(3) == negative, -1.0, 1.0)
         great = replace(moments, F=1e9 * moments.F, q=1e9 * moments.F @ own)
@@ -106,7 +108,7 @@ def test_covariances_lack_what_kenward_and_roger_say() -> None:
     M, T = np.eye(len(J)) - J @ back, one.unknowns.map
     part = sum(C[g, h] * V[g] @ M @ V[h] for g, h in product(range(3), range(3)))
     wanted = 2.0 * T @ back @ part @ back.T @ T.T
-    found = widened(moments.parts[0], C)
+    (found,) = moments.widenings(C)
     np.testing.assert_allclose(found, wanted, atol=1e-8 * np.abs(wanted).max())
     assert (np.linalg.eigvalsh(found) > -1e-9 * np.abs(found).max()).all()
 

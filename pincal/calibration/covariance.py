@@ -14,7 +14,6 @@ from scipy.special import chdtrc, chdtri, fdtrc, ndtri, stdtrit
 
 from pincal.calibration.fits import Fits
 from pincal.design.platform_error import CONFIDENCE
-from pincal.estimation.components import freedoms
 from pincal.estimation.fit import Fit
 from pincal.kinematics.batches import over_rows
 from pincal.model.leg import Leg
@@ -71,7 +70,7 @@ def systematic(fits: Fits) -> Array:
     measured = observation.systematic(fit.last.state.matrices, fit.last.state.external)
     errors = np.zeros((*fit.last.conditions.shape, measured.shape[2]))
     errors[:, errors.shape[1] - measured.shape[1] :] = measured
-    return fit.spread.response(errors)
+    return fit.response(errors)
 
 
 def covariance_by_noise(fits: Fits) -> Array:
@@ -164,7 +163,7 @@ def confidence(fits: Fits) -> Confidence:
         finite = np.isfinite(freedom)
         shares = np.where(finite, moments.F[:, finite].sum(axis=1), 0.0)
         of_chi2 = float(shares.sum() ** 2 / (shares**2 / freedom).sum())
-    return Confidence(tuple(freedoms(group, spread) for group in moments.parts), of_chi2)
+    return Confidence(moments.freedoms(spread), of_chi2)
 
 
 def quantiles(degrees_of_freedom: Array) -> Array:

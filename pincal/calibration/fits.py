@@ -16,13 +16,13 @@ from pincal.calibration.options import AUTO
 from pincal.design.platform_error import CONFIDENCE
 from pincal.errors import MeasurementError, ObservabilityError
 from pincal.estimation.components import (
-    Beforehand,
     Evidence,
     FoundTolerance,
     Moments,
+    Tie,
+    assumed_information,
     estimated_noise,
     likeliest,
-    widened,
 )
 from pincal.estimation.fit import Fit
 from pincal.estimation.noise import assumed_noise
@@ -39,7 +39,6 @@ from pincal.model.measurements import Noise
 from pincal.model.mechanism import Mechanism
 from pincal.types import Array, Mask
 
-Tie = tuple[int, float] | None  # of the noise of readings to another, see ``Moments.tie``
 ROUNDS = 20  # of noise, or of frames, in turn with the legs
 _HELD_MORE = 10.0  # times better determined are directions held next if a search does not converge
 _HELD_MOST = 100.0  # times better than machines differ: those are always free
@@ -160,31 +159,32 @@ def _sound(fits: Fits) -> bool:
     return fits.converged and all(fit.degrees_of_freedom > 0 for fit in fits.fits)
 
 
-def _with_variances(fits_of_all: Fits, noise: Noise, unit: float, tie: Tie) -> Fits:
+def _with_variances(fits_of_all: Fits, noise: Noise, reading: float, tie: Tie | None) -> Fits:
     """Return fits at noise that was estimated, with what that adds to their covariances."""
     if not _sound(fits_of_all):
         return fits_of_all
     pairs = [(fit, fit.problem) for fit in fits_of_all.fits]
-    moments = Moments.of(pairs, noise.reading or unit)
+    moments = Moments.of(pairs, noise.reading or reading)
     if moments.rounding:
         return fits_of_all
-    information, _ = moments.information(_beforehand(fits_of_all.calibration, noise, tie))
-    variances: Array = np.asarray(np.linalg.inv(information))
-    fits = []
-    for fit, part in zip(fits_of_all.fits, moments.parts, strict=True):
-        widening = fit.noise_scale**2 * widened(part, variances)
-        fits.append(replace(fit, widening=fit.widening + widening))
+    unit, exact = _assumed(fits_of_all.calibration)
+    assumed = assumed_information(noise, unit, moments.scale, exact=exact, tie=tie)
+    variances: Array = np.asarray(np.linalg.inv(moments.information(assumed)))
+    fits = [
+        replace(fit, widening=fit.widening + fit.noise_scale**2 * widening)
+        for fit, widening in zip(fits_of_all.fits, moments.widenings(variances), strict=True)
+    ]
     return replace(fits_of_all, fits=fits, variances=variances)
 
 
-def _beforehand(calibration: Calibration, noise: Noise, tie: Tie) -> Beforehand:
-    """Return what is assumed of the noise before it is estimated."""
+def _assumed(calibration: Calibration) -> tuple[Noise, bool]:
+    """Return noise that is assumed to be alike, and whether readings may be exact."""
     mechanism, data = calibration.mechanism, calibration.measurements
     exact = assumed_noise(mechanism, exact=bool(np.isfinite(data.poses).all())).reading == 0.0
-    return Beforehand.of(noise, assumed_noise(mechanism, exact=False), exact=exact, tie=tie)
+    return assumed_noise(mechanism, exact=False), exact
 
 
-def _noise_of(fits_of_all: Fits, noise: Noise, unit: float, tie: Tie) -> Noise:
+def _noise_of(fits_of_all: Fits, noise: Noise, unit: float, tie: Tie | None) -> Noise:
     """Return the noise that the residuals of fits show.
 
     Args:
@@ -193,12 +193,13 @@ def _noise_of(fits_of_all: Fits, noise: Noise, unit: float, tie: Tie) -> Noise:
         unit: Standard deviation of readings to try where they were exact.
         tie: To which noise that of readings is tied, if it is.
     """
+    assumed, exact = _assumed(fits_of_all.calibration)
     for _ in range(ROUNDS):
         moments = _moments(fits_of_all, noise, noise.reading or unit)
         if moments.rounding:
             return noise
-        before = _beforehand(fits_of_all.calibration, noise, tie)
-        estimate = estimated_noise(moments, noise, noise.reading or unit, before)
+        reading = noise.reading or unit
+        estimate = estimated_noise(moments, noise, reading, assumed, exact=exact, tie=tie)
         if _agree(noise, estimate):
             break
         noise = estimate

@@ -10,7 +10,7 @@ covariance is 2 F⁻¹. How far machines differ from their drawing is found by t
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,8 +22,7 @@ from pincal.kinematics.batches import over_rows
 from pincal.model.measurements import Noise
 from pincal.types import Array, Index
 
-_P, _O, _R = range(3)  # position, orientation, reading
-
+_R = 2  # readings, behind positions and orientations
 _BEFOREHAND = 1.0  # spread of variances about what is assumed of them, over the largest
 _TIED = 1e-6  # the same where that is not to be left
 _SENSOR = 0.25  # how far a sensor's own noise moves the platform, over the noise of that
@@ -33,39 +32,25 @@ _SMALLEST = 1e-3  # standard deviation over the largest, each over its unit, if 
 _ROUNDING = 1e-10  # standard deviation over the assumed one, below which residuals are rounding
 
 
-@dataclass(frozen=True)
-class VarianceEquations:
-    """What one fit says of the variances of groups; parameters projected out by Q R = J."""
-
-    F: Array
-    """Shape (3, 3): positions, orientations, readings."""
-    q: Array
-    """rᵀ M V_g M r, shape (3,)."""
-    chi2: float
-    """rᵀ M r."""
-    P: Array
-    """Qᵀ V_g Q, shape (3, n_free, n_free)."""
-    rest: Array
-    """Qᵀ V_g M V_h Q, shape (3, 3, n_free, n_free)."""
-    back: Array
-    """R⁻ᵀ Tᵀ: its columns squared are the variances of the unknowns, shape (n_free, n)."""
-    levers: Array
-    """How far noise of a reading's unit moves a coordinate of the platform, [m] and [rad],
-    shape (2,); NaN where there is none."""
+Tie = tuple[int, float]  # positions or orientations, and how much of their noise a sensor has
 
 
 @dataclass(frozen=True)
 class Moments:
-    """What the residuals of fits say of the variances of groups, relative to the assumed ones."""
+    """What residuals of fits say of the variances of positions, orientations and readings."""
 
     F: Array
-    """Shape (3, 3): positions, orientations, readings."""
+    """Shape (3, 3), of variances relative to the assumed ones."""
     q: Array
-    """Shape (3,)."""
+    """rᵀ M V_g M r, shape (3,)."""
     scale: float
     """χ² over degrees of freedom."""
-    parts: tuple[VarianceEquations, ...]
-    """Of each fit."""
+    levers: Array
+    """How far noise of a reading's unit moves a coordinate of the platform, [m] and [rad],
+    shape (2,); NaN where there is none."""
+    parts: tuple[tuple[Array, Array, Array], ...]
+    """Of each fit Qᵀ V_g Q, Q R = J, shape (3, n_free, n_free); Qᵀ V_g M V_h Q, shape (3, 3,
+    n_free, n_free); and R⁻ᵀ Tᵀ, whose columns squared are variances of unknowns, (n_free, n)."""
 
     @classmethod
     def of(cls, fits: Sequence[tuple[Fit, Problem]], reading: float) -> Moments:
@@ -77,51 +62,43 @@ class Moments:
             fits: Of groups of legs, each with its problem at the noise in question.
             reading: Standard deviation to which that of readings is relative, [rad] or [m].
         """
-        parts = tuple(_normal(fit, problem, reading) for fit, problem in fits)
-        F, q = (
-            np.sum([getattr(equations, name) for equations in parts], axis=0) for name in ("F", "q")
-        )
+        every = (_moments(fit, problem, reading) for fit, problem in fits)
+        F, q, chi2, levers, parts = zip(*every, strict=True)
         dof = max(sum(fit.degrees_of_freedom for fit, _ in fits), 1)
-        return cls(F, q, sum(equations.chi2 for equations in parts) / dof, parts)
+        return cls(sum(F), sum(q), sum(chi2) / dof, np.mean(levers, axis=0), parts)
 
     @property
     def rounding(self) -> bool:
         """Whether the residuals are rounding errors."""
         return not self.scale > _ROUNDING**2
 
-    def information(self, beforehand: Beforehand) -> tuple[Array, Array]:
-        """Return what is known of the variances: Λ and Λ s, s their mean, shapes (3, 3) and (3,).
-
-        From the residuals, and from what is assumed beforehand, for where they say little.
-        """
-        known = 2.0 * max(self.scale, 1e-300) ** 2
-        return self.F / known + beforehand.information(self.scale), self.q / known
-
-    def tie(self, noise: Noise) -> tuple[int, float] | None:
+    def tie(self, noise: Noise) -> Tie | None:
         """Return to which noise that of readings is tied if it moves the platform much farther.
 
         What the model lacks looks like noise of the readings, and poses near singularities would
         then judge the model. It belongs to what was measured of the platform: only repeated rows
-        may show sensors that are so noisy.
-
-        Returns:
-            The group, positions or orientations, and how much of its noise a sensor has; None if
-            readings are not so noisy, or nothing of the platform was measured.
+        may show sensors that are so noisy. None if nothing of the platform was measured, either.
         """
         measured = np.flatnonzero(np.diagonal(self.F)[:_R] > 0.0)
         if not len(measured):
             return None
         group = int(measured[0])
-        lever = float(np.mean([part.levers[group] for part in self.parts]))
-        sizes = (noise.position, noise.orientation)
-        above = lever * noise.reading > _SENSORS_ONLY * sizes[group]
-        return (group, _SENSOR / lever) if above else None
+        lever, size = float(self.levers[group]), (noise.position, noise.orientation)[group]
+        return (group, _SENSOR / lever) if lever * noise.reading > _SENSORS_ONLY * size else None
 
-    def variances(self, beforehand: Beforehand) -> Array:
-        """Return the likeliest variances of groups, none below zero, relative, shape (3,)."""
-        information, moments = self.information(beforehand)
+    def information(self, assumed: Array) -> Array:
+        """Return the information on variances, with that assumed beforehand, shape (3, 3)."""
+        return self.F / (2.0 * max(self.scale, 1e-300) ** 2) + assumed
+
+    def variances(self, assumed: Array) -> Array:
+        """Return the likeliest variances of groups, none below zero, relative, shape (3,).
+
+        Where residuals say little, by the information that is assumed beforehand.
+        """
+        information = self.information(assumed)
         size = 1.0 / np.sqrt(np.diagonal(information))
-        scaled, right = information * np.outer(size, size), size * moments
+        scaled = information * np.outer(size, size)
+        right = size * self.q / (2.0 * max(self.scale, 1e-300) ** 2)
         free = np.linalg.solve(scaled, right)
         if (free >= 0.0).all():  # as nearly always
             return np.asarray(size * free)
@@ -130,90 +107,66 @@ class Moments:
         R = np.linalg.cholesky(scaled).T
         return np.asarray(size * nnls(R, np.linalg.solve(R.T, right))[0])
 
+    def freedoms(self, covariance: Array) -> tuple[Array, ...]:
+        """Return of each fit the degrees of freedom of the unknowns' variances, shape (n,).
 
-@dataclass(frozen=True)
-class Beforehand:
-    """What is assumed of variances before residuals are seen.
+        A variance is v = Σ_g s_g v_g, v_g the part of group g: 2 v² / var(v), var(v) = vᵀ cov(s) v
+        (Satterthwaite 1946); the covariance is that of the relative variances, shape (3, 3).
+        """
+        freedoms = []
+        for P, _, back in self.parts:
+            groups = np.einsum("in,gij,jn->gn", back, P, back)
+            spread = np.einsum("gn,gh,hn->n", groups, covariance, groups)
+            known = 2.0 * (back**2).sum(axis=0) ** 2 / np.where(spread > 0.0, spread, 1.0)
+            freedoms.append(np.where(spread > 0.0, known, np.inf))
+        return tuple(freedoms)
+
+    def widenings(self, covariance: Array) -> list[Array]:
+        """Return of each fit what its covariance lacks if the noise was estimated, shape (n, n).
+
+        Weights by estimated variances spread the estimate by Λ = Σ_gh cov(s)_gh Qᵀ V_g M V_h Q, and
+        the covariance at the estimate is as much too small: 2 Λ (Kenward and Roger 1997).
+        """
+        return [
+            back.T @ (2.0 * np.einsum("gh,ghij->ij", covariance, rest)) @ back
+            for _, rest, back in self.parts
+        ]
+
+
+def assumed_information(
+    noise: Noise, unit: Noise, scale: float, *, exact: bool, tie: Tie | None = None
+) -> Array:
+    """Return what is assumed of variances before residuals are seen, as information, shape (3, 3).
 
     Those of positions and orientations are alike, each over its unit; readings are exact, or alike
-    too where they cannot be exact.
-    """
-
-    ratio: Array
-    """Variance over the square of its unit, shape (3,)."""
-    exact: bool
-    """Whether readings may be exact."""
-    noisy: bool
-    """Whether they are not."""
-    sizes: Array = field(default_factory=lambda: np.ones(3))
-    """Standard deviations to which variances are relative, [m], [rad] and that of readings."""
-    tie: tuple[int, float] | None = None
-    """The group to whose noise that of readings is tied, and by which factor."""
-
-    @classmethod
-    def of(
-        cls, noise: Noise, unit: Noise, *, exact: bool, tie: tuple[int, float] | None = None
-    ) -> Beforehand:
-        """Return what is assumed beside some noise.
-
-        Args:
-            noise: The noise.
-            unit: Standard deviations that are assumed to be alike.
-            exact: Whether readings may be exact.
-            tie: See the field.
-        """
-        sizes = np.array([noise.position, noise.orientation, noise.reading or unit.reading])
-        units = np.array([unit.position, unit.orientation, unit.reading])
-        return cls((sizes / units) ** 2, exact, noise.reading > 0.0, sizes, tie)
-
-    def information(self, scale: float) -> Array:
-        """Return the information on relative variances, shape (3, 3).
-
-        Args:
-            scale: χ² over degrees of freedom.
-        """
-        largest = self.ratio[: 3 if self.noisy else 2].max() * max(scale, 1e-300)
-        contrasts = np.array([[1.0, -1.0, 0.0], [0.0 if self.exact else -1.0, 0.0, 1.0]])
-        rows = contrasts * self.ratio / (_BEFOREHAND * largest)
-        if self.tie is not None:
-            group, factor = self.tie
-            share = (factor * self.sizes[group] / self.sizes[_R]) ** 2
-            rows[1] = (np.eye(3)[_R] - share * np.eye(3)[group]) * self.ratio[_R]
-            rows[1] /= _TIED * largest
-        return np.asarray(rows.T @ rows)
-
-
-def freedoms(equations: VarianceEquations, covariance: Array) -> Array:
-    """Return the degrees of freedom of the unknowns' variances (Satterthwaite 1946), shape (n,).
-
-    A variance is v = Σ_g s_g v_g, v_g the part of group g: 2 v² / var(v), var(v) = vᵀ cov(s) v.
+    too where they cannot be exact, or tied to others.
 
     Args:
-        equations: Of the fit.
-        covariance: Of the groups' relative variances, shape (3, 3).
+        noise: Standard deviations to which variances are relative.
+        unit: Those that are assumed to be alike.
+        scale: χ² over degrees of freedom.
+        exact: Whether readings may be exact.
+        tie: To whose noise that of readings is tied, see ``Moments.tie``.
     """
-    parts = np.einsum("in,gij,jn->gn", equations.back, equations.P, equations.back)
-    spread = np.einsum("gn,gh,hn->n", parts, covariance, parts)
-    total = (equations.back**2).sum(axis=0)
-    return np.where(spread > 0.0, 2.0 * total**2 / np.where(spread > 0.0, spread, 1.0), np.inf)
+    sizes, ratio = _relative(noise, unit)
+    largest = ratio[: 3 if noise.reading > 0.0 else 2].max() * max(scale, 1e-300)
+    rows = np.array([[1.0, -1.0, 0.0], [0.0 if exact else -1.0, 0.0, 1.0]])
+    rows *= ratio / (_BEFOREHAND * largest)
+    if tie is not None:
+        group, factor = tie
+        share = (factor * sizes[group] / sizes[_R]) ** 2
+        rows[1] = (np.eye(3)[_R] - share * np.eye(3)[group]) * ratio[_R] / (_TIED * largest)
+    return np.asarray(rows.T @ rows)
 
 
-def widened(equations: VarianceEquations, covariance: Array) -> Array:
-    """Return what the covariance of the unknowns lacks if the noise was estimated, shape (n, n).
-
-    Weights by estimated variances spread the estimate by Λ = Σ_gh cov(s)_gh Qᵀ V_g M V_h Q, and
-    the covariance at the estimate is as much too small: 2 Λ (Kenward and Roger 1997).
-
-    Args:
-        equations: Of the fit.
-        covariance: Of the groups' relative variances, shape (3, 3).
-    """
-    excess = 2.0 * np.einsum("gh,ghij->ij", covariance, equations.rest)
-    return np.asarray(equations.back.T @ excess @ equations.back)
+def _relative(noise: Noise, unit: Noise) -> tuple[Array, Array]:
+    """Return standard deviations of groups, and variances over the squares of their units, (3,)."""
+    sizes = np.array([noise.position, noise.orientation, noise.reading or unit.reading])
+    return sizes, (sizes / [unit.position, unit.orientation, unit.reading]) ** 2
 
 
 def estimated_noise(
-    moments: Moments, noise: Noise, reading: float, beforehand: Beforehand
+    moments: Moments, noise: Noise, reading: float, unit: Noise, *, exact: bool, tie: Tie | None
 ) -> Noise:
     """Return the noise that residuals show.
 
@@ -221,63 +174,49 @@ def estimated_noise(
         moments: Of fits at some noise.
         noise: That noise.
         reading: Standard deviation to which that of readings is relative, [rad] or [m].
-        beforehand: What was assumed of it.
+        unit: Standard deviations that are assumed to be alike.
+        exact: Whether readings may be exact.
+        tie: See ``Moments.tie``.
     """
-    variance, assumed = moments.variances(beforehand), beforehand.ratio
+    assumed = assumed_information(noise, unit, moments.scale, exact=exact, tie=tie)
+    _, ratio = _relative(noise, unit)
     least = np.full(3, moments.scale / _LARGEST_STEP)
     least[_R] *= noise.reading > 0.0  # of a size that is not known yet
-    variance = np.clip(variance, least, moments.scale * _LARGEST_STEP)
-    floor = _SMALLEST**2 * (assumed * variance).max() / assumed
-    noisy = np.array([True, True, not beforehand.exact or bool(variance[_R] > floor[_R])])
-    variance = np.maximum(variance, floor)
-    p, o, r = np.sqrt(np.where(noisy, variance, 0.0))
+    variance = np.clip(moments.variances(assumed), least, moments.scale * _LARGEST_STEP)
+    floor = _SMALLEST**2 * (ratio * variance).max() / ratio
+    noisy = np.array([True, True, not exact or bool(variance[_R] > floor[_R])])
+    p, o, r = np.sqrt(np.where(noisy, np.maximum(variance, floor), 0.0))
     return Noise(float(noise.position * p), float(noise.orientation * o), float(reading * r))
 
 
-def _normal(fit: Fit, problem: Problem, readings: float) -> VarianceEquations:
-    """Return what a fit says of the variances of groups, at a problem's noise."""
-    same_noise = problem is fit.problem
-    linear = fit.last if same_noise else problem.renoised(fit.last)
+def _moments(
+    fit: Fit, problem: Problem, readings: float
+) -> tuple[Array, Array, float, Array, tuple[Array, Array, Array]]:
+    """Return what a fit says of the variances of groups at a problem's noise: see ``Moments``."""
+    linear = problem.renoised(fit.last)
     rows = fit.weights > 0.0
     if fit.system.loss is not None:
         rows &= ~outlying(linear.squares / fit.system.scale(linear) ** 2, linear.equations)
-    n_readings = problem.leg_block.n_readings
-    legs = problem.leg_block
+    legs, n_readings = problem.leg_block, problem.leg_block.n_readings
     legs = replace(legs, sigma=np.full_like(legs.sigma, readings))
     by_reading = np.zeros((*linear.conditions.shape, n_readings))
     by_reading[:, : legs.n_rows] = legs.noise_root(linear.demands)[:, :, :n_readings]
     levers = _levers(problem, linear, by_reading) / readings
-    by_reading = linear.white(by_reading)
     W = linear.white.by_noise[:, :, n_readings : len(problem.quantities)]
     units = list(problem.quantities.values())[n_readings:]
     lengths = np.array([unit == "m" for unit in units], dtype=bool)
-    U = [part[rows] for part in (W[:, :, lengths], W[:, :, ~lengths], by_reading)]
-    r = linear.residuals[rows]
-    if same_noise and (rows == fit.good).all():
-        normal, Q = fit.normal, fit.Q
-    else:
-        normal = NormalEquations.of(fit.system.triangle(linear, rows.astype(float), white=True))
-        Q = normal.orthonormal(linear.jacobian[rows] @ fit.unknowns.map)
-    white = r - Q @ normal.c
-    V = [part @ part.transpose(0, 2, 1) for part in U]
-    VQ = [part @ Q for part in V]
-    P = [over_rows(Q, part) for part in VQ]
-    pairs = list(zip(VQ, P, strict=True))
-    F = np.array(
-        [
-            [
-                np.einsum("nij,nij->", V[g], V[h])
-                - 2.0 * np.einsum("nmi,nmi->", VQ[g], VQ[h])
-                + np.einsum("ij,ij->", P[g], P[h])
-                for h in range(3)
-            ]
-            for g in range(3)
-        ]
-    )
-    q = np.array([float((np.einsum("nmk,nm->nk", part, white) ** 2).sum()) for part in U])
-    spread = [[over_rows(a, b) - A @ B for b, B in pairs] for a, A in pairs]
-    by_unknown = normal.orthonormal(fit.unknowns.map).T
-    return VarianceEquations(F, q, normal.left, np.array(P), np.array(spread), by_unknown, levers)
+    groups = (W[:, :, lengths], W[:, :, ~lengths], linear.white(by_reading))
+    V = np.stack([part[rows] @ part[rows].transpose(0, 2, 1) for part in groups])
+    normal = NormalEquations.of(fit.system.triangle(linear, rows.astype(float), white=True))
+    Q = normal.orthonormal(linear.jacobian[rows] @ fit.unknowns.map)
+    left = linear.residuals[rows] - Q @ normal.c
+    VQ = V @ Q
+    P = np.stack([over_rows(Q, part) for part in VQ])
+    F = np.einsum("gnij,hnij->gh", V, V) + np.einsum("gij,hij->gh", P, P)
+    F -= 2.0 * np.einsum("gnmi,hnmi->gh", VQ, VQ)
+    q = np.einsum("nm,gnmk,nk->g", left, V, left, optimize=True)
+    rest = np.stack([[over_rows(a, b) for b in VQ] for a in VQ]) - P[:, None] @ P
+    return F, q, normal.left, levers, (P, rest, normal.orthonormal(fit.unknowns.map).T)
 
 
 def _levers(problem: Problem, linear: Linear, by_reading: Array) -> Array:
@@ -324,11 +263,6 @@ class Evidence:
             np.array([groups[labels[place]] for place in places], dtype=np.intp),
         )
 
-    def counts(self, groups: int) -> Array:
-        """Return how many deviations of each group are independent, shape (groups,)."""
-        members = [self.deviations[self.groups == group] for group in range(groups)]
-        return np.array([_rank(rows) if len(rows) else 0 for rows in members], dtype=float)
-
     def deviance(self, sizes: Array) -> float:
         """Return minus twice the log evidence of sizes τ of the groups, but for a constant."""
         n, weights = len(self.triangle) - 1, 1.0 / sizes[self.groups]
@@ -374,7 +308,10 @@ def likeliest(
     from scipy.optimize import brentq, minimize  # slow to load: when needed
 
     low, high = (np.log(sizes) for sizes in within)
-    counts = np.sum([evidence.counts(len(start)) for evidence in parts], axis=0)
+    counts = [
+        sum(_rank(part.deviations[part.groups == group]) for part in parts)
+        for group in range(len(start))
+    ]
 
     def least(begin: Array, held: int | None = None, penalty: float = 0.0) -> tuple[Array, float]:
         """Return where the deviance is least, one logarithm held, and its value there."""

@@ -7,9 +7,11 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.spatial import KDTree
 from scipy.special import chdtri
 
-from pincal.errors import ObservabilityError
+from pincal.errors import MeasurementError, ObservabilityError
+from pincal.estimation.noise import RowNoise
 from pincal.estimation.observability.identifiable import check_information, check_rank
 from pincal.estimation.problem import Linear, Problem
 from pincal.estimation.solver import (
@@ -20,128 +22,12 @@ from pincal.estimation.solver import (
     search,
     solve_poses,
 )
-from pincal.estimation.start import near_start
 from pincal.estimation.system import FALSE_ALARM, ROWS_FOLLOW, NormalEquations, System, outlying
 from pincal.estimation.unknowns import State, Unknowns
+from pincal.kinematics.closure import largest_size
 from pincal.types import Array, Index, Mask
 
 _FALLEN = 0.9  # share of what determines a direction that falling slopes may take away
-
-
-@dataclass(frozen=True)
-class Spread:
-    """How an optimum follows its rows ρ: δz = −B⁻¹ Σ ψ' Jᵀ ρ, of covariance B⁻¹ M B⁻¹."""
-
-    system: System
-    linear: Linear
-    slopes: Array
-    """ψ' in B: its mean over rows that fit, the weight of an outlier; shape (N,)."""
-    falls: Array
-    """By how much an outlier's slope along its residuals is less, shape (N,)."""
-    noises: Array
-    """Root mean square of ψ in M of rows that fit, 0 of outliers, shape (N,)."""
-    pulls: Array
-    """ψ over the residuals of outliers, 0 of rows that fit, shape (N,)."""
-
-    @classmethod
-    def of(cls, system: System, optimum: SolverResult, variance: float) -> Spread:
-        """Return how an optimum spreads, by the variance of white residuals but outliers'."""
-        linear, weights, scale = optimum.last, optimum.weights, optimum.scale
-        none = np.zeros_like(weights)
-        if system.loss is None:
-            return cls(system, linear, weights, none, weights, none)
-        squares, equations = linear.squares / scale**2, linear.equations
-        unit = max(variance, 1e-300)
-        far = squares > chdtri(np.maximum(equations, 1), FALSE_ALARM)
-        good, far = system.in_use(linear) & ~far, system.in_use(linear) & far
-        n = system.unknowns.n_free
-        slope, square, factor = system.loss.moments(squares[good], equations[good], n)
-        return cls(
-            system,
-            linear,
-            np.where(good, slope, weights),
-            np.where(far, weights - system.loss.slope(squares, equations), 0.0),
-            np.where(good, factor * np.sqrt(square * scale**2 / unit), 0.0),
-            np.where(far, factor * weights / np.sqrt(unit), 0.0),
-        )
-
-    @cached_property
-    def root(self) -> Array:
-        """Root of B⁻¹, shape (n_free, n_free): that of (RᵀR − GᵀG)⁻¹, G what outliers' slopes fall.
-
-        Of least squares R⁻¹.
-        """
-        root = NormalEquations.of(self.system.triangle(self.linear, self.slopes)).root
-        if not self.falls.any():
-            return root
-        along = self._along / np.sqrt(np.maximum(self.linear.squares, 1e-300))[:, None]
-        C = np.sqrt(np.maximum(self.falls, 0.0))[:, None] * along @ self.system.unknowns.map @ root
-        share, V = np.linalg.eigh(C.T @ C)
-        return np.asarray(root @ (V / np.sqrt(1.0 - np.minimum(share, _FALLEN))))
-
-    @cached_property
-    def meat_in_root(self) -> Array:
-        """Root of B⁻¹, transposed, M, root of B⁻¹: 1 of least squares, shape (n_free, n_free).
-
-        Of plain residuals with the covariance S Sᵀ of each row, M = Σ Jᵀ S Sᵀ J.
-        """
-        system, linear = self.system, self.linear
-        if system.problem.weighted and system.loss is None:
-            return np.eye(len(self.root))
-        by_free, W = system.unknowns.map @ self.root, system.rows(linear).by_noise
-        pulled = self._pulled[self.pulls > 0.0] @ by_free
-        prior = system.unknowns.prior_rows(linear.state.parameters)[1] @ self.root
-        meat = pulled.T @ pulled + prior.T @ prior
-        for poses in linear.parts():
-            fits = self.noises[poses] > 0.0
-            J = system.derivatives(linear, poses)[fits] @ by_free
-            rows = W[poses][fits].transpose(0, 2, 1) @ J
-            rows = (self.noises[poses][fits, None, None] * rows).reshape(-1, len(meat))
-            meat += rows.T @ rows
-        return np.asarray(meat)
-
-    @property
-    def covariance(self) -> Array:
-        """Covariance of all unknowns in units of the noise, shape (n, n)."""
-        by_free = self.system.unknowns.map @ self.root
-        return np.asarray(by_free @ self.meat_in_root @ by_free.T)
-
-    @property
-    def _along(self) -> Array:
-        """rᵀ J of each row, shape (N, n)."""
-        J, r = self.system.derivatives(self.linear), self.system.residuals(self.linear)
-        return np.asarray(np.einsum("nm,nmk->nk", r, J))
-
-    @property
-    def _pulled(self) -> Array:
-        """ψᵀ J of outliers, shape (N, n)."""
-        return np.where(self.pulls[:, None] > 0.0, self.pulls[:, None] * self._along, 0.0)
-
-    @property
-    def _bread(self) -> Array:
-        """B⁻¹ in all unknowns, T B⁻¹ Tᵀ, shape (n, n)."""
-        by_free = self.system.unknowns.map @ self.root
-        return np.asarray(by_free @ by_free.T)
-
-    def response(self, errors: Array) -> Array:
-        """Return how all unknowns follow errors c of the conditions, (N, k, q) to (n, q).
-
-        −B⁻¹ Σ Jᵀ ψ' c.
-        """
-        weighted = self.slopes[:, None, None] * self.system.rows(self.linear)(errors)
-        J = self.system.derivatives(self.linear)
-        return np.asarray(-self._bread @ np.einsum("nmk,nmq->kq", J, weighted, optimize=True))
-
-    @property
-    def influence(self) -> Array:
-        """How all unknowns follow the noise in standard deviations, shape (N, n, s + 1).
-
-        K = −B⁻¹ Jᵀ W at each pose; the last column is what an outlier moves.
-        """
-        W, J = self.system.rows(self.linear).by_noise, self.system.derivatives(self.linear)
-        noise = self.noises[:, None, None] * (J.transpose(0, 2, 1) @ W)
-        noise = np.where((self.noises > 0.0)[:, None, None], noise, 0.0)
-        return -self._bread @ np.concatenate((noise, self._pulled[:, :, None]), axis=2)
 
 
 @dataclass(frozen=True)
@@ -164,7 +50,10 @@ class Outlier:
 
 @dataclass(frozen=True)
 class Fit(SolverResult):
-    """Optimum of a problem, and what is known about it."""
+    """Optimum of a problem, and what is known about it.
+
+    It follows its rows ρ by δz = −B⁻¹ Σ ψ' Jᵀ ρ, of covariance B⁻¹ M B⁻¹.
+    """
 
     system: System
     """What was minimised."""
@@ -215,7 +104,7 @@ class Fit(SolverResult):
     def chi2(self) -> float:
         """Sum of squares; with a loss what good rows would have at their own optimum."""
         if self.system.loss is None and self.problem.weighted:
-            return self.system.cost(self.last.residuals, self.weights, self.last)
+            return self.system.cost(self.last, self.weights)
         return self.normal.left
 
     @cached_property
@@ -230,11 +119,6 @@ class Fit(SolverResult):
         return self.normal.orthonormal(self.last.jacobian[self.good] @ self.unknowns.map)
 
     @cached_property
-    def spread(self) -> Spread:
-        """How it follows what rows are off by."""
-        return Spread.of(self.system, self, self.chi2 / max(self.degrees_of_freedom, 1))
-
-    @cached_property
     def noise_scale(self) -> float:
         """Standard deviation of white residuals: 1 if the noise is known."""
         if self.system.known:
@@ -242,17 +126,108 @@ class Fit(SolverResult):
         return float(np.sqrt(max(self.chi2 / max(self.degrees_of_freedom, 1), 0.0)))
 
     @cached_property
+    def slopes(self) -> Array:
+        """ψ' in B: its mean over rows that fit, the weight of an outlier; shape (N,)."""
+        return self._psi[0]
+
+    @cached_property
+    def _psi(self) -> tuple[Array, Array, Array, Array]:
+        """Slopes of ψ, and by how much outliers' are less along their residuals, shape (N,).
+
+        Then root mean squares of ψ of rows that fit, and ψ over the residuals of outliers, else 0.
+        """
+        system, weights, none = self.system, self.weights, np.zeros_like(self.weights)
+        if system.loss is None:
+            return weights, none, weights, none
+        squares, equations = self.last.squares / self.scale**2, self.last.equations
+        unit = max(self.chi2 / max(self.degrees_of_freedom, 1), 1e-300)
+        far = squares > chdtri(np.maximum(equations, 1), FALSE_ALARM)
+        good, far = system.in_use(self.last) & ~far, system.in_use(self.last) & far
+        n = system.unknowns.n_free
+        slope, square, factor = system.loss.moments(squares[good], equations[good], n)
+        return (
+            np.where(good, slope, weights),
+            np.where(far, weights - system.loss.slope(squares, equations), 0.0),
+            np.where(good, factor * np.sqrt(square * self.scale**2 / unit), 0.0),
+            np.where(far, factor * weights / np.sqrt(unit), 0.0),
+        )
+
+    @cached_property
+    def root(self) -> Array:
+        """Root of B⁻¹, shape (n_free, n_free): that of (RᵀR − GᵀG)⁻¹, G what outliers' slopes fall.
+
+        Of least squares R⁻¹.
+        """
+        root = NormalEquations.of(self.system.triangle(self.last, self.slopes)).root
+        falls = self._psi[1]
+        if not falls.any():
+            return root
+        along = self._along / np.sqrt(np.maximum(self.last.squares, 1e-300))[:, None]
+        C = np.sqrt(np.maximum(falls, 0.0))[:, None] * along @ self.unknowns.map @ root
+        share, V = np.linalg.eigh(C.T @ C)
+        return np.asarray(root @ (V / np.sqrt(1.0 - np.minimum(share, _FALLEN))))
+
+    @cached_property
+    def meat_in_root(self) -> Array:
+        """Root of B⁻¹, transposed, M, root of B⁻¹: 1 of least squares, shape (n_free, n_free).
+
+        Of plain residuals with the covariance S Sᵀ of each row, M = Σ Jᵀ S Sᵀ J.
+        """
+        system, linear, noises = self.system, self.last, self._psi[2]
+        if self.problem.weighted and system.loss is None:
+            return np.eye(len(self.root))
+        by_free, W = self.unknowns.map @ self.root, system.rows(linear).by_noise
+        pulled = self._pulled[self._psi[3] > 0.0] @ by_free
+        prior = self.unknowns.prior_rows(self.parameters)[1] @ self.root
+        meat = pulled.T @ pulled + prior.T @ prior
+        for poses in linear.parts():
+            fits = noises[poses] > 0.0
+            J = system.derivatives(linear, poses)[fits] @ by_free
+            rows = W[poses][fits].transpose(0, 2, 1) @ J
+            rows = (noises[poses][fits, None, None] * rows).reshape(-1, len(meat))
+            meat += rows.T @ rows
+        return np.asarray(meat)
+
+    @cached_property
     def covariance(self) -> Array:
-        """Of all unknowns, shape (n, n); scaled by χ² if the noise was assumed."""
-        return np.asarray(self.noise_scale**2 * self.spread.covariance + self.widening)
+        """Of all unknowns, B⁻¹ M B⁻¹, shape (n, n); scaled by χ² if the noise was assumed."""
+        by_free = self.unknowns.map @ self.root
+        covariance = by_free @ self.meat_in_root @ by_free.T
+        return np.asarray(self.noise_scale**2 * covariance + self.widening)
+
+    @property
+    def _along(self) -> Array:
+        """rᵀ J of each row, shape (N, n)."""
+        J, r = self.system.derivatives(self.last), self.system.residuals(self.last)
+        return np.asarray(np.einsum("nm,nmk->nk", r, J))
+
+    @property
+    def _pulled(self) -> Array:
+        """ψᵀ J of outliers, shape (N, n)."""
+        pulls = self._psi[3][:, None]
+        return np.where(pulls > 0.0, pulls * self._along, 0.0)
+
+    def response(self, errors: Array) -> Array:
+        """Return how all unknowns follow errors c of the conditions, (N, k, q) to (n, q).
+
+        −B⁻¹ Σ Jᵀ ψ' c.
+        """
+        weighted = self.slopes[:, None, None] * self.system.rows(self.last)(errors)
+        J, by_free = self.system.derivatives(self.last), self.unknowns.map @ self.root
+        right = np.einsum("nmk,nmq->kq", J, weighted, optimize=True)
+        return np.asarray(-by_free @ (by_free.T @ right))
 
     @cached_property
     def influence(self) -> Array:
         """How all unknowns follow the noise in standard deviations, shape (N, n, s + 1).
 
-        The last column is what an outlier moves.
+        K = −B⁻¹ Jᵀ W at each pose; the last column is what an outlier moves.
         """
-        return self.noise_scale * self.spread.influence
+        W, J = self.system.rows(self.last).by_noise, self.system.derivatives(self.last)
+        noises, by_free = self._psi[2][:, None, None], self.unknowns.map @ self.root
+        noise = np.where(noises > 0.0, noises * (J.transpose(0, 2, 1) @ W), 0.0)
+        follows = np.concatenate((noise, self._pulled[:, :, None]), axis=2)
+        return -self.noise_scale * (by_free @ by_free.T) @ follows
 
 
 def fit(
@@ -273,12 +248,12 @@ def fit(
     check_rank(problem, unknowns, first)
     if not problem.weighted:
         system = replace(system, unit=float(np.median(np.linalg.norm(first.noise_root, axis=2))))
-    highest = system.cost_at(first)
+    highest = system.cost(first)
     near = first
     if start is not None:  # where the last steps ended, which the search does not know of
         highest *= 1.0 + ROWS_FOLLOW
     else:
-        near, easy_evaluations = near_start(system, first, progress)
+        near, easy_evaluations = _near_start(system, first, progress)
         evaluations += easy_evaluations
     enough = SLOW if adjusts(problem) else 0.0  # the last steps go on from there
     stop = system.max_evaluations
@@ -304,6 +279,78 @@ def fit(
     return replace(optimum, evaluations=solution.evaluations + evaluations)
 
 
+_UNEVEN = 100.0  # ratio of noise up to which valleys are wide enough
+_GROSS = 100.0  # times as far off as usual at the start: rows left out of the easier problem
+_EASY_NEAR = 0.1  # standard deviations of a residual at which the easier problem is left
+_EASY_EVALUATIONS = 50
+
+
+def _near_start(
+    system: System, first: Linear, progress: Callable[[str], None] | None
+) -> tuple[Linear, int]:
+    """Return where the search begins, near an easier optimum if that is better; and evaluations.
+
+    That of the evened problem, without gross errors, and of least squares: a loss bends the cost
+    far from its optimum.
+    """
+    problem = system.problem
+    sound = first.squares <= _GROSS**2 * np.median(first.squares)
+    easier = _evened(problem, first) or (problem if system.loss or not sound.all() else None)
+    if easier is None:
+        return first, 0
+    begin, solved = solve_poses(easier, easier.evaluate(problem.start(first.state.parameters)))
+    taking_part = sound if system.kept is None else system.kept & sound
+    easy = replace(system, problem=easier, kept=taking_part, loss=None)
+    end = search(easy, begin, progress, enough=_EASY_NEAR, max_evaluations=_EASY_EVALUATIONS)
+    state, evaluations = end.last.state, solved + end.evaluations
+    if problem.latent and not sound.all():  # what was measured may lead to another assembly mode:
+        readings = problem.leg_block.readings  # those rows start where readings are most alike
+        readings = readings / np.maximum(np.ptp(readings, axis=0), 1e-300)
+        rows, sound_rows = np.arange(len(sound)), np.flatnonzero(sound)
+        rows[~sound] = sound_rows[KDTree(readings[sound_rows]).query(readings[~sound])[1]]
+        state = state.rows(rows)
+    try:
+        with np.errstate(all="ignore"):
+            near, solved = solve_poses(problem, problem.evaluate(state))
+            costs = [system.cost(linear) for linear in (first, near)]
+    except MeasurementError:
+        return first, evaluations
+    better = np.isfinite(costs[1]) and not costs[1] > costs[0]
+    return (near if better else first), evaluations + solved
+
+
+def _evened(problem: Problem, linear: Linear) -> Problem | None:
+    """Return the problem with every quantity at least as uncertain as is typical, if that differs.
+
+    Its optimum is nearby and has no narrow valleys: where readings are exact, a pose near a
+    singularity of the nominal machine goes far astray. An arm that carries the platform has none.
+    """
+    if not problem.latent or any(leg.is_arm for leg in problem.legs):
+        return None
+    legs, observation = problem.leg_block, problem.observation
+    lengths = np.array([unit == "m" for unit in observation.units], dtype=bool)
+    size = largest_size(problem.legs)
+    of_legs = np.linalg.norm(linear.noise_root[:, : legs.n_rows], axis=2)
+    observed = (observation.sigma * np.where(lengths, 1.0, size))[observation.measured]
+    noisy = [values[values > 0.0] for values in (observed, of_legs) if (values > 0.0).any()]
+    if not noisy:
+        return None
+    typical = float(np.median(noisy[0]))
+    sigma = np.maximum(observation.sigma, np.where(lengths, typical, typical / size))
+    slopes = [np.median(np.linalg.norm(d.reading, axis=1), axis=0) for d in linear.demands]
+    floors = typical / np.maximum(np.concatenate(slopes), 1e-300)
+    readings = np.maximum(legs.sigma, np.where(np.isfinite(floors), floors, 0.0))
+    even = (sigma <= _UNEVEN * observation.sigma) | ~observation.measured
+    if even.all() and (readings <= _UNEVEN * legs.sigma).all():
+        return None
+    noise = RowNoise(sigma, observation.noise.correlation)
+    return replace(
+        problem,
+        leg_block=replace(legs, sigma=readings),
+        observation=observation.with_noise(noise),
+    )
+
+
 _PAIRS, _CLEARLY = 3, 0.1
 _BY_PRIORS = 0.5  # share of what determines a direction, from which it is the priors'
 
@@ -315,8 +362,8 @@ def curvature(fit: Fit, threshold: float = 0.0) -> float:
     priors determine rather than rows is as wide as they are, and rows say nothing straight of it:
     it stays. Far below a threshold one pair of draws will do.
     """
-    problem, linear, rows = fit.problem.thinned(fit.last)
-    used, n = (fit.weights > 0.0)[rows], len(fit.covariance)
+    problem, linear = fit.problem, fit.last
+    used, n = fit.weights > 0.0, len(fit.covariance)
     size = np.sqrt(np.diagonal(fit.covariance))
     size = np.where(size > 0.0, size, 1.0)  # so that draws are the same in any unit
     values, axes = np.linalg.eigh(fit.covariance / np.outer(size, size))

@@ -31,16 +31,6 @@ Residual = Literal["closure", "joint"]
 
 
 @dataclass(frozen=True)
-class LegBlockRows(BlockRows):
-    """Residuals of all legs at a state, and where their joints are."""
-
-    demands: tuple[Demand, ...]
-    """What each leg demands, with its derivatives by readings."""
-    joints: tuple[Array, ...]
-    """Joint positions of each leg, deformations behind them, shape (N, n_joints [+ n_deformed])."""
-
-
-@dataclass(frozen=True)
 class LegBlock:
     """Residuals of some legs at N rows of measured readings."""
 
@@ -148,7 +138,7 @@ class LegBlock:
             known[:, : columns.stop - columns.start] += shift[:, columns]
         return replace(self, known=tuple(corrected))
 
-    def evaluate(self, state: State) -> LegBlockRows:
+    def evaluate(self, state: State) -> BlockRows:
         """Return the residuals of the legs at a state; zero where a row does not serve a leg.
 
         Raises:
@@ -160,7 +150,7 @@ class LegBlock:
         by_pose = np.concatenate([demand.pose for demand in of_legs], axis=1)
         by_pose = np.where(self.active[:, :, None], by_pose, 0.0)
         by_parameter = block_diagonal([demand.parameter for demand in of_legs])
-        return LegBlockRows(
+        return BlockRows(
             np.where(self.active, value, 0.0),
             by_pose[:, :, : None if self.pose_roots is None else 0],
             np.where(self.active[:, :, None], by_parameter, 0.0),
@@ -185,13 +175,8 @@ class LegBlock:
         """Return poses at which an arm's closure is what a step was to make it, (N, 4, 4).
 
         An arm that is read carries the platform exactly, along no straight line; None if no leg
-        is one.
-
-        Args:
-            of_legs: What the legs demanded before the step.
-            step: Step of all unknowns, shape (n,).
-            twists: Steps of the poses, shape (N, dof).
-            parameters: Parameters of all legs after the step, shape (n_params,).
+        is one. Of the step of all unknowns (n,), twists of the poses (N, dof), what legs demanded
+        before, and the parameters of all legs after it (n_params,).
         """
         for leg, demand, known, columns in zip(
             self.legs, of_legs, self.known, self.columns, strict=True
@@ -229,11 +214,7 @@ class LegBlock:
         return [of_legs[i] for i in every], [joints[i] for i in every]
 
     def _predicted(self, state: State) -> tuple[list[Demand], list[Array]]:
-        """Return predicted less measured readings of the legs, and their joints.
-
-        Raises:
-            MeasurementError: a pose out of reach.
-        """
+        """Return predicted less measured readings of the legs, and their joints."""
         of_legs, joints = [], []
         for closure, known in zip(self._closures(state.parameters), self.known, strict=True):
             leg = closure.leg

@@ -1,26 +1,55 @@
-"""The noise of the measurements: given, of each row, from repeated rows, or assumed."""
+"""The noise of the measurements: given, of each row, from repeated rows, or assumed.
+
+A tracker measures a range and two angles: errors of x, y and z are correlated, the more so the
+farther it is. Columns ``cov_x_y`` say any covariance.
+"""
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Hashable
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
 
 from pincal.errors import MeasurementError
-from pincal.estimation.covariances import RowNoise, row_noise
 from pincal.model.checks import ROUNDING
 from pincal.model.measurements import SMALLEST_SIGMA, Measurements, Noise
 from pincal.model.mechanism import Mechanism
-from pincal.model.setup import POLAR, Setup
-from pincal.types import Array, Index
+from pincal.model.orientation import SINGLE_ANGLES
+from pincal.model.platform import Platform
+from pincal.model.setup import ORIGIN, POLAR, Setup, Tracker
+from pincal.types import Array, Index, Mask
 
 Freedoms = tuple[float, float, float]
 Source = Literal["given", "rows", "repeats", "estimated"]
 _ENOUGH = 30  # rows that repeat others; fewer say less about the noise than the residuals do
 _ASSUMED = 1e-4  # of the mechanism's size, and [rad]: where an estimate of the noise begins
+
+
+@dataclass(frozen=True)
+class RowNoise:
+    """The noise of r quantities in N rows."""
+
+    sigma: Array
+    """Standard deviations, shape (N, r)."""
+    correlation: Array | None = None
+    """Symmetric roots of the correlation matrices, shape (N, r, r); None if there are none."""
+
+    @cached_property
+    def roots(self) -> Array:
+        """Roots S of the covariance matrices S Sᵀ, shape (N, r, r)."""
+        correlation = np.eye(self.sigma.shape[1]) if self.correlation is None else self.correlation
+        roots = self.sigma[:, :, None] * correlation
+        roots.setflags(write=False)
+        return roots
+
+    def rows(self, chosen: Index | Mask) -> RowNoise:
+        """Return that of some rows."""
+        correlation = self.correlation
+        return RowNoise(self.sigma[chosen], None if correlation is None else correlation[chosen])
 
 
 @dataclass(frozen=True)
@@ -70,29 +99,19 @@ def noise_model(
         )
     elif noise is not None:
         general = noise
-    elif (repeated := noise_of_repeats(mechanism, data)) is not None:
+    elif (repeated := _noise_of_repeats(mechanism, data)) is not None:
         source, (general, freedoms) = "repeats", repeated
     else:
         source, general = "estimated", assumed_noise(mechanism, exact=full)
     platform = mechanism.platform
     poses = row_noise(platform.freedoms, platform.units, data, general, setup, platform)
-    readings = np.full(data.readings.shape, general.reading)
-    return NoiseModel(
-        general,
-        poses,
-        readings if data.sigma_readings is None else data.sigma_readings,
-        source,
-        freedoms,
-    )
+    readings = data.sigma_readings
+    readings = np.full(data.readings.shape, general.reading) if readings is None else readings
+    return NoiseModel(general, poses, readings, source, freedoms)
 
 
 def assumed_noise(mechanism: Mechanism, *, exact: bool) -> Noise:
-    """Return noise from which an estimate may begin, relative to the mechanism's size.
-
-    Args:
-        mechanism: The mechanism.
-        exact: Whether readings may be taken as exact.
-    """
+    """Return noise, by the mechanism's size, from which an estimate begins."""
     size = max(leg.size for leg in mechanism.legs)
     metric = "m" in mechanism.reading_units
     reading = 0.0 if exact and not mechanism.redundant else _ASSUMED * (size if metric else 1.0)
@@ -100,11 +119,7 @@ def assumed_noise(mechanism: Mechanism, *, exact: bool) -> Noise:
 
 
 def _has_sigmas(mechanism: Mechanism, data: Measurements, noise: Noise | None) -> bool:
-    """Return whether rows have standard deviations of their own.
-
-    Raises:
-        MeasurementError: noise is given as well, or only readings have them.
-    """
+    """Return whether rows have standard deviations of their own; those of readings not alone."""
     rows = data.sigma_poses is not None or bool(data.sigma_extra)
     full = bool(np.isfinite(data.poses).all())
     if data.sigma_readings is not None and full and not rows:
@@ -121,11 +136,7 @@ def _has_sigmas(mechanism: Mechanism, data: Measurements, noise: Noise | None) -
 
 
 def _check_tracker(mechanism: Mechanism, data: Measurements, setup: Setup) -> None:
-    """Raise if a tracker's noise is not said in full, or positions have one of their own as well.
-
-    Raises:
-        MeasurementError: saying what to add or to leave out.
-    """
+    """Raise if a tracker's noise is not said in full, or positions have their own as well."""
     polar_columns = [name for name in POLAR if name in data.sigma_extra]
     if setup.tracker is None:
         if polar_columns:
@@ -155,11 +166,7 @@ def _check_tracker(mechanism: Mechanism, data: Measurements, setup: Setup) -> No
 
 
 def _check_covariances(mechanism: Mechanism, data: Measurements, setup: Setup) -> None:
-    """Raise if covariances are not of two quantities measured of the platform, with variances.
-
-    Raises:
-        MeasurementError: naming the pair.
-    """
+    """Raise if covariances are not of two quantities measured of the platform, with variances."""
     names = {*mechanism.platform.freedoms, *setup.columns(mechanism)}
     checked: set[frozenset[str]] = set()
     for pair, values in data.covariances.items():
@@ -180,12 +187,7 @@ def _check_covariances(mechanism: Mechanism, data: Measurements, setup: Setup) -
 
 
 def _check_sigmas(mechanism: Mechanism, data: Measurements, setup: Setup) -> None:
-    """Raise if some quantities have standard deviations, and others that were measured have none.
-
-    Raises:
-        MeasurementError: naming the column that is missing, or a row whose standard deviation is
-            too small to compute with.
-    """
+    """Raise if measured quantities have no standard deviation beside others, or too small ones."""
     columns = [v for v in (data.sigma_poses, data.sigma_readings) if v is not None]
     sigmas = np.column_stack([*columns, *data.sigma_extra.values()])
     tiny = (sigmas > 0.0) & (sigmas < SMALLEST_SIGMA)
@@ -219,7 +221,7 @@ def _check_sigmas(mechanism: Mechanism, data: Measurements, setup: Setup) -> Non
         )
 
 
-def noise_of_repeats(mechanism: Mechanism, data: Measurements) -> tuple[Noise, Freedoms] | None:
+def _noise_of_repeats(mechanism: Mechanism, data: Measurements) -> tuple[Noise, Freedoms] | None:
     """Return the noise that repeated rows show and its degrees of freedom, or None if too few.
 
     Rows repeat each other if their ``pose`` is the same, or, without such a column, if all
@@ -265,3 +267,117 @@ def _variance(groups: list[Array]) -> float:
         return 0.0
     dof = sum(len(rows) - 1 for rows in groups) * within.shape[1]
     return float((within**2).sum() / dof)
+
+
+def row_noise(
+    names: Sequence[str],
+    units: Sequence[str],
+    data: Measurements,
+    noise: Noise,
+    setup: Setup,
+    platform: Platform,
+) -> RowNoise:
+    """Return the noise of quantities: each row's own, a tracker's, else that of the unit.
+
+    Names are freedoms of the platform, columns of the setup, and single angles.
+
+    Raises:
+        MeasurementError: covariances that no errors have; a tracker and points measured in part.
+    """
+    sigmas = _sigmas_by_name(names, data, setup, platform)
+    none = np.full(len(data), np.nan)
+    general = [noise.position if unit == "m" else noise.orientation for unit in units]
+    sigma = np.column_stack([np.empty((len(data), 0)), *(sigmas.get(n, none) for n in names)])
+    sigma = np.where(np.isfinite(sigma), sigma, general)
+    if setup.tracker is None and not data.covariances:
+        return RowNoise(sigma)
+    place = {name: column for column, name in enumerate(names)}
+    covariance = sigma[:, :, None] ** 2 * np.eye(len(names))
+    if setup.tracker is not None:
+        for columns, points in _targets(place, data, setup, platform):
+            block = _of_tracker(setup.tracker, points, data)[:, : len(columns), : len(columns)]
+            rows = np.flatnonzero(np.isfinite(block).all(axis=(1, 2)))
+            covariance[np.ix_(rows, columns, columns)] = block[rows]
+    for pair, values in data.covariances.items():
+        first, second = pair.split(",")
+        if {first, second} <= set(place):
+            pair_sigmas = (sigmas.get(name, none) for name in (first, second))
+            known = np.isfinite([values, *pair_sigmas]).all(axis=0)
+            covariance[known, place[first], place[second]] = values[known]
+            covariance[known, place[second], place[first]] = values[known]
+    return _rooted(covariance, data)
+
+
+def _sigmas_by_name(
+    names: Sequence[str], data: Measurements, setup: Setup, platform: Platform
+) -> dict[str, Array]:
+    """Return each row's standard deviations by quantity, (N,); single angles' by those of turns."""
+    sigmas = {name: v for name, v in data.sigma_extra.items() if name not in setup.polar}
+    if data.sigma_poses is None:
+        return sigmas
+    by_freedom = dict(zip(platform.freedoms, data.sigma_poses.T, strict=True))
+    if platform.turns < 3:
+        return sigmas | by_freedom
+    turns = [name for name in platform.coordinates[platform.lengths :] if name in names]
+    middle = np.sqrt((data.sigma_poses[:, platform.lengths :] ** 2).mean(axis=1))
+    return dict.fromkeys((*turns, *SINGLE_ANGLES), middle) | sigmas | by_freedom
+
+
+def _targets(
+    place: dict[str, int], data: Measurements, setup: Setup, platform: Platform
+) -> list[tuple[Index, Array]]:
+    """Return columns of targets' positions and the points, (N, 3), z zero in the plane."""
+    targets = []
+    for target in setup.targets:
+        axes = "xyz"[: platform.space]
+        names = [axis if target == ORIGIN else f"{target}_{axis}" for axis in axes]
+        if not all(name in place for name in names):
+            continue
+        points = np.zeros((len(data), 3))
+        for axis, name in enumerate(names):
+            points[:, axis] = data.poses[:, axis] if target == ORIGIN else data.extra[name]
+        measured = np.isfinite(points[:, : len(axes)])
+        if (part := measured.any(axis=1) & ~measured.all(axis=1)).any():
+            raise MeasurementError(
+                f"data row {int(np.argmax(part)) + 1}: of {', '.join(names)} some are measured, "
+                "some not; a tracker measures all of them (or give 'sigma_x' and the like instead "
+                "of the tracker)"
+            )
+        targets.append((np.array([place[name] for name in names]), points))
+    return targets
+
+
+def _of_tracker(tracker: Tracker, points: Array, data: Measurements) -> Array:
+    """Return covariances of points measured by a tracker, (N, 3) to (N, 3, 3)."""
+    ray = points - tracker.at
+    above = np.hypot(ray[:, 0], ray[:, 1]) <= ROUNDING**0.5 * np.linalg.norm(ray, axis=1)
+    if above.any():
+        raise MeasurementError(
+            f"data row {int(np.argmax(above)) + 1}: the point is on the vertical axis of the "
+            "tracker, where an azimuth says nothing; say where the tracker is ('at' of the tracker)"
+        )
+    polar = [data.sigma_extra.get(name, np.full(len(data), np.nan)) for name in POLAR]
+    general = np.array([tracker.range, tracker.azimuth, tracker.elevation])[:, None]
+    root = tracker.by_polar(points) * np.where(np.isfinite(polar), polar, general).T[:, None]
+    return np.asarray(root @ root.transpose(0, 2, 1))
+
+
+def _rooted(covariance: Array, data: Measurements) -> RowNoise:
+    """Return standard deviations and roots of correlations, of covariances (N, r, r)."""
+    sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    size = np.where(sigma > 0.0, sigma, 1.0)
+    correlation = covariance / size[:, :, None] / size[:, None]
+    exact = np.where(sigma > 0.0, 0.0, 1.0)
+    values, axes = np.linalg.eigh(correlation + exact[:, :, None] * np.eye(sigma.shape[1]))
+    low = values.min(axis=1, initial=0.0)
+    correlated = np.abs(covariance).sum(axis=2) > np.diagonal(covariance, axis1=1, axis2=2)
+    low = np.where((correlated & (sigma == 0.0)).any(axis=1), -1.0, low)  # what is exact has none
+    if (low < -(ROUNDING**0.5)).any():
+        row = int(np.argmin(low))
+        raise MeasurementError(
+            f"data {data.place(row)}: its covariances are larger than its standard deviations "
+            "allow (a correlation above 1); expected covariances of which the squares are below "
+            "the product of both variances"
+        )
+    root = (axes * np.sqrt(values.clip(0.0))[:, None]) @ axes.transpose(0, 2, 1)
+    return RowNoise(sigma, root)

@@ -18,7 +18,7 @@ from copy import copy
 import numpy as np
 
 from pincal.errors import MeasurementError
-from pincal.estimation.covariances import RowNoise, row_noise
+from pincal.estimation.noise import RowNoise, row_noise
 from pincal.estimation.unknowns import BlockRows, External, ExternalUnknowns, State
 from pincal.kinematics.batches import inverse_left_jacobian, point_velocity, turn_between
 from pincal.model.checks import wrapped
@@ -29,8 +29,6 @@ from pincal.model.platform import Platform
 from pincal.model.setup import ORIGIN, Setup, evaluated
 from pincal.types import Array, Index, Mask
 
-Entry = tuple[Array, Array]
-"""A function of orientations, shape (N,), and its derivative by turns, shape (N, 3)."""
 Predicted = tuple[Array, Array, Array]
 """Rows, shape (N, k), derivatives by the platform's twist in the frame of the measurements, (N, k,
 6), and by external values but for that frame, (N, k, n)."""
@@ -38,7 +36,7 @@ _TWIST = (0, 1, 2, 3, 4, 5)
 _CROSS = np.cross(np.eye(3)[:, None], np.eye(3)).transpose(0, 2, 1)  # matrices of e_a ×
 
 
-def angle(name: str, R: Array) -> tuple[Entry, Entry]:
+def angle(name: str, R: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
     """Return an angle of orientations and its h, each with its derivative by turns, outer axes.
 
     Args:
@@ -49,42 +47,30 @@ def angle(name: str, R: Array) -> tuple[Entry, Entry]:
         The angle, [rad], and the h of which its derivative is 1/h long, 1 for pitch and tilt.
         Derivatives are zero where h is: the azimuth at tilt 0.
     """
-    turned = _CROSS @ R[:, None]  # e_a × R, shape (N, 3, 3, 3)
-
-    def entry(i: int, j: int, sign: float = 1.0) -> Entry:
-        return sign * R[:, i, j], sign * turned[:, :, i, j]
-
-    if name == "yaw":
-        f, g = entry(1, 0), entry(0, 0)
-    elif name == "pitch":
-        f, g = entry(2, 0, -1.0), _length(entry(0, 0), entry(1, 0))
-    elif name == "roll":
-        f, g = entry(2, 1), entry(2, 2)
-    elif name == "azimuth":
-        f, g = entry(1, 2), entry(0, 2)
-    elif name == "tilt":
-        f, g = _length(entry(0, 2), entry(1, 2)), entry(2, 2)
-    else:  # 1 + cos tilt, which is 2 h², times sine and cosine of the torsion
-        f = _sum(entry(1, 0), entry(0, 1, -1.0))
-        g = _sum(entry(0, 0), entry(1, 1))
-    size, by_size = _length(f, g)
-    safe = np.where(size > 0.0, size, 1.0)[:, None]
-    slope = (g[0][:, None] * f[1] - f[0][:, None] * g[1]) / safe**2
+    # entries of R with their derivatives e_a × R behind them, each of shape (N, 4)
+    r = np.concatenate((R[:, None], _CROSS @ R[:, None]), axis=1).transpose(2, 3, 0, 1)
+    f, g = {
+        "yaw": (r[1, 0], r[0, 0]),
+        "pitch": (-r[2, 0], _length(r[0, 0], r[1, 0])),
+        "roll": (r[2, 1], r[2, 2]),
+        "azimuth": (r[1, 2], r[0, 2]),
+        "tilt": (_length(r[0, 2], r[1, 2]), r[2, 2]),
+        # 1 + cos tilt, which is 2 h², times sine and cosine of the torsion
+        "torsion": (r[1, 0] - r[0, 1], r[0, 0] + r[1, 1]),
+    }[name]
+    size, by_size = np.split(_length(f, g), [1], axis=1)
+    safe = np.where(size > 0.0, size, 1.0)
+    slope = (g[:, :1] * f[:, 1:] - f[:, :1] * g[:, 1:]) / safe**2
     if name == "torsion":
-        root = np.sqrt(0.5 * size)
-        by_size = 0.25 * by_size / np.sqrt(0.5 * safe)
-        size = root
-    return (np.arctan2(f[0], g[0]), slope), (size, by_size)
+        size, by_size = np.sqrt(0.5 * size), 0.25 * by_size / np.sqrt(0.5 * safe)
+    return (np.arctan2(f[:, 0], g[:, 0]), slope), (size[:, 0], by_size)
 
 
-def _length(a: Entry, b: Entry) -> Entry:
-    size = np.hypot(a[0], b[0])
-    safe = np.where(size > 0.0, size, 1.0)[:, None]
-    return size, (a[0][:, None] * a[1] + b[0][:, None] * b[1]) / safe
-
-
-def _sum(a: Entry, b: Entry) -> Entry:
-    return a[0] + b[0], a[1] + b[1]
+def _length(a: Array, b: Array) -> Array:
+    """Return √(a² + b²) of functions and its derivatives behind it, shape (N, 4)."""
+    size = np.hypot(a[:, :1], b[:, :1])
+    slope = (a[:, :1] * a[:, 1:] + b[:, :1] * b[:, 1:]) / np.where(size > 0.0, size, 1.0)
+    return np.concatenate((size, slope), axis=1)
 
 
 class Observation:
@@ -201,11 +187,8 @@ class Observation:
     def systematic(self, matrices: Array, external: External) -> Array:
         """Return by how much all is off for one standard uncertainty of what is off in all rows.
 
-        Columns are the scale of lengths and, axis by axis, the offset of each target that is taken
-        as known.
-
-        Returns:
-            Shape (N, r, q); no columns where nothing is uncertain so.
+        Shape (N, r, q): columns are the scale of lengths and, axis by axis, the offset of each
+        target that is taken as known; none where nothing is uncertain so.
         """
         setup, r = self.setup, len(self.names)
         errors = [np.zeros((len(matrices), r, 0))]
@@ -313,16 +296,15 @@ class Observation:
 
     def _instruments(self, seen: Array, external: External) -> list[Predicted]:
         """Return the conditions of the instruments."""
-        rows, first_row, first = [], 0, 0
+        rows, columns, values = [], self._conditions, external.instruments
+        places = self.external.own.start
         for instrument in self.setup.instruments:
-            last_row, last = first_row + len(instrument.columns), first + len(instrument.parameters)
-            measured = self._conditions[:, first_row:last_row]
-            values = external.instruments[first:last]
-            value, by_pose, by_own = evaluated(instrument, seen, values, measured)
+            k, n = len(instrument.columns), len(instrument.parameters)
+            value, by_pose, by_own = evaluated(instrument, seen, values[:n], columns[:, :k])
             by_external = np.zeros((*value.shape, self.external.own.stop))
-            by_external[:, :, self.external.own][:, :, first:last] = by_own
+            by_external[:, :, places : places + n] = by_own
             rows.append((value, by_pose, by_external))
-            first_row, first = last_row, last
+            columns, values, places = columns[:, k:], values[n:], places + n
         return rows
 
 

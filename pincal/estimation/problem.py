@@ -174,14 +174,6 @@ class Problem:
         first = None if self.first is None else self.first.rows(rows)
         return Problem(self.leg_block.at(rows), self.observation.at(rows), first)
 
-    def thinned(self, linear: Linear, max_poses: int = 2000) -> tuple[Problem, Linear, Index]:
-        """Return the problem and its conditions at so many poses, spread over all; and which."""
-        rows = spread(len(linear.conditions), max_poses)
-        if len(rows) == len(linear.conditions):
-            return self, linear, rows
-        part = self.at(rows)
-        return part, part.evaluate(linear.state.rows(rows)), rows
-
     def start(self, parameters: Array) -> State:
         """Return the state from which the search starts, at parameters, those of the legs first."""
         if self.first is None:
@@ -230,8 +222,3 @@ class Problem:
             carried = self.leg_block.carried(linear.demands, step, twists, parameters)
             matrices = self.platform.displaced(matrices, twists) if carried is None else carried
         return State(parameters, matrices, state.joints, external)
-
-
-def spread(count: int, max_rows: int) -> Index:
-    """Return at most so many of rows 0 … count - 1, evenly spread."""
-    return np.arange(0, count, -(-count // max_rows))

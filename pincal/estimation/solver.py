@@ -85,7 +85,7 @@ class Iterate:
         """Return the iterate of a system at conditions."""
         judged = adjusted(system.problem, linear) if system.adjusted else linear
         weights, scale = system.weights(linear)
-        cost = system.cost_in(judged, judged, weights)
+        cost = system.cost(judged, weights)
         return cls(linear, judged, weights, scale, cost, system.solve(judged, weights, scale))
 
     @property
@@ -127,7 +127,8 @@ def search(
     while current.normal.decrement > _tolerance(system, current, enough):
         if evaluations >= current.limit(max_evaluations) or damping > _DAMPING[1]:
             break
-        _report(progress, current, evaluations)
+        if progress and evaluations % 5 == 0:
+            progress(f"step {evaluations}: {np.sqrt(current.cost / len(unused)):.3g} σ a pose")
         # 1. A damped step of all unknowns; then each pose alone.
         step = current.normal.step(damping)
         trial, count = _reached(system, current, step, fixed_poses)
@@ -206,13 +207,6 @@ def adjusted(problem: Problem, linear: Linear) -> Linear:
     return at_adjusted
 
 
-def _report(progress: Callable[[str], None] | None, current: Iterate, evaluations: int) -> None:
-    """Say how far a search is, now and then."""
-    if progress and evaluations % 5 == 0:
-        deviation = np.sqrt(current.cost / len(current.weights))
-        progress(f"step {evaluations}: {deviation:.3g} σ a pose")
-
-
 def _tolerance(system: System, current: Iterate, enough: float) -> float:
     """Return the distance from the optimum at which a search ends."""
     if system.adjusted:
@@ -238,7 +232,7 @@ def _better(system: System, current: Iterate, trial: Iterate, highest: float) ->
 
 def _change(system: System, current: Iterate, trial: Iterate, step: Array) -> float:
     """Return the factor on the damping after a step, by its fall over the predicted one."""
-    cost = min(system.cost_in(current.judged, trial.judged, current.weights), trial.cost)
+    cost = min(system.cost(trial.judged, current.weights, current.judged), trial.cost)
     gain = (current.cost - cost) / max(current.normal.fall(step), 1e-300)
     return 0.1 if gain > 0.75 else 1.0 if gain > 0.25 else 4.0
 

@@ -2,23 +2,20 @@
 
 Every condition counts as a length: the start asks only for geometry. Where readings fix poses,
 they are followed from home to those measured, so that the assembly mode stays that of home; then
-the rigid motion that takes the targets there to where they were measured.
+the rigid motion that takes the targets there to where they were measured (Kabsch 1976), in turn
+with targets whose place on the platform is unknown. Rows with a gross error are found by the
+alignment of least absolute distances, and left out.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
 
 from pincal.errors import MeasurementError
-from pincal.estimation.alignment import aligned
-from pincal.estimation.covariances import RowNoise
-from pincal.estimation.problem import Linear, Problem, spread
-from pincal.estimation.solver import search, solve_poses
-from pincal.estimation.system import System
+from pincal.estimation.problem import Problem
 from pincal.estimation.unknowns import External, State
 from pincal.kinematics.closing import home_mode, mode_sign
 from pincal.kinematics.closure import LegClosure, Newton, largest_size
@@ -28,17 +25,23 @@ from pincal.kinematics.nearest_closure import nearest_closure
 from pincal.kinematics.singularity import platform_margin
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
-from pincal.model.setup import ORIGIN, Setup
-from pincal.types import Array, Index, Mask
+from pincal.model.platform import Platform
+from pincal.model.setup import ORIGIN
+from pincal.types import Array, Mask
 from pincal.words.numbers import amount
 
 _NEWTON = Newton(steps=60, small=1e-7, largest=0.2)
-
 _USUAL = 3.0  # times the median gap, up to which readings leave what contradicting ones do
 _DRIVE_STEPS = 5  # steps from the readings at home to those measured
 _CLOSES = 1e-3  # share of a leg's size: a gap that contradicting readings leave
 _TILTED = 1e-3  # tilt [rad] of a platform that is not upright
 _CONTRADICTS = 0.03  # share of the mechanism's size, median over rows: nothing is identified
+_TURNS = 50  # turns of frame and offsets, at most
+_STILL = 1e-6  # share of the poses' extent below which offsets no longer move
+_MISFIT = 0.05  # share of the measured points' extent from which a mirror is suspected
+_MIRRORED = 0.2  # share of the misfit that is left if the mirror image explains it
+_REFUSED = 0.3  # share of the extent from which nothing is identified
+_GROSS = 10.0  # times the usual miss from which a row says nothing of frame and target
 
 
 def align_start(
@@ -46,31 +49,28 @@ def align_start(
 ) -> State:
     """Return poses and external unknowns from which the search may start.
 
-    Args:
-        mechanism: The nominal mechanism.
-        problem: The problem.
-        data: The measurements.
-        parameters: Nominal parameters of all legs, shape (n_params,).
+    Parameters are the nominal ones of all legs, shape (n_params,).
 
     Raises:
         MeasurementError: frames that cannot be aligned, or only mirrored.
     """
     observation, platform = problem.observation, problem.platform
-    external = observation.external.start
-    outside = observation.external
+    external, outside = observation.external.start, observation.external
     complete = np.isfinite(data.poses).all() and len(observation.setup.targets) == 1
-    redundant = mechanism.redundant
-    if not len(outside) and (complete or redundant):
+    if not len(outside) and (complete or mechanism.redundant):
         state = placed(problem, data, parameters, external)
         return state if complete else poses_at_rest(problem, state)
     legs = [LegClosure(leg, platform) for leg in mechanism.legs]
     arm_matrices = placed_by_arm(legs, problem.leg_block.known)
     home = np.tile(platform.home_pose.as_matrix(), (len(data), 1, 1))
     state = State(parameters, home if arm_matrices is None else arm_matrices, external=external)
-    for share in np.linspace(0.0, 1.0, _DRIVE_STEPS + 1)[1:] if arm_matrices is None else ():
-        state = poses_at_rest(_driven(mechanism, problem, share), state)
-    good = _well(mechanism, problem, state)
-    agrees = np.ones(len(data), dtype=bool)
+    if arm_matrices is None:
+        block, readings = problem.leg_block, inverse(mechanism, np.array([platform.home])).readings
+        for share in np.linspace(0.0, 1.0, _DRIVE_STEPS + 1)[1:]:
+            driven = block.corrected((1.0 - share) * (readings[0] - block.readings))
+            way = replace(problem, leg_block=driven, observation=observation.only(()))
+            state = poses_at_rest(way, state)
+    good, agrees = _well(mechanism, problem, state), np.ones(len(data), dtype=bool)
     if len(outside):
         values, agrees = aligned(problem, data, state, good)
         state = replace(state, external=values)
@@ -80,64 +80,54 @@ def align_start(
     arms = (matrices - guess.matrices)[:, :3, :3] @ state.external.offsets[0]
     matrices[known, :3, 3] = (guess.matrices[:, :3, 3] - arms)[known]
     state = replace(state, matrices=matrices, joints=())
-    return poses_at_rest(problem, instruments_started(problem, state))
+    return poses_at_rest(problem, _instruments_started(problem, state))
 
 
-def instruments_started(problem: Problem, state: State) -> State:
-    """Return the state with the instruments' own parameters at least squares.
-
-    At the poses that everything else gives; as it is where that does not fix them.
-
-    Args:
-        problem: The problem.
-        state: Poses near those at rest.
-    """
+def _instruments_started(problem: Problem, state: State) -> State:
+    """Return the state with the instruments' own parameters at least squares, if poses fix them."""
     from scipy.optimize import least_squares  # slow to load: when needed
 
-    observation = problem.observation
+    observation, external = problem.observation, state.external
     columns = [name for instrument in observation.setup.instruments for name in instrument.columns]
-    without_instruments = replace(
-        problem, observation=observation.only([n for n in observation.names if n not in columns])
-    )
-    if not len(state.external.instruments) or (without_instruments.equations < 0).any():
+    others = observation.only([name for name in observation.names if name not in columns])
+    without_instruments = replace(problem, observation=others)
+    if not len(external.instruments) or (without_instruments.equations < 0).any():
         return state
     matrices = poses_at_rest(without_instruments, state).matrices
-    instruments = observation.only(columns)
-    sigma = np.where(
-        instruments.measured & (problem.observation.sigma > 0.0), problem.observation.sigma, 1.0
-    )
+    instruments, sigma = observation.only(columns), observation.sigma
+    sigma = np.where(instruments.measured & (sigma > 0.0), sigma, 1.0)
 
     def rows(values: Array) -> tuple[Array, Array]:
         value, _, by_external = instruments.residuals(
-            matrices, replace(state.external, instruments=values)
+            matrices, replace(external, instruments=values)
         )
-        by_own = by_external[:, :, -len(values) :] / sigma[:, :, None]
-        return (value / sigma).ravel(), by_own.reshape(-1, len(values))
+        by_values = by_external[:, :, -len(values) :] / sigma[:, :, None]
+        return (value / sigma).ravel(), by_values.reshape(-1, len(values))
 
     solution = least_squares(
         lambda values: rows(values)[0],
-        state.external.instruments,
+        external.instruments,
         jac=lambda values: rows(values)[1],
         x_scale="jac",
     )
-    return replace(state, external=replace(state.external, instruments=solution.x))
+    return replace(state, external=replace(external, instruments=solution.x))
 
 
 def _well(mechanism: Mechanism, problem: Problem, state: State) -> Mask:
     """Return which poses close all legs, in the working and assembly modes of home, shape (N,)."""
+    block, redundant = problem.leg_block, mechanism.redundant
     legs = [LegClosure(leg, mechanism.platform) for leg in mechanism.legs]
+    joints = state.joints or (None,) * len(legs)
     closures = [
-        nearest_closure((leg,), state.matrices, (known,), (joints,))[0]
-        for leg, known, joints in zip(
-            legs, problem.leg_block.known, state.joints or (None,) * len(legs), strict=True
-        )
+        nearest_closure((leg,), state.matrices, (known,), (of_leg,))[0]
+        for leg, known, of_leg in zip(legs, block.known, joints, strict=True)
     ]
-    redundant = mechanism.redundant  # of which the type-2 margin has no sign
-    known = _leg_equations(problem) >= mechanism.platform.dof  # readings alone give the pose
+    known = block.active.sum(axis=1) >= mechanism.platform.dof  # readings alone give the pose
     lines = [closure.constraint_by_pose for closure in closures]
+    # the type-2 margin of a redundant mechanism has no sign
     good = known & (redundant | (platform_margin(mechanism, lines) > 0.0))
     missed = np.zeros(len(good))
-    for leg, closure, serves in zip(legs, closures, problem.leg_block.used.T, strict=True):
+    for leg, closure, serves in zip(legs, closures, block.used.T, strict=True):
         missed = np.fmax(missed, np.where(serves, np.abs(closure.gap).max(axis=1) / leg.size, 0.0))
         good &= ~serves | (mode_sign(closure) == home_mode(leg.leg, leg.platform))
     usual = _USUAL * np.median(missed[known]) if redundant and known.any() else 0.0
@@ -171,44 +161,28 @@ def placed(problem: Problem, data: Measurements, parameters: Array, external: Ex
     return State(parameters, matrices, external=external)
 
 
-def _driven(mechanism: Mechanism, problem: Problem, share: float) -> Problem:
-    """Return the problem of readings alone that are on the way from home to those measured."""
-    home = inverse(mechanism, np.array([mechanism.platform.home])).readings[0]
-    legs = problem.leg_block
-    legs = legs.corrected((1.0 - share) * (home - legs.readings))
-    return replace(problem, leg_block=legs, observation=problem.observation.only(()))
-
-
-def _leg_equations(problem: Problem) -> Index:
-    """Return how many equations the legs give at each pose, shape (N,)."""
-    return problem.leg_block.active.sum(axis=1)
-
-
-def _as_lengths(problem: Problem, linear: Linear) -> tuple[Array, Array]:
-    """Return conditions as lengths [m], shape (N, k), and derivatives by poses, (N, k, dof)."""
-    size = largest_size(problem.legs)
-    angles = np.array([unit == "rad" for unit in problem.observation.units], dtype=bool)
-    scale = np.ones(linear.conditions.shape[1])
-    scale[len(scale) - len(angles) :] = np.where(angles, size, 1.0)
-    return linear.conditions * scale, linear.by_pose * scale[:, None]
-
-
 def poses_at_rest(problem: Problem, state: State) -> State:
     """Return the state with each pose at its least squares, parameters and frames as they are.
 
     Each pose has a damping of its own (Levenberg–Marquardt). Poses that find no place remain
     where they came to; the search that follows moves them on.
     """
-    platform = problem.platform
-    size = largest_size(problem.legs)
+    platform, size = problem.platform, largest_size(problem.legs)
     scale = np.array([size if unit == "m" else 1.0 for unit in platform.units])
-    linear = problem.evaluate(state)
-    value, pose = _as_lengths(problem, linear)
-    state, cost = linear.state, np.einsum("nk,nk->n", value, value)
-    damping = np.full(len(cost), 1e-6)
-    open_ = np.ones(len(cost), dtype=bool)
+    angles = np.array([unit == "rad" for unit in problem.observation.units], dtype=bool)
+
+    def lengths_at(state: State) -> tuple[State, Array, Array, Array]:
+        """Return the state with joints, conditions as lengths, by the pose, and their squares."""
+        linear = problem.evaluate(state)
+        per = np.ones(linear.conditions.shape[1])
+        per[len(per) - len(angles) :] = np.where(angles, size, 1.0)
+        value = linear.conditions * per
+        by_pose = linear.by_pose * per[:, None] * scale
+        return linear.state, value, by_pose, np.einsum("nk,nk->n", value, value)
+
+    state, value, B, cost = lengths_at(state)
+    damping, open_ = np.full(len(cost), 1e-6), np.ones(len(cost), dtype=bool)
     for _ in range(_NEWTON.steps):
-        B = pose * scale
         square = B.transpose(0, 2, 1) @ B
         diagonal = np.einsum("nii->ni", square)
         least = 1e-12 * diagonal.max(axis=1, keepdims=True)
@@ -217,23 +191,17 @@ def poses_at_rest(problem: Problem, state: State) -> State:
         longest = np.abs(step).max(axis=1)
         step *= np.minimum(1.0, _NEWTON.largest / np.maximum(longest, 1e-300))[:, None]
         step[~open_] = 0.0
-        moved = platform.displaced(state.matrices, np.asarray(step * scale))
-        linear = problem.evaluate(replace(state, matrices=moved))
-        new_value, new_pose = _as_lengths(problem, linear)
-        new_cost = np.einsum("nk,nk->n", new_value, new_value)
-        better = open_ & (new_cost <= cost)
-        state = State(
-            state.parameters,
-            np.where(better[:, None, None], moved, state.matrices),
-            tuple(
-                np.where(better[:, None], new, old)
-                for new, old in zip(linear.state.joints, state.joints, strict=True)
-            ),
-            state.external,
+        moved = platform.displaced(state.matrices, step * scale)
+        trial, *trial_rows = lengths_at(replace(state, matrices=moved))
+        better = open_ & (trial_rows[-1] <= cost)
+        joints = zip(trial.joints, state.joints, strict=True)
+        state = replace(
+            state,
+            matrices=np.where(better[:, None, None], moved, state.matrices),
+            joints=tuple(np.where(better[:, None], new, old) for new, old in joints),
         )
-        value = np.where(better[:, None], new_value, value)
-        pose = np.where(better[:, None, None], new_pose, pose)
-        cost = np.where(better, new_cost, cost)
+        for old, new in zip((value, B, cost), trial_rows, strict=True):
+            old[better] = new[better]
         damping = np.clip(np.where(better, 0.1 * damping, 10.0 * damping), 1e-9, 1e9)
         open_ &= (longest > _NEWTON.small) & (damping < 1e9)
         if not open_.any():
@@ -249,126 +217,182 @@ def check_start(problem: Problem, state: State) -> None:
     Raises:
         MeasurementError: by how much they miss.
     """
-    state = poses_at_rest(problem, state)
-    size = largest_size(problem.legs)
-    linear = problem.evaluate(state)
-    n_legs = problem.leg_block.n_rows
-    lengths = [unit == "m" for unit in problem.observation.units]
-    missed = linear.conditions[:, [*range(n_legs), *(n_legs + np.flatnonzero(lengths))]]
-    worst = float(np.median(np.linalg.norm(missed, axis=1)))
+    linear = problem.evaluate(poses_at_rest(problem, state))
+    size, setup = largest_size(problem.legs), problem.observation.setup
+    lengths = [*[True] * problem.leg_block.n_rows, *(u == "m" for u in problem.observation.units)]
+    missed = np.linalg.norm(linear.conditions[:, np.array(lengths)], axis=1)
+    worst = float(np.median(missed))
     if worst > _CONTRADICTS * size:
+        options = {
+            "if the base is elsewhere in it: --unknown-frame": setup.unknown_frame,
+            "if the target is not the platform's origin: --unknown-target or --setup": (
+                setup.targets[ORIGIN].unknown
+            ),
+        }
+        unused = "; ".join(words for words, chosen in options.items() if not chosen)
         raise MeasurementError(
             f"readings and measured positions contradict each other by {amount(worst, 'm')} in the "
             f"nominal mechanism (median over the rows, {100 * worst / size:.0f} % of a leg's "
             "length). Check the units, the order and signs of the readings, and the frame"
-            f"{left_out(problem.observation.setup)}. If the mechanism is known but roughly, say so "
+            f"{f' ({unused})' if unused else ''}. If the mechanism is known but roughly, say so "
             "(--rough)"
         )
 
 
-def left_out(setup: Setup) -> str:
-    """Return which options that free frame and target a setup leaves out, as a remark."""
-    options = {
-        "if the base is elsewhere in it: --unknown-frame": setup.unknown_frame,
-        "if the target is not the platform's origin: --unknown-target or --setup": (
-            setup.targets[ORIGIN].unknown
-        ),
-    }
-    missing = "; ".join(words for words, chosen in options.items() if not chosen)
-    return f" ({missing})" if missing else ""
+def aligned(
+    problem: Problem,
+    data: Measurements,
+    state: State,
+    reached: Mask,
+    *,
+    however_far: bool = False,
+) -> tuple[External, Mask]:
+    """Return the external unknowns that take the targets to where they were measured.
 
-
-_UNEVEN = 100.0  # ratio of noise up to which valleys are wide enough
-_GROSS = 100.0  # times as far off as usual at the start: rows left out of the easier problem
-_EASY_ROWS = 2000  # rows that suffice to begin near the optimum
-_EASY_NEAR = 0.1  # standard deviations of a residual at which the easier problem is left
-_EASY_EVALUATIONS = 50
-
-
-def near_start(
-    system: System, first: Linear, progress: Callable[[str], None] | None = None
-) -> tuple[Linear, int]:
-    """Return where the search begins, near an easier optimum if that is better; and evaluations.
-
-    That of the evened problem, without gross errors, and of least squares: a loss bends the cost
-    far from its optimum.
+    Frame and unknown offsets in turn, each by least squares with the others as they are, of the
+    rows that agree: see ``_agreeing``.
 
     Args:
-        system: What is minimised.
-        first: The conditions at the start, poses solved.
-        progress: Called with what is being done.
+        problem: The problem.
+        data: The measurements.
+        state: The nominal machine, poses where its readings put it.
+        reached: Which poses the readings give, shape (N,).
+        however_far: Whether points may miss each other by much, or look mirrored.
+
+    Returns:
+        Also which rows agree with the others on them, shape (N,).
+
+    Raises:
+        MeasurementError: frames that cannot be aligned, or only mirrored.
     """
-    problem, count = system.problem, len(first.conditions)
-    sound = first.squares <= _GROSS**2 * np.median(first.squares)
-    easier = _evened(problem, first) or (problem if system.loss or not sound.all() else None)
-    if easier is None:
-        return first, 0
-    rows, start = spread(count, _EASY_ROWS), problem.start(first.state.parameters)
-    if len(rows) < count:
-        easier, start = easier.at(rows), start.rows(rows)
-    begin, solved = solve_poses(easier, easier.evaluate(start))
-    taking_part = sound if system.kept is None else system.kept & sound
-    easy = replace(system, problem=easier, kept=taking_part[rows], loss=None)
-    easy_result = search(
-        easy, begin, progress, enough=_EASY_NEAR, max_evaluations=_EASY_EVALUATIONS
-    )
-    state, evaluations = easy_result.last.state, solved + easy_result.evaluations
-    if len(rows) < count:
-        state = replace(problem.start(state.parameters), external=state.external)
-    state = _among_similar(problem, state, sound)
-    try:
-        with np.errstate(all="ignore"):
-            near, solved = solve_poses(problem, problem.evaluate(state))
-            costs = [system.cost_at(linear) for linear in (first, near)]
-    except MeasurementError:
-        return first, evaluations
-    better = np.isfinite(costs[1]) and not costs[1] > costs[0]
-    return (near if better else first), evaluations + solved
+    observation, platform = problem.observation, problem.platform
+    measured = np.stack([_positions(platform, data, name) for name in observation.setup.targets])
+    known = reached & np.isfinite(measured).all(axis=2)
+    agreeing = known & _agreeing(problem, state, measured, known)
+    frame, offsets, points, _ = _in_turn(problem, state, measured, agreeing.astype(float))
+    if observation.setup.unknown_frame and not however_far:
+        _check_frame(points[agreeing], measured[agreeing], frame, platform)
+    turn, turns = state.external.turn, observation.orientations
+    turned = reached & np.isfinite(turns).all(axis=(1, 2))
+    if observation.external.turned and turned.any():
+        R = state.matrices[turned, :3, :3]
+        rotations = Rotation.from_matrix(R.transpose(0, 2, 1) @ frame[:3, :3].T @ turns[turned])
+        angles = (rotations.mean().inv() * rotations).magnitude()
+        rotations = rotations[angles <= np.maximum(_GROSS * np.median(angles), _MISFIT)]
+        turn = rotations.mean().as_matrix()
+    agrees = np.asarray(~(known & ~agreeing).any(axis=0))
+    return replace(state.external, frame=frame, offsets=offsets, turn=turn), agrees
 
 
-def _evened(problem: Problem, linear: Linear) -> Problem | None:
-    """Return the problem with every quantity at least as uncertain as is typical.
+def _positions(platform: Platform, data: Measurements, target: str) -> Array:
+    """Return measured positions of a target, shape (N, 3); NaN where not measured."""
+    measured, none = np.zeros((3, len(data))), np.full(len(data), np.nan)
+    columns = [data.extra.get(f"{target}_{axis}", none) for axis in "xyz"[: platform.space]]
+    columns = [*data.poses.T[: platform.lengths]] if target == ORIGIN else columns
+    measured[: len(columns)] = columns
+    return measured.T
 
-    Its optimum is nearby and has no narrow valleys: where readings are exact, a pose near a
-    singularity of the nominal machine goes far astray. None where nothing changes, or where an
-    arm carries the platform.
+
+def _agreeing(problem: Problem, state: State, measured: Array, known: Mask) -> Mask:
+    """Return which positions agree with most others on frame and offsets, shape (n_targets, N).
+
+    They miss the alignment of least absolute values by no gross multiple of the usual. Where that
+    alignment begins, a position far from the others weighs no more than they do.
     """
-    if not problem.latent or any(leg.is_arm for leg in problem.legs):
-        return None
-    legs, observation = problem.leg_block, problem.observation
-    lengths = np.array([unit == "m" for unit in observation.units], dtype=bool)
-    size = max(leg.size for leg in problem.legs)
-    of_legs = np.linalg.norm(linear.noise_root[:, : legs.n_rows], axis=2)
-    observed = (observation.sigma * np.where(lengths, 1.0, size))[observation.measured]
-    noisy = [values[values > 0.0] for values in (observed, of_legs) if (values > 0.0).any()]
-    if not noisy:
-        return None
-    typical = float(np.median(noisy[0]))
-    sigma = np.maximum(observation.sigma, np.where(lengths, typical, typical / size))
-    slopes = [
-        np.median(np.linalg.norm(demand.reading, axis=1), axis=0) for demand in linear.demands
-    ]
-    floors = typical / np.maximum(np.concatenate(slopes), 1e-300)
-    readings = np.maximum(legs.sigma, np.where(np.isfinite(floors), floors, 0.0))
-    even = (sigma <= _UNEVEN * observation.sigma) | ~observation.measured
-    if even.all() and (readings <= _UNEVEN * legs.sigma).all():
-        return None
-    return replace(
-        problem,
-        leg_block=replace(legs, sigma=readings),
-        observation=observation.with_noise(RowNoise(sigma, observation.noise.correlation)),
-    )
+    if not known.any():
+        return known
+    far = np.linalg.norm(measured - np.median(measured[known], axis=0), axis=2)
+    extent = max(float(np.median(far[known])), 1e-300)
+    weights = np.where(known, extent / np.maximum(far, extent), 0.0)
+    missed = _in_turn(problem, state, measured, weights, absolute=True)[-1]
+    usual = float(np.median(missed[known]))
+    return known & (missed <= max(_GROSS * usual, _MISFIT * extent))
 
 
-def _among_similar(problem: Problem, state: State, sound: Mask) -> State:
-    """Return a state whose rows that are far off start where the readings are most alike.
+def _in_turn(
+    problem: Problem, state: State, measured: Array, weights: Array, *, absolute: bool = False
+) -> tuple[Array, Array, Array, Array]:
+    """Return frame (4, 4), offsets (n_targets, 3), targets' places and misses (n_targets, N) [m].
 
-    What was measured there may lead to another assembly mode.
+    Weights are those of squares, 0 where a target was not measured, shape (n_targets, N); or, if
+    distances are summed as absolute values, those with which that begins.
     """
-    if not problem.latent or sound.all():
-        return state
-    readings = problem.leg_block.readings
-    readings = readings / np.maximum(np.ptp(readings, axis=0), 1e-300)
-    rows, sound_rows = np.arange(len(sound)), np.flatnonzero(sound)
-    rows[~sound] = sound_rows[KDTree(readings[sound_rows]).query(readings[~sound])[1]]
-    return state.rows(rows)
+    setup, platform = problem.observation.setup, problem.platform
+    R, r = state.matrices[:, :3, :3], state.matrices[:, :3, 3]
+    frame, offsets = state.external.frame, state.external.offsets.copy()
+    unknown = {i for i, target in enumerate(setup.targets.values()) if target.unknown}
+    still, known = _STILL * max(np.ptp(r), 1e-300), weights > 0.0
+    for _ in range(_TURNS if unknown or absolute else 1):
+        before = offsets.copy()
+        if setup.unknown_frame:
+            points = r + (R @ offsets[:, None, :, None])[..., 0]
+            frame = _kabsch(points[known], measured[known], weights[known], platform)
+        inside = (measured - frame[:3, 3]) @ frame[:3, :3]
+        for index in unknown:
+            if (rows := known[index]).any():
+                arms = (inside[index, rows] - r[rows])[:, :, None]
+                in_platform = (R[rows].transpose(0, 2, 1) @ arms)[:, :, 0]
+                offsets[index] = np.average(in_platform, axis=0, weights=weights[index, rows])
+        points = r + (R @ offsets[:, None, :, None])[..., 0]
+        missed = np.linalg.norm(inside - points, axis=2)
+        if absolute:
+            usual = max(float(np.median(missed[known])), 1e-300)
+            weights = np.where(known, usual / np.maximum(missed, usual), 0.0)
+        elif np.abs(offsets - before).max(initial=0.0) <= still:
+            break
+    return frame, offsets, points, missed
+
+
+def _kabsch(nominal: Array, measured: Array, weights: Array, platform: Platform) -> Array:
+    """Return the rigid motion that takes points to others, homogeneous, shape (4, 4)."""
+    if not len(nominal):
+        raise MeasurementError(
+            "the frame of the measurements is unknown and cannot be aligned: in no row with a "
+            "measured position do the readings say where the nominal machine is. It needs as many "
+            "readings as the platform has freedoms; check their units, order and signs"
+        )
+    least = platform.space
+    for points in (nominal, measured):
+        spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+        if len(nominal) < least or not spread[least - 2] > 1e-3 * spread[0]:
+            raise MeasurementError(
+                "the frame of the measurements is unknown and cannot be aligned: "
+                f"{len(nominal)} rows with a position that could show it, all "
+                f"{'at one place' if least == 2 else 'on a line'} or too few; measure positions "
+                "that span the workspace"
+            )
+    middles = [np.average(points, axis=0, weights=weights) for points in (nominal, measured)]
+    frame = np.eye(4)
+    a, b = nominal - middles[0], measured - middles[1]
+    frame[:3, :3] = _rotation(a * weights[:, None], b, least)
+    frame[:3, 3] = middles[1] - frame[:3, :3] @ middles[0]
+    return frame
+
+
+def _check_frame(nominal: Array, measured: Array, frame: Array, platform: Platform) -> None:
+    """Raise if points do not fit after the best alignment, or mirrored only."""
+    a, b = nominal - nominal.mean(axis=0), measured - measured.mean(axis=0)
+    mirror = _rotation(a, b, platform.space, mirrored=True)
+    offs = (b, a @ frame[:3, :3].T - b, a @ mirror.T - b)
+    extent, misfit, reflected = (float(np.sqrt((off**2).sum(axis=1).mean())) for off in offs)
+    if misfit > _MISFIT * extent and reflected < _MIRRORED * misfit:
+        raise MeasurementError(
+            "the positions look mirrored: in a right-handed frame they miss the nominal machine's "
+            f"by {amount(misfit, 'm')} (rms), with one axis reversed by {amount(reflected, 'm')}. "
+            "Check the signs and the order of the tracker's axes"
+        )
+    if misfit > _REFUSED * extent:
+        raise MeasurementError(
+            f"the measured positions miss the nominal machine's by {amount(misfit, 'm')} (rms) "
+            f"after the best alignment, {100 * misfit / extent:.0f} % of their extent. Check the "
+            "units, the order and signs of the readings, and that this is the right mechanism"
+        )
+
+
+def _rotation(a: Array, b: Array, space: int, *, mirrored: bool = False) -> Array:
+    """Return the rotation, or reflection, that best takes points a to b, shape (3, 3)."""
+    U, _, Vt = np.linalg.svd(a[:, :space].T @ b[:, :space])
+    R, sign = np.eye(3), np.ones(space)
+    sign[-1] = np.linalg.det(U @ Vt) * (-1.0 if mirrored else 1.0)
+    R[:space, :space] = (Vt.T * sign) @ U.T
+    return R

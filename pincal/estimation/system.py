@@ -54,10 +54,7 @@ class Loss:
         return np.asarray((upper - less) / (2.0 * np.sinh(h)))
 
     def bend(self, squares: Array, equations: Index) -> Array:
-        """Return the curvature along the residuals over the weight, shape (N,).
-
-        Kept above zero, as what is minimised must rise on both sides.
-        """
+        """Return that over the weight, above zero as the cost must rise on both sides, (N,)."""
         w = self.weights(squares, equations)
         bend = np.divide(self.slope(squares, equations), w, out=np.ones_like(w), where=w > 0.0)
         return np.clip(bend, _LEAST_BEND, 1.0)
@@ -230,18 +227,14 @@ class System:
             R = np.asarray(np.linalg.qr(np.concatenate((R, below)), mode="r"))
         return R
 
-    def cost(self, value: Array, weights: Array, linear: Linear) -> float:
-        """Return what is minimised at a state, from residuals of shape (N, m)."""
+    def cost(
+        self, linear: Linear, weights: Array | None = None, frame: Linear | None = None
+    ) -> float:
+        """Return what is minimised, in own weights and rows if not in those of another state."""
+        weights = self.weights(linear)[0] if weights is None else weights
+        value = self.residuals(linear, frame)
         prior, _ = self.unknowns.prior_rows(linear.state.parameters)
         return float(weights @ np.einsum("nm,nm->n", value, value) + prior @ prior)
-
-    def cost_at(self, linear: Linear) -> float:
-        """Return what is minimised at conditions, in their own weights."""
-        return self.cost(self.residuals(linear), self.weights(linear)[0], linear)
-
-    def cost_in(self, frame: Linear, trial: Linear, weights: Array) -> float:
-        """Return the cost at a trial, in the rows and weights of another state."""
-        return self.cost(self.residuals(trial, frame), weights, trial)
 
     def falls(self, start: Linear, trial: Linear, weights: Array, cost: float) -> bool:
         """Return whether a step is a good one.
@@ -250,9 +243,9 @@ class System:
         the optimum, where rows turn with the state, in the rows of its end; near it, in those of
         its beginning.
         """
-        trial_cost = self.cost_in(trial, trial, weights)
+        trial_cost = self.cost(trial, weights)
         near = trial_cost <= (1.0 + ROWS_FOLLOW) * cost
-        return trial_cost < cost or (near and self.cost_in(start, trial, weights) <= cost)
+        return trial_cost < cost or (near and self.cost(trial, weights, start) <= cost)
 
     def solve(self, linear: Linear, weights: Array, scale: float) -> NormalEquations:
         """Return the normal equations in square-root form, a loss with its curvature."""

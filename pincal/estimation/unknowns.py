@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from pincal.errors import MeasurementError
 from pincal.kinematics.batches import inverse_left_jacobian
+from pincal.kinematics.derivatives import Demand
 from pincal.model.checks import ROUNDING
 from pincal.model.leg import Leg
 from pincal.model.parameter import means
@@ -72,6 +73,10 @@ class BlockRows:
     """Derivatives by the block's unknowns, those of all legs or external ones, shape (N, k, n)."""
     noise_root: Array
     """S, root of the noise, shape (N, k, s)."""
+    demands: tuple[Demand, ...] = ()
+    """What each leg demands, if these are residuals of legs, with its derivatives by readings."""
+    joints: tuple[Array, ...] = ()
+    """Joint positions of each leg, deformations behind them, shape (N, n_joints [+ n_deformed])."""
 
 
 class ExternalUnknowns:
@@ -239,7 +244,7 @@ def unknowns(
     """
     pairs = [(leg.name, name) for leg in legs for name in leg.parameter_names]
     nominal = np.concatenate([*(leg.nominal for leg in legs), np.zeros(len(external))])
-    n, start = len(nominal), nominal.copy()
+    start, sigmas = nominal.copy(), np.full(len(nominal), np.inf)
     held = {i for name in fixed for i in _places(pairs, name)}
     if len(held) == len(pairs) and not external:
         raise MeasurementError("every parameter is fixed; leave one of them to be identified")
@@ -249,21 +254,23 @@ def unknowns(
         bound |= set(places)
         start[places] = nominal[places].mean()
         groups.append(places)
-    groups = sorted([*groups, *([i] for i in range(n) if i not in bound)])
-    T = np.zeros((n, len(groups)))
+    for name, sigma in (priors or {}).items():
+        if not _SMALLEST_PRIOR <= sigma < np.inf:
+            raise MeasurementError(
+                f"the prior of {name!r} is {sigma:g}; expected a standard deviation above 0, at "
+                f"least {_SMALLEST_PRIOR:g} (for a parameter that is known exactly, fix it)"
+            )
+        sigmas[_places(pairs, name)] = sigma
+    sigmas[list(held)] = np.inf
+    groups = sorted([*groups, *([i] for i in range(len(nominal)) if i not in bound)])
+    T, ids = np.zeros((len(nominal), len(groups))), [*map(".".join, pairs), *external]
     for column, places in enumerate(groups):
         T[places, column] = 1.0
-    sigmas = _prior_sigmas(pairs, priors or {}, n)
-    sigmas[list(held)] = np.inf
-    ids = [*map(".".join, pairs), *external]
-    free_labels = tuple(_free_label(ids, places) for places in groups)
-    return Unknowns(tuple(ids), start, T, sigmas, nominal, free_labels)
-
-
-def _free_label(ids: Sequence[str], places: Sequence[int]) -> str:
-    """Return the id of a free parameter, the first that is tied if several are."""
-    others = len(places) - 1
-    return ids[places[0]] + (f" (tied to {others} more)" if others else "")
+    free_labels = [
+        ids[first] + (f" (tied to {len(others)} more)" if others else "")
+        for first, *others in groups
+    ]
+    return Unknowns(tuple(ids), start, T, sigmas, nominal, tuple(free_labels))
 
 
 def _tied_places(
@@ -282,22 +289,8 @@ def _tied_places(
             f"{np.ptp(nominal[places]):.3g}"
         )
     if fixed_too := bound & set(places):
-        message = f"{pairs[fixed_too.pop()][1]!r} is both fixed and tied; choose one"
-        raise MeasurementError(message)
+        raise MeasurementError(f"{pairs[fixed_too.pop()][1]!r} is both fixed and tied; choose one")
     return places
-
-
-def _prior_sigmas(pairs: list[tuple[str, str]], priors: Mapping[str, float], count: int) -> Array:
-    """Return standard deviations of nominal values, infinite where there is none, (count,)."""
-    sigmas = np.full(count, np.inf)
-    for name, sigma in priors.items():
-        if not _SMALLEST_PRIOR <= sigma < np.inf:
-            raise MeasurementError(
-                f"the prior of {name!r} is {sigma:g}; expected a standard deviation above 0, at "
-                f"least {_SMALLEST_PRIOR:g} (for a parameter that is known exactly, fix it)"
-            )
-        sigmas[_places(pairs, name)] = sigma
-    return sigmas
 
 
 def _places(pairs: list[tuple[str, str]], wanted_name: str) -> list[int]:
@@ -305,9 +298,8 @@ def _places(pairs: list[tuple[str, str]], wanted_name: str) -> list[int]:
     places = [i for i, (leg, name) in enumerate(pairs) if means(wanted_name, leg, name)]
     if not places:
         known = dict.fromkeys(name for _, name in pairs)
-        legs = dict.fromkeys(leg for leg, _ in pairs)
         raise MeasurementError(
             f"no parameter {wanted_name!r}; expected one of {', '.join(known)}, or of one leg as "
-            f"'{next(iter(legs))}.{next(iter(known))}'"
+            f"'{pairs[0][0]}.{pairs[0][1]}'"
         )
     return places

@@ -19,10 +19,10 @@ import numpy as np
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.options import Options
 from pincal.errors import MeasurementError
-from pincal.estimation.alignment import aligned
 from pincal.estimation.observability.indices import DIFFER, changes_of
 from pincal.estimation.observation import Observation
-from pincal.estimation.problem import Problem, spread
+from pincal.estimation.problem import Problem
+from pincal.estimation.start import aligned
 from pincal.estimation.system import LOSSES, NormalEquations, System
 from pincal.estimation.unknowns import State, unknowns
 from pincal.kinematics.closing import home_mode, mode_sign
@@ -96,7 +96,8 @@ class Case:
         if len(rows) < 2 or (target.unknown and np.any(target.offset) and not free):
             return None
         target = replace(target, unknown=target.unknown and free)
-        rows = rows[spread(len(rows), _ROWS if oriented and not free else _ROWS_FORWARD)]
+        most = _ROWS if oriented and not free else _ROWS_FORWARD
+        rows = rows[:: -(-len(rows) // most)]
         return Case(mechanism, data, free, target, rows, oriented)
 
     @property

@@ -88,48 +88,47 @@ def scores(fit: Fit, again: Mapping[str, Index] | None = None) -> list[Score]:
     if not _testable(fit):
         return []
     residuals, n = Residuals.of(fit), fit.problem.leg_block.n_readings
-    names, W = errors_of(fit, residuals.used)
-    moved, axes = _of_frame(fit, names, W)
-    grown = _grown(fit, residuals.used)[:, :, None]
-    errors = residuals.errors(np.concatenate((W, moved, grown), axis=2))
-    time = np.linspace(-1.0, 1.0, len(residuals.used))[:, None]
-    courses = {"order": [time] * errors.white.shape[2], **_of_readings(fit, residuals.used)}
-    asked = [*_asked(names, n, courses), (LENGTHS, "order", [len(names) + len(axes)], False)]
+    used, errors = residuals.used, errors_of(fit, residuals.used)
+    moved, axes = _of_frame(fit, errors)
+    time = np.linspace(-1.0, 1.0, len(used))[:, None]
+    courses = {"order": [time] * len(errors), **_of_readings(fit, used)}
+    asked = [*_asked(errors, n, courses), (LENGTHS, "order", _grown(fit, used) * time[:, None])]
     if len(axes) > 1:
-        asked.append((FRAME, "order", [*range(len(names), len(names) + len(axes))], False))
-    forms = [
-        residuals.form(errors.part(columns), [courses[term][i] for i in columns], common=common)
-        for _, term, columns, common in asked
-    ]
-    pairs = zip(asked, residuals.chances(forms).tolist(), strict=True)
-    results = [Score(quantity, term, chance) for (quantity, term, *_), chance in pairs]
-    for column, name in enumerate(names):
-        error = errors.part([column])
-        change = residuals.step(error)
-        results.append(Score(name, "step", change.p_value, change.row, float(change.size[0])))
+        asked.append((FRAME, "order", moved * time[:, None]))
+    chances = residuals.chances([rows for *_, rows in asked]).tolist()
+    pairs = zip(asked, chances, strict=True)
+    results = [Score(quantity, term, chance) for (quantity, term, _), chance in pairs]
+    for name, error in errors.items():
+        row, step = residuals.step(error)
+        results.append(Score(name, "step", step.p_value, row, -float(step.values[0])))
         for place, rows in (again or {}).items():
-            since = _since(residuals.used, rows)
-            (chance,) = residuals.chances([residuals.form(error, [since[:, None]])]).tolist()
-            size = residuals.size(error, since)
-            results.append(Score(name, "again", chance, size=size, place=place))
+            at_place, since = np.isin(used, rows), np.zeros((len(used), 1, 1))
+            if at_place.sum() > 1:  # the time about its mean, 1 from first to last
+                times = used[at_place]
+                since[at_place, 0, 0] = (times - times.mean()) / np.ptp(times)
+            drift = residuals.amplitudes(error * since)
+            size = -float(drift.values[0])
+            results.append(Score(name, "again", drift.p_value, size=size, place=place))
     return results
 
 
 def _asked(
-    names: Sequence[str], n_readings: int, courses: Mapping[str, Sequence[Array]]
-) -> Iterator[tuple[str, str, list[int], bool]]:
-    """Yield quantities and courses to ask for, columns of errors, and whether they are alike.
+    errors: Mapping[str, Array], n_readings: int, courses: Mapping[str, Sequence[Array]]
+) -> Iterator[tuple[str, str, Array]]:
+    """Yield quantities and courses to ask for, and their white rows, (n_used, m, f).
 
     Of each alone, and of all readings: the same error in each, or each with its own amplitudes.
     """
     for term, of_quantities in courses.items():
-        for column, name in enumerate(names[: len(of_quantities)]):
-            yield name, term, [column], False
-        widths = [b.shape[1] for b in of_quantities[:n_readings]]
-        for width in dict.fromkeys(widths) if n_readings > 1 else ():  # [rad] and [m] differ
-            yield ALL, term, [i for i in range(n_readings) if widths[i] == width], True
+        named = zip(errors.items(), of_quantities, strict=False)
+        rows = {name: error * course[:, None] for (name, error), course in named}
+        yield from ((name, term, of_quantity) for name, of_quantity in rows.items())
+        readings = list(rows.values())[:n_readings]
+        widths = dict.fromkeys(of_reading.shape[2] for of_reading in readings)
+        for width in widths if n_readings > 1 else ():  # [rad] and [m] differ
+            yield ALL, term, np.sum([e for e in readings if e.shape[2] == width], axis=0)
         if n_readings > 1 and term != "pose":  # motors differ in amplitude
-            yield ALL, term, [*range(n_readings)], False
+            yield ALL, term, np.concatenate(readings, axis=2)
 
 
 def _testable(fit: Fit) -> bool:
@@ -137,8 +136,8 @@ def _testable(fit: Fit) -> bool:
     return fit.problem.weighted and fit.degrees_of_freedom >= 2 and fit.chi2 > 0.0
 
 
-def errors_of(fit: Fit, used: Index) -> tuple[list[str], Array]:
-    """Return measured quantities, and the white rows of an error of 1 in each, (n_used, m, q)."""
+def errors_of(fit: Fit, used: Index) -> dict[str, Array]:
+    """Return the white rows of an error of 1 by measured quantity, (n_used, m, 1)."""
     problem, linear, legs = fit.problem, fit.last, fit.problem.leg_block
     (count, k), n = linear.conditions.shape, legs.n_readings
     errors = np.zeros((count, k, n + k - legs.n_rows))
@@ -148,7 +147,8 @@ def errors_of(fit: Fit, used: Index) -> tuple[list[str], Array]:
         errors[:, rows, columns] = np.where(serves[:, None, None], demand.reading, 0.0)
     seen = np.arange(legs.n_rows, k)
     errors[:, seen, n + seen - legs.n_rows] = -linear.active[:, seen].astype(float)  # residuals are
-    return list(problem.quantities)[: errors.shape[2]], linear.white(errors)[used]  # less measured
+    white = linear.white(errors)[used].transpose(2, 0, 1)[..., None]  # less measured
+    return dict(zip(problem.quantities, white, strict=False))
 
 
 def _of_readings(fit: Fit, used: Index) -> dict[str, list[Array]]:
@@ -157,8 +157,7 @@ def _of_readings(fit: Fit, used: Index) -> dict[str, list[Array]]:
     Shapes (n_used, f); the pose to second order, less coordinates that vary too little for an
     effect, as heights of one plane: what they vary by is the noise, and so the residuals.
     """
-    block = fit.problem.leg_block
-    platform = fit.problem.platform
+    block, platform = fit.problem.leg_block, fit.problem.platform
     poses = platform.from_matrices(fit.last.state.matrices[used])
     alike = np.equal.outer(platform.units, platform.units)
     scale = np.ptp(poses, axis=0)
@@ -184,38 +183,31 @@ def _of_value(reading: Array, unit: str) -> Array:
     return np.stack([along**2, along**3], axis=1)
 
 
-def _of_target(fit: Fit, names: Sequence[str], W: Array, target: str) -> Array:
+def _of_target(fit: Fit, errors: Mapping[str, Array], target: str) -> Array:
     """Return the white rows of a target's position that is off along x, y, z, (n_used, m, axes)."""
-    stem, none = "" if target == ORIGIN else f"{target}_", np.zeros(W.shape[:2])
-    columns = dict(zip(names, W.transpose(2, 0, 1), strict=True))
-    axes = "xyz"[: fit.problem.platform.space]
-    return np.stack([columns.get(f"measured {stem}{axis}", none) for axis in axes], axis=2)
+    stem, none = (
+        "" if target == ORIGIN else f"{target}_",
+        np.zeros_like(next(iter(errors.values()))),
+    )
+    names = [f"measured {stem}{axis}" for axis in "xyz"[: fit.problem.platform.space]]
+    return np.concatenate([errors.get(name, none) for name in names], axis=2)
 
 
-def _of_frame(fit: Fit, names: Sequence[str], W: Array) -> tuple[Array, tuple[str, ...]]:
+def _of_frame(fit: Fit, errors: Mapping[str, Array]) -> tuple[Array, tuple[str, ...]]:
     """Return white rows of all positions that are off alike, (n_used, m, axes), and the axes."""
     targets = fit.problem.observation.setup.targets
-    moved = np.sum([_of_target(fit, names, W, target) for target in targets], axis=0)
+    moved = np.sum([_of_target(fit, errors, target) for target in targets], axis=0)
     known = moved.any(axis=(0, 1))
     return moved[:, :, known], tuple(np.array(list("xyz"[: len(known)]))[known].tolist())
 
 
-def _since(used: Index, rows: Index) -> Array:
-    """Return the time at rows of one pose about its mean, 1 from first to last; 0 at others."""
-    places = np.flatnonzero(np.isin(used, rows))
-    when = np.zeros(len(used))
-    if len(places) > 1:
-        when[places] = (used[places] - used[places].mean()) / np.ptp(used[places])
-    return when
-
-
 def _grown(fit: Fit, used: Index) -> Array:
-    """Return the white rows of legs whose lengths all grow by one part, shape (n_used, m)."""
-    J, lengths = fit.last.jacobian[used], np.zeros(len(fit.unknowns.labels))
+    """Return the white rows of legs whose lengths all grow by one part, shape (n_used, m, 1)."""
+    J, lengths = fit.last.jacobian[used], np.zeros((len(fit.unknowns.labels), 1))
     for leg, columns in zip(fit.problem.legs, fit.problem.leg_block.columns, strict=True):
         lengths_of_leg = {name for name, unit in leg.units.items() if unit == "m"} - leg.amplitudes
         long = np.array([name in lengths_of_leg for name in leg.parameter_names])
-        lengths[columns] = long * fit.parameters[columns]
+        lengths[columns, 0] = long * fit.parameters[columns]
     return np.asarray(J @ lengths)
 
 
@@ -250,39 +242,37 @@ def _tried(residuals: Residuals, slip: Slip, W: Array) -> Iterator[tuple[Slip, f
 
     Each with the χ² that it takes off, and the white rows of the error with its course.
     """
-    change = residuals.step(residuals.errors(W))
-    course = (residuals.used >= change.row).astype(float)
-    after = replace(slip, row=change.row, size=change.size, p_value=change.p_value)
-    yield after, change.inside, W * course[:, None, None]
+    row, step = residuals.step(W)
+    after = W * (residuals.used >= row)[:, None, None]
+    yield replace(slip, row=row, size=-step.values, p_value=step.p_value), step.inside, after
     time = (residuals.used - residuals.used[0]) / max(float(np.ptp(residuals.used)), 1.0)
-    drift = residuals.amplitudes(W * time[:, None, None])
+    steady = W * time[:, None, None]
+    drift = residuals.amplitudes(steady)
     if drift.rank == W.shape[2]:
-        steady = replace(slip, size=-drift.values, steady=True, p_value=drift.p_value)
-        yield steady, drift.inside, W * time[:, None, None]
+        name = replace(slip, size=-drift.values, steady=True, p_value=drift.p_value)
+        yield name, drift.inside, steady
 
 
 def _candidates(fit: Fit, used: Index) -> Iterator[tuple[Slip, Array]]:
     """Yield what may slip, and the white rows of its unit errors, shape (n_used, m, f)."""
-    problem, platform = fit.problem, fit.problem.platform
-    names, W = errors_of(fit, used)
+    problem, platform, errors = fit.problem, fit.problem.platform, errors_of(fit, used)
     readings = [name for leg in problem.legs for name in leg.reading_names]
-    units = list(problem.quantities.values())
-    for column, (name, unit) in enumerate(zip(readings, units, strict=False)):
-        yield Slip("reading", name, ("",), unit), W[:, :, [column]]
+    quantities = zip(readings, errors.values(), problem.quantities.values(), strict=False)
+    for name, error, unit in quantities:
+        yield Slip("reading", name, ("",), unit), error
     if not problem.latent:
         return
     state, axes = fit.last.state, tuple("xyz"[: platform.space])
     turns = state.external.frame[:3, :3] @ state.matrices[used, :3, :3]
-    turns = turns[:, : len(axes), : len(axes)]
     for target in problem.observation.setup.targets:
-        white = _of_target(fit, names, W, target)
+        white = _of_target(fit, errors, target)
         if white.any():
-            yield Slip("target", target, axes, "m"), white @ turns
-    moved, known = _of_frame(fit, names, W)
+            yield Slip("target", target, axes, "m"), white @ turns[:, : len(axes), : len(axes)]
+    moved, known = _of_frame(fit, errors)
     if known:
         yield Slip("frame", "", known, "m"), moved
-    pairs = zip(platform.freedoms, platform.units, strict=True)
-    angles = tuple(name for name, unit in pairs if unit == "rad")
-    columns = [names.index(f"measured {name}") for name in angles]
-    if angles and W[:, :, columns].any(axis=(0, 1)).all():
-        yield Slip("orientation", ORIGIN, angles, "rad"), W[:, :, columns]
+    angles = platform.freedoms[platform.lengths :]
+    if angles:
+        turned = np.concatenate([errors[f"measured {name}"] for name in angles], axis=2)
+        if turned.any(axis=(0, 1)).all():
+            yield Slip("orientation", ORIGIN, angles, "rad"), turned

@@ -75,8 +75,7 @@ def split_frames(
 
     Directions are columns of shape (n, k), the gain ∂(pose)/∂(parameter) is of shape (N, dof, n).
     How the former move the platform is said by combinations of the columns of ``frame_motions``,
-    shape (k, n_moved), fewer where the platform stays: unlike directions of parameters, which only
-    move frames at the parameters where they were found, these are frame motions anywhere.
+    shape (k, n_moved), fewer where the platform stays: these move frames at any parameters.
 
     Raises:
         ObservabilityError: no pose is held by the legs.
@@ -140,11 +139,7 @@ def find_gauge(
 ) -> Gauge:
     """Return the gauge freedoms of a problem at its start.
 
-    Args:
-        mechanism: The mechanism.
-        problem: The problem.
-        unknowns: What is to be identified.
-        strict: Whether to refuse what is lost but is no motion of frames, or to leave it.
+    If strict, what is lost but is no motion of frames is refused, else it is left.
 
     Raises:
         ObservabilityError: what is measured leaves parameters undetermined at any poses, if
@@ -172,7 +167,7 @@ def find_gauge(
         follows = gain.reshape(-1, n_legs) @ T[:n_legs]
         raise ObservabilityError(
             f"what is measured leaves parameters undetermined at any poses: "
-            f"{_undetermined(mechanism, J, unknowns, moved, inside.shape[1], follows)}"
+            f"{_undetermined(J, unknowns, len(lost), follows)}"
         )
     n_still = len(directions) - frames.shape[1]
     findings = _freedoms(frames.shape[1], mechanism, unknowns, directions @ T.T)
@@ -183,59 +178,29 @@ def find_gauge(
     return Gauge(directions, nearest, tuple(findings), moved if findings else None, frames)
 
 
-def _undetermined(
-    mechanism: Mechanism, J: Array, unknowns: Unknowns, lost: Array, count: int, gain: Array
-) -> str:
+def _undetermined(J: Array, unknowns: Unknowns, n_lost: int, gain: Array) -> str:
     """Return what is unobservable but for motions of frames, and what to do about it.
 
-    J and gain are how measurements and platform follow the free unknowns, shapes (m, n_free). Of
-    the directions of the legs' parameters that are lost, (n_params, n_lost), so many are no motions
-    of frames.
+    J and gain are how measurements and platform follow the free unknowns, shapes (m, n_free).
     """
-    if lost.shape[1] == unknowns.n_free:
+    if n_lost == unknowns.n_free:
         return (
             "all of them, as readings that are no more than the platform's freedoms fit any "
             "machine. Measure the platform, or a part of its pose, or distances"
         )
-    gains = _scale_gains(mechanism, lost) if count == 1 else ()
-    if gains:
-        return (
-            "the scale. Lengths alone do not fix it where the gains of their sensors "
-            f"({', '.join(gains)}) are free: a machine twice as large reads the same. Fix the "
-            f"gains ({' '.join(f'--fixed {name}' for name in gains)}), or measure a position or "
-            "a distance"
-        )
-    groups = identifiability(J, unknowns.free_labels).groups
-    singular = [
-        np.linalg.svd(gain[:, np.isin(unknowns.free_labels, group)], compute_uv=False)
-        for group in groups
-    ]
-    apart = zip(groups, [s[-1] > NEGLIGIBLE * s[0] for s in singular], strict=True)
-    needed = tuple(group for group, moves in apart if moves) or groups  # the platform follows
+    groups, needed = identifiability(J, unknowns.free_labels).groups, []
+    for group in groups:
+        s = np.linalg.svd(gain[:, np.isin(unknowns.free_labels, group)], compute_uv=False)
+        needed += [group] if s[-1] > NEGLIGIBLE * s[0] else []  # the platform follows
+    needed = needed or [*groups]
     return (
         f"{groups_in_words(needed, most=len(needed))}. Measure more of the platform, or fix one of "
         "them, or make it a constant in mechanism.yaml"
     )
 
 
-def _scale_gains(mechanism: Mechanism, lost: Array) -> tuple[str, ...]:
-    """Return names of gains that grow or shrink with all lengths along directions lost, if any."""
-    parameters = mechanism.parameters
-    units = np.array([parameter.unit for parameter in parameters])
-    nominal = np.array([parameter.nominal for parameter in parameters])
-    Q = np.linalg.qr(lost / np.linalg.norm(lost, axis=0))[0]
-    for sign in (1.0, -1.0):
-        grown = np.where(units == "m", nominal, np.where(units == "1", sign * nominal, 0.0))
-        if np.linalg.norm(grown - Q @ (Q.T @ grown)) < NEGLIGIBLE * np.linalg.norm(grown):
-            return tuple(dict.fromkeys(p.name for p in parameters if p.unit == "1"))
-    return ()
-
-
 def _weights(mechanism: Mechanism, problem: Problem) -> Array:
-    """Return how much the square of each unknown's change counts in what is nearest to nominal.
-
-    The frame is taken as it comes; targets too, unless nothing else tells the frame from them.
-    """
+    """Return how much the square of each unknown's change counts: frames not, targets hardly."""
     outside, legs = problem.observation.external, plausible_changes(mechanism)
     length = DIFFER * largest_size(mechanism.legs)
     scales = np.array([length if unit == "m" else DIFFER for unit in outside.units])
@@ -247,14 +212,12 @@ def _freedoms(
     count: int, mechanism: Mechanism, unknowns: Unknowns, directions: Array
 ) -> list[Finding]:
     """Return which frames are free, and by how many freedoms."""
-    if not count:
-        return []
     frame = np.array([name.startswith("tracker.") for name in unknowns.labels])
     n_base = int(np.linalg.matrix_rank(directions[:, frame], tol=1e-6)) if frame.any() else 0
-    if "rad" not in mechanism.platform.units:  # a point has no frame of its own
+    if count and "rad" not in mechanism.platform.units:  # a point has no frame of its own
         return [finding("gauge-base-frame", freedoms=count, unknown_frame=n_base > 0)]
     findings = []
-    if n_base:
+    if count and n_base:
         findings.append(finding("gauge-base-frame", freedoms=n_base, unknown_frame=True))
     if count > n_base:
         findings.append(finding("gauge-platform-frame", freedoms=count - n_base))

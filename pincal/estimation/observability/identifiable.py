@@ -35,7 +35,6 @@ from pincal.words.numbers import listed
 from pincal.words.wording import NAMED
 
 _CLEARLY = 3.0  # times what noise makes of information: less is none
-_ENOUGH_POSES = 500  # poses to judge by: both grow alike with their number
 _TAKES_PART = 0.1  # share of a direction's largest entry, from which a parameter is named
 _WEAKLY = 3.0  # times better that one would be known with the other: correlation 0.943
 
@@ -52,23 +51,20 @@ def check_rank(
         MeasurementError: a derivative does not exist at some pose.
     """
     if not all(np.isfinite(x).all() for x in (linear.by_parameter, linear.white.whitener)):
-        names = [leg.name for leg in problem.legs]
         raise MeasurementError(
-            f"{', '.join(names)}: a residual or its derivative is not finite at some measured "
-            "pose; a leg may be folded or stretched there"
+            f"{', '.join(leg.name for leg in problem.legs)}: a residual or its derivative is not "
+            "finite at some measured pose; a leg may be folded or stretched there"
         )
     J = linear.triangle
     total = identifiability(unknowns.free_rows(J), unknowns.free_labels)
-    if ended and not total.complete:
+    if not total.complete:
         raise ObservabilityError(
             "the search ran away: the measurements determine the parameters at their nominal "
             f"values, but not where it ended ({total.describe()}). They are hardly this machine's: "
             "check signs, units, the order of the readings, the frame of the poses, and rows that "
             "are far off (--loss cauchy)"
-        )
-    if not total.complete:
-        raise ObservabilityError(
-            f"the measured poses leave parameters undetermined: {total.describe()} "
+            if ended
+            else f"the measured poses leave parameters undetermined: {total.describe()} "
             f"(rank {total.rank} of {total.n_params}). Measure poses that separate them, fix "
             "one of them, make it a constant in mechanism.yaml, or hold it as near to nominal as "
             "can be (leave out --strict; leave out --method per-leg)"
@@ -83,8 +79,7 @@ def check_information(
 ) -> None:
     """Raise if some direction in parameter space is observed by the noise of the poses only.
 
-    At one of several places it must be observed by more. The noise is larger than what is drawn by
-    a scale.
+    At one of several places it must be observed by more; noise is a scale larger than drawn.
 
     Raises:
         ObservabilityError: there is one; the message names the parameters that take part.
@@ -101,29 +96,26 @@ def check_information(
 
 
 def _by_noise_only(problem: Problem, unknowns: Unknowns, linear: Linear, scale: float) -> Array:
-    """Return directions in parameter space that noise observes as well as poses, shape (k, n)."""
-    part, linear, _ = problem.thinned(linear, _ENOUGH_POSES)
-    state = linear.state
-    matrices = problem.platform.displaced(state.matrices, _pose_draws(part, linear))
-    drawn = part.evaluate(replace(state, matrices=matrices)).noise_by_parameter
+    """Return directions in parameter space that noise observes as well as poses, shape (k, n).
+
+    Poses are drawn from what is not known about them.
+    """
+    rng, roots, white = np.random.default_rng(0), problem.leg_block.pose_roots, linear.white
+    if roots is None:
+        W = white.by_noise
+        draws = rng.standard_normal((len(W), W.shape[2], 1))
+        unseen = draws - W.transpose(0, 2, 1) @ (W @ draws)  # what white rows do not see
+        twists = white.poses_by(white.noise @ unseen)
+    else:
+        twists = roots @ rng.standard_normal((*roots.shape[:2], 1))
+    matrices = problem.platform.displaced(linear.state.matrices, twists[:, :, 0])
+    drawn = problem.evaluate(replace(linear.state, matrices=matrices)).noise_by_parameter
     difference = (drawn - linear.noise_by_parameter) @ unknowns.map
     rows = unknowns.free_rows(linear.triangle)  # that of the rows here: W Wᵀ = 1
     lengths = np.linalg.norm(rows, axis=0)
     _, information, directions = np.linalg.svd(rows / lengths, full_matrices=False)
     made = scale * np.linalg.norm(difference / lengths @ directions.T, axis=(0, 1))
     return np.asarray(directions[information < _CLEARLY * made])
-
-
-def _pose_draws(problem: Problem, linear: Linear) -> Array:
-    """Return poses' twists drawn from what is not known about them, shape (N, dof)."""
-    rng, roots = np.random.default_rng(0), problem.leg_block.pose_roots
-    if roots is not None:
-        draws = rng.standard_normal(roots.shape[:2])
-        return np.asarray((roots @ draws[:, :, None])[:, :, 0])
-    S, W = linear.white.noise, linear.white.by_noise
-    draws = rng.standard_normal((len(S), S.shape[2], 1))
-    unseen = draws - W.transpose(0, 2, 1) @ (W @ draws)  # what white rows do not see
-    return linear.white.poses_by(S @ unseen)[:, :, 0]
 
 
 def taking_part(names: Sequence[str], directions: Array) -> tuple[str, ...]:
@@ -154,17 +146,16 @@ class HeldUnknowns:
 def hold_unobservable(
     mechanism: Mechanism, problem: Problem, unknowns: Unknowns, least: float = 1.0
 ) -> HeldUnknowns:
-    """Return the unknowns less what the measurements leave unobservable.
+    """Return the unknowns, gauge freedoms held, less what the measurements leave unobservable.
 
     Of all parameters that fit as well, those nearest to the nominal ones, each change measured by
-    what it alone would do to the measurements; then, where they are weakly determined, by how much
-    machines may differ. The unknowns are less gauge freedoms already; directions that noise
-    determines less than ``least`` times better than machines differ count as weak.
+    what it alone would do to the measurements; then, where noise determines them less than
+    ``least`` times better than machines differ, by how much these differ.
 
     Raises:
         ObservabilityError: no measured pose is one that the legs reach.
     """
-    J = _jacobian(mechanism, problem, unknowns)
+    J = _at_start(mechanism, problem, unknowns)
     if not len(J):
         raise ObservabilityError(
             "the nominal legs reach none of the measured poses, so that nothing is determined; "
@@ -172,11 +163,11 @@ def hold_unobservable(
         )
     lost, lengths = lost_directions(J)
     held = unknowns.held(lost * lengths) if len(lost) else unknowns
-    axes, information, scale = _determined(mechanism, problem, held)
+    axes, information, scale, plausible = _determined(mechanism, problem, held)
     weak = axes[int((information > least).sum()) :]
     weakest = information[information > least].min(initial=np.inf)
     moved = [(lost / lengths) @ unknowns.map.T, (weak * scale) @ held.map.T]
-    directions, plausible = np.concatenate(moved).T, _plausible(mechanism, problem)
+    directions = np.concatenate(moved).T
     directions = directions / np.abs(directions / plausible[:, None]).max(axis=0, initial=0.0)
     groups = identifiability(J, unknowns.free_labels).groups if len(lost) else ()
     names = taking_part(held.free_labels, weak) if len(weak) else ()
@@ -184,41 +175,30 @@ def hold_unobservable(
     return HeldUnknowns(held, directions, groups, names, least, float(weakest))
 
 
-def _determined(
-    mechanism: Mechanism, problem: Problem, unknowns: Unknowns
-) -> tuple[Array, Array, Array]:
-    """Return directions, and how many times better than machines differ noise determines them.
-
-    Rows of shape (n_free, n_free), in unknowns over their scale, the best determined first; how
-    well these are, shape (min(m, n_free),); and these scales: by how much machines may differ,
-    shape (n_free,).
-
-    Args:
-        mechanism: The nominal mechanism.
-        problem: The problem, at its start.
-        unknowns: Of the problem, none unobservable.
-    """
-    state = problem.start(unknowns.start)
-    if problem.latent:
-        state = poses_at_rest(problem, state)
-    scale = 1.0 / np.abs(unknowns.map / _plausible(mechanism, problem)[:, None]).max(axis=0)
-    rows = unknowns.free_rows(problem.evaluate(state).jacobian) * scale
-    _, information, axes = np.linalg.svd(np.linalg.qr(rows, mode="r"), full_matrices=True)
-    return axes, information, scale
-
-
-def _plausible(mechanism: Mechanism, problem: Problem) -> Array:
-    """Return by how much all unknowns may differ from where they start, shape (n,)."""
-    size = largest_size(mechanism.legs)
-    outside = [size if unit == "m" else 1.0 for unit in problem.observation.external.units]
-    return np.concatenate((plausible_changes(mechanism, problem.legs), outside))
-
-
-def _jacobian(mechanism: Mechanism, problem: Problem, unknowns: Unknowns) -> Array:
+def _at_start(mechanism: Mechanism, problem: Problem, unknowns: Unknowns) -> Array:
     """Return the Jacobian in the free unknowns that says what is unobservable, shape (m, n)."""
     if problem.latent:
         return jacobian_near(mechanism, problem, unknowns, generic=False)[1]
     return unknowns.free_rows(problem.evaluate(problem.start(unknowns.start)).jacobian)
+
+
+def _determined(
+    mechanism: Mechanism, problem: Problem, unknowns: Unknowns
+) -> tuple[Array, Array, Array, Array]:
+    """Return directions, and how many times better than machines differ noise determines them.
+
+    Rows in unknowns over their scale, the best determined first, shape (n_free, n_free); how well,
+    (min(m, n_free),); these scales, (n_free,); and by how much all unknowns may differ, (n,).
+    """
+    size, outside = largest_size(mechanism.legs), problem.observation.external.units
+    differ = [size if unit == "m" else 1.0 for unit in outside]
+    plausible = np.concatenate((plausible_changes(mechanism, problem.legs), differ))
+    state = problem.start(unknowns.start)
+    state = poses_at_rest(problem, state) if problem.latent else state
+    scale = 1.0 / np.abs(unknowns.map / plausible[:, None]).max(axis=0)
+    rows = unknowns.free_rows(problem.evaluate(state).jacobian) * scale
+    _, information, axes = np.linalg.svd(np.linalg.qr(rows, mode="r"), full_matrices=True)
+    return axes, information, scale, plausible
 
 
 def check_weakly_determined(
@@ -229,13 +209,11 @@ def check_weakly_determined(
     Raises:
         ObservabilityError: that is so; the message names what.
     """
-    lost, _ = lost_directions(_jacobian(mechanism, problem, unknowns))
-    if len(lost):
-        return
-    axes, information, _ = _determined(mechanism, problem, unknowns)
-    if (information <= 1.0).any():
-        weak = axes[: len(information)][information <= 1.0]
-        raise _weak(taking_part(unknowns.free_labels, weak)) from cause
+    if not len(lost_directions(_at_start(mechanism, problem, unknowns))[0]):
+        axes, information, *_ = _determined(mechanism, problem, unknowns)
+        if (information <= 1.0).any():
+            weak = axes[: len(information)][information <= 1.0]
+            raise _weak(taking_part(unknowns.free_labels, weak)) from cause
 
 
 def check_covariance(
@@ -250,8 +228,8 @@ def check_covariance(
     Raises:
         ObservabilityError: that is so; the message names the parameters.
     """
-    n, limit = problem.leg_block.n_parameters, plausible_changes(mechanism, problem.legs)
-    std = np.sqrt(np.diagonal(covariance))[:n]
+    limit = plausible_changes(mechanism, problem.legs)
+    std = np.sqrt(np.diagonal(covariance))[: len(limit)]
     nominal = np.concatenate([leg.nominal for leg in problem.legs])
     moved = np.abs(optimum.last.state.parameters - nominal) > limit
     far = std > limit
@@ -314,9 +292,16 @@ def weak_pairs(
     names = [parameter.partition(".") for parameter in ids]
 
     def known(place: int, second: int) -> float:
+        """Return the standard error of a parameter if the second is known, frames still unknown."""
         same_leg = names[place][0] == names[second][0]
-        rows = [i for i, parts in enumerate(names) if same_leg and parts[2] == names[second][2]]
-        return _known(covariance, directions, place, [i for i in rows or [second] if finite[i]])
+        alike = [i for i, parts in enumerate(names) if same_leg and parts[2] == names[second][2]]
+        fixed = [i for i in alike or [second] if finite[i]]
+        axes, size, _ = np.linalg.svd(directions[fixed] / np.linalg.norm(directions, axis=0))
+        unmoved = axes[:, int((size > RANK_TOLERANCE).sum()) :].T  # combinations no frame can move
+        across = unmoved @ covariance[fixed]
+        inner = np.linalg.pinv(across[:, fixed] @ unmoved.T, hermitian=True)
+        gained = across[:, place] @ inner @ across[:, place]
+        return float(np.sqrt(max(covariance[place, place] - gained, 0.0)))
 
     pairs = []
     for i, j in np.argwhere(np.triu(np.abs(rho) > sqrt(1.0 - _WEAKLY**-2), 1)).tolist():
@@ -324,13 +309,3 @@ def weak_pairs(
         pairs.append(WeakPair(ids[i], ids[j], float(rho[i, j]), stds, knowns))
     weak = [pair for pair in pairs if _WEAKLY <= pair.gain < 1.0 / NEGLIGIBLE]  # else tied
     return tuple(sorted(weak, key=lambda pair: -pair.gain))
-
-
-def _known(covariance: Array, gauge: Array, place: int, fixed: list[int]) -> float:
-    """Return the standard error of one parameter if others were known, frames still unknown."""
-    axes, size, _ = np.linalg.svd(gauge[fixed] / np.linalg.norm(gauge, axis=0))
-    unmoved = axes[:, int((size > RANK_TOLERANCE).sum()) :].T  # combinations no frame can move
-    across = unmoved @ covariance[fixed]
-    inner = across[:, fixed] @ unmoved.T
-    gained = across[:, place] @ np.linalg.pinv(inner, hermitian=True) @ across[:, place]
-    return float(np.sqrt(max(covariance[place, place] - gained, 0.0)))

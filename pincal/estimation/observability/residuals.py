@@ -1,6 +1,6 @@
 """What residuals of a fit are to be expected, and what they say of errors that a model lacks.
 
-With white rows ρ and the estimate δz = −B Σ s Jᵀ ρ (``Spread``), what is left is r = ρ − J B Σ s
+With white rows ρ and the estimate δz = −B Σ s Jᵀ ρ (``Fit``), what is left is r = ρ − J B Σ s
 Jᵀ ρ. Of least squares cov r = M = 1 − H, H = J (JᵀJ)⁻¹ Jᵀ = Q Qᵀ of J = Q R: a residual has the
 variance σ² (1 − h), h its leverage. What is left of a measured quantity's own
 noise is its redundancy number (W. Baarda, A testing procedure for use in geodetic networks, 1968).
@@ -16,7 +16,7 @@ Wᵀ M W = WᵀW − (QᵀW)ᵀ QᵀW.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import fdtrc, ndtr
@@ -76,60 +76,26 @@ def leg_residuals(problem: Problem, linear: Linear, index: int) -> LegResiduals:
     return LegResiduals(value, sigma, "m" if quantity == "closure" else units, quantity, follows)
 
 
-@dataclass(frozen=True)
-class Remainders:
-    """What a fit leaves of q quantities at each of N poses, c e of the conditions there."""
+def remaining_variances(fit: Fit, follows: Array) -> Array:
+    """Return variances of what a fit leaves of quantities c e, in squares of their units, (N, q).
 
-    noise: Array
-    """By the noise alone: c L or c S, shape (N, q, s)."""
-    taken: Array
-    """What they follow of the estimate, c J R⁻¹, shape (N, q, n)."""
-    given: Array
-    """What their noise gives to the estimate, R δz, shape (N, q, n)."""
-    estimate: Array
-    """Covariance of R δz, shape (n, n): 1 of least squares."""
+    With what is left r − J δz, those of the noise as modelled, of the estimate, and of both.
 
-    @classmethod
-    def of(cls, fit: Fit, follows: Array) -> Remainders:
-        """Return what a fit leaves of quantities; c is how they follow conditions, (N, q, k)."""
-        system, linear, spread = fit.system, fit.last, fit.spread
-        by_free, rows, parts = system.unknowns.map @ spread.root, system.rows(linear), []
-        for poses in linear.parts():
-            J, W = system.derivatives(linear, poses) @ by_free, rows.by_noise[poses]
-            c = product(follows[poses], rows.back[poses])  # by the rows
-            noise = product(c, W)
-            through = product(noise, W.transpose(0, 2, 1))
-            gained = spread.slopes[poses, None, None] * product(through, J)
-            parts.append((noise, product(c, J), gained))
-        noise, taken, gained = (np.concatenate(chunk) for chunk in zip(*parts, strict=True))
-        return cls(noise, taken, gained, spread.meat_in_root)
-
-    @property
-    def variances(self) -> Array:
-        """Of each, shape (N, q), in squares of its unit, the noise as modelled."""
-        variance = (self.noise**2).sum(axis=2)
-        mixed = (self.taken * self.given).sum(axis=2)
-        return np.asarray(variance - 2.0 * mixed + (self.taken @ self.estimate * self.taken).sum(2))
-
-    def part(self, columns: slice) -> Remainders:
-        """Return what is left of some of the quantities."""
-        noise, taken, gained = (rows[:, columns] for rows in (self.noise, self.taken, self.given))
-        return Remainders(noise, taken, gained, self.estimate)
-
-
-def every_residual(fit: Fit) -> tuple[list[LegResiduals], Array, list[slice]]:
-    """Return the residuals of legs and what they and those of all that was measured follow.
-
-    Returns:
-        Residuals of each leg; derivatives by the conditions of these and, behind them, of what was
-        measured of the platform, shape (N, q, k); and the columns of each leg, then of that.
+    Args:
+        fit: The fit.
+        follows: c, how quantities follow the conditions, shape (N, q, k).
     """
-    problem, linear = fit.problem, fit.last
-    legs = [leg_residuals(problem, linear, index) for index in range(len(problem.legs))]
-    n_legs, (count, k) = problem.leg_block.n_rows, linear.conditions.shape
-    observed = np.broadcast_to(np.eye(k)[n_legs:], (count, k - n_legs, k))
-    parts = [*(leg.follows for leg in legs), observed]
-    return legs, np.concatenate(parts, axis=1), slices([rows.shape[1] for rows in parts])
+    system, linear, parts = fit.system, fit.last, []
+    by_free, rows = system.unknowns.map @ fit.root, system.rows(linear)
+    for poses in linear.parts():
+        J, W = system.derivatives(linear, poses) @ by_free, rows.by_noise[poses]
+        c = product(follows[poses], rows.back[poses])  # by the rows
+        noise, taken = product(c, W), product(c, J)
+        gained = product(product(noise, W.transpose(0, 2, 1)), J)
+        mixed = fit.slopes[poses, None] * (taken * gained).sum(axis=2)
+        of_estimate = (taken @ fit.meat_in_root * taken).sum(axis=2)
+        parts.append((noise**2).sum(axis=2) - 2.0 * mixed + of_estimate)
+    return np.concatenate(parts)
 
 
 def redundancy(fit: Fit) -> tuple[list[LegResiduals], list[Array]]:
@@ -138,17 +104,18 @@ def redundancy(fit: Fit) -> tuple[list[LegResiduals], list[Array]]:
     Of each leg, then of what was measured of the platform, shape (N, q); zero where there is no
     noise.
     """
-    legs, follows, columns = every_residual(fit)
-    variances = Remainders.of(fit, follows).variances
-    measured = columns[-1].stop - columns[-1].start
-    sigmas = [*(leg.sigma for leg in legs), fit.problem.observation.sigma[:, :measured]]
+    problem, linear = fit.problem, fit.last
+    legs = [leg_residuals(problem, linear, index) for index in range(len(problem.legs))]
+    n_legs, (count, k) = problem.leg_block.n_rows, linear.conditions.shape
+    observed = np.broadcast_to(np.eye(k)[n_legs:], (count, k - n_legs, k))
+    follows = [*(leg.follows for leg in legs), observed]
+    variances = remaining_variances(fit, np.concatenate(follows, axis=1))
+    sigmas = [*(leg.sigma for leg in legs), problem.observation.sigma[:, : k - n_legs]]
+    columns = slices([rows.shape[1] for rows in follows])
     return legs, [
         np.maximum(variances[:, place], 0.0) / np.where(sigma > 0.0, sigma, np.inf) ** 2
         for place, sigma in zip(columns, sigmas, strict=True)
     ]
-
-
-_HALVINGS = int(np.ceil(-np.log2(ROUNDING)))  # of the interval in which a saddle point lies
 
 
 @dataclass(frozen=True)
@@ -167,54 +134,6 @@ class Amplitudes:
     """χ² along the terms."""
     p_value: float
     """Of so much, or more, by chance."""
-
-
-@dataclass(frozen=True)
-class Change:
-    """The clearest step of some errors, from one row on."""
-
-    p_value: float
-    """Of such a step anywhere, by chance."""
-    row: int
-    """The first row after it, among those of the fit."""
-    size: Array
-    """How large the errors are after it, shape (f,)."""
-    inside: float
-    """χ² that it takes off."""
-
-
-@dataclass(frozen=True)
-class ErrorRows:
-    """ErrorRows of measured quantities that are 1 in each row, as white rows see them."""
-
-    white: Array
-    """W, shape (n_used, m, f)."""
-    taken: Array
-    """Qᵀ W of each row, shape (n_used, n_free, f)."""
-    along: Array
-    """Wᵀ M r of each row, shape (n_used, f)."""
-
-    def part(self, columns: Sequence[int]) -> ErrorRows:
-        """Return some of the errors."""
-        chosen = list(columns)
-        return ErrorRows(self.white[:, :, chosen], self.taken[:, :, chosen], self.along[:, chosen])
-
-
-@dataclass(frozen=True)
-class ResidualForm:
-    """What residuals say of errors with amplitudes as large as each other."""
-
-    weights: Array
-    """Eigenvalues of Wᵀ M W, shape (f,), the largest last."""
-    inside: float
-    """|Wᵀ M r|²."""
-    length: float
-    """Tr WᵀW: what there would be to see if parameters took up nothing."""
-
-    @property
-    def seen(self) -> bool:
-        """Whether parameters leave anything of these errors."""
-        return bool(self.weights[-1] > NEGLIGIBLE**2 * self.length > 0.0)
 
 
 @dataclass(frozen=True)
@@ -237,42 +156,11 @@ class Residuals:
         rows = np.flatnonzero(fit.good)
         return cls(rows, left, fit.Q, fit.normal.left, fit.degrees_of_freedom)
 
-    def errors(self, W: Array) -> ErrorRows:
-        """Return errors by their white rows, shape (n_used, m, f)."""
-        along = (W.transpose(0, 2, 1) @ self.left[:, :, None])[:, :, 0]
-        return ErrorRows(W, self.Q.transpose(0, 2, 1) @ W, along)
-
-    def chance(self, inside: float, rank: int) -> float:
-        """Return the probability of a part of χ² of some rank, or of a larger one."""
-        free = self.degrees_of_freedom - rank
-        ratio = inside / rank / (max(self.chi2 - inside, 1e-300) / free)
-        return float(fdtrc(rank, free, ratio))
-
-    def form(
-        self, errors: ErrorRows, courses: Sequence[Array], *, common: bool = False
-    ) -> ResidualForm:
-        """Return what residuals say of errors with amplitudes as large as each other.
-
-        Each error is larger or less by its courses b, shape (n_used, f), with amplitudes of its own
-        or common to all. White rows and courses are never multiplied out: W_n = w_n b_nᵀ, so WᵀW =
-        Σ |w_n|² b_n b_nᵀ.
-        """
-        k, W = len(courses), errors.white
-        squares, B = W.transpose(0, 2, 1) @ W, np.concatenate(courses, axis=1)
-        owner = np.repeat(np.arange(k), [b.shape[1] for b in courses])
-        gram = np.concatenate([b.T @ (squares[:, i, owner] * B) for i, b in enumerate(courses)])
-        taken = np.hstack([errors.taken[:, :, i].T @ b for i, b in enumerate(courses)])
-        along = np.hstack([errors.along[:, i] @ b for i, b in enumerate(courses)])
-        if common:
-            gram = gram.reshape(k, -1, k, len(gram) // k).sum(axis=(0, 2))
-            taken = taken.reshape(len(taken), k, -1).sum(axis=1)
-            along = along.reshape(k, -1).sum(axis=0)
-        values = np.asarray(np.linalg.eigvalsh(gram - taken.T @ taken), np.float64)
-        return ResidualForm(values, float(along @ along), float(np.trace(gram)))
-
-    def chances(self, forms: Sequence[ResidualForm]) -> Array:
-        """Return the probability of so much along errors, or more, of each form."""
-        return of_forms(forms, self.chi2, self.degrees_of_freedom)
+    def seen(self, W: Array) -> tuple[Array, Array, Array]:
+        """Return Wᵀ M W, Wᵀ M r and the squared columns of W, of white rows (n_used, m, f)."""
+        gram, taken = over_rows(W, W), over_rows(self.Q, W)
+        along = over_rows(W, self.left[:, :, None])[:, 0]
+        return gram - taken.T @ taken, along, np.diagonal(gram)
 
     def amplitudes(self, W: Array) -> Amplitudes:
         """Return the amplitudes of terms that residuals ask for, by white rows (n_used, m, f)."""
@@ -280,11 +168,13 @@ class Residuals:
         f, rank = C.shape
         if not 0 < rank < self.degrees_of_freedom:
             return Amplitudes(np.zeros(f), np.full(f, np.inf), 0.0, 0, 0.0, 1.0)
-        inside = float(along @ along)
-        noise = max(self.chi2 - inside, 1e-300) / (self.degrees_of_freedom - rank)
-        std = np.where(hidden, np.inf, np.sqrt(noise * (C**2).sum(axis=1)))
-        p_value = self.chance(inside, rank)
-        return Amplitudes(-C @ along, std, inside / rank / noise, rank, inside, p_value)
+        inside, free = float(along @ along), self.degrees_of_freedom - rank
+        noise = max(self.chi2 - inside, 1e-300) / free
+        std, F = (
+            np.where(hidden, np.inf, np.sqrt(noise * (C**2).sum(axis=1))),
+            inside / rank / noise,
+        )
+        return Amplitudes(-C @ along, std, F, rank, inside, float(fdtrc(rank, free, F)))
 
     def without(self, W: Array) -> Residuals:
         """Return the residuals with errors of white rows W taken up, shape (n_used, m, f)."""
@@ -304,63 +194,63 @@ class Residuals:
         C makes M W C orthonormal, shape (f, rank); then (M W C)ᵀ r, shape (rank,), and which errors
         parameters take up in part, shape (f,).
         """
-        gram, taken = over_rows(W, W), over_rows(self.Q, W)
-        lengths = np.sqrt(np.diagonal(gram))
-        lengths = np.where(lengths > 0.0, lengths, 1.0)
-        s, V = np.linalg.eigh((gram - taken.T @ taken) / np.outer(lengths, lengths))
+        information, along, squares = self.seen(W)
+        lengths = np.sqrt(np.where(squares > 0.0, squares, 1.0))
+        s, V = np.linalg.eigh(information / np.outer(lengths, lengths))
         resolved = s > NEGLIGIBLE**2
         C = V[:, resolved] / np.sqrt(s[resolved]) / lengths[:, None]
         hidden = (V[:, ~resolved] ** 2).sum(axis=1) > RANK_TOLERANCE
-        return C, C.T @ over_rows(W, self.left[:, :, None])[:, 0], hidden
+        return C, C.T @ along, hidden
 
-    def size(self, error: ErrorRows, course: Array) -> float:
-        """Return how large one error of some course is, shape (n_used,)."""
-        taken = course @ error.taken[:, :, 0]
-        squares = (error.white**2).sum(axis=(1, 2))
-        information = float(course**2 @ squares - taken @ taken)
-        return float(course @ error.along[:, 0]) / information if information > 0.0 else 0.0
+    def step(self, W: Array) -> tuple[int, Amplitudes]:
+        """Return the first row after the clearest step of errors at once, and how large it is.
 
-    def step(self, errors: ErrorRows) -> Change:
-        """Return the clearest step of f errors at once, from one row on."""
-        f, gram = errors.white.shape[2], errors.white.transpose(0, 2, 1) @ errors.white
-        none = Change(1.0, 0, np.zeros(f), 0.0)
-        if len(gram) < 2 or self.degrees_of_freedom <= f:
-            return none
+        The row is among those of the fit; probable by chance is such a step anywhere.
+        """
+        turned = W.transpose(0, 2, 1)
+        along = (turned @ self.left[:, :, None])[:, :, 0]
         after, squares, taken = (
-            np.cumsum(rows[::-1], axis=0)[::-1][1:] for rows in (errors.along, gram, errors.taken)
+            np.cumsum(rows[::-1], axis=0)[::-1][1:]
+            for rows in (along, turned @ W, self.Q.transpose(0, 2, 1) @ W)
         )
-        lengths = squares - taken.transpose(0, 2, 1) @ taken
-        least = RANK_TOLERANCE * max(float(np.trace(squares[0])), 1e-300)
-        known = np.linalg.eigvalsh(lengths)[:, 0] > least
+        information = squares - taken.transpose(0, 2, 1) @ taken
+        least = RANK_TOLERANCE * max(float(np.trace(squares[0])) if len(squares) else 0.0, 1e-300)
+        known = np.linalg.eigvalsh(information)[:, 0] > least
         known[:1] = known[-1:] = False  # a row of its own is an outlier
         places = np.flatnonzero(known)
         if not len(places):
-            return none
-        sizes = np.linalg.solve(lengths[known], after[known][:, :, None])[:, :, 0]
-        inside = np.einsum("nf,nf->n", sizes, after[known])
-        best = int(np.argmax(inside))
-        chance = min(1.0, self.chance(float(inside[best]), f) * len(places))
+            return 0, self.amplitudes(0.0 * W)
+        sizes = np.linalg.solve(information[known], after[known][:, :, None])[:, :, 0]
+        best = int(np.argmax(np.einsum("nf,nf->n", sizes, after[known])))
         row = int(self.used[places[best] + 1])
-        return Change(chance, row, sizes[best], float(inside[best]))
+        answer = self.amplitudes(W * (self.used >= row)[:, None, None])
+        return row, replace(answer, p_value=min(1.0, answer.p_value * len(places)))
+
+    def chances(self, errors: Sequence[Array]) -> Array:
+        """Return the probability of so much along errors, or more; 1 if nothing of them is seen.
+
+        Of each white rows W, shape (n_used, m, f), whose amplitudes are as large as each other.
+        """
+        sums = [(np.linalg.eigvalsh(parts[0]), *parts[1:]) for parts in map(self.seen, errors)]
+        chances = np.ones(len(sums))
+        known = [
+            place
+            for place, (weights, _, squares) in enumerate(sums)
+            if weights[-1] > NEGLIGIBLE**2 * squares.sum() > 0.0
+            if len(weights) < self.degrees_of_freedom
+        ]
+        if known and self.chi2 > 0.0:
+            weights = np.zeros((len(known), max(len(sums[place][0]) for place in known)))
+            shares = np.zeros(len(known))
+            for row, place in enumerate(known):
+                eigenvalues, along, _ = sums[place]
+                weights[row, : len(eigenvalues)] = eigenvalues.clip(0.0) / eigenvalues[-1]
+                shares[row] = along @ along / eigenvalues[-1] / self.chi2
+            chances[known] = above(weights, shares.clip(0.0, 1.0), self.degrees_of_freedom)
+        return chances
 
 
-def of_forms(forms: Sequence[ResidualForm], chi2: float, degrees_of_freedom: int) -> Array:
-    """Return the probability of so much along errors, or more, of each form; 1 if nothing is seen.
-
-    χ² and degrees of freedom are those of all residuals.
-    """
-    probabilities = np.ones(len(forms))
-    seen = [form.seen and len(form.weights) < degrees_of_freedom for form in forms]
-    known = np.flatnonzero(seen).tolist()
-    if not known or not chi2 > 0.0:
-        return probabilities
-    weights = np.zeros((len(known), max(len(forms[i].weights) for i in known)))
-    for row, i in zip(weights, known, strict=True):
-        eigenvalues = forms[i].weights
-        row[: len(eigenvalues)] = eigenvalues.clip(0.0) / eigenvalues[-1]
-    shares = np.array([forms[i].inside / forms[i].weights[-1] for i in known]) / chi2
-    probabilities[known] = above(weights, shares.clip(0.0, 1.0), degrees_of_freedom)
-    return probabilities
+_HALVINGS = int(np.ceil(-np.log2(ROUNDING)))  # of the interval in which a saddle point lies
 
 
 def above(weights: Array, shares: Array, degrees_of_freedom: int) -> Array:
