@@ -221,9 +221,7 @@ def test_a_planar_arm() -> None:
         Joint("tip", "fixed", Placement.of(dict(parameters), x="l2")),
     )
     sensors = (pincal.Sensor("q1"), pincal.Sensor("q2"))
-    leg = pincal.Leg(
-        "arm", joints, sensors, parameters, Joint("tool", "fixed"), "tip", closes="frame"
-    )
+    leg = pincal.Leg("arm", joints, sensors, parameters, Joint("tool", "fixed"), closes="frame")
     mechanism = pincal.Mechanism("2R", pincal.Platform("planar", (0.7, 0.0, 0.0)), (leg,))
     truth = pincal.disturb(mechanism, 2e-3, 3)
     plan = pincal.sample_configurations(mechanism, 40, 0)
@@ -272,7 +270,7 @@ def test_files_say_the_same(tmp_path: Path) -> None:
     back = pincal.load_mechanism(str(tmp_path / "result"))
     for one, folder in ((mechanism, "arm"), (result.identified, "result/mechanism")):
         file = tmp_path / folder / "arm.urdf"
-        alone = Reference(file, "tip", "", mechanism.reading_names)
+        alone = Reference(file, "arm_tip", "", mechanism.reading_names)
         poses = pincal.forward(one, readings).poses
         matrices = one.platform.transforms(poses).as_matrix()
         wanted = alone.poses(np.zeros(len(one.legs[0].parameters)), readings)

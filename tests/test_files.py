@@ -69,7 +69,7 @@ def mixed() -> pincal.Mechanism:
     )
     point = pincal.Joint("p", "fixed", pincal.Placement.of(values, polar=("r", "azimuth")))
     sensor = pincal.Sensor("rail", form="reading", gain=2.0, offset="gamma", direction=-1, zero=0.1)
-    leg = pincal.Leg("leg_1", joints, (sensor,), tuple(values.items()), point, tip="end_link")
+    leg = pincal.Leg("leg_1", joints, (sensor,), tuple(values.items()), point)
     tip = LegClosure(leg, pincal.Platform("planar", (0.0, 0.0, 0.0))).tips(leg.home[None])[0]
     x, y, _ = (float(v) for v in tip - np.array(point.placement.xyz))
     return pincal.Mechanism("mixed: 1", pincal.Platform("planar", (x, y, 0.0)), (leg,), "å 'b' #")
@@ -227,6 +227,8 @@ def test_written_legs_load_elsewhere_with_visuals(sample: pincal.Mechanism, tmp_
         robot = yourdfpy.URDF.load(path)
         assert robot.actuated_joint_names == [joint.name for joint in leg.moving]
         assert len(robot.robot.links) == len(leg.joints) + 1
+        names = [*(joint.name for joint in leg.joints), *(link.name for link in robot.robot.links)]
+        assert all(model.getFrameId(name) < model.nframes for name in names)  # each name one frame
         assert all(link.visuals for link in robot.robot.links)
         assert shapes.ngeoms == sum(len(link.visuals) for link in robot.robot.links)
 
@@ -289,9 +291,9 @@ BAD: dict[str, tuple[list[Edit], list[str]]] = {
         [more('<link name="twig"/>' + joint("twig", "leg_1_elbow_link", "twig"))],
         [LEG, "line", "leg_1_elbow_link", "branches"],
     ),
-    "urdf-loop": ([more(joint("back", "tip", "leg_1_base"))], [LEG, "root", "serial"]),
+    "urdf-loop": ([more(joint("back", "leg_1_tip", "leg_1_base"))], [LEG, "root", "serial"]),
     "urdf-two-parents": (
-        [more('<link name="other"/>' + joint("again", "other", "tip"))],
+        [more('<link name="other"/>' + joint("again", "other", "leg_1_tip"))],
         [LEG, "line", "loop"],
     ),
     "urdf-two-roots": ([more('<link name="alone"/>')], [LEG, "2 root links", "alone"]),
@@ -337,11 +339,11 @@ BAD: dict[str, tuple[list[Edit], list[str]]] = {
         [(LEG, ELBOW, ELBOW.replace('rpy="0.0', 'rpy="0.5'))],
         [YAML, "leg_1", "'elbow'", "plane"],
     ),
-    "nothing-moves": ([(LEG, 'type="revolute"', 'type="fixed"')], [LEG, "moves", "'tip'"]),
+    "nothing-moves": ([(LEG, 'type="revolute"', 'type="fixed"')], [LEG, "moves", "'leg_1_tip'"]),
     # names between the files
-    "tip-unknown": ([(YAML, "  tip: tip\n", "  tip: hand\n")], [LEG, "'hand'", "leg_1_base"]),
+    "tip-unknown": ([(YAML, "  tip: leg_1_tip\n", "  tip: hand\n")], [LEG, "'hand'", "leg_1_base"]),
     "tip-before-the-chain": (
-        [(YAML, "  tip: tip\n", "  tip: leg_1_base\n")],
+        [(YAML, "  tip: leg_1_tip\n", "  tip: leg_1_base\n")],
         [LEG, "moves", "'leg_1_base'"],
     ),
     "active-unknown": ([(YAML, "joint: shoulder", "joint: wrist")], [YAML, "leg_1", "'wrist'"]),
@@ -374,7 +376,7 @@ BAD: dict[str, tuple[list[Edit], list[str]]] = {
     "zero-word": ([(YAML, "zero: 0.0", "zero: house")], [YAML, "sensors.0.zero", "'home'"]),
     "zero-infinite": ([(YAML, "zero: 0.0", "zero: .inf")], [YAML, "sensors.0.zero", "'home'"]),
     "key-misspelt": ([(YAML, "form: joint", "forms: joint")], [YAML, "sensors.0.forms", "'form'?"]),
-    "key-missing": ([(YAML, "  tip: tip\n", "")], [YAML, "tip", "missing"]),
+    "key-missing": ([(YAML, "  tip: leg_1_tip\n", "")], [YAML, "tip", "missing"]),
     "key-twice": ([(YAML, "    k: 1.0\n", "    k: 1.0\n    k: 1.1\n")], [YAML, "k"]),
     "type-wrong": ([(YAML, "    l: 1.5\n", "    l: long\n")], [YAML, "parameters.l", "'long'"]),
     "type-boolean": ([(YAML, "    k: 1.0\n", "    k: true\n")], [YAML, "parameters.k", "True"]),
@@ -534,7 +536,7 @@ def test_yaml_aliases_do_not_explode(key: str, folder: Path) -> None:
     assert memory_of_failure(folder) < 2e6
 
 
-@pytest.mark.parametrize("place", ['xyz="1.5 0.0 0.0"', '<link name="tip">'])
+@pytest.mark.parametrize("place", ['xyz="1.5 0.0 0.0"', '<link name="leg_1_tip">'])
 def test_urdf_entities_do_not_explode(place: str, folder: Path) -> None:
     """Entities that stand for ten billion characters are refused without being written out."""
     entities = '<!ENTITY l0 "1.5">' + "".join(
@@ -626,7 +628,7 @@ FAULTS = {
     "decimal-comma": ("    l: 1.5", "    l: 0,02", [", line 18", "take a point", "'0,02'"]),
     "unit": ("- {x: l}", "- {x: 0.02mm}", [", line 30", "elbow.0.x: '0.02mm'", "m or rad"]),
     "key-number": ("{shoulder:", "{shoulder: 0,5, q:", [", line 14", "decimals take a point"]),
-    "missing": ("  tip: tip\n", "", [", line 10", "'legs.leg_1.tip' is missing"]),
+    "missing": ("  tip: leg_1_tip\n", "", [", line 10", "'legs.leg_1.tip' is missing"]),
 }
 
 

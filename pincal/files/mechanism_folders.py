@@ -12,8 +12,7 @@ from typing import Protocol
 from pincal.errors import FileError, MechanismError
 from pincal.files.mechanism_yaml import LegSpec, MechanismSpec, mechanism_yaml
 from pincal.files.output import writing
-from pincal.files.urdf import read_chain, read_points
-from pincal.files.urdf_writing import leg_urdf, platform_urdf
+from pincal.files.urdf import leg_urdf, platform_urdf, read_chain, read_points
 from pincal.files.yaml import read_yaml
 from pincal.model.checks import must_be
 from pincal.model.consistency import check_home
@@ -144,7 +143,6 @@ def _leg(spec: LegSpec, folder: Path, points: dict[str, Joint]) -> Leg:
         sensors=tuple(sensor.sensor(spec.name) for sensor in spec.sensors),
         parameters=tuple(spec.parameters.items()),
         point=point,
-        tip=spec.tip,
         closes=spec.closes,
         terms=spec.parameter_terms(),
     )

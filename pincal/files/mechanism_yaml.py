@@ -17,6 +17,7 @@ from pydantic import Field, ValidationError, ValidatorFunctionWrapHandler, WrapV
 
 from pincal.errors import MechanismError
 from pincal.files.text import Name, Number, Strict
+from pincal.files.urdf import leg_links
 from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.placement import Coordinate
@@ -250,7 +251,7 @@ def _described_leg(leg: Leg) -> dict[str, Any]:
     return {
         "name": leg.name,
         "urdf": f"{leg.name}.urdf",
-        "tip": leg.tip,
+        "tip": leg_links(leg)[-1],
         "platform_point": leg.point.name,
         **({} if leg.closes == "point" else {"closes": leg.closes}),
         "home": {joint.name: joint.home for joint in leg.moving},

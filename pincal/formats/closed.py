@@ -284,7 +284,7 @@ def _leg(tree: Tree, name: str, limb: Limb, points: Sequence[Joint | None]) -> L
     if shared or point.name == "point":
         point = replace(point, name=f"{name}_point")
     closes: Closing = "frame" if limb.point is None else "point"
-    return Leg(name, with_tip(limb.joints), tuple(map(Sensor, driven)), (), point, "tip", closes)
+    return Leg(name, with_tip(limb.joints), tuple(map(Sensor, driven)), (), point, closes)
 
 
 def _idle(leg: Leg, kind: str) -> str | None:

@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from pincal.errors import MechanismError
 from pincal.files.text import read_xml
-from pincal.files.urdf_writing import numbers_text, xml_text
+from pincal.files.urdf import numbers_text, xml_text
 from pincal.formats.tree import Edge, Tree, at_home, turns, with_ranges
 from pincal.model.checks import LARGEST
 from pincal.model.leg import Closing, Joint, JointKind

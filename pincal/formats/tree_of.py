@@ -14,7 +14,7 @@ import yaml
 from lxml import etree
 
 from pincal.errors import MechanismError
-from pincal.files.urdf_writing import ends_element, joint_element, xml_text
+from pincal.files.urdf import ends_element, joint_element, xml_text
 from pincal.formats.tree import FREE, Edge, Tree, turns
 from pincal.kinematics.assembly import assembled
 from pincal.kinematics.closure import LegClosure

@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from pincal.errors import FileError, MechanismError, ObservabilityError
-from pincal.files.urdf_writing import leg_urdf
+from pincal.files.urdf import leg_links, leg_urdf
 from pincal.kinematics.closing import sensor_law
 from pincal.kinematics.closure import LegClosure
 from pincal.model.leg import Leg
@@ -32,7 +32,7 @@ def tips_by_reader(leg: Leg, joints: Array | None = None) -> dict[str, Array]:
     joints = leg.home if joints is None else np.asarray(joints, dtype=np.float64)
     robot = yourdfpy.URDF.load(BytesIO(leg_urdf(leg).encode()), load_meshes=False)
     robot.update_cfg({j.name: float(v) for j, v in zip(leg.moving, joints, strict=True)})
-    tip = np.array(robot.get_transform(leg.tip)[:3, 3])
+    tip = np.array(robot.get_transform(leg_links(leg)[-1])[:3, 3])
     return {"Pinocchio": skeleton(leg, joints)[-1], "yourdfpy": tip}
 
 
@@ -45,7 +45,7 @@ def skeleton(leg: Leg, joints: Array) -> Array:
     data, indices = model.createData(), [model.getJointId(joint.name) for joint in leg.moving]
     q = _configuration(model, np.zeros(model.nq), indices, joints)
     pin.framesForwardKinematics(model, data, q)
-    frame = model.getFrameId(leg.tip, pin.FrameType.BODY)
+    frame = model.getFrameId(leg_links(leg)[-1])
     points = [data.oMi[index].translation for index in indices]
     return np.array([*points, data.oMf[frame].translation])
 

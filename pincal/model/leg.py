@@ -78,7 +78,7 @@ Closing = Literal["point", "frame"]
 class Leg:
     """Serial chain from the base to a platform point, or to a frame of the platform.
 
-    The chain's last frame (``tip``) meets the platform's point (``point``): its origin alone, or,
+    The chain's last frame, the tip, meets the platform's point (``point``): its origin alone, or,
     if the leg ``closes`` a frame, its orientation too. A serial arm is a leg that closes a frame
     and whose joints all have sensors. Joint positions of a leg are ordered as its moving joints,
     base first; readings as its sensors.
@@ -93,8 +93,6 @@ class Leg:
     """Names and nominal values of the identified parameters, in order."""
     point: Joint
     """Platform point: a fixed joint from the platform frame."""
-    tip: str = "tip"
-    """Name of the tip link."""
     closes: Closing = "point"
     """Whether the tip's origin meets the platform, or its whole frame."""
     terms: tuple[tuple[str, Term], ...] = ()
