@@ -226,13 +226,19 @@ def test_without_terms_no_table_is_offered(tmp_path: Path) -> None:
 def test_poses_with_columns_give_corrections_at_these(tmp_path: Path) -> None:
     """Temperature and side of approach are read from the poses; a row out of reach has a reason."""
     machine = with_forms(pincal.load_mechanism("5R"), "temperature", "backlash")
+    per_unit = 65536 / (2 * np.pi)
+    legs = (
+        replace(leg, sensors=(replace(leg.sensors[0], counts_per_unit=per_unit),))
+        for leg in machine.legs
+    )
+    machine = replace(machine, legs=tuple(legs))
     machine.save(tmp_path / "m")
     poses = tmp_path / "poses.csv"
     poses.write_text(
         "x [mm],y [mm],temperature,approach_leg_2,note\n"
         "0,1100,30,-1,a\n0,1100,20,,b\n9000,0,20,1,c\n"
     )
-    counts = ("--units", "mm,counts", "--counts", "65536/turn")
+    counts = ("--units", "mm,counts")
     out = tmp_path / "c.csv"
     outcome = run("export", tmp_path / "m", "--poses", poses, *counts, "-o", out)
     assert outcome.code == 1

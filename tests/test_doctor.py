@@ -176,8 +176,12 @@ def test_counts_of_another_scale_are_mended(tmp_path: Path) -> None:
         counts = frame.pop(f"{name} [rad]") * 409600 / (2 * np.pi)
         frame[f"{name} [counts]"] = counts.round().astype(int)
     frame.to_csv(tmp_path / "m.csv", index=False)
-    counted = ("doctor", "3RRR", tmp_path / "m.csv", *GIVEN, "--counts", "40960/turn")
-    outcome = done(*counted, "-o", tmp_path / "mended.csv")
+    legs = (
+        replace(leg, sensors=(replace(leg.sensors[0], counts_per_unit=40960 / (2 * np.pi)),))
+        for leg in mechanism.legs
+    )
+    folder = replace(mechanism, legs=tuple(legs)).save(tmp_path / "encoders")
+    outcome = done("doctor", folder, tmp_path / "m.csv", *GIVEN, "-o", tmp_path / "mended.csv")
     assert "the readings are 10 times too large" in outcome.out
     assert "known roughly" not in outcome.out
     mended = pincal.Measurements.from_csv(tmp_path / "mended.csv", mechanism)

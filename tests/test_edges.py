@@ -6,6 +6,7 @@ Warnings are errors in all tests (pyproject.toml).
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -548,11 +549,9 @@ def test_blas_has_its_threads_back() -> None:
 
 def test_numbers_beyond_all_machines_are_refused(tmp_path: Path) -> None:
     """So many processes, and counts so coarse that their sizes overflow, are refused, exit 2."""
-    (tmp_path / "p.csv").write_text("x [m],y [m]\n0,1.1\n")
-    counts = ("--counts", "leg_1=1e-320/rad")
-    coarse = run("inverse", "5R", tmp_path / "p.csv", "-o", tmp_path / "r.csv", *counts)
-    assert coarse.code == 2
-    assert "counts of one unit" in coarse.trouble
+    sensor = pincal.load_mechanism("5R").legs[0].sensors[0]
+    with pytest.raises(pincal.MechanismError, match="counts of one unit"):
+        replace(sensor, counts_per_unit=1e-320)
     jobs = ("--kind", "constant-orientation", "--jobs", "9" * 20)
     many = run("workspace", "3RRR", *jobs, "-o", tmp_path / "w.csv")
     assert many.code == 2

@@ -234,9 +234,9 @@ def test_numbers_of_numpy_are_saved(tmp_path: Path) -> None:
     machine = pincal.load_mechanism("5R")
     leg = machine.legs[0]
     sensor = replace(leg.sensors[0], gain=np.float64(0.5), offset=np.float64(0.1))
+    sensor = replace(sensor, counts_per_unit=np.float64(4000.0))
     kept = tuple(one for one in leg.parameters if one[0] not in ("k", "gamma"))
     own = replace(machine, legs=(replace(leg, sensors=(sensor,), parameters=kept), machine.legs[1]))
-    own = own.with_counts({"leg_1": np.float64(4000.0)})
     own.save(tmp_path / "m")
     assert pincal.load_mechanism(tmp_path / "m") == own
 

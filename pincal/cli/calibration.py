@@ -21,7 +21,7 @@ from pincal.cli.options import FORCE, Force, Measured, Mech, SetupOptions, outpu
 from pincal.errors import MeasurementError, MisfitError
 from pincal.files.measurement_writing import columns_of
 from pincal.files.measurements import read_measurements
-from pincal.files.mechanism_folders import mechanism_files
+from pincal.files.mechanism_folders import load_mechanism, mechanism_files
 from pincal.files.output import refuse_existing
 from pincal.files.table import write_table
 from pincal.model.measurements import Measurements, Noise
@@ -53,7 +53,7 @@ class InputOptions(SetupOptions):
 
     def calibration(self, mech: str, path: Path, options: Options) -> Calibration:
         """Return the calibration to be done, by measurements in a file."""
-        mechanism = self.load(mech)
+        mechanism = load_mechanism(mech)
         priors = options.priors_of(mechanism.parameters)
         folds = options.folds or FOLDS  # of a choice of terms, also without held-out validation
         options = replace(options, setup=self.read_setup(), priors=priors, folds=folds)
@@ -226,7 +226,7 @@ def doctor(
     nothing contradicts it, rows held out included. Further columns of numbers are copied to
     MENDED.csv. The exit code is 1 if none does, or several alike.
     """
-    mechanism, setup = known.load(mech), known.read_setup()
+    mechanism, setup = load_mechanism(mech), known.read_setup()
     if output is not None:
         refuse_existing(output, force=force)
     data = read_measurements(measurements, mechanism, setup, partial=True, influences=None)

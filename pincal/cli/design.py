@@ -107,7 +107,7 @@ def select(
     --reference N measures the pose in the middle again every N rows; in the column 'pose' its rows
     have one name, 'reference'.
     """
-    mechanism = options.load(mech)
+    mechanism = load_mechanism(mech)
     if mechanism.influences:
         remark(
             f"planned with {', '.join(mechanism.influences)} at their reference: their terms need "
@@ -211,7 +211,7 @@ def identifiability(
     Positions are of the platform's origin in the robot's base frame, unless --unknown-frame,
     --unknown-target or --setup say otherwise.
     """
-    mechanism = options.load(mech)
+    mechanism = load_mechanism(mech)
     units = options.written_in(mechanism)
     setup = options.read_setup()
     measured = options.measured(mechanism, setup)
@@ -266,7 +266,7 @@ def simulate(
     it is taken to the poses themselves.
     Poses that the true mechanism cannot reach are left out and listed.
     """
-    mechanism = options.load(mech)
+    mechanism = load_mechanism(mech)
     units = options.written_in(mechanism)
     truth = options.truth
     disturbed, measured = map(np.random.default_rng, np.random.SeedSequence(options.seed).spawn(2))

@@ -28,6 +28,7 @@ from pincal.files.measurement_writing import write_plan
 from pincal.files.measurements import read_poses
 from pincal.files.mechanism_folders import (
     MECHANISM_FILES,
+    load_mechanism,
     save_mechanism,
     write_mechanism,
 )
@@ -293,11 +294,11 @@ def export(
         )
     purpose = f"the format {form}"
     if form != "table":
-        refuse_options(options, ("units", "counts"), purpose)
+        refuse_options(options, ("units",), purpose)
     for name, value, wanted in (("original", original, "urdf"), ("poses", poses, "table")):
         if value is not None and form != wanted:
             raise PincalError(f"leave out --{name}: not for {purpose}")
-    mechanism = options.load(mech)
+    mechanism = load_mechanism(mech)
     if form == "table":
         _export_corrections(mechanism, output, options, poses, force=force)
         return

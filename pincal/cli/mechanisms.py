@@ -53,7 +53,7 @@ def check(mech: Mech, options: TableOptions) -> None:
 
     Loops closed at home, URDFs read alike by others, parameters observable, symmetry.
     """
-    mechanism = options.load(mech)
+    mechanism = load_mechanism(mech)
     with reading_in(options.written_in(mechanism).printed):
         stdout.print(nominal_table(mechanism))
     for leg in mechanism.legs:
@@ -145,7 +145,7 @@ def inverse(
     Rows of poses that are out of reach stay empty, with the reason in the column 'reason'; the exit
     code is then 1. Of poses outside the limits of joints readings are written, with a warning.
     """
-    mechanism = options.load(mech)
+    mechanism = load_mechanism(mech)
     units = options.written_in(mechanism)
     plan = read_poses(poses, mechanism)
     refuse_existing(output, force=force)
@@ -182,7 +182,7 @@ def forward(
     Rows of readings that have no pose stay empty, with the reason in the column 'reason'; the exit
     code is then 1.
     """
-    mechanism = options.load(mech)
+    mechanism = load_mechanism(mech)
     units = options.written_in(mechanism)
     values, influences = read_readings(readings, mechanism)
     refuse_existing(output, force=force)

@@ -12,13 +12,12 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 import typer
 
 from pincal.errors import MeasurementError, PincalError
-from pincal.files.mechanism_folders import load_mechanism
 from pincal.files.text import in_si
 from pincal.files.yaml import read_setup
 from pincal.model.mechanism import Mechanism
 from pincal.model.option import Option, option, option_of
 from pincal.model.setup import ORIGIN, Setup, Target
-from pincal.model.units import Units, counts_of
+from pincal.model.units import Units
 
 FORCE = Option("Replace the output if it exists.")
 SEED = Option("Seed of all random choices.", least=0)
@@ -129,24 +128,12 @@ def refuse_options(options: Any, names: Iterable[str], purpose: str) -> None:
 class TableOptions:
     """Units of what is read, written and printed."""
 
-    counts: tuple[str, ...] = option(
-        (),
-        "How many counts columns such as 'leg_1 [counts]' have: leg_1=4096/turn, 12.5/mm, "
-        "651.9/rad; without a leg of all.",
-        metavar="[LEG=]NUMBER/UNIT",
-    )
     units: str | None = option(
         None,
         "Units to write and print in: m, cm, mm, um or in; rad, mrad, deg or turn; counts of "
         "readings.",
         metavar="mm,deg",
     )
-
-    def load(self, mech: str) -> Mechanism:
-        """Return a mechanism, its readings in the counts given."""
-        mechanism = load_mechanism(mech)
-        units = dict(zip(mechanism.reading_names, mechanism.reading_units, strict=True))
-        return mechanism.with_counts(counts_of(self.counts, units))
 
     def written_in(self, mechanism: Mechanism) -> Units:
         """Return the units; SI where nothing is said."""

@@ -26,7 +26,7 @@ from pincal.errors import MeasurementError
 from pincal.files.output import writing
 from pincal.files.text import LARGEST_FILE, plain_number, read_bytes, read_text, why_no_number
 from pincal.model.checks import LARGEST, must_be
-from pincal.model.units import COUNTS, SI, UNITS, Units, scale_said
+from pincal.model.units import COUNTS, SCALE, SI, UNITS, Units
 from pincal.types import Array
 
 _log = logging.getLogger(__name__)
@@ -124,7 +124,7 @@ class TextTable:
             if (per_unit := self.counts[column]) is None:
                 raise MeasurementError(
                     f"{self.path}: column {column!r} is in counts; say how many are in one "
-                    f"{dimension}, by {scale_said(column, dimension)}"
+                    f"{dimension}: {SCALE}"
                 )
             return self.plain(column, blank=blank) / per_unit
         if unit is None:

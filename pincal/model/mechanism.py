@@ -70,15 +70,6 @@ class Mechanism:
         """Columns of the influence quantities on which terms depend, of all legs."""
         return tuple(dict.fromkeys(name for leg in self.legs for name in leg.influences))
 
-    @property
-    def reads_positions(self) -> bool:
-        """Whether all readings are joint positions: no sensor has gain, offset, zero or terms."""
-        return all(
-            sensor.reads_position(leg.nominal_by_name)
-            for leg in self.legs
-            for sensor in leg.sensors
-        )
-
     @cached_property
     def amplitudes(self) -> frozenset[str]:
         """Ids of the parameters that are amplitudes of terms."""
@@ -149,29 +140,6 @@ class Mechanism:
         every = [sensor.counts_per_unit for leg in self.legs for sensor in leg.sensors]
         pairs = zip(self.reading_names, every, strict=True)
         return {name: per_unit for name, per_unit in pairs if per_unit is not None}
-
-    def with_counts(self, counts: Mapping[str, float]) -> Mechanism:
-        """Return the mechanism whose readings come in encoder counts, in tables that say so.
-
-        ``counts`` of one rad or m are above 0, by reading; those not named stay as they are.
-        """
-        must_be(counts, Mapping, "counts", MechanismError)
-        if unknown := [name for name in counts if name not in self.reading_names]:
-            raise MechanismError(
-                f"counts of {unknown[0]!r}, which is no reading of {self.name!r}; it has "
-                f"{', '.join(self.reading_names)}"
-            )
-        if not counts:
-            return self
-
-        def counting(leg: Leg) -> Leg:
-            named = zip(leg.sensors, leg.reading_names, strict=True)
-            sensors = (
-                replace(s, counts_per_unit=counts.get(n, s.counts_per_unit)) for s, n in named
-            )
-            return replace(leg, sensors=tuple(sensors))
-
-        return replace(self, legs=tuple(map(counting, self.legs)))
 
     @cached_property
     def reading_columns(self) -> tuple[slice, ...]:

@@ -35,6 +35,7 @@ Columns: TypeAlias = Mapping[str, Iterable[float] | Iterable[str]]
 
 COUNTS = "counts"
 """Unit of readings as an encoder counts them; its sensor says how many are in one rad or m."""
+SCALE = "give counts_per_unit of its sensor in mechanism.yaml (651.9 per rad for 4096 in a turn)"
 
 
 @dataclass(frozen=True)
@@ -59,49 +60,40 @@ class Units:
         """
         names: dict[str, str] = {}
         listed = [name.strip() for name in text.split(",") if name.strip()]
-        for unit in listed:
-            if unit == COUNTS:
-                lacking = [name for name in readings if name not in counts]
-                if lacking:
-                    raise MeasurementError(
-                        f"--units {text}: how many counts one rad or m of {', '.join(lacking)} has "
-                        f"is not said: give it by {scale_said(lacking[0], 'rad')}"
-                    )
-                continue
+        if COUNTS in listed and (lacking := [name for name in readings if name not in counts]):
+            raise MeasurementError(
+                f"--units {text}: how many counts one rad or m of {', '.join(lacking)} has is not "
+                f"said: {SCALE}"
+            )
+        for unit in (name for name in listed if name != COUNTS):
             dimension = UNITS.get(unit, ("1", 1.0))[0]
             if dimension == "1" or dimension in names:
-                known = [
-                    name for name, (kind, _) in UNITS.items() if kind != "1" and name.isascii()
-                ]
+                known = (name for name, (kind, _) in UNITS.items() if kind != "1")
                 raise MeasurementError(
                     f"--units {text}: {unit!r} is {'unknown' if dimension == '1' else 'a second'} "
                     f"unit; expected one of lengths and one of angles, such as mm,deg "
-                    f"({', '.join(known)}, {COUNTS})"
+                    f"({', '.join(filter(str.isascii, known))}, {COUNTS})"
                 )
             names[dimension] = unit
         return cls(names, counts if COUNTS in listed else {}, WRITTEN.last)
 
     def written(self, columns: Columns) -> Columns:
         """Return columns (header to values, SI) in these units, which their headers say."""
-        return dict(map(self._column, columns.items()))
+        return dict(self._column(*column) for column in columns.items())
 
     def _column(
-        self, column: tuple[str, Iterable[float] | Iterable[str]]
+        self, header: str, column: Iterable[float] | Iterable[str]
     ) -> tuple[str, Iterable[float] | Iterable[str]]:
-        name, bracket, bracketed = column[0].partition(" [")
+        name, bracket, bracketed = header.partition(" [")
         unit = bracketed.removesuffix("]")
-        written_unit, per_unit = (
-            self.names.get(unit, unit),
-            self.counts.get(name.removeprefix("sigma_")),
-        )
-        if not bracket or (written_unit == unit and per_unit is None and not self.last):
-            return column
-        scale, shown = (
-            (per_unit, COUNTS)
-            if per_unit
-            else (1.0 / UNITS.get(written_unit, ("", 1.0))[1], written_unit)
-        )
-        values = np.asarray(column[1], dtype=np.float64) * scale
+        shown, scale = self.names.get(unit, unit), self.counts.get(name.removeprefix("sigma_"))
+        if not bracket or (shown == unit and scale is None and not self.last):
+            return header, column
+        if scale is None:
+            scale = 1.0 / UNITS.get(shown, ("", 1.0))[1]
+        else:
+            shown = COUNTS
+        values = np.asarray(column, dtype=np.float64) * scale
         if self.last and not name.startswith(("sigma_", "cov_")):  # these may be as small
             values = values.round(max(0, round(-np.log10(self.last * scale)))) + 0.0  # no -0.0
         return f"{name} [{shown}]", values
@@ -116,49 +108,3 @@ SI = Units()
 """Nothing but SI, to the last bit."""
 WRITTEN = Units(last=1e-12)
 """As commands write what was computed: to a picometre or picoradian, far below any noise."""
-
-
-def counts_of(texts: Iterable[str], readings: Mapping[str, str]) -> dict[str, float]:
-    """Return encoder counts of one rad or m by reading, of texts such as ``leg_1=4096/turn``.
-
-    Args:
-        texts: Each a reading's name, ``=``, a number, ``/`` and a unit; without a name, of all.
-        readings: Unit of each reading, by name.
-    """
-    counts: dict[str, float] = {}
-    for text in texts:
-        name, equals, scale = (part.strip() for part in text.rpartition("="))
-        number, _, unit = (part.strip() for part in scale.partition("/"))
-        names = [name] if equals else list(readings)
-        dimension, factor = UNITS.get(unit, ("", 0.0))
-        try:
-            per = float(number) / factor
-        except (ValueError, ZeroDivisionError):
-            per = np.nan
-        if not (np.isfinite(per) and per > 0.0):
-            raise MeasurementError(
-                f"--counts {text}: expected a reading, how many counts, and of what, such as "
-                f"{next(iter(readings))}=4096/turn; the sign is the sensor's direction"
-            )
-        for reading in names:
-            if reading not in readings:
-                raise MeasurementError(
-                    f"--counts {text}: no reading {reading!r}; there are {', '.join(readings)}"
-                )
-            if readings[reading] != dimension:
-                raise MeasurementError(
-                    f"--counts {text}: {reading} is read in {readings[reading]}, not in {unit}"
-                )
-            if reading in counts:
-                raise MeasurementError(f"--counts: {reading} is said twice; leave out one of them")
-            counts[reading] = per
-    return counts
-
-
-def scale_said(column: str, dimension: str) -> str:
-    """Return how to say how many counts are in one unit of a reading."""
-    name = column.removeprefix("sigma_")
-    return (
-        f"--counts {name}=NUMBER/{'turn' if dimension == 'rad' else 'mm'}, or by counts_per_unit "
-        "of its sensor in mechanism.yaml"
-    )

@@ -174,7 +174,7 @@ HYPOTHESES: dict[str, Wording] = {
         f"{_READINGS} are {{factors[0][1]|times}}"
         "{% else %}the readings of {% for name, factor, unit in factors %}"
         "{', those of ' if not loop.first}{name} are {factor|times}{% endfor %}{% endif %}",
-        "Correct the scale of the readings (--counts, or counts_per_unit or gain of the sensor in "
+        "Correct the scale of the readings (counts_per_unit or gain of the sensor in "
         "mechanism.yaml)",
     ),
     "unknown-frame": _hypothesis(
