@@ -28,7 +28,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 import cramer_rao
 
 import pincal
-from pincal.calibration.covariance import unseen
+from pincal.calibration.promise import unseen
 from pincal.calibration.terms.choice import LEVEL
 from pincal.design.order import in_turns
 from pincal.design.platform_error import platform_error

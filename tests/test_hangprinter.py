@@ -66,7 +66,7 @@ def test_the_anchors_are_found(mechanism: pincal.Mechanism, data: pincal.Measure
     assert result.estimated_poses is not None
     assert np.isfinite(result.estimated_poses).all()
     np.testing.assert_allclose(result.estimated_poses[:9], data.poses[:9], atol=1e-5)
-    assert result.observed[0].count == 9
+    assert result.observed[0].n_residuals == 9
 
 
 def test_positions_with_noise(mechanism: pincal.Mechanism, data: pincal.Measurements) -> None:

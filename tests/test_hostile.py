@@ -267,6 +267,7 @@ def test_rows_that_tell_nothing_are_skipped_and_said(
         ('{"pincal_result": 1, "x": ' + "9" * 5000 + "}", "limit"),
         ('{"pincal_result": 1', "delimiter"),
         ("[1]", "not a result of pincal"),
+        ('{"pincal_result": 2, "pincal": "0.2.0"}', "saved by pincal 0.2.0 .* calibrate"),
     ],
 )
 def test_results_are_read_whole(text: str, words: str, tmp_path: Path) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,21 +22,6 @@ SMALL = pincal.Noise(1e-5, 1e-5, 1e-5)
 def of_legs(result: pincal.CalibrationResult) -> list[Any]:
     """Return the parameters of all legs."""
     return [p for leg in result.legs for p in leg.parameters]
-
-
-def test_results_that_were_saved_with_a_choice_of_intervals_are_read(tmp_path: Path) -> None:
-    """There was an option of that name, which the options of a saved result hold."""
-    one = machine("5R", 30)
-    result = pincal.calibrate(one.nominal, drawn(one, SMALL, 0), noise=SMALL)
-    result.save(tmp_path / "result")
-    path = tmp_path / "result" / "result.json"
-    data = json.loads(path.read_text(encoding="utf-8"))
-    data["data"]["options"]["intervals"] = "profile"
-    path.write_text(json.dumps(data), encoding="utf-8")
-    again = pincal.load_result(tmp_path / "result")
-    assert [(p.low, p.high) for p in again.parameters] == [
-        (p.low, p.high) for p in result.parameters
-    ]
 
 
 @pytest.mark.slow

@@ -199,7 +199,7 @@ def test_single_coordinates_and_rows_with_nothing_measured() -> None:
     assert error(result, truth) < 1e-8
     assert result.estimated_poses is not None
     np.testing.assert_allclose(result.estimated_poses, poses, atol=1e-8)
-    counts = {one.name: one.count for one in result.observed}
+    counts = {one.name: one.n_residuals for one in result.observed}
     assert counts == {"x": len(data) - 5, "y": 10, "phi": 30}
 
 

@@ -14,9 +14,9 @@ from measured import validated, workspace
 import pincal
 from pincal.calibration.calibrate import prepared, run
 from pincal.calibration.calibration import Calibration
-from pincal.calibration.missed import _times, missed
 from pincal.calibration.terms.candidates import with_terms
 from pincal.calibration.terms.kinds import parse_terms
+from pincal.calibration.validation import _times, missed
 from pincal.design.platform_error import closing_twists
 
 ORIGIN = ("platform", "m")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import pincal
-from pincal.calibration.covariance import unseen
+from pincal.calibration.promise import unseen
 from pincal.design.platform_error import (
     PlatformError,
     Unidentified,

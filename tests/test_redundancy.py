@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -146,22 +144,3 @@ def test_two_readings_of_one_equation_share_what_it_misses() -> None:
         np.testing.assert_allclose(
             (leg.residuals**2 / leg.redundancy)[::2], (leg.residuals**2 / leg.redundancy)[1::2]
         )
-
-
-def test_old_results_have_no_leverage_and_load(tmp_path: Path) -> None:
-    """Redundancies come back from a file; a file without them loads, and says what it draws."""
-    noise, options = CASES["exact readings"]
-    mechanism, data = measured(noise, 3)
-    result = pincal.calibrate(mechanism, data, noise=noise, **options)
-    folder = result.save(tmp_path / "result")
-    assert np.array_equal(pincal.load_result(folder).legs[0].redundancy, result.legs[0].redundancy)
-    path = folder / "result.json"
-    kept = json.loads(path.read_text("utf-8"))
-    for one in (*kept["data"]["legs"], *kept["data"]["observed"]):
-        del one["redundancy"]
-    path.write_text(json.dumps(kept), encoding="utf-8")
-    old = pincal.load_result(folder)
-    one = noisy_series(old)[0]
-    np.testing.assert_allclose(one.standardised, one.after / one.sigma)
-    assert "√(1−h)" in result.plot.residuals().get_ylabel()
-    assert "√(1−h)" not in old.plot.residuals().get_ylabel()

@@ -9,7 +9,7 @@ import pytest
 from cramer_rao import Machine, machine, values_of
 
 import pincal
-from pincal.calibration.covariance import exceeded
+from pincal.calibration.promise import exceeded
 
 NOISE = pincal.Noise(1e-4, 1e-4, 0.0)
 

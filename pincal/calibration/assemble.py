@@ -1,37 +1,30 @@
-"""From fits to a result: parameters with intervals, residuals leg by leg."""
+"""From fits to a result: covariances, intervals, residuals leg by leg.
+
+Legs identified alone share the noise of the poses: each estimate follows it by its influence K, and
+two legs that use the same pose have the cross covariance Σ K_i K_iᵀ over the columns of its noise.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+from scipy.special import ndtri, stdtrit
 
-from pincal.calibration.calibration import Calibration, located
-from pincal.calibration.covariance import (
-    Confidence,
-    chi2_freedoms,
-    confidence,
-    covariance_by_noise,
-    exceeded,
-    parameter_places,
-    quantiles,
-    systematic,
-)
+from pincal.calibration.calibration import Calibration
 from pincal.calibration.fits import Fits
-from pincal.calibration.leg_result import HELD, IdentifiedParameter, LegResult, Observed
-from pincal.calibration.promise import excess_of
+from pincal.calibration.leg_result import HELD, IdentifiedParameter, LegResult, ResidualGroup
+from pincal.calibration.promise import exceeded, excess_of
 from pincal.calibration.result import CalibrationResult
+from pincal.design.platform_error import CONFIDENCE
 from pincal.estimation.fit import Fit, Outlier
 from pincal.estimation.observability.residuals import LegResiduals, leg_residuals, redundancy
-from pincal.estimation.unknowns import State
-from pincal.kinematics.closure import largest_size
-from pincal.kinematics.configurations import planned_influences
-from pincal.kinematics.influences import by_name
+from pincal.kinematics.batches import over_rows
 from pincal.model.measurements import Noise
-from pincal.model.mechanism import Mechanism
 from pincal.model.parameter import Parameter, means
-from pincal.model.terms import LOAD
+from pincal.model.setup import Systematic
 from pincal.types import Array
 
 _UNMOVED = 0.1  # of a standard error: what is held and moves a value by less leaves its interval
@@ -39,34 +32,45 @@ _UNMOVED = 0.1  # of a standard error: what is held and moves a value by less le
 
 def assemble(fits: Fits) -> CalibrationResult:
     """Return the result of all legs from one fit of all, or one fit each."""
-    calibration, gauge = fits.calibration, fits.gauge
-    mechanism = calibration.mechanism
-    sure = confidence(fits)
-    dof, chi2 = fits.degrees_of_freedom, _reduced_chi2(fits)
+    calibration, gauge, dof = fits.calibration, fits.gauge, fits.degrees_of_freedom
+    mechanism, parameters = calibration.mechanism, fits.parameters
+    freedoms, of_chi2 = noise_freedoms(fits)
+    chi2 = sum(fit.chi2 for fit in fits.fits) / dof if dof > 0 else np.nan
     chi2_dof = chi2_freedoms(fits.fits)
-    p_value = exceeded(chi2, chi2_dof, sure.of_chi2) if calibration.noise.known else 1.0
+    p_value = exceeded(chi2, chi2_dof, of_chi2) if calibration.noise.known else 1.0
     by_noise = excess_of(chi2, p_value) ** 2 * covariance_by_noise(fits)
     by_systematic = systematic(fits)
     held = np.zeros((len(by_noise), 0)) if fits.held is None else fits.held.directions
-    n = len(mechanism.parameters)
+    n = len(parameters)
     systematic_part = by_systematic[:n] @ by_systematic[:n].T
-    std = _standard_errors(by_noise[:n, :n], by_systematic[:n], held[:n])
-    redundancies = [redundancy(fit) for fit in fits.fits]
-    legs = _leg_results(fits, std, sure, redundancies)
+    identified = tuple(
+        _identified(parameter, value, error, half, _beforehand(calibration, parameter, error))
+        for parameter, value, error, half in zip(
+            mechanism.parameters,
+            parameters,
+            _standard_errors(by_noise[:n, :n], by_systematic[:n], held[:n]),
+            quantiles(freedoms[:n]),
+            strict=True,
+        )
+    )
+    least = float(freedoms.min(initial=np.inf))
+    external = _external(fits, by_noise[n:, n:], by_systematic[n:], held[n:], least)
+    legs, observed = _residuals(fits, identified)
     return CalibrationResult(
         calibration=calibration,
-        identified=mechanism.with_parameters({leg.name: leg.identified for leg in legs}),
+        identified=calibration.identified(parameters),
         legs=legs,
-        external=_external(fits, by_noise[n:, n:], by_systematic[n:], held[n:], sure),
+        observed=observed,
+        external=external,
         covariance=by_noise[:n, :n] + systematic_part,
         systematic=systematic_part if by_systematic.size else None,
         noise=_noise(calibration, chi2),
         noise_source=calibration.noise.source,
         degrees_of_freedom=dof,
-        reduced_chi2=chi2,
+        reduced_chi2=float(chi2),
         chi2_p_value=p_value,
         chi2_freedoms=chi2_dof,
-        noise_freedoms=sure.least,
+        noise_freedoms=least if np.isfinite(least) else None,
         evaluations=sum(fit.evaluations for fit in fits.fits),
         left=max(fit.distance for fit in fits.fits),
         converged=fits.converged,
@@ -75,7 +79,6 @@ def assemble(fits: Fits) -> CalibrationResult:
         gauge_directions=None if gauge is None else gauge.of_legs,
         frames_moved=None if gauge is None else gauge.frames,
         undetermined_directions=held[:n] if held.shape[1] else None,
-        observed=_observed(fits, redundancies[0][1][-1]),
         outside=fits.external if len(calibration.observation.external) else None,
         estimated_poses=mechanism.platform.from_matrices(fits.fits[0].last.state.matrices)
         if fits.latent
@@ -83,10 +86,127 @@ def assemble(fits: Fits) -> CalibrationResult:
     )
 
 
-def _reduced_chi2(fits: Fits) -> float:
-    """Return χ² of all fits over its degrees of freedom, NaN if there are none."""
-    dof = fits.degrees_of_freedom
-    return float(sum(fit.chi2 for fit in fits.fits) / dof) if dof > 0 else np.nan
+def chi2_freedoms(fits: Sequence[Fit]) -> float:
+    """Return the degrees of freedom of a χ² with the mean and variance of the fits' sum.
+
+    Residuals M W ν of two fits that share poses are correlated by the poses' noise, A = W Wᵀ: of
+    their χ², 2 tr(M₁ A M₂ Aᵀ) is the covariance. Of fits that share nothing, that of them all.
+    """
+    parts, total = [], 0
+    for fit in fits:
+        used = np.flatnonzero(fit.good)
+        last = fit.problem.leg_block.n_readings
+        W = fit.last.white.by_noise[used, :, last : last + fit.problem.platform.dof]
+        parts.append((fit.rows[used], fit.Q, W))
+        total += fit.degrees_of_freedom
+    shared = 0.0
+    for index, (rows, Q, W) in enumerate(parts):
+        for their_rows, P, V in parts[:index]:
+            _, mine, theirs = np.intersect1d(rows, their_rows, return_indices=True)
+            A = W[mine] @ V[theirs].transpose(0, 2, 1)
+            AP = A @ P[theirs]
+            QA = A.transpose(0, 2, 1) @ Q[mine]
+            product = over_rows(Q[mine], AP)
+            shared += (A**2).sum() - (AP**2).sum() - (QA**2).sum() + (product**2).sum()
+    return total**2 / (total + 2.0 * shared) if total else 0.0
+
+
+def systematic(fits: Fits) -> Array:
+    """Return how all parameters, then frames, follow what is off in all rows, shape (n, q).
+
+    Columns are for one standard uncertainty each (see ``Observation.systematic``); none where
+    nothing is uncertain so.
+    """
+    calibration = fits.calibration
+    observation, n = calibration.observation, len(calibration.mechanism.parameters)
+    if calibration.options.setup.systematic == Systematic():
+        return np.zeros((n + len(observation.external), 0))
+    fit = fits.fits[0]  # of all legs at once
+    measured = observation.systematic(fit.last.state.matrices, fit.last.state.external)
+    errors = np.zeros((*fit.last.conditions.shape, measured.shape[2]))
+    errors[:, errors.shape[1] - measured.shape[1] :] = measured
+    return fit.response(errors)
+
+
+def covariance_by_noise(fits: Fits) -> Array:
+    """Return the covariance of all legs' parameters, then of the external unknowns' steps, (n, n).
+
+    Legs identified alone at the same poses follow the noise of these, K, together: Σ K Kᵀ.
+    """
+    if fits.latent:
+        return fits.fits[0].covariance
+    mechanism, count = fits.calibration.mechanism, len(fits.calibration.measurements)
+    n = len(mechanism.parameters)
+    by_pose = np.zeros((count, n, mechanism.platform.dof + 1))
+    for fit, places in zip(fits.fits, fits.places, strict=True):
+        last = fit.problem.leg_block.n_readings
+        columns = [*range(last, last + mechanism.platform.dof), -1]  # the pose's noise, an outlier
+        by_pose[np.ix_(fit.rows, places)] = fit.influence[:, :, columns]
+    covariance = np.einsum("npd,nqd->pq", by_pose, by_pose, optimize=True)
+    for fit, places in zip(fits.fits, fits.places, strict=True):
+        covariance[np.ix_(places, places)] = fit.covariance
+    return covariance
+
+
+def with_unsure_tolerances(fits_of_all: Fits) -> Fits:
+    """Return fits with what uncertain tolerances add to their covariances.
+
+    By how far the estimate follows the logarithm of each, to first order: ∂φ/∂ log τ² =
+    C (φ − φ₀) / τ² of the parameters of that unit (R. E. Kass and D. Steffey 1989). What the
+    measurements determine of k of them is worth k − tr C / τ² (D. J. C. MacKay 1992), and log τ²
+    is known as if so many were seen.
+    """
+    mechanism, fits = fits_of_all.calibration.mechanism, []
+    units = {parameter.id: parameter.unit for parameter in mechanism.parameters}
+    for fit in fits_of_all.fits:
+        unknowns, widening = fit.unknowns, fit.widening
+        values = np.zeros_like(unknowns.nominal)
+        values[: len(fit.parameters)] = fit.parameters - unknowns.nominal[: len(fit.parameters)]
+        for tolerance in fits_of_all.calibration.tolerances:
+            of_unit = np.array([units.get(id_) == tolerance.unit for id_ in unknowns.labels])
+            # others have one of their own
+            tolerated = of_unit & (unknowns.priors == tolerance.size)
+            pull = np.where(tolerated, values / tolerance.size**2, 0.0)
+            determined = (
+                tolerated.sum() - np.diagonal(fit.covariance)[tolerated].sum() / tolerance.size**2
+            )
+            unsure = np.sqrt(2.0 / max(determined, 0.5))  # of the logarithm; at most a factor of e²
+            follows = unsure / fit.noise_scale**2 * (fit.covariance @ pull)
+            widening = widening + np.outer(follows, follows)
+        fits.append(replace(fit, widening=widening))
+    return replace(fits_of_all, fits=fits)
+
+
+def noise_freedoms(fits: Fits) -> tuple[Array, float]:
+    """Return degrees of freedom of the noise: of the variance of each unknown, (n,), and of χ².
+
+    Infinite where the noise is known. Noise of repeated rows: as many as these have. Estimated
+    noise: by the covariance of the variance components; of a fit with its own scale, its own.
+    """
+    model, of_chi2 = fits.calibration.noise, np.inf
+    if not model.known and not (fits.latent and fits.variances is not None):
+        of_fits = [np.full(len(fit.covariance), fit.degrees_of_freedom) for fit in fits.fits]
+    elif model.known and model.source != "repeats":
+        of_fits = [np.full(len(fit.covariance), np.inf) for fit in fits.fits]
+    else:
+        moments, spread = fits.moments, fits.variances
+        if spread is None:
+            freedom = np.array(model.freedoms)
+            spread = np.diag(2.0 / freedom)
+            finite = np.isfinite(freedom)
+            shares = np.where(finite, moments.F[:, finite].sum(axis=1), 0.0)
+            of_chi2 = float(shares.sum() ** 2 / (shares**2 / freedom).sum())
+        of_fits = list(moments.freedoms(spread))
+    of_unknowns = np.empty(sum(map(len, of_fits)))
+    of_unknowns[np.concatenate(fits.places)] = np.concatenate(of_fits)
+    return of_unknowns, of_chi2
+
+
+def quantiles(degrees_of_freedom: Array) -> Array:
+    """Return how many standard errors half a 95 % interval is, of the same shape."""
+    half = (1 + CONFIDENCE) / 2
+    known = ~np.isfinite(degrees_of_freedom)
+    return np.where(known, ndtri(half), stdtrit(np.where(known, 1.0, degrees_of_freedom), half))
 
 
 def _standard_errors(covariance: Array, by_systematic: Array, held: Array) -> Array:
@@ -114,7 +234,7 @@ def _noise(calibration: Calibration, chi2: float) -> Noise | None:
 
 
 def _identified(
-    parameter: Parameter, value: float, std: float, quantile: float, beforehand: str = ""
+    parameter: Parameter, value: float, std: float, quantile: float, beforehand: str
 ) -> IdentifiedParameter:
     """Return a parameter with its 95 % interval, half of which is so many standard errors."""
     return IdentifiedParameter(
@@ -131,74 +251,6 @@ def _identified(
     )
 
 
-def _leg_results(
-    fits: Fits,
-    std: Array,
-    sure: Confidence,
-    redundancies: Sequence[tuple[list[LegResiduals], list[Array]]],
-) -> tuple[LegResult, ...]:
-    """Return the results of all legs in the mechanism's order.
-
-    Args:
-        fits: The fits.
-        std: Standard errors of all legs' parameters, shape (n_params,).
-        sure: How well the noise is known.
-        redundancies: Of each fit, residuals of its legs and their redundancies, (N, k) each.
-    """
-    mechanism = fits.calibration.mechanism
-    nominal, results = mechanism.parameters, {}
-    for fit, freedoms, (residuals, shares) in zip(
-        fits.fits, sure.of_unknowns, redundancies, strict=True
-    ):
-        errors = std[parameter_places(mechanism, fit.problem.legs)]
-        quantile = quantiles(freedoms)
-        for index, (leg, columns) in enumerate(
-            zip(fit.problem.legs, fit.problem.leg_block.columns, strict=True)
-        ):
-            parameters = tuple(
-                _identified(p, value, error, half, _beforehand(fits.calibration, p, error))
-                for p, value, error, half in zip(
-                    [nominal[name] for name in leg.parameter_ids],
-                    fit.parameters[columns],
-                    errors[columns],
-                    quantile[columns],
-                    strict=True,
-                )
-            )
-            results[leg.name] = _leg_result(fit, index, parameters, residuals[index], shares[index])
-    return tuple(results[name] for name in mechanism.leg_names)
-
-
-def _leg_result(
-    fit: Fit,
-    index: int,
-    parameters: tuple[IdentifiedParameter, ...],
-    after: LegResiduals,
-    redundancies: Array,
-) -> LegResult:
-    """Return the result of one leg of a fit, of its residuals at the rows that count."""
-    counted = fit.problem.leg_block.used[:, index] & (fit.weights > 0.0)
-    before = leg_residuals(fit.problem, fit.first, index).value[counted]
-    residuals = after.value[counted]
-    rank, condition = fit.ranks[index]
-    return LegResult(
-        name=fit.problem.legs[index].name,
-        parameters=parameters,
-        rank=rank,
-        condition=condition,
-        rms_before=_rms(before),
-        rms_after=_rms(residuals),
-        unit=after.unit,
-        n_residuals=residuals.size,
-        sigma=after.sigma[counted].ravel(),
-        rows=np.repeat(fit.rows[counted], residuals.shape[1]),
-        residuals_before=before.ravel(),
-        residuals=residuals.ravel(),
-        quantity=after.quantity,
-        redundancy=redundancies[counted].ravel(),
-    )
-
-
 def _beforehand(calibration: Calibration, parameter: Parameter, std: float) -> str:
     """Return what was given of a parameter beforehand, or that it was held nearest to nominal."""
     options = calibration.options
@@ -212,12 +264,8 @@ def _beforehand(calibration: Calibration, parameter: Parameter, std: float) -> s
     return "fixed" if "fixed" in kinds else ", ".join(kinds)
 
 
-def _rms(values: Array) -> float:
-    return float(np.sqrt((values**2).mean())) if len(values) else np.nan
-
-
 def _external(
-    fits: Fits, covariance: Array, by_systematic: Array, held: Array, sure: Confidence
+    fits: Fits, covariance: Array, by_systematic: Array, held: Array, freedoms: float
 ) -> tuple[IdentifiedParameter, ...]:
     """Return frame and targets with their intervals, and where the search for them began.
 
@@ -226,7 +274,7 @@ def _external(
         covariance: Of their steps by noise, shape (n, n).
         by_systematic: How they follow what is off by the same in all rows, shape (n, q).
         held: Directions of them that were held, shape (n, n_held).
-        sure: How well the noise is known.
+        freedoms: Degrees of freedom of the noise.
     """
     outside, values = fits.calibration.observation.external, fits.external
     if not len(outside):
@@ -236,61 +284,78 @@ def _external(
     began = replace(began, instruments=outside.start.instruments)
     start, estimates = (outside.coordinates(external) for external in (began, values))
     D = outside.coordinates_by_step(values)
-    freedoms = [freedoms.min(initial=np.inf) for freedoms in sure.of_unknowns]
-    quantile = float(quantiles(np.array(min(freedoms))))
     std = _standard_errors(D @ covariance @ D.T, D @ by_systematic, D @ held)
-    return tuple(
-        _identified(
-            Parameter(owner, name, unit, float(first)),
-            value,
-            error,
-            quantile,
-            "" if np.isfinite(error) else HELD,
+    quantile = float(quantiles(np.array(freedoms)))
+    identified = []
+    for place, id_ in enumerate(outside.names):
+        owner, _, name = id_.partition(".")
+        parameter = Parameter(owner, name, outside.units[place], float(start[place]))
+        beforehand = "" if np.isfinite(std[place]) else HELD
+        identified.append(
+            _identified(parameter, estimates[place], std[place], quantile, beforehand)
         )
-        for (owner, _, name), unit, first, value, error in zip(
-            (id_.partition(".") for id_ in outside.names),
-            outside.units,
-            start,
-            estimates,
-            std,
-            strict=True,
-        )
-    )
+    return tuple(identified)
 
 
-def _observed(fits: Fits, redundancies: Array) -> tuple[Observed, ...]:
-    """Return how the measured quantities of the platform fit; none where poses are as measured.
+def _residuals(
+    fits: Fits, parameters: Sequence[IdentifiedParameter]
+) -> tuple[tuple[LegResult, ...], tuple[ResidualGroup, ...]]:
+    """Return what is left of each leg, in the mechanism's order, and of what was measured.
 
-    Args:
-        fits: The fits.
-        redundancies: Of the quantities, shape (N, r).
+    At rows that count. Of measured quantities of the platform nothing where poses are as measured.
     """
-    if not fits.latent:
-        return ()
-    fit = fits.fits[0]
-    problem, observation = fit.problem, fit.problem.observation
-    n_legs = problem.leg_block.n_rows
-    before, values = (linear.conditions[:, n_legs:] for linear in (fit.first, fit.last))
-    results = []
+    legs, observed = {}, []
+    for fit in fits.fits:
+        residuals, shares = redundancy(fit)
+        for index, leg in enumerate(fit.problem.legs):
+            rank, condition = fit.ranks[index]
+            legs[leg.name] = LegResult(
+                **_left_of_leg(fit, index, residuals[index], shares[index]),
+                parameters=tuple(p for p in parameters if p.owner == leg.name),
+                rank=rank,
+                condition=condition,
+            )
+        observed = _left_of_platform(fit, shares[-1]) if fits.latent else []
+    return tuple(legs[name] for name in fits.calibration.mechanism.leg_names), tuple(observed)
+
+
+def _left_of_leg(fit: Fit, index: int, after: LegResiduals, shares: Array) -> dict[str, Any]:
+    """Return what a fit leaves of a leg by fields of ``ResidualGroup``; redundancies are (N, k)."""
+    counted = fit.problem.leg_block.used[:, index] & (fit.weights > 0.0)
+    before = leg_residuals(fit.problem, fit.first, index).value
+    return {
+        "name": fit.problem.legs[index].name,
+        "quantity": after.quantity,
+        "unit": after.unit,
+        "rows": np.repeat(fit.rows[counted], before.shape[1]),
+        "sigma": after.sigma[counted].ravel(),
+        "residuals_before": before[counted].ravel(),
+        "residuals": after.value[counted].ravel(),
+        "redundancy": shares[counted].ravel(),
+    }
+
+
+def _left_of_platform(fit: Fit, shares: Array) -> list[ResidualGroup]:
+    """Return what a fit leaves of measured quantities, whose redundancies are (N, r)."""
+    observation, n_legs = fit.problem.observation, fit.problem.leg_block.n_rows
+    before, after = (linear.conditions[:, n_legs:] for linear in (fit.first, fit.last))
+    groups = []
     for column, (name, unit) in enumerate(zip(observation.names, observation.units, strict=True)):
         counted = observation.measured[:, column] & (fit.weights > 0.0)
         if counted.any():
-            sigmas = fit.noise_scale * problem.observation.sigma[counted, column]
-            results.append(
-                Observed(
+            groups.append(
+                ResidualGroup(
                     name=name,
+                    quantity=name,
                     unit=unit,
-                    count=int(counted.sum()),
-                    rms=_rms(values[counted, column]),
-                    sigma=_rms(sigmas),
                     rows=np.flatnonzero(counted),
-                    sigmas=sigmas,
+                    sigma=fit.noise_scale * observation.sigma[counted, column],
                     residuals_before=before[counted, column],
-                    residuals=values[counted, column],
-                    redundancy=redundancies[counted, column],
+                    residuals=after[counted, column],
+                    redundancy=shares[counted, column],
                 )
             )
-    return tuple(results)
+    return groups
 
 
 def _merged_outliers(fits: Sequence[Fit]) -> tuple[Outlier, ...]:
@@ -303,94 +368,3 @@ def _merged_outliers(fits: Sequence[Fit]) -> tuple[Outlier, ...]:
             legs = (*worst.legs, *outlier.legs)
             rows[outlier.row] = replace(worst, legs=legs, weight=min(worst.weight, outlier.weight))
     return tuple(rows.values())
-
-
-def unreproduced(result: CalibrationResult, machine: Mechanism) -> float:
-    """Return how far a calibrated machine is from the fit that a result reports, over its size.
-
-    The largest difference at rows of the fit: of the residuals that the fitted parameters give from
-    those reported, and of the twists by which the machine's legs miss the poses, with what its own
-    terms follow there, from those of the fit.
-
-    Args:
-        result: A calibration that converged.
-        machine: Its calibrated mechanism, as it was saved and loaded again.
-    """
-    calibration = result.calibration
-    influences = _influences_again(calibration, machine)
-    data = replace(calibration.measurements, influences=influences)
-    reproduced = replace(calibration, mechanism=machine, measurements=data)
-    differences = [0.0]
-    for fitted_leg, saved_leg, reported in zip(
-        _leg_misses(calibration, result, [leg.identified for leg in result.legs]),
-        _leg_misses(reproduced, result, [leg.nominal for leg in machine.legs]),
-        result.legs,
-        strict=True,
-    ):
-        residuals, twists = fitted_leg
-        differences += np.abs(residuals.ravel() - reported.residuals).tolist()
-        differences += np.abs(twists - saved_leg[1]).ravel().tolist()
-    return float(np.max(differences) / max(1.0, largest_size(machine.legs)))  # NaN stays
-
-
-def _leg_misses(
-    calibration: Calibration, result: CalibrationResult, parameters: Sequence[Array]
-) -> list[tuple[Array, Array]]:
-    """Return residuals of each leg at its rows of a fit, and the least twists that undo them.
-
-    At the poses of the fit. The twists of the platform, shape (N, dof), are those of a leg's
-    conditions whatever their axes and scale, which go with the machine as it is drawn.
-
-    Args:
-        calibration: Rows and mechanism by which to evaluate.
-        result: Poses and rows of the fit.
-        parameters: Of each leg, shape (n_params,).
-    """
-    every_leg = range(len(result.legs))
-    if calibration.options.latent:
-        every_row = np.arange(len(calibration.measurements))
-        problems = [(calibration.latent_problem, every_row, every_leg)]
-    else:
-        problems = [
-            (*calibration.measured_problem([leg]), range(leg, leg + 1)) for leg in every_leg
-        ]
-    misses = []
-    for problem, rows, legs in problems:
-        values = np.concatenate([parameters[leg] for leg in legs])
-        matrices = calibration.mechanism.platform.matrices(result.poses[rows])
-        external = result.outside or problem.observation.external.start
-        state = State(values, matrices, external=external)
-        linear = problem.evaluate(state)
-        for index, leg in enumerate(legs):
-            demand = linear.demands[index]
-            residuals = leg_residuals(problem, linear, index).value
-            used = np.searchsorted(rows, result.legs[leg].rows[:: residuals.shape[1]])
-            twists = np.linalg.pinv(demand.pose[used]) @ demand.value[used, :, None]
-            misses.append((residuals[used], twists[:, :, 0]))
-    return misses
-
-
-def _influences_again(calibration: Calibration, machine: Mechanism) -> dict[str, Array]:
-    """Return what terms follow at the rows of a calibration, as a machine works it out itself.
-
-    Sides of approach and loads, at the poses by which they were worked out before the fit, unless
-    they were measured: then they are not what the nominal mechanism says.
-    """
-    data = calibration.measurements
-    names = calibration.mechanism.followed & set(calibration.mechanism.influences)
-    if not names:
-        return dict(data.influences)
-    loads = names & {f"{LOAD}_{name}" for name in calibration.mechanism.load_names}
-    rows = located(calibration) if loads else data
-    measured = {name: v for name, v in data.influences.items() if name not in names}
-    rows = replace(rows, influences=measured)
-    before, after = (
-        by_name(mechanism, planned_influences(mechanism, rows))
-        for mechanism in (calibration.mechanism, machine)
-    )
-    followed = {
-        name: after[name]
-        for name in names
-        if np.allclose(before[name], data.influences[name], rtol=1e-9, atol=0.0, equal_nan=True)
-    }
-    return {**data.influences, **followed}

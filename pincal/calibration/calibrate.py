@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.special import ndtri
 
 from pincal.blas import on_one_thread
-from pincal.calibration.assemble import assemble
+from pincal.calibration.assemble import assemble, with_unsure_tolerances
 from pincal.calibration.calibration import Calibration, with_followed_influences
-from pincal.calibration.covariance import with_unsure_tolerances
-from pincal.calibration.findings import blame_wrong_rows, findings_of
+from pincal.calibration.findings import MANY_ROWS, findings_of
 from pincal.calibration.fits import Fits, fitted, with_found_tolerance
 from pincal.calibration.hypotheses.parameters import misaligned, zeros_found, zeros_measured
 from pincal.calibration.hypotheses.plausibility import (
@@ -32,6 +32,8 @@ from pincal.calibration.terms.choice import choose
 from pincal.calibration.terms.kinds import columns_of_terms, every_pair, parse_terms
 from pincal.calibration.validation import held_out
 from pincal.errors import MisfitError, ObservabilityError, PincalError
+from pincal.estimation.fit import Outlier
+from pincal.estimation.system import FALSE_ALARM
 from pincal.estimation.unknowns import External
 from pincal.files.measurements import read_measurements
 from pincal.files.mechanism_folders import as_mechanism
@@ -126,6 +128,59 @@ def run(
         return with_validation(result, folds, by, fits), []
     except (PincalError, ArithmeticError) as error:
         return result, [f"no held-out validation: {error}"]
+
+
+#: Findings that follow from wrong rows.
+_FOLLOW = frozenset(
+    {
+        "chi2-too-large",
+        "outliers",
+        "many-outliers",
+        "model-lacks",
+        "step",
+        "reference-moved",
+        "noise-in-other-proportion",
+        "bad-rows",
+        "curved",
+    }
+)
+
+
+def blame_wrong_rows(
+    result: CalibrationResult, findings: tuple[Finding, ...]
+) -> tuple[tuple[Finding, ...], tuple[Outlier, ...]]:
+    """Return findings and outliers that name the few rows that alone spoil a result, if any do.
+
+    They do if χ² without them is as it should be. Parameters, residuals and standard errors stay
+    those of all rows: the user says what is left out. What only follows from these rows is no
+    longer said, what is found without them is.
+    """
+    try:
+        fits = fitted(result.calibration.with_options(loss="reject"))
+        robust = assemble(fits)
+    except PincalError:
+        return findings, result.outliers
+    total = len(result.measurements)
+    least = -ndtri(FALSE_ALARM / (2.0 * total))  # Bonferroni: one sound set in a hundred has any
+    rejected = [row for row in robust.outliers if row.weight == 0.0 and row.sigma > least]
+    are_few = 0 < len(rejected) <= MANY_ROWS * total
+    if not (are_few and robust.converged and robust.excess == 1.0):
+        return findings, result.outliers
+    worst = rejected[0]
+    wrong_rows = finding(
+        "wrong-rows",
+        [outlier.row for outlier in rejected],
+        total=total,
+        chi2=result.reduced_chi2,
+        without=robust.reduced_chi2,
+        sigma=worst.sigma,
+        quantity=worst.quantity,
+        off=worst.off,
+    )
+    without_rows = [remark for remark in findings_of(robust, fits) if remark.code in _FOLLOW]
+    unrelated = [remark for remark in findings if remark.code not in _FOLLOW]
+    outliers = tuple(replace(outlier, weight=1.0) for outlier in rejected)  # they took part
+    return (wrong_rows, *without_rows, *unrelated), outliers
 
 
 @on_one_thread

@@ -55,8 +55,20 @@ class Calibration:
     @property
     def shift(self) -> Array:
         """Where the search starts less the nominal parameters, shape (n_params,)."""
-        nominal = np.concatenate([leg.nominal for leg in self.mechanism.legs])
+        nominal = self.mechanism.parameters.values
         return np.zeros_like(nominal) if self.start is None else self.start - nominal
+
+    @property
+    def parameter_legs(self) -> Index:
+        """The leg of each parameter, by its place in the mechanism, shape (n_params,)."""
+        sizes = [len(leg.parameters) for leg in self.mechanism.legs]
+        return np.repeat(np.arange(len(sizes)), sizes)
+
+    def identified(self, parameters: Array) -> Mechanism:
+        """Return the mechanism with parameters of all legs, shape (n_params,)."""
+        starts = np.flatnonzero(np.diff(self.parameter_legs)) + 1
+        by_leg = zip(self.mechanism.leg_names, np.split(parameters, starts), strict=True)
+        return self.mechanism.with_parameters(dict(by_leg))
 
     @cached_property
     def noise(self) -> NoiseModel:
@@ -331,8 +343,7 @@ def located(calibration: Calibration) -> Measurements:
     drawing, data = calibration.mechanism.drawing, calibration.measurements
     options = Options(noise=calibration.options.noise, setup=calibration.options.setup)
     drawn = Calibration(drawing, data, options, known_noise=calibration.known_noise)
-    nominal = np.concatenate([leg.nominal for leg in drawing.legs])
-    state = align_start(drawing, drawn.latent_problem, data, nominal)
+    state = align_start(drawing, drawn.latent_problem, data, drawing.parameters.values)
     return replace(data, poses=drawing.platform.from_matrices(state.matrices))
 
 

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.special import chdtrc, ndtri
+from scipy.special import chdtrc
 
-from pincal.calibration.assemble import assemble
-from pincal.calibration.fits import Fits, fitted
+from pincal.calibration.fits import Fits
 from pincal.calibration.promise import UNEXPLAINED
-from pincal.calibration.result import CalibrationResult
-from pincal.errors import PincalError
-from pincal.estimation.fit import Fit, Outlier, curvature
+from pincal.estimation.fit import Fit, curvature
 from pincal.estimation.observability.courses import Score, scores
 from pincal.estimation.observability.indices import DIFFER, plausible_changes
 from pincal.estimation.observability.residuals import together
@@ -26,7 +22,10 @@ from pincal.model.setup import ORIGIN, Setup
 from pincal.types import Index
 from pincal.words.sentences import finding
 
-_MANY_ROWS = 0.1  # share of rows that do not fit, from which the noise or the model is questioned
+if TYPE_CHECKING:
+    from pincal.calibration.result import CalibrationResult
+
+MANY_ROWS = 0.1  # share of rows that do not fit, from which the noise or the model is questioned
 _CURVED = 0.5  # curved part over the straight one, at one standard error (Bates and Watts 1980)
 _FEW_RESIDUALS = 1.5  # residuals a parameter, below which more poses are advised
 _REPEATS = 4  # times that a pose was measured, from which one asks whether it moved
@@ -66,63 +65,6 @@ def findings_of(result: CalibrationResult, fits: Fits | None = None) -> tuple[Fi
         *_rows(result, lacking=bool(lacks)),
         *_legs(result),
     )
-
-
-#: Findings that follow from wrong rows.
-_FOLLOW = frozenset(
-    {
-        "chi2-too-large",
-        "outliers",
-        "many-outliers",
-        "model-lacks",
-        "step",
-        "reference-moved",
-        "noise-in-other-proportion",
-        "bad-rows",
-        "curved",
-    }
-)
-
-
-def blame_wrong_rows(
-    result: CalibrationResult, findings: tuple[Finding, ...]
-) -> tuple[tuple[Finding, ...], tuple[Outlier, ...]]:
-    """Return findings and outliers that name the few rows that alone spoil a result, if any do.
-
-    They do if χ² without them is as it should be. Parameters, residuals and standard errors stay
-    those of all rows: the user says what is left out. What only follows from these rows is no
-    longer said, what is found without them is.
-
-    Args:
-        result: The result of all rows, without a robust loss, whose χ² contradicts the noise.
-        findings: What is found of it.
-    """
-    try:
-        fits = fitted(result.calibration.with_options(loss="reject"))
-        robust = assemble(fits)
-    except PincalError:
-        return findings, result.outliers
-    total = len(result.measurements)
-    least = -ndtri(FALSE_ALARM / (2.0 * total))  # Bonferroni: one sound set in a hundred has any
-    rejected = [row for row in robust.outliers if row.weight == 0.0 and row.sigma > least]
-    are_few = 0 < len(rejected) <= _MANY_ROWS * total
-    if not (are_few and robust.converged and robust.excess == 1.0):
-        return findings, result.outliers
-    worst = rejected[0]
-    wrong_rows = finding(
-        "wrong-rows",
-        [outlier.row for outlier in rejected],
-        total=total,
-        chi2=result.reduced_chi2,
-        without=robust.reduced_chi2,
-        sigma=worst.sigma,
-        quantity=worst.quantity,
-        off=worst.off,
-    )
-    without_rows = [remark for remark in findings_of(robust, fits) if remark.code in _FOLLOW]
-    unrelated = [remark for remark in findings if remark.code not in _FOLLOW]
-    outliers = tuple(replace(outlier, weight=1.0) for outlier in rejected)  # they took part
-    return (wrong_rows, *without_rows, *unrelated), outliers
 
 
 def rounding(fits: Fits) -> bool:
@@ -318,7 +260,7 @@ def _rows(result: CalibrationResult, *, lacking: bool) -> list[Finding]:
     """Return which rows do not fit, and whether residuals follow something besides."""
     outliers, total = result.outliers, len(result.measurements)
     rows = [outlier.row for outlier in outliers]
-    if len(outliers) > _MANY_ROWS * total:
+    if len(outliers) > MANY_ROWS * total:
         return [finding("many-outliers", rows, share=len(outliers) / total)]
     if not outliers or result.loss != "none":
         return []

@@ -36,8 +36,7 @@ from pincal.estimation.unknowns import External, State, Unknowns
 from pincal.kinematics.closure import largest_size
 from pincal.model.checks import ALIKE
 from pincal.model.measurements import Noise
-from pincal.model.mechanism import Mechanism
-from pincal.types import Array, Mask
+from pincal.types import Array, Index, Mask
 
 ROUNDS = 20  # of noise, or of frames, in turn with the legs
 _HELD_MORE = 10.0  # times better determined are directions held next if a search does not converge
@@ -99,14 +98,22 @@ class Fits:
         """What the residuals say of the variances of groups at the noise of the fits."""
         return Moments.of([(fit, fit.problem) for fit in self.fits], self.reading_unit)
 
-    def parameters(self, mechanism: Mechanism) -> dict[str, Array]:
-        """Return identified parameters by leg, each of shape (n_params,)."""
-        by_leg = {
-            leg.name: fit.parameters[columns]
-            for fit in self.fits
-            for leg, columns in zip(fit.problem.legs, fit.problem.leg_block.columns, strict=True)
-        }
-        return {name: by_leg[name] for name in mechanism.leg_names}
+    @property
+    def places(self) -> list[Index]:
+        """Places of the unknowns of each fit among those of all legs, then external ones."""
+        if self.latent:
+            return [np.arange(len(self.fits[0].unknowns.labels))]
+        legs, owners = self.calibration.mechanism.leg_names, self.calibration.parameter_legs
+        groups = [[legs.index(leg.name) for leg in fit.problem.legs] for fit in self.fits]
+        return [np.concatenate([np.flatnonzero(owners == i) for i in group]) for group in groups]
+
+    @property
+    def parameters(self) -> Array:
+        """Identified parameters of all legs, shape (n_params,)."""
+        values = np.empty(len(self.calibration.mechanism.parameters))
+        for fit, places in zip(self.fits, self.places, strict=True):
+            values[places[: len(fit.parameters)]] = fit.parameters
+        return values
 
 
 def fitted(calibration: Calibration, near: Fits | None = None, rows: Mask | None = None) -> Fits:

@@ -1,4 +1,4 @@
-"""Parts of a result: one parameter, one leg, one measured quantity."""
+"""Parts of a result: parameters; residuals of legs and measured quantities; held-out errors."""
 
 from __future__ import annotations
 
@@ -6,9 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pincal.finding import Finding
 from pincal.model.parameter import Parameter
 from pincal.types import Array, Index
-from pincal.words.numbers import SMALL, measured, shown_in
+from pincal.words.numbers import SMALL, chance, measured, shown_in
+from pincal.words.sentences import sentences
+from pincal.words.wording import missed_line
 
 HELD = "held nearest to nominal"
 
@@ -53,35 +56,68 @@ class IdentifiedParameter(Parameter):
 
 
 @dataclass(frozen=True, repr=False)
-class LegResult:
-    """Calibration of one leg."""
+class ResidualGroup:
+    """Residuals of one leg, or of one measured quantity of the platform."""
 
     name: str
+    """Of the leg, or of the quantity."""
+    quantity: str
+    """What residuals are of: ``"closure"`` or ``"reading"`` of a leg, or the measured quantity."""
+    unit: str
+    """Of the residuals: m of closures, that of what was measured otherwise."""
+    rows: Index
+    """Rows of the measurements used, shape (n,)."""
+    sigma: Array
+    """Standard deviations of the noise, shape (n,)."""
+    residuals_before: Array
+    """Residuals where the search started, shape (n,)."""
+    residuals: Array
+    """Residuals with identified parameters, predicted less measured, shape (n,)."""
+    redundancy: Array
+    """Variance of each residual over that of its noise, 1 − h of its leverage h: what the fit does
+    not take up, shape (n,)."""
+
+    @property
+    def sigmas(self) -> Array:
+        """The same as ``sigma``."""
+        return self.sigma
+
+    @property
+    def n_residuals(self) -> int:
+        """Number of residuals."""
+        return len(self.residuals)
+
+    @property
+    def rms_before(self) -> float:
+        """Root mean square residual where the search started."""
+        return rms(self.residuals_before)
+
+    @property
+    def rms_after(self) -> float:
+        """Root mean square residual with identified parameters."""
+        return rms(self.residuals)
+
+
+Observed = ResidualGroup
+
+
+def rms(values: Array) -> float:
+    """Return the root mean square of values; NaN of none."""
+    return float(np.sqrt((values**2).mean())) if len(values) else np.nan
+
+
+@dataclass(frozen=True, repr=False)
+class LegResult(ResidualGroup):
+    """Calibration of one leg: its parameters and residuals.
+
+    Residuals are closure or joint residuals at measured poses; at poses that were estimated,
+    predicted less measured readings.
+    """
+
     parameters: tuple[IdentifiedParameter, ...]
     rank: int
     condition: float
     """Of the leg's whitened identification Jacobian, columns scaled to unit length."""
-    rms_before: float
-    """Root mean square residual with nominal parameters: closure or joint at measured poses, or
-    predicted less measured reading at those that were estimated."""
-    rms_after: float
-    """Root mean square residual with identified parameters."""
-    unit: str
-    """Of the residuals: m of closures, that of the reading otherwise."""
-    n_residuals: int
-    sigma: Array
-    """Modelled standard deviation of each residual used, shape (n_residuals,)."""
-    rows: Index
-    """Rows of the measurements used, shape (n_residuals,)."""
-    residuals_before: Array
-    """Residuals with nominal parameters, shape (n_residuals,)."""
-    residuals: Array
-    """Residuals with identified parameters, shape (n_residuals,)."""
-    quantity: str = "closure"
-    """What residuals are of: ``"closure"``, or ``"reading"``."""
-    redundancy: Array | None = None
-    """Variance of each residual over that of its noise, 1 − h of its leverage h: what the fit does
-    not take up, shape (n_residuals,). None of results saved by version 0.2.0 and before."""
 
     def __repr__(self) -> str:
         return (
@@ -119,24 +155,65 @@ class LegResult:
 
 
 @dataclass(frozen=True)
-class Observed:
-    """How a measured quantity of the platform fits."""
+class Missed:
+    """How far one target is missed, its position or its orientation."""
 
-    name: str
+    target: str
+    """``"platform"``, or the name of a further target of the setup."""
     unit: str
-    count: int
-    """How often it was measured."""
+    """``"m"`` of its position, ``"rad"`` of the measured orientation."""
+    poses: int
+    """Poses that were held out; rows of one pose count as one cluster."""
+    fit: float
+    """Root mean square at rows of the fit, [m] or [rad]."""
+    mean: float
+    """Mean at held-out rows."""
     rms: float
-    """Root mean square of predicted less measured."""
-    sigma: float
-    """Root mean square standard deviation of the measurements."""
-    rows: Index
-    """Rows of the measurements, shape (count,)."""
-    sigmas: Array
-    """Standard deviations of the measurements, shape (count,)."""
-    residuals_before: Array
-    """Predicted less measured where the search started, shape (count,)."""
-    residuals: Array
-    """Predicted less measured, shape (count,)."""
-    redundancy: Array | None = None
-    """As of a leg's residuals, shape (count,)."""
+    """Root mean square at held-out rows."""
+    largest: float
+    """The largest; no bootstrap says how much larger another would be."""
+    mean_ends: tuple[float, float]
+    """Ends of the mean's 95 % interval; infinite of a single pose."""
+    rms_ends: tuple[float, float]
+    """Ends of the root mean square's 95 % interval."""
+
+
+@dataclass(frozen=True, repr=False)
+class Validation:
+    """Errors at rows that a fit has seen, and at held-out rows."""
+
+    folds: int
+    rows: int
+    """Rows that were held out, each once."""
+    fit: float
+    """Root mean square residual of the fit in standard deviations of the noise."""
+    held_out: float
+    """The same at held-out rows."""
+    expected: float
+    """Of held-out rows, by the fit's own residuals and what the fits did not know."""
+    p_value: float
+    """Probability of such a growth, or a larger one, if the model is right."""
+    position: tuple[float, float] | None
+    """Root mean square by which positions of targets are missed, [m], in the fit and held out."""
+    orientation: tuple[float, float] | None
+    """The same of the measured orientation, [rad]."""
+    findings: tuple[Finding, ...]
+    """What to know first: what residuals follow, held-out rows that miss by more than expected."""
+    targets: tuple[Missed, ...] = ()
+    """How far each measured target is missed at held-out rows: mean, root mean square, largest,
+    and intervals by a bootstrap of poses."""
+
+    def __repr__(self) -> str:
+        return (
+            f"Validation({self.folds} folds of {self.rows} rows, fit {self.fit:.2f} σ, held-out "
+            f"{self.held_out:.2f} σ, expected {self.expected:.2f} σ)"
+        )
+
+    def __str__(self) -> str:
+        lines = [
+            f"{self.rows} rows, held out in {self.folds} folds",
+            f"rows of the fit miss by {self.fit:.2f} σ, held-out rows by {self.held_out:.2f} σ, "
+            f"{self.expected:.2f} σ are expected ({chance(self.p_value)})",
+        ]
+        lines += [missed_line(**vars(target)) for target in self.targets]
+        return "\n".join([*lines, *(f"warning: {text}" for text in sentences(self.findings))])

@@ -7,10 +7,10 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.special import chdtrc, chdtri, fdtrc
 
 from pincal.calibration.calibration import Calibration
-from pincal.calibration.covariance import unseen
-from pincal.calibration.leg_result import LegResult, Observed
+from pincal.calibration.leg_result import ResidualGroup
 from pincal.design.platform_error import (
     PlatformError,
     Seen,
@@ -62,6 +62,25 @@ def excess_of(chi2: float, p_value: float) -> float:
     return float(np.sqrt(chi2)) if p_value < UNEXPLAINED else 1.0
 
 
+def exceeded(chi2: float, degrees_of_freedom: float, of_noise: float = np.inf) -> float:
+    """Return the probability of a reduced χ², or a larger one; by F of noise that is estimated."""
+    if not degrees_of_freedom:
+        return 1.0
+    if np.isfinite(of_noise):
+        return float(fdtrc(degrees_of_freedom, of_noise, chi2))
+    return float(chdtrc(degrees_of_freedom, degrees_of_freedom * chi2))
+
+
+def unseen(chi2: float, degrees_of_freedom: float) -> float:
+    """Return how many times larger than the noise residuals may be by their reduced χ², at 95 %.
+
+    Errors of the model of that size cannot be distinguished from noise; 1 or more.
+    """
+    if not degrees_of_freedom:
+        return 1.0
+    return float(np.sqrt(max(1.0, chi2 * degrees_of_freedom / chdtri(degrees_of_freedom, 0.95))))
+
+
 def explained(result: CalibrationResult) -> bool:
     """Return whether residuals fell, and so near to the noise that uncertainties mean anything."""
     return result.excess <= _PROMISED and corrects(result)
@@ -87,13 +106,11 @@ def _short_of_equations(result: CalibrationResult) -> bool:
     return held is not None and result.degrees_of_freedom < held.shape[1]
 
 
-def whitened(parts: Sequence[LegResult | Observed]) -> tuple[Array, Array]:
+def whitened(parts: Sequence[ResidualGroup]) -> tuple[Array, Array]:
     """Return residuals before and after in standard deviations, of all that carries noise."""
     before = np.concatenate([part.residuals_before for part in parts])
     after = np.concatenate([part.residuals for part in parts])
-    sigma = np.concatenate(
-        [part.sigmas if isinstance(part, Observed) else part.sigma for part in parts]
-    )
+    sigma = np.concatenate([part.sigma for part in parts])
     noisy = sigma > 0.0
     return before[noisy] / sigma[noisy], after[noisy] / sigma[noisy]
 
@@ -272,13 +289,13 @@ def _left_at_targets(result: CalibrationResult) -> float:
     noise of the instrument where that is known.
     """
     lengths = [part for part in result.observed if part.unit == "m"]
-    count = sum(part.count for part in result.observed) + sum(len(leg.rows) for leg in result.legs)
+    count = sum(part.n_residuals for part in (*result.legs, *result.observed))
     if not lengths or result.degrees_of_freedom < 1:
         return np.nan
     squares = np.mean(np.concatenate([part.residuals for part in lengths]) ** 2)
     squares *= count / result.degrees_of_freedom
     if result.noise_source != "estimated":
-        squares -= np.mean(np.concatenate([part.sigmas for part in lengths]) ** 2)
+        squares -= np.mean(np.concatenate([part.sigma for part in lengths]) ** 2)
     return float(np.sqrt(result.nominal.platform.space * max(squares, 0.0)))
 
 

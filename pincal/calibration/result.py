@@ -11,7 +11,7 @@ import numpy as np
 
 from pincal.attached import attached
 from pincal.calibration.calibration import Calibration
-from pincal.calibration.leg_result import IdentifiedParameter, LegResult, Observed
+from pincal.calibration.leg_result import IdentifiedParameter, LegResult, ResidualGroup, Validation
 from pincal.calibration.options import FOLDS, By, Options
 from pincal.calibration.promise import (
     contradictions,
@@ -35,7 +35,6 @@ from pincal.words.numbers import rounded
 from pincal.words.sentences import sentences
 
 if TYPE_CHECKING:
-    from pincal.calibration.validation import Validation
     from pincal.show.charts import Plots
     from pincal.show.report import Report
 
@@ -95,27 +94,27 @@ class CalibrationResult:
     left: float
     """How far the optimum is where the search ended, to first order, in standard errors."""
     converged: bool
-    systematic: Array | None = None
+    systematic: Array | None
     """Part of the covariance that is off by the same in all rows (type B), shape (n, n)."""
-    findings: tuple[Finding, ...] = ()
-    """What to know first: warnings and remarks, as data."""
-    outliers: tuple[Outlier, ...] = ()
+    outliers: tuple[Outlier, ...]
     """Rows that do not fit the others, the worst first."""
-    gauge: tuple[Finding, ...] = ()
+    gauge: tuple[Finding, ...]
     """What was fixed by choice, since no such measurement can observe it."""
-    gauge_directions: Array | None = None
+    gauge_directions: Array | None
     """Directions of the legs' parameters along which that choice was made, shape (n, n_gauge)."""
-    frames_moved: Array | None = None
+    frames_moved: Array | None
     """Motions of frames that these are (see ``estimation.observability.gauge.split_frames``)."""
-    undetermined_directions: Array | None = None
+    undetermined_directions: Array | None
     """Directions of the legs' parameters that were held near nominal, as far as machines may
     differ, shape (n, n_lost)."""
-    observed: tuple[Observed, ...] = ()
+    observed: tuple[ResidualGroup, ...]
     """How the measured quantities of the platform fit, where poses were unknowns."""
-    outside: External | None = None
+    outside: External | None
     """Frame and targets behind ``external``, if they were unknown."""
-    estimated_poses: Array | None = None
+    estimated_poses: Array | None
     """The poses of all rows in the base frame, shape (N, dof), where they were unknowns."""
+    findings: tuple[Finding, ...] = ()
+    """What to know first: warnings and remarks, as data."""
     validation: Validation | None = None
     """Errors at held-out rows, if that was asked for."""
 
@@ -127,11 +126,8 @@ class CalibrationResult:
     @property
     def begun(self) -> Mechanism:
         """The mechanism at which the search began: nominal but for zeros of motors, if found."""
-        if self.calibration.start is None:
-            return self.nominal
-        sizes = np.cumsum([len(leg.parameters) for leg in self.nominal.legs])
-        values = np.split(self.calibration.start, sizes[:-1])
-        return self.nominal.with_parameters(dict(zip(self.nominal.leg_names, values, strict=True)))
+        start = self.calibration.start
+        return self.nominal if start is None else self.calibration.identified(start)
 
     @property
     def measurements(self) -> Measurements:

@@ -9,38 +9,37 @@ from __future__ import annotations
 import json
 import math
 import warnings
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast, get_origin, get_type_hints
+from typing import Any, cast, get_origin
 
 import numpy as np
-from cattrs import BaseConverter, Converter
+from cattrs import Converter
 from numpy.typing import NDArray
 
 import pincal.files.output as output
 from pincal import __version__
-from pincal.calibration.assemble import unreproduced
-from pincal.calibration.calibration import Calibration
-from pincal.calibration.leg_result import IdentifiedParameter, LegResult
-from pincal.calibration.options import Options, Progress, Tolerance
+from pincal.calibration.calibration import Calibration, located
+from pincal.calibration.leg_result import IdentifiedParameter, LegResult, rms
+from pincal.calibration.options import Progress, Tolerance
 from pincal.calibration.promise import most_uncertain, uncovered
 from pincal.calibration.result import CalibrationResult, HtmlPage
-from pincal.calibration.validation import Validation
 from pincal.errors import MeasurementError, PincalError
-from pincal.estimation.noise import NoiseModel
 from pincal.estimation.system import LOSSES, Loss, LossName
+from pincal.estimation.unknowns import State
 from pincal.files.measurement_writing import write_plan
 from pincal.files.mechanism_folders import load_mechanism, write_mechanism
 from pincal.files.table import write_table
 from pincal.files.text import LARGEST_FILE, json_text, plain, read_text
-from pincal.model.measurements import Measurements, Plan
+from pincal.kinematics.closure import largest_size
+from pincal.kinematics.configurations import planned_influences
+from pincal.kinematics.influences import by_name
+from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.setup import Instrument
+from pincal.model.terms import LOAD
 from pincal.types import Array
 from pincal.words.sentences import sentence
-
-_NOT_FINITE = ("inf", "-inf", "nan")
-_SAVED_ELSEWHERE = ("calibration", "identified")
 
 
 def _is_array(kind: Any) -> bool:
@@ -49,20 +48,13 @@ def _is_array(kind: Any) -> bool:
 
 def _plain(array: NDArray[Any]) -> Any:
     """Return an array as its type, shape and numbers; those that are none as strings."""
-    flat = array.ravel().tolist()
-    numbers = [
-        number if number == number and abs(number) < np.inf else str(number) for number in flat
-    ]
+    numbers = [_CONVERTER.unstructure(number) for number in array.ravel().tolist()]
     return {"type": array.dtype.str, "shape": list(array.shape), "values": numbers}
 
 
 def _array(data: Any, _: Any) -> NDArray[Any]:
     values = [float(entry) if isinstance(entry, str) else entry for entry in data["values"]]
     return np.array(values, dtype=np.dtype(str(data["type"]))).reshape(data["shape"])
-
-
-def _number(data: Any, _: Any) -> float:
-    return float(data)
 
 
 def _loss(name: str, _: Any) -> LossName | Loss:
@@ -78,28 +70,9 @@ def _loss(name: str, _: Any) -> LossName | Loss:
     return Loss(name, weigh, 0.5)
 
 
-def _converter() -> BaseConverter:
-    converter = Converter(forbid_extra_keys=True)
-    converter.register_unstructure_hook_func(_is_array, _plain)
-    converter.register_unstructure_hook(np.ndarray, _plain)
-    converter.register_structure_hook_func(_is_array, _array)
-    converter.register_unstructure_hook(float, lambda x: x if abs(x) < np.inf else str(x))
-    converter.register_structure_hook(float, _number)
-    converter.register_structure_hook_func(lambda kind: kind == LossName | Loss, _loss)
-    converter.register_structure_hook_func(
-        lambda kind: kind == Tolerance, lambda data, _: converter.structure(data, dict[str, float])
-    )
-    converter.register_structure_hook_func(lambda kind: kind == Progress, lambda *_: None)
-    converter.register_structure_hook_func(
-        lambda kind: kind == tuple[Instrument, ...], lambda *_: ()
-    )
-    converter.register_structure_hook_func(lambda kind: kind is Any, lambda data, _: _frozen(data))
-    return converter
-
-
 def _frozen(data: Any) -> Any:
     """Return data of which lists are tuples, as findings hold them; named numbers are numbers."""
-    if data in _NOT_FINITE:
+    if data in ("inf", "-inf", "nan"):
         return float(data)
     if isinstance(data, list):
         return tuple(_frozen(entry) for entry in data)
@@ -108,12 +81,34 @@ def _frozen(data: Any) -> Any:
     return data
 
 
+def _converter() -> Converter:
+    """Return what makes plain data of a result and back, but for the mechanism and code."""
+    converter = Converter(forbid_extra_keys=True)
+    converter.register_unstructure_hook_func(_is_array, _plain)
+    converter.register_unstructure_hook(np.ndarray, _plain)
+    converter.register_structure_hook_func(_is_array, _array)
+    converter.register_unstructure_hook(float, lambda x: x if abs(x) < np.inf else str(x))
+    converter.register_structure_hook(float, lambda data, _: float(data))
+    converter.register_unstructure_hook(Mechanism, lambda _: None)
+    converter.register_unstructure_hook(Loss, lambda loss: loss.name)
+    converter.register_structure_hook_func(lambda kind: kind == LossName | Loss, _loss)
+    converter.register_unstructure_hook_func(lambda kind: kind == Progress, lambda _: None)
+    converter.register_structure_hook_func(lambda kind: kind == Progress, lambda *_: None)
+    converter.register_structure_hook_func(
+        lambda kind: kind == Tolerance, lambda data, _: converter.structure(data, dict[str, float])
+    )
+    converter.register_structure_hook_func(
+        lambda kind: kind == tuple[Instrument, ...], lambda *_: ()
+    )
+    converter.register_structure_hook_func(lambda kind: kind is Any, lambda data, _: _frozen(data))
+    return converter
+
+
 _CONVERTER = _converter()
-_HINTS = get_type_hints(CalibrationResult, localns={"Validation": Validation})
 
 
 def stored(result: CalibrationResult) -> dict[str, Any]:
-    """Return all that a result is made of, as plain data; the nominal mechanism apart.
+    """Return all that a result is made of, as plain data; mechanisms apart.
 
     Raises:
         MeasurementError: instruments of one's own, which are code, not data.
@@ -123,52 +118,22 @@ def stored(result: CalibrationResult) -> dict[str, Any]:
             f"instrument {custom[0]!r} is code, which a result's folder does not hold; save the "
             "calibrated mechanism (result.identified.save) and the report"
         )
-    options = replace(result.options, progress=None, loss="none")
-    return {
-        "measurements": _CONVERTER.unstructure(result.measurements),
-        "options": _CONVERTER.unstructure(options) | {"loss": result.loss},
-        "start": _CONVERTER.unstructure(result.calibration.start),
-        "noise_model": _CONVERTER.unstructure(result.calibration.noise),
-        **{
-            part.name: _CONVERTER.unstructure(getattr(result, part.name))
-            for part in fields(CalibrationResult)
-            if part.name not in _SAVED_ELSEWHERE
-        },
-    }
-
-
-def _worked_out(data: dict[str, Any], name: str, kind: Any) -> Any:
-    """Return what a calibration had worked out; None of results saved before this was kept."""
-    return None if data.get(name) is None else _CONVERTER.structure(data[name], kind)
+    return dict(_CONVERTER.unstructure(result))
 
 
 def restored(data: dict[str, Any], nominal: Mechanism) -> CalibrationResult:
     """Return the result of plain data; data of another shape raise whatever they raise."""
-    options = {name: value for name, value in data["options"].items() if name != "intervals"}
-    calibration = Calibration(
-        nominal,
-        _CONVERTER.structure(data["measurements"], Measurements),
-        _CONVERTER.structure(options, Options),
-        start=_worked_out(data, "start", Array),
-        known_noise=_worked_out(data, "noise_model", NoiseModel),
-    )
-    fields_found = {
-        name: _CONVERTER.structure(data[name], kind)
-        for name, kind in _HINTS.items()
-        if name not in _SAVED_ELSEWHERE and name in data
-    }
-    known = [(parameter.id, parameter.unit) for parameter in nominal.parameters]
-    if known != [
-        (parameter.id, parameter.unit)
-        for leg in fields_found["legs"]
-        for parameter in leg.parameters
-    ]:
+    converter = _CONVERTER.copy()
+    converter.register_structure_hook(Mechanism, lambda *_: nominal)
+    result = converter.structure(data, CalibrationResult)
+    found = [(p.id, p.unit) for leg in result.legs for p in leg.parameters]
+    if found != [(parameter.id, parameter.unit) for parameter in nominal.parameters]:
         raise ValueError("parameters of another mechanism than the nominal one")
-    values = {leg.name: leg.identified for leg in fields_found["legs"]}
-    return CalibrationResult(calibration, nominal.with_parameters(values), **fields_found)
+    values = np.concatenate([leg.identified for leg in result.legs])
+    return replace(result, identified=result.calibration.identified(values))
 
 
-FORMAT = 2
+FORMAT = 3
 REPRODUCED = 1e-9
 """Of a machine's size, [m] and [rad]: within this its residuals, read back, are those reported."""
 RESULT, REPORT = "result.json", "report.html"
@@ -227,6 +192,65 @@ def check_reproduces(result: CalibrationResult, machine: Mechanism) -> None:
         )
 
 
+def unreproduced(result: CalibrationResult, machine: Mechanism) -> float:
+    """Return how far a calibrated machine, saved and loaded again, is from the fit, over its size.
+
+    The largest difference, at poses and rows of the fit, of the twists by which the machine's legs
+    miss the platform, with what its own terms follow there, from those by the fitted parameters.
+    """
+    calibration = result.calibration
+    influences = _influences_again(calibration, machine)
+    data = replace(calibration.measurements, influences=influences)
+    saved = replace(calibration, mechanism=machine, measurements=data)
+    identified = np.concatenate([leg.identified for leg in result.legs])
+    pairs = zip(
+        _missing_twists(calibration, result.poses, identified),
+        _missing_twists(saved, result.poses, machine.parameters.values),
+        strict=True,
+    )
+    off = [(a - b)[leg.rows].ravel() for leg, (a, b) in zip(result.legs, pairs, strict=True)]
+    differences = np.abs(np.concatenate(off)).max(initial=0.0)
+    return float(differences / max(1.0, largest_size(machine.legs)))  # NaN stays
+
+
+def _missing_twists(calibration: Calibration, poses: Array, parameters: Array) -> list[Array]:
+    """Return the least twists of the platform at poses that undo what each leg misses, (N, dof).
+
+    They are those of a leg's conditions whatever axes and scale these have, which go with the
+    machine as it is drawn.
+    """
+    mechanism, rows = calibration.mechanism, np.arange(len(poses))
+    block = calibration.leg_block(range(len(mechanism.legs)), rows, calibration.used)
+    demands = block.evaluate(State(parameters, mechanism.platform.matrices(poses))).demands
+    return [(np.linalg.pinv(d.pose) @ d.value[:, :, None])[:, :, 0] for d in demands]
+
+
+def _influences_again(calibration: Calibration, machine: Mechanism) -> dict[str, Array]:
+    """Return what terms follow at the rows of a calibration, as a machine works it out itself.
+
+    Sides of approach and loads, at the poses by which they were worked out before the fit, unless
+    they were measured: then they are not what the nominal mechanism says.
+    """
+    data = calibration.measurements
+    names = calibration.mechanism.followed & set(calibration.mechanism.influences)
+    if not names:
+        return dict(data.influences)
+    loads = names & {f"{LOAD}_{name}" for name in calibration.mechanism.load_names}
+    rows = located(calibration) if loads else data
+    measured = {name: v for name, v in data.influences.items() if name not in names}
+    rows = replace(rows, influences=measured)
+    before, after = (
+        by_name(mechanism, planned_influences(mechanism, rows))
+        for mechanism in (calibration.mechanism, machine)
+    )
+    followed = {
+        name: after[name]
+        for name in names
+        if np.allclose(before[name], data.influences[name], rtol=1e-9, atol=0.0, equal_nan=True)
+    }
+    return {**data.influences, **followed}
+
+
 def as_json(result: CalibrationResult) -> dict[str, Any]:
     """Return a result as plain data for JSON; numbers that do not exist are null."""
     noise = {} if result.noise is None else vars(result.noise)
@@ -253,7 +277,15 @@ def as_json(result: CalibrationResult) -> dict[str, Any]:
         "outliers": [vars(outlier) | {"row": outlier.row + 1} for outlier in result.outliers],
         "external": [_parameter(p) for p in result.external],
         "gauge": [sentence(freedom) for freedom in result.gauge],
-        "observed": [_named(part, "name unit count rms sigma") for part in result.observed],
+        "observed": [
+            {
+                **_named(part, "name unit"),
+                "count": part.n_residuals,
+                "rms": part.rms_after,
+                "sigma": rms(part.sigma),
+            }
+            for part in result.observed
+        ],
         "weakly_determined": result.weak,
         "validation": result.validation,
         "legs": [_leg(leg) for leg in result.legs],
@@ -273,18 +305,11 @@ def _residuals(result: CalibrationResult) -> dict[str, list[str]]:
 
     Legs of exact readings close by construction at poses that were estimated: they are left out.
     """
-    series = [
-        (leg.name, leg.quantity, leg.unit, leg.rows, leg.residuals, leg.sigma)
-        for leg in result.legs
-    ]
-    series += [
-        ("", part.name, part.unit, part.rows, part.residuals, part.sigmas)
-        for part in result.observed
-    ]
+    groups = [*((leg.name, leg) for leg in result.legs), *(("", part) for part in result.observed)]
     lines = [
-        (leg, str(row + 1), quantity, unit, repr(float(residual)), repr(float(sigma)))
-        for leg, quantity, unit, *columns in series
-        for row, residual, sigma in zip(*columns, strict=True)
+        (leg, str(row + 1), part.quantity, part.unit, repr(float(residual)), repr(float(sigma)))
+        for leg, part in groups
+        for row, residual, sigma in zip(part.rows, part.residuals, part.sigma, strict=True)
         if sigma > 0.0 or not (leg and result.observed)
     ]
     names = ("leg", "row", "quantity", "unit", "residual", "sigma")
@@ -330,7 +355,7 @@ def read_result(folder: str | Path) -> dict[str, Any]:
 
     Raises:
         FileError: the file is missing or cannot be read.
-        MeasurementError: not a result of pincal, or of an unknown version.
+        MeasurementError: not a result of pincal, or of another version.
     """
     path = Path(folder) / RESULT
     text = read_text(path, LARGEST_FILE["result"], MeasurementError)
@@ -340,8 +365,13 @@ def read_result(folder: str | Path) -> dict[str, Any]:
         )
     except (ValueError, RecursionError) as error:
         raise MeasurementError(f"{path}: not JSON as pincal writes it: {error}") from error
-    if not isinstance(data, dict) or data.get("pincal_result") not in range(1, FORMAT + 1):
-        raise MeasurementError(f"{path}: not a result of pincal in format {FORMAT} or before")
+    if not isinstance(data, dict) or "pincal_result" not in data:
+        raise MeasurementError(f"{path}: not a result of pincal")
+    if data["pincal_result"] != FORMAT:
+        raise MeasurementError(
+            f"{path}: saved by pincal {str(data.get('pincal'))[:20]} in a format that this version "
+            "does not load; calibrate the measurements again, or load it with that version"
+        )
     return data
 
 
@@ -350,16 +380,10 @@ def load_result(folder: str | Path) -> CalibrationResult:
 
     Raises:
         FileError: a file is missing or cannot be read.
-        MeasurementError: not a result of pincal, a damaged one, or one of version 0.1, which did
-            not hold all.
+        MeasurementError: not a result of pincal, a damaged one, or one of another version.
         MechanismError: a nominal mechanism that cannot be loaded.
     """
     contents = read_result(folder)
-    if "data" not in contents:
-        raise MeasurementError(
-            f"{folder}: a result of version 0.1, which does not hold all that it was made from; "
-            "calibrate again, or read it with pincal.calibration.result_files.read_result"
-        )
     nominal = load_mechanism(Path(folder) / NOMINAL)
     try:
         with warnings.catch_warnings(action="error"):

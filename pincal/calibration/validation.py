@@ -1,83 +1,44 @@
-"""Errors at rows that a fit has not seen.
+"""Errors at rows that a fit has not seen: of all that was measured, and of targets in m and rad.
 
 Held-out rows are predicted like those of the fit, whitened by their noise; of them more is
 expected by what the fit does not know: r has the covariance 1 + J C Jᵀ. What then exceeds the
-fit's own χ² says that the model follows its rows more closely than the machine.
+fit's own χ² says that the model follows its rows more closely than the machine. The calibrated
+machine goes where its readings take it; each target is predicted there and compared with what was
+measured, noise included. Intervals are by a bootstrap of poses (A. C. Davison and D. V. Hinkley
+1997): rows of one pose are one piece of evidence.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import bdtrc, betaincinv, chdtri
 
 from pincal.blas import on_one_thread
+from pincal.calibration.assemble import chi2_freedoms, noise_freedoms
 from pincal.calibration.calibration import Calibration
-from pincal.calibration.covariance import chi2_freedoms, confidence, exceeded
 from pincal.calibration.findings import lacking, rounding
 from pincal.calibration.fits import Fits, fitted
-from pincal.calibration.missed import Missed, missed, misses_of
-from pincal.calibration.options import FOLDS, By, folds_of
-from pincal.calibration.promise import UNEXPLAINED
-from pincal.design.platform_error import DRAWS
+from pincal.calibration.leg_result import Missed, Validation
+from pincal.calibration.options import FOLDS, By, clusters, folds_of
+from pincal.calibration.promise import UNEXPLAINED, exceeded
+from pincal.design.platform_error import CONFIDENCE, DRAWS
 from pincal.errors import MeasurementError
 from pincal.estimation.fit import Fit
 from pincal.estimation.problem import Linear
 from pincal.estimation.solver import solve_poses
 from pincal.estimation.start import placed, poses_at_rest
 from pincal.estimation.system import UNLIKELY, NormalEquations
-from pincal.finding import Finding
+from pincal.kinematics.batches import CHUNK
+from pincal.kinematics.forward import forward
+from pincal.model.setup import ORIGIN
 from pincal.types import Array, Index, Mask
-from pincal.words.numbers import chance
-from pincal.words.sentences import finding, sentences
-from pincal.words.wording import missed_line
+from pincal.words.sentences import finding
 
 MISSES = 10.0
 """Standard deviations by which a fit misses its own rows that is none, which held-out rows do not
 make worse."""
-
-
-@dataclass(frozen=True, repr=False)
-class Validation:
-    """Errors at rows that a fit has seen, and at held-out rows."""
-
-    folds: int
-    rows: int
-    """Rows that were held out, each once."""
-    fit: float
-    """Root mean square residual of the fit in standard deviations of the noise."""
-    held_out: float
-    """The same at held-out rows."""
-    expected: float
-    """Of held-out rows, by the fit's own residuals and what the fits did not know."""
-    p_value: float
-    """Probability of such a growth, or a larger one, if the model is right."""
-    position: tuple[float, float] | None
-    """Root mean square by which positions of targets are missed, [m], in the fit and held out."""
-    orientation: tuple[float, float] | None
-    """The same of the measured orientation, [rad]."""
-    findings: tuple[Finding, ...]
-    """What to know first: what residuals follow, held-out rows that miss by more than expected."""
-    targets: tuple[Missed, ...] = ()
-    """How far each measured target is missed at held-out rows: mean, root mean square, largest,
-    and intervals by a bootstrap of poses."""
-
-    def __repr__(self) -> str:
-        return (
-            f"Validation({self.folds} folds of {self.rows} rows, fit {self.fit:.2f} σ, held-out "
-            f"{self.held_out:.2f} σ, expected {self.expected:.2f} σ)"
-        )
-
-    def __str__(self) -> str:
-        lines = [
-            f"{self.rows} rows, held out in {self.folds} folds",
-            f"rows of the fit miss by {self.fit:.2f} σ, held-out rows by {self.held_out:.2f} σ, "
-            f"{self.expected:.2f} σ are expected ({chance(self.p_value)})",
-        ]
-        lines += [missed_line(**vars(target)) for target in self.targets]
-        return "\n".join([*lines, *(f"warning: {text}" for text in sentences(self.findings))])
 
 
 @on_one_thread
@@ -215,7 +176,7 @@ def _chance(fits: Fits, sums: Array, total: float | None) -> float:
     inside = statistic if total is None else max(total - chi2_seen, 0.0)
     ratio, own_ratio = inside / equations, chi2_seen / max(dof, 1)
     if fits.calibration.noise.known:
-        known = confidence(fits).of_chi2
+        _, known = noise_freedoms(fits)
         if exceeded(own_ratio, share * dof, known) >= UNEXPLAINED:  # else the noise is not as given
             return exceeded(ratio, share * equations, known)
     if not own_ratio > 0.0:
@@ -294,3 +255,132 @@ def _drawn(
         inside[:, fold] = squares @ (1.0 / np.maximum(unfitted, _RANK)) + remainder
         squared[:, fold] = squares.sum(axis=1) + remainder
     return inside, squared, np.array(equations, dtype=float)
+
+
+Misses = dict[tuple[str, str], Array]
+
+
+def misses_of(calibration: Calibration, fits: Fits) -> Misses:
+    """Return by how much targets are missed, by target and unit, each of shape (N,).
+
+    NaN where a target was not measured, a reading is missing, or no pose belongs to the readings.
+
+    Args:
+        calibration: What was measured.
+        fits: The fits that predict it.
+    """
+    observation, data = calibration.observation, calibration.measurements
+    machine = calibration.identified(fits.parameters)
+    platform, setup = machine.platform, calibration.options.setup
+    external = fits.external
+    complete = np.isfinite(data.readings).all(axis=1) & observation.measured.any(axis=1)
+    rows = np.flatnonzero(complete)
+    influences = None if calibration.influences is None else calibration.influences[rows]
+    guess = None  # measured in another frame
+    if setup.plain:
+        guess = np.where(np.isfinite(data.poses[rows]), data.poses[rows], platform.home)
+    solution = forward(machine, data.readings[rows], guess, influences)
+    rows, poses = rows[solution.converged], solution.poses[solution.converged]
+    observed = observation.at(rows)
+    errors = np.where(
+        observed.measured, observed.residuals(platform.matrices(poses), external)[0], np.nan
+    )
+    names = list(observation.names)
+    columns = {
+        (target, "m"): [
+            names.index(name)
+            for axis in "xyz"
+            if (name := axis if target == ORIGIN else f"{target}_{axis}") in names
+        ]
+        for target in setup.targets
+    }
+    turns = zip(platform.freedoms, platform.units, strict=True)
+    columns[ORIGIN, "rad"] = [names.index(name) for name, unit in turns if unit == "rad"]
+    misses: Misses = {}
+    for key, column in columns.items():
+        known = np.isfinite(errors[:, column]).any(axis=1)
+        if known.any():
+            values = np.full(len(data), np.nan)
+            values[rows[known]] = np.sqrt(np.nansum(errors[known][:, column] ** 2, axis=1))
+            misses[key] = values
+    return misses
+
+
+def per_row(misses: Misses, count: int) -> Array:
+    """Return sizes of misses of position [m], of all targets, and orientation [rad], (N, 2)."""
+    none = np.full(count, np.nan)
+    squares = np.array(
+        [
+            [np.square(values) if of == unit else none for (_, of), values in misses.items()]
+            or [none]
+            for unit in ("m", "rad")
+        ]
+    )
+    known = np.isfinite(squares)
+    times = known.sum(axis=1)
+    sums = np.where(known, squares, 0.0).sum(axis=1)
+    return np.sqrt(np.divide(sums, times, out=np.full(times.shape, np.nan), where=times > 0)).T
+
+
+def missed(fitted: Misses, unseen: Sequence[tuple[Calibration, Misses]]) -> tuple[Missed, ...]:
+    """Return how far targets are missed, each over all rows held out.
+
+    Args:
+        fitted: Misses at rows of the fit.
+        unseen: Of each fold, its rows and misses there.
+    """
+    answers = []
+    for (target, unit), at_fit in fitted.items():
+        parts = [
+            (misses[target, unit], clusters(rows.measurements))
+            for rows, misses in unseen
+            if (target, unit) in misses
+        ]
+        if not parts:
+            continue
+        values = np.concatenate([misses for misses, _ in parts])
+        places = np.concatenate([names for _, names in parts])
+        known = np.isfinite(values)
+        values, (_, pose) = values[known], np.unique(places[known], return_inverse=True)
+        mean_ends, rms_ends = _ends(values, pose)
+        answers.append(
+            Missed(
+                target=target,
+                unit=unit,
+                poses=int(pose.max()) + 1,
+                fit=float(np.sqrt(np.nanmean(at_fit**2))),
+                mean=float(values.mean()),
+                rms=float(np.sqrt((values**2).mean())),
+                largest=float(values.max()),
+                mean_ends=mean_ends,
+                rms_ends=rms_ends,
+            )
+        )
+    return tuple(answers)
+
+
+def _ends(values: Array, pose: Index) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return ends of the intervals of mean and root mean square of misses, by poses; (N,) both."""
+    sums = np.stack(
+        [np.bincount(pose, weights=w) for w in (values, values**2, np.ones_like(values))]
+    )
+    poses = sums.shape[1]
+    if poses < 2:
+        return (0.0, np.inf), (0.0, np.inf)
+    random = np.random.default_rng(0)
+    drawn = [
+        sums @ _times(random.integers(poses, size=(len(part), poses))).T
+        for part in np.array_split(np.empty(DRAWS), min(DRAWS, 1 + DRAWS * poses // CHUNK))
+    ]
+    totals = np.concatenate(drawn, axis=1)
+    means = totals[:2] / totals[2]
+    low, high = np.quantile(means, (0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2), axis=1)
+    (mean_low, square_low), (mean_high, square_high) = low.tolist(), high.tolist()
+    return (mean_low, mean_high), (square_low**0.5, square_high**0.5)
+
+
+def _times(drawn: Index) -> Array:
+    """Return how often each of n poses was drawn, by draws of n: shape (draws, n) both."""
+    draws, n = drawn.shape
+    places = drawn + n * np.arange(draws)[:, None]
+    return np.bincount(places.ravel(), minlength=draws * n).reshape(draws, n).astype(float)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import gammaincinv
 
-from pincal.calibration.missed import Missed
+from pincal.calibration.leg_result import Missed
 from pincal.calibration.promise import seen_by
 from pincal.calibration.result import CalibrationResult
 from pincal.calibration.validation import MISSES

@@ -17,13 +17,12 @@ import numpy as np
 from pincal.attached import attached
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.fits import Fits, fitted
-from pincal.calibration.missed import misses_of, per_row
 from pincal.calibration.options import FOLDS, clusters, folds_of
 from pincal.calibration.result import CalibrationResult
 from pincal.calibration.terms.candidates import extended, with_columns
 from pincal.calibration.terms.kinds import ORDER, Pair, term_text
 from pincal.calibration.terms.screen import Candidate, screen
-from pincal.calibration.validation import predictions
+from pincal.calibration.validation import misses_of, per_row, predictions
 from pincal.errors import MeasurementError, PincalError
 from pincal.estimation.observability.courses import Slip, slips
 from pincal.types import Array
