@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the processes of pytest-xdist have the cores
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # processes that tests start compile nothing again
 
 import numpy as np
 import pytest
@@ -14,6 +16,7 @@ from numpy.typing import NDArray
 
 import pincal
 
+sys.dont_write_bytecode = False
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # in the background of a shell
     signal.signal(signal.SIGINT, signal.default_int_handler)  # commands are to be interrupted
 

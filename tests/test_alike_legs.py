@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from marks import some_slow
 from measured import workspace
 
 import pincal
@@ -20,7 +21,7 @@ FORMS = {"5R": 1, "3RRR": 1, "3RPR": 1, "3PRR": 2, "6UPS": 1, "6RUS": 1, "8cable
 """How many forms the legs of a machine have: those of the 3-PRR slide to either side."""
 
 
-@pytest.mark.parametrize("name", FORMS)
+@pytest.mark.parametrize("name", some_slow(FORMS, "3RRR", "3RPR", "6RUS", "8cable", "delta"))
 def test_alike_legs_demand_what_each_alone_does(name: str) -> None:
     """Values, derivatives and joints; at noisy readings of another one."""
     robot = pincal.load_mechanism(name)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from arms import Reference, loaded, robot, urdf
 from command_line import done
-from marks import slow_or_fuzz, some_slow
+from marks import quick, slow_or_fuzz, some_slow
 
 import pincal
 from pincal.show.misses import workspace_errors
@@ -58,7 +58,7 @@ def test_noise_of_poses_and_encoders(noise: pincal.Noise) -> None:
 
 @pytest.mark.parametrize("points", slow_or_fuzz([True], [False]))
 def test_errors_are_those_of_many_calibrations(points: bool) -> None:
-    """Over 200 fits, spreads equal the standard errors; the tool's error the forecast's.
+    """Over 120 fits, spreads equal the standard errors; the tool's error the forecast's.
 
     Of parameters 8 % is four standard errors of the mean ratio over thirty spreads; of the tool,
     root mean squares over unseen configurations.
@@ -68,7 +68,7 @@ def test_errors_are_those_of_many_calibrations(points: bool) -> None:
     unseen = pincal.sample_configurations(mechanism, 50, 9)
     setup = pincal.Setup(targets=POINT.targets) if points else pincal.Setup()
     found, std, off = [], [], []
-    for seed in range(200):
+    for seed in range(120):
         data = pincal.simulate(mechanism, truth, plan, NOISE, seed).measurements
         if points:
             data = as_points(mechanism, data)
@@ -110,14 +110,17 @@ def test_outliers_are_listed_and_left_out() -> None:
 
 @pytest.mark.parametrize(
     ("wrong", "words"),
-    [
-        ("degrees", "readings are in degrees under a radian header"),
-        ("radians", "readings are in radians under a degree header"),
-        ("sign", "elbow_joint has the other sign"),
-        ("order", "shoulder_pan_joint and shoulder_lift_joint are exchanged"),
-        ("mm", "positions are in mm under a metre header"),
-        ("rows", "no single fault"),
-    ],
+    quick(
+        2,
+        [
+            ("degrees", "readings are in degrees under a radian header"),
+            ("sign", "elbow_joint has the other sign"),
+            ("radians", "readings are in radians under a degree header"),
+            ("order", "shoulder_pan_joint and shoulder_lift_joint are exchanged"),
+            ("mm", "positions are in mm under a metre header"),
+            ("rows", "no single fault"),
+        ],
+    ),
 )
 def test_mistakes_are_refused(wrong: str, words: str) -> None:
     """Wrong units, signs and orders are refused and named with full poses, refused with points."""

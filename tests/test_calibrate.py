@@ -160,9 +160,9 @@ def test_joint_optimum_equals_an_independent_solver(
 
 #: Options, and how many data sets: all legs together reach the bound (tests/test_statistics.py).
 CASES: dict[tuple[str, str], tuple[dict[str, Any], int]] = {
-    ("3RRR", "per-leg"): ({"method": "per-leg"}, 600),  # of the most parameters
-    ("5R", "per-leg"): ({"method": "per-leg"}, 300),
-    ("5R", "joint"): ({"method": "per-leg", "residual": "joint"}, 300),
+    ("3RRR", "per-leg"): ({"method": "per-leg"}, 300),  # of the most parameters
+    ("5R", "per-leg"): ({"method": "per-leg"}, 200),
+    ("5R", "joint"): ({"method": "per-leg", "residual": "joint"}, 200),
     ("5R", "scale"): ({"noise": None}, 150),
 }
 
@@ -196,7 +196,7 @@ def statistics(selections: dict[str, pincal.Selection]) -> dict[tuple[str, str],
 def test_standard_errors_equal_the_spread(statistics: dict[tuple[str, str], tuple]) -> None:
     """Mean reported standard error is within 10 % of the spread over the fits.
 
-    Each parameter's own spread is known to 3 to 6 %, so single ones may be off by 15 %.
+    Each parameter's own spread is known to 4 to 6 %, so single ones may be off by 15 %.
     """
     for (_, case), (errors, std, _, chi2) in statistics.items():
         ratio = std.mean(axis=0) / errors.std(axis=0)

@@ -85,7 +85,7 @@ def combinations() -> list[object]:
     """Return what is tried: of the first plan all, of the other ones and machines the corners."""
     every = [("3RRR", "default", "default", *one) for one in product(FRAMES, TARGETS)]
     every += [("3RRR", "default", method, "base", "origin") for method in METHODS]
-    ends = (("base", "origin"), ("tracker", "target"), ("tracker", "origin"))
+    ends = (("base", "origin"), ("tracker", "target"))
     others = [plan for plan in PLANS if plan != "default"]
     every += [("3RRR", plan, "default", *end) for plan, end in product(others, ends)]
     every += [("3RRR", plan, "per leg", "base", "origin") for plan in others]

@@ -12,6 +12,7 @@ import pinocchio as pin
 import pytest
 import yaml
 from command_line import done, run
+from marks import quick
 from neighbours import joint, urdf, written
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
@@ -162,7 +163,7 @@ def imported(file: Path) -> pincal.Mechanism:
     return pincal.load_mechanism(file.parent / "m")
 
 
-@pytest.mark.parametrize("digits", [5, 6, 8])
+@pytest.mark.parametrize("digits", quick(1, [5, 6, 8]))
 @pytest.mark.parametrize("kind", ["planar", "spherical"])
 def test_few_digits_are_the_same_machine(kind: str, digits: int, tmp_path: Path) -> None:
     """Platform, joints, parameters, poses of readings are those of the file with all digits.

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 from command_line import contents, done, run
-from marks import some_slow
+from marks import quick
 from measured import workspace
 
 import pincal
@@ -230,12 +230,7 @@ def test_an_interrupt_leaves_nothing(line: str, begun: str, measured: Path, tmp_
 
 @pytest.mark.parametrize(
     ("redirected", "code"),
-    some_slow(
-        [("| true", 0), ("> /dev/full", 4), (">&-", 0), (">&- 2>&- <&-", 0)],
-        ("| true", 0),
-        (">&-", 0),
-        (">&- 2>&- <&-", 0),
-    ),
+    quick(0, [("| true", 0), ("> /dev/full", 4), (">&-", 0), (">&- 2>&- <&-", 0)]),
 )
 def test_output_that_goes_nowhere(redirected: str, code: int) -> None:
     """A pipe that was closed, a full disk, no output at all: no traceback, a sensible end."""
@@ -252,12 +247,12 @@ def test_output_that_goes_nowhere(redirected: str, code: int) -> None:
 CHOOSE = "select 5R --count 6 --candidates {}/candidates.csv --starts 1 -o new.csv"
 
 
-def test_a_cache_that_cannot_be_written_is_no_matter(tmp_path: Path) -> None:
-    """Matplotlib's notice of where it keeps its fonts is not printed."""
+def test_pictures_need_no_cache_and_no_screen(tmp_path: Path) -> None:
+    """Matplotlib's notice of where it keeps its fonts is not printed; its backend is no matter."""
     ended = subprocess.run(
         [*PINCAL, "picture", "5R", "-o", "a.svg"],
         cwd=tmp_path,
-        env=os.environ | HERE | {"MPLCONFIGDIR": "/proc/nothing"},
+        env=os.environ | HERE | {"MPLCONFIGDIR": "/proc/nothing", "MPLBACKEND": "nonsense"},
         capture_output=True,
         text=True,
     )
@@ -269,7 +264,7 @@ FIT = "calibrate 5R {}/data.csv --no-report --folds 0 -o new.csv"
 
 @pytest.mark.parametrize(
     ("command", "redirected", "code"),
-    [(CHOOSE, "> /dev/full", 4), (CHOOSE, "2> /dev/full", 0), (FIT, "> /dev/full", 4)],
+    quick(1, [(CHOOSE, "> /dev/full", 4), (CHOOSE, "2> /dev/full", 0), (FIT, "> /dev/full", 4)]),
 )
 def test_a_result_is_written_though_nothing_can_be_printed(
     command: str, redirected: str, code: int, measured: Path, tmp_path: Path
@@ -356,20 +351,6 @@ def test_a_reader_that_leaves(line: str, measured: Path, tmp_path: Path) -> None
     assert "Broken" not in ended.stderr
     if "calibrate" in line:
         assert_whole(tmp_path / "result")
-
-
-@pytest.mark.slow
-def test_no_screen_is_asked_for(tmp_path: Path) -> None:
-    """A drawing library's backend that is none, as environments say it: pictures are files."""
-    ended = subprocess.run(
-        [*PINCAL, "picture", "5R", "-o", "new.svg"],
-        cwd=tmp_path,
-        env=os.environ | HERE | {"MPLBACKEND": "nonsense"},
-        capture_output=True,
-        check=False,
-    )
-    assert ended.returncode == 0, ended.stderr
-    assert (tmp_path / "new.svg").is_file()
 
 
 @pytest.mark.slow

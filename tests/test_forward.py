@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from closed_forms import random_mechanism
+from measured import workspace
 
 import pincal
 from pincal.kinematics.batches import CHUNK
@@ -80,7 +81,7 @@ def test_wrong_number_of_guesses_is_refused(mechanism: pincal.Mechanism) -> None
 def test_few_poses_are_found_as_many_are(name: str) -> None:
     """Alike legs in one call, or each alone where rows are many: the same poses and reasons."""
     mechanism = pincal.load_mechanism(name)
-    poses = pincal.sample_workspace(mechanism, 30, seed=0)
+    poses = workspace(name, 30)
     readings = pincal.inverse(mechanism, poses).readings
     readings[::7] += 0.3  # of which some have no pose
     few = pincal.forward(mechanism, readings)

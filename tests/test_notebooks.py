@@ -50,9 +50,9 @@ def test_notebooks_run(tmp_path: Path) -> None:
     import nbformat
     from nbclient import NotebookClient
 
-    for path in [one for one in EXAMPLES if one.stem[:2] in ("01", "04", "06", "11", "15")]:
+    for path in [one for one in EXAMPLES if one.stem[:2] in ("01", "11")]:
         made = nbformat.reads(json.dumps(notebook(path, tmp_path)), as_version=4)
         NotebookClient(
             made, timeout=120, kernel_name="python3", resources={"metadata": {"path": tmp_path}}
         ).execute()
-    assert len(list(tmp_path.glob("*.png"))) == 5
+    assert len(list(tmp_path.glob("*.png"))) == 2

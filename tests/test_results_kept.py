@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from arms import loaded
 from command_line import done, run
+from marks import quick
 
 import pincal
 import pincal.show.report
@@ -127,13 +128,14 @@ def test_an_arm_whose_length_gives_way_has_a_report() -> None:
     assert joints[leg.name].shape == (1, len(leg.moving))
 
 
-def test_damage_is_one_message(folder: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("count", quick(1, [50, 150]))
+def test_damage_is_one_message(count: int, folder: Path, tmp_path: Path) -> None:
     """Any leaf of the data replaced by what it is not: loaded and said, or refused in one line."""
     done("calibrate", "5R", folder / "measured.csv", "-o", tmp_path / "r", "--no-report")
     path = tmp_path / "r" / "result.json"
     whole = json.loads(path.read_text("utf-8"))
     random, refused = np.random.default_rng(0), list[str]()
-    for _ in range(150):
+    for _ in range(count):
         damaged = json.loads(json.dumps(whole))
         at, key = damaged, "data"
         while isinstance(at[key], dict | list) and len(at[key]) and random.random() < 0.9:
@@ -146,7 +148,7 @@ def test_damage_is_one_message(folder: Path, tmp_path: Path) -> None:
             str(pincal.load_result(path.parent))
         except pincal.MeasurementError as error:
             refused.append(str(error))
-    assert len(refused) > 75
+    assert len(refused) > count / 2
     assert max(map(len, refused)) < 600
 
 

@@ -461,9 +461,9 @@ def test_wrong_rows_hide_nothing_that_is_found_without_them() -> None:
 
 
 SLIPS = [
+    ("3RRR", "readings", 2, True, False),
     ("3RRR", "poses", 0, False, False),
     ("3RRR", "poses", 1, False, True),
-    ("3RRR", "readings", 2, True, False),
     ("delta", "poses", 0, False, False),
     ("delta", "readings", 1, True, False),
     ("6UPS", "poses", 2, False, False),

@@ -5,8 +5,10 @@ from __future__ import annotations
 import ast
 import doctest
 import inspect
+import io
 import re
 import runpy
+from contextlib import chdir, redirect_stderr, redirect_stdout, suppress
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -14,6 +16,7 @@ from typing import Any
 import pytest
 
 import pincal
+from pincal.cli import main
 from pincal.cli.app import app
 
 ROOT = Path(__file__).parents[1]
@@ -91,8 +94,22 @@ def test_pages_that_show_programs_are_run() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("page", RUN, ids=lambda one: one.stem)
-def test_page_answers_what_it_says(page: Path, tmp_path: Path) -> None:
-    """``python docs/answers.py`` makes the page that is there, but for digits; so do its files."""
+def test_page_answers_what_it_says(
+    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """``python docs/answers.py`` makes the page that is there, but for digits; so do its files.
+
+    Its commands are run in this process.
+    """
+
+    def answer(line: list[str], folder: Path) -> str:
+        said = io.StringIO()
+        with chdir(folder), redirect_stdout(said), redirect_stderr(said), suppress(SystemExit):
+            main(line[line.index("pincal") + 1 :])
+        return said.getvalue()
+
+    monkeypatch.setitem(ANSWERS["filled"].__globals__, "run", answer)
+    monkeypatch.setenv("NO_COLOR", "1")
     text = page.read_text(encoding="utf-8")
     again = ANSWERS["filled"](text, tmp_path)
 

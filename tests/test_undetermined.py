@@ -41,9 +41,12 @@ def simulated(seed: int, cut: Callable[[Array], Array]) -> pincal.CalibrationRes
 
 @pytest.mark.parametrize("cut", [few_poses, one_leg_seldom_read])
 def test_finite_intervals_hold_the_truth(cut: Callable[[Array], Array]) -> None:
-    """16 sets: at least 90 % of all finite 95 % intervals hold the true value, if any is finite."""
+    """16 sets: at least 90 % of all finite 95 % intervals hold the true value.
+
+    Where none is finite, 3 sets.
+    """
     inside, finite = [], set()
-    for seed in range(16):
+    for seed in range(16 if cut is one_leg_seldom_read else 3):
         result, truth = simulated(seed, cut), pincal.disturb("5R", 1e-3, seed=seed)
         for leg in result.legs:
             values = dict(truth.leg(leg.name).parameters)

@@ -104,6 +104,7 @@ def test_page_says_what_is_drawn(result: pincal.CalibrationResult) -> None:
         assert text in page
 
 
+@pytest.mark.slow
 def test_positions_alone_have_arrows_too() -> None:
     """Where no orientation was measured, arrows are the residuals of x, y and z, in base axes."""
     mechanism = pincal.load_mechanism("6UPS")

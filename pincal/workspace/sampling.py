@@ -224,7 +224,7 @@ def _check_count(count: int) -> None:
         )
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=128)
 def _explored(
     mechanism: Mechanism, seed: int, least: Margins | None
 ) -> tuple[tuple[Array, Array, HomeComponent], Any]:
