@@ -14,7 +14,7 @@ import pincal
 from pincal.calibration.fits import fitted
 from pincal.estimation.fit import Fit
 from pincal.estimation.observability.residuals import leg_residuals, remaining_variances
-from pincal.show.misses import noisy_series
+from pincal.show.misses import noisy_residuals
 
 EXACT, NOISY = pincal.Noise(1e-4, 1e-4), pincal.Noise(1e-4, 1e-4, 1e-4)
 #: Noise, and how it is calibrated.
@@ -88,9 +88,9 @@ def test_standardised_residuals_have_unit_variance(case: str) -> None:
     for seed in range(30):
         mechanism, data = measured(noise, seed)
         result = pincal.calibrate(mechanism, data, noise=noise, **options)
-        series = noisy_series(result)
+        series = noisy_residuals(result)
         standard.append(np.concatenate([one.standardised for one in series]))
-        over_noise.append(np.concatenate([one.after / one.sigma for one in series]))
+        over_noise.append(np.concatenate([one.residuals / one.sigma for one in series]))
     known = np.isfinite(standard[0])
     assert known.mean() > 0.9
     squares = np.square(standard)[:, known].mean(axis=1)

@@ -29,7 +29,7 @@ import pincal
 from pincal.calibration.result_files import as_json
 from pincal.estimation.fit import Outlier
 from pincal.show.answers import answers, check_lines, supporting_lines
-from pincal.show.misses import errors_at, noisy_series
+from pincal.show.misses import errors_at, noisy_residuals
 from pincal.show.report import Report
 from pincal.show.tables import legs_table, parameters_table
 from pincal.words.sentences import finding
@@ -221,10 +221,10 @@ def test_residuals_before_of_noisy_readings(frame: bool) -> None:
     poses[:, 2] = np.nan
     setup = pincal.Setup(unknown_frame=frame)
     result = pincal.calibrate(mechanism, replace(data, poses=poses), noise=noise, setup=setup)
-    series = noisy_series(result)
+    series = noisy_residuals(result)
     assert [one.name for one in series] == [*mechanism.leg_names, "x", "y"]
     for one in series:
-        before, after, sigma = one.rms
+        before, after, sigma = one.rms_before, one.rms_after, one.rms_noise
         assert before > 4 * after
         assert after < 1.3 * sigma
     assert str(result).count("rms before") == 2

@@ -15,9 +15,9 @@ from scipy.special import ndtri, stdtrit
 
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.fits import Fits
-from pincal.calibration.leg_result import HELD, IdentifiedParameter, LegResult, ResidualGroup
 from pincal.calibration.promise import exceeded, excess_of
 from pincal.calibration.result import CalibrationResult
+from pincal.calibration.result_parts import HELD, IdentifiedParameter, LegResult, ResidualGroup
 from pincal.design.platform_error import CONFIDENCE
 from pincal.estimation.fit import Fit, Outlier
 from pincal.estimation.observability.residuals import LegResiduals, leg_residuals, redundancy
@@ -328,7 +328,7 @@ def _left_of_leg(fit: Fit, index: int, after: LegResiduals, shares: Array) -> di
         "quantity": after.quantity,
         "unit": after.unit,
         "rows": np.repeat(fit.rows[counted], before.shape[1]),
-        "sigma": after.sigma[counted].ravel(),
+        "sigma": fit.noise_scale * after.sigma[counted].ravel(),
         "residuals_before": before[counted].ravel(),
         "residuals": after.value[counted].ravel(),
         "redundancy": shares[counted].ravel(),

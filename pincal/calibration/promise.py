@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import chdtrc, chdtri, fdtrc
 
 from pincal.calibration.calibration import Calibration
-from pincal.calibration.leg_result import ResidualGroup
+from pincal.calibration.result_parts import ResidualGroup
 from pincal.design.platform_error import (
     PlatformError,
     Seen,

@@ -11,7 +11,6 @@ import numpy as np
 
 from pincal.attached import attached
 from pincal.calibration.calibration import Calibration
-from pincal.calibration.leg_result import IdentifiedParameter, LegResult, ResidualGroup, Validation
 from pincal.calibration.options import FOLDS, By, Options
 from pincal.calibration.promise import (
     contradictions,
@@ -21,6 +20,12 @@ from pincal.calibration.promise import (
     explained,
     misses,
     whitened,
+)
+from pincal.calibration.result_parts import (
+    IdentifiedParameter,
+    LegResult,
+    ResidualGroup,
+    Validation,
 )
 from pincal.design.platform_error import PlatformError
 from pincal.estimation.fit import Outlier

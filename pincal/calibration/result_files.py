@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 import pincal.files.output as output
 from pincal import __version__
 from pincal.calibration.calibration import Calibration, located
-from pincal.calibration.leg_result import IdentifiedParameter, LegResult, rms
 from pincal.calibration.options import Progress, Tolerance
 from pincal.calibration.promise import most_uncertain, uncovered
 from pincal.calibration.result import CalibrationResult, HtmlPage
+from pincal.calibration.result_parts import IdentifiedParameter, LegResult
 from pincal.errors import MeasurementError, PincalError
 from pincal.estimation.system import LOSSES, Loss, LossName
 from pincal.estimation.unknowns import State
@@ -282,7 +282,7 @@ def as_json(result: CalibrationResult) -> dict[str, Any]:
                 **_named(part, "name unit"),
                 "count": part.n_residuals,
                 "rms": part.rms_after,
-                "sigma": rms(part.sigma),
+                "sigma": part.rms_noise,
             }
             for part in result.observed
         ],

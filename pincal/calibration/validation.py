@@ -20,9 +20,9 @@ from pincal.calibration.assemble import chi2_freedoms, noise_freedoms
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.findings import lacking, rounding
 from pincal.calibration.fits import Fits, fitted
-from pincal.calibration.leg_result import Missed, Validation
 from pincal.calibration.options import FOLDS, By, clusters, folds_of
 from pincal.calibration.promise import UNEXPLAINED, exceeded
+from pincal.calibration.result_parts import Missed, Validation
 from pincal.design.platform_error import CONFIDENCE, DRAWS
 from pincal.errors import MeasurementError
 from pincal.estimation.fit import Fit

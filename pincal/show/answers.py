@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import gammaincinv
 
-from pincal.calibration.leg_result import Missed
 from pincal.calibration.promise import seen_by
 from pincal.calibration.result import CalibrationResult
+from pincal.calibration.result_parts import Missed
 from pincal.calibration.validation import MISSES
 from pincal.design.platform_error import platform_error
 from pincal.estimation.observability.identifiable import WeakPair

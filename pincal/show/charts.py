@@ -21,11 +21,12 @@ from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import MaxNLocator
 
 from pincal.calibration.result import CalibrationResult
+from pincal.calibration.result_parts import LegResult
 from pincal.design.platform_error import without_frames
 from pincal.errors import MeasurementError
 from pincal.kinematics.configurations import legs_at
 from pincal.model.setup import Image, image_of
-from pincal.show.misses import error_map, noisy_series, observed_series
+from pincal.show.misses import error_map, noisy_residuals
 from pincal.show.style import EVERY, IDENTIFIED, INK, NOMINAL, OUTLIER, look
 from pincal.show.view.scene import rounded_down
 from pincal.types import Array
@@ -102,22 +103,22 @@ class Plots:
         Those of the legs or, if their readings are exact, of the platform as measured; dashed
         lines: between which 95 % are. Outliers are ringed; rows that were rejected are named.
         """
-        for index, series in enumerate(noisy_series(self.result)):
+        for index, group in enumerate(noisy_residuals(self.result)):
             colour, marker = look(index)
-            noisy, filled = series.sigma > 0.0, series.of_leg or index % 2 == 0
+            noisy, of_leg = group.sigma > 0.0, isinstance(group, LegResult)
             ax.plot(
-                series.rows[noisy] + 1,
-                series.standardised[noisy],
+                group.rows[noisy] + 1,
+                group.standardised[noisy],
                 marker,
                 ms=3,
-                color=colour if series.of_leg else EVERY,
-                mfc=None if filled else "none",
-                label=_label(series.name),
+                color=colour if of_leg else EVERY,
+                mfc=None if of_leg or index % 2 == 0 else "none",
+                label=_label(group.name),
             )
         ax.axhline(0.0, color="0.5", lw=0.8, zorder=0)
         for level, name in ((-_NORMAL, "_95 %"), (_NORMAL, "95 %")):
             ax.axhline(level, color="0.5", lw=0.8, ls="--", zorder=0, label=name)
-        ax.set(xlabel="data row", ylabel=_residual(self.result))
+        ax.set(xlabel="data row", ylabel="residual / (σ√(1−h))")
         _mark_outliers(ax, self.result)
         _name_undrawn(ax, self.result)
         return _legend_beside(ax)
@@ -169,7 +170,7 @@ class Plots:
         key = f"  {pixels:g} px of residual, predicted less seen"
         ax.text(magnified * pixels, low, key, size=8, va="center")
         bar = ax.figure.colorbar(arrows, ax=ax, extend="max", shrink=0.8)
-        bar.set_label(_wrapped(f"larger {_residual(self.result)} of the point", 0.8 * _height(ax)))
+        bar.set_label(_wrapped(f"larger {'residual / (σ√(1−h))'} of the point", 0.8 * _height(ax)))
         ax.set(xlim=(-0.02 * widest, columns * step[0] - gap + 0.02 * widest), aspect="equal")
         ax.set_ylim(low + 0.5 * gap, -gap)
         ax.set_axis_off()
@@ -247,11 +248,9 @@ class Plots:
 
 def _mark_outliers(axes: Axes, result: CalibrationResult) -> None:
     """Ring outliers, cross rejected rows at the upper edge, and name the worst."""
-    every = noisy_series(result)
+    every = noisy_residuals(result)
     for rank, outlier in enumerate(result.outliers):
-        sizes = np.concatenate(
-            [series.standardised[series.rows == outlier.row] for series in every]
-        )
+        sizes = np.concatenate([group.standardised[group.rows == outlier.row] for group in every])
         known = sizes[np.isfinite(sizes)]
         style: dict[str, Any] = {"marker": "X", "ms": 6, "clip_on": False}
         coordinates, place = axes.get_xaxis_transform(), (outlier.row + 1, 1.0)
@@ -271,7 +270,7 @@ def _seen_by_cameras(result: CalibrationResult) -> list[tuple[str, Image, Array]
     Rows are u and v as seen, from the upper left corner, and predicted less seen, [px]; the larger
     of the two standardised, NaN where nothing checks either.
     """
-    by_name = {series.name: series for series in observed_series(result)}
+    by_name = {group.name: group for group in result.observed}
     every_camera = list[tuple[str, Image, Array]]()
     for camera in result.options.setup.instruments:
         if (image := image_of(camera)) is None:
@@ -283,7 +282,7 @@ def _seen_by_cameras(result: CalibrationResult) -> list[tuple[str, Image, Array]
             right, down = (by_name[column] for column in pair)
             rows, i, j = np.intersect1d(right.rows, down.rows, return_indices=True)
             columns = (np.asarray(result.measurements.extra[column])[rows] for column in pair)
-            misses = image.scale * np.stack((right.after[i], down.after[j]))
+            misses = image.scale * np.stack((right.residuals[i], down.residuals[j]))
             sizes = np.fmax(np.abs(right.standardised[i]), np.abs(down.standardised[j]))
             parts.append(np.vstack((image.at(*columns).T, misses, sizes)))
         if parts:
@@ -291,17 +290,11 @@ def _seen_by_cameras(result: CalibrationResult) -> list[tuple[str, Image, Array]
     return every_camera
 
 
-def _residual(result: CalibrationResult) -> str:
-    """Return what a residual is divided by: σ√(1−h), or σ where old files hold no leverages."""
-    known = all(series.redundancy is not None for series in noisy_series(result))
-    return "residual / (σ√(1−h))" if known else "residual / σ"
-
-
 def _name_undrawn(axes: Axes, result: CalibrationResult) -> None:
     """Say how many residuals nothing checks: they are not drawn."""
     unchecked = sum(
-        int((~np.isfinite(series.standardised) & (series.sigma > 0.0)).sum())
-        for series in noisy_series(result)
+        int((~np.isfinite(group.standardised) & (group.sigma > 0.0)).sum())
+        for group in noisy_residuals(result)
     )
     if unchecked:
         axes.set_title(f"{unchecked} not drawn: the fit follows them", fontsize=8)

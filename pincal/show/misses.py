@@ -10,16 +10,16 @@ from functools import cached_property
 
 import numpy as np
 
-from pincal.calibration.leg_result import LegResult, Observed
 from pincal.calibration.promise import measured_plan, seen_by
 from pincal.calibration.result import CalibrationResult
+from pincal.calibration.result_parts import ResidualGroup
 from pincal.design.platform_error import PlatformError, root_mean_squares, seen_of, sizes
 from pincal.design.simulate import platform_errors
 from pincal.errors import MeasurementError, WorkspaceError
 from pincal.finding import Finding
 from pincal.kinematics.configurations import as_plan
 from pincal.model.measurements import Plan
-from pincal.types import Array, Index
+from pincal.types import Array
 from pincal.words.numbers import percent
 from pincal.words.sentences import finding
 from pincal.workspace.criteria import in_workspace
@@ -28,72 +28,17 @@ from pincal.workspace.sampling import sample_configurations
 _SAMPLES = 1000  # of the workspace
 _ACROSS = {2: 45, 3: 25}  # cells of a map by the dimension of space
 _MENTIONED = 0.01  # share of the workspace outside the measured region, below which it is not said
-#: Redundancy up to which a residual is what the fit made of it, and says nothing of the noise.
-CONTROLLED = 1e-3
 
 
-@dataclass(frozen=True)
-class Series:
-    """Residuals of a leg, or of a measured quantity of the platform."""
-
-    name: str
-    unit: str
-    """``"m"`` or ``"rad"``."""
-    rows: Index
-    """Rows of the measurements."""
-    before: Array
-    """With nominal parameters, at the poses that suit these best where poses are unknowns."""
-    after: Array
-    sigma: Array
-    """Standard deviations of the noise."""
-    redundancy: Array | None
-    """Variance after the fit over that of the noise, 1 − h; None of results saved before that was
-    kept."""
-    of_leg: bool
-
-    @property
-    def standardised(self) -> Array:
-        """Residuals after the fit over their standard deviations σ√(1−h), h being the leverage.
-
-        Over σ where h is not known; NaN where nothing checks one.
-        """
-        share = 1.0 if self.redundancy is None else self.redundancy
-        spread = self.sigma * np.sqrt(share)
-        checked = (spread > np.sqrt(CONTROLLED) * self.sigma) & (self.sigma > 0.0)
-        return np.where(checked, self.after, np.nan) / np.where(checked, spread, 1.0)
-
-    @property
-    def rms(self) -> list[float]:
-        """Root mean squares before, after, and of the noise."""
-        parts = np.array([self.before, self.after, self.sigma])
-        return np.sqrt(np.mean(parts**2, axis=1)).tolist()
-
-
-def legs_series(result: CalibrationResult) -> list[Series]:
-    """Return the residuals of the legs."""
-    scale = np.sqrt(result.reduced_chi2) if result.noise_source == "estimated" else 1.0
-    return [_series(leg, leg.sigma * scale) for leg in result.legs]
-
-
-def observed_series(result: CalibrationResult) -> list[Series]:
-    """Return the residuals of what was measured of the platform, where poses are unknowns."""
-    return [_series(observed, observed.sigmas) for observed in result.observed]
-
-
-def _series(block: LegResult | Observed, sigma: Array) -> Series:
-    residuals = block.residuals_before, block.residuals, sigma, block.redundancy
-    return Series(block.name, block.unit, block.rows, *residuals, isinstance(block, LegResult))
-
-
-def noisy_series(result: CalibrationResult) -> list[Series]:
+def noisy_residuals(result: CalibrationResult) -> list[ResidualGroup]:
     """Return residuals that carry noise: of legs, of the platform if legs cannot miss, or both.
 
     Both where readings have noise: they share with the platform what is missed.
     """
     if readings_exact(result):
-        return observed_series(result)
+        return list(result.observed)
     shared = any(leg.quantity == "reading" for leg in result.legs)
-    return legs_series(result) + (observed_series(result) if shared else [])
+    return [*result.legs, *(result.observed if shared else ())]
 
 
 def readings_exact(result: CalibrationResult) -> bool:

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from pincal.calibration.leg_result import IdentifiedParameter
 from pincal.calibration.result import CalibrationResult
+from pincal.calibration.result_parts import IdentifiedParameter, ResidualGroup
 from pincal.calibration.terms.choice import Explanation
 from pincal.calibration.terms.screen import Candidate
 from pincal.design.forecast import Forecast
@@ -15,7 +15,7 @@ from pincal.design.select import Selection
 from pincal.design.select_configurations import ConfigurationChoice
 from pincal.design.simulate import Accuracy
 from pincal.model.mechanism import Mechanism
-from pincal.show.misses import Series, legs_series, observed_series, readings_exact
+from pincal.show.misses import readings_exact
 from pincal.symmetry.breaks import no_symmetries
 from pincal.symmetry.detect import SymmetryGroup
 from pincal.words.numbers import (
@@ -297,12 +297,12 @@ def legs_table(result: CalibrationResult) -> Table:
         [
             (
                 leg.name,
-                *(() if exact else _sizes(series)),
+                *(() if exact else _sizes(leg)),
                 leg.n_poses,
                 Cell(leg.rank, f"{leg.rank} of {len(leg.parameters)}"),
                 leg.condition,
             )
-            for leg, series in zip(result.legs, legs_series(result), strict=True)
+            for leg in result.legs
         ],
         caption if exact else f"σ: what the noise alone makes of residuals; {caption}",
     )
@@ -313,16 +313,17 @@ def observed_table(result: CalibrationResult) -> Table:
     return Table(
         "The platform as measured, at the estimated poses",
         ["measured", "rows", *_SIZES],
-        [(series.name, len(series.rows), *_sizes(series)) for series in observed_series(result)],
+        [(group.name, group.n_residuals, *_sizes(group)) for group in result.observed],
     )
 
 
-def _sizes(series: Series) -> tuple[Value, ...]:
+def _sizes(group: ResidualGroup) -> tuple[Value, ...]:
     """Return root mean squares before and after, σ, and the unit."""
-    if not len(series.rows):
-        return None, None, None, SMALL[series.unit]
-    sizes = (Cell(rms, f"{shown_in(rms, series.unit):.4f}") for rms in series.rms)
-    return (*sizes, SMALL[series.unit])
+    unit = SMALL[group.unit]
+    if not group.n_residuals:
+        return None, None, None, unit
+    sizes = group.rms_before, group.rms_after, group.rms_noise
+    return (*(Cell(size, f"{shown_in(size, group.unit):.4f}") for size in sizes), unit)
 
 
 def outliers_table(result: CalibrationResult, most: int = 20) -> Table:

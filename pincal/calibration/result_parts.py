@@ -14,6 +14,13 @@ from pincal.words.sentences import sentences
 from pincal.words.wording import missed_line
 
 HELD = "held nearest to nominal"
+_CONTROLLED = (
+    1e-3  # redundancy up to which a residual is what the fit made of it, whatever the noise
+)
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt((values**2).mean())) if len(values) else np.nan
 
 
 @dataclass(frozen=True)
@@ -78,11 +85,6 @@ class ResidualGroup:
     not take up, shape (n,)."""
 
     @property
-    def sigmas(self) -> Array:
-        """The same as ``sigma``."""
-        return self.sigma
-
-    @property
     def n_residuals(self) -> int:
         """Number of residuals."""
         return len(self.residuals)
@@ -90,20 +92,24 @@ class ResidualGroup:
     @property
     def rms_before(self) -> float:
         """Root mean square residual where the search started."""
-        return rms(self.residuals_before)
+        return _rms(self.residuals_before)
 
     @property
     def rms_after(self) -> float:
         """Root mean square residual with identified parameters."""
-        return rms(self.residuals)
+        return _rms(self.residuals)
 
+    @property
+    def rms_noise(self) -> float:
+        """Root mean square standard deviation of the noise."""
+        return _rms(self.sigma)
 
-Observed = ResidualGroup
-
-
-def rms(values: Array) -> float:
-    """Return the root mean square of values; NaN of none."""
-    return float(np.sqrt((values**2).mean())) if len(values) else np.nan
+    @property
+    def standardised(self) -> Array:
+        """Residuals over their standard deviations σ√(1−h), NaN where nothing checks one."""
+        spread = self.sigma * np.sqrt(self.redundancy)
+        checked = (self.redundancy > _CONTROLLED) & (self.sigma > 0.0)
+        return np.where(checked, self.residuals, np.nan) / np.where(checked, spread, 1.0)
 
 
 @dataclass(frozen=True, repr=False)
