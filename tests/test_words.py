@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import io
-import json
 import math
 import re
 from typing import Any
@@ -164,16 +163,6 @@ def test_words_of_a_table_are_whole(width: int) -> None:
     assert set(" ".join(lines).split()) <= {"A", "title", "and", "reading", "amplitudes", "likely",
         "cause", "F", "[mm]", "0", "1", "2", *words, *(word for line in lines for word in line.split()
         if set(word) == {"─"})}  # fmt: skip
-
-
-def test_a_table_is_data(table: Table) -> None:
-    """Records hold raw SI numbers, every group's name, and null for no number."""
-    records = table.records()
-    assert [one["leg"] for one in records] == [EVIL, EVIL, "b"]
-    assert records[0]["rms"] == 1.25e-3
-    assert records[0]["value"] == 0.5
-    assert (records[1]["rms"], records[1]["value"]) == (None, 0.25)
-    assert json.loads(json.dumps(records, allow_nan=False)) == records
 
 
 def test_a_table_without_rows() -> None:

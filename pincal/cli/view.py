@@ -196,9 +196,10 @@ def picture(
 
 def _say_unreached(scene: Scene) -> None:
     """Say at how many poses something is not drawn."""
-    texts = [unreached(None, scene.body.problems)]
+    texts = [unreached("mechanism", scene.body.problems)]
     if scene.identified:
-        texts.append(unreached(scene.identified.magnify, scene.identified.body.problems))
+        machine = f"identified machine (errors × {scene.identified.magnify:g})"
+        texts.append(unreached(machine, scene.identified.body.problems))
     for text in filter(None, texts):
         stderr.print(text)
 

@@ -124,7 +124,7 @@ HYPOTHESES: dict[str, Wording] = {
         "Wrong unit",
         "{% for kind, unit, written in units %}{' and ' if not loop.first}"
         f"{{% if kind == 'readings' %}}{_READINGS}{{% else %}}the {{kind}}{{% endif %}}"
-        " are {UNIT_NAMES[written]} under {HEADERS[unit, written]}{% endfor %}",
+        " are {UNDER[written]}{% endfor %}",
         "Correct the units in the headers",
     ),
     "left-handed-frame": _hypothesis(
@@ -171,9 +171,9 @@ HYPOTHESES: dict[str, Wording] = {
     "scale-of-readings": _hypothesis(
         "Scale of the readings",
         "{% if factors|map(attribute=1)|unique|list|length == 1 %}"
-        f"{_READINGS} are {{factors[0][1]|times}}"
+        f"{_READINGS} are {{factors[0][1]|times_off}}"
         "{% else %}the readings of {% for name, factor, unit in factors %}"
-        "{', those of ' if not loop.first}{name} are {factor|times}{% endfor %}{% endif %}",
+        "{', those of ' if not loop.first}{name} are {factor|times_off}{% endfor %}{% endif %}",
         "Correct the scale of the readings (counts_per_unit or gain of the sensor in "
         "mechanism.yaml)",
     ),

@@ -182,7 +182,7 @@ PARAMETERS: dict[str, Wording] = {
         "{parameter} moved by {'%+.3g' % change}{unit|si}, farther than a machine differs from its "
         "drawing",
         "Check units, the order of the readings, and the frame of the measurements"
-        "{' (' ~ options|of(UNUSED_OPTIONS)|join('; ') ~ ')' if options}",
+        "{' (if unknown: --' ~ options|join(', --') ~ ')' if options}",
     ),
     "zeros-found": Wording(
         "Zeros of motors are far off",

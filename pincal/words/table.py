@@ -1,7 +1,7 @@
-"""Tables: columns and rows said once, shown in a terminal, on a page, as text, as data.
+"""Tables: columns and rows said once, shown in a terminal, on a page, as text.
 
-A cell is a number, a string, None, or a ``Cell`` whose text is its own. Numbers are SI and stay so
-in ``records``; a column's unit says in what they are read. Headers say that unit: ``rms [mm]``.
+A cell is a number in SI, a string, None, or a ``Cell`` whose text is its own; a column's unit says in
+what numbers are read. Headers say that unit: ``rms [mm]``.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from math import isfinite
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
 
 from pincal.words.numbers import SMALL, fixed, rounded, shown_in
 from pincal.words.wording import rendered
@@ -89,18 +89,6 @@ class Table:
             "right" if any(isinstance(_raw(row[i]), int | float) for row in self.rows) else "left"
             for i in range(len(self.columns))
         )
-
-    def records(self) -> list[dict[str, Any]]:
-        """Return the rows for JSON: raw values in SI by the columns' names; None if not finite."""
-        names = [name for name, _, _ in self._parts]
-        raw = [[_raw(value) for value in row] for row in self.rows]
-        return [
-            {
-                name: None if isinstance(value, float) and not isfinite(value) else value
-                for name, value in zip(names, row, strict=True)
-            }
-            for row in raw
-        ]
 
     def __html__(self) -> str:
         """Return the table for templates, in a frame that scrolls where the page is too narrow."""

@@ -37,11 +37,6 @@ LISTED = 4
 NAMED = 12
 
 
-def times_off(factor: float) -> str:
-    """Return how far a scale is off: ``10 times too large``."""
-    return f"{rounded(max(factor, 1 / factor), 3)} times too {'large' if factor > 1 else 'small'}"
-
-
 @dataclass(frozen=True)
 class Wording:
     """All that is said of one code."""
@@ -155,7 +150,9 @@ _FILTERS = {
     "percent": percent,
     "rounded": rounded,
     "si": lambda unit: "" if unit == "1" else f" {unit}",
-    "times": times_off,
+    "times_off": lambda factor: (
+        f"{rounded(max(factor, 1 / factor), 3)} times too {'large' if factor > 1 else 'small'}"
+    ),
 }
 
 
@@ -177,18 +174,11 @@ _NAMES = {
         "order": ("the order of the rows", "drift, of temperature or of a reference, is likely"),
         "approach": ("the side from which it was approached", "play or friction is likely"),
     },
-    "UNUSED_OPTIONS": {
-        "unknown-frame": "the base may be elsewhere in the frame of the measurements "
-        "(--unknown-frame)",
-        "unknown-target": "what was measured may not be the platform's origin (--unknown-target or "
-        "--setup)",
-    },
-    "UNIT_NAMES": {"mm": "in mm", "m": "in metres", "deg": "in degrees", "rad": "in radians"},
-    "HEADERS": {
-        ("m", "mm"): "a metre header",
-        ("m", "m"): "a mm header",
-        ("rad", "deg"): "a radian header",
-        ("rad", "rad"): "a degree header",
+    "UNDER": {
+        "mm": "in mm under a metre header",
+        "m": "in metres under a mm header",
+        "deg": "in degrees under a radian header",
+        "rad": "in radians under a degree header",
     },
 }
 
@@ -221,17 +211,9 @@ def _pages() -> Environment:
 
 
 def mapped_diagonals(differ: float) -> str:
-    """Return whether mapped legs are as observable as their references, parameter by parameter.
-
-    Args:
-        differ: Largest part by which |R_ii| of a leg differ from those of its reference leg.
-    """
-    if differ < ALIKE:
-        return "|R_ii| of mapped legs are those of their reference legs (Eq. 10)"
-    return (
-        f"|R_ii| of mapped legs differ by up to {100 * differ:.2g} %: offsets, gains or Cartesian "
-        "coordinates turn into each other. Their product, and O1, is equal but for a constant"
-    )
+    """Return by which part |R_ii| of legs differ from those of the legs they are mapped from."""
+    most = percent(differ) if differ >= ALIKE else "0"
+    return f"|R_ii| of mapped legs differ from those of their reference legs by {most} (Eq. 10)"
 
 
 def missed_line(
@@ -248,17 +230,9 @@ def missed_line(
     )
 
 
-def unreached(magnify: float | None, problems: Sequence[str]) -> str:
-    """Return at how many poses a machine is not drawn in full; empty where it is everywhere.
-
-    Args:
-        magnify: Factor on the identified machine's errors; None of the mechanism itself.
-        problems: Of each pose; empty strings where there is none.
-    """
-    if not (reasons := [text for text in problems if text]):
-        return ""
-    machine = f"identified machine (errors × {magnify:g})" if magnify is not None else "mechanism"
-    return (
-        f"the {machine} is not drawn in full at {len(reasons)} of {len(problems)} poses; the "
-        f"first: {reasons[0]}"
-    )
+def unreached(machine: str, problems: Sequence[str]) -> str:
+    """Return at how many poses a machine is not drawn; problems are empty where it is."""
+    reasons = [text for text in problems if text]
+    first = reasons[0] if reasons else ""
+    text = f"the {machine} is not drawn in full at {len(reasons)} of {len(problems)} poses; the "
+    return f"{text}first: {first}" if first else ""
