@@ -1,7 +1,7 @@
 """Tables: columns and rows said once, shown in a terminal, on a page, as text.
 
-A cell is a number in SI, a string, None, or a ``Cell`` whose text is its own; a column's unit says in
-what numbers are read. Headers say that unit: ``rms [mm]``.
+A cell is a number in SI, a string, None, or a ``Cell`` whose text is its own; a column's unit says
+in what numbers are read. Headers say that unit: ``rms [mm]``.
 """
 
 from __future__ import annotations

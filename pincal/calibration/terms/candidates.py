@@ -34,6 +34,7 @@ from pincal.model.terms import APPROACH, LOAD, Harmonic, Power, Share, Term
 from pincal.types import Array
 
 _log = logging.getLogger(__name__)
+_NOTHING = np.zeros(0)
 _TRUE = 1e-3  # [rad], to which a joint's axis is known to stand
 
 
@@ -86,23 +87,74 @@ def _lacking(
     Terms are those of sensors, by index, or of parameters, by name. Readings of the leg have shape
     (N, n_sensors).
     """
+    several = len(leg.sensors) > 1
+    sensors = zip(leg.reading_names, leg.reading_units, readings.T, strict=True)
+    places: list[tuple[int | str, str, str, Array]]
+    places = [(i, name, unit, values) for i, (name, unit, values) in enumerate(sensors)]
+    places += [(n, f"{leg.name}.{n}", unit, _NOTHING) for n, unit in leg.placed.items()]
+    for key, place, unit, values in places:
+        stem = key if isinstance(key, str) else place * several
+        for kind in (kind for wanted_place, kind in wanted if wanted_place == place):
+            for name, basis, of, label in _bases(kind, place, unit, values, data):
+                term = Term(_identifier(stem, name), basis, of=of)
+                yield (
+                    (place, kind),
+                    {key: term},
+                    label if isinstance(key, int) else f"of {key} {label}",
+                )
+    for kind in (kind for wanted_place, kind in wanted if wanted_place == GROWTH):
+        for name, basis, of, label in _bases(kind, "", "", _NOTHING, data):
+            lengths: dict[int | str, Term] = {}
+            for length, unit in leg.placed.items():  # a share of each, in proportion to it
+                value = leg.nominal_by_name[length]
+                if isinstance(basis, Share) and unit == "m" and value:
+                    share = replace(basis, per=basis.per / value)
+                    lengths[length] = Term(_identifier(GROWTH, name), share, of=of, unit="1")
+            yield (GROWTH, kind), lengths, f"share of all lengths {label}"
 
-    def kinds_at(place: str) -> list[Kind]:
-        return [kind for wanted_place, kind in wanted if wanted_place == place]
 
-    for index, reading in enumerate(leg.reading_names):
-        for kind in kinds_at(reading):
-            for term in _terms(leg, index, kind, readings[:, index], data):
-                yield (reading, kind), {index: term}, _label(term, leg.reading_units[index])
-    for name, unit in leg.placed.items():
-        id_ = f"{leg.name}.{name}"
-        for kind in kinds_at(id_):
-            term = _of_influence(name, id_, kind, data)
-            yield (id_, kind), {name: term}, f"of {name} {_label(term, unit)}"
-    for kind in kinds_at(GROWTH):
-        term = _of_influence(GROWTH, "", kind, data)
-        terms = _in_proportion(term, leg)
-        yield (GROWTH, kind), terms, f"share of all lengths {_label(term, '')}"
+def _identifier(stem: str, name: str) -> str:
+    """Return a name of a parameter that begins with a stem, if there is one."""
+    identifier = re.sub(r"\W", "_", f"{stem}_{name}" if stem else name, flags=re.ASCII)
+    return f"_{identifier}" if identifier[0].isdigit() else identifier
+
+
+def _bases(
+    kind: Kind, place: str, unit: str, readings: Array, data: Measurements
+) -> Iterator[tuple[str, Harmonic | Power | Share, str, str]]:
+    """Yield what amplitudes of a kind are times: name, basis, what it follows, what they are.
+
+    The range over which they are scaled is that of readings, shape (N,), or of columns.
+
+    Raises:
+        MeasurementError: a column that was not measured.
+    """
+    if kind.name == HARMONICS:
+        for order in kind.numbers if unit == "rad" else ():
+            for phase in ("sine", "cosine"):
+                label = f"{phase} of {order:g} times the reading"
+                yield f"{phase}_{order:g}", Harmonic(order, phase), "", label
+    elif kind.name == POLYNOMIAL:
+        centre, half = _range(readings)
+        for power in map(int, kind.numbers):
+            label = f"power {power} at {centre + half:g} {unit}"
+            yield f"power_{power}", Power(power, half, centre), "", label
+    elif kind.name == BACKLASH:
+        yield kind.name, Share(), APPROACH, "half the play"
+    elif kind.name == GRAVITY:
+        loads = data.influences.get(f"{LOAD}_{place}", np.ones(1))
+        per = _rounded(float(np.nanmax(np.abs(loads)))) or 1.0
+        label = f"under a load of {per:g} N{' m' if unit == 'rad' else ''}"
+        yield kind.name, Share(per), LOAD, label
+    elif kind.name in data.influences:
+        centre, half = _range(data.influences[kind.name])
+        label = f"at {kind.name} {centre + half:g}, none at {centre:g}"
+        yield kind.name, Share(half, centre), kind.name, label
+    else:
+        raise MeasurementError(
+            f"terms {str(kind)!r}: neither a kind of term nor a column of the measurements (those "
+            f"with numbers: {', '.join(data.influences) or 'none'})"
+        )
 
 
 def _with_amplitude(leg: Leg, terms: Mapping[int | str, Term]) -> Leg:
@@ -160,84 +212,6 @@ def _what(term: Term) -> tuple[object, ...]:
     if isinstance(basis, Power):
         return (term.of, basis.power)
     return (term.of, Share) if isinstance(basis, Share) else (term.of, basis)
-
-
-def _terms(
-    leg: Leg, index: int, kind: Kind, readings: Array, measurements: Measurements
-) -> list[Term]:
-    """Return the terms of a kind for one sensor, whose readings have shape (N,)."""
-    stem = "" if len(leg.sensors) == 1 else f"{leg.reading_names[index]}_"
-
-    def named(name: str) -> str:
-        return re.sub(r"\W", "_", f"{stem}{name}", flags=re.ASCII)
-
-    if kind.name == HARMONICS:
-        if leg.reading_units[index] != "rad":
-            return []
-        return [
-            Term(named(f"{phase}_{order:g}"), Harmonic(order, phase))
-            for order in kind.numbers
-            for phase in ("sine", "cosine")
-        ]
-    if kind.name == POLYNOMIAL:
-        centre, half = _range(readings)
-        return [
-            Term(named(f"power_{power:g}"), Power(int(power), half, centre))
-            for power in kind.numbers
-        ]
-    own = leg.reading_names[index]
-    return [_of_influence(own if stem else "", own, kind, measurements)]
-
-
-def _of_influence(stem: str, owner: str, kind: Kind, measurements: Measurements) -> Term:
-    """Return the term of a kind that follows an influence, of a reading or a parameter's id.
-
-    Its amplitude's name begins with the stem; measurements say over what range it is scaled.
-
-    Raises:
-        MeasurementError: a column that was not measured.
-    """
-    name = re.sub(r"\W", "_", f"{stem}_{kind.name}" if stem else kind.name, flags=re.ASCII)
-    name = f"_{name}" if name[0].isdigit() else name
-    if kind.name in OF_ONES_OWN:
-        of = OF_ONES_OWN[kind.name]
-        values = measurements.influences.get(f"{of}_{owner}", np.ones(1))
-        per = 1.0 if kind.name == BACKLASH else _rounded(float(np.nanmax(np.abs(values))))
-        return Term(name, Share(per or 1.0), of=of)
-    if kind.name not in measurements.influences:
-        known = ", ".join(name for name in measurements.influences) or "none"
-        raise MeasurementError(
-            f"terms {str(kind)!r}: neither a kind of term nor a column of the measurements (those "
-            f"with numbers: {known})"
-        )
-    centre, half = _range(measurements.influences[kind.name])
-    return Term(name, Share(half, centre), of=kind.name)
-
-
-def _in_proportion(term: Term, leg: Leg) -> dict[int | str, Term]:
-    """Return a term by each length of a leg, in proportion to it: a share of all lengths."""
-    basis, by_length = term.basis, dict[int | str, Term]()
-    for name, unit in leg.placed.items():
-        value = leg.nominal_by_name[name]
-        if isinstance(basis, Share) and unit == "m" and value:
-            by_length[name] = replace(term, basis=replace(basis, per=basis.per / value), unit="1")
-    return by_length
-
-
-def _label(term: Term, unit: str) -> str:
-    """Return what an amplitude of a reading or parameter in a unit is, in a few words."""
-    basis = term.basis
-    if isinstance(basis, Harmonic):
-        return f"{basis.phase} of {basis.order:g} times the reading"
-    if isinstance(basis, Power):
-        return f"power {basis.power} at {basis.centre + basis.range:g} {unit}"
-    if term.of == APPROACH:
-        return "half the play"
-    if not isinstance(basis, Share):
-        return ""
-    if term.of == LOAD:
-        return f"under a load of {basis.per:g} N{' m' if unit == 'rad' else ''}"
-    return f"at {term.of} {basis.reference + basis.per:g}, none at {basis.reference:g}"
 
 
 def with_influences(
