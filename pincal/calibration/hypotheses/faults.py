@@ -2,7 +2,7 @@
 
 One table for all mechanisms. Frames and orders concern the poses or columns as a whole; a sign, a
 unit or a motor's zero may be wrong in the readings of single legs. Which of them explain
-measurements is decided by one rule, in ``ranking``.
+measurements is decided by one rule, in ``plausibility``.
 """
 
 from __future__ import annotations

@@ -101,9 +101,8 @@ def zeros_found(calibration: Calibration, faults: Sequence[Finding]) -> Array | 
         return None
     for name, off, _ in faults[0].values["offsets"]:
         offsets[names.index(name)] = off
-    start, by_zeros = _zeros(calibration)
-    identified = by_zeros.any(axis=0) | (offsets == 0.0)
-    return start + by_zeros @ offsets if identified.all() else None
+    start, identified = _start(calibration, offsets)
+    return start if identified[offsets != 0.0].all() else None
 
 
 def zeros_measured(calibration: Calibration) -> Array | None:
@@ -116,30 +115,30 @@ def zeros_measured(calibration: Calibration) -> Array | None:
     nominal = as_measured(case).nominal_readings if case and case.alone else None
     if case is None or nominal is None:
         return None
-    start, by_zeros = _zeros(calibration)
-    shift = by_zeros @ zeros_by_poses(case, nominal)
-    return start + shift if shift.any() else None
+    offsets = zeros_by_poses(case, nominal)
+    start, identified = _start(calibration, offsets)
+    return start if offsets[identified].any() else None
 
 
-def _zeros(calibration: Calibration) -> tuple[Array, Array]:
-    """Return the nominal parameters (n_params,), and how they follow zeros of readings.
+def _start(calibration: Calibration, offsets: Array) -> tuple[Array, Array]:
+    """Return nominal parameters (n_params,) with zeros moved by offsets (n_readings,), and which.
 
     ψ = d k q + γ grows with γ; q = d k ψ + γ falls by d k of it. Zeros with priors, ties or terms,
-    or of several sensors, start at nominal: columns of zeros, of (n_params, n_readings).
+    or of several sensors, start at nominal.
     """
     unknowns, legs = calibration.unknowns, calibration.mechanism.legs
     free = unknowns.map != 0.0
     alone = free[:, free.sum(axis=0) == 1].sum(axis=1) == 1
-    start = np.concatenate([leg.nominal for leg in legs])
-    by_zeros, first, column = np.zeros((len(start), len(calibration.mechanism.reading_names))), 0, 0
-    for leg in legs:
-        offsets = [sensor.offset for sensor in leg.sensors]
-        for sensor, name in zip(leg.sensors, offsets, strict=True):
-            if isinstance(name, str) and offsets.count(name) == 1 and not sensor.terms:
+    start, first = np.concatenate([leg.nominal for leg in legs]), 0
+    identified = np.zeros(len(offsets), dtype=bool)
+    for leg, columns in zip(legs, calibration.mechanism.reading_columns, strict=True):
+        zeros = [sensor.offset for sensor in leg.sensors]
+        for i, (sensor, name) in enumerate(zip(leg.sensors, zeros, strict=True), columns.start):
+            if isinstance(name, str) and zeros.count(name) == 1 and not sensor.terms:
                 place = first + leg.parameter_names.index(name)
                 gain, _ = sensor.constants(leg.nominal_by_name)
                 if alone[place] and np.isinf(unknowns.priors[place]):
-                    by_zeros[place, column] = 1.0 if sensor.form == "reading" else -gain
-            column += 1
+                    start[place] += offsets[i] * (1.0 if sensor.form == "reading" else -gain)
+                    identified[i] = True
         first += len(leg.parameters)
-    return start, by_zeros
+    return start, identified
