@@ -17,7 +17,7 @@ import pincal
 from pincal import Joint, Leg, Placement
 from pincal.estimation.observability.indices import identifiability
 from pincal.files.mechanism_folders import bundled
-from pincal.kinematics.closed_forms import closed_form, reach_of
+from pincal.kinematics.closed_forms import closed_form
 from pincal.kinematics.closure import LegClosure
 from pincal.model.placement import Coordinate
 from pincal.workspace.criteria import in_workspace
@@ -238,7 +238,7 @@ def test_reach_bars_nothing_that_a_leg_reaches(name: str) -> None:
             within = solution.reached[:, index] & (
                 (q[:, limited] >= bounds[:, 0]) & (q[:, limited] <= bounds[:, 1])
             ).all(axis=1)
-        inside = reach_of(closure).holds(matrices)
+        inside = closed_form(closure).reach().holds(matrices)
         assert within.any()
         assert not inside.all()
         assert not (within & ~inside).any()

@@ -37,7 +37,7 @@ from pincal.formats.tree_of import loops_urdf, loops_yaml, tree_of
 from pincal.formats.urdf_tree import read_loops
 from pincal.kinematics.assembly import independent
 from pincal.kinematics.batches import cross
-from pincal.kinematics.closed_forms import PointingSlide, closed_form, reach_of
+from pincal.kinematics.closed_forms import closed_form
 from pincal.kinematics.closure import LegClosure
 from pincal.model.leg import Leg
 from pincal.model.placement import Coordinate
@@ -355,9 +355,10 @@ def test_a_hexapod_carried_by_its_first_leg(tmp_path: Path) -> None:
     np.testing.assert_allclose(solution.readings, lengths - 0.8, atol=1e-11)
     for leg, length in zip(mechanism.legs, lengths.T, strict=True):  # slides count from 0.8 m
         closure = LegClosure(leg, mechanism.platform)
-        assert isinstance(closed_form(closure), PointingSlide)
-        reach = reach_of(closure)
-        assert reach is not None
+        form = closed_form(closure)
+        assert form is not None
+        assert form.frame is None
+        reach = form.reach()
         np.testing.assert_array_equal(reach.holds(matrices), (length > 0.5) & (length < 1.6))
     none = closure.evaluate(np.empty((0, 3)), np.empty((0, 4, 4)))
     assert none.gap.shape == (0, 3)

@@ -27,7 +27,7 @@ _RANDOM = 50  # further candidates in the pool, drawn from all
 _TURNS = 100  # visits of each place of a set between two looks at all candidates, at most
 _FAILED = 2  # looks in a row that find nothing better: it ends
 _GAIN = 1e-9  # least gain of a swap
-_WEIGHTED = (0.95, 0.7)  # share of priority by which the first and the last start are drawn
+_WEIGHTED = (0.98, 0.8)  # share of priority by which the first and the last start are drawn
 
 
 def best_choice(

@@ -16,7 +16,7 @@ import numpy as np
 
 from pincal.errors import MechanismError
 from pincal.files.mechanism_folders import load_mechanism
-from pincal.kinematics.closed_forms import DrivenRod, closed_form
+from pincal.kinematics.closed_forms import closed_form
 from pincal.kinematics.closing import sensor_law
 from pincal.kinematics.closure import LegClosure
 from pincal.model.checks import EXACT, LARGEST
@@ -177,7 +177,7 @@ def _tower(closure: LegClosure) -> Array:
     leg = closure.leg
     slides = leg.active == [0] and leg.moving[0].kind == "prismatic"
     rod = closed_form(closure)
-    if not slides or not isinstance(rod, DrivenRod):
+    if not slides or rod is None or rod.frame is None:
         raise MechanismError(
             f"{leg.name} is not a carriage, a universal joint and a rod, as a linear delta's legs "
             "are"

@@ -22,150 +22,153 @@ import numpy as np
 
 from pincal.kinematics.batches import lengths
 from pincal.kinematics.closure import LegClosure
-from pincal.model.checks import ROUNDING, sine_and_cosine, wrapped
+from pincal.model.checks import ROUNDING, wrapped
 from pincal.types import Array, Mask
 
 
-@lru_cache(maxsize=256)
-def closed_form(closure: LegClosure) -> DrivenRod | PointingSlide | None:
-    """Return the closed form of a leg, or None if it has none."""
-    if closure.leg.closes == "frame":
-        return None
-    kinds = [joint.kind for joint in closure.leg.moving]
-    pointing = ["revolute"] * (closure.platform.space - 1)
-    if kinds[1:] == pointing and _points(closure, rod=True):
-        return DrivenRod.of(closure)
-    if kinds == [*pointing, "prismatic"] and _points(closure, rod=False):
-        return PointingSlide.of(closure)
-    return None
-
-
-def is_line(closure: LegClosure) -> bool:
-    """Return whether a leg is a driven slide on a universal joint, which only measures a length.
-
-    The joint's two ways of pointing somewhere are one line; turned about it, it is no other leg.
-    """
-    return closure.leg.active == [2] and isinstance(closed_form(closure), PointingSlide)
-
-
-def rod_directions(closure: LegClosure, targets: Array) -> Array | None:
-    """Return the unit directions of a leg's rod or slide towards targets, shape (N, 3).
-
-    None unless it pushes along itself only: its one sensor reads the drive of the rod, or the
-    slide. NaN where a rod has no direction; out of reach, that of the leg stretched or folded.
-
-    Args:
-        closure: The leg.
-        targets: Shape (N, 3), [m]; may be changed.
-    """
-    form = closed_form(closure)
-    if form is None or closure.leg.active != [form.driven]:
-        return None
-    arm = form.to_tip(targets)
-    with np.errstate(invalid="ignore"):
-        return np.asarray(arm / np.linalg.norm(arm, axis=1, keepdims=True))
-
-
 @dataclass(frozen=True)
-class Pointing:
-    """A pointing joint at zero joint positions, read off its chain; base frame.
+class ClosedForm:
+    """A pointing joint and its slide, or its drive and rod, at zero joint positions; base frame.
 
-    With axes e₁ ⟂ e₂ and e₃ = e₁ × e₂, it points along
+    With axes e₁ ⟂ e₂ and e₃ = e₁ × e₂, the joint points along
     u = e₁ sin(q₂ + δ) + (e₃ cos q₁ − e₂ sin q₁) cos(q₂ + δ). A revolute joint in the plane is
     the same with q₂ + δ = 0.
+
+    A slide goes through the joint's centre. A rod's joint is at C(q) = centre + radius (u cos q +
+    v sin q), with u and v the first columns of the frame, or at C(q) = centre + v q on a line. It
+    is as far from the target as the rod is long: |t − C(q)| = L has two solutions, on either side
+    of where the drive loses its grip, (t − C) · ∂C/∂q = 0. The one on the side of home is taken.
     """
 
-    arm: Array
-    """From the joint's centre to the tip, shape (3,), [m]."""
-    e1: Array
-    e2: Array
-    e3: Array
-    """Unit axes of a universal joint and their product, shape (3,)."""
-    home: Array
-    """Of its one or two angles, [rad]."""
-    delta: float = 0.0
-    """Angle from e₃ to the pointing direction towards e₁, [rad]."""
-    side: float = 1.0
-    """Sign of cos(q₂ + δ) at home: of the two ways of pointing somewhere, which is meant."""
-
-    @classmethod
-    def of(cls, axes: Array, arm: Array, home: Array) -> Pointing:
-        """Return a pointing joint of twists at the tip, shape (6, 1 or 2), and its arm, [m]."""
-        u = arm / np.linalg.norm(arm)
-        e1 = axes[3:, 0]
-        if axes.shape[1] == 1:
-            return cls(arm, e1, np.cross(u, e1), u, home)
-        e2 = axes[3:, 1]
-        e3 = np.cross(e1, e2)
-        delta = float(np.arctan2(u @ e1, u @ e3))
-        return cls(arm, e1, e2, e3, home, delta, float(np.sign(np.cos(home[1] + delta))) or 1.0)
-
-    def angles(self, vectors: Array) -> list[Array]:
-        """Return the joint's angles when it points along vectors (N, 3), one or two, (N,) each."""
-        across, height = self.side * (vectors @ self.e2), self.side * (vectors @ self.e3)
-        angles = [np.arctan2(-across, height)]
-        if len(self.home) == 2:
-            level = self.side * np.sqrt(across * across + height * height)
-            angles.append(np.arctan2(vectors @ self.e1, level) - self.delta)
-        return [home + wrapped(q - home) for q, home in zip(angles, self.home, strict=True)]
-
-
-@dataclass(frozen=True)
-class PointingSlide:
-    """A slide on a pointing joint, at zero joint positions, read off its chain."""
-
     closure: LegClosure
+    driven: int
+    """The joint that a usual leg of this kind drives: the slide, or that of the rod."""
     centre: Array
-    """Of the pointing joint, base frame, shape (3,), [m]."""
-    pointing: Pointing
-    shift: float
-    """How far past the centre the slide is at zero, [m]."""
-    forth: float
-    """Sign of the slide's distance from the centre at home."""
-
-    @classmethod
-    def of(cls, closure: LegClosure) -> PointingSlide:
-        """Return the closed form of a leg."""
-        tips, (columns, _) = closure.at_zero_and_home
-        home, start = closure.leg.home, _arm(columns[:, :-1])
-        shift = float(start @ columns[:3, -1])
-        forth = float(np.sign(home[-1] + shift)) or 1.0
-        pointing = Pointing.of(columns[:, :-1], columns[:3, -1], home[:-1])
-        return cls(closure, tips[0] - start, pointing, shift, forth)
-
-    @property
-    def driven(self) -> int:
-        """The joint that a usual leg of this kind drives."""
-        return len(self.closure.leg.moving) - 1
+    """Of the pointing joint; of a rod's circle, or where its line begins, shape (3,), [m]."""
+    axes: Array
+    """Columns e₁, e₂, e₃, shape (3, 3)."""
+    delta: float
+    """Angle from e₃ to the pointing direction towards e₁, [rad]."""
+    side: float
+    """Sign of cos(q₂ + δ) at home: of the two ways of pointing somewhere, which is meant."""
+    length: float
+    """Of a rod, or how far past the centre a slide is at zero, [m]."""
+    mode: float
+    """Sign at home of a slide's distance from the centre, or of (t − C) · ∂C/∂q."""
+    radius: float = 0.0
+    """Of a rod's circle, [m]; zero for a line."""
+    frame: Array | None = None
+    """Of a rod: from the circle's centre to the joint, its way, the axis; shape (3, 3)."""
 
     def to_tip(self, targets: Array) -> Array:
-        """Return the vectors from the centre to targets, shape (N, 3), [m]."""
-        return _in_space(self.closure, targets - self.centre)
+        """Return the vectors from the pointing joint to targets, shape (N, 3), [m]."""
+        if self.frame is None:
+            return self._from_centre(targets)
+        _, (x, y, z), (c, s), _ = self._driven(self.frame, targets)
+        return np.asarray((self.frame @ np.array((c * x - s * y, s * x + c * y, z))).T)
 
     def joints(self, targets: Array) -> tuple[Array, Mask]:
-        """Return joint positions, (N, n_joints), that take the tip to targets: all in reach, (N,).
+        """Return joint positions that take the tip to targets, (N, n_joints), and what is in reach.
 
-        The centre alone is not.
+        A target out of a rod's reach gets the leg stretched or folded towards it. A slide reaches
+        all but the centre.
         """
-        arm = self.to_tip(targets)
-        length = lengths(arm)
-        angles = self.pointing.angles(self.forth * arm)
-        return np.stack((*angles, self.forth * length - self.shift)).T, length > 0.0
+        if self.frame is None:
+            arm = self._from_centre(targets)
+            distance = lengths(arm)
+            slide = self.mode * distance - self.length
+            return np.stack((*self._angles(self.mode * arm), slide)).T, distance > 0.0
+        drive, elbow, _, possible = self._driven(self.frame, targets)
+        return np.stack((drive, *self._angles((self.frame @ elbow).T))).T, possible
 
-    def reach(self, least_type1: float) -> Reach:
-        """Return the shell of the slide, cut by the first axis' limits."""
-        pointing, (first, *second, slide) = self.pointing, self.closure.leg.moving
-        ends = (slide.lower + self.shift, slide.upper + self.shift)
-        low, high = sorted(self.forth * end for end in ends)
-        planes: list[Array] = []
-        exact = least_type1 <= 1.0 - ROUNDING  # a slide along the leg always has full grip
-        if self.closure.leg.active != [self.driven]:  # not so where another joint is driven
-            exact &= least_type1 == 0.0
+    def _from_centre(self, targets: Array) -> Array:
+        """Return the vectors from the centre to targets, (N, 3); in the plane without heights."""
+        arm = targets - self.centre
+        if self.closure.platform.space == 2:
+            arm[:, 2] = 0.0
+        return arm
+
+    def _angles(self, vectors: Array) -> list[Array]:
+        """Return the joint's angles when it points along vectors (N, 3), one or two, (N,) each."""
+        e1, e2, e3 = self.axes.T
+        across, height = self.side * (vectors @ e2), self.side * (vectors @ e3)
+        angles = [np.arctan2(-across, height)]
+        if self.closure.platform.space == 3:
+            level = self.side * np.sqrt(across * across + height * height)
+            angles.append(np.arctan2(vectors @ e1, level) - self.delta)
+        home = np.delete(self.closure.leg.home, self.driven)
+        return [at_home + wrapped(q - at_home) for q, at_home in zip(angles, home, strict=True)]
+
+    def _driven(self, frame: Array, targets: Array) -> tuple[Array, Array, tuple[Array, ...], Mask]:
+        """Return a drive's positions (N,), rods turned back to its zero, (3, N), turns, and reach.
+
+        Rods are in the frame; turns are cosines and sines by which the drive turns them.
+        """
+        radial, way, height = frame.T @ self._from_centre(targets).T
+        with np.errstate(all="ignore"):
+            if not self.radius:
+                square = self.length**2 - radial * radial - height * height
+                drive = way - self.mode * np.sqrt(np.clip(square, 0.0, None))
+                turn = np.ones_like(way), np.zeros_like(way)
+                return drive, np.array((radial, way - drive, height)), turn, square >= 0.0
+            flat = radial * radial + way * way
+            far = np.sqrt(flat)
+            safe = np.where(far > 0.0, far, 1.0)  # at O, any angle
+            cos = flat + height * height + self.radius**2 - self.length**2
+            cos = np.nan_to_num(cos / (2 * self.radius * far), posinf=np.inf, neginf=-np.inf)
+            possible = np.abs(cos) <= 1.0
+            cos = np.clip(cos, -1.0, 1.0)
+            sin = self.mode * np.sqrt((1 - cos) * (1 + cos))
+            radial, way = radial / safe, way / safe  # the target's, turned to the drive's: no sines
+            c, s = cos * radial + sin * way, cos * way - sin * radial
+        home = self.closure.leg.home[0]
+        drive = home + wrapped(np.arctan2(s, c) - home)
+        return drive, np.array((far * cos - self.radius, far * sin, height)), (c, s), possible
+
+    def reach(self, least_type1: float = 0.0) -> Reach:
+        """Return where the leg can have its tip; a margin from singularities bounds an elbow.
+
+        The shell of a slide, cut by the first axis' limits; the ring of a dyad,
+        |cos of the elbow| ≤ √(1 − margin²), or a shell around it all: in space a drive turns its
+        rod's joint in one plane only, and a line has two ends.
+        """
+        leg, centre, planes = self.closure.leg, self.centre, list[Array]()
+        exact, drives = True, leg.active == [self.driven]
+        if not drives:  # the grip of another joint is another quantity
+            exact = least_type1 == 0.0
+        if self.frame is None:
+            slide = leg.moving[-1]
+            ends = (self.mode * (end + self.length) for end in (slide.lower, slide.upper))
+            low, high = sorted(ends)
+            planes, bounded = self._planes()
+            exact &= bounded and least_type1 <= 1.0 - ROUNDING  # along the leg is full grip
+        elif self.radius:
+            dyad = self.closure.platform.space == 2
+            exact &= dyad and not any(joint.limited for joint in leg.moving)
+            grip = least_type1 if dyad and drives else 0.0
+            squares, swing = self.radius**2 + self.length**2, 2 * self.radius * self.length
+            swing *= np.sqrt(1.0 - grip**2)
+            low, high = np.sqrt(max(squares - swing, 0.0)), np.sqrt(squares + swing)
+        else:
+            drive, exact = leg.moving[0], False
+            centre = centre + self.frame[:, 1] * (drive.lower + drive.upper) / 2
+            low, high = 0.0, (drive.upper - drive.lower) / 2 + self.length
+        slack = ROUNDING * self.closure.size
+        point = self.closure.targets(np.eye(4)[None])[0]
+        if self.closure.platform.space == 2:
+            centre = np.array([centre[0], centre[1], point[2]])  # heights do not count
+        bounds = (float((low - slack) ** 2) if low > slack else -np.inf, float((high + slack) ** 2))
+        normals = np.array(planes if exact else []).reshape(-1, 3)
+        return Reach(point, centre, bounds, normals, slack, bool(exact))
+
+    def _planes(self) -> tuple[list[Array], bool]:
+        """Return normals of the half-spaces that limits leave a slide, and whether they say all."""
+        first, *second = self.closure.leg.moving[:-1]
+        planes, exact = [], True
         if first.limited:
             # with C, S = r cos q₁, r sin q₁: sin(q₁ − lower) ≥ 0 and sin(upper − q₁) ≥ 0
-            exact &= first.upper - first.lower <= np.pi + ROUNDING
-            C = pointing.side * self.forth * pointing.e3
-            S = -pointing.side * self.forth * pointing.e2
+            exact = first.upper - first.lower <= np.pi + ROUNDING
+            C, S = self.side * self.mode * self.axes[:, 2], -self.side * self.mode * self.axes[:, 1]
             planes = [
                 S * np.cos(first.lower) - C * np.sin(first.lower),
                 C * np.sin(first.upper) - S * np.cos(first.upper),
@@ -174,130 +177,60 @@ class PointingSlide:
                 planes = planes[:1]
         for joint in second:
             if joint.limited:  # q₂ + δ lies within ± π/2 of the side's middle, modulo full turns
-                middle = 0.0 if pointing.side > 0 else np.pi
-                centre = (joint.lower + joint.upper) / 2 + pointing.delta
+                middle = 0.0 if self.side > 0 else np.pi
+                centre = (joint.lower + joint.upper) / 2 + self.delta
                 middle += 2 * np.pi * np.round((centre - middle) / (2 * np.pi))
-                exact &= joint.lower + pointing.delta <= middle - np.pi / 2 + ROUNDING
-                exact &= joint.upper + pointing.delta >= middle + np.pi / 2 - ROUNDING
-        return _reach(self.closure, self.centre, (low, high), planes if exact else [], exact)
+                exact &= joint.lower + self.delta <= middle - np.pi / 2 + ROUNDING
+                exact &= joint.upper + self.delta >= middle + np.pi / 2 - ROUNDING
+        return planes, bool(exact)
 
 
-@dataclass(frozen=True)
-class DrivenRod:
-    """A rod on a pointing joint that a drive moves, at zero joint positions; base frame.
-
-    The pointing joint is at C(q) = centre + radius (u cos q + v sin q), with u and v the
-    first columns of the frame, or at C(q) = centre + v q on a line. The joint's centre is as far
-    from the target as the rod is long: |t − C(q)| = L has two solutions, on either side of where
-    the drive loses its grip, (t − C) · ∂C/∂q = 0. The one on the side of home is taken.
-    """
-
-    closure: LegClosure
-    centre: Array
-    """Of the circle, or where the line begins, shape (3,), [m]."""
-    radius: float
-    """Of the circle, [m]; zero for a line."""
-    frame: Array
-    """Columns: from the circle's centre to the pointing joint, its way, the axis; unit vectors,
-    shape (3, 3). Of a line, the way is the second."""
-    pointing: Pointing
-    mode: float
-    """Sign of (t − C) · ∂C/∂q at home."""
-    driven: int = 0
-
-    @classmethod
-    def of(cls, closure: LegClosure) -> DrivenRod:
-        """Return the closed form of a leg."""
-        leg, (tips, (columns, home)) = closure.leg, closure.at_zero_and_home
-        pointing = Pointing.of(columns[:, 1:], _arm(columns), leg.home[1:])
-        point, speed = tips[0] - pointing.arm, columns[:3, 0]
-        radius, axis = 0.0, np.zeros(3)
-        if leg.moving[0].turns:
-            axis = columns[3:, 0]
-            speed = speed - np.cross(axis, pointing.arm)
-            radius = float(np.linalg.norm(speed))
-            speed = speed / radius
-        radial = np.cross(speed, axis)
-        frame = np.stack((radial, speed, axis), axis=1)
-        at_home = _arm(home)  # drive and rod as they are there
-        grip = at_home @ (home[:3, 0] - np.cross(home[3:, 0], at_home))
-        mode = float(np.sign(grip)) or 1.0
-        return cls(closure, point - radius * radial, radius, frame, pointing, mode)
-
-    @property
-    def length(self) -> float:
-        """Length of the rod, [m]."""
-        return float(np.linalg.norm(self.pointing.arm))
-
-    def to_tip(self, targets: Array) -> Array:
-        """Return the vectors from the rod's pointing joint to targets, shape (N, 3), [m]."""
-        drive, arm = self._drive(targets)[0], _in_space(self.closure, targets - self.centre)
-        if self.radius:
-            circle = np.stack(sine_and_cosine(drive)[::-1], axis=1)
-            return arm - self.radius * circle @ self.frame[:, :2].T
-        return arm - drive[:, None] * self.frame[:, 1]
-
-    def joints(self, targets: Array) -> tuple[Array, Mask]:
-        """Return joint positions that take the tip to targets, (N, n_joints), and what is in reach.
-
-        A target out of reach gets the leg stretched or folded towards it.
-        """
-        drive, to_tip, possible = self._drive(targets)
-        return np.stack((drive, *self.pointing.angles(to_tip))).T, possible
-
-    def _drive(self, targets: Array) -> tuple[Array, Array, Mask]:
-        """Return the drive's position, where the rod points with the drive at zero, and reach.
-
-        Shapes (N,), (N, 3), (N,).
-        """
-        arm = _in_space(self.closure, targets - self.centre)
-        radial, on, height = self.frame.T @ arm.T
-        with np.errstate(all="ignore"):
-            if not self.radius:
-                square = on**2 - np.einsum("ni,ni->n", arm, arm) + self.length**2
-                drive = on - self.mode * np.sqrt(np.clip(square, 0.0, None))
-                return drive, arm - drive[:, None] * self.frame[:, 1], square >= 0.0
-            flat = radial * radial + on * on
-            far = np.sqrt(flat)
-            safe = np.where(far > 0.0, far, 1.0)  # at O, any angle
-            cos = flat + height * height + self.radius**2 - self.length**2
-            cos = cos / (2 * self.radius * far)
-            cos = np.where(np.isnan(cos), 0.0, cos)
-            possible = np.abs(cos) <= 1.0
-            cos = np.clip(cos, -1.0, 1.0)
-            sin = self.mode * np.sqrt((1 - cos) * (1 + cos))
-            radial, on = (
-                radial / safe,
-                on / safe,
-            )  # the target's way, turned to the drive's: no sines
-            c, s = cos * radial + sin * on, cos * on - sin * radial
-            home = self.closure.leg.home[0]
-            drive = home + wrapped(np.arctan2(s, c) - home)
-            # turned back to where the drive is at zero
-            elbow = np.stack((far * cos - self.radius, far * sin, height))
-        return drive, (self.frame @ elbow).T, possible
-
-    def reach(self, least_type1: float) -> Reach:
-        """Return the ring of a dyad, |cos of the elbow| ≤ √(1 − margin²), or a shell around it all.
-
-        In space a drive turns its rod's joint in one plane only, and a line has two ends: what is
-        outside the shell is out of reach, what is within need not be in reach.
-        """
-        leg = self.closure.leg
-        dyad = self.closure.platform.space == 2 and bool(self.radius)
-        exact = dyad and not any(joint.limited for joint in leg.moving)
-        if leg.active != [0]:  # the grip of a driven elbow is another quantity
-            exact &= least_type1 == 0.0
-        if not self.radius:
-            first = leg.moving[0]
-            middle = self.centre + self.frame[:, 1] * (first.lower + first.upper) / 2
-            high = (first.upper - first.lower) / 2 + self.length
-            return _reach(self.closure, middle, (0.0, high), [], exact)
-        grip = least_type1 if dyad and leg.active == [0] else 0.0
-        squares, swing = self.radius**2 + self.length**2, 2 * self.radius * self.length
-        swing *= np.sqrt(1.0 - grip**2)
-        low, high = np.sqrt(max(squares - swing, 0.0)), np.sqrt(squares + swing)
-        return _reach(self.closure, self.centre, (low, high), [], exact)
+@lru_cache(maxsize=256)
+def closed_form(closure: LegClosure) -> ClosedForm | None:
+    """Return the closed form of a leg, or None if it has none."""
+    leg, space = closure.leg, closure.platform.space
+    kinds, pointing = [joint.kind for joint in leg.moving], ["revolute"] * (space - 1)
+    rod = kinds[1:] == pointing
+    if leg.closes == "frame" or not (rod or kinds == [*pointing, "prismatic"]):
+        return None
+    tips, (zero, home) = closure.at_zero_and_home
+    small, driven = ROUNDING * closure.size, 0 if rod else len(kinds) - 1
+    turning = np.delete(zero, driven, axis=1)
+    start = _arm(turning)  # from where the axes cross to the tip
+    arm = start if rod else zero[:3, -1]
+    length, e1 = float(np.linalg.norm(arm)), turning[3:, 0]
+    if length <= small:
+        return None
+    e2 = np.cross(arm / length, e1) if space == 2 else turning[3:, 1]
+    skew = [0.0 if space == 2 else e1 @ e2, 0.0 if rod else turning[3:, -1] @ arm]
+    missed = np.abs(turning[:3].T - np.cross(turning[3:].T, start)).max()
+    if missed > small or np.abs(skew).max() > ROUNDING:
+        return None
+    axes = np.stack((e1, e2, np.cross(e1, e2)), axis=1)
+    delta, side = 0.0, 1.0
+    if space == 3:
+        delta = float(np.arctan2(arm @ e1, arm @ axes[:, 2]))
+        side = float(np.sign(np.cos(leg.home[driven - 1 if driven else 2] + delta))) or 1.0
+    centre = tips[0] - start
+    if not rod:
+        shift = float(start @ arm)
+        mode = float(np.sign(leg.home[-1] + shift)) or 1.0
+        return ClosedForm(closure, driven, centre, axes, delta, side, shift, mode)
+    axis, at_home, radius = zero[3:, 0], _arm(home), 0.0
+    way = zero[:3, 0] - np.cross(axis, arm)
+    if np.linalg.norm(way) <= small:
+        return None
+    if leg.moving[0].turns:
+        radius = float(np.linalg.norm(way))
+        way = way / radius
+        frame = np.stack((np.cross(way, axis), way, axis), axis=1)
+        centre = centre - radius * frame[:, 0]
+    else:
+        across = np.linalg.qr(np.column_stack((way, np.eye(3))))[0][:, 1:]
+        frame = np.stack((across[:, 0], way, across[:, 1]), axis=1)
+    grip = at_home @ (home[:3, 0] - np.cross(home[3:, 0], at_home))
+    mode = float(np.sign(grip)) or 1.0
+    return ClosedForm(closure, driven, centre, axes, delta, side, length, mode, radius, frame)
 
 
 def _arm(columns: Array) -> Array:
@@ -305,25 +238,13 @@ def _arm(columns: Array) -> Array:
     return np.cross(columns[:3, -1], columns[3:, -1])
 
 
-def _points(closure: LegClosure, rod: bool) -> bool:
-    """Return whether revolute axes cross at right angles, and the arm starts where they do."""
-    columns = closure.at_zero_and_home[1][0]
-    axes, arm = (columns[:, 1:], _arm(columns)) if rod else (columns[:, :-1], columns[:3, -1])
-    start = arm if rod else _arm(axes)  # from the crossing to the tip
-    missed = np.abs(axes[:3].T - np.cross(axes[3:].T, start)).max()
-    skew = [] if closure.platform.space == 2 else [axes[3:, 0] @ axes[3:, 1]]
-    skew += [] if rod else [axes[3:, -1] @ arm]
-    small = ROUNDING * closure.size
-    lever = columns[:3, 0] - np.cross(columns[3:, 0], arm)  # of a rod's drive
-    degenerate = rod and min(np.linalg.norm(arm), np.linalg.norm(lever)) <= small
-    return bool(missed <= small and np.abs(skew).max(initial=0.0) <= ROUNDING and not degenerate)
+def is_line(closure: LegClosure) -> bool:
+    """Return whether a leg is a driven slide on a universal joint, which only measures a length.
 
-
-def _in_space(closure: LegClosure, vectors: Array) -> Array:
-    """Return vectors, shape (N, 3), changed in place: in the plane without their heights."""
-    if closure.platform.space == 2:
-        vectors[:, 2] = 0.0
-    return vectors
+    The joint's two ways of pointing somewhere are one line; turned about it, it is no other leg.
+    """
+    form = closed_form(closure)
+    return closure.leg.active == [2] and form is not None and form.frame is None
 
 
 @dataclass(frozen=True)
@@ -379,30 +300,3 @@ class Reach:
         constant = np.einsum("ni,ni->n", offset, offset) + self.point @ self.point
         factor = np.vstack((2.0 * arms, np.ones(arms.shape[1])))
         return np.column_stack((offset, constant)) @ factor
-
-
-def reach_of(closure: LegClosure, least_type1: float = 0.0) -> Reach | None:
-    """Return where a leg can have its tip, or None if it has no closed form.
-
-    The margin from type-1 singularities bounds a dyad's elbow.
-    """
-    form = closed_form(closure)
-    return None if form is None else form.reach(least_type1)
-
-
-def _reach(
-    closure: LegClosure,
-    centre: Array,
-    distances: tuple[float, float],
-    planes: list[Array],
-    exact: bool,
-) -> Reach:
-    """Return a reach with slack for rounding errors."""
-    slack = ROUNDING * closure.size
-    point = closure.targets(np.eye(4)[None])[0]
-    if closure.platform.space == 2:
-        centre = np.array([centre[0], centre[1], point[2]])  # heights do not count
-    low, high = distances
-    bounds = ((low - slack) ** 2 if low > slack else -np.inf, (high + slack) ** 2)
-    normals = np.array(planes).reshape(-1, 3)
-    return Reach(point, centre, (float(bounds[0]), float(bounds[1])), normals, slack, bool(exact))

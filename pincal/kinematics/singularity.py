@@ -17,7 +17,7 @@ import numpy as np
 
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.batches import point_velocity
-from pincal.kinematics.closed_forms import rod_directions
+from pincal.kinematics.closed_forms import closed_form
 from pincal.kinematics.closing import ClosedLegs, by_leg, close, close_chunks, sensor_law
 from pincal.kinematics.closure import Closure, nominal_legs
 from pincal.kinematics.nearest_closure import nearest_closure
@@ -109,11 +109,12 @@ def _rods_volume(mechanism: Mechanism, matrices: Array) -> Array:
     """Return what the legs' constraint lines span, shape (N,); NaN if a leg is no rod or slide."""
     rows, lines = mechanism.platform.twist_rows, []
     for closure in nominal_legs(mechanism):
-        targets = closure.targets(matrices)
-        arm = targets - matrices[:, :3, 3]
-        if (along := rod_directions(closure, targets)) is None:
+        form, targets = closed_form(closure), closure.targets(matrices)
+        if form is None or closure.leg.active != [form.driven]:  # it pushes not only along itself
             return np.full(len(matrices), np.nan)
-        lines.append((along[:, None] @ point_velocity(arm, rows))[:, 0])
+        velocity, rod = point_velocity(targets - matrices[:, :3, 3], rows), form.to_tip(targets)
+        with np.errstate(invalid="ignore"):  # a rod without a direction
+            lines.append((rod[:, None] @ velocity)[:, 0] / np.linalg.norm(rod, axis=1)[:, None])
     return _volume(mechanism, np.stack(lines, axis=1))
 
 

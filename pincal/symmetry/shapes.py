@@ -16,7 +16,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from pincal.kinematics.batches import lengths
-from pincal.kinematics.closed_forms import PointingSlide, closed_form
+from pincal.kinematics.closed_forms import closed_form
 from pincal.kinematics.closing import close, sensor_law
 from pincal.kinematics.closure import LegClosure, nominal_legs
 from pincal.model.checks import ROUNDING
@@ -99,7 +99,7 @@ class StandingLeg:
     def barred(self) -> Array | None:
         """Normals of the half-spaces that alone bound where a slide points, shape (k, 3)."""
         form = closed_form(self.closure)
-        reach = form.reach(0.0) if isinstance(form, PointingSlide) else None
+        reach = form.reach() if form is not None and form.frame is None else None
         return None if reach is None or not reach.exact else reach.normals
 
     @property

@@ -15,7 +15,7 @@ import numpy as np
 from pincal.errors import WorkspaceError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.batches import chunks, matrix_chunks
-from pincal.kinematics.closed_forms import Reach, reach_of
+from pincal.kinematics.closed_forms import closed_form
 from pincal.kinematics.closing import ClosedLegs, by_leg, close_legs, in_home_modes
 from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.forward import forward
@@ -94,9 +94,9 @@ class Criteria:
                 "say which side is meant; move home, or count poses on both sides (--no-margins)"
             )
         self._legs = nominal_legs(mechanism)
-        reaches = [reach_of(leg, self.least.type1) for leg in self._legs]
-        self.reaches: tuple[Reach, ...] = tuple(reach for reach in reaches if reach)
-        self._exact = all(reach and reach.exact for reach in reaches)
+        forms = [form for leg in self._legs if (form := closed_form(leg))]
+        self.reaches = tuple(form.reach(self.least.type1) for form in forms)
+        self._exact = len(forms) == len(self._legs) and all(r.exact for r in self.reaches)
         self.in_closed_form = self._type2 == -np.inf and self._exact
         """Whether the reaches decide alone."""
 
