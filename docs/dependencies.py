@@ -25,7 +25,7 @@ WHY = {
     "cattrs": "results as plain data and back, bit for bit (`load_result`)",
     "jinja2": "pages (reports, tables, notebooks) from templates that escape what people's files "
     "hold",
-    "yourdfpy": "second reader of the URDFs that pincal writes (`pincal check`, tests)",
+    "yourdfpy": "second reader of the URDFs that pincal writes (tests)",
     "PyYAML": "mechanism files, scanned by the libyaml in its wheels",
     "pydantic": "checks mechanism files, with errors that name the place",
     "typer": "command line",

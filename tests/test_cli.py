@@ -738,7 +738,7 @@ main()
 
 
 @pytest.mark.parametrize(
-    "name", some_slow(["pinocchio", "yourdfpy"], "yourdfpy")
+    "name", some_slow(["pinocchio", "pincal.symmetry.breaks"], "pincal.symmetry.breaks")
 )  # at the start, and in a command
 def test_ctrl_c_ends_without_a_traceback(name: str) -> None:
     """Ctrl-C while modules are loaded, or later, ends the command as shells expect, silently."""

@@ -26,7 +26,6 @@ from pincal.kinematics.forward import forward as solve_forward
 from pincal.kinematics.influences import own_influences
 from pincal.kinematics.inverse import inverse as solve_inverse
 from pincal.kinematics.inverse import outside_limits
-from pincal.kinematics.readers import tips_by_reader
 from pincal.model.leg import Leg
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
@@ -51,7 +50,7 @@ def mechanisms() -> None:
 def check(mech: Mech, options: TableOptions) -> None:
     """Say whether a mechanism is sound.
 
-    Loops closed at home, URDFs read alike by others, parameters observable, symmetry.
+    Loops closed at home, parameters observable, symmetry.
     """
     mechanism = load_mechanism(mech)
     with reading_in(options.written_in(mechanism).printed):
@@ -67,17 +66,14 @@ def check(mech: Mech, options: TableOptions) -> None:
 
 
 def _check_closure(leg: Leg, mechanism: Mechanism) -> None:
-    """Say how well a leg closes at home, and whether others read its URDF alike."""
+    """Say how well a leg closes at home."""
     closure = LegClosure(leg, mechanism.platform)
     home = mechanism.platform.home_pose.as_matrix()
     gap = float(np.abs(closure.evaluate(leg.home[None], home).gap).max())
-    tips, expected = tips_by_reader(leg), closure.tips(leg.home[None])[0]
-    difference = max(float(np.abs(tip - expected).max()) for tip in tips.values())
     close = f"closes at home within {gap:.2g} m"
     if gap > 1e-2 * closure.size:
         close = f"home is rough, it closes within {gap:.2g} m only and fixes the side of bending"
     stdout.print(f"{leg.name}: {close}")
-    stdout.print(f"{leg.name}: URDF read alike by {' and '.join(tips)} within {difference:.2g} m")
     warn_of_turns(closure)
 
 

@@ -38,7 +38,7 @@ from pincal.files.measurements import as_noise
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.closure import LegClosure, nominal_legs
 from pincal.kinematics.derivatives import leg_demands_at
-from pincal.kinematics.inverse import reached
+from pincal.kinematics.inverse import inverse
 from pincal.model.checks import ALIKE, count_of, described, generator_of
 from pincal.model.measurements import EVERY_LEG, Noise, Plan
 from pincal.model.mechanism import Mechanism
@@ -166,7 +166,7 @@ class Search:
         self.noise, self.rng = as_noise(options.noise), np.random.default_rng(options.seed)
         platform = mechanism.platform
         coordinates = platform.checked(platform.coordinates_of(candidates))
-        poses = coordinates[reached(mechanism, coordinates).all(axis=1)]
+        poses = coordinates[inverse(mechanism, coordinates).reached.all(axis=1)]
         self.in_reach, self.unreachable = len(poses), len(coordinates) - len(poses)
         if len(poses) < max(count, 1):
             raise ObservabilityError(

@@ -23,7 +23,7 @@ import numpy as np
 from pincal.errors import MeasurementError
 from pincal.estimation.problem import Linear, Problem
 from pincal.estimation.system import NormalEquations, System
-from pincal.kinematics.closure import Newton, largest_size
+from pincal.kinematics.closure import largest_size
 from pincal.types import Array, Mask
 
 # Where a search ends, distances in standard errors:
@@ -42,7 +42,7 @@ _DAMPING = 1e-14, 1e10  # least and largest, relative to the squares of the colu
 _CORRECTIONS = 4  # corrections of the readings in a step, at most
 _UNCHANGED = 1e-3  # standard deviations by which corrections may still change
 # How poses are solved:
-_POSES = Newton(steps=10, small=1e-4, largest=0.2)  # solved again until first order away
+_POSE_STEPS, _POSE_SMALL, _POSE_LARGEST = 10, 1e-4, 0.2  # solved again until first order away
 _SHORTEST = 1e-2  # share of a step: poses that need shorter ones stay where they are
 _ASTRAY = 1e-3  # of the machine's size, or [rad]: a pose that wants to move farther is not solved
 
@@ -287,12 +287,12 @@ def solve_poses(
     count, share = 0, np.ones(len(linear.conditions))
     if fixed_poses is not None:
         share = np.where(fixed_poses, 0.0, share)
-    for _ in range(_POSES.steps):
+    for _ in range(_POSE_STEPS):
         twists, length = _pose_steps(problem, linear)
-        moving = (length > _POSES.small) & (share > _SHORTEST)
+        moving = (length > _POSE_SMALL) & (share > _SHORTEST)
         if not moving.any():
             break
-        short = share * np.minimum(1.0, _POSES.largest / np.maximum(length, _POSES.largest))
+        short = share * np.minimum(1.0, _POSE_LARGEST / np.maximum(length, _POSE_LARGEST))
         twists = np.where(moving[:, None], twists * short[:, None], 0.0)
         state = linear.state
         matrices = problem.platform.displaced(state.matrices, twists)

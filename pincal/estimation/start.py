@@ -18,7 +18,7 @@ from pincal.errors import MeasurementError
 from pincal.estimation.problem import Problem
 from pincal.estimation.unknowns import External, State
 from pincal.kinematics.closing import home_mode, mode_sign
-from pincal.kinematics.closure import LegClosure, Newton, largest_size
+from pincal.kinematics.closure import LegClosure, largest_size
 from pincal.kinematics.forward import placed_by_arm
 from pincal.kinematics.inverse import inverse
 from pincal.kinematics.nearest_closure import nearest_closure
@@ -30,7 +30,7 @@ from pincal.model.setup import ORIGIN
 from pincal.types import Array, Mask
 from pincal.words.numbers import amount
 
-_NEWTON = Newton(steps=60, small=1e-7, largest=0.2)
+_STEPS, _LARGEST, _SMALL = 60, 0.2, 1e-7  # of the search: how many, the largest, the last
 _USUAL = 3.0  # times the median gap, up to which readings leave what contradicting ones do
 _DRIVE_STEPS = 5  # steps from the readings at home to those measured
 _CLOSES = 1e-3  # share of a leg's size: a gap that contradicting readings leave
@@ -182,14 +182,14 @@ def poses_at_rest(problem: Problem, state: State) -> State:
 
     state, value, B, cost = lengths_at(state)
     damping, open_ = np.full(len(cost), 1e-6), np.ones(len(cost), dtype=bool)
-    for _ in range(_NEWTON.steps):
+    for _ in range(_STEPS):
         square = B.transpose(0, 2, 1) @ B
         diagonal = np.einsum("nii->ni", square)
         least = 1e-12 * diagonal.max(axis=1, keepdims=True)
         diagonal += damping[:, None] * (diagonal + np.where(least > 0.0, least, 1.0))
         step = -np.linalg.solve(square, B.transpose(0, 2, 1) @ value[:, :, None])[:, :, 0]
         longest = np.abs(step).max(axis=1)
-        step *= np.minimum(1.0, _NEWTON.largest / np.maximum(longest, 1e-300))[:, None]
+        step *= np.minimum(1.0, _LARGEST / np.maximum(longest, 1e-300))[:, None]
         step[~open_] = 0.0
         moved = platform.displaced(state.matrices, step * scale)
         trial, *trial_rows = lengths_at(replace(state, matrices=moved))
@@ -203,7 +203,7 @@ def poses_at_rest(problem: Problem, state: State) -> State:
         for old, new in zip((value, B, cost), trial_rows, strict=True):
             old[better] = new[better]
         damping = np.clip(np.where(better, 0.1 * damping, 10.0 * damping), 1e-9, 1e9)
-        open_ &= (longest > _NEWTON.small) & (damping < 1e9)
+        open_ &= (longest > _SMALL) & (damping < 1e9)
         if not open_.any():
             break
     return state

@@ -20,13 +20,14 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from pincal.errors import MechanismError
-from pincal.kinematics.closure import LegClosure, Newton, joint_range, largest_size
+from pincal.kinematics.closure import LegClosure, joint_range, largest_size
 from pincal.model.checks import ROUNDING
 from pincal.model.leg import Leg
 from pincal.model.platform import Platform
 from pincal.types import Array
 
-_NEWTON = Newton(steps=100, largest=0.3, closed=1e-10)
+_STEPS, _LARGEST = 100, 0.3  # of Newton's method: how many, and how far at once
+_CLOSED = 1e-10  # gap, of the size, of what is closed
 _SINGULAR = 1e-10  # of singular values, over the size: none
 _CONFIGURATIONS = 120
 _DEPENDS = 1e-7  # of a column, what others leave of it
@@ -51,9 +52,9 @@ def assembled(
     ends = zip(legs, joints, strict=True)
     moved = max(float(np.abs(q[0] - leg.home).max(initial=0.0)) for leg, q in ends)
     far = slack > _SINGULAR and moved > opening(legs, platform) / size / slack
-    if far or not gap <= _NEWTON.closed * size:
+    if far or not gap <= _CLOSED * size:
         pose, joints, gap = _closed(legs, free, size, max(slack, _SINGULAR))
-    if not gap <= max(_NEWTON.closed, slack) * size:
+    if not gap <= max(_CLOSED, slack) * size:
         raise MechanismError(
             f"the loops do not close near the joint positions that the file draws: {gap:.3g} m "
             "stay open. Give positions that close them (keyframe of MJCF, 'home' of the YAML "
@@ -80,7 +81,7 @@ def _closed(
     scale = np.where(turning, 1.0, size)
     ends = np.cumsum([free.dof, *(len(leg.moving) for leg in legs)])[:-1]
     gap = np.inf
-    for _ in range(_NEWTON.steps):
+    for _ in range(_STEPS):
         parts = [closure.evaluate(q, pose) for closure, q in zip(closures, joints, strict=True)]
         gaps = np.concatenate([part.gap[0] for part in parts])
         gap = float(np.abs(gaps).max())
@@ -92,7 +93,7 @@ def _closed(
         longest = float(np.abs(step).max())
         if gap <= ROUNDING * size or longest <= ROUNDING * max(1.0, size):
             break
-        step *= min(1.0, _NEWTON.largest * max(1.0, size) / longest)
+        step *= min(1.0, _LARGEST * max(1.0, size) / longest)
         twist, *moves = np.split(step, ends)
         pose = free.displaced(pose, twist[None])
         for q, move in zip(joints, moves, strict=True):

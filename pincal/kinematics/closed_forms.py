@@ -96,7 +96,7 @@ class ClosedForm:
         if self.closure.platform.space == 3:
             level = self.side * np.sqrt(across * across + height * height)
             angles.append(np.arctan2(vectors @ e1, level) - self.delta)
-        home = np.delete(self.closure.leg.home, self.driven)
+        home = self.closure.leg.home[:-1] if self.frame is None else self.closure.leg.home[1:]
         return [at_home + wrapped(q - at_home) for q, at_home in zip(angles, home, strict=True)]
 
     def _driven(self, frame: Array, targets: Array) -> tuple[Array, Array, tuple[Array, ...], Mask]:
@@ -115,7 +115,8 @@ class ClosedForm:
             far = np.sqrt(flat)
             safe = np.where(far > 0.0, far, 1.0)  # at O, any angle
             cos = flat + height * height + self.radius**2 - self.length**2
-            cos = np.nan_to_num(cos / (2 * self.radius * far), posinf=np.inf, neginf=-np.inf)
+            cos = cos / (2 * self.radius * far)
+            cos = np.where(np.isnan(cos), 0.0, cos)
             possible = np.abs(cos) <= 1.0
             cos = np.clip(cos, -1.0, 1.0)
             sin = self.mode * np.sqrt((1 - cos) * (1 + cos))

@@ -30,7 +30,6 @@ from pincal.kinematics.closed_forms import closed_form
 from pincal.kinematics.closure import (
     Closure,
     LegClosure,
-    Newton,
     evaluate,
     joint_range,
     nominal_legs,
@@ -129,7 +128,9 @@ def home_mode(leg: Leg, platform: Platform) -> float:
 
 
 _ATTEMPTS = 6
-_NEWTON = Newton(steps=15, small=1e-4, closed=1e-11)  # the step after that is rounding
+_STEPS = 15  # of Newton's method
+_SMALL = 1e-4  # step after which the next error is rounding
+_CLOSED = 1e-11  # gap, of a leg's size, of what is closed
 _EXACT = 2e-15  # of a leg's size, what rounding leaves of a closed form
 
 
@@ -174,10 +175,10 @@ def close(
         possible = possible | joints[:, n:].any(axis=1)  # a start knows nothing of deformations
     closure = evaluate(legs, joints, matrices)
     gap = _relative_gap(legs, closure)
-    closed, exact = possible & (gap <= _NEWTON.closed), possible & (gap <= _EXACT)
+    closed, exact = possible & (gap <= _CLOSED), possible & (gap <= _EXACT)
     if not exact.all():
         step = _newton_step(legs[0], closure)
-        last = (np.abs(step) <= _NEWTON.small).all(axis=1)  # not at a singularity
+        last = (np.abs(step) <= _SMALL).all(axis=1)  # not at a singularity
         stays = exact | (closed & ~last)
         joints = np.where(stays[:, None], joints, joints + step)
     searched = possible & ~closed
@@ -230,16 +231,16 @@ def _search(
             joints[rows, : sampled.shape[1]] = sampled
             rows = rows[in_reach]
         started = rows
-        for _ in range(_NEWTON.steps):
+        for _ in range(_STEPS):
             closure = leg.evaluate(joints[rows], matrices[rows])
             joints[rows] += _newton_step(leg, closure)
-            closes = _relative_gap((leg,), closure) <= _NEWTON.closed
+            closes = _relative_gap((leg,), closure) <= _CLOSED
             rows = rows[~closes & np.isfinite(joints[rows]).all(axis=1)]
             if not len(rows):
                 break
         ended = started[np.isfinite(joints[started]).all(axis=1)]
         closure = leg.evaluate(joints[ended], matrices[ended])
-        small = _relative_gap((leg,), closure) <= _NEWTON.closed
+        small = _relative_gap((leg,), closure) <= _CLOSED
         closed[ended] = small & in_home_modes((leg,), closure)
         if (closed | ~possible).all():
             break

@@ -47,20 +47,6 @@ from pincal.types import Array
 
 
 @dataclass(frozen=True)
-class Newton:
-    """When a search by Newton's method ends, and how far it goes at once."""
-
-    steps: int
-    """At most."""
-    small: float = 0.0
-    """Step, of the size and [rad], after which the next error is rounding."""
-    largest: float = np.inf
-    """Step that is taken at once, of the size and [rad]."""
-    closed: float = 0.0
-    """Gap, of the size, of what is closed."""
-
-
-@dataclass(frozen=True)
 class Closure:
     """Closure c of alike legs, and its derivatives, at N configurations; m rows are kept.
 

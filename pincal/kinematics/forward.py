@@ -36,7 +36,6 @@ from pincal.kinematics.closing import (
 from pincal.kinematics.closure import (
     Closure,
     LegClosure,
-    Newton,
     evaluate,
     joint_range,
     largest_size,
@@ -136,10 +135,11 @@ def _joints_near(legs: Sequence[LegClosure], matrices: Array) -> Array:
     return joints
 
 
-_WAY = 8  # steps on the way from home
 _STARTS, _ROUNDS, _DRAWN, _NEARER = 4, 5, 300, 6  # searches; rounds, draws, halvings around home
-_NEWTON = Newton(steps=40, small=1e-9, largest=0.2, closed=1e-8)
-LOADS = Newton(steps=20, small=ROUNDING)
+_STEPS, _LARGEST = 40, 0.2  # of Newton's method: how many, and how far at once
+_SMALL = 1e-9  # step after which the next error is rounding
+_CLOSED = 1e-8  # gap, of a leg's size, of what is closed
+LOADS = 20
 """Loads follow from where the machine is, which follows from loads: found again."""
 
 
@@ -223,13 +223,13 @@ def forward(
     if columns is None or not needs_loads(mechanism, columns):
         return solution
     start = platform.from_matrices(transforms.as_matrix())
-    for _ in range(LOADS.steps):  # loads follow from the pose, and move it little
+    for _ in range(LOADS):  # loads follow from the pose, and move it little
         ok, before = solution.converged, solution.poses
         loaded, near = columns.copy(), np.where(ok[:, None], before, start)
         loaded[ok] = with_loads(mechanism, columns[ok], readings[ok], before[ok])
         solution = _forward(mechanism, readings, platform.transforms(near), loaded)
         change = np.abs(solution.poses - before)[ok & solution.converged].max(initial=0.0)
-        if change <= LOADS.small * max(1.0, largest_size(mechanism.legs)):
+        if change <= ROUNDING * max(1.0, largest_size(mechanism.legs)):
             break
     return solution
 
@@ -318,7 +318,7 @@ def with_loads(
 
     They are those of the machine as drawn at the poses where the platform is: a term depends on
     nothing that is identified. Where a pose is not known, at that to which the readings would take
-    the machine as drawn: near type-2 singularities another. Where an arm stands follows from its
+    the machine as drawn, or home. Where an arm stands follows from its
     readings alone: its loads are the same before and after calibration, wherever it was measured.
 
     Args:
@@ -337,7 +337,9 @@ def with_loads(
         coordinates = nowhere if poses is None else poses.copy()
         lost = known & ~np.isfinite(coordinates).all(axis=1)
         if lost.any():
-            coordinates[lost] = _reached(drawing, readings[lost])
+            search = forward(drawing, readings[lost])
+            found = np.where(search.converged[:, None], search.poses, drawing.platform.home)
+            coordinates[lost] = found
         matrices = drawing.platform.matrices(coordinates[known])
     loads = gravity_loads(drawing, readings[known], matrices)
     completed = influences.copy()
@@ -356,19 +358,6 @@ def needs_loads(mechanism: Mechanism, influences: Array) -> bool:
     return bool(np.isnan(influences[:, places]).any())
 
 
-def _reached(drawing: Mechanism, readings: Array) -> Array:
-    """Return the poses of readings, on the way from home, shape (N, dof).
-
-    Where the machine as drawn cannot go so far, the farthest pose on the way.
-    """
-    home = reading_range(drawing)[2]
-    near = np.tile(drawing.platform.home, (len(readings), 1))
-    for share in np.linspace(0.0, 1.0, _WAY + 1)[1:]:
-        solution = forward(drawing, home + share * (readings - home), near)
-        near = np.where(solution.converged[:, None], solution.poses, near)
-    return np.asarray(near)
-
-
 def _solve(
     mechanism: Mechanism, legs: Sequence[LegClosure], known: Sequence[Array], guess: RigidTransform
 ) -> tuple[Array, list[str], Array, int]:
@@ -380,7 +369,7 @@ def _solve(
     matrices = guess.as_matrix().copy() if matrices is None else matrices
     groups, size = moving_legs(legs, known, matrices), max(leg.size for leg in legs)
     moving, steps = np.ones(len(matrices), dtype=bool), 0
-    while moving.any() and steps < _NEWTON.steps:
+    while moving.any() and steps < _STEPS:
         steps += 1
         rows = np.flatnonzero(moving)
         closures = [group.at(matrices, rows) for group in groups]
@@ -389,7 +378,7 @@ def _solve(
         full[:, list(mechanism.platform.twist_rows)] = twist
         length = np.maximum(lengths(full[:, :3]) / size, lengths(full[:, 3:]))
         with np.errstate(divide="ignore", invalid="ignore"):
-            shorten = np.minimum(1.0, _NEWTON.largest / length)[:, None]
+            shorten = np.minimum(1.0, _LARGEST / length)[:, None]
         moved = length
         for group, closure in zip(groups, closures, strict=True):
             moved = np.maximum(moved, group.follow(closure, rows, shorten * twist))
@@ -398,7 +387,7 @@ def _solve(
         matrices[good, :3, 3] += full[:, :3]
         turn = Rotation.from_rotvec(full[:, 3:]).as_matrix()
         matrices[good, :3, :3] = turn @ matrices[good, :3, :3]
-        moving[rows] = finite & (moved > _NEWTON.small)
+        moving[rows] = finite & (moved > _SMALL)
     return matrices, *_reasons(mechanism, groups, matrices, moving), steps
 
 
@@ -437,7 +426,7 @@ def _reasons(
     closes = finite & ~moving & (gaps.max(axis=1) <= ROUGH * largest_size(mechanism.legs))
     in_mode = platform_margin(mechanism, lines) > 0.0
     for group, (_, closure) in zip(groups, closed, strict=True):
-        closes &= group.closable(closure, twist) <= _NEWTON.closed
+        closes &= group.closable(closure, twist) <= _CLOSED
         in_mode &= group.in_mode(closure).all(axis=0)
     reasons = np.where(in_mode, "", "left the working or assembly mode of home")
     return np.where(closes, reasons, "no pose found that closes all legs").tolist(), gaps

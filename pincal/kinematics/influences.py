@@ -7,7 +7,6 @@ the order of rows where no column says it.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -132,80 +131,40 @@ def gravity_loads(mechanism: Mechanism, readings: Array, matrices: Array) -> dic
         readings: Of all legs, shape (N, n_readings), [rad] or [m].
         matrices: Poses that belong to them, ``T_base_platform``, shape (N, 4, 4).
     """
-    load = mechanism.load or Load()
-    legs = [
-        _held(leg, matrices, mechanism.known(index, readings), np.array(load.gravity))
-        for index, leg in enumerate(nominal_legs(mechanism))
-    ]
-    force = load.mass * np.array(load.gravity)
-    arms = matrices[:, :3, :3] @ np.array(load.centre)
+    load, legs = mechanism.load or Load(), nominal_legs(mechanism)
+    gravity, twist_rows = np.array(load.gravity), list(mechanism.platform.twist_rows)
+    force, arms = load.mass * gravity, matrices[:, :3, :3] @ np.array(load.centre)
     wrench = np.concatenate((np.broadcast_to(force, arms.shape), np.cross(arms, force)), axis=1)
-    forces = _carrying(legs, wrench[:, list(mechanism.platform.twist_rows)])
-    loads: dict[str, Array] = {}
-    for leg, held, mu in zip(mechanism.legs, legs, forces, strict=True):
-        by_joint = held.joints + _along(held.drive, mu)
-        by_parameter = held.parameters + _along(held.parameter, mu)
-        loads |= zip(
-            (*leg.reading_names, *leg.parameter_ids), (*by_joint.T, *by_parameter.T), strict=True
-        )
-    return loads
-
-
-@dataclass(frozen=True)
-class _Held:
-    """A leg whose links are held on its passive joints, and what more it can carry.
-
-    The force by which its closure holds it to the platform is λ = λ₀ + N μ: λ₀ holds the links on
-    passive joints, and N μ is what these do not feel.
-    """
-
-    joints: Array
-    """Loads of active joints by the links, λ₀ at work, shape (N, n_active)."""
-    parameters: Array
-    """The same of parameters, shape (N, n_params)."""
-    platform: Array
-    """What λ₀ does along the platform's freedoms, shape (N, dof)."""
-    drive: Array
-    """Nᵀ ∂c/∂θ, shape (N, k, n_active)."""
-    parameter: Array
-    """Nᵀ ∂c/∂φ, shape (N, k, n_params)."""
-    pose: Array
-    """Nᵀ ∂c/∂x, shape (N, k, dof)."""
-
-
-def _held(leg: LegClosure, matrices: Array, known: Array, gravity: Array) -> _Held:
-    """Return a leg at poses and what is known of its readings and influences."""
-    closed, joints = nearest_closure((leg,), matrices, (known,))
-    lost, n = _links(leg, joints, gravity), len(leg.leg.moving)
-    by_joint, by_parameter = lost[:, leg.leg.active], lost[:, n:]
-    platform = np.zeros((len(matrices), leg.platform.dof))
-    if lost.any():  # links with masses
-        passive = closed.passive.transpose(0, 2, 1)
-        force = -least_squares(passive, lost[:, leg.leg.passive, None])[:, :, 0]
-        by_joint = by_joint + _along(closed.active, force)
-        by_parameter = by_parameter + _along(closed.parameter, force)
-        platform = _along(closed.pose, force)
-    rows = (closed.drive, closed.constraint_by_parameter, closed.constraint_by_pose)
-    return _Held(by_joint, by_parameter, platform, *rows)
-
-
-def _carrying(legs: Sequence[_Held], weight: Array) -> list[Array]:
-    """Return by what forces the legs carry the platform: μ, shape (N, k) each.
-
-    With Σ (Nᵀ ∂c/∂x)ᵀ μ, its weight, shape (N, dof), and what the links do to it are nothing; of
-    forces of legs against each other, those of the least in joints.
-    """
-    carried = weight + sum(held.platform for held in legs)
-    lines = np.concatenate([held.pose for held in legs], axis=1)
+    carried, closures, links = wrench[:, twist_rows], [], []
+    for index, leg in enumerate(legs):
+        closed, joints = nearest_closure((leg,), matrices, (mechanism.known(index, readings),))
+        lost, n = _links(leg, joints, gravity), len(leg.leg.moving)
+        by_joint, by_parameter = lost[:, leg.leg.active], lost[:, n:]
+        if lost.any():  # λ₀ holds the links on passive joints
+            passive = lost[:, leg.leg.passive, None]
+            held = -least_squares(closed.passive.transpose(0, 2, 1), passive)[:, :, 0]
+            by_joint = by_joint + _along(closed.active, held)
+            by_parameter = by_parameter + _along(closed.parameter, held)
+            carried = carried + _along(closed.pose, held)
+        closures.append(closed)
+        links.append((by_joint, by_parameter))
+    # legs are held to the platform by λ = λ₀ + N μ, of which passive joints do not feel N μ
+    lines = np.concatenate([closed.constraint_by_pose for closed in closures], axis=1)
     mu = -least_squares(lines.transpose(0, 2, 1), carried[:, :, None])
-    if lines.shape[1] > lines.shape[2]:
-        drive = block_diagonal([held.drive for held in legs]).transpose(0, 2, 1)
-        inner = left_null(lines)
-        joints = np.concatenate([held.joints for held in legs], axis=1)
-        joints = joints[:, :, None] + product(drive, mu)
-        mu = mu - product(inner, least_squares(product(drive, inner), joints))
-    ends = np.cumsum([held.pose.shape[1] for held in legs])[:-1]
-    return np.split(mu[:, :, 0], ends, axis=1)
+    if lines.shape[1] > lines.shape[2]:  # of forces of legs against each other, the least in joints
+        drive = block_diagonal([closed.drive for closed in closures]).transpose(0, 2, 1)
+        inner, in_joints = left_null(lines), np.concatenate([joints for joints, _ in links], axis=1)
+        against = in_joints[:, :, None] + product(drive, mu)
+        mu = mu - product(inner, least_squares(product(drive, inner), against))
+    ends = np.cumsum([closed.constraint.shape[1] for closed in closures])[:-1]
+    named: dict[str, Array] = {}
+    parts = zip(legs, closures, links, np.split(mu[:, :, 0], ends, axis=1), strict=True)
+    for leg, closed, (by_joint, by_parameter), force in parts:
+        by_joint = by_joint + _along(closed.drive, force)
+        by_parameter = by_parameter + _along(closed.constraint_by_parameter, force)
+        names = (*leg.leg.reading_names, *leg.leg.parameter_ids)
+        named |= zip(names, (*by_joint.T, *by_parameter.T), strict=True)
+    return named
 
 
 def _along(rows: Array, force: Array) -> Array:

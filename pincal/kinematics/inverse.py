@@ -13,9 +13,7 @@ import numpy as np
 from pincal.blas import on_one_thread
 from pincal.errors import MechanismError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
-from pincal.kinematics.batches import matrix_chunks
-from pincal.kinematics.closed_forms import closed_form
-from pincal.kinematics.closing import by_leg, close, close_chunks, sensor_law, start_joints
+from pincal.kinematics.closing import by_leg, close_chunks, sensor_law
 from pincal.kinematics.closure import largest_size, nominal_legs
 from pincal.kinematics.forward import LOADS, needs_loads, with_loads
 from pincal.kinematics.influences import Influences, influence_columns
@@ -92,12 +90,12 @@ def inverse(
         return solution
     reached = np.asarray(solution.reached.all(axis=1))
     poses = mechanism.platform.from_matrices(placed[reached])
-    for _ in range(LOADS.steps):  # loads follow from joints, and bend them little
+    for _ in range(LOADS):  # loads follow from joints, and bend them little
         loaded, before = columns.copy(), solution.readings[reached]
         loaded[reached] = with_loads(mechanism, columns[reached], before, poses)
         solution = _inverse(mechanism, placed, loaded, near)
         change = np.abs(solution.readings[reached] - before).max(initial=0.0)
-        if change <= LOADS.small * max(1.0, largest_size(mechanism.legs)):
+        if change <= ROUNDING * max(1.0, largest_size(mechanism.legs)):
             break
     return solution
 
@@ -141,22 +139,3 @@ def outside_limits(mechanism: Mechanism, solution: InverseSolution) -> list[tupl
         for row, place in np.argwhere(beyond_limits(leg, solution.joints[leg.name])):
             names[row].append(f"{leg.name} {leg.moving[place].name}")
     return [tuple(pose_names) for pose_names in names]
-
-
-def reached(mechanism: Mechanism, poses: Poses) -> Mask:
-    """Return which legs reach N poses in their working modes, shape (N, n_legs).
-
-    A leg with a closed form is asked by it alone, about ten times faster than ``inverse``.
-
-    Raises:
-        MechanismError: poses of a wrong shape, or not finite.
-    """
-    placed, legs = mechanism.platform.matrices(poses), nominal_legs(mechanism)
-    in_reach = np.empty((len(placed), len(legs)), dtype=bool)
-    for rows, matrices in matrix_chunks(placed):
-        for index, leg in enumerate(legs):
-            if closed_form(leg):
-                in_reach[rows, index] = start_joints(leg, matrices)[1]
-            else:
-                in_reach[rows, index] = close((leg,), matrices).reached
-    return in_reach

@@ -11,12 +11,12 @@ import numpy as np
 
 from pincal.kinematics.batches import lengths, product, stacked
 from pincal.kinematics.closing import driven, start_joints
-from pincal.kinematics.closure import Closure, LegClosure, Newton, evaluate, rows_of_each
+from pincal.kinematics.closure import Closure, LegClosure, evaluate, rows_of_each
 from pincal.model.checks import EXACT
 from pincal.types import Array, Mask
 
-# of the square of the small step, Nᵀ c is off at most
-NEWTON = Newton(steps=60, small=1e-8, largest=0.1)
+_STEPS = 60  # of Newton's method
+_SMALL = 1e-8  # step at which it ends: Nᵀ c is off by its square
 _FAR = 1e-2  # of a leg's size, from which a gap's curvature counts
 
 
@@ -25,7 +25,6 @@ def nearest_closure(
     matrices: Array,
     known: Sequence[Array],
     joints: Sequence[Array | None] | None = None,
-    newton: Newton = NEWTON,
 ) -> tuple[Closure, Array]:
     """Return the closure of alike legs at poses and readings, |c| least, and the joints there.
 
@@ -39,7 +38,6 @@ def nearest_closure(
             [+ n_influences]).
         joints: Of each leg where the search for passive joints starts, shape (N, n_joints
             [+ n_deformed]); near those that close it if not given.
-        newton: When the search ends.
     """
     starts, n, leg = [], len(legs[0].leg.moving), legs[0].leg
     rows, near = rows_of_each(len(legs), len(matrices)), joints or [None] * len(legs)
@@ -54,7 +52,7 @@ def nearest_closure(
     positions, count = stacked(starts), len(matrices) // len(legs)
     scales = np.repeat([closure.leg.passive_scales for closure in legs], count, axis=0)
     far_gaps = _FAR * np.repeat([closure.size for closure in legs], count)
-    for _ in range(newton.steps):
+    for _ in range(_STEPS):
         closed = evaluate(legs, positions, matrices)
         step = closed.passive_step()
         if leg.passive and closed.gap.shape[1] <= 3:  # of points
@@ -62,7 +60,7 @@ def nearest_closure(
             if far.any():
                 step[far] = _curved_step(closed, far)
         positions[:, leg.passive] += step
-        if np.abs(step / scales).max(initial=0.0) <= newton.small:
+        if np.abs(step / scales).max(initial=0.0) <= _SMALL:
             break
     return closed, positions
 

@@ -1,10 +1,9 @@
-"""What readers of URDF make of a file: tips and joints in space, bodies that collide."""
+"""What Pinocchio reads in a URDF: joints in space, bodies that collide."""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -20,20 +19,6 @@ from pincal.model.mechanism import Mechanism
 from pincal.types import Array, Mask
 
 _CLOSE = 2  # joints: bodies nearer than that along the chain touch by design
-
-
-def tips_by_reader(leg: Leg, joints: Array | None = None) -> dict[str, Array]:
-    """Return the tip in the base frame, (3,), [m], by Pinocchio and by yourdfpy, of its URDF.
-
-    At positions of the moving joints, shape (n_joints,); home if not given.
-    """
-    import yourdfpy  # slow to import, and needed here only
-
-    joints = leg.home if joints is None else np.asarray(joints, dtype=np.float64)
-    robot = yourdfpy.URDF.load(BytesIO(leg_urdf(leg).encode()), load_meshes=False)
-    robot.update_cfg({j.name: float(v) for j, v in zip(leg.moving, joints, strict=True)})
-    tip = np.array(robot.get_transform(leg_links(leg)[-1])[:3, 3])
-    return {"Pinocchio": skeleton(leg, joints)[-1], "yourdfpy": tip}
 
 
 def skeleton(leg: Leg, joints: Array) -> Array:
@@ -80,9 +65,7 @@ def arm_free_of_collision(mechanism: Mechanism, offered: Plan, path: str | Path)
     return offered.rows(free)
 
 
-def free_of_collision(
-    path: str | Path, joints: Sequence[str], positions: Array, neutral: bool = True
-) -> Mask:
+def free_of_collision(path: str | Path, joints: Sequence[str], positions: Array) -> Mask:
     """Return where the bodies of a robot do not collide with each other, shape (N,).
 
     Bodies of neighbouring joints touch by design and are not compared, nor are those that already
@@ -92,7 +75,6 @@ def free_of_collision(
         path: URDF with collision geometry.
         joints: Names of the joints that move; the others stay at their neutral positions.
         positions: Of these joints, shape (N, n), [rad] or [m].
-        neutral: Whether what collides at zero is taken as touching by design.
 
     Raises:
         FileError: the file or one of its meshes cannot be read.
@@ -107,10 +89,9 @@ def free_of_collision(
     pairs = [(pair.first, pair.second) for pair in shapes.collisionPairs]
     supports = [set(model.supports[shape.parentJoint]) for shape in shapes.geometryObjects]
     touching = np.array([len(supports[a] ^ supports[b]) < _CLOSE for a, b in pairs], bool)
-    if neutral:
-        collisions = shapes.createData()
-        pin.computeCollisions(model, data, shapes, collisions, q, False)
-        touching |= [result.isCollision() for result in collisions.collisionResults]
+    collisions = shapes.createData()
+    pin.computeCollisions(model, data, shapes, collisions, q, False)
+    touching |= [result.isCollision() for result in collisions.collisionResults]
     shapes.removeAllCollisionPairs()
     for pair in itertools.compress(pairs, ~touching):
         shapes.addCollisionPair(pin.CollisionPair(*pair))
