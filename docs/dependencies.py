@@ -27,7 +27,6 @@ WHY = {
     "hold",
     "yourdfpy": "second reader of the URDFs that pincal writes (tests)",
     "PyYAML": "mechanism files, scanned by the libyaml in its wheels",
-    "pydantic": "checks mechanism files, with errors that name the place",
     "typer": "command line",
     "rich": "tables and progress",
     "threadpoolctl": "one thread of BLAS while small matrices are computed: two take up to four "

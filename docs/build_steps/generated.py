@@ -1,8 +1,7 @@
-"""Pages that are made of the code at every build: commands, schemas, names, old names."""
+"""Pages that are made of the code at every build: commands, names."""
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterable
 from pathlib import Path
@@ -13,11 +12,8 @@ from typer.main import get_command
 import pincal
 from build_steps.names import GROUPS, RETURNED
 from pincal.cli.app import app
-from pincal.files.mechanism_yaml import MechanismSpec
-from pincal.files.yaml import _SetupSpec
 
 FOLDER = Path("reference") / "made"
-SCHEMAS = {"mechanism": MechanismSpec, "setup": _SetupSpec}
 
 
 def write(docs: Path) -> None:
@@ -26,12 +22,11 @@ def write(docs: Path) -> None:
     folder.mkdir(exist_ok=True)
     pages = {
         "commands.md": commands(),
-        "schemas.md": schemas(),
         "api.rst": names(),
         "contributing.md": from_the_top(docs.parent / "CONTRIBUTING.md"),
         "changelog.md": from_the_top(docs.parent / "CHANGELOG.md"),
     }
-    for name, text in (pages | schema_files()).items():
+    for name, text in pages.items():
         path = folder / name
         if not path.exists() or path.read_text(encoding="utf-8") != text:
             path.write_text(text, encoding="utf-8")
@@ -102,73 +97,6 @@ def commands() -> str:
     return "\n".join(
         lines + [command(name, group.get_command(None, name)) for name in listed]  # type: ignore[attr-defined]
     )
-
-
-def schema_files() -> dict[str, str]:
-    """Return the JSON schemas as files: editors that know YAML check a mechanism with them."""
-    return {
-        f"{name}.schema.json": json.dumps(spec.model_json_schema(), indent=1) + "\n"
-        for name, spec in SCHEMAS.items()
-    }
-
-
-def _type(schema: dict[str, Any]) -> str:
-    """Return in a few words what a value of a schema may be."""
-    if "$ref" in schema:
-        name = schema["$ref"].rpartition("/")[2]
-        return f"[{name}](#{name.lower().strip('_')})"
-    if "const" in schema:
-        return f"`{schema['const']}`"
-    if "enum" in schema:
-        return " or ".join(f"`{one}`" for one in schema["enum"])
-    if "anyOf" in schema:
-        return " or ".join(dict.fromkeys(_type(one) for one in schema["anyOf"]))
-    if schema.get("type") == "array":
-        if "prefixItems" in schema:
-            return f"{len(schema['prefixItems'])} numbers"
-        return f"list of {_type(schema.get('items', {}))}"
-    if schema.get("type") == "object":
-        return f"map of {_type(schema.get('additionalProperties', {}) or {})}"
-    return {
-        "string": "text",
-        "number": "number",
-        "integer": "whole number",
-        "null": "nothing",
-        "boolean": "true or false",
-    }.get(schema.get("type", ""), "value")
-
-
-def _section(name: str, schema: dict[str, Any]) -> list[str]:
-    lines = [f"#### {name.strip('_')}", "", schema.get("description", ""), ""]
-    lines += ["| key | value | if left out |", "|---|---|---|"]
-    for key, one in schema.get("properties", {}).items():
-        needed = key in schema.get("required", ())
-        empty = one.get("default") in (None, {}, [], "") or isinstance(one.get("default"), dict)
-        default = "needed" if needed else "" if empty else f"`{one['default']}`"
-        lines += [_row((f"`{key}`", _type(one), default))]
-    return [*lines, ""]
-
-
-def schemas() -> str:
-    """Return the page of what YAML files may say, key by key."""
-    lines = [
-        "# Keys of the YAML files",
-        "",
-        "Made of the models that read the files. Lengths in m, angles in rad. A key that is not",
-        "here is refused by name and line. As JSON schemas, for editors that check YAML as you",
-        "type: {download}`mechanism.schema.json`, {download}`setup.schema.json`. What the keys",
-        "mean is told in [mechanism files](../../mechanism_files.md) and",
-        "[measurements as they come](../../measuring.md).",
-        "",
-    ]
-    for name, spec in SCHEMAS.items():
-        schema = spec.model_json_schema()
-        file = {"mechanism": "mechanism.yaml", "setup": "The file of --setup"}[name]
-        lines += [f"## {file}", "", "### Its keys", "", *_section(spec.__name__, schema)]
-        lines += ["### What stands in them", ""]
-        for own, one in schema.get("$defs", {}).items():
-            lines += _section(own, one)
-    return "\n".join(lines)
 
 
 def names() -> str:

@@ -3,24 +3,19 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import replace
 from difflib import get_close_matches
 from functools import lru_cache
 from pathlib import Path
 from typing import Protocol
 
 from pincal.errors import FileError, MechanismError
-from pincal.files.mechanism_yaml import LegSpec, MechanismSpec, mechanism_yaml
+from pincal.files.mechanism_yaml import YAML, mechanism_urdfs, mechanism_yaml, read_mechanism
 from pincal.files.output import writing
-from pincal.files.urdf import leg_urdf, platform_urdf, read_chain, read_points
-from pincal.files.yaml import read_yaml
+from pincal.files.urdf import leg_urdf, platform_urdf
 from pincal.model.checks import must_be
-from pincal.model.consistency import check_home
-from pincal.model.leg import Joint, Leg
 from pincal.model.mechanism import Mechanism
 
 _log = logging.getLogger(__name__)
-YAML = "mechanism.yaml"
 MECHANISM_FILES = (YAML, "*.urdf")
 """Files of a mechanism folder that are replaced together; by the first pincal knows its own."""
 
@@ -50,8 +45,7 @@ def load_mechanism(name_or_path: str | Path) -> Mechanism:
 
 def _read(folder: Path) -> Mechanism:
     try:
-        spec = read_yaml(_inside(folder, YAML), MechanismSpec, MechanismError)
-        return _mechanism(spec, folder)
+        return read_mechanism(folder)
     except MechanismError as error:
         place = "" if str(folder) in str(error) else f"{folder / YAML}: "
         raise MechanismError(f"{place}{error}") from error
@@ -63,9 +57,7 @@ _read_once = lru_cache(maxsize=64)(_read)
 def mechanism_files(name_or_path: str | Path) -> list[Path]:
     """Return the files that ``load_mechanism`` reads: ``mechanism.yaml`` and the URDFs."""
     folder = _folder(name_or_path)
-    spec = read_yaml(_inside(folder, YAML), MechanismSpec, MechanismError)
-    urdfs = dict.fromkeys((spec.platform.urdf, *(leg.urdf for leg in spec.legs)))
-    return [folder / YAML, *(folder / name for name in urdfs)]
+    return [folder / YAML, *mechanism_urdfs(folder)]
 
 
 def _folder(name_or_path: str | Path) -> Path:
@@ -103,77 +95,6 @@ def is_folder(path: Path) -> bool:
         return path.is_dir()
     except (OSError, ValueError):
         return False
-
-
-def _mechanism(spec: MechanismSpec, folder: Path) -> Mechanism:
-    """Return what a ``mechanism.yaml`` and the URDFs that it names say together."""
-    platform = spec.platform.platform()
-    points = read_points(_inside(folder, spec.platform.urdf))
-    legs = tuple(_leg(leg, folder, points) for leg in spec.legs)
-    load = None if spec.load is None else spec.load.load()
-    labels = tuple(spec.labels.items())
-    mechanism = Mechanism(spec.name, platform, legs, spec.description, labels, load)
-    identified = (folder.parent / "result.json").is_file()  # at the nominal home
-    for leg in () if identified else legs:
-        check_home(leg, platform)
-    return mechanism
-
-
-def _leg(spec: LegSpec, folder: Path, points: dict[str, Joint]) -> Leg:
-    path = _inside(folder, spec.urdf)
-    chain = read_chain(path, spec.tip)
-    if spec.platform_point not in points:
-        raise MechanismError(
-            f"{spec.name}: the platform has no point {spec.platform_point!r}; its fixed frames are "
-            f"{', '.join(sorted(points)) or 'none'}"
-        )
-    point = points[spec.platform_point]
-    _check_joints(spec, path, chain, point)
-    *joints, point = (
-        replace(
-            joint,
-            placement=replace(joint.placement, coordinates=spec.coordinates(joint.name)),
-            home=spec.home.get(joint.name, 0.0),
-        )
-        for joint in (*chain, point)
-    )
-    return Leg(
-        name=spec.name,
-        joints=tuple(joints),
-        sensors=tuple(sensor.sensor(spec.name) for sensor in spec.sensors),
-        parameters=tuple(spec.parameters.items()),
-        point=point,
-        closes=spec.closes,
-        terms=spec.parameter_terms(),
-    )
-
-
-def _check_joints(spec: LegSpec, path: Path, chain: tuple[Joint, ...], point: Joint) -> None:
-    """Raise if a leg names joints that its URDF does not have, or not all that move."""
-    names = {joint.name for joint in (*chain, point)}
-    for key in (*spec.placements, *spec.home, *(sensor.joint for sensor in spec.sensors)):
-        if key not in names:
-            raise MechanismError(
-                f"{spec.name}: unknown joint {key!r}; {path.name} has "
-                f"{', '.join(joint.name for joint in chain)}, the platform point is {point.name!r}"
-            )
-    moving = [joint.name for joint in chain if joint.kind != "fixed"]
-    if set(spec.home) != set(moving):
-        raise MechanismError(
-            f"{spec.name}: 'home' gives {', '.join(spec.home) or 'nothing'}; it needs the home "
-            f"position of each moving joint: {', '.join(moving)}"
-        )
-
-
-def _inside(folder: Path, name: str) -> Path:
-    """Return a file of the mechanism's folder; paths that lead out of it are refused."""
-    try:
-        inside = (folder / name).resolve().is_relative_to(folder.resolve())
-    except (OSError, ValueError, RuntimeError) as error:  # RuntimeError: links in a circle
-        raise MechanismError(f"{name!r} cannot be a file's name: {error}") from error
-    if not inside:
-        raise MechanismError(f"{name!r} leads out of the mechanism's folder; keep its files inside")
-    return folder / name
 
 
 def write_mechanism(mechanism: Mechanism, folder: Path) -> None:

@@ -1,24 +1,26 @@
 """What ``mechanism.yaml`` says of a mechanism: its keys, as they are read and as they are written.
 
-The models are the format: keys that they do not have are refused, and the JSON schema of the
-documentation is made of them. URDFs beside the file say how joints hang together
-(``mechanism_folders.py``).
+Keys that are not known are refused by name and line. URDFs beside the file say how joints hang
+together.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import fields
-from typing import Annotated, Any, Literal
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import yaml
-from pydantic import Field, ValidationError, ValidatorFunctionWrapHandler, WrapValidator
 
 from pincal.errors import MechanismError
-from pincal.files.text import Name, Number, Strict
-from pincal.files.urdf import leg_links
-from pincal.model.leg import Leg
+from pincal.files.text import plain_number
+from pincal.files.urdf import leg_links, read_chain, read_points
+from pincal.files.yaml import Entry, read_yaml
+from pincal.model.checks import LARGEST
+from pincal.model.consistency import check_home
+from pincal.model.leg import Joint, Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.placement import Coordinate
 from pincal.model.platform import KINDS, Platform
@@ -26,7 +28,7 @@ from pincal.model.sensor import Sensor
 from pincal.model.terms import Harmonic, Load, Power, Share, Term
 
 FORMAT = 1
-Value = Name | Number
+YAML = "mechanism.yaml"
 #: Forms of terms by the key that names each, with the further keys that belong to it.
 _FORM_KEYS = {
     "sine": ("period",),
@@ -38,188 +40,210 @@ _FORMS: dict[str, Any] = {"sine": Harmonic, "cosine": Harmonic, "power": Power, 
 _BLOCKS = ("parameters", "labels", "load")  # mappings of which each key has a line of its own
 
 
-class TermSpec(Strict):
-    """A term, but for the name of its amplitude."""
-
-    sine: Number | None = None
-    cosine: Number | None = None
-    period: Number | None = None
-    power: int | None = None
-    range: Number | None = None
-    centre: Number | None = None
-    of: Annotated[str, Field(min_length=1, max_length=100)] | None = None
-    per: Number | None = None
-    reference: Number | None = None
-
-    def term(self, parameter: str, place: str) -> Term:
-        """Return the term with an amplitude; messages say its place."""
-        values = self.model_dump(exclude_none=True)
-        influence = values.pop("of", "")
-        forms = [key for key in _FORM_KEYS if key in values] or ["per"] * bool(influence)
-        form = " and ".join(forms) or "none"
-        keys = _FORM_KEYS.get(form, ())
-        odd = [key for key in values if key not in (form, *keys)]
-        try:
-            if len(forms) != 1:
-                raise MechanismError(
-                    f"expected one of {', '.join(_FORM_KEYS)}, or of alone; got {form}"
-                )
-            if odd:
-                raise MechanismError(
-                    f"{odd[0]!r} does not go with {form!r}; expected {', '.join(keys)}"
-                )
-            if form == "power" and "range" not in values:
-                raise MechanismError("'power' needs 'range' beside it")
-            if form in ("sine", "cosine"):
-                values |= {"order": values.pop(form), "phase": form}
-            return Term(parameter, _FORMS[form](**values), of=influence)
-        except MechanismError as error:
-            raise MechanismError(f"{place}, term {parameter!r}: {error}") from error
-
-
-def _described_terms(terms: Iterable[Term], place: str) -> dict[str, Any]:
-    """Return the keys of terms by their amplitudes, as ``TermSpec`` reads them."""
-    described = {}
-    for term in terms:
-        if not term.has_form:
-            raise MechanismError(
-                f"{place}: the term of {term.parameter!r} is code, which a mechanism's folder "
-                "does not hold; save the mechanism without terms, and its parameters "
-                "(mechanism.parameters)"
-            )
-        basis: Any = term.basis
-        keys = {
-            field.name: value
-            for field in fields(basis)
-            if (value := getattr(basis, field.name)) != field.default
-        }
-        if isinstance(basis, Harmonic):
-            keys = {keys.pop("phase"): keys.pop("order")} | keys
-        elif isinstance(basis, Share) and not term.of:
-            keys = {"per": basis.per} | keys
-        described[term.parameter] = {"of": term.of} | keys if term.of else keys
-    return described
-
-
-def _number_or_home(value: object, number: ValidatorFunctionWrapHandler) -> object:
+def _term(entry: Entry, amplitude: str, place: str) -> Term:
+    """Return a term with the name of its amplitude; messages say its place."""
+    keys = entry.keys((), (*_FORM_KEYS, "period", "range", "centre", "of", "reference"))
+    influence = keys.pop("of").text() if "of" in keys else ""
+    values: dict[str, Any] = {key: part.number() for key, part in keys.items()}
+    forms = [key for key in _FORM_KEYS if key in values] or ["per"] * bool(influence)
+    form = " and ".join(forms) or "none"
+    further = _FORM_KEYS.get(form, ())
+    odd = [key for key in values if key not in (form, *further)]
     try:
-        return value if value == "home" else number(value)
-    except ValidationError as error:
-        raise ValueError("a finite number or 'home' is expected") from error
+        if len(forms) != 1:
+            raise MechanismError(
+                f"expected one of {', '.join(_FORM_KEYS)}, or of alone; got {form}"
+            )
+        if odd:
+            raise MechanismError(
+                f"{odd[0]!r} does not go with {form!r}; expected {', '.join(further)}"
+            )
+        if form == "power":
+            if "range" not in values:
+                raise MechanismError("'power' needs 'range' beside it")
+            values["power"] = keys["power"].value
+        if form in ("sine", "cosine"):
+            values |= {"order": values.pop(form), "phase": form}
+        return Term(amplitude, _FORMS[form](**values), of=influence)
+    except MechanismError as error:
+        raise MechanismError(f"{place}, term {amplitude!r}: {error}") from error
 
 
-Zero = Annotated[Literal["home"] | Number, WrapValidator(_number_or_home)]
+def _terms(entry: Entry | None, place: str) -> tuple[Term, ...]:
+    """Return terms by their amplitudes; none where there is no such key."""
+    parts = {} if entry is None else entry.pairs()
+    return tuple(_term(part, amplitude, place) for amplitude, part in parts.items())
 
 
-class SensorSpec(Strict):
-    """Sensor of a leg."""
-
-    joint: str
-    form: Literal["joint", "reading"] = "joint"
-    gain: Value = 1.0
-    offset: Value = 0.0
-    direction: Literal[1, -1] = 1
-    zero: Zero = 0.0
-    counts_per_unit: Annotated[Number, Field(gt=0)] | None = None
-    terms: dict[Name, TermSpec] = Field(default_factory=dict)
-
-    def sensor(self, leg: str) -> Sensor:
-        """Return the sensor of a leg."""
-        terms = tuple(term.term(amplitude, leg) for amplitude, term in self.terms.items())
-        return Sensor(**self.model_dump(exclude={"terms"}), terms=terms)
+def _value(entry: Entry) -> str | float:
+    """Return the name of a parameter, or a number."""
+    is_name = isinstance(entry.value, str) and entry.value.isidentifier()
+    return entry.name() if is_name else entry.number()
 
 
-class LegSpec(Strict):
-    """One leg."""
+def _sensor(entry: Entry, leg: str) -> Sensor:
+    """Return a sensor of a leg."""
+    known = ("form", "gain", "offset", "direction", "zero", "counts_per_unit", "terms")
+    keys = entry.keys(("joint",), known)
+    values: dict[str, Any] = {"joint": keys["joint"].text()}
+    values |= {key: _value(keys[key]) for key in ("gain", "offset") if key in keys}
+    if "form" in keys:
+        values["form"] = keys["form"].choice("joint", "reading")
+    if "direction" in keys:
+        values["direction"] = keys["direction"].choice(1, -1)
+    if "counts_per_unit" in keys:
+        values["counts_per_unit"] = keys["counts_per_unit"].number()
+    if "zero" in keys:
+        zero = keys["zero"]
+        if not isinstance(zero.value, int | float | str) or not (
+            zero.value == "home" or abs(plain_number(str(zero.value))) <= LARGEST
+        ):
+            zero.refuse("a finite number or 'home' is expected")
+        values["zero"] = "home" if zero.value == "home" else zero.number()
+    return Sensor(**values, terms=_terms(keys.get("terms"), leg))
 
-    name: Name
-    urdf: str
-    tip: str
-    platform_point: str
-    home: dict[str, Number]
-    closes: Literal["point", "frame"] = "point"
-    sensors: list[SensorSpec] = Field(min_length=1)
-    parameters: dict[Name, Number]
-    placements: dict[str, list[dict[str, Value | list[Value]]]]
-    terms: dict[Name, dict[Name, TermSpec]] = Field(default_factory=dict)
 
-    def coordinates(self, joint: str) -> tuple[Coordinate, ...]:
-        """Return the coordinates that place a joint, none if it is placed by its URDF alone."""
-        place = f"{self.name}, placement of {joint!r}"
-        coordinates = []
-        for entry in self.placements.get(joint, []):
-            if len(entry) != 1:
-                raise MechanismError(
-                    f"{place}: each entry is one coordinate, such as '- polar: [OA, beta]'; got "
-                    f"{list(entry)}"
-                )
-            ((kind, values),) = entry.items()
-            try:
-                values = values if isinstance(values, list) else [values]
-                coordinates.append(Coordinate(kind, tuple(values)))
-            except MechanismError as error:
-                raise MechanismError(f"{place}: {error}") from error
-        return tuple(coordinates)
+def _coordinates(entry: Entry | None, place: str) -> tuple[Coordinate, ...]:
+    """Return the coordinates that place a joint, none if it is placed by its URDF alone."""
+    coordinates = []
+    for item in entry.items() if entry else ():
+        if len(pairs := item.pairs()) != 1:
+            raise MechanismError(
+                f"{place}: each entry is one coordinate, such as '- polar: [OA, beta]'; got "
+                f"{list(pairs)}"
+            )
+        ((kind, values),) = pairs.items()
+        parts = values.items() if isinstance(values.value, list) else [values]
+        try:
+            coordinates.append(Coordinate(kind, tuple(map(_value, parts))))
+        except MechanismError as error:
+            raise MechanismError(f"{place}: {error}") from error
+    return tuple(coordinates)
 
-    def parameter_terms(self) -> tuple[tuple[str, Term], ...]:
-        """Return the terms of the leg's lengths and angles, each with the parameter's name."""
-        return tuple(
-            (name, term.term(amplitude, f"{self.name}, parameter {name!r}"))
-            for name, terms in self.terms.items()
-            for amplitude, term in terms.items()
+
+def _platform(entry: Entry) -> Platform:
+    keys = entry.keys(("kind", "urdf", "home"))
+    kind, twist = keys["kind"], list[str]()
+    if isinstance(kind.value, dict):
+        parts = kind.keys(("name", "freedoms"))
+        kind, twist = parts["name"], [freedom.text() for freedom in parts["freedoms"].items()]
+    home = {key: part.number() for key, part in keys["home"].pairs().items()}
+    platform = Platform(kind.text(), tuple(home.values()), tuple(twist))
+    if tuple(home) != platform.coordinates:
+        raise MechanismError(
+            f"platform.home has {', '.join(home)}; expected {', '.join(platform.coordinates)}"
+        )
+    return platform
+
+
+def _load(entry: Entry) -> Load:
+    keys = entry.keys((), ("mass", "centre", "gravity", "drawn"))
+    values: dict[str, Any] = {k: keys[k].vector() for k in ("centre", "gravity") if k in keys}
+    if "mass" in keys:
+        values["mass"] = keys["mass"].number()
+    drawn = keys["drawn"].pairs() if "drawn" in keys else {}
+    return Load(**values, drawn=tuple((name, part.number()) for name, part in drawn.items()))
+
+
+def read_mechanism(folder: Path) -> Mechanism:
+    """Return what a folder's ``mechanism.yaml`` and the URDFs that it names say together."""
+    keys = mechanism_keys(folder)
+    keys["pincal"].choice(FORMAT)
+    platform = _platform(keys["platform"])
+    points = read_points(inside(folder, keys["platform"].pairs()["urdf"].text()))
+    legs = tuple(_leg(leg, folder, points) for leg in keys["legs"].items(least=1))
+    labels = keys["labels"].pairs() if "labels" in keys else {}
+    mechanism = Mechanism(
+        keys["name"].text(),
+        platform,
+        legs,
+        keys["description"].text() if "description" in keys else "",
+        tuple((name, label.text()) for name, label in labels.items()),
+        _load(keys["load"]) if "load" in keys else None,
+    )
+    identified = (folder.parent / "result.json").is_file()  # at the nominal home
+    for leg in () if identified else legs:
+        check_home(leg, platform)
+    return mechanism
+
+
+def mechanism_keys(folder: Path) -> dict[str, Entry]:
+    """Return the entries of a folder's ``mechanism.yaml``."""
+    needed, known = ("pincal", "name", "platform", "legs"), ("description", "labels", "load")
+    return read_yaml(inside(folder, YAML), MechanismError).keys(needed, known)
+
+
+def mechanism_urdfs(folder: Path) -> list[Path]:
+    """Return the URDFs that a folder's ``mechanism.yaml`` names, each once."""
+    keys = mechanism_keys(folder)
+    parts = (keys["platform"], *keys["legs"].items())
+    return list(dict.fromkeys(folder / part.pairs()["urdf"].text() for part in parts))
+
+
+def _leg(entry: Entry, folder: Path, points: Mapping[str, Joint]) -> Leg:
+    """Return a leg, of its keys and its URDF."""
+    needed = ("name", "urdf", "tip", "platform_point", "home", "sensors", "parameters")
+    keys = entry.keys((*needed, "placements"), ("closes", "terms"))
+    name, point_name = keys["name"].name(), keys["platform_point"].text()
+    home = {joint: part.number() for joint, part in keys["home"].pairs().items()}
+    parameters = keys["parameters"].pairs()
+    for parameter in parameters:
+        if not parameter.isidentifier():
+            parameters[parameter].refuse("a parameter's name is letters, digits and _")
+    of_parameters = keys["terms"].pairs() if "terms" in keys else {}
+    sensors = tuple(_sensor(item, name) for item in keys["sensors"].items(least=1))
+    path = inside(folder, keys["urdf"].text())
+    chain = read_chain(path, keys["tip"].text())
+    if point_name not in points:
+        raise MechanismError(
+            f"{name}: the platform has no point {point_name!r}; its fixed frames are "
+            f"{', '.join(sorted(points)) or 'none'}"
+        )
+    point, placements = points[point_name], keys["placements"].pairs()
+    known = [joint.name for joint in (*chain, point)]
+    for key in (*placements, *home, *(sensor.joint for sensor in sensors)):
+        if key not in known:
+            raise MechanismError(
+                f"{name}: unknown joint {key!r}; {path.name} has {', '.join(known[:-1])}, the "
+                f"platform point is {point.name!r}"
+            )
+    moving = [joint.name for joint in chain if joint.kind != "fixed"]
+    if set(home) != set(moving):
+        raise MechanismError(
+            f"{name}: 'home' gives {', '.join(home) or 'nothing'}; it needs the home position of "
+            f"each moving joint: {', '.join(moving)}"
         )
 
+    def placed(joint: Joint) -> Joint:
+        place = f"{name}, placement of {joint.name!r}"
+        coordinates = _coordinates(placements.get(joint.name), place)
+        placement = replace(joint.placement, coordinates=coordinates)
+        return replace(joint, placement=placement, home=home.get(joint.name, 0.0))
 
-class KindSpec(Strict):
-    """A kind of platform of the user's own."""
-
-    name: str
-    freedoms: list[str]
-
-
-class PlatformSpec(Strict):
-    """The platform."""
-
-    kind: str | KindSpec
-    urdf: str
-    home: dict[str, Number]
-
-    def platform(self) -> Platform:
-        """Return the platform."""
-        kind = self.kind
-        name, twist = (kind, ()) if isinstance(kind, str) else (kind.name, tuple(kind.freedoms))
-        platform = Platform(name, tuple(self.home.values()), twist)
-        if tuple(self.home) != platform.coordinates:
-            raise MechanismError(
-                f"platform.home has {', '.join(self.home)}; expected "
-                f"{', '.join(platform.coordinates)}"
-            )
-        return platform
+    return Leg(
+        name=name,
+        joints=tuple(map(placed, chain)),
+        sensors=sensors,
+        parameters=tuple((parameter, part.number()) for parameter, part in parameters.items()),
+        point=placed(point),
+        closes=keys["closes"].choice("point", "frame") if "closes" in keys else "point",
+        terms=tuple(
+            (parameter, term)
+            for parameter, part in of_parameters.items()
+            for term in _terms(part, f"{name}, parameter {parameter!r}")
+        ),
+    )
 
 
-class LoadSpec(Strict):
-    """What weighs on the mechanism."""
-
-    mass: Number = 0.0
-    centre: tuple[Number, Number, Number] = (0.0, 0.0, 0.0)
-    gravity: tuple[Number, Number, Number] = (0.0, 0.0, -9.81)
-    drawn: dict[str, Number] = Field(default_factory=dict)
-
-    def load(self) -> Load:
-        """Return the load."""
-        return Load(self.mass, self.centre, self.gravity, tuple(self.drawn.items()))
-
-
-class MechanismSpec(Strict):
-    """The whole file."""
-
-    pincal: Literal[1]
-    name: str
-    description: str = ""
-    platform: PlatformSpec
-    labels: dict[str, str] = Field(default_factory=dict)
-    load: LoadSpec | None = None
-    legs: list[LegSpec] = Field(min_length=1)
+def inside(folder: Path, name: str) -> Path:
+    """Return a file of the mechanism's folder; paths that lead out of it are refused."""
+    try:
+        inside = (folder / name).resolve().is_relative_to(folder.resolve())
+    except (OSError, ValueError, RuntimeError) as error:  # RuntimeError: links in a circle
+        raise MechanismError(f"{name!r} cannot be a file's name: {error}") from error
+    if not inside:
+        raise MechanismError(f"{name!r} leads out of the mechanism's folder; keep its files inside")
+    return folder / name
 
 
 def mechanism_yaml(mechanism: Mechanism) -> str:
@@ -275,6 +299,30 @@ def _described_leg(leg: Leg) -> dict[str, Any]:
 def _filled(keys: Mapping[str, Any]) -> dict[str, Any]:
     """Return the keys that say something."""
     return {key: value for key, value in keys.items() if value not in (None, "", {})}
+
+
+def _described_terms(terms: Iterable[Term], place: str) -> dict[str, Any]:
+    """Return the keys of terms by their amplitudes, as ``TermSpec`` reads them."""
+    described = {}
+    for term in terms:
+        if not term.has_form:
+            raise MechanismError(
+                f"{place}: the term of {term.parameter!r} is code, which a mechanism's folder "
+                "does not hold; save the mechanism without terms, and its parameters "
+                "(mechanism.parameters)"
+            )
+        basis: Any = term.basis
+        keys = {
+            field.name: value
+            for field in fields(basis)
+            if (value := getattr(basis, field.name)) != field.default
+        }
+        if isinstance(basis, Harmonic):
+            keys = {keys.pop("phase"): keys.pop("order")} | keys
+        elif isinstance(basis, Share) and not term.of:
+            keys = {"per": basis.per} | keys
+        described[term.parameter] = {"of": term.of} | keys if term.of else keys
+    return described
 
 
 class _Dumper(yaml.CSafeDumper):

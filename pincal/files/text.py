@@ -16,11 +16,10 @@ from contextvars import ContextVar
 from dataclasses import fields, is_dataclass
 from math import isfinite, isnan, nan
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 from lxml import etree
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, FiniteFloat
 
 from pincal.errors import FileError, MeasurementError, MechanismError, PincalError
 from pincal.model.checks import LARGEST
@@ -192,28 +191,6 @@ def read_xml(path: Path, root: str) -> etree._Element:
     if dtd is not None and any(True for _ in dtd.iterentities()):  # type: ignore[union-attr]
         raise MechanismError(f"{path}: declares entities, which are not read; write them out")
     return element
-
-
-Name = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$", max_length=64)]
-
-
-def _number(value: object) -> object:
-    if isinstance(value, bool):
-        raise ValueError("a number, not true or false, is expected")
-    if isinstance(value, str):  # 1e-3, which is text to YAML
-        value = plain_number(value)
-        if isnan(value):
-            raise ValueError("a number is expected")
-    return value
-
-
-Number = Annotated[FiniteFloat, Field(ge=-LARGEST, le=LARGEST), BeforeValidator(_number)]
-
-
-class Strict(BaseModel):
-    """Refuses keys that it does not know."""
-
-    model_config = ConfigDict(extra="forbid")
 
 
 def plain(value: Any) -> Any:

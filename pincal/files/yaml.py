@@ -4,22 +4,23 @@ from __future__ import annotations
 
 import re
 import reprlib
+from collections.abc import Callable, Sequence
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, Literal, TypeVar, get_args
+from typing import Any, NoReturn, TypeAlias, TypeVar
 
 import yaml
-from pydantic import BaseModel, Field, ValidationError
-from pydantic_core import ErrorDetails
 from yaml.composer import Composer
 
 from pincal.errors import MeasurementError, PincalError
-from pincal.files.text import LARGEST_FILE, Name, Number, Strict, read_text, why_no_number
-from pincal.model.checks import must_be
-from pincal.model.setup import ORIGIN, STEEL, Distance, Setup, Systematic, Target, Tracker
+from pincal.files.text import LARGEST_FILE, plain_number, read_text, why_no_number
+from pincal.model.checks import LARGEST, must_be
+from pincal.model.setup import Distance, Setup, Systematic, Target, Tracker
 
+T = TypeVar("T")
+Vector: TypeAlias = tuple[float, float, float]
 _SIMILAR = 0.75  # from which a key is another one, misspelt
-Form = TypeVar("Form", bound=BaseModel)
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,63}", re.ASCII)
 
 
 class _Loader(Composer, yaml.CSafeLoader):
@@ -69,34 +70,147 @@ for _kind in ("int", "float"):
     _Loader.add_constructor(f"tag:yaml.org,2002:{_kind}", _Loader.construct_number)
 
 
-def read_yaml(path: Path, form: type[Form], error_type: type[PincalError]) -> Form:
-    """Return what a YAML file says, read strictly in the form that it should have.
+class Entry:
+    """A value in a YAML file, which says what is wrong with it by its line and the keys to it."""
+
+    def __init__(
+        self,
+        node: yaml.Node,
+        value: Any,
+        named: str,
+        line: int,
+        fault: Callable[[str], PincalError],
+    ) -> None:
+        self.value = value
+        self._node, self._named, self._line, self._fault = node, named, line, fault
+
+    def fail(self, text: str) -> NoReturn:
+        """Raise what is wrong, with the line."""
+        raise self._fault(f", line {self._line}: {text}")
+
+    def refuse(self, expected: str) -> NoReturn:
+        """Raise that the value is something else than expected."""
+        got = reprlib.repr(self.value)
+        self.fail(f"{self._named}: {expected}" + (f"; got {got}" if got not in expected else ""))
+
+    def _inner(self, key: object, node: yaml.Node, value: Any, line: int) -> Entry:
+        name = str(key)
+        if isinstance(value, dict) and isinstance(key, int):  # legs are called by their names
+            name = str(value.get("name", key))[:64]
+        return Entry(node, value, f"{self._named}.{name}".lstrip("."), line, self._fault)
+
+    def pairs(self) -> dict[str, Entry]:
+        """Return the entries of a mapping by its keys, whatever these are."""
+        if not isinstance(self._node, yaml.MappingNode):
+            self.refuse("keys with values are expected")
+        entries = {}
+        for (key, node), (name, value) in zip(self._node.value, self.value.items(), strict=True):
+            entry = self._inner(name, node, value, key.start_mark.line + 1)
+            if not isinstance(name, str):
+                entry.refuse("a name is expected; decimals take a point")
+            entries[name] = entry
+        return entries
+
+    def keys(
+        self, needed: Sequence[str], known: Sequence[str] = (), *, others: bool = False
+    ) -> dict[str, Entry]:
+        """Return the entries of a mapping that needs some keys and may have further ones.
+
+        A key that is unknown comes before those that are missing, of which it may be a misspelling.
+        """
+        entries = self.pairs()
+        known = [*needed, *known]
+        for key in entries:
+            if key not in known:
+                absent = [name for name in known if name not in entries] if others else known
+                question = meant(key, absent)
+                if question or not others:
+                    text = question or (f"expected {', '.join(known)}" if known else "remove it")
+                    entries[key].fail(f"unknown key {entries[key]._named!r}; {text}")
+        for key in needed:
+            if key not in entries:
+                self.fail(f"key {f'{self._named}.{key}'.lstrip('.')!r} is missing")
+        return entries
+
+    def items(self, least: int = 0, most: float = float("inf")) -> list[Entry]:
+        """Return the entries of a list."""
+        if not isinstance(self._node, yaml.SequenceNode):
+            self.refuse("a list is expected")
+        nodes = self._node.value
+        if not least <= len(nodes) <= most:
+            expected = f"at least {least}" if len(nodes) < least else f"at most {most}"
+            self.fail(f"{self._named} has {len(nodes)} values; expected {expected}")
+        return [
+            self._inner(index, node, value, node.start_mark.line + 1)
+            for index, (node, value) in enumerate(zip(nodes, self.value, strict=True))
+        ]
+
+    def text(self) -> str:
+        """Return a text."""
+        if not isinstance(self.value, str):
+            self.refuse("text is expected")
+        return self.value
+
+    def name(self) -> str:
+        """Return a name: letters, digits and underscores."""
+        if not (isinstance(self.value, str) and _NAME.fullmatch(self.value)):
+            self.refuse("a name of letters, digits and _ is expected")
+        return self.value
+
+    def number(self) -> float:
+        """Return a finite number; 1e-3 is text to YAML, and a number here."""
+        value = plain_number(self.value) if isinstance(self.value, str) else self.value
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            self.refuse("a number is expected")
+        if not abs(value) <= LARGEST:
+            begun = re.match(r"\s*[-+.]?[0-9]", str(self.value))
+            number = begun or not isinstance(self.value, str)
+            self.refuse(why_no_number(str(self.value)) if number else "a number is expected")
+        return float(value)
+
+    def vector(self) -> Vector:
+        """Return three numbers."""
+        x, y, z = (item.number() for item in self.items(3, 3))
+        return x, y, z
+
+    def choice(self, *options: T) -> T:
+        """Return a value that is one of some."""
+        if isinstance(self.value, bool) or self.value not in options:
+            self.refuse(f"expected {' or '.join(map(repr, options))}")
+        return options[options.index(self.value)]
+
+    def flag(self) -> bool:
+        """Return true or false."""
+        if not isinstance(self.value, bool):
+            self.refuse("true or false is expected")
+        return self.value
+
+
+def read_yaml(path: Path, error_type: type[PincalError]) -> Entry:
+    """Return what a YAML file says, a mapping, whose entries raise errors of a type.
 
     Raises:
         FileError: the file is missing or cannot be read.
-        PincalError: of the given type: it does not parse, or says something else than it should.
+        PincalError: of the given type: it does not parse, or is no mapping.
     """
     text = read_text(path, LARGEST_FILE["YAML"], error_type)
     try:
-        data = yaml.load(text, _Loader)
+        loader = _Loader(text)
+        node = loader.get_single_node()
+        data = None if node is None else loader.construct_document(node)
     except yaml.MarkedYAMLError as error:
         raise error_type(f"{path}{_unparsed(error, text)}") from error
     except (yaml.YAMLError, RecursionError, ValueError) as error:
         raise error_type(f"{path}: the YAML does not parse: {error}") from error
-    if not isinstance(data, dict):
+    if node is None or not isinstance(data, dict):
         raise error_type(
-            f"{path}: {'empty' if data is None else f'a {type(data).__name__}'}; expected the keys "
-            f"{', '.join(form.model_fields)}"
+            f"{path}: {'empty' if data is None else f'a {type(data).__name__}'}; expected keys "
+            "with values"
         )
-    try:
-        return form.model_validate(data)
-    except ValidationError as error:
-        place, words = _explained(error, data, form)
-        line = _line_of(yaml.compose(text, _Loader), place)
-        raise error_type(f"{path}, line {line}: {words}") from error
+    return Entry(node, data, "", 1, lambda fault: error_type(f"{path}{fault}"))
 
 
-def meant(key: str, known: list[str]) -> str:
+def meant(key: str, known: Sequence[str]) -> str:
     """Return the question whether another key is meant; nothing if none is alike."""
     nearest = get_close_matches(key, known, 1, _SIMILAR)
     return f"did you mean {nearest[0]!r}?" if nearest else ""
@@ -115,127 +229,6 @@ def _unparsed(error: yaml.MarkedYAMLError, text: str) -> str:
     return f"{place}: the YAML does not parse: {fault}{tab}"
 
 
-def _explained(
-    error: ValidationError, data: dict[str, Any], form: type[BaseModel]
-) -> tuple[tuple[int | str, ...], str]:
-    """Return the place of the first fault of a YAML file, and one sentence on it.
-
-    A key that is unknown comes before those that are missing, of which it may be a misspelling.
-    """
-    faults = error.errors(include_url=False, include_context=False)
-    first = min(faults, key=lambda fault: fault["type"] != "extra_forbidden")
-    place = _place_in(first["loc"], data)
-    named = _named(place, data)
-    if first["type"] == "extra_forbidden":
-        known = _keys(form, place[:-1])
-        question = meant(str(place[-1]), known)
-        text = f"unknown key {named!r}; " + (
-            question or f"expected {', '.join(known)}" if known else "remove it"
-        )
-    elif first["type"] == "missing" and isinstance(first["loc"][-1], int):
-        have = first["loc"][-1]
-        text = f"{named} has {have} value{'s' * (have != 1)}, which is not enough"
-        text += f"; {'one more is' if have else 'some are'} expected"
-    elif first["type"] == "missing":
-        text, place = f"key {named!r} is missing", place[:-1]
-    else:
-        fault, value = _words(first), reprlib.repr(first["input"])
-        text = f"{named}: {fault}" + (f"; got {value}" if value not in fault else "")
-    return place, text
-
-
-def _place_in(place: tuple[int | str, ...], data: Any) -> tuple[int | str, ...]:
-    """Return a place without what is none in the file, such as the kind of value tried."""
-    for count, part in enumerate(place):
-        last = count == len(place) - 1
-        try:
-            data = data[part]
-        except (KeyError, IndexError, TypeError):
-            return place[: count + (last and isinstance(data, dict))]
-    return place
-
-
-def _words(fault: ErrorDetails) -> str:
-    """Return what is wrong with a value."""
-    value = fault["input"]
-    if fault["loc"][-1] == "[key]":
-        return "a name is expected; decimals take a point"
-    if isinstance(value, str) and re.match(r"\s*[-+.]?[0-9]", value):
-        return why_no_number(value)
-    return fault["msg"].removeprefix("Value error, ")
-
-
-def _named(place: tuple[int | str, ...], data: dict[str, Any]) -> str:
-    """Return a place as keys and dots, legs by their names."""
-    parts = [str(part) for part in place]
-    if len(parts) > 1 and parts[0] == "legs" and isinstance(data["legs"][int(parts[1])], dict):
-        parts[1] = str(data["legs"][int(parts[1])].get("name", parts[1]))[:64]
-    return ".".join(parts)
-
-
-def _keys(form: type[BaseModel], place: tuple[int | str, ...]) -> list[str]:
-    """Return the keys that a form knows at a place."""
-    for part in place:
-        if part in form.model_fields:
-            form = _form_in(form.model_fields[str(part)].annotation) or form
-    return [field.alias or name for name, field in form.model_fields.items()]
-
-
-def _form_in(annotation: Any) -> type[BaseModel] | None:
-    """Return the form that an annotation holds."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return annotation
-    return next(filter(None, map(_form_in, get_args(annotation))), None)
-
-
-def _line_of(node: yaml.Node | None, place: tuple[int | str, ...]) -> int:
-    """Return the line, from 1, of what is at a place, or around it."""
-    line = 1
-    for part in place:
-        if isinstance(node, yaml.MappingNode):
-            pairs = [pair for pair in node.value if pair[0].value == str(part)]
-            if not pairs:
-                break
-            line, node = pairs[0][0].start_mark.line + 1, pairs[0][1]
-        elif isinstance(node, yaml.SequenceNode) and isinstance(part, int):
-            node = node.value[part]
-            line = node.start_mark.line + 1
-    return line
-
-
-class _TargetSpec(Strict):
-    offset: tuple[Number, Number, Number] = (0.0, 0.0, 0.0)
-    unknown: bool = False
-
-
-class _DistanceSpec(Strict):
-    start: tuple[Number, Number, Number] = Field(alias="from")
-    target: Name = ORIGIN
-
-
-class _TrackerSpec(Strict):
-    at: tuple[Number, Number, Number] = (0.0, 0.0, 0.0)
-    range: Number = 0.0
-    azimuth: Number = 0.0
-    elevation: Number = 0.0
-
-
-class _SystematicSpec(Strict):
-    scale: Number = 0.0
-    temperature: Number = 0.0
-    expansion: Number = STEEL
-    target: Number = 0.0
-
-
-class _SetupSpec(Strict):
-    pincal_setup: Literal[1]
-    frame: Literal["base", "unknown"] = "base"
-    targets: dict[Name, _TargetSpec] = Field(default_factory=dict)
-    distances: dict[Name, _DistanceSpec] = Field(default_factory=dict)
-    tracker: _TrackerSpec | None = None
-    systematic: _SystematicSpec = Field(default_factory=_SystematicSpec)
-
-
 def read_setup(source: Setup | str | Path) -> Setup:
     """Return a setup that is given as such or by its YAML file.
 
@@ -246,14 +239,37 @@ def read_setup(source: Setup | str | Path) -> Setup:
     if isinstance(source, Setup):
         return source
     path = Path(must_be(source, (Setup, str, Path), "a setup or its file", MeasurementError))
-    spec = read_yaml(path, _SetupSpec, MeasurementError)
+    known = ("frame", "targets", "distances", "tracker", "systematic")
+    keys = read_yaml(path, MeasurementError).keys(("pincal_setup",), known)
+    keys["pincal_setup"].choice(1)
+    of_setup: dict[str, Any] = {}
     try:
-        return Setup(
-            unknown_frame=spec.frame == "unknown",
-            targets={name: Target(t.offset, t.unknown) for name, t in spec.targets.items()},
-            distances={name: Distance(d.start, d.target) for name, d in spec.distances.items()},
-            tracker=None if spec.tracker is None else Tracker(**spec.tracker.model_dump()),
-            systematic=Systematic(**spec.systematic.model_dump()),
-        )
+        if "frame" in keys:
+            of_setup["unknown_frame"] = keys["frame"].choice("base", "unknown") == "unknown"
+        for group, read in (("targets", _target), ("distances", _distance)):
+            if group in keys:
+                of_setup[group] = {n: read(entry) for n, entry in keys[group].pairs().items()}
+        if "tracker" in keys:
+            parts = keys["tracker"].keys((), ("at", "range", "azimuth", "elevation"))
+            at = parts.pop("at").vector() if "at" in parts else (0.0, 0.0, 0.0)
+            of_setup["tracker"] = Tracker(at, **{n: part.number() for n, part in parts.items()})
+        if "systematic" in keys:
+            names = ("scale", "temperature", "expansion", "target")
+            parts = keys["systematic"].keys((), names)
+            of_setup["systematic"] = Systematic(**{n: part.number() for n, part in parts.items()})
+        return Setup(**of_setup)
     except MeasurementError as error:
-        raise MeasurementError(f"{path}: {error}") from error
+        place = "" if str(path) in str(error) else f"{path}: "
+        raise MeasurementError(f"{place}{error}") from error
+
+
+def _target(entry: Entry) -> Target:
+    parts = entry.keys((), ("offset", "unknown"))
+    offset = {"offset": parts["offset"].vector()} if "offset" in parts else {}
+    return Target(**offset, unknown="unknown" in parts and parts["unknown"].flag())
+
+
+def _distance(entry: Entry) -> Distance:
+    parts = entry.keys(("from",), ("target",))
+    target = {"target": parts["target"].name()} if "target" in parts else {}
+    return Distance(parts["from"].vector(), **target)

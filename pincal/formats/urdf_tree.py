@@ -14,16 +14,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal
 
 import numpy as np
 from lxml import etree
-from pydantic import BaseModel, ConfigDict, Field
 
 from pincal.errors import FileError, MechanismError
-from pincal.files.text import Number, read_xml
+from pincal.files.text import read_xml
 from pincal.files.urdf import link_of, read_joint, weighed
-from pincal.files.yaml import meant, read_yaml
+from pincal.files.yaml import read_yaml
 from pincal.formats.tree import Edge, Tree, at_home, root_of, turns, with_ranges
 from pincal.model.checks import listed
 from pincal.model.leg import Joint
@@ -129,21 +127,15 @@ def _remarks(element: etree._Element, joint: Joint, place: str) -> str:
     return f"{place}: {'; '.join(remarks)}" if remarks else ""
 
 
-_TURNED = {"SPHERICAL": "xyz", "UJOINT_XY": "xy", "UJOINT_YZ": "yz", "UJOINT_ZX": "zx"}
-
-
-class LoopsSpec(BaseModel):
-    """What the YAML file says; other keys (rotor inertias and such) do not matter here."""
-
-    model_config = ConfigDict(extra="allow", strict=False)
-
-    closed_loop: list[Annotated[list[str], Field(min_length=2, max_length=2)]] = []
-    type: list[Literal["3d", "3D", "6d", "6D"]] = []
-    name_mot: list[str]
-    joint_name: list[str] = []
-    joint_type: list[Literal["SPHERICAL", "FIXED", "UJOINT_XY", "UJOINT_YZ", "UJOINT_ZX"]] = []
-    platform: str | None = None
-    home: dict[str, Number] = {}
+_TURNED = {
+    "SPHERICAL": "xyz",
+    "FIXED": "",
+    "UJOINT_XY": "xy",
+    "UJOINT_YZ": "yz",
+    "UJOINT_ZX": "zx",
+}
+#: Keys that the YAML file may have; others (rotor inertias and such) do not matter here.
+_LOOP_KEYS = ("closed_loop", "type", "joint_name", "joint_type", "platform", "home")
 
 
 def loops_beside(file: Path) -> Path:
@@ -160,9 +152,24 @@ def loops_beside(file: Path) -> Path:
 
 def read_loops(urdf: Path, loops: Path) -> Tree:
     """Return the tree of a URDF with the loops of a YAML file."""
-    spec = _read_spec(loops)
-    axes = (_TURNED.get(kind, "") for kind in spec.joint_type)
-    tree = read_urdf(urdf, dict(zip(spec.joint_name, axes, strict=True)))
+    keys = read_yaml(loops, MechanismError).keys(("name_mot",), _LOOP_KEYS, others=True)
+    lists = {key: keys[key].items() if key in keys else [] for key in (*_LOOP_KEYS[:4], "name_mot")}
+    for first, second in (("closed_loop", "type"), ("joint_name", "joint_type")):
+        sizes = len(lists[first]), len(lists[second])
+        if sizes[0] != sizes[1] and (sizes[1] or first == "joint_name"):
+            raise MechanismError(
+                f"{loops}: {sizes[0]} entries of {first!r}, but {sizes[1]} of {second!r}; each "
+                "needs one"
+            )
+    axes = [_TURNED[entry.choice(*_TURNED)] for entry in lists["joint_type"]]
+    replaced = [entry.text() for entry in lists["joint_name"]]
+    pairs = [[end.text() for end in entry.items(2, 2)] for entry in lists["closed_loop"]]
+    kinds = [entry.choice("3d", "3D", "6d", "6D") for entry in lists["type"]] or ["6d"] * len(pairs)
+    motors = [entry.text() for entry in lists["name_mot"]]
+    platform = keys["platform"].text() if "platform" in keys else None
+    homed = keys["home"].pairs() if "home" in keys else {}
+    home = {joint: entry.number() for joint, entry in homed.items()}
+    tree = read_urdf(urdf, dict(zip(replaced, axes, strict=True)))
     names = [str(element.get("name")) for element in read_xml(urdf, "robot").findall("joint")]
     edges = tuple(
         replace(edge, joint=replace(edge.joint, mass=0.0, centre=(0.0, 0.0, 0.0)))
@@ -170,17 +177,16 @@ def read_loops(urdf: Path, loops: Path) -> Tree:
     )
     joints = [edge.joint.name for edge in edges]
     for key, named, known in (
-        ("joint_name", spec.joint_name, names),
-        ("home", list(spec.home), joints),
+        ("joint_name", replaced, names),
+        ("home", list(home), joints),
     ):
         if unknown := [name for name in named if name not in known]:
             raise MechanismError(
                 f"{loops}: {key!r} has {unknown[0]!r}, which is no joint of {urdf}; it has "
                 f"{listed(known)}"
             )
-    if spec.platform is not None:
-        tree.link(spec.platform, f"the platform of {loops}")
-    kinds = spec.type or ["6d"] * len(spec.closed_loop)
+    if platform is not None:
+        tree.link(platform, f"the platform of {loops}")
     closed = tuple(
         Edge(
             Joint("_".join(pair), "fixed"),
@@ -188,23 +194,23 @@ def read_loops(urdf: Path, loops: Path) -> Tree:
             tree.link(pair[1], f"'closed_loop' of {loops}"),
             closes="point" if kind.lower() == "3d" else "frame",
         )
-        for pair, kind in zip(spec.closed_loop, kinds, strict=True)
+        for pair, kind in zip(pairs, kinds, strict=True)
     )
     return replace(
         tree,
-        edges=at_home(edges, spec.home),
+        edges=at_home(edges, home),
         loops=closed,
-        active=_motors(spec, edges, f"{loops}: 'name_mot'", urdf),
-        platform=spec.platform,
-        homed=bool(spec.home),
+        active=_motors(motors, edges, f"{loops}: 'name_mot'", urdf),
+        platform=platform,
+        homed=bool(home),
     )
 
 
-def _motors(spec: LoopsSpec, edges: Sequence[Edge], key: str, urdf: Path) -> tuple[str, ...]:
+def _motors(named: Sequence[str], edges: Sequence[Edge], key: str, urdf: Path) -> tuple[str, ...]:
     """Return the joints that ``name_mot`` means: of that name, or else with it in their names."""
     moving = [edge.joint.name for edge in edges if edge.joint.kind != "fixed"]
     motors: list[str] = []
-    for name in spec.name_mot:
+    for name in named:
         alike = [name] if name in moving else [joint for joint in moving if name in joint]
         if not alike:
             raise MechanismError(
@@ -213,20 +219,3 @@ def _motors(spec: LoopsSpec, edges: Sequence[Edge], key: str, urdf: Path) -> tup
             )
         motors += alike
     return tuple(dict.fromkeys(motors))
-
-
-def _read_spec(loops: Path) -> LoopsSpec:
-    """Return what the YAML file says, its keys spelt right and its lists as long as each other."""
-    spec = read_yaml(loops, LoopsSpec, MechanismError)
-    absent = sorted(set(LoopsSpec.model_fields) - spec.model_fields_set)
-    for key in spec.model_extra or ():
-        if question := meant(key, absent):
-            raise MechanismError(f"{loops}: unknown key {key!r}; {question}")
-    for first, second in (("closed_loop", "type"), ("joint_name", "joint_type")):
-        sizes = len(getattr(spec, first)), len(getattr(spec, second))
-        if sizes[0] != sizes[1] and (sizes[1] or first == "joint_name"):
-            raise MechanismError(
-                f"{loops}: {sizes[0]} entries of {first!r}, but {sizes[1]} of {second!r}; each "
-                "needs one"
-            )
-    return spec
