@@ -228,7 +228,7 @@ def test_a_file_holds_covariances_and_a_tracker(tmp_path: Path) -> None:
     table = data.to_dataframe(one.nominal)
     table["cov_phi_x [mrad mm]"] = 1e6 * table.pop("cov_x_phi [m rad]")
     table["cov_x_y [mm²]"] = 1e6 * table.pop("cov_x_y [m2]")
-    other = pincal.Measurements.from_dataframe(table, one.nominal)
+    other = pincal.Measurements.from_csv(table, one.nominal)
     assert other.covariances["x,y"] == pytest.approx(data.covariances["x,y"])
     assert other.covariances["x,phi"] == pytest.approx(data.covariances["x,phi"])
     said = tmp_path / "setup.yaml"
@@ -257,7 +257,7 @@ def test_a_column_that_says_too_little_is_refused(header: str, unit: str, words:
     table = correlated(one, covariance, 5e-5, 0).to_dataframe(one.nominal)
     table[f"{header} [{unit}]" if unit else header] = 1e-9
     with pytest.raises(pincal.MeasurementError, match=words.replace("[", r"\[")):
-        pincal.Measurements.from_dataframe(table, one.nominal)
+        pincal.Measurements.from_csv(table, one.nominal)
 
 
 def test_what_contradicts_itself_is_refused() -> None:
@@ -390,7 +390,7 @@ def test_covariances_of_what_was_not_measured_are_refused(pair: str, words: str)
     table = data.to_dataframe(one.nominal)
     table["cov_x_leg_1 [mm mrad]"] = 1e-9
     with pytest.raises(pincal.MeasurementError, match="no covariance of two quantities"):
-        pincal.Measurements.from_dataframe(table, one.nominal)
+        pincal.Measurements.from_csv(table, one.nominal)
 
 
 def test_covariances_need_standard_deviations_beside_them() -> None:

@@ -163,12 +163,12 @@ def test_dataframes_are_tables(kind: str, tmp_path: Path) -> None:
     )
     pandas.testing.assert_frame_equal(frame, by_pandas, rtol=1e-15)
     from_file = pincal.Measurements.from_csv(tmp_path / "m.csv", mechanism, setup)
-    from_frame = pincal.Measurements.from_dataframe(frame, mechanism, setup)
+    from_frame = pincal.Measurements.from_csv(frame, mechanism, setup)
     for one in (from_file, from_frame):
         again = one.to_dataframe(mechanism)
         pandas.testing.assert_frame_equal(again, frame, rtol=0, atol=1e-15)
     np.testing.assert_array_equal(from_file.readings, from_frame.readings)
-    plan = pincal.Plan.from_dataframe(frame, mechanism)
+    plan = pincal.Plan.from_csv(frame, mechanism)
     plan.to_csv(tmp_path / "p.csv", mechanism)
     np.testing.assert_array_equal(
         pincal.Plan.from_csv(tmp_path / "p.csv", mechanism).poses, plan.poses
@@ -180,7 +180,7 @@ def test_what_is_wrong_in_a_dataframe_is_named() -> None:
     """Rows of a DataFrame are counted from 1; units convert; a missing column is named."""
     mechanism, data = measured("3RRR")
     frame = data.to_dataframe(mechanism)
-    as_read = pincal.Measurements.from_dataframe
+    as_read = pincal.Measurements.from_csv
     wide = frame.rename(columns={"x [m]": "x [mm]"})
     assert as_read(wide, mechanism).poses[0, 0] == data.poses[0, 0] * 1e-3
     assert as_read(frame, mechanism).place(2) == "row 3"

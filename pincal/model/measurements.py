@@ -119,14 +119,14 @@ class Plan:
     @staticmethod
     @attached
     def from_csv(
-        path: str | Path, mechanism: Mechanism | str | Path, *, partial: bool = False
+        source: str | Path | Any, mechanism: Mechanism | str | Path, *, partial: bool = False
     ) -> Plan:
-        """Return the poses of a CSV file, with its ``set`` column if there is one.
+        """Return the poses of a table, with its ``set`` column if there is one.
 
         And with the readings, of a mechanism whose poses do not determine them.
 
         Args:
-            path: The file.
+            source: CSV file, or pandas DataFrame with its columns.
             mechanism: The mechanism; or its name or folder.
             partial: Whether columns or cells of the pose may be missing; they are NaN.
 
@@ -134,13 +134,6 @@ class Plan:
             FileError: the file is missing or cannot be read.
             MeasurementError: a column or cell that is missing or wrong; the message says where.
         """
-
-    @staticmethod
-    @attached
-    def from_dataframe(
-        frame: Any, mechanism: Mechanism | str | Path, *, partial: bool = False
-    ) -> Plan:
-        """Return the poses of a pandas DataFrame, columns as in a CSV file: see ``from_csv``."""
 
     @attached
     def to_csv(
@@ -266,32 +259,14 @@ class Measurements(Plan):
     @staticmethod
     @attached
     def from_csv(
-        path: str | Path,
+        source: str | Path | Any,
         mechanism: Mechanism | str | Path,
         setup: Setup | None = None,
         *,
         partial: bool = False,
     ) -> Measurements:
-        """Return the measurements of a CSV file: poses, readings, sets and standard deviations.
+        """Return the measurements of a table: poses, readings, sets and standard deviations.
 
-        Args:
-            path: The file.
-            mechanism: The mechanism; or its name or folder.
-            setup: What else was measured than the platform's pose.
-            partial: Whether columns or cells of the pose may be missing.
-
-        Raises:
-            FileError: the file is missing or cannot be read.
-            MeasurementError: a column or cell that is missing or wrong; the message says where.
+        Arguments and errors are those of ``Plan.from_csv``; ``setup`` says what else was measured
+        than the platform's pose.
         """
-
-    @staticmethod
-    @attached
-    def from_dataframe(
-        frame: Any,
-        mechanism: Mechanism | str | Path,
-        setup: Setup | None = None,
-        *,
-        partial: bool = False,
-    ) -> Measurements:
-        """Return the measurements of a pandas DataFrame: see ``from_csv``."""

@@ -35,7 +35,6 @@ KINDS: dict[str, tuple[str, ...]] = {
     "polar": ("m", "rad"),  # radius, azimuth about z: a point, orientation kept
     "spherical": ("m", "rad", "rad"),  # radius, angle from z, azimuth: a point
 }
-_TURNING = ("rx", "ry", "rz")
 
 
 @dataclass(frozen=True)
@@ -100,19 +99,14 @@ class Coordinate:
             return Step("rz", azimuth), Step("x", radius), Step("rz", azimuth, -1)
         if self.kind == "spherical":
             radius, polar, azimuth = self.values
-            return (
-                Step("rz", azimuth),
-                Step("ry", polar),
-                Step("z", radius),
-                Step("ry", polar, -1),
-                Step("rz", azimuth, -1),
-            )
+            there = Step("rz", azimuth), Step("ry", polar), Step("z", radius)
+            return (*there, Step("ry", polar, -1), Step("rz", azimuth, -1))
         return (Step(self.kind, self.values[0]),)
 
     @property
     def turns(self) -> bool:
         """Whether the coordinate turns what follows it."""
-        return self.kind in _TURNING
+        return self.kind in ("rx", "ry", "rz")
 
     def displacement(self, parameters: Mapping[str, float]) -> Array:
         """Return the product of the elementary displacements, shape (4, 4)."""
@@ -149,11 +143,11 @@ class Placement:
         Raises:
             MechanismError: an unknown kind, or another number of values than it takes.
         """
-        values_by_kind = {
-            k: v if isinstance(v, tuple | list) else (v,) for k, v in coordinates.items()
-        }
-        steps = tuple(Coordinate(kind, tuple(values)) for kind, values in values_by_kind.items())
-        return cls(steps).at(parameters, np.eye(4))
+        placed = tuple(
+            Coordinate(kind, tuple(values) if isinstance(values, tuple | list) else (values,))
+            for kind, values in coordinates.items()
+        )
+        return cls(placed).at(parameters, np.eye(4))
 
     def __repr__(self) -> str:
         parts = [f"{c.kind}({', '.join(map(str, c.values))})" for c in self.coordinates]
@@ -164,6 +158,10 @@ class Placement:
     def steps(self) -> tuple[Step, ...]:
         """Elementary displacements of all coordinates, in order."""
         return tuple(step for c in self.coordinates for step in c.steps)
+
+    def corrects(self, parameters: Mapping[str, float]) -> bool:
+        """Return whether the coordinates are mere corrections: all zero."""
+        return not any(step.amount(parameters) for step in self.steps)
 
     @property
     def parameter_units(self) -> dict[str, str]:
@@ -189,10 +187,6 @@ class Placement:
 
     def origin(self) -> Array:
         """Return the URDF origin as a homogeneous matrix, shape (4, 4)."""
-        return self._origin.copy()
-
-    @cached_property
-    def _origin(self) -> Array:
         matrix = np.eye(4)
         if any(self.rpy):
             for axis, angle in zip(("rx", "ry", "rz"), self.rpy, strict=True):
@@ -211,15 +205,21 @@ class Placement:
             return origin
         displacement = self.displacement(parameters)
         constant = np.asarray(np.linalg.inv(displacement) @ origin)
-        constant[:3, :3] = _without_rounding(constant[:3, :3]) if self.turns else origin[:3, :3]
-        if any(step.amount(parameters) for step in self.steps):  # no mere corrections
+        R, exact = constant[:3, :3], np.round(constant[:3, :3])
+        # 0 or ±1 but for rounding is that: a leg has the same constant parts at all its values
+        R = np.where(np.abs(R - exact) < 1e-15, exact, R)
+        constant[:3, :3] = R if self.turns else origin[:3, :3]
+        if not self.corrects(parameters):
             expected = displacement[:3, 3]
             scale = float(np.abs([*self.xyz, *expected]).max())
             if float(np.abs(constant[:3, 3]).max()) > EXACT * scale:
+                drawn, placed = (
+                    ", ".join(f"{v:.9g}" for v in place) for place in (self.xyz, expected)
+                )
                 raise MechanismError(
-                    f"{context}: the URDF origin is at {_numbers(self.xyz)} m, but its coordinates "
-                    f"and nominal parameters put it at {_numbers(expected)} m. Make them agree, or "
-                    "write a constant part as a number, for example '- z: 0.3'."
+                    f"{context}: the URDF origin is at ({drawn}) m, but its coordinates and "
+                    f"nominal parameters put it at ({placed}) m. Make them agree, or write a "
+                    "constant part as a number, for example '- z: 0.3'."
                 )
             constant[:3, 3] = 0.0
         return constant
@@ -238,21 +238,12 @@ class Placement:
         """
         origin = self.displacement(parameters) @ constant
         rpy, coordinates = self.rpy, self.coordinates
-        if coordinates and any(step.amount(parameters) for step in self.steps):
+        if not self.corrects(parameters):
             parts = zip("xyz", _floats(constant[:3, 3]), strict=True)
             coordinates += tuple(Coordinate(axis, (value,)) for axis, value in parts if value)
         if self.turns or not np.array_equal(constant[:3, :3], self.origin()[:3, :3]):
             rpy = _roll_pitch_yaw(origin[:3, :3])
         return replace(self, coordinates=coordinates, xyz=_floats(origin[:3, 3]), rpy=rpy)
-
-
-def _without_rounding(rotation: Array) -> Array:
-    """Return a rotation with entries that are 0 or ±1 but for rounding errors set to that.
-
-    A leg whose joints turn by parameters then has the same constant parts at all their values.
-    """
-    rounded = np.round(rotation)
-    return np.where(np.abs(rotation - rounded) < 1e-15, rounded, rotation)
 
 
 def placement_of(matrix: Array) -> Placement:
@@ -273,7 +264,3 @@ def _roll_pitch_yaw(rotation: Array) -> tuple[float, float, float]:
 def _floats(values: Array) -> tuple[float, float, float]:
     x, y, z = (float(v) + 0.0 for v in values)
     return x, y, z
-
-
-def _numbers(values: Array | tuple[float, ...]) -> str:
-    return "(" + ", ".join(f"{v:.9g}" for v in values) + ")"

@@ -59,8 +59,7 @@ def on_body(
         residual[:3, :3] = moved[:3, :3]
     if keeps_turn:
         residual[:3, :3] = constant[:3, :3]
-    corrections = not any(step.amount(new) for c in coordinates for step in c.steps)  # all zero
-    if p.coordinates and not constant[:3, 3].any() and not corrections:
+    if p.coordinates and not constant[:3, 3].any() and not result.corrects(new):
         residual[:3, 3] = 0.0
     return result.at(new, residual)
 
