@@ -17,7 +17,7 @@ from pincal.model.orientation import SINGLE_ANGLES, WAYS
 from pincal.model.terms import APPROACH, Term
 
 if TYPE_CHECKING:
-    from pincal.model.leg import Joint, Leg
+    from pincal.model.leg import Leg
     from pincal.model.mechanism import Mechanism
     from pincal.model.platform import Platform
 
@@ -49,7 +49,7 @@ def identifiers(names: Iterable[str]) -> tuple[str, ...]:
 
 def check_leg(leg: Leg) -> None:
     """Raise MechanismError if joints, sensors, parameters and terms do not go together."""
-    topics = (_joint_faults, _sensor_faults, _term_faults, _parameter_faults)
+    topics = (_joint_faults, _term_faults, _parameter_faults)
     for fault in chain.from_iterable(faults(leg) for faults in topics):
         raise MechanismError(f"{leg.name}: {fault}")
     for joint in (*leg.joints, leg.point):
@@ -57,7 +57,7 @@ def check_leg(leg: Leg) -> None:
 
 
 def _joint_faults(leg: Leg) -> Iterator[str]:
-    """Yield what is wrong with joints: their limits and names."""
+    """Yield what is wrong with joints, their limits and names, and with the joints of sensors."""
     for joint in leg.moving:
         ends = (joint.lower, joint.upper)
         limits = np.isfinite(ends).all() or (joint.turns and np.isinf(ends).all())
@@ -69,10 +69,6 @@ def _joint_faults(leg: Leg) -> Iterator[str]:
     names = [joint.name for joint in leg.joints]
     if len(set(names)) != len(names):
         yield f"joint names repeat: {names}"
-
-
-def _sensor_faults(leg: Leg) -> Iterator[str]:
-    """Yield with which joints the sensors cannot be."""
     moving, read = [joint.name for joint in leg.moving], [sensor.joint for sensor in leg.sensors]
     if still := [name for name in read if name not in moving]:
         yield (
@@ -91,15 +87,11 @@ def _parameter_faults(leg: Leg) -> Iterator[str]:
     used, declared = set(leg.units), leg.parameter_names
     if len(set(declared)) != len(declared):
         yield f"parameter names repeat: {list(declared)}"
-    for name in sorted(used.difference(declared)):
-        yield (
-            f"parameter {name!r} is used in a placement or the sensor but has no nominal value "
-            "under 'parameters'"
-        )
-    for name in sorted(set(declared) - used):
-        yield (
-            f"parameter {name!r} is used by no placement and not by the sensor; name it in one of "
-            "them or remove it"
+    for name in sorted(used.symmetric_difference(declared)):
+        yield f"parameter {name!r} is used " + (
+            "in a placement or the sensor but has no nominal value under 'parameters'"
+            if name in used
+            else "by no placement and not by the sensor; name it in one of them or remove it"
         )
     if not np.isfinite(leg.nominal).all():
         yield "a nominal parameter is not a finite number"
@@ -114,14 +106,20 @@ def _parameter_faults(leg: Leg) -> Iterator[str]:
 
 def _term_faults(leg: Leg) -> Iterator[str]:
     """Yield why a term of a leg's sensors or parameters cannot be one."""
-    placed, constants = leg.placed, {c for s in leg.sensors for c in (s.gain, s.offset)}
+    constants = {name for sensor in leg.sensors for name in (sensor.gain, sensor.offset)}
+    owners = [
+        (f"sensor {sensor.joint!r}", term, term.unit or unit)
+        for sensor, unit in zip(leg.sensors, leg.reading_units, strict=True)
+        for term in sensor.terms
+    ]
     for name, term in leg.terms:
-        if fault := _fault_of_growth(name, term, constants, placed):
+        if fault := _fault_of_growth(name, term, constants, leg.placed):
             yield f"term {term.parameter!r} of parameter {name!r}{fault}"
+        owners.append((f"parameter {name!r}", term, term.unit or leg.placed[name]))
     units: dict[str, str] = {}
-    for owner, term, unit in _amplitudes(leg):
+    for owner, term, unit in owners:
         context = f"term {term.parameter!r} of {owner}: its amplitude"
-        if term.parameter in placed or term.parameter in constants:
+        if term.parameter in leg.placed or term.parameter in constants:
             yield f"{context} is also a parameter of a placement or sensor; name it otherwise"
         if units.setdefault(term.parameter, unit) != unit:
             yield (
@@ -154,28 +152,19 @@ def _fault_of_growth(
     return ""
 
 
-def _amplitudes(leg: Leg) -> Iterator[tuple[str, Term, str]]:
-    """Yield the owners of a leg's terms, the terms, and the units of their amplitudes."""
-    for sensor, unit in zip(leg.sensors, leg.reading_units, strict=True):
-        for term in sensor.terms:
-            yield f"sensor {sensor.joint!r}", term, term.unit or unit
-    for name, term in leg.terms:
-        yield f"parameter {name!r}", term, term.unit or leg.placed[name]
-
-
 def check_mechanism(mechanism: Mechanism) -> None:
     """Raise MechanismError if the legs, their names and what weighs on them do not go together."""
     title = mechanism.name
     if not (title and title.isprintable() and len(title) <= 100):
         raise MechanismError(f"{title!r} is no name for a mechanism")
-    for fault in chain(_name_faults(mechanism), _load_faults(mechanism)):
+    for fault in _name_faults(mechanism):
         raise MechanismError(f"mechanism {title!r}: {fault}")
     for fault in _leg_faults(mechanism):
         raise MechanismError(fault)
 
 
 def _name_faults(mechanism: Mechanism) -> Iterator[str]:
-    """Yield what is wrong with names of legs, and of readings and influences, columns of tables."""
+    """Yield what is wrong with names of legs, of readings and influences, columns, and the load."""
     names, readings = mechanism.leg_names, mechanism.reading_names
     if not names:
         yield "it has no legs"
@@ -205,10 +194,6 @@ def _name_faults(mechanism: Mechanism) -> Iterator[str]:
         )
     if "platform" in names:
         yield "'platform' names the platform's file; name the leg otherwise"
-
-
-def _load_faults(mechanism: Mechanism) -> Iterator[str]:
-    """Yield what is wrong with what weighs on the mechanism."""
     ids = mechanism.parameters.ids
     for name, _ in () if mechanism.load is None else mechanism.load.drawn:
         if name not in ids:
@@ -234,7 +219,10 @@ def _leg_faults(mechanism: Mechanism) -> Iterator[str]:
                 "nothing of the platform; read another of its joints, or leave it out"
             )
         for joint in leg.joints if mechanism.platform.space == 2 else ():
-            if _leaves_plane(joint):
+            across = abs(abs(joint.placement.origin()[2, 2]) - 1.0) <= EXACT
+            height = abs(joint.axis[2])
+            flat = abs(height - 1.0) < EXACT if joint.turns else height < EXACT
+            if not (across and (flat or joint.kind == "fixed")):
                 yield (
                     f"{leg.name}: joint {joint.name!r} leaves the plane; in a planar mechanism "
                     "revolute axes are parallel to z, prismatic axes perpendicular to it, and "
@@ -242,18 +230,11 @@ def _leg_faults(mechanism: Mechanism) -> Iterator[str]:
                 )
 
 
-def _leaves_plane(joint: Joint) -> bool:
-    """Return whether a joint would move the leg out of the x-y plane of the base."""
-    across = abs(abs(joint.placement.origin()[2, 2]) - 1.0) <= EXACT
-    height = abs(joint.axis[2])
-    flat = abs(height - 1.0) < EXACT if joint.turns else height < EXACT
-    return not (across and (flat or joint.kind == "fixed"))
-
-
 def check_home(leg: Leg, platform: Platform) -> None:
     """Raise MechanismError if a leg is open at home by more than a tenth of its size.
 
-    Of an angle of more than a full turn it asks whether it is degrees.
+    Such a home does not fix the side on which the leg bends. Of an angle of more than a full turn
+    it asks whether it is degrees.
     """
     gap, turn = _gap_and_turn(leg, platform)
     if max(gap, leg.size * turn) <= ROUGH * leg.size:
@@ -265,13 +246,13 @@ def check_home(leg: Leg, platform: Platform) -> None:
         else f"its tip is turned by {turn:.2g} rad against the platform's frame "
         f"{leg.point.name!r}; expected {ROUGH:g} rad at most"
     )
-    angles = [(f"{joint.name} of {leg.name}", joint.home) for joint in leg.moving if joint.turns]
-    named = list(zip(platform.coordinates, platform.home, strict=True))[platform.lengths :]
-    angles += [(f"{name} of the platform", value) for name, value in named]
+    angles = {f"{joint.name} of {leg.name}": joint.home for joint in leg.moving if joint.turns}
+    named = zip(platform.coordinates, platform.units, platform.home, strict=True)
+    angles |= {f"{name} of the platform": home for name, unit, home in named if unit == "rad"}
     questions = [
         f". {name} is {value:g} at home: radians are expected; is this degrees "
         f"({np.radians(value):.6g} rad)?"
-        for name, value in angles
+        for name, value in angles.items()
         if abs(value) > 2 * np.pi
     ]
     raise MechanismError(
@@ -287,10 +268,7 @@ def home_gap(leg: Leg, platform: Platform) -> float:
 
 
 def _gap_and_turn(leg: Leg, platform: Platform) -> tuple[float, float]:
-    """Return how far a leg's tip is from where it closes at home, [m], and turned, [rad].
-
-    A leg that closes a point may be turned.
-    """
+    """Return by how much a leg is open at home, [m], and turned, [rad], if it closes a frame."""
     tip = leg.link_placements(leg.home[None])[0, -1]
     point = platform.home_pose.as_matrix()[0] @ leg.point.placement.origin()
     gap = float(np.linalg.norm((tip - point)[: platform.space, 3]))

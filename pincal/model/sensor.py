@@ -17,14 +17,14 @@ import numpy as np
 
 from pincal.errors import MechanismError
 from pincal.model.checks import LARGEST
-from pincal.model.terms import Harmonic, Term
+from pincal.model.terms import Term
 from pincal.types import Array, Index
 
 if TYPE_CHECKING:
     from pincal.model.leg import Leg
 
 _STEPS = 50  # of Newton's method, at most, from a position to its reading
-_GRID, _OF_A_PERIOD = 2000, 24  # readings at which a law is tried for where it turns back
+_GRID = 100_003  # readings at which a law is tried for where it turns back
 
 
 @dataclass(frozen=True)
@@ -124,18 +124,11 @@ class SensorLaw:
     def turning(self, low: Array, high: Array) -> Array:
         """Return the first reading at which q(ψ) turns back, shape (n_active,); NaN for none.
 
-        By ∂q/∂ψ on a grid between the joints' least and largest positions, shape (n_active,), fine
-        enough for the shortest harmonic; terms of influences do not depend on the reading.
+        By ∂q/∂ψ on a grid between the joints' least and largest positions, shape (n_active,); of a
+        harmonic with more periods than points, these lie at other phases each.
         """
         first, last = np.sort([(end - self.start) / self.slope for end in (low, high)], axis=0)
-        waves = [
-            (last - first)[placed.target] * placed.term.basis.rate / (2.0 * np.pi)
-            for placed in self.terms
-            if isinstance(placed.term.basis, Harmonic)
-        ]
-        count = int(max([_GRID, *(_OF_A_PERIOD * wave for wave in waves)]))
-        # shorter waves are met at other phases, period by period
-        readings = np.linspace(first, last, min(count, 500 * _GRID) + 1)
+        readings = np.linspace(first, last, _GRID)
         back = np.broadcast_to(self.slopes(readings), readings.shape) * np.sign(self.slope) <= 0.0
         where = readings[back.argmax(axis=0), np.arange(len(first))]
         return np.where(back.any(axis=0), where, np.nan)
