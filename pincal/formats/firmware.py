@@ -81,9 +81,8 @@ def read_klipper(path: str | Path) -> tuple[DeltaPrinter, Array, Array]:
     printed = config.number("printer", "print_radius", np.nan)
     radius, angles = config.number("printer", "delta_radius"), towers("angle", ANGLES)
     arms, endstops = towers("arm_length", [arm] * 3), towers("position_endstop", [endstop] * 3)
-    heights, readings = config.heights()
     printer = _printer(path, radius, angles, arms, endstops, printed if isfinite(printed) else None)
-    return replace(printer, remarks=tuple(config.remarks())), heights, readings
+    return replace(printer, remarks=tuple(config.remarks())), *config.heights()
 
 
 def read_reprap(path: str | Path, firmware: Firmware | None = None) -> DeltaPrinter:
@@ -133,8 +132,22 @@ def _commands(text: str, known: Mapping[str, str], path: str | Path) -> dict[str
     numbers: dict[str, list[float]] = {}
     for number, line in enumerate(lines_of(text), start=1):
         command = _COMMAND.match(_COMMENT.sub("", line).split("*")[0].removeprefix("echo:"))
-        if command:
-            numbers |= _words(command[1], command[2], known[command[1]], f"{path}, line {number}")
+        words = re.split(r"(?=[A-Za-z])", command[2].strip()) if command else []
+        for word in filter(None, words):
+            code, letter = command[1] if command else "", word[0].upper()
+            place = f"{path}, line {number}: {word.strip()[:40]!r}"
+            if letter not in known[code]:
+                raise MechanismError(
+                    f"{place} is nothing that M{code} takes; expected {', '.join(known[code])} "
+                    "with numbers (--format says whose file it is: firmwares mean different "
+                    "things by it)"
+                )
+            behind = [plain_number(part) for part in word[1:].split(":")]
+            if not np.isfinite(behind).all():
+                raise MechanismError(f"{place} of M{code} is not a letter and numbers")
+            if letter != "L" and len(behind) > 1:
+                raise MechanismError(f"{place} of M{code} has several numbers")
+            numbers[code + letter] = behind
     if missing := [letter for letter in "LRH" if f"665{letter}" not in numbers]:
         raise MechanismError(
             f"{path}: no M665 with {', '.join(missing)}; expected a line such as "
@@ -156,37 +169,12 @@ def _printer(
     print_radius: float | None,
 ) -> DeltaPrinter:
     """Return a printer of numbers in mm and degrees, or raise with the file's name."""
+    lengths = (_MM * arms).tolist(), (_MM * endstops).tolist()
     printed = None if print_radius is None else _MM * print_radius
-    angles, arms, endstops = np.radians(angles), _MM * arms, _MM * endstops
     try:
-        return DeltaPrinter(
-            _MM * radius, angles.tolist(), arms.tolist(), endstops.tolist(), printed
-        )
+        return DeltaPrinter(_MM * radius, np.radians(angles).tolist(), *lengths, printed)
     except MechanismError as error:
         raise MechanismError(f"{path}: {error}") from error
-
-
-def _words(command: str, text: str, known: str, line: str) -> dict[str, list[float]]:
-    """Return the numbers behind each letter of a command, by ``665L`` and so on."""
-    numbers: dict[str, list[float]] = {}
-    first, *words = re.split(r"(?=[A-Za-z])", text.strip())
-    for word in [first] * bool(first) + words:
-        letter = word[0].upper()
-        if letter not in known:
-            raise MechanismError(
-                f"{line}: {word[:20]!r} is nothing that M{command} takes; expected "
-                f"{', '.join(known)} with numbers (--format says whose file it is: firmwares "
-                "mean different things by it)"
-            )
-        behind = [plain_number(part) for part in word[1:].split(":")]
-        if not np.isfinite(behind).all():
-            raise MechanismError(
-                f"{line}: {word.strip()[:40]!r} of M{command} is not a letter and numbers"
-            )
-        if letter != "L" and len(behind) > 1:
-            raise MechanismError(f"{line}: {word.strip()[:40]!r} of M{command} has several numbers")
-        numbers[command + letter] = behind
-    return numbers
 
 
 def write_klipper(printer: DeltaPrinter) -> str:
@@ -194,15 +182,19 @@ def write_klipper(printer: DeltaPrinter) -> str:
 
     Digits are those that Klipper's own SAVE_CONFIG writes: 1e-6 mm and 1e-6 degrees.
     """
-    lines = ["# Delta kinematics, calibrated by pincal. Put it into printer.cfg in the place of"]
-    lines += ["# the same options, above the SAVE_CONFIG block: there it wins over what is saved."]
-    lines += _notes(printer, "#")
-    lines += ["[printer]", "kinematics: delta", f"delta_radius: {printer.radius / _MM:.6f}"]
+    lines = [
+        "# Delta kinematics, calibrated by pincal. Put it into printer.cfg in the place of",
+        "# the same options, above the SAVE_CONFIG block: there it wins over what is saved.",
+        *_notes(printer, "#"),
+        "[printer]",
+        "kinematics: delta",
+        f"delta_radius: {printer.radius / _MM:.6f}",
+    ]
     towers = zip(_STEPPERS, printer.angles, printer.arms, printer.endstops, strict=True)
     for name, angle, arm, endstop in towers:
         lines += ["", f"[{name}]", f"angle: {np.degrees(angle) % 360.0:.6f}"]
         lines += [f"arm_length: {arm / _MM:.6f}", f"position_endstop: {endstop / _MM:.6f}"]
-    return "\n".join(lines) + "\n"
+    return "\n".join([*lines, ""])
 
 
 def write_reprap(printer: DeltaPrinter) -> str:
@@ -219,12 +211,14 @@ def write_reprap(printer: DeltaPrinter) -> str:
         " ".join(f"{k}{v:.4f}" for k, v in zip("XYZ", np.round(values, 4) + 0.0, strict=True))
         for values in (turns, endstops - height)
     )
-    lines = ["; Delta kinematics, calibrated by pincal. Put it into config.g in the place of the"]
-    lines += ["; same lines, and remove M665 and M666 from config-override.g, which would win."]
-    lines += _notes(printer, ";")
-    lines += [f"M665 L{arms} R{printer.radius / _MM:.4f} H{height:.4f} {angles}"]
-    lines += [f"M666 {ends} A0.00 B0.00"]
-    return "\n".join(lines) + "\n"
+    lines = [
+        "; Delta kinematics, calibrated by pincal. Put it into config.g in the place of the",
+        "; same lines, and remove M665 and M666 from config-override.g, which would win.",
+        *_notes(printer, ";"),
+        f"M665 L{arms} R{printer.radius / _MM:.4f} H{height:.4f} {angles}",
+        f"M666 {ends} A0.00 B0.00",
+    ]
+    return "\n".join([*lines, ""])
 
 
 def _notes(printer: DeltaPrinter, mark: str) -> list[str]:
@@ -257,13 +251,14 @@ class _KlipperOptions:
 
     def remarks(self) -> list[str]:
         """Return what the file says and is not read, as sentences."""
-        included = [name for name in self._parser.sections() if name.startswith("include ")]
         remarks = [
             f"{name[:100]!r} is not read: options of the delta that are there do not count"
-            for name in included
+            for name in self._parser.sections()
+            if name.startswith("include ")
         ]
-        options = self._options("delta_calibrate")
-        distances = [option for option in options if option.startswith("distance")]
+        section = "delta_calibrate"
+        probed = self._parser.options(section) if self._parser.has_section(section) else []
+        distances = [option for option in probed if option.startswith("distance")]
         if count := sum(not option.endswith(("_pos1", "_pos2")) for option in distances):
             remarks.append(
                 f"{count} distance{'s' * (count > 1)} of DELTA_ANALYZE left out: distances between "
@@ -271,9 +266,6 @@ class _KlipperOptions:
                 "know of them by --priors arm=… or --fixed arm"
             )
         return remarks
-
-    def _options(self, section: str) -> list[str]:
-        return self._parser.options(section) if self._parser.has_section(section) else []
 
     def text(self, section: str, option: str, default: str | None = None) -> str:
         """Return an option; one without a default must be there."""
