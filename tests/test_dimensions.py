@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from pathlib import Path as FilePath
 
 import numpy as np
 import pytest
 from command_line import run
+from matplotlib.path import Path
 
 import pincal
 from pincal.kinematics.closure import nominal_legs
@@ -84,7 +85,7 @@ def test_names_are_symbols() -> None:
     assert symbol("a$b") == r"a\$b"
 
 
-def test_the_command_draws_them(tmp_path: Path) -> None:
+def test_the_command_draws_them(tmp_path: FilePath) -> None:
     """``--dimensions`` names legs; the picture has their symbols, and their values above."""
     path = tmp_path / "p.svg"
     assert run("picture", "3RRR", "-o", path, "--dimensions", "leg_1").code == 0
@@ -102,7 +103,9 @@ def test_dimensions_are_in_the_picture(kind: str) -> None:
     mechanism = pincal.load_mechanism(kind)
     axes = pincal.picture(mechanism, dimensions="leg_1").figure().axes[0]
     (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
-    for line in axes.lines:
-        at = np.array(line.get_xydata())
+    paths = [patch.get_path() for patch in axes.patches]
+    arrows = [np.array(path.vertices)[path.codes != Path.CLOSEPOLY] for path in paths]
+    assert arrows
+    for at in [*arrows, *(np.array(line.get_xydata()) for line in axes.lines)]:
         assert left <= at[:, 0].min() < at[:, 0].max() + 1e-9 <= right
         assert low <= at[:, 1].min() < at[:, 1].max() + 1e-9 <= high

@@ -38,9 +38,9 @@ def turned(seed: int) -> np.ndarray:
 
 def painted(shapes: list[Shape], V: np.ndarray) -> tuple[Figure, PolyCollection]:
     """Return shapes painted one unit wide, and the polygons."""
-    figure = Figure(figsize=(2, 2), dpi=500)
+    figure = Figure(figsize=(8, 8), dpi=125)
     axes = figure.add_axes((0, 0, 1, 1))
-    paint(axes, [(shape, np.eye(4)) for shape in shapes], V, 0.002)
+    paint(axes, [(shape, np.eye(4)) for shape in shapes], V)
     axes.set(xlim=(-1, 1), ylim=(-1, 1))
     axes.set_axis_off()
     return figure, axes.collections[0]
@@ -101,40 +101,26 @@ def test_of_two_rods_that_cross_the_nearer_is_seen(swap: bool) -> None:
     assert np.allclose(seen, [to_rgb(RED), to_rgb(BLUE)], atol=0.02)
 
 
-@pytest.mark.parametrize("degrees", [90, 60, 40, 20])
-def test_a_rod_has_no_seams(degrees: float) -> None:
-    """A rod that was cut into pieces is painted evenly along its middle, also seen askew."""
-    sin, cos = np.sin(np.radians(degrees)), np.cos(np.radians(degrees))
-    V = np.array([[sin, 0, -cos], [0, 1, 0], [cos, 0, sin]])
-    place = np.eye(4)
-    place[:3, :3] = np.array([[0, 0, 1], [0, 1, 0], [-1, 0, 0]])
-    figure, _ = painted([Shape("cylinder", (0.02, 1.6), place, RED)], V)
-    along = np.linspace(-0.75, 0.75, 997) * sin
-    assert np.allclose(colours(figure, along, 0 * along), to_rgb(RED), atol=0.02)
-
-
 @pytest.mark.parametrize("stroke", [1e-12, 1e-8, 0.9e-5, 1.1e-5, 1e-3])
 def test_a_rod_may_vanish(stroke: float) -> None:
-    """The rod of a prismatic joint that has hardly moved is drawn from a thousandth of an outline.
+    """The rod of a prismatic joint that has hardly moved is drawn from 0.0001 of its radius.
 
     Its shadow is that of a cylinder as long as the stroke, however it is seen.
     """
-    place, radius, edge = np.diag([1.0, 1.0, stroke, 1.0]), 0.1, 0.01
+    place, radius = np.diag([1.0, 1.0, stroke, 1.0]), 0.1
     for V in (np.eye(3), np.roll(np.eye(3), 1, axis=0), turned(1)):
         axes = Figure().subplots()
-        paint(axes, [(Shape("cylinder", (radius, 1.0), np.eye(4), RED), place)], V, edge)
+        paint(axes, [(Shape("cylinder", (radius, 1.0), np.eye(4), RED), place)], V)
         areas = []
         for path in axes.collections[0].get_paths():
             x, y = path.vertices.T
             areas.append(abs(float(x[:-1] @ y[1:] - x[1:] @ y[:-1]) / 2))
-        if stroke < 1e-3 * edge:
+        if stroke < 1e-4 * radius:
             assert not areas
             continue
-        dark, bright = areas
         circle = 16 / 2 * np.sin(2 * np.pi / 16) * radius**2
         shadow = 2 * radius * stroke * np.hypot(*V[2, :2]) + circle * abs(V[2, 2])
-        assert dark == pytest.approx(shadow, rel=0.02)
-        assert 0.0 < bright < dark
+        assert areas == [pytest.approx(shadow, rel=0.02)]
 
 
 @pytest.mark.parametrize("name", sorted(bundled()))

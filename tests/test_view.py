@@ -25,6 +25,7 @@ import pytest
 from command_line import contents, done, run
 
 import pincal
+from pincal.design.simulate import platform_errors
 from pincal.kinematics.readers import skeleton
 from pincal.show.view.bodies import Body, body
 from pincal.show.view.scene import scene
@@ -70,10 +71,10 @@ def test_tips_meet_platform_points(name: str) -> None:
     true = pincal.disturb(mechanism, 1e-3, seed=2)
     found = scene(mechanism, pincal.Plan(some_poses(mechanism)), None, true, 5.0)
     assert gaps(mechanism, found.body).max() < 1e-9
-    assert found.identified is not None
-    drawn = [not problem for problem in found.identified.body.problems]
+    assert found.magnified is not None
+    drawn = [not problem for problem in found.magnified.problems]
     assert any(drawn)
-    assert gaps(mechanism, found.identified.body)[drawn].max() < 1e-9
+    assert gaps(mechanism, found.magnified)[drawn].max() < 1e-9
 
 
 def test_what_is_not_reached_is_not_drawn_and_said() -> None:
@@ -133,10 +134,10 @@ def test_errors_are_magnified_to_first_order() -> None:
     mechanism = pincal.load_mechanism("3RRR")
     true = pincal.disturb(mechanism, 1e-6, seed=3)
     found = scene(mechanism, pincal.Plan(some_poses(mechanism)), None, true, 10.0)
-    assert found.identified is not None
+    assert found.magnified is not None
     platform = found.body.part("platform/body")
-    moved = found.identified.body.placements - found.body.placements
-    errors = found.identified.errors[:, :2]
+    moved = found.magnified.placements - found.body.placements
+    errors = platform_errors(mechanism, true, found.plan)[:, :2]
     assert np.allclose(
         moved[:, platform, :2, 3], 10 * errors, atol=1e-3 * np.abs(errors).max() * 10
     )

@@ -292,8 +292,8 @@ def test_a_served_page_moves_off_its_poses(name: str, opened: Any) -> None:
     if view.scene.plan.readings is not None:
         plan = replace(plan, readings=np.concatenate((view.scene.plan.readings, readings)))
     there = scene(mechanism, plan, None, true, 3.0)
-    assert there.identified is not None
-    for own, root in ((there.body, "mechanism"), (there.identified.body, "identified")):
+    assert there.magnified is not None
+    for own, root in ((there.body, "mechanism"), (there.magnified, "identified")):
         assert np.allclose(window.matrices(view, root), own.placements[-1], atol=1e-6)
     head = "readings, as given" if mechanism.by_readings else "readings of the nominal model"
     for title, units, numbers in (
@@ -367,10 +367,10 @@ def test_layers_and_sets_can_be_hidden(opened: Any) -> None:
         box.set_checked(not shown)
         assert visible(path) == (not shown)
     window.slide(2)
-    identified = view.scene.identified
+    identified = view.scene.magnified
     assert identified is not None
     found = window.matrices(view, "identified")
-    assert np.allclose(found, identified.body.placements[2], atol=1e-9)
+    assert np.allclose(found, identified.placements[2], atol=1e-9)
     assert window.clean(), window.said
 
 
@@ -546,9 +546,9 @@ def test_slider_goes_from_nominal_to_identified(opened: Any) -> None:
     true = pincal.disturb(mechanism, 1e-3, seed=1)
     view = pincal.view(mechanism, poses, identified=true)
     window = opened(view)
-    identified = view.scene.identified
+    identified = view.scene.magnified
     assert identified is not None
-    ends = view.scene.body.placements[0], identified.body.placements[0]
+    ends = view.scene.body.placements[0], identified.placements[0]
     for share in (0.0, 0.5, 1.0):
         window.page.locator("#share").fill(str(share))
         expected = (1 - share) * ends[0] + share * ends[1]

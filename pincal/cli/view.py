@@ -197,9 +197,9 @@ def picture(
 def _say_unreached(scene: Scene) -> None:
     """Say at how many poses something is not drawn."""
     texts = [unreached("mechanism", scene.body.problems)]
-    if scene.identified:
-        machine = f"identified machine (errors × {scene.identified.magnify:g})"
-        texts.append(unreached(machine, scene.identified.body.problems))
+    if scene.magnified:
+        machine = f"identified machine (errors × {scene.magnify:g})"
+        texts.append(unreached(machine, scene.magnified.problems))
     for text in filter(None, texts):
         stderr.print(text)
 

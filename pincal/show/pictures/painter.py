@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from itertools import pairwise
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgb
 from matplotlib.patches import FancyArrowPatch
+from matplotlib.path import Path
 from scipy.spatial import ConvexHull
 
 from pincal.show.pictures.dimensions import Dimension, symbol
@@ -22,84 +22,55 @@ from pincal.show.style import DIMENSION
 from pincal.show.view.bodies import Shape
 from pincal.types import Array
 
-_DARK = 0.55  # brightness of an outline, of its shape's
-_PIECE = 10.0  # length of a rod's piece, of its radius
-_PIECES = 12  # of a rod, at most
+_DARK, _EDGE = 0.55, 0.5  # brightness of an outline, of its shape's; its width, [point]
+_SHORT = 1e-4  # of a rod's radius: shorter than that it is not seen
 _TURNS = np.linspace(0.0, 2 * np.pi, 16, endpoint=False)
 _CIRCLE = np.stack((np.cos(_TURNS), np.sin(_TURNS)), axis=1)
 _CORNERS = np.stack(np.meshgrid(*[[-0.5, 0.5]] * 3), axis=-1).reshape(-1, 3)
 
-#: Points whose hulls are a piece, whole and smaller by the edge, [m]; where between its farthest
-#: and its nearest point others are behind it.
-_Piece: TypeAlias = tuple[Array, Array, float]
 
-
-def paint(
-    axes: Axes, shapes: list[tuple[Shape, Array]], V: Array, edge: float, colour: str = ""
-) -> None:
+def paint(axes: Axes, shapes: list[tuple[Shape, Array]], V: Array, colour: str = "") -> None:
     """Paint shapes in their own colours, or in one that lets through what is behind.
-
-    Each piece is painted dark, and over it, smaller by the edge, in its colour; where a rod
-    was cut, the colour goes on into the next piece.
 
     Args:
         axes: Where to paint.
         shapes: Shapes with ``T_base_part``, [m].
         V: What points right, up and towards the viewer, shape (3, 3), rows in the base frame.
-        edge: Width of outlines, [m].
         colour: One for all.
     """
-    count = 1 if colour else _PIECES  # where pieces of one colour overlap they would show
-    pieces = []
+    polygons = []
     for shape, place in shapes:
-        fill = np.array(to_rgb(colour or shape.colour))
-        for outline, inner, behind in _pieces(shape, place @ shape.T_link_shape, V, edge, count):
-            depth = float(np.quantile(outline @ V[2], behind))
-            pieces.append((round(depth, 9), _hull(outline @ V[:2].T), _hull(inner @ V[:2].T), fill))
-    pieces.sort(key=lambda piece: piece[0])
-    polygons = [polygon for _, outline, inner, _ in pieces for polygon in (outline, inner)]
-    colours = [c for *_, fill in pieces for c in (_DARK * fill, fill)]
-    opacity = 0.45 if colour else None
-    axes.add_collection(PolyCollection(polygons, facecolors=colours, lw=0, alpha=opacity))
+        points = _points(shape, place @ shape.T_link_shape, V)
+        if len(points):  # sorted by the nearest point, but of plates, on which others stand
+            depth = float(np.quantile(points @ V[2], 0.25 if shape.kind == "hull" else 1.0))
+            polygons.append((round(depth, 9), _hull(points @ V[:2].T), colour or shape.colour))
+    polygons.sort(key=lambda polygon: polygon[0])
+    fills = np.array([to_rgb(fill) for *_, fill in polygons]).reshape(-1, 3)
+    painted = PolyCollection(
+        [outline for _, outline, _ in polygons],
+        facecolors=fills,
+        edgecolors=_DARK * fills,
+        lw=_EDGE,
+        joinstyle="round",
+        alpha=0.45 if colour else None,
+    )
+    axes.add_collection(painted)
 
 
-def _pieces(shape: Shape, T: Array, V: Array, edge: float, limit: int) -> list[_Piece]:
-    """Return the pieces of a shape, rods in so many at most."""
-    if shape.kind in ("hull", "box"):
-        points = shape.points if shape.points is not None else _CORNERS * shape.size
-        outline = points @ T[:3, :3].T + T[:3, 3]
-        middle = outline.mean(axis=0)
-        least = 1.0 - 2.0 * edge / float(np.linalg.norm(outline - middle, axis=1).max())
-        behind = 0.25 if shape.kind == "hull" else 1.0
-        return [(outline, middle + max(least, 0.5) * (outline - middle), behind)]
-    thin = min(edge, min(shape.size) / 5)
+def _points(shape: Shape, T: Array, V: Array) -> Array:
+    """Return points whose hull is a shape as seen, shape (n, 3), [m]; none of a rod too short."""
     if shape.kind == "sphere":
-        directions = np.concatenate((_CIRCLE @ V[:2], V[2:]))
-        outline, inner = (T[:3, 3] + r * directions for r in (shape.size[0], shape.size[0] - thin))
-        return [(outline, inner, 1.0)]
-    radius, length = shape.size
-    stretch = float(np.linalg.norm(T[:3, 2]))  # of the rod of a prismatic joint
-    if length * stretch < 1e-3 * edge:  # too short to be seen
-        return []
-    count = int(np.clip(np.ceil(length * stretch / (_PIECE * radius)), 1, limit))
-    cuts = np.linspace(-length / 2, length / 2, count + 1)
-    thin = min(thin, length * stretch / 5)
-    end = length / 2 - thin / stretch
-    along = float(T[:3, 2] @ V[2]) / stretch  # cosine between the rod and the view
-    overlap = 2 * thin / stretch / max(np.sqrt(1.0 - along**2), 0.1)  # hides where it was cut
-    around = _CIRCLE @ T[:3, :2].T
-
-    def tube(radius: float, low: float, high: float) -> Array:
-        return np.concatenate([T[:3, 3] + radius * around + z * T[:3, 2] for z in (low, high)])
-
-    return [
-        (
-            tube(radius, low, high),
-            tube(radius - thin, max(low - overlap, -end), min(high + overlap, end)),
-            1.0,
-        )
-        for low, high in pairwise(cuts)
-    ]
+        return T[:3, 3] + shape.size[0] * np.concatenate((_CIRCLE @ V[:2], V[2:]))
+    points = shape.points if shape.points is not None else _CORNERS
+    if shape.kind == "box":
+        points = _CORNERS * shape.size
+    elif shape.kind == "cylinder":
+        radius, length = shape.size
+        if length * np.linalg.norm(T[:3, 2]) < _SHORT * radius:  # it stretches with its joint
+            return np.zeros((0, 3))
+        ends = [np.insert(radius * _CIRCLE, 2, end, axis=1) for end in (-length / 2, length / 2)]
+        points = np.concatenate(ends)
+    return np.asarray(points @ T[:3, :3].T + T[:3, 3])
 
 
 def _hull(points: Array) -> Array:
@@ -184,11 +155,7 @@ class Names:
         self.write(text, places.reshape(-1, 2), size)
 
 
-def draw_dimensions(
-    names: Names,
-    dimensions: Sequence[Dimension],
-    V: Array,
-) -> None:
+def draw_dimensions(names: Names, dimensions: Sequence[Dimension], V: Array) -> None:
     """Draw dimensions, then their names beside their lines.
 
     Args:
@@ -215,36 +182,23 @@ def draw_dimensions(
 def _draw_line(names: Names, dimension: Dimension, V: Array) -> Array:
     """Draw a dimension without its name; return points of its line as drawn, shape (n, 2)."""
     axes, height = names.axes, _NAME_HEIGHT * names.point
-    line = dimension.line @ V[:2].T
-    thin = []
+    line, thin, heads = dimension.line @ V[:2].T, [], "<|-|>"
     if dimension.beside:
         across = _across(line[-1] - line[0])
         across *= 1.0 if across @ (line.mean(axis=0) - names.middle) >= 0.0 else -1.0
-        thin += [(np.stack((end, end + 1.7 * height * across)), "-") for end in line]
+        thin += [(end, end + 1.7 * height * across, "-") for end in line]
         line = line + 1.3 * height * across
     if dimension.corner is not None:
-        corner = dimension.corner @ V[:2].T
-        sides = (line[0], line[-1])
-        thin += [(np.stack((corner, corner + 1.15 * (end - corner))), "--") for end in sides]
-    for part, dashes in thin:
-        axes.plot(*part.T, dashes, lw=0.5, color=DIMENSION, zorder=8)
-    axes.plot(*line.T, lw=0.8, color=DIMENSION, zorder=8)
-    if np.linalg.norm(np.diff(line, axis=0), axis=1).sum() > 0.3 * height:
-        _draw_head(axes, line[-1], line[-2], height)
-        if dimension.corner is None:
-            _draw_head(axes, line[0], line[1], height)
+        corner, heads = dimension.corner @ V[:2].T, "-|>"
+        thin += [(corner, corner + 1.15 * (end - corner), "--") for end in (line[0], line[-1])]
+    for begin, end, dashes in thin:
+        axes.plot(*np.stack((begin, end)).T, dashes, lw=0.5, color=DIMENSION, zorder=8)
+    if np.linalg.norm(np.diff(line, axis=0), axis=1).sum() < 0.3 * height:
+        heads = "-"
+    arrow = FancyArrowPatch(path=Path(line), arrowstyle=heads, mutation_scale=6.0, lw=0.8)
+    arrow.set(color=DIMENSION, fill=heads != "-", zorder=8)
+    axes.add_patch(arrow)
     return names.keep_off(line)
-
-
-def _draw_head(axes: Axes, end: Array, before: Array, length: float) -> None:
-    """Draw the head of an arrow at a line's end."""
-    backward = before - end
-    tail = end + backward * min(1.0, length / max(float(np.linalg.norm(backward)), 1e-300))
-    head = FancyArrowPatch(
-        tuple(tail), tuple(end), arrowstyle="-|>", mutation_scale=6.0, lw=0.6, shrinkA=0, shrinkB=0
-    )
-    head.set(color=DIMENSION, zorder=8)
-    axes.add_patch(head)
 
 
 def _across(along: Array) -> Array:

@@ -49,17 +49,16 @@ class Picture:
         """Draw into axes, best inside ``pincal.show.pictures.files.drawing()``."""
         scene, row, dimensions = self.scene, self.row, self._drawn
         V, (low, high) = scene.axes, self._extent
-        edge = _EDGE * float(np.linalg.norm(high - low))
         ground = scene.ground()
         lines = list(ground.points @ V[:2].T)
         axes.add_collection(LineCollection(lines, colors=ground.colour, lw=0.5, zorder=0))
         legend = [Line2D([], [], color=ground.colour, lw=0.8, label=ground.name)]
         if len(scene.plan.poses) > 1:
             legend += _ghosts(axes, scene)
-        paint(axes, scene.body.shapes_at(row), V, edge)
-        if scene.identified:
-            paint(axes, scene.identified.body.shapes_at(row), V, edge, IDENTIFIED)
-            legend.append(_dot(IDENTIFIED, f"identified, errors × {scene.identified.magnify:g}"))
+        paint(axes, scene.body.shapes_at(row), V)
+        if scene.magnified:
+            paint(axes, scene.magnified.shapes_at(row), V, IDENTIFIED)
+            legend.append(_dot(IDENTIFIED, f"identified, errors × {scene.magnify:g}"))
         legend.append(_dot(ACTIVE, "active joint"))
         if any(leg.passive for leg in scene.mechanism.legs):
             legend.append(_dot(PASSIVE, "passive joint"))
@@ -168,7 +167,6 @@ _WIDTH, _HEIGHTS = 5.2, (1.8, 6.0)  # of a picture; least and most of what is dr
 _LEGEND = 0.5  # height for the legend below, [inch]
 _LETTERS = 28  # of the longest name
 _LINE = 75  # letters of a legend's line
-_EDGE = 0.0025  # thickness of outlines, of the scene's diagonal
 _ARC = 0.055  # radius of the smallest angle drawn, of the scene's diagonal
 _VALUES = 6  # of parameters, in a line, at most
 _TITLE = 100  # letters of a line of them

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import ConvexHull
 
+from pincal.design.simulate import platform_errors
 from pincal.errors import MechanismError
 from pincal.show.style import DARK, IDENTIFIED, PAPER
 from pincal.show.view.bodies import GREY, Body, Shape
@@ -52,47 +53,12 @@ def page(
         notices: What to know first.
         served: Whether the page can ask for the scene off its poses (``answer``).
     """
-    data = _data(scene) | {"source": source, "notices": list(notices)}
-    text = json.dumps(data, ensure_ascii=False, separators=(",", ":"))
-    return rendered(
-        "view.html",
-        title=scene.mechanism.name,
-        meshcat=(Path(meshcat.viewer_assets_path()) / "dist" / "main.min.js").read_text("utf-8"),
-        data=clean(text).replace("<", "\\u003c"),
-        served=served,
-    )
-
-
-def answer(scene: Scene, row: int, shift: Array) -> str:
-    """Return what a page draws and writes off its poses, as JSON: see ``moved``."""
-    try:
-        moved_scene = moved(scene, row, shift)
-    except MechanismError as error:
-        return json.dumps({"problem": str(error)})
-    values = {(row["head"], row["name"]): row["values"][0] for row in _rows(moved_scene)}
-    bodies = _bodies(moved_scene).values()
-    return json.dumps(
-        {
-            "problem": "",
-            "matrices": [_columns(drawn) for drawn in bodies],
-            "problems": [drawn.problems[0] for drawn in bodies],
-            "values": [values.get((row["head"], row["name"])) for row in _rows(scene)],
-        }
-    )
-
-
-def _bodies(scene: Scene) -> dict[str, Body]:
-    """Return the machines of a scene."""
-    identified = {"identified": scene.identified.body} if scene.identified else {}
-    return {"mechanism": scene.body, **identified}
-
-
-def _data(scene: Scene) -> dict[str, Any]:
-    """Return all that the page's script needs, for JSON."""
     names = list(dict.fromkeys(scene.sets))
     bounds, ground = _bounds(scene), scene.ground()
     corners = np.array(list(product(*bounds.T)))
-    return {
+    data = {
+        "source": source,
+        "notices": list(notices),
         "name": scene.mechanism.name,
         "description": scene.mechanism.description,
         "planar": scene.planar,
@@ -100,7 +66,7 @@ def _data(scene: Scene) -> dict[str, Any]:
         "bounds": bounds.tolist(),
         "half": (np.ptp(corners @ scene.axes[:2].T, axis=0) / 2).tolist(),
         "grid": ground.name,
-        "commands": [base64.b64encode(command).decode() for command in _commands(scene, [ground])],
+        "commands": [base64.b64encode(command).decode() for command in _commands(scene)],
         "bodies": [
             {
                 "name": root,
@@ -128,6 +94,37 @@ def _data(scene: Scene) -> dict[str, Any]:
         "dark": DARK | SOLIDS_DARK,
         "paper": PAPER,
     }
+    text = json.dumps(data, ensure_ascii=False, separators=(",", ":"))
+    return rendered(
+        "view.html",
+        title=scene.mechanism.name,
+        meshcat=(Path(meshcat.viewer_assets_path()) / "dist" / "main.min.js").read_text("utf-8"),
+        data=clean(text).replace("<", "\\u003c"),
+        served=served,
+    )
+
+
+def answer(scene: Scene, row: int, shift: Array) -> str:
+    """Return what a page draws and writes off its poses, as JSON: see ``moved``."""
+    try:
+        moved_scene = moved(scene, row, shift)
+    except MechanismError as error:
+        return json.dumps({"problem": str(error)})
+    bodies = _bodies(moved_scene).values()
+    return json.dumps(
+        {
+            "problem": "",
+            "matrices": [_columns(drawn) for drawn in bodies],
+            "problems": [drawn.problems[0] for drawn in bodies],
+            "values": [row["values"][0] for row in _rows(moved_scene)],
+        }
+    )
+
+
+def _bodies(scene: Scene) -> dict[str, Body]:
+    """Return the machines of a scene."""
+    identified = {"identified": scene.magnified} if scene.magnified else {}
+    return {"mechanism": scene.body, **identified}
 
 
 def _bounds(scene: Scene) -> Array:
@@ -182,7 +179,7 @@ def _rows(scene: Scene) -> list[dict[str, Any]]:
     if scene.plan.readings is not None and not mechanism.by_readings:
         groups.append(("readings, as measured", *read, POSES, scene.plan.readings))
     if scene.identified:
-        errors = scene.identified.errors
+        errors = platform_errors(mechanism, scene.identified, scene.plan)
         groups.append(("identified goes off by", platform.freedoms, platform.units, SMALL, errors))
     return [
         {
@@ -203,7 +200,7 @@ def _panel(scene: Scene) -> list[dict[str, Any]]:
     """Return what can be shown or hidden: path, name, whether it is shown first, its colour."""
     lines: list[tuple[str, str, bool, str]] = [("mechanism", "mechanism", True, "")]
     if scene.identified:
-        name = f"identified, errors × {scene.identified.magnify:g}"
+        name = f"identified, errors × {scene.magnify:g}"
         lines.append(("identified", name, True, IDENTIFIED))
     lines += [("sets", "poses, as dots", True, ""), ("ghosts", "poses, as ghosts", False, "")]
     lines += [(layer.path, layer.name, True, layer.colour) for layer in scene.layers]
@@ -232,8 +229,8 @@ class _Dots(g.PointsMaterial):  # type: ignore[misc]
         return {**lowered, "sizeAttenuation": False, "vertexColors": False}
 
 
-def _commands(scene: Scene, layers: Sequence[Layer]) -> list[bytes]:
-    """Return what draws a scene and further layers in meshcat's viewer, at no pose yet.
+def _commands(scene: Scene) -> list[bytes]:
+    """Return what draws a scene in meshcat's viewer, at no pose yet.
 
     Paths below ``/meshcat``: ``mechanism`` and ``identified`` with their parts (``Body.parts``);
     ``sets/1`` and ``ghosts/1`` for the first set and so on; those of layers.
@@ -243,12 +240,12 @@ def _commands(scene: Scene, layers: Sequence[Layer]) -> list[bytes]:
     for path in ("/Grid", "/Axes"):
         draw[path].set_property("visible", False)
     _draw_body(draw["mechanism"], scene.body)
-    if scene.identified:
-        _draw_body(draw["identified"], scene.identified.body, IDENTIFIED, opacity=0.45)
+    if scene.magnified:
+        _draw_body(draw["identified"], scene.magnified, IDENTIFIED, opacity=0.45)
     for number, (name, colour, positions, lines) in enumerate(scene.by_set(), 1):
         _draw_layer(draw, Layer(f"sets/{number}", name, positions, colour, 7))
         _draw_layer(draw, Layer(f"ghosts/{number}", name, lines, colour), opacity=0.45)
-    for layer in (*layers, *scene.layers):
+    for layer in (scene.ground(), *scene.layers):
         _draw_layer(draw, layer)
     return recorder.commands
 
@@ -270,8 +267,6 @@ def _draw_body(draw: Any, body: Body, colour: str = "", opacity: float = 1.0) ->
             continue
         for number, shape in enumerate(shapes, 1):
             material = g.MeshLambertMaterial(int((colour or shape.colour)[1:], 16), opacity=opacity)
-            if opacity < 1.0:
-                material.side = 0  # its backs are not seen through it, which are drawn apart
             node = draw[f"{path}/shape {number}"]
             node.set_object(_geometry(shape), material)
             cylinder = shape.kind == "cylinder"
@@ -287,10 +282,5 @@ def _geometry(shape: Shape) -> Any:
         return g.Cylinder(length, radius)
     if shape.points is None:
         return g.Sphere(*shape.size)
-    hull = ConvexHull(shape.points)
-    corners = shape.points[hull.simplices]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    inward = np.einsum("ij,ij->i", normals, hull.equations[:, :3]) < 0.0
-    corners[inward] = corners[inward][:, ::-1]
-    flat = corners.reshape(-1, 3)
-    return g.TriangularMeshGeometry(flat, np.arange(len(flat)).reshape(-1, 3))
+    corners = shape.points[ConvexHull(shape.points).simplices].reshape(-1, 3)
+    return g.TriangularMeshGeometry(corners, np.arange(len(corners)).reshape(-1, 3))

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
-from pincal.design.simulate import platform_errors
 from pincal.errors import MeasurementError, MechanismError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.forward import forward
@@ -43,24 +42,18 @@ class Layer:
 
 
 @dataclass(frozen=True, eq=False)
-class Identified:
-    """The identified machine, driven by the nominal model's readings, its errors magnified."""
-
-    body: Body
-    mechanism: Mechanism
-    magnify: float
-    errors: Array
-    """Unmagnified twists from the nominal to the identified pose, shape (N, dof); NaN if none."""
-
-
-@dataclass(frozen=True, eq=False)
 class Scene:
     """All that a view shows."""
 
     mechanism: Mechanism
     plan: Plan
     body: Body
-    identified: Identified | None = None
+    identified: Mechanism | None = None
+    """The calibrated mechanism."""
+    magnify: float = MAGNIFY
+    """Factor on what differs between its parameters and the nominal ones."""
+    magnified: Body | None = None
+    """The machine of these parameters where the nominal model's readings drive it."""
     layers: tuple[Layer, ...] = ()
     """Beside the ground and the poses: a workspace, what a calibration found."""
 
@@ -102,7 +95,7 @@ class Scene:
 
     def points(self) -> Array:
         """Return where parts, feet and positions are, shape (n, 3), [m]; NaN if not drawn."""
-        bodies = [self.body] + ([self.identified.body] if self.identified else [])
+        bodies = filter(None, (self.body, self.magnified))
         parts = [shown.placements[:, :, :3, 3].reshape(-1, 3) for shown in bodies]
         feet = [leg.joints[0].placement.xyz for leg in self.mechanism.legs]
         clouds = [layer.points for layer in self.layers if layer.path == "cloud"]
@@ -164,11 +157,12 @@ def scene(
             "result.estimated_poses, or poses.csv in the folder of the result"
         )
     layers = () if workspace is None else (_cloud(mechanism, workspace),)
-    drawn_scene = Scene(mechanism, plan, body(mechanism, plan), None, layers)
+    drawn = body(mechanism, plan)
     if identified is None:
-        return drawn_scene
-    machine = _driven(drawn_scene, as_mechanism(identified), magnify)
-    return replace(drawn_scene, identified=machine)
+        return Scene(mechanism, plan, drawn, layers=layers)
+    machine = as_mechanism(identified)
+    magnified = _driven(mechanism, plan, drawn.readings, machine, magnify)
+    return Scene(mechanism, plan, drawn, machine, magnify, magnified, layers)
 
 
 def plan_of(mechanism: Mechanism, poses: Plan | ArrayLike | RigidTransform) -> Plan:
@@ -201,13 +195,14 @@ def _cloud(mechanism: Mechanism, workspace: ArrayLike) -> Layer:
     return Layer("cloud", f"workspace, {count:,}{total} positions", positions, CARRIED)
 
 
-def _driven(scene: Scene, identified: Mechanism, magnify: float) -> Identified:
-    """Return where another machine goes when the nominal model commands the poses.
+def _driven(
+    mechanism: Mechanism, plan: Plan, readings: Array, identified: Mechanism, magnify: float
+) -> Body:
+    """Return where another machine goes when the nominal model commands poses by readings.
 
     Differences of parameters are magnified, not those of poses, so that what is drawn is a
     mechanism whose loops close; to first order its platform's error is magnified alike.
     """
-    mechanism, poses, readings = scene.mechanism, scene.plan.poses, scene.body.readings
     names = [[(leg.name, leg.parameter_names) for leg in m.legs] for m in (mechanism, identified)]
     if names[0] != names[1] or mechanism.platform.kind != identified.platform.kind:
         raise MechanismError(
@@ -222,25 +217,22 @@ def _driven(scene: Scene, identified: Mechanism, magnify: float) -> Identified:
     }
     machine = mechanism.with_parameters(magnified)
     known = np.flatnonzero(np.isfinite(readings).all(axis=1))
-    solution = forward(machine, readings[known], poses[known])
+    solution = forward(machine, readings[known], plan.poses[known])
     reached = known[solution.converged]
-    plan = Plan(solution.poses[solution.converged], readings=readings[reached])
-    drawn = body(machine, plan)
-    placements = np.full((len(poses), *drawn.placements.shape[1:]), np.nan)
+    drawn = body(machine, Plan(solution.poses[solution.converged], readings=readings[reached]))
+    placements = np.full((len(readings), *drawn.placements.shape[1:]), np.nan)
     placements[reached] = drawn.placements
-    reasons = dict.fromkeys(range(len(poses)), "the nominal model does not reach this pose")
+    reasons = dict.fromkeys(range(len(readings)), "the nominal model does not reach this pose")
     reasons |= dict(zip(known.tolist(), solution.reasons, strict=True))
     reasons |= dict(zip(reached.tolist(), drawn.problems, strict=True))
-    everywhere = replace(drawn, placements=placements, problems=tuple(reasons.values()))
-    errors = platform_errors(mechanism, identified, scene.plan)
-    return Identified(everywhere, identified, magnify, errors)
+    return replace(drawn, placements=placements, problems=tuple(reasons.values()))
 
 
-def moved(scene: Scene, row: int, shift: Array) -> Scene:
+def moved(shown: Scene, row: int, shift: Array) -> Scene:
     """Return the scene at a single pose, moved off one of its poses.
 
     Args:
-        scene: The mechanism at poses.
+        shown: The mechanism at poses.
         row: From which of them, counted from 0.
         shift: A twist of the platform in its freedoms, [m] and [rad], base axes at its origin;
             where readings do not follow from poses, changes of the readings, [m] and [rad].
@@ -248,8 +240,8 @@ def moved(scene: Scene, row: int, shift: Array) -> Scene:
     Raises:
         MechanismError: not finite, or of a wrong shape; readings that no pose has.
     """
-    mechanism, platform = scene.mechanism, scene.mechanism.platform
-    pose, readings = scene.plan.poses[[row]], scene.body.readings[[row]]
+    mechanism, platform = shown.mechanism, shown.mechanism.platform
+    pose, readings = shown.plan.poses[[row]], shown.body.readings[[row]]
     width = readings.shape[1] if mechanism.by_readings else platform.dof
     if shift.shape != (width,) or not np.isfinite(shift).all():
         raise MechanismError(f"moved by an array of shape {shift.shape}; expected ({width},)")
@@ -260,12 +252,9 @@ def moved(scene: Scene, row: int, shift: Array) -> Scene:
         plan = Plan(solution.poses, readings=readings + shift)
     else:
         matrices = platform.displaced(platform.matrices(pose), shift[None])
-        plan = Plan(platform.from_matrices(matrices))
-    drawn = body(mechanism, plan)
-    if drawn.problems[0]:
-        raise MechanismError(drawn.problems[0])
-    moved_scene = Scene(mechanism, plan, drawn)
-    if scene.identified is None:
-        return moved_scene
-    machine = _driven(moved_scene, scene.identified.mechanism, scene.identified.magnify)
-    return replace(moved_scene, identified=machine)
+        measured = None if shown.plan.readings is None else np.full_like(readings, np.nan)
+        plan = Plan(platform.from_matrices(matrices), readings=measured)
+    moved_scene = scene(mechanism, plan, None, shown.identified, shown.magnify)
+    if problem := moved_scene.body.problems[0]:
+        raise MechanismError(problem)
+    return moved_scene
