@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -10,7 +9,6 @@ import numpy as np
 from scipy.special import chdtrc, chdtri, fdtrc
 
 from pincal.calibration.calibration import Calibration
-from pincal.calibration.result_parts import ResidualGroup
 from pincal.design.platform_error import (
     PlatformError,
     Seen,
@@ -22,7 +20,6 @@ from pincal.design.platform_error import (
 )
 from pincal.estimation.observability.gauge import unexplained
 from pincal.estimation.unknowns import External
-from pincal.finding import Finding
 from pincal.kinematics.closure import largest_size
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
@@ -34,27 +31,6 @@ if TYPE_CHECKING:
 
 _SAME = 1e-6  # by which the uncertainty of one pose may differ by rounding
 UNEXPLAINED = 1e-4  # probability of a χ² at which the noise as given is questioned
-#: Findings that contradict the model or its noise.
-CONTRADICT = frozenset(
-    {
-        "chi2-too-large",
-        "wrong-rows",
-        "curved",
-        "noise-in-other-proportion",
-        "model-lacks",
-        "no-noise",
-        "many-outliers",
-        "held-out-worse",
-        "step",
-        "reference-moved",
-        "terms-chosen",
-    }
-)
-
-
-_PROMISED = 3.0  # times the noise given, up to which residuals may be noise that is larger
-_MISSED = 0.01  # standard deviations, below which a leg misses nothing
-_FELL = 0.5  # share of the residuals that may be left if anything was corrected
 
 
 def excess_of(chi2: float, p_value: float) -> float:
@@ -81,69 +57,22 @@ def unseen(chi2: float, degrees_of_freedom: float) -> float:
     return float(np.sqrt(max(1.0, chi2 * degrees_of_freedom / chdtri(degrees_of_freedom, 0.95))))
 
 
-def explained(result: CalibrationResult) -> bool:
-    """Return whether residuals fell, and so near to the noise that uncertainties mean anything."""
-    return result.excess <= _PROMISED and corrects(result)
-
-
-def contradictions(result: CalibrationResult) -> tuple[Finding, ...]:
-    """Return what contradicts the model or its noise: χ², residuals, held-out rows.
-
-    Or leaves it unproved: fewer equations than unknowns. Terms that these measurements chose are
-    made to fit them: only held-out rows can vouch for them.
-    """
-    remarks = list(result.findings)
-    if result.validation is not None:
-        remarks += [remark for remark in result.validation.findings if remark not in remarks]
-    vouched = {"terms-chosen"} if result.validation is not None else set()
-    short = {"few-poses"} if _short_of_equations(result) else set()
-    return tuple(remark for remark in remarks if remark.code in (CONTRADICT - vouched) | short)
-
-
-def _short_of_equations(result: CalibrationResult) -> bool:
-    """Return whether there are fewer equations than unknowns, so that some had to be held."""
-    held = result.undetermined_directions
-    return held is not None and result.degrees_of_freedom < held.shape[1]
-
-
-def whitened(parts: Sequence[ResidualGroup]) -> tuple[Array, Array]:
-    """Return residuals before and after in standard deviations, of all that carries noise."""
-    before = np.concatenate([part.residuals_before for part in parts])
-    after = np.concatenate([part.residuals for part in parts])
-    sigma = np.concatenate([part.sigma for part in parts])
-    noisy = sigma > 0.0
-    return before[noisy] / sigma[noisy], after[noisy] / sigma[noisy]
-
-
-def corrects(result: CalibrationResult) -> bool:
-    """Return whether residuals fell by half at least, in standard deviations, or are noise."""
-    legs = whitened(result.legs)
-    shown = legs if np.abs(legs[0]).max(initial=0.0) > _MISSED else result.whitened
-    before, after = ((residuals**2).sum() for residuals in shown)
-    return result.excess == 1.0 or bool(after <= _FELL**2 * before)
-
-
 def expected_error(result: CalibrationResult, poses: Plan | Array | None) -> PlatformError:
-    """Return the platform error to expect of the calibrated mechanism at poses, or where measured.
+    """Return what ``CalibrationResult.expected_error`` does.
 
-    Without a limit while something contradicts the model, and then as many times larger as the
-    platform misses the measured poses by more than uncertainties say. The measured region is where
-    no pose is more uncertain than the most uncertain one that was measured: what the model lacks
-    there, the measurements show or parameters have taken up; beyond, it grows with the uncertainty.
+    The measured region is where no pose is more uncertain than the most uncertain one that was
+    measured: what the model lacks there, the measurements show or parameters have taken up; beyond,
+    it grows with the uncertainty.
     """
     error = _by_covariance(result, measured_plan(result) if poses is None else poses)
-    error = replace(error, outside=_outside(result, error), uncovered=uncovered(result))
-    return error if result.promises else error.without_limit(*_seen(result))
-
-
-def _outside(result: CalibrationResult, error: PlatformError) -> Array:
-    """Return how many times as uncertain as any measured pose others are, shape (N,)."""
     largest = most_uncertain(result)
-    # what does not turn is nowhere off
-    known = np.where(largest == 0.0, np.inf, np.nan_to_num(largest))
+    known = np.where(
+        largest == 0.0, np.inf, np.nan_to_num(largest)
+    )  # what does not turn is not off
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratios = error.sizes / known
-    return np.asarray(np.where(np.isinf(error.sizes), np.inf, ratios).max(axis=1) * (1.0 - _SAME))
+        ratios = np.where(np.isinf(error.sizes), np.inf, error.sizes / known).max(axis=1)
+    error = replace(error, outside=ratios * (1.0 - _SAME), uncovered=uncovered(result))
+    return error if result.promises else error.without_limit(*_ratios_seen(result))
 
 
 def most_uncertain(result: CalibrationResult) -> Array:
@@ -151,7 +80,7 @@ def most_uncertain(result: CalibrationResult) -> Array:
 
     They bound the measured region, shape (2,); NaN where no measured pose is determined.
     """
-    measured = _at_measured(result).sizes.copy()
+    measured = _by_covariance(result, measured_plan(result)).sizes.copy()
     measured[[outlier.row for outlier in result.outliers if outlier.weight == 0.0]] = np.nan
     measured = measured[np.isfinite(measured).all(axis=1)]
     return np.asarray(measured.max(axis=0) if len(measured) else np.full(2, np.nan))
@@ -163,19 +92,13 @@ def uncovered(result: CalibrationResult) -> tuple[str, ...]:
     ``"weight"`` that bends the machine without terms for it, a wrong ``"scale"`` of the instrument
     or the machine's temperature, and what changes with ``"time"`` where no pose was measured again.
     """
-    setup, data = result.options.setup, result.measurements
-    lengths = any(
-        unit == "m" and own.any()
-        for unit, own in zip(
-            result.calibration.observation.units,
-            result.calibration.observation.measured.T,
-            strict=True,
-        )
-    )
+    observation = result.calibration.observation
+    columns = zip(observation.units, observation.measured.T, strict=True)
+    lengths = any(unit == "m" and column.any() for unit, column in columns)
     named = {
         "weight": not result.nominal.loaded,
-        "scale": lengths and not setup.systematic.relative,
-        "time": not any(data.places or ()),
+        "scale": lengths and not result.options.setup.systematic.relative,
+        "time": not any(result.measurements.places or ()),
     }
     return tuple(code for code, applies in named.items() if applies)
 
@@ -251,47 +174,43 @@ def measured_plan(result: CalibrationResult) -> Plan:
     return Plan(result.poses, readings=read)
 
 
-def _at_measured(result: CalibrationResult) -> PlatformError:
-    return _by_covariance(result, measured_plan(result))
-
-
-def _seen(result: CalibrationResult) -> list[float]:
+def _ratios_seen(result: CalibrationResult) -> list[float]:
     """Return how many times farther measured poses are missed than uncertainties say; 1 or more.
 
     In position and in orientation; what is not measured is off by as much as the other.
     """
-    expected = _at_measured(result).where_determined
-    pairs = list(zip(result.misses, expected, strict=True))
-    ratios = [seen / one if one > 0.0 else np.nan for seen, one in pairs]
-    most = float(np.nanmax([1.0, *ratios]))
-    return [most if np.isnan(ratio) else max(1.0, ratio) for ratio in ratios]
+    expected = _by_covariance(result, measured_plan(result)).where_determined
+    pairs = zip(result.misses, expected, strict=True)
+    ratios = np.array([seen / said if said > 0.0 else np.nan for seen, said in pairs])
+    most = np.nanmax([1.0, *ratios])
+    return np.maximum(np.where(np.isnan(ratios), most, ratios), 1.0).tolist()
 
 
 def misses(result: CalibrationResult) -> tuple[float, float]:
     """Return by how much the platform misses poses that were measured in full, [m] and [rad]."""
     held = result.validation
     if held is not None and (held.position or held.orientation):
-        held_out = held.position, held.orientation
-        position, orientation = (np.nan if one is None else one[1] for one in held_out)
+        _, position = held.position or (np.nan, np.nan)
+        _, orientation = held.orientation or (np.nan, np.nan)
         return position, orientation
     twists = pose_misses(result.calibration, result.identified, result.outside)
     twists[[outlier.row for outlier in result.outliers if outlier.weight == 0.0]] = np.nan
     twists = twists[np.isfinite(twists).all(axis=1)]
-    if not len(twists):
-        return _left_at_targets(result), np.nan
-    return root_mean_squares(sizes(result.nominal.platform.units, twists))
+    if len(twists):
+        return root_mean_squares(sizes(result.nominal.platform.units, twists))
+    return _missed_targets(result), np.nan
 
 
-def _left_at_targets(result: CalibrationResult) -> float:
+def _missed_targets(result: CalibrationResult) -> float:
     """Return by how much targets are missed by the fit, as far as their coordinates are measured.
 
     Root mean square distance, [m], residuals scaled up by what parameters took of them, less the
     noise of the instrument where that is known.
     """
     lengths = [part for part in result.observed if part.unit == "m"]
-    count = sum(part.n_residuals for part in (*result.legs, *result.observed))
     if not lengths or result.degrees_of_freedom < 1:
         return np.nan
+    count = sum(part.n_residuals for part in (*result.legs, *result.observed))
     squares = np.mean(np.concatenate([part.residuals for part in lengths]) ** 2)
     squares *= count / result.degrees_of_freedom
     if result.noise_source != "estimated":
@@ -302,12 +221,8 @@ def _left_at_targets(result: CalibrationResult) -> float:
 def pose_misses(calibration: Calibration, machine: Mechanism, external: External | None) -> Array:
     """Return by how much a machine misses poses that were measured in full, shape (N, dof).
 
-    Twists, NaN where a pose was not, or something else was measured than poses.
-
-    Args:
-        calibration: What was measured, and how.
-        machine: The calibrated machine.
-        external: Where the base and the target are, if that was unknown.
+    Twists, NaN where a pose was not, or something else was measured than poses. External says where
+    base and target are, if that was unknown.
     """
     setup, data = calibration.options.setup, calibration.measurements
     twists = np.full(data.poses.shape, np.nan)

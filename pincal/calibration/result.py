@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,13 +14,9 @@ from pincal.attached import attached
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.options import FOLDS, By, Options
 from pincal.calibration.promise import (
-    contradictions,
-    corrects,
     excess_of,
     expected_error,
-    explained,
     misses,
-    whitened,
 )
 from pincal.calibration.result_parts import (
     IdentifiedParameter,
@@ -42,6 +39,27 @@ from pincal.words.sentences import sentences
 if TYPE_CHECKING:
     from pincal.show.charts import Plots
     from pincal.show.report import Report
+
+
+_PROMISED = 3.0  # times the noise given, up to which residuals may be noise that is larger
+_MISSED = 0.01  # standard deviations, below which a leg misses nothing
+_FELL = 0.5  # share of the residuals that may be left if anything was corrected
+#: Findings that contradict the model or its noise.
+_CONTRADICT = frozenset(
+    {
+        "chi2-too-large",
+        "wrong-rows",
+        "curved",
+        "noise-in-other-proportion",
+        "model-lacks",
+        "no-noise",
+        "many-outliers",
+        "held-out-worse",
+        "step",
+        "reference-moved",
+        "terms-chosen",
+    }
+)
 
 
 class HtmlPage(Protocol):
@@ -209,15 +227,23 @@ class CalibrationResult:
     @property
     def explained(self) -> bool:
         """Whether residuals fell, and so near to the noise that uncertainties mean anything."""
-        return explained(self)
+        return self.excess <= _PROMISED and self.corrects
 
     @property
     def contradictions(self) -> tuple[Finding, ...]:
         """What contradicts the model or its noise: χ², residuals, held-out rows.
 
-        While there are any, no limit is promised for the platform's error, anywhere.
+        Or leaves it unproved: fewer equations than unknowns, or terms that these measurements
+        chose, for which only held-out rows can vouch. While there are any, no limit is promised for
+        the platform's error, anywhere.
         """
-        return contradictions(self)
+        held = self.undetermined_directions
+        codes = set(_CONTRADICT)
+        if held is not None and self.degrees_of_freedom < held.shape[1]:
+            codes.add("few-poses")
+        if self.validation is not None:
+            codes.remove("terms-chosen")
+        return tuple(remark for remark in self.findings if remark.code in codes)
 
     @property
     def promises(self) -> bool:
@@ -225,18 +251,12 @@ class CalibrationResult:
         return self.explained and not self.contradictions
 
     @property
-    def whitened(self) -> tuple[Array, Array]:
-        """Residuals in standard deviations, before and after, of all that carries noise.
-
-        Of the legs and of the platform: where the search started, poses made from readings leave
-        all to the platform.
-        """
-        return whitened([*self.legs, *self.observed])
-
-    @property
     def corrects(self) -> bool:
         """Whether residuals fell by half at least, in standard deviations, or are noise."""
-        return corrects(self)
+        before, after = _whitened(self.legs)
+        if np.abs(before).max(initial=0.0) <= _MISSED:  # poses made from readings: they close
+            before, after = _whitened([*self.legs, *self.observed])
+        return self.excess == 1.0 or bool((after**2).sum() <= _FELL**2 * (before**2).sum())
 
     def leg(self, name: str) -> LegResult:
         """Return the result of one leg by name."""
@@ -362,3 +382,12 @@ class CalibrationResult:
         Raises:
             FileError: the folder exists and ``force`` is not set, or cannot be written.
         """
+
+
+def _whitened(groups: Sequence[ResidualGroup]) -> tuple[Array, Array]:
+    """Return residuals before and after in standard deviations, of all that carries noise."""
+    before = np.concatenate([group.residuals_before for group in groups])
+    after = np.concatenate([group.residuals for group in groups])
+    sigma = np.concatenate([group.sigma for group in groups])
+    noisy = sigma > 0.0
+    return before[noisy] / sigma[noisy], after[noisy] / sigma[noisy]
