@@ -24,6 +24,7 @@ from pincal.words.sentences import finding
 
 if TYPE_CHECKING:
     from pincal.calibration.result import CalibrationResult
+    from pincal.calibration.result_parts import IdentifiedParameter
 
 MANY_ROWS = 0.1  # share of rows that do not fit, from which the noise or the model is questioned
 _CURVED = 0.5  # curved part over the straight one, at one standard error (Bates and Watts 1980)
@@ -32,39 +33,22 @@ _REPEATS = 4  # times that a pose was measured, from which one asks whether it m
 _SPREAD = 0.5  # share of the run over which these must lie
 
 
-def findings_of(result: CalibrationResult, fits: Fits | None = None) -> tuple[Finding, ...]:
-    """Return what to know first of a result.
-
-    Args:
-        result: The result.
-        fits: The fits, whose residuals are tested for what the model lacks.
-    """
-    remarks = []
-    held = None if fits is None else fits.held
+def findings_of(result: CalibrationResult, fits: Fits) -> tuple[Finding, ...]:
+    """Return what to know first of a result, by it and by the residuals of its fits."""
+    held, lacks, curved = fits.held, [], []
+    first = [finding("tolerance-found", **vars(size)) for size in result.calibration.tolerances]
+    first = [*_zeros(result), *first]
     if held is not None and (held.groups or held.weak):
-        remarks.append(finding("undetermined-held", groups=held.groups, weak=held.weak))
-    remarks += _zeros(result)
-    remarks += [
-        finding("tolerance-found", **vars(tolerance)) for tolerance in result.calibration.tolerances
-    ]
-    lacks: list[Finding] = []
+        first.insert(0, finding("undetermined-held", groups=held.groups, weak=held.weak))
     noise, far = _noise(result), [*_far(result), *_signs(result)]
-    if fits is not None and rounding(fits):
+    if rounding(fits):
         noise = [finding("no-noise")] if result.noise_source == "estimated" else noise
-        return (*remarks, *noise, *far, *_legs(result))
-    if fits is not None and result.converged:
-        noise += _proportion(fits) if not noise else []
-        lacks = lacking(fits)
-        noise += lacks
-    curved = _curved(fits) if fits is not None and result.converged else []
-    return (
-        *remarks,
-        *noise,
-        *far,
-        *curved,
-        *_rows(result, lacking=bool(lacks)),
-        *_legs(result),
-    )
+        return (*first, *noise, *far, *_few(result))
+    if result.converged:
+        noise = noise or _proportion(fits)
+        lacks, curved = lacking(fits), _curved(fits)
+    rows = _rows(result, lacking=bool(lacks))
+    return (*first, *noise, *lacks, *far, *curved, *rows, *_few(result))
 
 
 def rounding(fits: Fits) -> bool:
@@ -76,12 +60,16 @@ def rounding(fits: Fits) -> bool:
 
 def _zeros(result: CalibrationResult) -> list[Finding]:
     """Return that motors' zeros were found far from the drawing's."""
-    every = [p for leg in result.legs for p in leg.parameters]
-    ids = [p.id for p, shift in zip(every, result.calibration.shift, strict=True) if shift]
-    if not ids or result.options.rough:
+    pairs = zip(_of_legs(result), result.calibration.shift, strict=True)
+    moved = [parameter for parameter, shift in pairs if shift]
+    if not moved or result.options.rough:
         return []
-    changes = tuple((id_, result[id_].change, result[id_].unit) for id_ in ids)
-    return [finding("zeros-found", parameters=ids, changes=changes)]
+    changes = tuple((p.id, p.change, p.unit) for p in moved)
+    return [finding("zeros-found", parameters=[p.id for p in moved], changes=changes)]
+
+
+def _of_legs(result: CalibrationResult) -> list[IdentifiedParameter]:
+    return [parameter for leg in result.legs for parameter in leg.parameters]
 
 
 def _signs(result: CalibrationResult) -> list[Finding]:
@@ -89,8 +77,7 @@ def _signs(result: CalibrationResult) -> list[Finding]:
     least = DIFFER * largest_size(result.nominal.legs)
     flipped = [
         p
-        for leg in result.legs
-        for p in leg.parameters
+        for p in _of_legs(result)
         if p.unit == "m" and p.nominal * p.identified < 0.0
         if min(abs(p.nominal), abs(p.change) - 2.0 * p.std) > least
     ]
@@ -103,12 +90,9 @@ def _signs(result: CalibrationResult) -> list[Finding]:
 def _noise(result: CalibrationResult) -> list[Finding]:
     dof, chi2, noise = result.degrees_of_freedom, result.reduced_chi2, result.noise
     if result.noise_source == "estimated":
-        observation = result.calibration.observation
-        units = {
-            unit
-            for unit, measured in zip(observation.units, observation.measured.T, strict=True)
-            if measured.any()
-        }
+        columns = result.calibration.observation
+        pairs = zip(columns.units, columns.measured.T, strict=True)
+        units = {unit for unit, measured in pairs if measured.any()}
         return [
             finding(
                 "noise-estimated",
@@ -166,12 +150,24 @@ def lacking(fits: Fits) -> list[Finding]:
     repeated = np.array([score.term == "again" for score, _ in scored], dtype=bool)
     p_values = np.array([score.p_value for score, _ in scored])
     clear = []
-    for kind, of_kind in ((_lacks, ~repeated), (_moved, repeated)):
+    for of_kind in (~repeated, repeated):
         p_value = together(p_values[of_kind], weights[of_kind])
         if p_value < FALSE_ALARM:
             worst, fit = scored[np.flatnonzero(of_kind)[np.argmin(p_values[of_kind])]]
-            clear.append(kind(p_value, worst, fit, data))
+            clear.append(_followed(p_value, worst, fit, data))
     return clear
+
+
+def _followed(p_value: float, worst: Score, fit: Fit, data: Measurements) -> Finding:
+    """Return what residuals follow, or that what was measured at one pose moved with time."""
+    values: dict[str, Any] = {"quantity": worst.quantity, "p_value": p_value}
+    if worst.term not in ("again", "step"):
+        return finding("model-lacks", term=worst.term, **values)
+    values |= {"size": worst.size, "unit": fit.problem.quantities[worst.quantity]}
+    if worst.term == "step":
+        return finding("step", (int(fit.rows[worst.row]),), **values)
+    rows = fit.rows[_repeated_poses(data, fit.rows)[worst.place]]
+    return finding("reference-moved", rows, pose=worst.place, **values)
 
 
 def _repeated_poses(data: Measurements, rows: Index) -> dict[str, Index]:
@@ -185,24 +181,6 @@ def _repeated_poses(data: Measurements, rows: Index) -> dict[str, Index]:
     }
 
 
-def _moved(p_value: float, worst: Score, fit: Fit, data: Measurements) -> Finding:
-    """Return that what was measured at one pose moved with time."""
-    rows = fit.rows[_repeated_poses(data, fit.rows)[worst.place]]
-    values: dict[str, Any] = {"pose": worst.place, "quantity": worst.quantity, "size": worst.size}
-    unit = fit.problem.quantities[worst.quantity]
-    return finding("reference-moved", rows, **values, unit=unit, p_value=p_value)
-
-
-def _lacks(p_value: float, worst: Score, fit: Fit, _: Measurements) -> Finding:
-    """Return what residuals follow."""
-    if worst.term == "step":
-        row = int(fit.rows[worst.row])
-        unit = fit.problem.quantities[worst.quantity]
-        values: dict[str, Any] = {"quantity": worst.quantity, "size": worst.size, "unit": unit}
-        return finding("step", (row,), **values, p_value=p_value)
-    return finding("model-lacks", quantity=worst.quantity, term=worst.term, p_value=p_value)
-
-
 def _curved(fits: Fits) -> list[Finding]:
     """Return a finding if intervals of a linearised problem mean little."""
     weighted_fits = (fit for fit in fits.fits if fit.problem.weighted)
@@ -213,7 +191,7 @@ def _curved(fits: Fits) -> list[Finding]:
 def _far(result: CalibrationResult) -> list[Finding]:
     """Return findings if parameters moved farther than those of one machine differ, or might."""
     options = result.options
-    parameters = [p for leg in result.legs for p in leg.parameters]
+    parameters = _of_legs(result)
     plausible = plausible_changes(result.nominal)
     std, half = (np.array(v) for v in zip(*((p.std, p.half) for p in parameters), strict=True))
     std = np.where(np.isfinite(std), std, 0.0)  # what was held no noise has moved
@@ -235,16 +213,9 @@ def _far(result: CalibrationResult) -> list[Finding]:
     far = parameters[int(np.argmax(surely))]
     if surely.max() <= 1.0 or options.rough:
         return []
-    return [
-        finding(
-            "far-from-nominal",
-            parameters=[far.id],
-            parameter=far.id,
-            change=far.change,
-            unit=far.unit,
-            options=unused_options(options.setup),
-        )
-    ]
+    values: dict[str, Any] = {"parameter": far.id, "change": far.change, "unit": far.unit}
+    unused = unused_options(options.setup)
+    return [finding("far-from-nominal", parameters=[far.id], options=unused, **values)]
 
 
 def unused_options(setup: Setup) -> tuple[str, ...]:
@@ -269,7 +240,8 @@ def _rows(result: CalibrationResult, *, lacking: bool) -> list[Finding]:
     return [finding("outliers", rows, total=total, lacking=lacking, **values)]
 
 
-def _legs(result: CalibrationResult) -> list[Finding]:
+def _few(result: CalibrationResult) -> list[Finding]:
+    """Return which legs have few poses for their parameters."""
     return [
         finding("few-poses", legs=(leg.name,), poses=leg.n_poses, unknowns=len(leg.parameters))
         for leg in result.legs

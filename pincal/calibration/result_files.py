@@ -23,7 +23,7 @@ from pincal.calibration.calibration import Calibration, located
 from pincal.calibration.options import Progress, Tolerance
 from pincal.calibration.promise import most_uncertain, uncovered
 from pincal.calibration.result import CalibrationResult, HtmlPage
-from pincal.calibration.result_parts import IdentifiedParameter, LegResult
+from pincal.calibration.result_parts import IdentifiedParameter, LegResult, Validation
 from pincal.errors import MeasurementError, PincalError
 from pincal.estimation.system import LOSSES, Loss, LossName
 from pincal.estimation.unknowns import State
@@ -287,7 +287,7 @@ def as_json(result: CalibrationResult) -> dict[str, Any]:
             for part in result.observed
         ],
         "weakly_determined": result.weak,
-        "validation": result.validation,
+        "validation": _validation(result.validation),
         "legs": [_leg(leg) for leg in result.legs],
         "covariance": result.parameter_covariance,
         "data": stored(result),
@@ -332,6 +332,12 @@ def _parameter(p: IdentifiedParameter) -> dict[str, Any]:
         "given": p.given or None,
         "label": p.label or None,
     }
+
+
+def _validation(validation: Validation | None) -> dict[str, Any] | None:
+    if validation is None:
+        return None
+    return vars(validation) | _named(validation, "position orientation")
 
 
 def _finite(text: str) -> float:

@@ -199,15 +199,28 @@ class Validation:
     """Of held-out rows, by the fit's own residuals and what the fits did not know."""
     p_value: float
     """Probability of such a growth, or a larger one, if the model is right."""
-    position: tuple[float, float] | None
-    """Root mean square by which positions of targets are missed, [m], in the fit and held out."""
-    orientation: tuple[float, float] | None
-    """The same of the measured orientation, [rad]."""
     findings: tuple[Finding, ...]
     """What to know first: what residuals follow, held-out rows that miss by more than expected."""
-    targets: tuple[Missed, ...] = ()
+    targets: tuple[Missed, ...]
     """How far each measured target is missed at held-out rows: mean, root mean square, largest,
     and intervals by a bootstrap of poses."""
+
+    @property
+    def position(self) -> tuple[float, float] | None:
+        """Root mean square by which positions of targets are missed, [m], in fit and held out."""
+        return self._missed("m")
+
+    @property
+    def orientation(self) -> tuple[float, float] | None:
+        """The same of the measured orientation, [rad]."""
+        return self._missed("rad")
+
+    def _missed(self, unit: str) -> tuple[float, float] | None:
+        squares = [(part.fit**2, part.rms**2) for part in self.targets if part.unit == unit]
+        if not squares:
+            return None
+        fit, held_out = np.sqrt(np.mean(squares, axis=0)).tolist()
+        return fit, held_out
 
     def __repr__(self) -> str:
         return (

@@ -97,8 +97,6 @@ def held_out(
         held_out=held,
         expected=expected,
         p_value=p_value,
-        position=_root_mean_squares(targets, "m"),
-        orientation=_root_mean_squares(targets, "rad"),
         findings=tuple(remarks),
         targets=targets,
     )
@@ -182,15 +180,6 @@ def _chance(fits: Fits, sums: Array, total: float | None) -> float:
     if not own_ratio > 0.0:
         return 1.0
     return exceeded(ratio / own_ratio, share * equations, share * dof)
-
-
-def _root_mean_squares(targets: Sequence[Missed], unit: str) -> tuple[float, float] | None:
-    """Return root mean square misses of all targets, in the fit and held out; None without any."""
-    squares = [(target.fit**2, target.rms**2) for target in targets if target.unit == unit]
-    if not squares:
-        return None
-    fit, held = np.sqrt(np.mean(squares, axis=0)).tolist()
-    return fit, held
 
 
 _RANK = 1e-10  # least share of a direction in a fold
@@ -308,18 +297,13 @@ def misses_of(calibration: Calibration, fits: Fits) -> Misses:
 
 def per_row(misses: Misses, count: int) -> Array:
     """Return sizes of misses of position [m], of all targets, and orientation [rad], (N, 2)."""
-    none = np.full(count, np.nan)
-    squares = np.array(
-        [
-            [np.square(values) if of == unit else none for (_, of), values in misses.items()]
-            or [none]
-            for unit in ("m", "rad")
-        ]
-    )
-    known = np.isfinite(squares)
-    times = known.sum(axis=1)
-    sums = np.where(known, squares, 0.0).sum(axis=1)
-    return np.sqrt(np.divide(sums, times, out=np.full(times.shape, np.nan), where=times > 0)).T
+    sizes = np.full((count, 2), np.nan)
+    for column, unit in enumerate(("m", "rad")):
+        squares = [values**2 for (_, of), values in misses.items() if of == unit]
+        if squares:
+            known = np.isfinite(squares).any(axis=0)
+            sizes[known, column] = np.sqrt(np.nanmean(np.array(squares)[:, known], axis=0))
+    return sizes
 
 
 def missed(fitted: Misses, unseen: Sequence[tuple[Calibration, Misses]]) -> tuple[Missed, ...]:
@@ -338,8 +322,7 @@ def missed(fitted: Misses, unseen: Sequence[tuple[Calibration, Misses]]) -> tupl
         ]
         if not parts:
             continue
-        values = np.concatenate([misses for misses, _ in parts])
-        places = np.concatenate([names for _, names in parts])
+        values, places = (np.concatenate(column) for column in zip(*parts, strict=True))
         known = np.isfinite(values)
         values, (_, pose) = values[known], np.unique(places[known], return_inverse=True)
         mean_ends, rms_ends = _ends(values, pose)
