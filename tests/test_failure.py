@@ -13,6 +13,7 @@ from measured import put, workspace
 
 import pincal
 from pincal.calibration.findings import findings_of
+from pincal.calibration.fits import fitted
 from pincal.words.sentences import sentences
 
 NOISE = pincal.Noise(2e-5, 5e-5)
@@ -116,13 +117,13 @@ def test_what_uncertainty_explains_is_not_said_to_have_moved() -> None:
     mechanism, data = measured("3RRR", 0.2)
     noise = pincal.Noise(1e-4, 1e-4)
     result = pincal.calibrate(mechanism, data, noise=noise, setup=FRAME)
-    legs, said = result.legs, []
+    legs, said, fits = result.legs, [], fitted(result.calibration)
     for std in (0.04, 0.01):  # of a gain that may differ by 0.05
         one = legs[0].parameters[-1]
         low, high = one.nominal + 0.1 - 2 * std, one.nominal + 0.1 + 2 * std
         far = replace(one, identified=one.nominal + 0.1, std=std, low=low, high=high)
         changed = replace(legs[0], parameters=(*legs[0].parameters[:-1], far))
-        found = findings_of(replace(result, legs=(changed, *legs[1:])))
+        found = findings_of(replace(result, legs=(changed, *legs[1:])), fits)
         said.append(" ".join(sentences(found)))
     assert "moved by" not in said[0]
     assert f"{legs[0].parameters[-1].id} moved by +0.1" in said[1]

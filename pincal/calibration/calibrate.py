@@ -248,20 +248,19 @@ def explain_failure(calibration: Calibration, frame: External | None) -> tuple[F
     """Return what would explain that measurements do not fit."""
     setup = calibration.options.setup
     faults = explain_misfit(calibration.mechanism, calibration.measurements, setup, frame)
-    if calibration.start is None:
-        return faults
-    # the search started where the offsets are right
-    return tuple(fault for fault in faults if fault.code != "reading-offset")
+    # where motors' zeros were found the search started where the offsets are right
+    found = calibration.start is not None
+    return tuple(fault for fault in faults if not (found and fault.code == "reading-offset"))
 
 
-def explain_result(result: CalibrationResult, frame: External | None) -> tuple[Finding, ...]:
+def explain_result(result: CalibrationResult, frame: External) -> tuple[Finding, ...]:
     """Return what would explain residuals or changes of parameters that are too large."""
     if not result.explained:
         return explain_failure(result.calibration, frame)
     if not result.converged or not result.options.setup.plain or result.options.tied:
         return ()
-    changes = np.array([p.change for leg in result.legs for p in leg.parameters])
-    changes -= result.calibration.shift
+    identified = np.concatenate([leg.identified for leg in result.legs])
+    changes = identified - result.nominal.parameters.values - result.calibration.shift
     return misaligned(result.nominal, changes, result.poses, result.measurements.readings)
 
 

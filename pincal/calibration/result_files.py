@@ -180,37 +180,28 @@ def save_result(
 def check_reproduces(result: CalibrationResult, machine: Mechanism) -> None:
     """Raise if a calibrated machine, saved and loaded, does not give the residuals of its fit.
 
+    That is, the twists by which its legs miss the platform at poses and rows of the fit, with what
+    its own terms follow there, against those by the fitted parameters.
+
     Raises:
-        PincalError: it does not.
-    """
-    ratio = unreproduced(result, machine)
-    if not ratio <= REPRODUCED:
-        raise PincalError(
-            "the calibrated mechanism, read back, does not give the residuals of its calibration "
-            f"(off by {ratio:.1g} of its size). This is a fault of pincal, not of the "
-            "measurements: nothing is written; please report it with mechanism and measurements"
-        )
-
-
-def unreproduced(result: CalibrationResult, machine: Mechanism) -> float:
-    """Return how far a calibrated machine, saved and loaded again, is from the fit, over its size.
-
-    The largest difference, at poses and rows of the fit, of the twists by which the machine's legs
-    miss the platform, with what its own terms follow there, from those by the fitted parameters.
+        PincalError: they differ by more than rounding.
     """
     calibration = result.calibration
     influences = _influences_again(calibration, machine)
     data = replace(calibration.measurements, influences=influences)
     saved = replace(calibration, mechanism=machine, measurements=data)
     identified = np.concatenate([leg.identified for leg in result.legs])
-    pairs = zip(
-        _missing_twists(calibration, result.poses, identified),
-        _missing_twists(saved, result.poses, machine.parameters.values),
-        strict=True,
-    )
-    off = [(a - b)[leg.rows].ravel() for leg, (a, b) in zip(result.legs, pairs, strict=True)]
-    differences = np.abs(np.concatenate(off)).max(initial=0.0)
-    return float(differences / max(1.0, largest_size(machine.legs)))  # NaN stays
+    fitted = _missing_twists(calibration, result.poses, identified)
+    again = _missing_twists(saved, result.poses, machine.parameters.values)
+    triples = zip(result.legs, fitted, again, strict=True)
+    off = np.concatenate([(a - b)[leg.rows].ravel() for leg, a, b in triples])
+    ratio = np.abs(off).max(initial=0.0) / max(1.0, largest_size(machine.legs))
+    if not ratio <= REPRODUCED:  # NaN neither
+        raise PincalError(
+            "the calibrated mechanism, read back, does not give the residuals of its calibration "
+            f"(off by {ratio:.1g} of its size). This is a fault of pincal, not of the "
+            "measurements: nothing is written; please report it with mechanism and measurements"
+        )
 
 
 def _missing_twists(calibration: Calibration, poses: Array, parameters: Array) -> list[Array]:
