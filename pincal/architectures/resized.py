@@ -15,7 +15,6 @@ from pincal.architectures.dimension import LEAST, Architecture, Corner, Values, 
 from pincal.errors import MechanismError
 from pincal.files.mechanism_folders import load_mechanism
 from pincal.formats.delta_printer import ANGLES, DeltaPrinter
-from pincal.model.leg import Joint
 from pincal.model.mechanism import Mechanism
 from pincal.model.placement import Placement
 from pincal.symmetry.elements import wrapped
@@ -36,15 +35,10 @@ def _resized(
     """
     template = load_mechanism(bundled)
     made = template.with_parameters(dict(zip(template.leg_names, legs, strict=True)))
-    limited = []
-    for leg, ends in zip(made.legs, cycle(limits or ({},)), strict=False):
-        joints = []
-        for joint in leg.joints:
-            lower, upper = ends.get(joint.name, (joint.lower, joint.upper))
-            joints.append(replace(joint, lower=lower, upper=upper))
-        limited.append(replace(leg, joints=tuple(joints)))
+    pairs = zip(made.legs, cycle(limits or ({},)), strict=False)
+    limited = tuple(leg.with_limits(ends) for leg, ends in pairs)
     platform = replace(made.platform, home=home)
-    return replace(made, platform=platform, legs=tuple(limited), description="")
+    return replace(made, platform=platform, legs=limited, description="")
 
 
 def _hexapod(d: Values) -> Mechanism:
@@ -62,15 +56,16 @@ def _hexapod(d: Values) -> Mechanism:
 
 def _delta(d: Values) -> Mechanism:
     """Drives at azimuths 0°, 120°, 240°; the platform hangs below them."""
-    legs = [{"OA": d["base_radius"], "l": d["arm"], "L": d["rod"]}] * 3
+    sizes = {"OA": d["base_radius"], "l": d["arm"], "L": d["rod"]}
     limits = {"drive": (d["arm_up"], d["arm_down"])}
-    made = _resized("delta", legs, (0.0, 0.0, -d["height"]), limits)
+    made = _resized("delta", [sizes] * 3, (0.0, 0.0, -d["height"]), limits)
 
-    def pointed(point: Joint) -> Joint:
-        _, azimuth = point.placement.coordinates[0].values
-        return replace(point, placement=Placement.of({}, polar=(d["platform_radius"], azimuth)))
-
-    return replace(made, legs=tuple(replace(leg, point=pointed(leg.point)) for leg in made.legs))
+    legs = []
+    for leg in made.legs:
+        _, azimuth = leg.point.placement.coordinates[0].values
+        placement = Placement.of({}, polar=(d["platform_radius"], azimuth))
+        legs.append(replace(leg, point=replace(leg.point, placement=placement)))
+    return replace(made, legs=tuple(legs))
 
 
 def _linear_delta(d: Values) -> Mechanism:

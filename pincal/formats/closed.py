@@ -7,7 +7,7 @@ these displacements each leg keeps those that its closure can distinguish (``ind
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from os.path import commonprefix
 
@@ -103,35 +103,29 @@ def closed_mechanism(
     kind, limbs = _limbs(tree, paths, platform, normal)
     if normal is not None and abs(normal[2]) < 1.0 - EXACT:
         remarks.append("planar, but not across z: the base frame was turned to have z across")
-    bare = []
+    bare, free = [], Platform.at_origin(kind)
     for name, limb in zip(_leg_names(limbs), limbs, strict=True):
-        leg = _leg(tree, name, limb, [other.point for other in limbs])
-        while (idle := _idle(leg, kind)) is not None:
+        leg = _leg(tree, name, limb, [point for _, point in limbs])
+        while (idle := _idle(leg, free)) is not None:
             remarks.append(f"{leg.name}: {idle!r} moves no end of it: held")
             leg = _holding(leg, idle)
         bare.append(leg)
     axes = _PLANAR if kind in ("point", "planar") else _SPATIAL
     legs = [displaced(leg, stems, axes) for leg, stems in zip(bare, _stems(bare), strict=True)]
-    closed, placed = _closed(tree, legs, kind)
-    remarks += _outside_limits(closed)
+    closed, placed = _closed(tree, legs, free)
+    remarks += [
+        f"{leg.name}: {joint.name!r} closes the loops at {joint.home:.6g}, outside its limits"
+        for leg in closed
+        for joint in leg.moving
+        if joint.limited and not joint.lower <= joint.home <= joint.upper
+    ]
     name = re.sub(r"\W+", "_", tree.name)[:100] or "mechanism"
     reduced = tuple(_reduced(leg, placed, tree.slack) for leg in closed)
     return Mechanism(name, placed, reduced, f"From {tree.source}."), tuple(remarks)
 
 
-def _outside_limits(legs: Iterable[Leg]) -> list[str]:
-    """Return which joints close the loops outside their limits, as sentences."""
-    return [
-        f"{leg.name}: {joint.name!r} closes the loops at {joint.home:.6g}, outside its limits"
-        for leg in legs
-        for joint in leg.moving
-        if joint.limited and not joint.lower <= joint.home <= joint.upper
-    ]
-
-
-def _closed(tree: Tree, legs: list[Leg], kind: str) -> tuple[tuple[Leg, ...], Platform]:
+def _closed(tree: Tree, legs: list[Leg], platform: Platform) -> tuple[tuple[Leg, ...], Platform]:
     """Return the legs with home positions that close them, and the platform at its home pose."""
-    platform = Platform.at_origin(kind)
     gap, size = opening(legs, platform), largest_size(legs)
     if gap > ROUGH * size and not tree.homed:
         raise MechanismError(
@@ -236,18 +230,18 @@ def _in_frames(limb: Limb, normal: Array | None, C_platform: Array, slack: float
 
     In space only its platform's frame is turned; ``C_platform`` is how that is in its link.
     """
-    joints, point = list(limb.joints), limb.point
+    joints, point = list(limb[0]), limb[1]
     if point is not None and not np.array_equal(C_platform, np.eye(3)):
         origin = point.placement.origin()
         origin[:3] = C_platform.T @ origin[:3]
         point = replace(point, placement=placement_of(origin))
     if normal is None:
-        return Limb(limb.joints, point)
+        return tuple(joints), point
     C, R = _onto(normal), np.eye(3)
     for i, joint in enumerate(joints):
         origin = joint.placement.origin()
         R = R @ origin[:3, :3]
-        last = joint is limb.joints[-1] and point is None
+        last = i == len(joints) - 1 and point is None
         C_child = C_platform if last else _onto(R.T @ normal, max(EXACT, slack))
         if not (np.array_equal(C, np.eye(3)) and np.array_equal(C_child, np.eye(3))):
             origin[:3] = C.T @ origin[:3]
@@ -263,7 +257,7 @@ def _in_frames(limb: Limb, normal: Array | None, C_platform: Array, slack: float
             joint = replace(joint, placement=placement_of(origin), axis=axis)
         joints[i] = joint
         C = C_child
-    return Limb(tuple(joints), point)
+    return tuple(joints), point
 
 
 def _flat(R: Array) -> Array:
@@ -276,23 +270,24 @@ def _flat(R: Array) -> Array:
 
 def _leg(tree: Tree, name: str, limb: Limb, points: Sequence[Joint | None]) -> Leg:
     """Return a leg without parameters, whose platform point has a name of its own among points."""
-    driven = [joint for joint in limb.moving_names if joint in tree.active]
+    joints, point = limb
+    driven = [joint.name for joint in joints if joint.name in tree.active]
     if not driven:
         raise MechanismError(f"{tree.source}: {name} has no driven joint")
-    point = limb.point or Joint("point", "fixed")
+    closes: Closing = "frame" if point is None else "point"
+    point = point or Joint("point", "fixed")
     shared = sum(other is not None and other.name == point.name for other in points) > 1
     if shared or point.name == "point":
         point = replace(point, name=f"{name}_point")
-    closes: Closing = "frame" if limb.point is None else "point"
-    return Leg(name, with_tip(limb.joints), tuple(map(Sensor, driven)), (), point, closes)
+    return Leg(name, with_tip(joints), tuple(map(Sensor, driven)), (), point, closes)
 
 
-def _idle(leg: Leg, kind: str) -> str | None:
+def _idle(leg: Leg, platform: Platform) -> str | None:
     """Return a passive joint of a freedom that does not move a leg's end, as of a rod that spins.
 
     Freedoms are ranked, not counted, at random configurations.
     """
-    closure = LegClosure(leg, Platform.at_origin(kind))
+    closure = LegClosure(leg, platform)
     spread = [1.0 if joint.turns else leg.size for joint in leg.moving]
     q = leg.home + np.random.default_rng(0).uniform(-0.3, 0.3, (8, len(spread))) * spread
     poses = closure.frame(q) if leg.closes == "frame" else np.tile(np.eye(4), (len(q), 1, 1))
@@ -316,9 +311,10 @@ def _holding(leg: Leg, name: str) -> Leg:
 def _leg_names(limbs: Sequence[Limb]) -> list[str]:
     """Return what the names of each leg's joints begin with, or otherwise numbers."""
     names = []
-    for limb in limbs:
-        stem = commonprefix(limb.moving_names)  # noqa: RUF071 (by letters, as meant)
-        if any(len(n) > len(stem) and n[len(stem)] not in "_-./ " for n in limb.moving_names):
+    for joints, _ in limbs:
+        moving = [joint.name for joint in joints if joint.kind != "fixed"]
+        stem = commonprefix(moving)  # noqa: RUF071 (by letters, as meant)
+        if any(len(name) > len(stem) and name[len(stem)] not in "_-./ " for name in moving):
             stem = re.sub(r"[^_\-./ ]*$", "", stem)
         names.append(re.sub(r"\W", "_", stem).strip("_"))
     if identifiers(names) == tuple(names) and "platform" not in names:

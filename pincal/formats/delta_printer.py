@@ -9,7 +9,7 @@ to a nozzle that does not turn has this form, with the origin at the centre of t
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import asin, hypot, pi, sqrt
 
 import numpy as np
@@ -45,8 +45,6 @@ class DeltaPrinter:
     """Heights E of the nozzle over the bed's centre with each carriage at its endstop, [m]."""
     print_radius: float | None = None
     """Radius of the bed, [m]."""
-    origin: tuple[float, float] = (0.0, 0.0)
-    """Where its origin is in the base frame of the mechanism that it was made from, [m]."""
     remarks: tuple[str, ...] = ()
     """What the file, or the mechanism, holds besides and these parameters do not."""
 
@@ -55,19 +53,20 @@ class DeltaPrinter:
             object.__setattr__(self, name, tuple(map(float, getattr(self, name))))
         printed = 1.0 if self.print_radius is None else self.print_radius
         numbers = np.array([self.radius, *self.angles, *self.arms, *self.endstops, printed])
+        fault = ""
         if not (np.abs(numbers) <= LARGEST).all():
-            raise MechanismError(
+            fault = (
                 f"a parameter of the printer is not a finite number, at most {LARGEST:g} m in size"
             )
-        if printed <= 0.0:
-            raise MechanismError(
-                f"the print radius is {1e3 * printed:g} mm; a radius above 0 is expected"
-            )
-        if not 0.0 < self.radius < min(self.arms):
-            raise MechanismError(
+        elif printed <= 0.0:
+            fault = f"the print radius is {1e3 * printed:g} mm; a radius above 0 is expected"
+        elif not 0.0 < self.radius < min(self.arms):
+            fault = (
                 f"the delta radius is {1e3 * self.radius:g} mm and the shortest rod "
                 f"{1e3 * min(self.arms):g} mm; a radius above 0 and longer rods are expected"
             )
+        if fault:
+            raise MechanismError(fault)
 
     @property
     def firmware_lines(self) -> str:
@@ -103,11 +102,7 @@ class DeltaPrinter:
                 "swing": (pi / 2 - tilt, pi / 2 + tilt),
                 "sway": (-tilt, tilt),
             }
-            joints = []
-            for joint in leg.joints:
-                lower, upper = limits.get(joint.name, (joint.lower, joint.upper))
-                joints.append(replace(joint, lower=lower, upper=upper))
-            made.append(at_home(replace(leg, joints=tuple(joints)), template.platform))
+            made.append(at_home(leg.with_limits(limits), template.platform))
         return Mechanism(name, template.platform, tuple(made), description, template.labels)
 
 
@@ -164,7 +159,6 @@ def delta_printer(mechanism: Mechanism) -> DeltaPrinter:
         np.arctan2(around[:, 1], around[:, 0]).tolist(),
         arms.tolist(),
         (tops - np.sqrt(arms**2 - radius**2)).tolist(),
-        origin=(x, y),
         remarks=tuple(remarks),
     )
 

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import accumulate
+from typing import TypeAlias
 
 import numpy as np
 
@@ -20,18 +21,8 @@ from pincal.model.leg import Joint
 from pincal.model.placement import Placement
 from pincal.types import Array
 
-
-@dataclass(frozen=True)
-class Limb:
-    """Joints of a leg, and the point of the platform that it closes, if it is no frame."""
-
-    joints: tuple[Joint, ...]
-    point: Joint | None = None
-
-    @property
-    def moving_names(self) -> list[str]:
-        """Names of the joints that move."""
-        return [joint.name for joint in self.joints if joint.kind != "fixed"]
+Limb: TypeAlias = tuple[tuple[Joint, ...], Joint | None]
+"""Joints of a leg, and the point of the platform that it closes, if it is no frame."""
 
 
 def paths_to_platform(
@@ -170,23 +161,24 @@ def limb_along(
 ) -> Limb:
     """Return the leg along a path to a link of the platform, in a plane if there is a normal."""
     joints = _joints_to(tree, path, platform, normal)
-    last = _last_turns(joints, driven, 3 if normal is None else 1)
-    if not last:
-        return Limb(joints)
+    moving = [i for i, joint in enumerate(joints) if joint.kind != "fixed"]
+    last = moving[-3:] if normal is None else moving[-1:]
+    passive = all(joints[i].kind == "revolute" and joints[i].name not in driven for i in last)
+    if len(moving) == len(last) or not passive:
+        return joints, None
     frames = list(accumulate((j.placement.origin() for j in joints[last[0] :]), np.matmul))
     turned = [frames[i - last[0]] for i in last]
     origins = np.stack([frame[:3, 3] for frame in turned])
     axes = np.stack([frame[:3, :3] @ joints[i].axis for frame, i in zip(turned, last, strict=True)])
     centre = _meeting_point(origins, axes, tree.slack) if normal is None else origins[0]
     if centre is None:
-        return Limb(joints)
+        return joints, None
     place = (np.linalg.inv(frames[-1]) @ np.append(centre, 1.0))[:3] + 0.0
     first = joints[last[0]]
     stem = first.name.removesuffix("_x")
     if [joints[i].name for i in last] == [f"{stem}_{axis}" for axis in "xyz"]:
         first = replace(first, name=stem)
-    point = _point(tree, platform, path[-1], place)
-    return Limb(_to_point(joints[: last[0]], first, centre), point)
+    return _to_point(joints[: last[0]], first, centre), _point(tree, platform, path[-1], place)
 
 
 def _point(tree: Tree, platform: str, last: Step, place: Array) -> Joint:
@@ -198,14 +190,6 @@ def _point(tree: Tree, platform: str, last: Step, place: Array) -> Joint:
         return frames[0]
     x, y, z = place.tolist()
     return Joint("point", "fixed", Placement((), (x, y, z)))
-
-
-def _last_turns(joints: Sequence[Joint], driven: set[str], count: int) -> list[int]:
-    """Return where the last joints that move are, if they are passive turns, and others precede."""
-    moving = [i for i, joint in enumerate(joints) if joint.kind != "fixed"]
-    last = moving[-count:]
-    passive = [joints[i].kind == "revolute" and joints[i].name not in driven for i in last]
-    return last if len(moving) > count and all(passive) else []
 
 
 def _meeting_point(origins: Array, axes: Array, slack: float) -> Array | None:
@@ -243,7 +227,7 @@ def point_platform(
             f"{tree.source}: one loop, which leaves open what the platform is; name it with "
             "--platform LINK"
         )
-    limbs = []
+    limbs: list[Limb] = []
     names = [edge.joint.name for edge, _ in path]
     sides = (set(names[:2]), set(names[3:]))
     if len(path) != 5 or names[2] in driven or any(len(side & driven) != 1 for side in sides):
@@ -263,5 +247,5 @@ def point_platform(
             )
         centre = np.array(joints[last].placement.xyz)
         reached = _to_point(joints[:last], joints[last], centre)
-        limbs.append(Limb(reached, Joint("point", "fixed")))
+        limbs.append((reached, Joint("point", "fixed")))
     return limbs

@@ -324,6 +324,14 @@ class Leg:
             parameters=tuple(new.items()),
         )
 
+    def with_limits(self, limits: Mapping[str, tuple[float, float]]) -> Leg:
+        """Return the leg with other limits of some joints, by name, [rad] or [m]."""
+        ends = (
+            (joint, limits.get(joint.name, (joint.lower, joint.upper))) for joint in self.joints
+        )
+        joints = tuple(replace(joint, lower=low, upper=high) for joint, (low, high) in ends)
+        return replace(self, joints=joints)
+
     def with_home(self, positions: Sequence[float] | Array) -> Leg:
         """Return the leg with other home positions of its moving joints, [rad] or [m]."""
         home = dict(zip((j.name for j in self.moving), map(float, positions), strict=True))
