@@ -15,7 +15,7 @@ from itertools import combinations, product
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pincal.calibration.hypotheses.judging import QUESTIONED, Case, Hypothesis, Judged, judge
+from pincal.calibration.hypotheses.judging import Case, Hypothesis
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import WAYS, columns_of, rotation_of
@@ -51,13 +51,15 @@ def faults(case: Case) -> Iterator[Hypothesis]:
         if platform.space == 3 or Q[2, 2] == 1.0:
             for turned in (True, False) if turning else (True,):
                 values = {"axis": axis, "orientations_right": not turned}
-                yield Hypothesis("left-handed-frame", _reflected(platform, Q, turned), values)
+                reflected = _posed(platform, partial(_reflected, Q=Q, turned=turned))
+                yield Hypothesis("left-handed-frame", reflected, values)
     if turning:
         yield from _angles(case)
         inverted = _posed(platform, lambda r, R: (r, R.transpose(0, 2, 1)))
         yield Hypothesis("orientation-inverted", inverted)
         yield Hypothesis("pose-inverted", _posed(platform, _inverted))
-    yield from _exchanged(case)
+    if len(case.mechanism.leg_names) == len(case.mechanism.reading_names):
+        yield from _exchanged(case.mechanism.leg_names)
     for shift in _SHIFTS:
         yield Hypothesis("rows-shifted", _read(partial(_shifted, shift=shift)), {"shift": shift})
 
@@ -166,8 +168,8 @@ def _inverted(r: Array, R: Array) -> tuple[Array, Array]:
     return -(turns @ r[:, :, None])[:, :, 0], turns
 
 
-def _reflected(platform: Platform, Q: Array, turned: bool) -> Right:
-    return _posed(platform, lambda r, R: (r @ Q.T, Q @ R @ Q.T if turned else R))
+def _reflected(r: Array, R: Array, Q: Array, turned: bool) -> tuple[Array, Array]:
+    return r @ Q.T, Q @ R @ Q.T if turned else R
 
 
 def _scaled(data: Measurements, poses: Array, readings: Array) -> Measurements:
@@ -239,62 +241,30 @@ def _angles(case: Case) -> Iterator[Hypothesis]:
         names, unit = WAYS[way]
         n = len(names)
         for i in range(n) if unit == "rad" else ():
-            right = _turned(platform, way, range(n), _minus(n, i))
-            yield Hypothesis("sign-of-angle", right, {"column": names[i]})
+            move = partial(_turned, way=way, order=range(n), signs=_minus(n, i))
+            yield Hypothesis("sign-of-angle", _posed(platform, move), {"column": names[i]})
         swaps = [_swapped(n, i, j) for i, j in combinations(range(n), 2)]
         for order in [*swaps, [*range(1, n), 0], [n - 1, *range(n - 1)]]:
-            moved = [(name, names[k]) for name, k in zip(names, order, strict=True)]
-            values = {"order": tuple((name, column) for name, column in moved if name != column)}
-            yield Hypothesis("angles-exchanged", _turned(platform, way, order, np.ones(n)), values)
+            move = partial(_turned, way=way, order=order, signs=np.ones(n))
+            values = tuple((names[i], names[k]) for i, k in enumerate(order) if i != k)
+            yield Hypothesis("angles-exchanged", _posed(platform, move), {"order": values})
 
 
-def _turned(platform: Platform, way: str, order: Sequence[int], signs: Array) -> Right:
-    """Return what takes the columns of orientations in another order, and with other signs."""
-
-    def move(r: Array, R: Array) -> tuple[Array, Array]:
-        columns = columns_of(way, Rotation.from_matrix(R))
-        return r, rotation_of(way, columns[:, order] * signs).as_matrix()
-
-    return _posed(platform, move)
+def _turned(
+    r: Array, R: Array, way: str, order: Sequence[int], signs: Array
+) -> tuple[Array, Array]:
+    """Return poses with the columns of orientations in another order, and with other signs."""
+    columns = columns_of(way, Rotation.from_matrix(R))
+    return r, rotation_of(way, columns[:, order] * signs).as_matrix()
 
 
-def _exchanged(case: Case) -> Iterator[Hypothesis]:
-    """Yield the order of columns in which the legs fit best, if it is another than given.
-
-    In an unknown frame, where legs cannot be judged one by one, all exchanges of two, and all legs
-    one further or in reverse.
-    """
-    names = case.mechanism.leg_names
+def _exchanged(names: Sequence[str]) -> Iterator[Hypothesis]:
+    """Yield exchanges of two legs, and legs counted from another one, or the other way round."""
     n = len(names)
-    if len(case.mechanism.reading_names) != n or n < 2:
-        return
-    every = list(range(n))
-    if case.alone:
-        orders = [_best_order(case)]
-    else:
-        turned = [every[k:] + every[:k] for k in ((1, n - 1) if n > 2 else ())]
-        swaps = [_swapped(n, i, j) for i, j in combinations(every, 2)]
-        orders = [*swaps, *turned, *([every[::-1]] if n > 3 else [])]
-    for order in orders:
+    turned = [[*range(k, n), *range(k)] for k in range(n)]
+    orders = [_swapped(n, i, j) for i, j in combinations(range(n), 2)]
+    orders += [*turned, *(order[::-1] for order in turned)]
+    for order in dict.fromkeys(map(tuple, orders)):
         moved = tuple((names[i], names[j]) for i, j in enumerate(order) if i != j)
         if moved:
             yield Hypothesis("legs-exchanged", _ordered(order), {"order": moved})
-
-
-def _best_order(case: Case) -> list[int]:
-    """Return the column that each leg fits best, each to one leg; legs stay where they may."""
-    from scipy.optimize import linear_sum_assignment  # slow to load: when needed
-
-    n = len(case.mechanism.legs)
-    every = np.arange(n)
-
-    def cost(judged: Judged, leg: int) -> float:
-        least = QUESTIONED * judged.stroke[leg]
-        return float(np.clip(judged.near(leg), least, 1.0)) if judged.rows[leg] > 1 else 1.0
-
-    costs = -1e-9 * np.eye(n)
-    orders = [np.roll(every, -k).tolist() for k in range(n)]
-    turned = [Hypothesis("legs-exchanged", _ordered(order)) for order in orders]
-    for order, judged in zip(orders, judge(case, turned), strict=True):
-        costs[every, order] += np.nan_to_num([cost(judged, leg) for leg in range(n)], nan=1.0)
-    return [int(j) for j in linear_sum_assignment(costs)[1]]
