@@ -138,9 +138,9 @@ class Judged:
     hypothesis: Hypothesis
     calibration: Calibration
     """The measurements put right."""
-    matrices: Array | None
-    """Poses put right, in the nominal machine's frame, shape (N, 4, 4); NaN where not known, None
-    if readings and measurements cannot be brought together."""
+    matrices: Array
+    """Poses put right, in the nominal machine's frame, shape (N, 4, 4); NaN where not known, all of
+    them if readings and measurements cannot be brought together."""
     rows: Index
     """Number of rows with a reading, shape (n_legs,)."""
     gap: Array
@@ -160,11 +160,16 @@ class Judged:
         """Whether the base's place was aligned."""
         return self.calibration.options.setup.unknown_frame
 
+    @property
+    def placed(self) -> bool:
+        """Whether readings and measurements can be brought together."""
+        return bool(np.isfinite(self.matrices).any())
+
     @cached_property
     def nominal_readings(self) -> Array | None:
         """What the nominal machine reads at the poses, shape (N, n_readings); None if unknown."""
         mechanism = self.calibration.mechanism
-        if self.matrices is None or mechanism.by_readings:
+        if not self.placed or mechanism.by_readings:
             return None
         return inverse(mechanism, mechanism.platform.from_matrices(self.matrices)).readings
 
@@ -217,15 +222,12 @@ class Judged:
 
     def within(self, most: float) -> bool:
         """Return whether every leg misses by so much of its size at most: ``DIFFER`` or more."""
-        legs = self.judged
-        return self.matrices is not None and bool(
-            (self.as_home[legs] & (self.gap[legs] <= most)).all()
-        )
+        return self.placed and all(self.as_home[i] and self.gap[i] <= most for i in self.judged)
 
     @property
     def fits_well(self) -> bool:
         """Whether nothing is to be explained."""
-        return self.matrices is not None and not self.questioned and self.elsewhere <= 0.5
+        return self.placed and not self.questioned and self.elsewhere <= 0.5
 
 
 def judge(case: Case, hypotheses: Sequence[Hypothesis] = (AS_MEASURED,)) -> list[Judged]:
@@ -235,18 +237,18 @@ def judge(case: Case, hypotheses: Sequence[Hypothesis] = (AS_MEASURED,)) -> list
     return [_fit(*each) for each in zip(hypotheses, calibrations, placed, strict=True)]
 
 
-def other_side(mechanism: Mechanism, matrices: Array | None) -> float:
+def other_side(mechanism: Mechanism, matrices: Array) -> float:
     """Return the share of poses on the other side of a type-2 singularity than home."""
-    if mechanism.by_readings or matrices is None:
-        return 0.0
     known = matrices[np.isfinite(matrices).all(axis=(1, 2))]
+    if mechanism.by_readings or not len(known):
+        return 0.0
     return float((margins(mechanism, mechanism.platform.from_matrices(known)).type2 < 0.0).mean())
 
 
-def _placed(case: Case, calibrations: Sequence[Calibration]) -> list[Array | None]:
+def _placed(case: Case, calibrations: Sequence[Calibration]) -> list[Array]:
     """Return poses ``T_base_platform`` of several calibrations, shape (N, 4, 4) each.
 
-    NaN where readings lead nowhere; None if readings and measurements cannot be brought together.
+    NaN where readings lead nowhere, or cannot be brought together with what was measured.
     """
     platform = case.mechanism.platform
     if case.alone or not calibrations:
@@ -264,64 +266,61 @@ def _placed(case: Case, calibrations: Sequence[Calibration]) -> list[Array | Non
     reached[converged] = platform.matrices(solution.poses[index.ravel()][converged[known]])
     parts = (np.split(values, len(calibrations)) for values in (reached, known, converged))
     return [
-        _aligned(calibration, T, good) if 2 * good.sum() >= max(known_rows.sum(), 6) else None
+        _aligned(calibration, T, good & (2 * good.sum() >= max(known_rows.sum(), 6)))
         for calibration, T, known_rows, good in zip(calibrations, *parts, strict=True)
     ]
 
 
-def _aligned(calibration: Calibration, reached: Array, good: Mask) -> Array | None:
+def _aligned(calibration: Calibration, reached: Array, good: Mask) -> Array:
     """Return where the platform was by the measurements, in the base frame, shape (N, 4, 4).
 
-    Args:
-        calibration: The measurements put right.
-        reached: Poses of the nominal machine by its readings, shape (N, 4, 4).
-        good: Where there is such a pose, shape (N,).
+    The nominal machine reaches poses (N, 4, 4) by its readings where these are good, shape (N,).
     """
     mechanism, data = calibration.mechanism, calibration.measurements
     every, observation = np.arange(len(data)), calibration.observation
     problem = Problem(calibration.leg_block([0], every), observation)
     start = State(mechanism.legs[0].nominal, reached, external=observation.external.start)
+    unknown = np.full_like(reached, np.nan)
+    if not good.any():
+        return unknown
     try:
         external, _ = aligned(problem, data, start, good, however_far=True)
     except MeasurementError:
-        return None
+        return unknown
     oriented = np.isfinite(data.poses).all(axis=1)
     if oriented.all():
         return mechanism.platform.matrices(calibration.given_poses(external))
     position = np.zeros((len(data), 3))
     position[:, : mechanism.platform.space] = data.poses[:, : mechanism.platform.space]
-    matrices = np.where(good[:, None, None], reached, np.nan)
+    matrices = np.where(good[:, None, None], reached, unknown)
     inside = (position - external.frame[:3, 3]) @ external.frame[:3, :3]
     matrices[good, :3, 3] = (inside - reached[:, :3, :3] @ external.offsets[0])[good]
     return matrices
 
 
-def _fit(hypothesis: Hypothesis, calibration: Calibration, matrices: Array | None) -> Judged:
-    """Return how measurements put right fit each leg at poses (N, 4, 4), if these are known."""
-    mechanism, data = calibration.mechanism, calibration.measurements
-    used, count = calibration.used, len(mechanism.legs)
-    used = used & (np.isfinite(matrices[:, :1, 0]) if matrices is not None else False)
-    rows, gap, stroke = np.flatnonzero(used.any(axis=1)), *np.full((2, count), np.nan)
-    bent, served_rows = np.zeros(count, dtype=int), used.sum(axis=0)
-    if matrices is not None and len(rows):
-        block = calibration.leg_block(range(count), rows, used[rows])
-        nominal = np.concatenate([leg.nominal for leg in mechanism.legs])
-        with np.errstate(all="ignore"):  # units may be far off
-            closed = block.evaluate(State(nominal, matrices[rows]))
-            for i in np.flatnonzero(served_rows > 1).tolist():
-                leg, served, demand = mechanism.legs[i], used[rows, i], closed.demands[i]
-                readings = data.readings[rows[served]][:, mechanism.reading_columns[i]]
-                deviations = (readings - np.median(readings, axis=0))[:, None]
-                moved = np.linalg.norm(demand.reading[served] * deviations, axis=(1, 2))
-                closure = LegClosure(leg, mechanism.platform).evaluate(
-                    closed.joints[i][served], matrices[rows[served]]
-                )
-                home = home_mode(leg, mechanism.platform)
-                bent[i] = (mode_sign(closure) * home < 0.0).sum()
-                gap[i] = np.median(_missed(demand.value[served])) / leg.size
-                stroke[i] = np.median(moved) / leg.size
+def _fit(hypothesis: Hypothesis, calibration: Calibration, matrices: Array) -> Judged:
+    """Return how measurements put right fit each leg at poses of shape (N, 4, 4)."""
+    mechanism, platform = calibration.mechanism, calibration.mechanism.platform
+    used, count = calibration.used & np.isfinite(matrices[:, :1, 0]), len(mechanism.legs)
+    rows, counts = np.flatnonzero(used.any(axis=1)), used.sum(axis=0)
+    (gap, stroke), bent = np.full((2, count), np.nan), np.zeros(count, dtype=int)
+    block = calibration.leg_block(range(count), rows, used[rows])
+    nominal = np.concatenate([leg.nominal for leg in mechanism.legs])
+    with np.errstate(all="ignore"):  # units may be far off
+        closed = block.evaluate(State(nominal, matrices[rows]))
+        for i in np.flatnonzero(counts > 1).tolist():
+            leg, served, demand = mechanism.legs[i], used[rows, i], closed.demands[i]
+            readings = calibration.measurements.readings[rows[served]]
+            readings = readings[:, mechanism.reading_columns[i]]
+            deviations = (readings - np.median(readings, axis=0))[:, None]
+            moved = np.linalg.norm(demand.reading[served] * deviations, axis=(1, 2))
+            joints, T = closed.joints[i][served], matrices[rows[served]]
+            closure = LegClosure(leg, platform).evaluate(joints, T)
+            bent[i] = (mode_sign(closure) * home_mode(leg, platform) < 0.0).sum()
+            gap[i] = np.median(_missed(demand.value[served])) / leg.size
+            stroke[i] = np.median(moved) / leg.size
     left = cache(partial(_nearest, calibration, matrices, used))
-    return Judged(hypothesis, calibration, matrices, served_rows, gap, stroke, bent, left)
+    return Judged(hypothesis, calibration, matrices, counts, gap, stroke, bent, left)
 
 
 def _missed(conditions: Array) -> Array:
@@ -329,17 +328,14 @@ def _missed(conditions: Array) -> Array:
     return np.nan_to_num(np.linalg.norm(conditions, axis=1), nan=np.inf)
 
 
-def _nearest(calibration: Calibration, matrices: Array | None, used: Mask, place: int) -> Array:
+def _nearest(calibration: Calibration, matrices: Array, used: Mask, place: int) -> Array:
     """Return what the machine near nominal that fits best leaves of a leg's closure, shape (N,).
 
     To first order and over the leg's size, by Gauss–Newton steps from the nominal parameters, in
-    the weights of where the last one ended, none of them farther than machines differ.
-
-    Poses ``T_base_platform`` (N, 4, 4) are taken as measured; rows used have shape (N, n_legs).
+    the weights of where the last one ended, none of them farther than machines differ. Poses, shape
+    (N, 4, 4), are taken as measured; rows used have shape (N, n_legs).
     """
     leg, rows = calibration.mechanism.legs[place], np.flatnonzero(used[:, place])
-    if matrices is None:
-        return np.full(len(used), np.nan)
     observation = Observation(calibration.mechanism, calibration.measurements.rows(rows), Setup())
     roots = calibration.noise.poses.roots[rows]
     problem = Problem(calibration.leg_block([place], rows, None, roots), observation)

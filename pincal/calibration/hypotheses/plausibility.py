@@ -173,7 +173,7 @@ def _stages(case: Case, as_measured: Judged) -> Iterator[list[Judged]]:
 
 def _explains(judged: Judged, as_measured: Judged) -> bool:
     """Return whether a hypothesis leaves little enough of the misfit of what was given."""
-    if as_measured.matrices is None and 2 * len(judged.questioned) >= len(judged.judged):
+    if not as_measured.placed and 2 * len(judged.questioned) >= len(judged.judged):
         return False  # anything is better than nothing: most legs must fit
     wrong_units = judged.hypothesis.values.get("units", ())
     shrinks = any((unit, written) == ("m", "mm") for _, unit, written in wrong_units)
@@ -240,7 +240,6 @@ def as_findings(
     """Return hypotheses that explain measurements as findings."""
     names, reading_names = mechanism.leg_names, mechanism.reading_names
     named_legs, found = as_measured.questioned or list(range(len(names))), []
-    placed = as_measured.matrices is not None
     for judged in explaining:
         hypothesis, values = judged.hypothesis, dict[str, Any](judged.hypothesis.values)
         legs = hypothesis.legs or range(len(names))
@@ -250,7 +249,7 @@ def as_findings(
         values |= {
             "legs": tuple(names[i] for i in hypothesis.legs),
             "questioned": tuple(names[i] for i in named_legs),
-            "given": float(as_measured.misfits[named_legs].max()) if placed else None,
+            "given": float(as_measured.misfits[named_legs].max()) if as_measured.placed else None,
             "left": float(judged.misfits[named_legs].max()),
             "other_side": as_measured.elsewhere,
             "unknown_frame": judged.free and not as_measured.free,
@@ -363,11 +362,8 @@ def check_copies(data: Measurements, *, every_pose: bool = False) -> None:
             continue
         if not np.array_equal(measured[first_row], measured[row], equal_nan=True):
             return
-        if (
-            data.places is None
-            or not data.places[row]
-            or data.places[row] != data.places[first_row]
-        ):
+        place = data.places[row] if data.places is not None else ""
+        if not (place and data.places and place == data.places[first_row]):
             copies.append((first_row, row))
     if copies:
         rows = tuple(sorted({row for pair in copies for row in pair}))
