@@ -8,7 +8,7 @@ place is a reading, a length or angle by its id (``leg_1.l``) or its name in all
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +26,10 @@ ORDER = "order"
 OF_ONES_OWN = {BACKLASH: APPROACH, GRAVITY: LOAD}
 _KINDS = (HARMONICS, POLYNOMIAL, BACKLASH, GRAVITY, ORDER)
 _NUMBERS = {HARMONICS: (1.0, 2.0), POLYNOMIAL: (2.0, 3.0)}
+_KNOWN: dict[str, Callable[[float], bool]] = {  # the finest gratings have 100,000 periods a turn
+    HARMONICS: lambda order: 0.0 < order <= 1e5,
+    POLYNOMIAL: lambda power: power in range(2, 21),
+}
 GROWTH = "growth"
 """In the place of a reading: all lengths of the machine, which grow by one part of them."""
 READINGS = "readings"
@@ -50,19 +54,18 @@ class Kind:
             MeasurementError: numbers that are none, or that the kind does not have.
         """
         name, colon, numbers = (part.strip() for part in text.partition(":"))
-        usual = _NUMBERS.get(name, ())
         try:
-            values = tuple(float(number) for number in numbers.split(",")) if colon else usual
+            values = [float(number) for number in numbers.split(",")] if colon else []
         except ValueError:
-            values = (np.nan,)
-        known = {HARMONICS: _is_order, POLYNOMIAL: _is_power}.get(name, lambda _: False)
-        if not name or "," in name or not all(known(value) for value in values):
+            values = [np.nan]
+        known = not values or (name in _KNOWN and all(map(_KNOWN[name], values)))
+        if not name or "," in name or not known:
             raise MeasurementError(
                 f"terms {text!r}: expected harmonics:1,2 (periods in a turn, up to 100,000), "
                 "polynomial:2,3 (powers, 2 to 20), backlash, gravity, or a column of the "
                 "measurements; several as options of their own"
             )
-        return cls(name, values)
+        return cls(name, tuple(values) or _NUMBERS.get(name, ()))
 
     def __str__(self) -> str:
         if self.numbers == _NUMBERS.get(self.name, ()):
@@ -74,33 +77,19 @@ Pair = tuple[str, Kind]
 """A place, and a kind of term that it has or may lack."""
 
 
-def _is_order(number: float) -> bool:
-    """Return whether so many periods in a turn can be: the finest gratings have 100,000."""
-    return 0.0 < number <= 1e5
-
-
-def _is_power(number: float) -> bool:
-    return number in range(2, 21)
-
-
-def kinds_of(mechanism: Mechanism, measurements: Measurements) -> tuple[Kind, ...]:
-    """Return the kinds of term that measurements can show: gravity where loads are known."""
-    angles = "rad" in mechanism.reading_units
-    names = [HARMONICS] * angles + [POLYNOMIAL, BACKLASH, ORDER]
-    loads = (f"{LOAD}_{name}" in measurements.influences for name in mechanism.reading_names)
-    names += [GRAVITY] if mechanism.weighs or any(loads) else []
-    names += [n for n in measurements.influences if n not in {*mechanism.followed, *_KINDS}]
-    return tuple(Kind.of(name) for name in dict.fromkeys(names))
-
-
 def every_pair(mechanism: Mechanism, measurements: Measurements) -> list[Pair]:
     """Return where which kinds of term are tried that measurements can show.
 
     All kinds at all readings; at lengths, each alone and all as one, what follows a column; at
-    lengths and angles between a leg's joints gravity. Each place alone, and what machines are built
-    of several times together: all readings, and the lengths and angles of one name.
+    lengths and angles between a leg's joints gravity, where loads are known. Each place alone, and
+    what machines are built of several times together: all readings, and what has one name.
     """
-    kinds = kinds_of(mechanism, measurements)
+    columns = measurements.influences
+    names = [HARMONICS] * ("rad" in mechanism.reading_units) + [POLYNOMIAL, BACKLASH, ORDER]
+    loads = (f"{LOAD}_{name}" in columns for name in mechanism.reading_names)
+    names += [GRAVITY] * (mechanism.weighs or any(loads))
+    names += [name for name in columns if name not in {*mechanism.followed, *_KINDS}]
+    kinds = [Kind.of(name) for name in dict.fromkeys(names)]
     every = [READINGS] * (len(mechanism.reading_names) > 1)
     pairs = [(name, kind) for kind in kinds for name in (*mechanism.reading_names, *every)]
     long = lengths(mechanism)
@@ -155,17 +144,11 @@ def parse_terms(terms: Sequence[str], mechanism: Mechanism) -> list[Pair]:
     pairs = []
     for text in terms:
         place, kind = _parts(text)
-        single_places = parts_of(place or READINGS, mechanism)
-        if not set(single_places) <= {*mechanism.load_names, GROWTH}:
-            placed = mechanism.load_names[len(mechanism.reading_names) :]
-            raise MeasurementError(
-                f"terms {text!r}: {mechanism.name!r} reads {', '.join(mechanism.reading_names)}; "
-                f"its lengths and angles are {listed(placed)}, {GROWTH!r} is all lengths as one"
-            )
-        pairs += [(single, kind) for single in single_places]
-        pairs += [(place or READINGS, kind)] * (len(single_places) > 1)
+        single_places = parts_of(place, mechanism)
         for single in single_places:
             check_place(single, kind, mechanism)
+        pairs += [(single, kind) for single in single_places]
+        pairs += [(place, kind)] * (len(single_places) > 1)
     return pairs
 
 
@@ -180,22 +163,25 @@ def check_place(place: str, kind: Kind, mechanism: Mechanism) -> None:
     Raises:
         MeasurementError: naming both, and what is expected.
     """
-    if place in mechanism.reading_names:
-        return
-    if place != GROWTH and place not in mechanism.load_names:
-        raise MeasurementError(
-            f"terms of {place!r}: {mechanism.name!r} reads {', '.join(mechanism.reading_names)}"
+    readings, ids = mechanism.reading_names, mechanism.load_names
+    problem = ""
+    if place not in (*ids, GROWTH):
+        problem = (
+            f"{mechanism.name!r} reads {', '.join(readings)}; its lengths and angles are "
+            f"{listed(ids[len(readings) :])}, {GROWTH!r} is all lengths as one"
         )
-    if kind.name in (HARMONICS, POLYNOMIAL, BACKLASH):
-        raise MeasurementError(
-            f"terms '{place}={kind}': {kind.name} is of readings; lengths and angles follow a "
-            "column of the measurements, or gravity"
+    elif place not in readings and kind.name in (HARMONICS, POLYNOMIAL, BACKLASH):
+        problem = (
+            f"{kind.name} is of readings; lengths and angles follow a column of the measurements, "
+            "or gravity"
         )
-    if (place, kind.name) == (GROWTH, GRAVITY):
-        raise MeasurementError(
-            f"terms '{place}={kind}': gravity loads each length otherwise, and they do not grow as "
-            "one; name a length or an angle, such as leg_1.l=gravity"
+    elif (place, kind.name) == (GROWTH, GRAVITY):
+        problem = (
+            "gravity loads each length otherwise, and they do not grow as one; name a length or an "
+            "angle, such as leg_1.l=gravity"
         )
+    if problem:
+        raise MeasurementError(f"terms {term_text(place, kind)!r}: {problem}")
 
 
 def columns_of_terms(terms: Sequence[str]) -> tuple[str, ...] | None:
@@ -207,11 +193,11 @@ def columns_of_terms(terms: Sequence[str]) -> tuple[str, ...] | None:
 
 
 def _parts(text: str) -> tuple[str, Kind]:
-    """Return the place that a text names, empty if it is every reading, and the kind."""
+    """Return the place that a text names, every reading if it names none, and the kind."""
     reading, of, kind = text.rpartition("=")
     if of and kind.strip() == AUTO:
         raise MeasurementError(
             f"terms {text!r}: {AUTO!r} tries every kind in every place, so it stands alone; name "
             f"a kind, such as {reading.strip()}=backlash"
         )
-    return reading.strip(), Kind.of(kind)
+    return reading.strip() or READINGS, Kind.of(kind)
