@@ -73,32 +73,12 @@ _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u20
 _LONGEST = 1300  # characters
 logging.getLogger("matplotlib").setLevel(logging.ERROR)  # where it caches fonts matters to nobody
 _typed: list[str] = []
+_TypedWrong: type[Exception] = typer.BadParameter.__mro__[2]  # click's, whose copy typer may have
 _NAMED = inspect.Parameter.KEYWORD_ONLY
-
-
-@contextmanager
-def _shortened() -> Iterator[None]:
-    """Make messages about what was typed short, and without the checker's own words."""
-    try:
-        yield
-    except Exception as error:
-        if isinstance(message := getattr(error, "message", None), str):
-            error.message = plain(message.removeprefix("Value error, "))  # type: ignore[attr-defined]
-        raise
 
 
 class _Commands(TyperGroup):
     """All commands."""
-
-    def make_context(self, *arguments: Any, **settings: Any) -> Any:
-        """Read what was typed before the command."""
-        with _shortened():
-            return super().make_context(*arguments, **settings)
-
-    def invoke(self, ctx: Any) -> Any:
-        """Run a command."""
-        with _shortened():
-            return super().invoke(ctx)
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Return a command in whose help arguments have names, and no types of Python."""
@@ -272,11 +252,14 @@ def main(argv: list[str] | None = None) -> None:
     listen()
     stdout.failure = ""
     try:
-        app(args=argv, prog_name="pincal")
-    except SystemExit as end:
-        if stdout.failure and not end.code:
+        code = app(args=argv, prog_name="pincal", standalone_mode=False) or 0
+        if stdout.failure and not code:
             _leave(4, f"the answer could not be printed ({stdout.failure}); the work is done")
-        raise
+        sys.exit(code)
+    except _TypedWrong as error:  # made short, without the checker's own words
+        error.message = plain(str(error.message).removeprefix("Value error, "))  # type: ignore[attr-defined]
+        error.show()  # type: ignore[attr-defined]
+        sys.exit(error.exit_code)  # type: ignore[attr-defined]
     except PincalError as error:
         _leave(2, str(error))
     except OSError as error:  # errors of files are PincalErrors: this is typer's own printing
