@@ -20,8 +20,6 @@ from pincal.calibration.terms.candidates import with_terms
 from pincal.calibration.terms.kinds import parse_terms
 from pincal.errors import MeasurementError, MechanismError
 from pincal.estimation.unknowns import State
-from pincal.kinematics.closing import sensor_law
-from pincal.kinematics.closure import LegClosure, joint_range
 from pincal.kinematics.configurations import planned_influences
 from pincal.kinematics.derivatives import Demand
 from pincal.kinematics.influences import influences_of, sides
@@ -392,23 +390,6 @@ def test_a_column_that_is_not_there_is_named(tmp_path: Path) -> None:
         outcome = run("explain", "3RRR", tmp_path / "d.csv", "--terms", term)
         assert outcome.code == 2
         assert words in " ".join(outcome.trouble.split())
-
-
-def test_readings_that_mean_two_positions_are_said(tmp_path: Path) -> None:
-    machine = extended(pincal.load_mechanism("3RRR"), FORMS["sine"])  # sin 3 ψ, the gain near 1
-    for amplitude, turns in ((0.9 / 3, False), (1.1 / 3, True), (-1.1 / 3, True)):
-        own = machine.with_parameters({"leg_2.a_0": amplitude})
-        leg = LegClosure(own.legs[1], own.platform)
-        law = sensor_law(leg)
-        (where,) = law.turning(*(end[leg.leg.active] for end in joint_range(leg.leg)))
-        assert np.isfinite(where) == turns
-        if turns:
-            before, at = law.slopes(np.array([[where - 2e-2], [where]]))[:, 0]
-            assert before * at <= 0.0
-    own.save(tmp_path / "m")
-    outcome = done("check", tmp_path / "m")
-    assert "leg_2: with its terms the joint turns back" in outcome.err
-    assert "leg_1: with" not in outcome.err
 
 
 def test_a_column_with_a_blank_cell_is_not_tried_and_that_is_said(tmp_path: Path) -> None:

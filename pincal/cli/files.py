@@ -223,20 +223,17 @@ def _closed(
     if yaml is not None:
         say(f"loops closed by {yaml}")
     closing, moved = closing_in_words(tree, mechanism)
-    if moved:
-        return tree, mechanism, [closing, *remarks]
-    say(closing)
-    return tree, mechanism, [*remarks]
+    if not moved:
+        say(closing)
+    return tree, mechanism, [closing, *remarks] if moved else [*remarks]
 
 
 def _say_what_it_is(mechanism: Mechanism) -> None:
     """Print what was understood: platform, legs, drives, parameters."""
     platform = mechanism.platform
     coordinates = zip(platform.coordinates, platform.home, platform.units, strict=True)
-    home = ", ".join(
-        f"{name} {round(value, 9) + 0.0:.6g} {unit}" for name, value, unit in coordinates
-    )
-    say(f"{platform.kind} platform, at home {home}")
+    home = (f"{name} {round(value, 9) + 0.0:.6g} {unit}" for name, value, unit in coordinates)
+    say(f"{platform.kind} platform, at home {', '.join(home)}")
     for leg in mechanism.legs:
         driven = {sensor.joint for sensor in leg.sensors}
         joints = ", ".join(f"{joint.name}{'*' * (joint.name in driven)}" for joint in leg.moving)

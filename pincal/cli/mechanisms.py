@@ -19,14 +19,12 @@ from pincal.files.measurements import read_poses, read_readings
 from pincal.files.mechanism_folders import bundled, load_mechanism
 from pincal.files.output import refuse_existing, writing
 from pincal.files.table import write_table
-from pincal.kinematics.closing import sensor_law
-from pincal.kinematics.closure import LegClosure, joint_range
+from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.derivatives import leg_demand
 from pincal.kinematics.forward import forward as solve_forward
 from pincal.kinematics.influences import own_influences
 from pincal.kinematics.inverse import inverse as solve_inverse
 from pincal.kinematics.inverse import outside_limits
-from pincal.model.leg import Leg
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.show.tables import nominal_table, symmetry_table
@@ -55,58 +53,36 @@ def check(mech: Mech, options: TableOptions) -> None:
     mechanism = load_mechanism(mech)
     with reading_in(options.written_in(mechanism).printed):
         stdout.print(nominal_table(mechanism))
+    home = mechanism.platform.home_pose.as_matrix()
     for leg in mechanism.legs:
-        _check_closure(leg, mechanism)
+        closure = LegClosure(leg, mechanism.platform)
+        gap = float(np.abs(closure.evaluate(leg.home[None], home).gap).max())
+        words = f"closes at home within {gap:.2g} m"
+        if gap > 1e-2 * closure.size:
+            words = (
+                f"home is rough, it closes within {gap:.2g} m only and fixes the side of bending"
+            )
+        stdout.print(f"{leg.name}: {words}")
     with working("sampling the workspace"):
         plan = sample_configurations(mechanism, 500)
     for index, leg in enumerate(mechanism.legs):
-        _check_observability(index, leg, mechanism, plan)
+        columns = mechanism.reading_columns[index]
+        readings = None if plan.readings is None else plan.readings[:, columns]
+        rows = leg_demand(mechanism.at_reference, leg.name, plan.poses, readings=readings)
+        if rows.value.shape[1] == len(leg.sensors):
+            rows = rows.as_joint()
+        names = leg.at_reference.parameter_names
+        jacobian = rows.parameter.reshape(-1, len(names))
+        rank = identifiability(jacobian, [f"{leg.name}.{name}" for name in names])
+        words = "" if rank.complete else f": {rank.describe()}"
+        if influenced := [name for name in leg.parameter_names if name not in names]:
+            words += f"; {', '.join(influenced)} by columns {', '.join(leg.influences)}"
+        stdout.print(
+            f"{leg.name}: {rank.rank} of {rank.n_params} parameters observable from full poses "
+            f"(condition {rank.condition:.3g}){words}"
+        )
     if len(mechanism.legs) > 1:
         stdout.print(f"symmetry: {symmetry_group(mechanism)}")
-
-
-def _check_closure(leg: Leg, mechanism: Mechanism) -> None:
-    """Say how well a leg closes at home."""
-    closure = LegClosure(leg, mechanism.platform)
-    home = mechanism.platform.home_pose.as_matrix()
-    gap = float(np.abs(closure.evaluate(leg.home[None], home).gap).max())
-    close = f"closes at home within {gap:.2g} m"
-    if gap > 1e-2 * closure.size:
-        close = f"home is rough, it closes within {gap:.2g} m only and fixes the side of bending"
-    stdout.print(f"{leg.name}: {close}")
-    warn_of_turns(closure)
-
-
-def _check_observability(index: int, leg: Leg, mechanism: Mechanism, plan: Plan) -> None:
-    """Say which parameters of a leg full poses determine."""
-    columns = mechanism.reading_columns[index]
-    readings = None if plan.readings is None else plan.readings[:, columns]
-    rows = leg_demand(mechanism.at_reference, leg.name, plan.poses, readings=readings)
-    if rows.value.shape[1] == len(leg.sensors):
-        rows = rows.as_joint()
-    names = leg.at_reference.parameter_names
-    jacobian = rows.parameter.reshape(-1, len(names))
-    rank = identifiability(jacobian, [f"{leg.name}.{name}" for name in names])
-    words = "" if rank.complete else f": {rank.describe()}"
-    if influenced := [name for name in leg.parameter_names if name not in names]:
-        words += f"; {', '.join(influenced)} by columns {', '.join(leg.influences)}"
-    stdout.print(
-        f"{leg.name}: {rank.rank} of {rank.n_params} parameters observable from full poses "
-        f"(condition {rank.condition:.3g}){words}"
-    )
-
-
-def warn_of_turns(closure: LegClosure) -> None:
-    """Say at which reading q(ψ) of a leg's sensors turns back, if it does."""
-    leg = closure.leg
-    turns = sensor_law(closure).turning(*(end[leg.active] for end in joint_range(leg)))
-    for name, unit, reading in zip(leg.reading_names, leg.reading_units, turns, strict=True):
-        if np.isfinite(reading):
-            warn(
-                f"{name}: with its terms the joint turns back at a reading of {reading:.4g} "
-                f"{unit}, so that readings mean two positions; give smaller amplitudes, or a "
-                "narrower range of the joint"
-            )
 
 
 @command()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -16,7 +17,7 @@ from pincal.files.mechanism_folders import load_mechanism
 from pincal.files.output import refuse_existing_of, writing_together
 from pincal.files.table import write_table
 from pincal.model.mechanism import Mechanism
-from pincal.model.option import option, option_of
+from pincal.model.option import option
 from pincal.model.units import WRITTEN
 from pincal.show.pictures.files import picture_path, save_figure
 from pincal.show.tables import workspace_table
@@ -46,8 +47,6 @@ class WorkspaceOptions:
     )
     count: int = option(30_000, "Number of poses.", least=1)
     seed: int = option(0, SEED)
-    margin_type1: float | None = option(None, option_of(Margins, "type1"))
-    margin_type2: float | None = option(None, option_of(Margins, "type2"))
     margins: bool = option(True, "Only reach and joint limits count.")
     symmetry: bool = option(True, "Compute all, not a fundamental domain.")
     connected: bool = option(
@@ -58,33 +57,13 @@ class WorkspaceOptions:
     jobs: int = option(1, "Processes; -1 for one a core.", most=1024)
     force: bool = option(False, FORCE)
 
-    def check(self, output: Path) -> None:
-        """Raise if options do not go together, or files cannot be written."""
-        if self.kind not in ("poses", *KINDS):
-            raise WorkspaceError(f"--kind {self.kind}: unknown; expected poses, {', '.join(KINDS)}")
-        foreign = _OF_REGIONS if self.kind == "poses" else ("count",)
-        refuse_options(self, foreign, f"--kind {self.kind}")
-        if not self.margins and (self.margin_type1 is not None or self.margin_type2 is not None):
-            raise typer.BadParameter("--no-margins leaves no margin to set; give one or the other")
-        if self.picture is not None:
-            picture_path(self.picture)
-        refuse_existing_of(self.outputs(output), force=self.force)
-
-    def outputs(self, output: Path) -> list[tuple[Path, tuple[str, ...]]]:
-        """Return the files that are written: the table and, if one is wanted, the picture."""
-        return [(path, ()) for path in (output, self.picture) if path is not None]
-
-    def least_margins(self) -> Margins:
-        """Return the margins that are kept."""
-        type1 = Margins().type1 if self.margin_type1 is None else self.margin_type1
-        return Margins(type1, self.margin_type2) if self.margins else Margins.none()
-
 
 @command()
 def workspace(
     mech: Mech,
     output: Annotated[Path, output_option("OUTPUT.csv", "Poses or positions that count.")],
     options: WorkspaceOptions,
+    margins: Margins,
 ) -> None:
     """Find a workspace: poses to choose from, or positions.
 
@@ -97,16 +76,22 @@ def workspace(
 
     Not given, axes hold what the legs reach, drawn close around what counts.
     """
-    options.check(output)
+    if options.kind not in ("poses", *KINDS):
+        raise WorkspaceError(f"--kind {options.kind}: unknown; expected poses, {', '.join(KINDS)}")
+    foreign = _OF_REGIONS if options.kind == "poses" else ("count",)
+    refuse_options(options, foreign, f"--kind {options.kind}")
+    if not options.margins and margins != Margins():
+        raise typer.BadParameter("--no-margins leaves no margin to set; give one or the other")
+    outputs = [output] if options.picture is None else [output, picture_path(options.picture)]
+    refuse_existing_of([(path, ()) for path in outputs], force=options.force)
+    least = margins if options.margins else Margins.none()
     mechanism = load_mechanism(mech)
     if options.kind != "poses":
         refuse_readings(mechanism)
-        _region(mechanism, output, options)
+        _region(mechanism, outputs, options, least)
         return
     with counting("sampling the workspace", options.count) as done:
-        plan = sample_configurations(
-            mechanism, options.count, options.seed, options.least_margins(), done
-        )
+        plan = sample_configurations(mechanism, options.count, options.seed, least, done)
     write_table(output, columns_of(mechanism, plan), units=WRITTEN, force=options.force)
     ends = zip(plan.poses.min(axis=0), plan.poses.max(axis=0), strict=True)
     coordinates = zip(mechanism.platform.coordinates, ends, mechanism.platform.units, strict=True)
@@ -115,7 +100,9 @@ def workspace(
     wrote(output)
 
 
-def _region(mechanism: Mechanism, output: Path, options: WorkspaceOptions) -> None:
+def _region(
+    mechanism: Mechanism, outputs: Sequence[Path], options: WorkspaceOptions, least: Margins
+) -> None:
     """Write the positions of a workspace, with its picture, and print what it is."""
     axes = [Axis.parse(text) for text in options.axis]
     places = [axis for axis in axes if axis.name in POSITION_AXES]
@@ -129,7 +116,7 @@ def _region(mechanism: Mechanism, output: Path, options: WorkspaceOptions) -> No
                 options.kind,
                 grid,
                 orientations,
-                options.least_margins(),
+                least,
                 symmetry=options.symmetry,
                 connected=options.connected,
                 jobs=options.jobs,
@@ -144,10 +131,10 @@ def _region(mechanism: Mechanism, output: Path, options: WorkspaceOptions) -> No
     if options.inscribed and region.count:
         with working("looking for the largest circle or ball inside"):
             circle = largest_inscribed(region)
-    outputs = options.outputs(output)
-    with writing_together(outputs, force=options.force) as (table, *pictures):
+    files = [(path, ()) for path in outputs]
+    with writing_together(files, force=options.force) as (table, *pictures):
         region.save(table)
         for picture in pictures:
             save_figure(workspace_figure(region, circle), picture)
     stdout.print(workspace_table(region, circle, wanted=options.inscribed))
-    wrote(*(path for path, _ in outputs))
+    wrote(*outputs)

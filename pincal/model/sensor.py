@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from pincal.model.leg import Leg
 
 _STEPS = 50  # of Newton's method, at most, from a position to its reading
-_GRID = 100_003  # readings at which a law is tried for where it turns back
 
 
 @dataclass(frozen=True)
@@ -120,18 +119,6 @@ class SensorLaw:
             place = np.searchsorted(places, term.parameter)
             derivatives[:, term.target, place] += term.basis(known)
         return derivatives
-
-    def turning(self, low: Array, high: Array) -> Array:
-        """Return the first reading at which q(ψ) turns back, shape (n_active,); NaN for none.
-
-        By ∂q/∂ψ on a grid between the joints' least and largest positions, shape (n_active,); of a
-        harmonic with more periods than points, these lie at other phases each.
-        """
-        first, last = np.sort([(end - self.start) / self.slope for end in (low, high)], axis=0)
-        readings = np.linspace(first, last, _GRID)
-        back = np.broadcast_to(self.slopes(readings), readings.shape) * np.sign(self.slope) <= 0.0
-        where = readings[back.argmax(axis=0), np.arange(len(first))]
-        return np.where(back.any(axis=0), where, np.nan)
 
 
 def law_of_sensors(

@@ -45,7 +45,7 @@ class Margins:
 
     type1: float = option(
         0.23,
-        "Least distance from type-1 singularities, a dyad's elbow sine [default: 0.23].",
+        "Least distance from type-1 singularities, a dyad's elbow sine.",
         name="margin_type1",
     )
     type2: float | None = option(
