@@ -45,6 +45,8 @@ class DeltaPrinter:
     """Heights E of the nozzle over the bed's centre with each carriage at its endstop, [m]."""
     print_radius: float | None = None
     """Radius of the bed, [m]."""
+    origin: tuple[float, float] = (0.0, 0.0)
+    """Where its origin is in the base frame of the mechanism that it was made from, [m]."""
     remarks: tuple[str, ...] = ()
     """What the file, or the mechanism, holds besides and these parameters do not."""
 
@@ -159,6 +161,7 @@ def delta_printer(mechanism: Mechanism) -> DeltaPrinter:
         np.arctan2(around[:, 1], around[:, 0]).tolist(),
         arms.tolist(),
         (tops - np.sqrt(arms**2 - radius**2)).tolist(),
+        origin=(x, y),
         remarks=tuple(remarks),
     )
 
