@@ -297,7 +297,7 @@ def test_of_equal_parameters_the_nearest_to_nominal_are_taken() -> None:
     mechanism, _, data = machine("3RRR")
     moved = seen_from_elsewhere(mechanism, data)
     gauge = find_gauge(mechanism, *started(mechanism, moved, noise=NOISE, setup=FRAME), strict=True)
-    assert gauge.directions.shape[0] == 3
+    assert gauge.constraints.shape[0] == 3
     result = pincal.calibrate(mechanism, moved, noise=NOISE, setup=FRAME)
     change = np.concatenate(
         [

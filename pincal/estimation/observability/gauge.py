@@ -121,8 +121,6 @@ _TARGETS = 1e-6  # how much targets count beside parameters in what is nearest t
 class Gauge:
     """Directions that only move frames."""
 
-    directions: Array
-    """Rows in the free unknowns, shape (n_gauge, n_free)."""
     constraints: Array
     """Rows g with g · z = 0 that fix them, shape (n_gauge, n_free)."""
     found: tuple[Finding, ...]
@@ -160,7 +158,7 @@ def find_gauge(
     _, inside, frames = split_frames(platform, matrices, gain, moved, size)
     if inside.shape[1] and not strict and len(lost) < T.shape[1]:
         every_gain = np.pad(gain, ((0, 0), (0, 0), (0, len(T) - n_legs)))
-        gauge, _, _ = split_frames(platform, matrices, every_gain, (directions @ T.T).T, size)
+        gauge, *_ = split_frames(platform, matrices, every_gain, (directions @ T.T).T, size)
         directions = np.asarray(np.linalg.lstsq(T, gauge, rcond=None)[0].T)
         moved = gauge[:n_legs]
     elif inside.shape[1]:
@@ -175,7 +173,7 @@ def find_gauge(
         groups = identifiability(gain.reshape(-1, n_legs), unknowns.labels[:n_legs]).groups
         findings.append(finding("redundant-parameters", count=n_still, groups=groups))
     nearest = (directions @ T.T * _weights(mechanism, problem)) @ T
-    return Gauge(directions, nearest, tuple(findings), moved if findings else None, frames)
+    return Gauge(nearest, tuple(findings), moved if findings else None, frames)
 
 
 def _undetermined(J: Array, unknowns: Unknowns, n_lost: int, gain: Array) -> str:

@@ -41,12 +41,6 @@ class Indices:
     """(s₁ … sₙ)^(1/n) / n, as the papers print it (3-RRR paper, Eq. 13)."""
     O2: float
     """sₙ / s₁."""
-    O3: float
-    """sₙ."""
-    O4: float
-    """sₙ² / s₁."""
-    O5: float
-    """1 / Σ 1/sᵢ."""
 
 
 def indices(C: Array) -> Indices:
@@ -67,12 +61,9 @@ def indices(C: Array) -> Indices:
     m, n = C.shape
     s = np.linalg.svd(C, compute_uv=False)
     if m < n or s[-1] == 0.0:
-        return Indices(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    mean, least = float(np.exp(np.log(s).mean())), float(s[-1])
-    harmonic = float(1.0 / (1.0 / s).sum())
-    return Indices(
-        mean / np.sqrt(m), mean / n, least / float(s[0]), least, least**2 / float(s[0]), harmonic
-    )
+        return Indices(0.0, 0.0, 0.0)
+    mean = float(np.exp(np.log(s).mean()))
+    return Indices(mean / np.sqrt(m), mean / n, float(s[-1] / s[0]))
 
 
 def r_diagonal(C: Array) -> Array:
@@ -80,11 +71,8 @@ def r_diagonal(C: Array) -> Array:
 
     A parameter's value says what it adds to those before it; zero is not observable.
     """
-    R = np.linalg.qr(C, mode="r")
-    diagonal = np.zeros(C.shape[1])
-    entries = np.abs(np.diagonal(R))
-    diagonal[: len(entries)] = entries
-    return diagonal
+    entries = np.abs(np.diagonal(np.linalg.qr(C, mode="r")))
+    return np.pad(entries, (0, C.shape[1] - len(entries)))
 
 
 def scaled_axes(J: Array) -> tuple[Array, Array, Array]:
