@@ -71,11 +71,19 @@ def _under_loss(
     near = _near(system.problem, coarse.last)
     near = near if system.kept is None else near & system.kept
     fine = LOSSES["tukey"] if loss.name == "reject" else loss
-    system = replace(system, loss=fine, held_scale=coarse.scale, kept=near)
-    optimum = search(system, start=coarse.last.state)
+    optimum = search(
+        replace(system, loss=fine, held_scale=coarse.scale, kept=near), start=coarse.last.state
+    )
     scale = optimum.scale
-    if loss.name == "reject":
-        optimum = _without_outliers(optimum, search)
+    if loss.name == "reject":  # least squares of the rows that fit each other, until they stay
+        rows = None
+        for _ in range(_ROUNDS):
+            linear = optimum.last
+            inliers = near & ~outlying(linear.squares / scale**2, linear.equations)
+            if rows is not None and (inliers == rows).all():
+                break
+            rows, least_squares = inliers, replace(system, kept=inliers, held_scale=coarse.scale)
+            optimum = search(least_squares, start=linear.state)
     return replace(optimum, first=coarse.first), scale
 
 
@@ -84,10 +92,10 @@ def _seen_scale(fit: Fit) -> float:
 
     Where every row misses by more than the noise given explains, that noise is wrong, and no row.
     """
-    linear = fit.last
-    share = fit.degrees_of_freedom / max(int(linear.equations.sum()), 1)
-    scale = robust_scale(linear.squares, linear.equations, share) if share > 0.0 else 0.0
-    return max(fit.noise_scale, scale)
+    share = fit.degrees_of_freedom / max(int(fit.last.equations.sum()), 1)
+    if not share > 0.0:
+        return fit.noise_scale
+    return max(fit.noise_scale, robust_scale(fit.last.squares, fit.last.equations, share))
 
 
 def _near(problem: Problem, linear: Linear) -> Mask:
@@ -102,21 +110,6 @@ def _near(problem: Problem, linear: Linear) -> Mask:
     units = [*["m"] * problem.leg_block.n_rows, *observed_units]
     near = np.abs(moved) <= [far.get(unit, np.inf) for unit in units]
     return ~unsolved(problem, linear) & near.all(axis=1)
-
-
-def _without_outliers(robust: Fit, search: Callable[..., Fit]) -> Fit:
-    """Return the least-squares fit of the rows that fit each other."""
-    current, rows = robust, np.ones(len(robust.weights), dtype=bool)
-    for _ in range(_ROUNDS):
-        linear = current.last
-        inliers = ~outlying(linear.squares / robust.scale**2, linear.equations)
-        inliers &= robust.system.in_use(linear)
-        if current is not robust and (inliers == rows).all():
-            break
-        rows = inliers
-        least_squares = replace(robust.system, loss=None, kept=rows)
-        current = search(least_squares, start=current.last.state)
-    return current
 
 
 def _outliers(fit: Fit, scale: float, judged: float, counts: Mask | None) -> tuple[Outlier, ...]:
