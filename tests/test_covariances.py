@@ -93,10 +93,7 @@ def test_a_tracker_s_range_and_angles_are_covariances(method: str) -> None:
     data = correlated(one, covariance, 5e-5, 1)
     said = replace(data, covariances=pairs(("x", "y", "phi"), covariance))
     sigma = np.column_stack((np.full((len(points), 2), np.nan), np.full(len(points), 1e-4)))
-    polar = {name: np.full(len(points), getattr(TRACKER, name)) for name in ("range", "azimuth")}
-    read = replace(data, sigma_poses=sigma, sigma_extra=polar)
-    place = replace(TRACKER, range=0.0, azimuth=0.0)
-    setup = pincal.Setup(tracker=place)
+    read, setup = replace(data, sigma_poses=sigma), pincal.Setup(tracker=TRACKER)
     a = pincal.calibrate(one.nominal, said, method=method)
     b = pincal.calibrate(one.nominal, read, setup=setup, method=method)
     first, second = cramer_rao.values_of(a), cramer_rao.values_of(b)
@@ -248,7 +245,7 @@ def test_a_file_holds_covariances_and_a_tracker(tmp_path: Path) -> None:
         ("cov_x_y", "mm", "expected 'cov_x_y [m2]'"),
         ("cov_x_phi", "mm2", "expected 'cov_x_phi [m rad]'"),
         ("cov_x_y", None, "has no unit"),
-        ("sigma_range", "mm", "say where it is"),
+        ("sigma_range", "mm", "said for all rows, with where it is"),
     ],
 )
 def test_a_column_that_says_too_little_is_refused(header: str, unit: str, words: str) -> None:
@@ -261,24 +258,18 @@ def test_a_column_that_says_too_little_is_refused(header: str, unit: str, words:
 
 
 def test_what_contradicts_itself_is_refused() -> None:
-    """A correlation above 1; noise said twice; range without angles; a tracker nowhere."""
+    """A correlation above 1; noise said twice; range without angles."""
     one, covariance = planar(12)
     data = correlated(one, covariance, 5e-5, 0)
     large = {"x,y": 2.0 * np.sqrt(covariance[:, 0, 0] * covariance[:, 1, 1])}
-    polar = {"range": np.full(len(data), 1e-5)}
     turns = np.column_stack((np.full((len(data), 2), np.nan), np.full(len(data), 1e-4)))
     cases = [
         (replace(data, covariances=large), pincal.Setup(), "a correlation above 1"),
         (data, pincal.Setup(tracker=TRACKER), "leave out one of them"),
         (
-            replace(data, sigma_poses=turns, sigma_extra=polar),
-            pincal.Setup(tracker=pincal.Tracker()),
+            replace(data, sigma_poses=turns),
+            pincal.Setup(tracker=pincal.Tracker(range=1e-5)),
             "how well the tracker measures the azimuth",
-        ),
-        (
-            replace(data, sigma_poses=turns, sigma_extra=polar),
-            pincal.Setup(),
-            "say where it is",
         ),
     ]
     for given, setup, words in cases:
@@ -355,7 +346,7 @@ def test_limits_are_kept_when_each_instrument_has_its_own_scale() -> None:
 
 
 def test_a_tracker_says_nothing_of_other_noise() -> None:
-    """Noise of orientations and readings is asked for, not invented; a wire may not be a range."""
+    """Noise of orientations and readings is asked for, not invented."""
     one, covariance = planar(12)
     data = replace(correlated(one, covariance, 5e-5, 0), sigma_poses=None, sigma_readings=None)
     setup = pincal.Setup(tracker=TRACKER)
@@ -365,9 +356,6 @@ def test_a_tracker_says_nothing_of_other_noise() -> None:
         one.nominal, data, setup=setup, noise=pincal.Noise(0.0, 1e-4, 5e-5), loss="none"
     )
     assert given.noise_source == "given"
-    wire = replace(setup, distances={"range": pincal.Distance((0.0, 0.0, 0.0))})
-    with pytest.raises(pincal.MeasurementError, match="'range', which means something else"):
-        wire.columns(one.nominal)
 
 
 @pytest.mark.parametrize(

@@ -137,24 +137,14 @@ def _has_sigmas(mechanism: Mechanism, data: Measurements, noise: Noise | None) -
 
 def _check_tracker(mechanism: Mechanism, data: Measurements, setup: Setup) -> None:
     """Raise if a tracker's noise is not said in full, or positions have their own as well."""
-    polar_columns = [name for name in POLAR if name in data.sigma_extra]
     if setup.tracker is None:
-        if polar_columns:
-            raise MeasurementError(
-                f"a column 'sigma_{polar_columns[0]}' says how well a tracker measures; say "
-                "where it is (Setup(tracker=Tracker(at=...)), or 'tracker: {at: [x, y, z]}' in the "
-                "setup)"
-            )
         return
     level = mechanism.platform.space == 2 and setup.tracker.at[2] == 0.0
-    for name in POLAR:
-        column = data.sigma_extra.get(name, np.full(len(data), np.nan))
-        if not (np.isfinite(column).all() or getattr(setup.tracker, name)) and (
-            not level or name != "elevation"
-        ):
+    needed = [name for name in POLAR if not level or name != "elevation"]
+    for name in needed:
+        if not getattr(setup.tracker, name):
             raise MeasurementError(
-                f"nothing says how well the tracker measures the {name}; add a column "
-                f"'sigma_{name} [{'mm' if POLAR[name] == 'm' else 'mrad'}]', or '{name}' of the "
+                f"nothing says how well the tracker measures the {name}; add {name!r} to the "
                 "tracker in the setup"
             )
     sigma = np.full((0, 0), np.nan) if data.sigma_poses is None else data.sigma_poses
@@ -284,7 +274,7 @@ def row_noise(
     Raises:
         MeasurementError: covariances that no errors have; a tracker and points measured in part.
     """
-    sigmas = _sigmas_by_name(names, data, setup, platform)
+    sigmas = _sigmas_by_name(names, data, platform)
     none = np.full(len(data), np.nan)
     general = [noise.position if unit == "m" else noise.orientation for unit in units]
     sigma = np.column_stack([np.empty((len(data), 0)), *(sigmas.get(n, none) for n in names)])
@@ -295,7 +285,7 @@ def row_noise(
     covariance = sigma[:, :, None] ** 2 * np.eye(len(names))
     if setup.tracker is not None:
         for columns, points in _targets(place, data, setup, platform):
-            block = _of_tracker(setup.tracker, points, data)[:, : len(columns), : len(columns)]
+            block = _of_tracker(setup.tracker, points)[:, : len(columns), : len(columns)]
             rows = np.flatnonzero(np.isfinite(block).all(axis=(1, 2)))
             covariance[np.ix_(rows, columns, columns)] = block[rows]
     for pair, values in data.covariances.items():
@@ -309,10 +299,10 @@ def row_noise(
 
 
 def _sigmas_by_name(
-    names: Sequence[str], data: Measurements, setup: Setup, platform: Platform
+    names: Sequence[str], data: Measurements, platform: Platform
 ) -> dict[str, Array]:
     """Return each row's standard deviations by quantity, (N,); single angles' by those of turns."""
-    sigmas = {name: v for name, v in data.sigma_extra.items() if name not in setup.polar}
+    sigmas = dict(data.sigma_extra)
     if data.sigma_poses is None:
         return sigmas
     by_freedom = dict(zip(platform.freedoms, data.sigma_poses.T, strict=True))
@@ -347,7 +337,7 @@ def _targets(
     return targets
 
 
-def _of_tracker(tracker: Tracker, points: Array, data: Measurements) -> Array:
+def _of_tracker(tracker: Tracker, points: Array) -> Array:
     """Return covariances of points measured by a tracker, (N, 3) to (N, 3, 3)."""
     ray = points - tracker.at
     above = np.hypot(ray[:, 0], ray[:, 1]) <= ROUNDING**0.5 * np.linalg.norm(ray, axis=1)
@@ -356,9 +346,7 @@ def _of_tracker(tracker: Tracker, points: Array, data: Measurements) -> Array:
             f"data row {int(np.argmax(above)) + 1}: the point is on the vertical axis of the "
             "tracker, where an azimuth says nothing; say where the tracker is ('at' of the tracker)"
         )
-    polar = [data.sigma_extra.get(name, np.full(len(data), np.nan)) for name in POLAR]
-    general = np.array([tracker.range, tracker.azimuth, tracker.elevation])[:, None]
-    root = tracker.by_polar(points) * np.where(np.isfinite(polar), polar, general).T[:, None]
+    root = tracker.by_polar(points) * [tracker.range, tracker.azimuth, tracker.elevation]
     return np.asarray(root @ root.transpose(0, 2, 1))
 
 

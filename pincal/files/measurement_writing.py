@@ -111,7 +111,7 @@ def _measured_columns(mechanism: Mechanism, data: Measurements, setup: Setup | N
     """Return the columns that measurements have besides poses and readings."""
     freedoms = dict(zip(mechanism.platform.freedoms, mechanism.platform.units, strict=True))
     units = dict.fromkeys(SINGLE_ANGLES, "rad")
-    units |= setup.columns(mechanism) | setup.polar if setup else {}
+    units |= setup.columns(mechanism) if setup else {}
     columns: Columns = {}
     if data.sigma_poses is not None:
         columns |= _headed(freedoms.items(), data.sigma_poses, "sigma_")

@@ -124,7 +124,7 @@ def read_measurements(
         must_be(source, kinds, "measurements, their CSV file or DataFrame", MeasurementError)
     further = setup.columns(mechanism)
     level = tilt_column(mechanism, further)
-    meaning = further | {f"sigma_{name}": unit for name, unit in setup.polar.items()} | level
+    meaning = further | level
     table = table_for(source, mechanism, meaning, influences)
     table = table.where_measured(measured_columns(mechanism, further))
     _check_columns(table, mechanism, setup, further)
@@ -136,7 +136,7 @@ def read_measurements(
         poses = levelled(table, setup, poses)
     freedoms = dict(zip(platform.freedoms, platform.units, strict=True))
     unknown = unknown_columns(table, mechanism, meaning)
-    extra, sigma_extra = _further_columns(table, further, setup, partial=partial)
+    extra, sigma_extra = _further_columns(table, further, partial=partial)
     if not partial and not np.isfinite(np.column_stack((poses, *extra.values()))).any():
         raise MeasurementError(f"{table.path}: nothing of the platform is measured")
     return Measurements(
@@ -157,13 +157,11 @@ def read_measurements(
 
 
 def _further_columns(
-    table: TextTable, units: Mapping[str, str], setup: Setup, *, partial: bool
+    table: TextTable, units: Mapping[str, str], *, partial: bool
 ) -> tuple[dict[str, Array], dict[str, Array]]:
     """Return what was measured besides poses and readings, by column, and its uncertainties."""
     wanted = [name for name in units if name in table or not partial]
-    uncertain = {
-        name: unit for name, unit in {**units, **setup.polar}.items() if f"sigma_{name}" in table
-    }
+    uncertain = {name: unit for name, unit in units.items() if f"sigma_{name}" in table}
     return (
         {name: table.numbers(name, units[name], blank=True) for name in wanted},
         {name: _sigma(table, name, unit, blank=partial) for name, unit in uncertain.items()},
@@ -289,11 +287,11 @@ def _check_columns(
     """Raise if a column is missing that terms or the setup need, or one needs another setup."""
     of_tracker = [name for name in ("range", "elevation") if name not in further]
     of_tracker = [name for name in of_tracker if f"sigma_{name}" in table]
-    if of_tracker and not setup.polar:
+    if of_tracker:
         raise MeasurementError(
-            f"{table.path}: column 'sigma_{of_tracker[0]}' says how well a tracker measures; say "
-            "where it is in the frame of the measurements: 'tracker: {at: [0, 0, 0]}' in the setup "
-            "(--setup), or leave the column out"
+            f"{table.path}: column 'sigma_{of_tracker[0]}': how well a tracker measures is said "
+            "for all rows, with where it is in the frame of the measurements: 'tracker: {at: [0, "
+            "0, 0], range: 5.0e-6, azimuth: 1.0e-5, elevation: 1.0e-5}' in the setup (--setup)"
         )
     needed = {
         name: "on which terms of sensors depend; add it, or leave these terms out of the mechanism"

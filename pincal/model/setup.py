@@ -141,8 +141,8 @@ def image_of(instrument: Instrument) -> Image | None:
     return getattr(instrument, "image", None)
 
 
-POLAR = {"range": "m", "azimuth": "rad", "elevation": "rad"}
-"""What a tracker measures, and the units; ``sigma_range`` is a column of its noise."""
+POLAR = ("range", "azimuth", "elevation")
+"""What a tracker measures."""
 STEEL = 11.5e-6
 """Thermal expansion of steel, [1/K]."""
 
@@ -154,7 +154,7 @@ class Tracker:
     at: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Where its axes meet, in the frame of the measurements, [m]; azimuth is about z."""
     range: float = 0.0
-    """Standard deviation of the range, [m], of rows without a column of it."""
+    """Standard deviation of the range, [m]."""
     azimuth: float = 0.0
     """Of the azimuth, [rad]."""
     elevation: float = 0.0
@@ -162,7 +162,7 @@ class Tracker:
 
     def __post_init__(self) -> None:
         _set_point(self, "at", "place of the tracker")
-        _check_sizes(self, tuple(POLAR), "noise of the tracker's")
+        _check_sizes(self, POLAR, "noise of the tracker's")
 
     def by_polar(self, points: Array) -> Array:
         """Return how points move by range [1], azimuth and elevation [m/rad], shape (N, 3, 3).
@@ -332,11 +332,6 @@ class Setup:
         return not (self.unknown_frame or further)
 
     @property
-    def polar(self) -> dict[str, str]:
-        """Columns ``sigma_…`` that say a tracker's noise, and units; none without a tracker."""
-        return {} if self.tracker is None else POLAR
-
-    @property
     def required(self) -> dict[str, str]:
         """Columns that measurements must have, and whose they are."""
         return dict.fromkeys(self.distances, "a distance that the setup names") | {
@@ -375,7 +370,7 @@ class Setup:
         groups += [item.columns for item in self.instruments]
         named = [name for group in groups for name in group]
         taken = {*legs, *mechanism.reading_names, *platform.coordinates, *platform.freedoms}
-        taken |= {*RESERVED, *self.polar} - {"x", "y", "z", "phi"}
+        taken |= {*RESERVED} - {"x", "y", "z", "phi"}
         if ambiguous := [
             name
             for name in named
