@@ -232,8 +232,13 @@ def _moments(fits_of_all: Fits, noise: Noise, unit: float) -> Moments:
 
 def _system(calibration: Calibration, problem: Problem, unknowns: Unknowns, counts: Mask) -> System:
     """Return the system of a problem whose fit follows the rows that count, shape (N,)."""
-    known = calibration.noise.known
-    return System(problem, unknowns, known, kept=None if counts.all() else counts)
+    return System(
+        problem,
+        unknowns,
+        calibration.noise.known,
+        kept=None if counts.all() else counts,
+        progress=calibration.options.progress,
+    )
 
 
 def _all_legs(
@@ -275,7 +280,7 @@ def _all_legs(
         least = begin.held.least if before is not None and begin and begin.held else 1.0
         fit, held = _fit_holding(calibration, system, start, least)
     else:
-        fit = robust_fit(mechanism, system, loss_of(options.loss), start, options.progress)
+        fit = robust_fit(mechanism, system, loss_of(options.loss), start)
     if before is not None:  # whose search began where this one's would have
         fit = replace(fit, first=before.first)
     return Fits(calibration, [fit], gauge, unknowns, held)
@@ -302,7 +307,7 @@ def _fit_holding(
         patience = _PATIENCE if may_hold_more else None
         system = replace(system, unknowns=held.unknowns, max_evaluations=patience)
         try:
-            fit = robust_fit(mechanism, system, loss_of(options.loss), start, options.progress)
+            fit = robust_fit(mechanism, system, loss_of(options.loss), start)
             if fit.converged or not may_hold_more:
                 return fit, held
         except ObservabilityError:
@@ -344,7 +349,7 @@ def _measured(calibration: Calibration) -> Fits:
         options.report(f"identifying {', '.join(names)}")
         problem, rows = calibration.measured_problem(group)
         system = _system(calibration, problem, unknowns.part(names), calibration.counts[rows])
-        fits.append(robust_fit(mechanism, system, loss_of(options.loss), None, options.progress))
+        fits.append(robust_fit(mechanism, system, loss_of(options.loss)))
     return Fits(calibration, fits)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -230,12 +229,7 @@ class Fit(SolverResult):
         return -self.noise_scale * (by_free @ by_free.T) @ follows
 
 
-def fit(
-    system: System,
-    *,
-    start: State | None = None,
-    progress: Callable[[str], None] | None = None,
-) -> Fit:
+def fit(system: System, start: State | None = None) -> Fit:
     """Return the fit of a problem, from its start at nominal parameters if no other is given.
 
     Raises:
@@ -253,12 +247,10 @@ def fit(
     if start is not None:  # where the last steps ended, which the search does not know of
         highest *= 1.0 + ROWS_FOLLOW
     else:
-        near, easy_evaluations = _near_start(system, first, progress)
+        near, easy_evaluations = _near_start(system, first)
         evaluations += easy_evaluations
     enough = SLOW if adjusts(problem) else 0.0  # the last steps go on from there
-    stop = system.max_evaluations
-    solution = search(system, near, progress, highest=highest, enough=enough, max_evaluations=stop)
-    solution = last_steps(system, solution)
+    solution = last_steps(system, search(system, near, highest=highest, enough=enough))
     if system.known:  # where the search starts, a pose may be nearer to a singularity than it is
         check_information(problem, unknowns, (first, solution.last))
     optimum = Fit(
@@ -285,9 +277,7 @@ _EASY_NEAR = 0.1  # standard deviations of a residual at which the easier proble
 _EASY_EVALUATIONS = 50
 
 
-def _near_start(
-    system: System, first: Linear, progress: Callable[[str], None] | None
-) -> tuple[Linear, int]:
+def _near_start(system: System, first: Linear) -> tuple[Linear, int]:
     """Return where the search begins, near an easier optimum if that is better; and evaluations.
 
     That of the evened problem, without gross errors, and of least squares: a loss bends the cost
@@ -301,7 +291,7 @@ def _near_start(
     begin, solved = solve_poses(easier, easier.evaluate(problem.start(first.state.parameters)))
     taking_part = sound if system.kept is None else system.kept & sound
     easy = replace(system, problem=easier, kept=taking_part, loss=None)
-    end = search(easy, begin, progress, enough=_EASY_NEAR, max_evaluations=_EASY_EVALUATIONS)
+    end = search(replace(easy, max_evaluations=_EASY_EVALUATIONS), begin, enough=_EASY_NEAR)
     state, evaluations = end.last.state, solved + end.evaluations
     if problem.latent and not sound.all():  # what was measured may lead to another assembly mode:
         readings = problem.leg_block.readings  # those rows start where readings are most alike

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 from scipy.special import chdtrc, ndtri
@@ -24,15 +22,10 @@ _LEAST = float(np.finfo(float).tiny)  # of probabilities that can be held
 _ROUNDS = 10  # rounds of leaving rows out
 _GOOD = 10.0  # reduced χ² up to which a fit says something about its poses
 _LINEAR = 0.1  # share of the machine's size, or [rad], up to which noise acts linearly
-Progress = Callable[[str], None]
 
 
 def robust_fit(
-    mechanism: Mechanism,
-    system: System,
-    loss: Loss | None,
-    start: State | None = None,
-    progress: Progress | None = None,
+    mechanism: Mechanism, system: System, loss: Loss | None, start: State | None = None
 ) -> Fit:
     """Return the fit of a problem, of least squares or under a loss, with rows that did not fit.
 
@@ -43,13 +36,12 @@ def robust_fit(
             that ran away.
         MeasurementError: residuals that do not exist, or have no noise.
     """
-    search = partial(fit, progress=progress)
     try:
         if loss is None:
-            optimum = search(system, start=start)
+            optimum = fit(system, start)
             scale, judged = optimum.noise_scale, _seen_scale(optimum)
         else:
-            optimum, scale = _under_loss(system, loss, search, start)
+            optimum, scale = _under_loss(system, loss, start)
             judged = scale
     except ObservabilityError as error:
         check_weakly_determined(mechanism, system.problem, system.unknowns, error)
@@ -60,20 +52,17 @@ def robust_fit(
     return replace(optimum, outliers=_outliers(optimum, scale, judged, system.kept))
 
 
-def _under_loss(
-    system: System, loss: Loss, search: Callable[..., Fit], start: State | None
-) -> tuple[Fit, float]:
+def _under_loss(system: System, loss: Loss, start: State | None) -> tuple[Fit, float]:
     """Return the fit under a loss, and the scale of the noise by which it rejects rows.
 
     By Cauchy's loss, which forgets no row, first; what rejects rows begins with Tukey's.
     """
-    coarse = search(replace(system, loss=LOSSES["cauchy"]), start=start)
+    coarse = fit(replace(system, loss=LOSSES["cauchy"]), start)
     near = _near(system.problem, coarse.last)
     near = near if system.kept is None else near & system.kept
     fine = LOSSES["tukey"] if loss.name == "reject" else loss
-    optimum = search(
-        replace(system, loss=fine, held_scale=coarse.scale, kept=near), start=coarse.last.state
-    )
+    system = replace(system, held_scale=coarse.scale, kept=near)
+    optimum = fit(replace(system, loss=fine), coarse.last.state)
     scale = optimum.scale
     if loss.name == "reject":  # least squares of the rows that fit each other, until they stay
         rows = None
@@ -82,8 +71,7 @@ def _under_loss(
             inliers = near & ~outlying(linear.squares / scale**2, linear.equations)
             if rows is not None and (inliers == rows).all():
                 break
-            rows, least_squares = inliers, replace(system, kept=inliers, held_scale=coarse.scale)
-            optimum = search(least_squares, start=linear.state)
+            rows, optimum = inliers, fit(replace(system, kept=inliers), linear.state)
     return replace(optimum, first=coarse.first), scale
 
 

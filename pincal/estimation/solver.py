@@ -15,7 +15,6 @@ problems, 1972.)
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -104,31 +103,29 @@ class Iterate:
 def search(
     system: System,
     start: Linear,
-    progress: Callable[[str], None] | None = None,
     *,
     highest: float = 0.0,
     enough: float = 0.0,
-    max_evaluations: int | None = None,
 ) -> SolverResult:
     """Return the optimum near a start, or the best state on the way to it.
 
     Args:
         system: What is minimised.
         start: The conditions where the search begins, poses solved.
-        progress: Called with what is being done.
         highest: Cost above which no step is taken, if that at the start is not lower.
         enough: Distance from the optimum in standard deviations of residuals at which to stop.
-        max_evaluations: Evaluations of the conditions after which to stop; a usual number if None.
     """
     current, damping, growth = Iterate.of(system, start), 0.0, 10.0
     evaluations, highest = 1, max(current.cost, highest)
     unused = ~system.in_use(start)
     fixed_poses, cost_when_fixed = unused, np.inf
     while current.normal.decrement > _tolerance(system, current, enough):
-        if evaluations >= current.limit(max_evaluations) or damping > _DAMPING[1]:
+        if evaluations >= current.limit(system.max_evaluations) or damping > _DAMPING[1]:
             break
-        if progress and evaluations % 5 == 0:
-            progress(f"step {evaluations}: {np.sqrt(current.cost / len(unused)):.3g} σ a pose")
+        if system.progress and evaluations % 5 == 0:
+            system.progress(
+                f"step {evaluations}: {np.sqrt(current.cost / len(unused)):.3g} σ a pose"
+            )
         # 1. A damped step of all unknowns; then each pose alone.
         step = current.normal.step(damping)
         trial, count = _reached(system, current, step, fixed_poses)
@@ -171,7 +168,7 @@ def last_steps(system: System, optimum: SolverResult) -> SolverResult:
         return optimum
     try:
         with np.errstate(all="ignore"):
-            end = search(replace(system, adjusted=True), optimum.last)
+            end = search(replace(system, adjusted=True, max_evaluations=None), optimum.last)
     except (MeasurementError, np.linalg.LinAlgError):
         return optimum
     return replace(end, evaluations=optimum.evaluations + end.evaluations - 1)

@@ -76,13 +76,12 @@ class Loss:
         return m, float(w**2 @ squares) / max(n - free, 1.0), 1.0 + free / n * v / m**2
 
 
-_WEIGHTS: dict[str, tuple[Callable[[Array], Array], float]] = {
-    "huber": (lambda u: 1.0 / np.maximum(1.0, u), float(chdtr(1, 1.345**2))),
-    "cauchy": (lambda u: 1.0 / (1.0 + u**2), float(chdtr(1, 2.385**2))),
-    "tukey": (lambda u: (1.0 - np.minimum(u, 1.0) ** 2) ** 2, float(chdtr(1, 4.685**2))),
-    "reject": (lambda u: np.where(u < 1.0, 1.0, 0.0), 1.0 - UNLIKELY),
+LOSSES: dict[str, Loss] = {
+    "huber": Loss("huber", lambda u: 1.0 / np.maximum(1.0, u), float(chdtr(1, 1.345**2))),
+    "cauchy": Loss("cauchy", lambda u: 1.0 / (1.0 + u**2), float(chdtr(1, 2.385**2))),
+    "tukey": Loss("tukey", lambda u: (1.0 - np.minimum(u, 1.0) ** 2) ** 2, chdtr(1, 4.685**2)),
+    "reject": Loss("reject", lambda u: np.where(u < 1.0, 1.0, 0.0), 1.0 - UNLIKELY),
 }
-LOSSES: dict[str, Loss] = {name: Loss(name, *weights) for name, weights in _WEIGHTS.items()}
 
 
 def outlying(squares: Array, equations: Index) -> Mask:
@@ -155,6 +154,8 @@ class System:
     """Scale of the noise that a loss goes by; by the rows in the middle if not given."""
     adjusted: bool = False
     """Whether conditions are those at adjusted readings."""
+    progress: Callable[[str], None] | None = None
+    """Called with what is being done."""
     unit: float = 1.0
     """Typical standard deviation of residuals that are minimised unweighted, [rad] or [m]."""
 
