@@ -22,7 +22,6 @@ import numpy as np
 from scipy.special import fdtrc, ndtr
 
 from pincal.estimation.fit import Fit
-from pincal.estimation.legs import slices
 from pincal.estimation.observability.indices import NEGLIGIBLE, RANK_TOLERANCE
 from pincal.estimation.problem import Linear, Problem
 from pincal.estimation.system import UNLIKELY
@@ -106,15 +105,14 @@ def redundancy(fit: Fit) -> tuple[list[LegResiduals], list[Array]]:
     """
     problem, linear = fit.problem, fit.last
     legs = [leg_residuals(problem, linear, index) for index in range(len(problem.legs))]
-    n_legs, (count, k) = problem.leg_block.n_rows, linear.conditions.shape
-    observed = np.broadcast_to(np.eye(k)[n_legs:], (count, k - n_legs, k))
-    follows = [*(leg.follows for leg in legs), observed]
-    variances = remaining_variances(fit, np.concatenate(follows, axis=1))
-    sigmas = [*(leg.sigma for leg in legs), problem.observation.sigma[:, : k - n_legs]]
-    columns = slices([rows.shape[1] for rows in follows])
+    measured = np.eye(linear.conditions.shape[1])[problem.leg_block.n_rows :]
+    observed = np.broadcast_to(measured, (len(linear.conditions), *measured.shape))
+    parts = [(leg.follows, leg.sigma) for leg in legs]
+    parts.append((observed, problem.observation.sigma[:, : observed.shape[1]]))
     return legs, [
-        np.maximum(variances[:, place], 0.0) / np.where(sigma > 0.0, sigma, np.inf) ** 2
-        for place, sigma in zip(columns, sigmas, strict=True)
+        np.maximum(remaining_variances(fit, follows), 0.0)
+        / np.where(sigma > 0.0, sigma, np.inf) ** 2
+        for follows, sigma in parts
     ]
 
 
