@@ -36,7 +36,7 @@ def test_passive_joints_come_nearest_out_of_reach(name: str) -> None:
     at_home = pincal.inverse(mechanism, [platform.home]).readings[:1, : len(leg.sensors)]
     readings = at_home + 0.5 * rng.standard_normal((60, len(leg.sensors)))
     matrices, closure = platform.transforms(poses).as_matrix(), LegClosure(leg, platform)
-    found, joints = nearest_closure((closure,), matrices, (readings,))
+    found, joints = nearest_closure((closure,), matrices, readings)
     gaps = np.linalg.norm(found.gap, axis=1)
     assert gaps.max() > 0.2 * leg.size
     slopes = np.einsum("nmp,nm->np", found.passive, found.gap)
@@ -44,7 +44,7 @@ def test_passive_joints_come_nearest_out_of_reach(name: str) -> None:
     for _ in range(20):
         other = joints.copy()
         other[:, leg.passive] = rng.uniform(-np.pi, np.pi, other[:, leg.passive].shape)
-        again, _ = nearest_closure((closure,), matrices, (readings,), (other,))
+        again, _ = nearest_closure((closure,), matrices, readings, other)
         nearer = np.linalg.norm(again.gap, axis=1) < gaps - 1e-6 * leg.size
         assert nearer.mean() <= 0.05, name
 
@@ -85,7 +85,7 @@ def test_demand_derivatives(mechanism: pincal.Mechanism) -> None:
         closure = LegClosure(leg, platform)
         closed = close((closure,), platform.transforms(poses).as_matrix())
         psi = sensor_law(closure).reading(closed.joints[:, leg.active])
-        (rows,) = demands((closure,), closed.closure, (psi,))
+        (rows,) = demands((closure,), closed.closure, psi)
         np.testing.assert_allclose(rows.value, 0.0, atol=1e-14)
         by_pose = (
             -rows.pose[:, 0] / rows.reading[:, 0]

@@ -18,7 +18,7 @@ import numpy as np
 
 from pincal.errors import MeasurementError
 from pincal.estimation.unknowns import BlockRows, State
-from pincal.kinematics.batches import block_diagonal, repeated
+from pincal.kinematics.batches import block_diagonal, repeated, stacked
 from pincal.kinematics.closing import close, grouped, sensor_law
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.derivatives import Demand, demands
@@ -201,11 +201,10 @@ class LegBlock:
     def _closed(self, state: State) -> tuple[list[Demand], list[Array]]:
         """Return what the legs demand where they close best, and their joints there."""
         closures, matrices = self._closures(state.parameters), state.matrices
-        before = state.joints or (None,) * len(closures)
         joints, of_legs = dict[int, Array](), dict[int, Demand]()
         for places in self._alike:
-            legs, known = [closures[i] for i in places], [self.known[i] for i in places]
-            near = [before[i] for i in places]
+            legs, known = [closures[i] for i in places], stacked([self.known[i] for i in places])
+            near = stacked([state.joints[i] for i in places]) if state.joints else None
             closed, nearest = nearest_closure(legs, repeated(matrices, len(legs)), known, near)
             by_leg = nearest.reshape(len(legs), len(matrices), nearest.shape[1])
             joints |= zip(places, by_leg, strict=True)
@@ -229,7 +228,7 @@ class LegBlock:
                 )
             reading = sensor_law(closure).reading(closed.joints[:, leg.active], influences)
             predicted = np.hstack((reading, influences))
-            (rows,) = demands((closure,), closed.closure, (predicted,))
+            (rows,) = demands((closure,), closed.closure, predicted)
             of_legs.append(replace(rows.as_joint(), value=reading - measured))
             joints.append(closed.joints)
         return of_legs, joints

@@ -117,9 +117,9 @@ def _well(mechanism: Mechanism, problem: Problem, state: State) -> Mask:
     """Return which poses close all legs, in the working and assembly modes of home, shape (N,)."""
     block, redundant = problem.leg_block, mechanism.redundant
     legs = [LegClosure(leg, mechanism.platform) for leg in mechanism.legs]
-    joints = state.joints or (None,) * len(legs)
+    joints = state.joints or [None] * len(legs)
     closures = [
-        nearest_closure((leg,), state.matrices, (known,), (of_leg,))[0]
+        nearest_closure((leg,), state.matrices, known, of_leg)[0]
         for leg, known, of_leg in zip(legs, block.known, joints, strict=True)
     ]
     known = block.active.sum(axis=1) >= mechanism.platform.dof  # readings alone give the pose

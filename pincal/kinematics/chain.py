@@ -221,21 +221,21 @@ def _key(matrix: Array) -> tuple[float, ...]:
 class PlatformPoint:
     """A platform point and its frame; k of the leg's parameters place it.
 
-    Homogeneous vectors, as ``batches.applied`` takes them: shape (4, …), or (4, …, N) of N rows.
+    Homogeneous vectors, as ``batches.applied`` takes them, of N rows or of one for all.
     """
 
     parameters: Index
     """Indices of these parameters, shape (k,)."""
     place: Array
-    """The point, shape (4, 1[, N]), [m]."""
+    """The point, shape (4, 1, N), [m]."""
     arm: Array
-    """The vector to it from the platform's origin, shape (4, 1[, N]), [m]."""
+    """The vector to it from the platform's origin, shape (4, 1, N), [m]."""
     speeds: Array
-    """The point's velocities by these parameters, shape (4, k[, N]), [m] a unit."""
+    """The point's velocities by these parameters, shape (4, k, N), [m] a unit."""
     turn: Array
-    """Its frame, shape ([N, ]3, 3)."""
+    """Its frame, shape (N, 3, 3)."""
     turning: Array
-    """How these parameters turn it, shape ([N, ]3, k), [rad] a unit."""
+    """How these parameters turn it, shape (N, 3, k), [rad] a unit."""
 
 
 def platform_point(leg: Leg, parameters: Array) -> PlatformPoint:
@@ -247,15 +247,7 @@ def platform_point(leg: Leg, parameters: Array) -> PlatformPoint:
 def _point(leg: Leg, placing: bytes) -> PlatformPoint:
     chain, parameters = point_chain(leg), np.zeros(len(leg.parameters))
     parameters[chain.moving] = np.frombuffer(placing)
-    point = _placed_point(leg, chain.motion(parameters, np.zeros((1, 0))))
-    return PlatformPoint(
-        point.parameters,
-        point.place[:, :, 0],
-        point.arm[:, :, 0],
-        point.speeds[:, :, 0],
-        point.turn[0],
-        point.turning[0],
-    )
+    return _placed_point(leg, chain.motion(parameters, np.zeros((1, 0))))
 
 
 def alike_points(points: Sequence[PlatformPoint], count: int) -> PlatformPoint:
@@ -265,7 +257,7 @@ def alike_points(points: Sequence[PlatformPoint], count: int) -> PlatformPoint:
     """
 
     def rows(vectors: Sequence[Array]) -> Array:
-        return np.repeat(np.stack(vectors, axis=2), count, axis=2)
+        return np.repeat(np.concatenate(vectors, axis=2), count, axis=2)
 
     return replace(
         points[0],

@@ -33,7 +33,6 @@ from pincal.kinematics.closure import (
     evaluate,
     joint_range,
     nominal_legs,
-    rows_of_each,
 )
 from pincal.model.checks import ROUNDING, wrapped
 from pincal.model.leg import Leg
@@ -163,9 +162,9 @@ def close(
         near: Positions of the moving joints near those that close a leg, shape (L N, n_joints);
             where NaN it counts as not reached. Found in its working mode if not given.
     """
-    rows_of_leg = rows_of_each(len(legs), len(matrices))
     if near is None:
-        starts = [start_joints(leg, matrices[r]) for leg, r in zip(legs, rows_of_leg, strict=True)]
+        by_leg = zip(legs, np.split(matrices, len(legs)), strict=True)
+        starts = [start_joints(leg, poses) for leg, poses in by_leg]
         start, possible = (stacked(parts) for parts in zip(*starts, strict=True))
     else:
         possible = np.asarray(np.isfinite(near).all(axis=1))
@@ -184,11 +183,9 @@ def close(
     searched = possible & ~closed
     if searched.any():
         attempts = _ATTEMPTS if near is None else 1
-        for leg, rows in zip(legs, rows_of_leg, strict=True):
-            if searched[rows].any():
-                joints[rows], closed[rows] = _search(
-                    leg, matrices[rows], joints[rows], closed[rows], possible[rows], attempts
-                )
+        columns = (np.split(column, len(legs)) for column in (matrices, joints, closed, possible))
+        for leg, poses, *rows in zip(legs, *columns, strict=True):
+            _search(leg, poses, attempts, *rows)
         homes = _homes(legs, len(matrices))
         centre = homes if near is None else start
         turning = np.ix_(searched, [i for i, joint in enumerate(legs[0].leg.moving) if joint.turns])
@@ -198,8 +195,8 @@ def close(
         closure = evaluate(legs, settled, matrices)
     joints = joints[:, :n]
     if near is None:
-        for leg, rows in zip(legs, rows_of_leg, strict=True):
-            _turn_within_limits(leg, joints[rows])
+        for leg, rows in zip(legs, np.split(joints, len(legs)), strict=True):
+            _turn_within_limits(leg, rows)
     reached = closed & in_home_modes(legs, closure)
     return ClosedLegs(np.where(reached[:, None], joints, np.nan), reached, closure)
 
@@ -220,12 +217,13 @@ def _turn_within_limits(leg: LegClosure, joints: Array) -> None:
 
 
 def _search(
-    leg: LegClosure, matrices: Array, joints: Array, closed: Mask, possible: Mask, attempts: int
-) -> tuple[Array, Mask]:
-    """Return joints and where they close the leg, by Newton's method from several starts."""
-    joints, closed = joints.copy(), closed.copy()
+    leg: LegClosure, matrices: Array, attempts: int, joints: Array, closed: Mask, possible: Mask
+) -> None:
+    """Find joints that close the leg, and where, by Newton's method from several starts."""
     for attempt in range(attempts):
         rows = np.flatnonzero(possible & ~closed)
+        if not len(rows):
+            break
         if attempt:
             sampled, in_reach = start_joints(leg, matrices[rows], attempt)
             joints[rows, : sampled.shape[1]] = sampled
@@ -242,9 +240,6 @@ def _search(
         closure = leg.evaluate(joints[ended], matrices[ended])
         small = _relative_gap((leg,), closure) <= _CLOSED
         closed[ended] = small & in_home_modes((leg,), closure)
-        if (closed | ~possible).all():
-            break
-    return joints, closed
 
 
 def _newton_step(leg: LegClosure, closure: Closure) -> Array:

@@ -11,7 +11,7 @@ one equation; one with fewer passive joints more, a serial arm six.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -232,11 +232,9 @@ class Closure:
 
 
 def _power_in_platform(matrices: Array, vectors: Array, force: Array) -> Array:
-    """Return f · (R v) of vectors (4, k[, N]) in the platform frame and f (2 or 3, N), (k, N)."""
+    """Return f · (R v) of vectors (4, k, N or 1) in the platform frame, f (2 or 3, N), (k, N)."""
     in_platform = np.einsum("nij,in->jn", matrices[:, : len(force), :3], force)
-    if vectors.ndim == 3:
-        return np.einsum("jkn,jn->kn", vectors[:3], in_platform)
-    return np.asarray(vectors[:3].T @ in_platform)
+    return np.einsum("jkn,jn->kn", vectors[:3], in_platform)
 
 
 class LegClosure:
@@ -332,7 +330,7 @@ class LegClosure:
         leg, placing = self.leg, point_chain(self.leg).moving
         if leg.deformed or self.turns:
             return (object(),)
-        sizes = (len(leg.parameters), len(leg.sensors), *placing.tolist())
+        sizes = (len(leg.parameters), len(leg.sensors), len(leg.influences), *placing.tolist())
         return (*self.chain.form, self.platform, *sizes, *leg.active, "passive", *leg.passive)
 
     def frame(self, joints: Array, gap: Array | None = None) -> Array:
@@ -347,7 +345,7 @@ class LegClosure:
             tips = tips - gap[:, :3]
             turns = Rotation.from_rotvec(-gap[:, 3:] / self.size).as_matrix() @ turns
         matrices = np.tile(np.eye(4), (len(joints), 1, 1))
-        matrices[:, :3, :3] = turns @ np.swapaxes(point.turn, -1, -2)
+        matrices[:, :3, :3] = turns @ point.turn.transpose(0, 2, 1)
         matrices[:, :3, 3] = tips - applied(matrices, point.arm)[:, 0].T
         return matrices
 
@@ -364,10 +362,12 @@ def evaluate(legs: Sequence[LegClosure], joints: Array, matrices: Array) -> Clos
     return Closure(legs[0], matrices, moved, point)
 
 
-def rows_of_each(count: int, rows: int) -> list[slice]:
-    """Return the rows of each of so many alike legs."""
-    per_leg = rows // count
-    return [slice(leg * per_leg, (leg + 1) * per_leg) for leg in range(count)]
+def each(function: Callable[..., Array], legs: Sequence[LegClosure], *columns: Array) -> Array:
+    """Return what a function gives of L alike legs and their rows, each below the one before."""
+    if len(legs) == 1:
+        return function(legs[0], *columns)
+    parts = zip(legs, *(np.split(column, len(legs)) for column in columns), strict=True)
+    return np.concatenate([function(leg, *rows) for leg, *rows in parts])
 
 
 def _padded(rows: Array) -> Array:

@@ -102,7 +102,7 @@ def joints_at(mechanism: Mechanism, planned: Plan | Array) -> InverseSolution:
     joints, reached = {}, []
     for index, leg in enumerate(nominal_legs(mechanism)):
         known = mechanism.known(index, plan.readings, influences)
-        closed, positions = nearest_closure((leg,), matrices, (known,))
+        closed, positions = nearest_closure((leg,), matrices, known)
         reached.append(np.abs(closed.gap).max(axis=1) <= _CLOSES * leg.size)
         positions = positions[:, : len(leg.leg.moving)]
         joints[leg.leg.name] = np.where(reached[-1][:, None], positions, np.nan)

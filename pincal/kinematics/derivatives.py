@@ -21,7 +21,7 @@ from pincal.kinematics.batches import (
     stacked,
 )
 from pincal.kinematics.closing import close, grouped, sensor_law
-from pincal.kinematics.closure import Closure, LegClosure, rows_of_each
+from pincal.kinematics.closure import Closure, LegClosure, each
 from pincal.kinematics.nearest_closure import nearest_closure
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
@@ -53,20 +53,22 @@ class Demand:
         return Demand(value[:, :, 0], parameter, pose, by_reading)
 
 
-def demands(legs: Sequence[LegClosure], closure: Closure, known: Sequence[Array]) -> list[Demand]:
+def demands(legs: Sequence[LegClosure], closure: Closure, known: Array) -> list[Demand]:
     """Return what each of L alike legs demands, from their closures at N configurations.
 
-    Rows of each closure stand below the one before. Known are of each leg readings, then
-    influences, shape (N, n_active [+ n_influences]).
+    Rows of each stand below those of the one before. Known are readings, then influences, shape
+    (L N, n_active [+ n_influences]).
     """
-    value, rows_of_leg = closure.constraint, rows_of_each(len(legs), len(closure.gap))
-    by_parameter, pose = closure.constraint_by_parameter, closure.constraint_by_pose
-    drive, leg_demands = closure.drive, []
-    for rows, leg, leg_known in zip(rows_of_leg, legs, known, strict=True):
-        reading = drive[rows] * sensor_law(leg).slopes(leg_known)[..., None, :]
-        parameter = _by_parameter(leg, by_parameter[rows], drive[rows], leg_known)
-        leg_demands.append(Demand(value[rows], parameter, pose[rows], reading))
-    return leg_demands
+    drive, by_parameter = closure.drive, closure.constraint_by_parameter
+    reading = each(_by_reading, legs, drive, known)
+    parameter = each(_by_parameter, legs, by_parameter, drive, known)
+    columns = (closure.constraint, parameter, closure.constraint_by_pose, reading)
+    return [Demand(*rows) for rows in zip(*(np.split(c, len(legs)) for c in columns), strict=True)]
+
+
+def _by_reading(leg: LegClosure, drive: Array, known: Array) -> Array:
+    """Return ∂e/∂ψ, shape (N, k, n_active)."""
+    return np.asarray(drive * sensor_law(leg).slopes(known)[..., None, :])
 
 
 def _by_parameter(leg: LegClosure, rows: Array, drive: Array, known: Array) -> Array:
@@ -85,27 +87,19 @@ def _by_parameter(leg: LegClosure, rows: Array, drive: Array, known: Array) -> A
 
 
 def _closed(
-    legs: Sequence[LegClosure],
-    matrices: Array,
-    readings: Sequence[Array] | None = None,
-    influences: Sequence[Array] | None = None,
-) -> tuple[Closure, list[Array], Mask]:
-    """Return closures of alike legs, readings and influences of each, and which rows are reached.
-
-    Rows of each leg stand below those of the one before.
-    """
-    rows = rows_of_each(len(legs), len(matrices))
-    leg_influences = influences or [np.zeros((len(matrices) // len(legs), 0))] * len(legs)
+    legs: Sequence[LegClosure], matrices: Array, influences: Array, readings: Array | None = None
+) -> tuple[Closure, Array, Mask]:
+    """Return closures of alike legs, readings and influences, and which rows are reached."""
     if readings is not None:
-        known = [np.hstack(pair) for pair in zip(readings, leg_influences, strict=True)]
-        closure, _ = nearest_closure(legs, matrices, known)
-        return closure, known, np.ones(len(matrices), dtype=bool)
-    closed = close(legs, matrices, leg_influences[0])  # one that deforms is alone
-    known = []
-    for leg, leg_rows, at_rows in zip(legs, rows, leg_influences, strict=True):
-        psi = sensor_law(leg).reading(closed.joints[leg_rows][:, leg.leg.active], at_rows)
-        known.append(np.hstack((psi, at_rows)))
-    return closed.closure, known, closed.reached
+        known = np.hstack((readings, influences))
+        return nearest_closure(legs, matrices, known)[0], known, np.ones(len(known), dtype=bool)
+    closed = close(legs, matrices, influences)
+
+    def reading(leg: LegClosure, joints: Array, columns: Array) -> Array:
+        return sensor_law(leg).reading(joints[:, leg.leg.active], columns)
+
+    psi = each(reading, legs, closed.joints, influences)
+    return closed.closure, np.hstack((psi, influences)), closed.reached
 
 
 def leg_demands_at(
@@ -123,16 +117,16 @@ def leg_demands_at(
         influences: Of each leg, shape (N, n_influences); at their reference if not given.
     """
     forms = [(leg.form, len(poses)) for leg, poses in zip(legs, placed, strict=True)]
+    influences = influences or [np.zeros((len(poses), 0)) for poses in placed]
     demand_of: dict[int, Demand] = {}
     for places in grouped(forms, max(map(len, placed))):
         group, parts = [legs[i] for i in places], []
         for rows in list(chunks(len(placed[places[0]]))) or [slice(0)]:
-            matrices = stacked([placed[i][rows] for i in places])
-            columns = (
-                [values[i][rows] for i in places] if values else None
-                for values in (readings, influences)
+            matrices, columns = (
+                stacked([values[i][rows] for i in places]) for values in (placed, influences)
             )
-            closure, known, reached = _closed(group, matrices, *columns)
+            psi = stacked([readings[i][rows] for i in places]) if readings else None
+            closure, known, reached = _closed(group, matrices, columns, psi)
             parts.append(demands(group, closure, known))
             for part, at_rows in zip(parts[-1], np.split(reached, len(group)), strict=True):
                 if not at_rows.all():
@@ -202,8 +196,8 @@ def identification_jacobian(
     law = sensor_law(closure)
     C = np.empty((len(law.slope), len(closure.parameters), len(placed))).transpose(2, 0, 1)
     for rows, matrices in matrix_chunks(placed):
-        closed, (psi,), reached = _closed((closure,), matrices)
-        drive = closed.drive * law.slopes(psi)[..., None, :]
+        closed, psi, reached = _closed((closure,), matrices, np.zeros((len(matrices), 0)))
+        drive = _by_reading(closure, closed.drive, psi)
         C[rows] = least_squares(
             -drive, _by_parameter(closure, closed.constraint_by_parameter, closed.drive, psi)
         )

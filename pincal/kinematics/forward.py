@@ -22,7 +22,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from pincal.blas import on_one_thread
 from pincal.errors import MechanismError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
-from pincal.kinematics.batches import chunks, least_squares, lengths, product, repeated
+from pincal.kinematics.batches import chunks, least_squares, lengths, product, repeated, stacked
 from pincal.kinematics.closed_forms import is_line
 from pincal.kinematics.closing import (
     by_leg,
@@ -36,6 +36,7 @@ from pincal.kinematics.closing import (
 from pincal.kinematics.closure import (
     Closure,
     LegClosure,
+    each,
     evaluate,
     joint_range,
     largest_size,
@@ -112,27 +113,24 @@ def moving_legs(
     groups = []
     for places in grouped([leg.form for leg in legs], len(matrices)):
         group = [legs[place] for place in places]
-        group_known = [known[place] for place in places]
-        near = zip(group, _joints_near(group, matrices), group_known, strict=True)
-        groups.append(MovingLegs(places, group, np.stack([driven(*start) for start in near])))
+        near = _joints_near(group, repeated(matrices, len(group)))
+        joints = each(driven, group, near, stacked([known[place] for place in places]))
+        groups.append(MovingLegs(places, group, joints.reshape(len(group), len(matrices), -1)))
     return groups
 
 
 def _joints_near(legs: Sequence[LegClosure], matrices: Array) -> Array:
-    """Return joints that close alike legs at poses, or starts out of reach, (L, N, n_joints)."""
-    leg, count = legs[0], len(matrices)
+    """Return joints that close alike legs at poses, or starts out of reach, (L N, n_joints)."""
+    leg = legs[0]
     if not leg.leg.passive:  # all are read
-        return np.empty((len(legs), count, len(leg.leg.moving)))
+        return np.empty((len(matrices), len(leg.leg.moving)))
     if len(leg.leg.moving) < len(leg.platform.closing(leg.leg.closes)):  # few poses close it
-        return np.stack([start_joints(closure, matrices)[0] for closure in legs])
-    closed = close(legs, repeated(matrices, len(legs)))
-    joints = closed.joints.reshape(len(legs), count, -1)
-    for leg_joints, closure, reached in zip(
-        joints, legs, np.split(closed.reached, len(legs)), strict=True
-    ):
-        if not reached.all():
-            leg_joints[~reached] = start_joints(closure, matrices[~reached])[0]
-    return joints
+        return each(lambda leg, poses: start_joints(leg, poses)[0], legs, matrices)
+    closed = close(legs, matrices)
+    if closed.reached.all():
+        return closed.joints
+    starts = each(lambda leg, poses: start_joints(leg, poses)[0], legs, matrices)
+    return np.where(closed.reached[:, None], closed.joints, starts)
 
 
 _STARTS, _ROUNDS, _DRAWN, _NEARER = 4, 5, 300, 6  # searches; rounds, draws, halvings around home

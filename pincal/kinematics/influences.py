@@ -137,7 +137,7 @@ def gravity_loads(mechanism: Mechanism, readings: Array, matrices: Array) -> dic
     wrench = np.concatenate((np.broadcast_to(force, arms.shape), np.cross(arms, force)), axis=1)
     carried, closures, links = wrench[:, twist_rows], [], []
     for index, leg in enumerate(legs):
-        closed, joints = nearest_closure((leg,), matrices, (mechanism.known(index, readings),))
+        closed, joints = nearest_closure((leg,), matrices, mechanism.known(index, readings))
         lost, n = _links(leg, joints, gravity), len(leg.leg.moving)
         by_joint, by_parameter = lost[:, leg.leg.active], lost[:, n:]
         if lost.any():  # λ₀ holds the links on passive joints

@@ -9,9 +9,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pincal.kinematics.batches import lengths, product, stacked
+from pincal.kinematics.batches import lengths, product
 from pincal.kinematics.closing import driven, start_joints
-from pincal.kinematics.closure import Closure, LegClosure, evaluate, rows_of_each
+from pincal.kinematics.closure import Closure, LegClosure, each, evaluate
 from pincal.model.checks import EXACT
 from pincal.types import Array, Mask
 
@@ -21,35 +21,28 @@ _FAR = 1e-2  # of a leg's size, from which a gap's curvature counts
 
 
 def nearest_closure(
-    legs: Sequence[LegClosure],
-    matrices: Array,
-    known: Sequence[Array],
-    joints: Sequence[Array | None] | None = None,
+    legs: Sequence[LegClosure], matrices: Array, known: Array, joints: Array | None = None
 ) -> tuple[Closure, Array]:
-    """Return the closure of alike legs at poses and readings, |c| least, and the joints there.
+    """Return the closure of L alike legs at poses and readings, |c| least, and the joints there.
 
-    Rows of each leg stand below those of the one before. Deformations of parameters stand behind
+    N rows of each leg stand below those of the one before. Deformations of parameters stand behind
     joint positions, if there are any.
 
     Args:
-        legs: L legs of one form, at their parameter values.
-        matrices: Poses ``T_base_platform`` of N rows of each leg, shape (L N, 4, 4).
-        known: Of each leg readings [rad] or [m], then influences, shape (N, n_active
-            [+ n_influences]).
-        joints: Of each leg where the search for passive joints starts, shape (N, n_joints
-            [+ n_deformed]); near those that close it if not given.
+        legs: Legs of one form, at their parameter values.
+        matrices: Poses ``T_base_platform``, shape (L N, 4, 4).
+        known: Readings [rad] or [m], then influences, shape (L N, n_active [+ n_influences]).
+        joints: Where the search for passive joints starts, shape (L N, n_joints [+ n_deformed]);
+            near those that close the legs if not given.
     """
-    starts, n, leg = [], len(legs[0].leg.moving), legs[0].leg
-    rows, near = rows_of_each(len(legs), len(matrices)), joints or [None] * len(legs)
-    for closure, leg_rows, leg_known, leg_near in zip(legs, rows, known, near, strict=True):
-        if leg_near is not None:
-            start = leg_near[:, :n].copy()
-        elif leg.passive:
-            start = start_joints(closure, matrices[leg_rows])[0]
-        else:
-            start = np.empty((len(leg_known), n))
-        starts.append(driven(closure, start, leg_known))
-    positions, count = stacked(starts), len(matrices) // len(legs)
+    leg, n = legs[0].leg, len(legs[0].leg.moving)
+    if joints is not None:
+        start = joints[:, :n].copy()
+    elif leg.passive:
+        start = each(lambda leg, poses: start_joints(leg, poses)[0], legs, matrices)
+    else:
+        start = np.empty((len(matrices), n))
+    positions, count = each(driven, legs, start, known), len(matrices) // len(legs)
     scales = np.repeat([closure.leg.passive_scales for closure in legs], count, axis=0)
     far_gaps = _FAR * np.repeat([closure.size for closure in legs], count)
     for _ in range(_STEPS):

@@ -148,7 +148,7 @@ def home_determinant(mechanism: Mechanism) -> float:
         if mechanism.by_readings:
             leg = closure.leg
             readings = sensor_law(closure).reading(leg.home[None, leg.active])
-            home = nearest_closure((closure,), matrices, (readings,), (leg.home[None],))[0]
+            home = nearest_closure((closure,), matrices, readings, leg.home[None])[0]
             lines.append(home.constraint_by_pose)
             continue
         closed = close((closure,), matrices)

@@ -128,7 +128,7 @@ class Criteria:
         matrices = platform.matrices(poses)
         for place, leg in enumerate(self._legs):
             known = self.mechanism.known(place, readings, None)
-            closure, joints = nearest_closure((leg,), matrices, (known,))
+            closure, joints = nearest_closure((leg,), matrices, known)
             apart = 10.0 * home_gap(leg.leg, platform) + EXACT * leg.size
             near = (np.abs(closure.gap).max(axis=1) <= apart) & in_home_modes((leg,), closure)
             closed.append(([place], ClosedLegs(joints[:, : len(leg.leg.moving)], near, closure)))
