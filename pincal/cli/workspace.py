@@ -136,5 +136,5 @@ def _region(
         region.save(table)
         for picture in pictures:
             save_figure(workspace_figure(region, circle), picture)
-    stdout.print(workspace_table(region, circle, wanted=options.inscribed))
+    stdout.print(workspace_table(region, circle))
     wrote(*outputs)

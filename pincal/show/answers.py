@@ -14,7 +14,6 @@ from pincal.calibration.result_parts import Missed
 from pincal.calibration.validation import MISSES
 from pincal.design.platform_error import platform_error
 from pincal.estimation.observability.identifiable import WeakPair
-from pincal.model.measurements import Noise
 from pincal.model.mechanism import Mechanism
 from pincal.model.setup import ORIGIN
 from pincal.show.misses import WorkspaceErrors, workspace_errors
@@ -292,7 +291,6 @@ def noise_lines(result: CalibrationResult) -> list[str]:
 
 _NOISE_SOURCES = {
     "given": "as given",
-    "rows": "of each row, in the measurements; medians",
     "repeats": "from rows that were measured repeatedly",
     "estimated": "estimated from the residuals, since none was given",
 }
@@ -302,14 +300,7 @@ def noise_line(result: CalibrationResult) -> str:
     """Return where the noise comes from, and standard deviations of what was measured."""
     noise, observed = result.noise, result.calibration.observation
     if noise is None:
-        data, units = result.measurements, np.array(result.nominal.platform.units)
-        poses = data.sigma_poses
-        parts = [None if poses is None else poses[:, units == unit] for unit in ("m", "rad")]
-        medians = [
-            float(np.nanmedian(part)) if part is not None and np.isfinite(part).any() else 0.0
-            for part in (*parts, data.sigma_readings)
-        ]
-        noise = Noise(*medians)
+        return "of each row, as the measurements say"
     columns = zip(observed.units, observed.measured.T, strict=True)
     measured = {unit for unit, values in columns if values.any()}
     sizes = noise_in_words(

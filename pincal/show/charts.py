@@ -27,6 +27,7 @@ from pincal.errors import MeasurementError
 from pincal.kinematics.configurations import legs_at
 from pincal.model.setup import Image, image_of
 from pincal.show.misses import error_map, noisy_residuals
+from pincal.show.pictures.picture import shortened
 from pincal.show.style import EVERY, IDENTIFIED, INK, NOMINAL, OUTLIER, look
 from pincal.show.view.scene import rounded_down
 from pincal.types import Array
@@ -43,7 +44,6 @@ _GAP = 0.08  # between images, of the widest
 _ARROW = 0.07  # length of a typical large arrow, of the widest image
 _LARGE = 0.9  # share of arrows that are shorter
 _LETTER_WIDTH = 0.065  # of labels, [inch]
-_LONG_LEGEND, _LONG_NAME = 8, 32  # entries, and letters of a name, from which legends are dense
 #: Light enough for black lines; brighter is more, in black and white too.
 _LIGHT = ListedColormap(colormaps["cividis"](np.linspace(0.35, 1.0, 128)))
 #: Behind numbers of lines: dark letters are read on it wherever a map is dark.
@@ -113,7 +113,7 @@ class Plots:
                 ms=3,
                 color=colour if of_leg else EVERY,
                 mfc=None if of_leg or index % 2 == 0 else "none",
-                label=_label(group.name),
+                label=_label(shortened(group.name)),
             )
         ax.axhline(0.0, color="0.5", lw=0.8, zorder=0)
         for level, name in ((-_NORMAL, "_95 %"), (_NORMAL, "95 %")):
@@ -121,7 +121,9 @@ class Plots:
         ax.set(xlabel="data row", ylabel="residual / (σ√(1−h))")
         _mark_outliers(ax, self.result)
         _name_undrawn(ax, self.result)
-        return _legend_beside(ax)
+        beside: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0)}
+        ax.legend(**beside, frameon=False, fontsize=7, labelspacing=0.15)
+        return ax
 
     @_chart(6.4, 3.6)
     def images(self, ax: Axes) -> Axes:
@@ -170,7 +172,8 @@ class Plots:
         key = f"  {pixels:g} px of residual, predicted less seen"
         ax.text(magnified * pixels, low, key, size=8, va="center")
         bar = ax.figure.colorbar(arrows, ax=ax, extend="max", shrink=0.8)
-        bar.set_label(_wrapped(f"larger {'residual / (σ√(1−h))'} of the point", 0.8 * _height(ax)))
+        name = "larger residual / (σ√(1−h)) of the point"
+        bar.set_label(_wrapped(name, 0.8 * _height(ax)))
         ax.set(xlim=(-0.02 * widest, columns * step[0] - gap + 0.02 * widest), aspect="equal")
         ax.set_ylim(low + 0.5 * gap, -gap)
         ax.set_axis_off()
@@ -306,19 +309,6 @@ def _round_levels(known: Array) -> tuple[Array, int]:
     ticks = MaxNLocator(3, steps=[1, 2, 5, 10]).tick_values(low, high)
     digits = max(0, int(np.ceil(-np.log10(ticks[1] - ticks[0]) - 1e-9)))
     return ticks[(ticks > low) & (ticks < high)].round(digits), digits
-
-
-def _legend_beside(axes: Axes) -> Axes:
-    """Put the legend beside the axes, where it hides nothing; below them if a name is long."""
-    handles, names = axes.get_legend_handles_labels()
-    dense: dict[str, Any] = {"fontsize": 7, "labelspacing": 0.15}
-    style: dict[str, Any] = dense if len(names) > _LONG_LEGEND else {"fontsize": 8}
-    figure = axes.get_figure(root=True)
-    if figure and max(map(len, names), default=0) > _LONG_NAME:
-        figure.legend(handles, names, loc="outside lower left", frameon=False, **dense)
-    else:
-        axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False, **style)
-    return axes
 
 
 def _height(axes: Axes) -> float:

@@ -25,15 +25,17 @@ from pincal.model.setup import image_of
 from pincal.model.units import SI, Units
 from pincal.show import answers, tables
 from pincal.show.charts import CAPTIONS
-from pincal.show.misses import WorkspaceErrors, readings_exact, workspace_errors
+from pincal.show.misses import WorkspaceErrors, workspace_errors
 from pincal.show.page import Page
 from pincal.show.pictures.files import page_figure
 from pincal.show.pictures.picture import Picture, picture
 from pincal.show.view.scene import MOST_POSES, scene
 from pincal.words.numbers import capital, reading_in
+from pincal.words.table import Table
 from pincal.words.wording import clean, rendered
 
 _MOST_OUTLIERS = 50  # that are listed
+_FILES = "Files read, and their SHA-256"
 
 
 @dataclass(eq=False)
@@ -122,12 +124,10 @@ def _sections(report: Report) -> list[tuple[Any, ...]]:
         Markup("<pre><code>{}</code></pre>").format(clean(report.command)),
         f"Made on {report.date} with pincal {__version__}, {libraries}, Python "
         f"{platform.python_version()}. No random choice is involved.",
-        tables.files_table(report.files) if report.files else None,
+        Table(_FILES, ["file", "SHA-256"], report.files) if report.files else None,
     )
     if errors is None:
         return [measured, reproduction]
-    exact = "Readings were taken as exact: the legs close by construction, and what the model "
-    exact += "leaves over is by how much the platform misses what was measured of it."
     could_change = any(p.std > 0.0 for leg in result.legs for p in leg.parameters)
     seen_by_cameras = any(map(image_of, result.options.setup.instruments))
     return [
@@ -144,10 +144,10 @@ def _sections(report: Report) -> list[tuple[Any, ...]]:
         (
             "residuals",
             "Residuals before and after",
-            exact if readings_exact(result) else tables.legs_table(result),
-            tables.observed_table(result) if result.observed else None,
+            tables.residuals_table(result),
             _chart(result, "residuals"),
             _chart(result, "images") if seen_by_cameras else None,
+            tables.outliers_table(result, _MOST_OUTLIERS) if result.outliers else None,
         ),
         (
             "platform",
@@ -155,8 +155,6 @@ def _sections(report: Report) -> list[tuple[Any, ...]]:
             _chart(result, "error_map"),
             [f"{capital(line)}." for line in answers.platform_lines(result, errors)],
         ),
-        ("outliers", "What was rejected or weighted down", *_outliers(result)),
-        ("checks", "Held-out rows", *_checks(result, report.notes)),
         reproduction,
     ]
 
@@ -206,6 +204,8 @@ def _measured(result: CalibrationResult) -> dict[str, str]:
         if values is not None:
             counts = Counter("every leg" if value in ("", EVERY_LEG) else value for value in values)
             facts[name] = ", ".join(f"{value} {count}" for value, count in counts.items())
+    if result.loss != "none":
+        facts["robust loss"] = result.loss
     if result.options.setup.plain:
         positions = ", ".join(nominal.platform.coordinates[: nominal.platform.lengths])
         facts["frame"] = f"positions {positions} are of the platform's frame in the base frame"
@@ -221,19 +221,3 @@ def _columns(result: CalibrationResult) -> str:
     counts = {name: int(np.isfinite(values).sum()) for name, values in measured.items()}
     often = {name: "" if n == len(data) else f" ({n} rows)" for name, n in counts.items() if n}
     return ", ".join(map("".join, often.items())) or "nothing"
-
-
-def _outliers(result: CalibrationResult) -> list[Any]:
-    """Return which rows were rejected or weighted down."""
-    text = "No robust loss was used" if result.loss == "none" else f"Robust loss: {result.loss}"
-    if not result.outliers:
-        return [f"{text}; no row stands out from the others."]
-    text += f"; rows that do not fit the others: {len(result.outliers)}."
-    return [text, tables.outliers_table(result, _MOST_OUTLIERS)]
-
-
-def _checks(result: CalibrationResult, notes: Sequence[str]) -> list[Any]:
-    """Return what held-out rows show, and notes on what was not done."""
-    lines = [capital(line) for line in answers.check_lines(result)]
-    lines = [f"{line}." for line in (*lines, *notes)]
-    return [lines or ["No rows were held out."]]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -162,16 +162,8 @@ def standard_errors(forecast: Forecast) -> Table:
 # Workspaces
 
 
-def workspace_table(
-    workspace: Workspace, inscribed: Inscribed | None = None, *, wanted: bool = False
-) -> Table:
-    """Return what a workspace is: how large, in how many orientations, by which symmetry.
-
-    Args:
-        workspace: The workspace.
-        inscribed: Its largest circle or ball.
-        wanted: Whether one was looked for.
-    """
+def workspace_table(workspace: Workspace, inscribed: Inscribed | None = None) -> Table:
+    """Return what a workspace is: how large, in how many orientations, by which symmetry."""
     positions, test = workspace.asked, workspace.test
     name = {1: "length", 2: "area", 3: "volume"}[positions.dimension or 1]
     separate = f"; {workspace.apart:,} of them apart from home's" if workspace.apart else ""
@@ -194,7 +186,7 @@ def workspace_table(
     ]
     if workspace.cut:
         facts.append(("", "cut off by the edge of the grid: widen the axes to see the whole"))
-    if inscribed is None and wanted:
+    if not workspace.count:
         facts.append(("largest inscribed", "none: no position counts"))
     if inscribed:
         middle = inscribed.centre[: len(positions.axes)].round(6) + 0.0
@@ -216,9 +208,9 @@ _HEADS = ("nominal", "identified", "± 95 %", "unit")
 
 def calibration_tables(result: CalibrationResult) -> list[Table]:
     """Return all tables of a calibration that a terminal shows."""
-    tables = [parameters_table(result), legs_table(result)]
+    tables = [parameters_table(result)]
     tables += [outside_table(result)] if result.external else []
-    tables += [observed_table(result)] if result.observed else []
+    tables += [residuals_table(result)]
     tables += [outliers_table(result)] if result.outliers and result.loss != "none" else []
     return tables
 
@@ -284,46 +276,31 @@ def outside_table(result: CalibrationResult) -> Table:
     )
 
 
-_SIZES = ("rms before", "rms after", "σ", "unit")
-
-
-def legs_table(result: CalibrationResult) -> Table:
-    """Return residuals of each leg, if it can miss anything, and its rank and condition."""
+def residuals_table(result: CalibrationResult) -> Table:
+    """Return residuals of legs, if these can miss anything, and of what was measured otherwise."""
     exact = readings_exact(result)
-    caption = "condition: of the leg's whitened identification Jacobian, columns scaled"
-    return Table(
-        f"Legs: {'readings were taken as exact' if exact else 'residuals, rank and condition'}",
-        ["leg", *([] if exact else _SIZES), "poses", "rank", "condition:.3g"],
-        [
-            (
-                leg.name,
-                *(() if exact else _sizes(leg)),
-                leg.n_poses,
-                Cell(leg.rank, f"{leg.rank} of {len(leg.parameters)}"),
-                leg.condition,
-            )
-            for leg in result.legs
-        ],
-        caption if exact else f"σ: what the noise alone makes of residuals; {caption}",
-    )
-
-
-def observed_table(result: CalibrationResult) -> Table:
-    """Return how the measured quantities of the platform fit, where poses are unknowns."""
-    return Table(
-        "The platform as measured, at the estimated poses",
-        ["measured", "rows", *_SIZES],
-        [(group.name, group.n_residuals, *_sizes(group)) for group in result.observed],
-    )
+    legs, ranks = ([], []) if exact else (result.legs, ["rank", "condition:.3g"])
+    rows = [
+        (*_sizes(leg), Cell(leg.rank, f"{leg.rank} of {len(leg.parameters)}"), leg.condition)
+        for leg in legs
+    ]
+    rows += [(*_sizes(group), *(None for _ in ranks)) for group in result.observed]
+    caption = "σ: what the noise alone makes of residuals; condition: of the leg's whitened "
+    caption += "identification Jacobian, columns scaled"
+    if exact:
+        caption = "Readings were taken as exact: the legs close by construction, and what the "
+        caption += "model leaves over is by how much the platform misses what was measured of it"
+    heads = ["of", "rows", "rms before", "rms after", "σ", "unit", *ranks]
+    return Table("Residuals, of the platform at the estimated poses", heads, rows, caption)
 
 
 def _sizes(group: ResidualGroup) -> tuple[Value, ...]:
-    """Return root mean squares before and after, σ, and the unit."""
-    unit = SMALL[group.unit]
-    if not group.n_residuals:
-        return None, None, None, unit
-    sizes = group.rms_before, group.rms_after, group.rms_noise
-    return (*(Cell(size, f"{shown_in(size, group.unit):.4f}") for size in sizes), unit)
+    """Return name, rows, root mean squares before and after, σ, and the unit."""
+    unit, sizes = group.unit, (group.rms_before, group.rms_after, group.rms_noise)
+    shown = (Cell(size, f"{shown_in(size, unit):.4f}") for size in sizes)
+    no_sizes = (None, None, None)
+    rows = len(np.unique(group.rows))
+    return group.name, rows, *(shown if rows else no_sizes), SMALL[unit]
 
 
 def outliers_table(result: CalibrationResult, most: int = 20) -> Table:
@@ -345,11 +322,6 @@ def outliers_table(result: CalibrationResult, most: int = 20) -> Table:
         ],
         f"and {omitted} more in result.json" * (omitted > 0),
     )
-
-
-def files_table(files: Sequence[tuple[str, str]]) -> Table:
-    """Return files that were read, and their SHA-256."""
-    return Table("Files read, and their SHA-256", ["file", "SHA-256"], files)
 
 
 # What explains a calibration that does not fit

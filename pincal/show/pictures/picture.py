@@ -82,7 +82,7 @@ class Picture:
         joints = joints_at(mechanism, poses).joints[self.dimensions][0]
         if not np.isfinite(joints).all():
             return []
-        size = _ARC * float(np.linalg.norm(np.ptp(self._extent_of(()), axis=0)))
+        size = _ARC * self.scene.size
         closure = nominal_legs(mechanism)[mechanism.leg_names.index(self.dimensions)]
         every = dimensions_of(closure, joints, mechanism.platform.matrices(poses)[0], size)
         return [dimension for dimension in every if dimension.extent > EXACT * size]
@@ -90,10 +90,7 @@ class Picture:
     @property
     def _extent(self) -> Array:
         """Least and largest of what is seen, right and up, shape (2, 2), [m]."""
-        return self._extent_of([dimension.line for dimension in self._drawn])
-
-    def _extent_of(self, lines: Sequence[Array]) -> Array:
-        scene = self.scene
+        scene, lines = self.scene, [dimension.line for dimension in self._drawn]
         tips = scene.body.platform[self.row] @ np.vstack((scene.body.axis * np.eye(3), np.ones(3)))
         points = np.concatenate((scene.points(), tips[:3].T, *lines)) @ scene.axes[:2].T
         low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
@@ -182,7 +179,7 @@ def _ghosts(axes: Axes, scene: Scene) -> list[Line2D]:
         ghosts.set_rasterized(len(lines) > RASTER_FROM)  # a vector picture stays small
         axes.add_collection(ghosts)
         axes.plot(*(points @ V).T, marker, ms=3, color=colour, zorder=0.6)
-        owner = f" for {_short(name)}" if name not in ("", EVERY_LEG) else ""
+        owner = f" for {shortened(name)}" if name not in ("", EVERY_LEG) else ""
         legend.append(_dot(colour, f"{counted(len(points), 'pose')}{owner}", marker))
     return legend
 
@@ -192,10 +189,9 @@ def _dot(colour: str, label: str, marker: str = "o") -> Line2D:
     return Line2D([], [], marker=marker, ls="", ms=5, color=colour, label=label)
 
 
-def _short(name: str) -> str:
+def shortened(name: str) -> str:
     """Return a name, its middle left out where there is no room for it."""
-    limit = _LETTERS
-    return clean(name if len(name) <= limit else f"{name[: limit - 9]}…{name[-8:]}")
+    return clean(name if len(name) <= _LETTERS else f"{name[: _LETTERS - 9]}…{name[-8:]}")
 
 
 def _name_axes_and_legs(names: Names, scene: Scene) -> None:
@@ -211,7 +207,7 @@ def _name_axes_and_legs(names: Names, scene: Scene) -> None:
         outward = np.arctan2(*(foot - feet.mean(axis=0))[::-1])
         turns = outward + np.radians([0.0, 30.0, -30.0, 65.0, -65.0, 100.0, -100.0])
         directions = np.stack((np.cos(turns), np.sin(turns)), axis=1)
-        names.write_beside(_short(leg.name), foot, directions)
+        names.write_beside(shortened(leg.name), foot, directions)
 
 
 def _write_legend(axes: Axes, handles: Sequence[Line2D]) -> None:
