@@ -212,10 +212,8 @@ def quantiles(degrees_of_freedom: Array) -> Array:
 def _standard_errors(covariance: Array, by_systematic: Array, held: Array) -> Array:
     """Return standard errors of n values, infinite of what a direction that was held may move.
 
-    Args:
-        covariance: By noise, shape (n, n).
-        by_systematic: How the values follow what is off in all rows, shape (n, q).
-        held: Directions that were held, as far as machines may differ, shape (n, n_held).
+    By the covariance of the noise, by how they follow what is off in all rows, shape (n, q), and by
+    directions that were held, as far as machines may differ, shape (n, n_held).
     """
     std = np.hypot(np.sqrt(np.diagonal(covariance)), np.linalg.norm(by_systematic, axis=1))
     moved = np.linalg.norm(held, axis=1)
@@ -269,12 +267,8 @@ def _external(
 ) -> tuple[IdentifiedParameter, ...]:
     """Return frame and targets with their intervals, and where the search for them began.
 
-    Args:
-        fits: The fits.
-        covariance: Of their steps by noise, shape (n, n).
-        by_systematic: How they follow what is off by the same in all rows, shape (n, q).
-        held: Directions of them that were held, shape (n, n_held).
-        freedoms: Degrees of freedom of the noise.
+    By the covariance of their steps, (n, n), and the degrees of freedom of the noise; by_systematic
+    and held are those of ``_standard_errors``.
     """
     outside, values = fits.calibration.observation.external, fits.external
     if not len(outside):

@@ -62,10 +62,8 @@ def calibrate(
         **single_options: Options by name, such as ``noise=`` or ``setup=``: see ``Options``.
 
     Raises:
-        ObservabilityError: too few poses, or poses that leave parameters undetermined.
-        MeasurementError: measurements that cannot be this mechanism's; noise that is given
-            twice, or leaves a residual without any; the joint residual out of reach; an unknown
-            parameter or option.
+        ObservabilityError: poses that leave parameters undetermined.
+        MeasurementError: measurements that cannot be this mechanism's, or options that do not suit.
     """
     return run(prepared(mechanism, measurements, options, **single_options))[0]
 
@@ -166,17 +164,10 @@ def blame_wrong_rows(
     are_few = 0 < len(rejected) <= MANY_ROWS * total
     if not (are_few and robust.converged and robust.excess == 1.0):
         return findings, result.outliers
-    worst = rejected[0]
-    wrong_rows = finding(
-        "wrong-rows",
-        [outlier.row for outlier in rejected],
-        total=total,
-        chi2=result.reduced_chi2,
-        without=robust.reduced_chi2,
-        sigma=worst.sigma,
-        quantity=worst.quantity,
-        off=worst.off,
-    )
+    rows, worst = [outlier.row for outlier in rejected], rejected[0]
+    values: dict[str, Any] = {name: getattr(worst, name) for name in ("sigma", "quantity", "off")}
+    values |= {"chi2": result.reduced_chi2, "without": robust.reduced_chi2}
+    wrong_rows = finding("wrong-rows", rows, total=total, **values)
     without_rows = [remark for remark in findings_of(robust, fits) if remark.code in _FOLLOW]
     unrelated = [remark for remark in findings if remark.code not in _FOLLOW]
     outliers = tuple(replace(outlier, weight=1.0) for outlier in rejected)  # they took part
@@ -215,11 +206,7 @@ def _with_terms(calibration: Calibration) -> Calibration:
 
 
 def _start(calibration: Calibration) -> Array | None:
-    """Return where the search starts if motors' zeros are far from the drawing's.
-
-    Raises:
-        MeasurementError: something else explains that the nominal mechanism does not fit.
-    """
+    """Return where the search starts if motors' zeros are far from the drawing's."""
     if calibration.options.rough:
         return zeros_measured(calibration)
     faults = implausible(calibration.mechanism, calibration.measurements)

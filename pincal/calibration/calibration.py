@@ -179,11 +179,8 @@ class Calibration:
     ) -> LegBlock:
         """Return the residual block of some legs at some rows of the measurements.
 
-        Args:
-            places: Of the legs in the mechanism.
-            rows: Of the measurements.
-            used: Which of the rows serves which of the legs, shape (N, n_legs); all if None.
-            pose_roots: Roots of the poses' covariance if these are taken as measured.
+        Used says which row serves which leg, (N, n_legs), all if None; roots of the poses'
+        covariance that these are taken as measured.
         """
         mechanism, known = self.mechanism, []
         for place in places:
@@ -228,8 +225,7 @@ class Calibration:
         """
         every = np.arange(len(self.measurements))
         noise = self.observation.row_noise(self.measurements, self.noise.noise)
-        used = self.used if self.options.latent else None
-        leg_block = self.leg_block(range(len(self.mechanism.legs)), every, used)
+        leg_block = self.leg_block(range(len(self.mechanism.legs)), every, self.used)
         problem = Problem(leg_block, self.observation.with_noise(noise))
         _check_equations(problem)
         return problem
@@ -275,11 +271,7 @@ class Calibration:
         return platform.from_matrices(matrices)
 
     def check_complete(self) -> None:
-        """Raise if poses cannot be taken as measured.
-
-        Raises:
-            MeasurementError: a pose or reading that is not complete.
-        """
+        """Raise if a pose or reading is not complete, so that poses cannot be as measured."""
         data, mechanism = self.measurements, self.mechanism
         for values, columns in (
             (data.poses, mechanism.platform.coordinates),
@@ -293,11 +285,7 @@ class Calibration:
                 )
 
     def check_counts(self) -> None:
-        """Raise if there are too few poses for a leg.
-
-        Raises:
-            ObservabilityError: there are.
-        """
+        """Raise if there are too few poses for a leg."""
         free, served = self.unknowns, self.used[self.counts].sum(axis=0)
         for leg, count in zip(self.mechanism.legs, served, strict=True):
             of_leg = free.part([leg.name])
@@ -307,14 +295,12 @@ class Calibration:
             least = -(-(n + scale) // equations)
             if count < least:
                 added = " and the scale of the noise" if scale else ""
+                remedy = ". --poses all uses every pose for every leg"
                 raise ObservabilityError(
                     f"{leg.name}: {count} measured poses for {n} parameters{added}; at least "
                     f"{least} are needed, {2 * least} or more advised"
-                    + (
-                        ""
-                        if self.options.every_pose
-                        else ". --poses all uses every pose for every leg"
-                    )
+                    + remedy
+                    * (not self.options.every_pose)
                 )
 
 
@@ -361,11 +347,7 @@ def _check_shapes(mechanism: Mechanism, data: Measurements) -> None:
 
 
 def _check_influences(mechanism: Mechanism, data: Measurements) -> None:
-    """Raise if something on which terms depend is not known in a row.
-
-    Raises:
-        MeasurementError: naming the column and the row.
-    """
+    """Raise if something on which terms depend is not known in a row."""
     known = mechanism.followed - (set() if mechanism.weighs else set(mechanism.loaded))
     for name in mechanism.influences:
         values = data.influences.get(name, np.full(len(data), np.nan))
@@ -377,11 +359,7 @@ def _check_influences(mechanism: Mechanism, data: Measurements) -> None:
 
 
 def _check_equations(problem: Problem) -> None:
-    """Raise if a row does not fix its pose, or exact readings contradict each other.
-
-    Raises:
-        MeasurementError: naming the row, or what to give.
-    """
+    """Raise if a row does not fix its pose, or exact readings contradict each other."""
     dof = problem.platform.dof
     short = problem.equations < 0
     if short.any():

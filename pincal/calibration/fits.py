@@ -87,11 +87,8 @@ class Fits:
     @property
     def reading_unit(self) -> float:
         """Standard deviation of readings, [m or rad]; an assumed one if they are exact."""
-        calibration = self.calibration
-        return (
-            calibration.noise.noise.reading
-            or assumed_noise(calibration.mechanism, exact=False).reading
-        )
+        assumed = assumed_noise(self.calibration.mechanism, exact=False).reading
+        return self.calibration.noise.noise.reading or assumed
 
     @property
     def moments(self) -> Moments:
@@ -192,20 +189,13 @@ def _assumed(calibration: Calibration) -> tuple[Noise, bool]:
 
 
 def _noise_of(fits_of_all: Fits, noise: Noise, unit: float, tie: Tie | None) -> Noise:
-    """Return the noise that the residuals of fits show.
-
-    Args:
-        fits_of_all: The fits.
-        noise: At which they were made.
-        unit: Standard deviation of readings to try where they were exact.
-        tie: To which noise that of readings is tied, if it is.
-    """
+    """Return the noise that the residuals of fits at some noise show; see ``fitted``."""
     assumed, exact = _assumed(fits_of_all.calibration)
     for _ in range(ROUNDS):
-        moments = _moments(fits_of_all, noise, noise.reading or unit)
+        reading = noise.reading or unit
+        moments = _moments(fits_of_all, noise, reading)
         if moments.rounding:
             return noise
-        reading = noise.reading or unit
         estimate = estimated_noise(moments, noise, reading, assumed, exact=exact, tie=tie)
         if _agree(noise, estimate):
             break
@@ -246,10 +236,7 @@ def _all_legs(
 ) -> Fits:
     """Return the fit of all legs, poses and frames at once.
 
-    Args:
-        calibration: What is to be identified.
-        begin: Fits where it starts, if that is known: at other noise, or of more rows.
-        rows: Which of their rows these are, shape (N,); all if None.
+    It begins at other fits, if given: at other noise, or of more rows, of which these are some.
     """
     mechanism, options = calibration.mechanism, calibration.options
     if not calibration.counts.any():
@@ -289,14 +276,7 @@ def _all_legs(
 def _fit_holding(
     calibration: Calibration, system: System, start: State | None, least: float
 ) -> tuple[Fit, HeldUnknowns]:
-    """Return a fit with weak directions held, and what was: more of them until it converges.
-
-    Args:
-        calibration: What is to be identified.
-        system: Of all legs, nothing held.
-        start: Where the search starts, if not where the problem does.
-        least: How well determined are directions that are held at least (see ``HeldUnknowns``).
-    """
+    """Return a fit with weak directions held, and what was: more of them until it converges."""
     mechanism, options, free = calibration.mechanism, calibration.options, system.unknowns
     problem = system.problem
     if system.kept is not None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, Final, Literal, get_args
 
 import numpy as np
@@ -13,6 +13,7 @@ from pincal.errors import MeasurementError
 from pincal.estimation.legs import Residual
 from pincal.estimation.system import Loss, LossName, loss_of
 from pincal.files.text import in_si, plain_number
+from pincal.model.checks import must_be
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.option import option
 from pincal.model.parameter import Parameter, means
@@ -50,9 +51,9 @@ def folds_of(data: Measurements, folds: int, by: By = "turn") -> Index:
         )
     folds_of_rows = np.zeros(len(data), dtype=np.intp)
     for poses in groups.values():
-        firsts = np.array([rows[0] for rows in poses.values()])
         fold_of_pose = np.arange(len(poses)) % folds
         if by == "region":
+            firsts = [rows[0] for rows in poses.values()]
             fold_of_pose = _regions(_scaled(data.readings[firsts]), min(folds, len(poses)))
         for rows, fold in zip(poses.values(), fold_of_pose, strict=True):
             folds_of_rows[rows] = fold
@@ -129,9 +130,7 @@ class Options:
     fixed: tuple[str, ...] = option(
         (), "Hold a parameter: l of every leg, leg_1.l of one; leg_1.*, A_*.", metavar="NAME"
     )
-    tied: tuple[str, ...] = option(
-        (), "One value for all legs; tested whether it holds.", metavar="NAME"
-    )
+    tied: tuple[str, ...] = option((), "One value for all legs.", metavar="NAME")
     priors: Mapping[str, float] = option(
         dict,
         "A nominal value known to SIGMA [m, rad or 1], or as 0.5mm.",
@@ -182,12 +181,8 @@ class Options:
                     f"{', '.join(get_args(known))}"
                 )
         loss_of(self.loss)  # raises where there is no such loss
-        for name, kinds in _CLASSES.items():
-            if not isinstance(getattr(self, name), kinds):
-                raise MeasurementError(
-                    f"{name} is {type(getattr(self, name)).__name__}; expected "
-                    f"pincal.{kinds[0].__name__}(…)"
-                )
+        must_be(self.noise, (Noise, type(None)), "noise", MeasurementError)
+        must_be(self.setup, Setup, "setup", MeasurementError)
         if not isinstance(self.folds, int) or self.folds < 0 or self.folds == 1:
             raise MeasurementError(
                 f"--folds {self.folds!r}: expected 2 or more, or 0 for no held-out validation; "
@@ -199,13 +194,11 @@ class Options:
                 "legs at once and the closure residual; leave out "
                 + ("--method per-leg" if self.method == "per-leg" else "--residual joint")
             )
-        as_said: dict[str, Any] = {name: getattr(self, name) for name in ("fixed", "tied", "terms")}
-        parsed: dict[str, Any] = {
-            n: (v,) if isinstance(v, str) else tuple(v) for n, v in as_said.items()
-        }
-        parsed |= {"tolerance": _tolerance(self.tolerance), "priors": _parse_priors(self.priors)}
-        for name, value in parsed.items():
-            object.__setattr__(self, name, value)
+        for name in ("fixed", "tied", "terms"):
+            texts = getattr(self, name)
+            object.__setattr__(self, name, (texts,) if isinstance(texts, str) else tuple(texts))
+        object.__setattr__(self, "tolerance", _tolerance(self.tolerance))
+        object.__setattr__(self, "priors", _parse_priors(self.priors))
 
     @classmethod
     def of(cls, options: Options | None = None, **given: Any) -> Options:
@@ -214,13 +207,11 @@ class Options:
         Raises:
             MeasurementError: unknown options or values.
         """
-        known = {option.name: option for option in fields(cls)}
+        known = [option.name for option in fields(cls)]
         if unknown := [name for name in given if name not in known]:
             raise MeasurementError(f"no option {unknown[0]!r}; expected some of {', '.join(known)}")
         given = {name: value for name, value in given.items() if value is not None}
-        if options is not None:
-            given = {one: getattr(options, one) for one in known} | given
-        return cls(**given)
+        return cls(**given) if options is None else replace(options, **given)
 
     def priors_of(self, parameters: Sequence[Parameter]) -> dict[str, float]:
         """Return the priors in SI, by name.
@@ -252,15 +243,10 @@ class Options:
 
 
 _CHOICES = {"method": Method, "residual": Residual, "poses": Poses}
-_CLASSES: dict[str, tuple[type, ...]] = {"noise": (Noise, type(None)), "setup": (Setup,)}
 
 
 def _parse_priors(priors: Mapping[str, Any] | Iterable[str]) -> Mapping[str, Any]:
-    """Return standard deviations by name; of texts such as ``l=0.5mm`` as they are typed.
-
-    Raises:
-        MeasurementError: a name said twice.
-    """
+    """Return standard deviations by name; of texts such as ``l=0.5mm`` as they are typed."""
     if isinstance(priors, Mapping):
         return priors
     by_name: dict[str, str] = {}
@@ -290,11 +276,7 @@ def _prior(name: str, sigma: float | str, parameters: Sequence[Parameter]) -> fl
 
 
 def _tolerance(tolerance: Mapping[str, float] | str) -> Tolerance:
-    """Return standard deviations of parameters by unit, or that they are to be found.
-
-    Raises:
-        MeasurementError: a unit said twice, no number with one, or none above 0.
-    """
+    """Return standard deviations of parameters by unit, or that they are to be found."""
     if isinstance(tolerance, str) and tolerance.strip() == AUTO:
         return AUTO
     by_unit = _parse_tolerance(tolerance) if isinstance(tolerance, str) else tolerance

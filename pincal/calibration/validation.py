@@ -105,11 +105,7 @@ def held_out(
 def _converged(
     calibration: Calibration, subject: str, near: Fits | None = None, rows: Mask | None = None
 ) -> Fits:
-    """Return the fits of a calibration, the search begun near others of which these are some rows.
-
-    Raises:
-        MeasurementError: they do not converge.
-    """
+    """Return fits that converge, the search begun near others of which these are some rows."""
     fits = fitted(calibration, near, rows)
     if not fits.converged:
         raise MeasurementError(
@@ -162,10 +158,8 @@ def _chance(fits: Fits, sums: Array, total: float | None) -> float:
     an F test where the scale of the noise was estimated (G. C. Chow 1960). To first order that is
     Σ rᵀ (1 + J C Jᵀ)⁻¹ r, which curvature spoils where a region is left out.
 
-    Args:
-        fits: The fits of the rows seen.
-        sums: What they predict of the others (see ``_sums``), shape (4,).
-        total: χ² of all rows at this noise; by the first order if not given.
+    Sums are what fits of the rows seen predict of the others (see ``_sums``), the total is χ² of
+    all rows at this noise: by the first order if not given.
     """
     statistic, _, _, equations = sums.tolist()
     dof = fits.degrees_of_freedom
@@ -191,11 +185,8 @@ def least_of_folds(least: float, fits: Sequence[Fit], groups: Index, *, known: b
     By draws from what the model would make of noise; where none is as small, what independent folds
     would give (Šidák 1967) if that is less.
 
-    Args:
-        least: The least probability of a fold.
-        fits: Of all rows.
-        groups: The fold of each row of the measurements, shape (N,); below 0 in none.
-        known: Whether the scale of the noise is known, else folds are compared with the others.
+    Groups are the fold of each row of the measurements, shape (N,), below 0 in none. Where the
+    noise's scale is not known, folds are compared with the others.
     """
     count = int(groups.max()) + 1
     bound = float(bdtrc(0, count, least))
@@ -250,13 +241,9 @@ Misses = dict[tuple[str, str], Array]
 
 
 def misses_of(calibration: Calibration, fits: Fits) -> Misses:
-    """Return by how much targets are missed, by target and unit, each of shape (N,).
+    """Return by how much fits miss targets, by target and unit, each of shape (N,).
 
     NaN where a target was not measured, a reading is missing, or no pose belongs to the readings.
-
-    Args:
-        calibration: What was measured.
-        fits: The fits that predict it.
     """
     observation, data = calibration.observation, calibration.measurements
     machine = calibration.identified(fits.parameters)
@@ -307,12 +294,7 @@ def per_row(misses: Misses, count: int) -> Array:
 
 
 def missed(fitted: Misses, unseen: Sequence[tuple[Calibration, Misses]]) -> tuple[Missed, ...]:
-    """Return how far targets are missed, each over all rows held out.
-
-    Args:
-        fitted: Misses at rows of the fit.
-        unseen: Of each fold, its rows and misses there.
-    """
+    """Return how far targets are missed at rows of the fit, and over all folds held out."""
     answers = []
     for (target, unit), at_fit in fitted.items():
         parts = [
