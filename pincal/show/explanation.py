@@ -75,7 +75,7 @@ def explanation_lines(explanation: Explanation) -> list[str]:
     """Return what is seen, and the verdict."""
     result, candidates = explanation.result, explanation.candidates
     nominal, visible = result.nominal, [c for c in candidates if c.corrected < LEVEL]
-    terms = [candidate for candidate in visible if candidate.kind.name != ORDER]
+    terms = [candidate for candidate in visible if candidate.kind != ORDER]
     lines = [_slip_line(slip) for slip in explanation.slips]
     remaining = list(visible)
     while remaining and len(lines) < NAMED + len(explanation.slips):

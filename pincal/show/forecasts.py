@@ -19,12 +19,7 @@ _SAY_SCALE = (
 
 
 def forecast_lines(forecast: Forecast, error: PlatformError) -> list[str]:
-    """Return what a plan determines, and what error of the platform that gives.
-
-    Args:
-        forecast: The forecast.
-        error: Of the platform over the workspace.
-    """
+    """Return what a plan determines, and what error of the platform over the workspace."""
     lines = [*_rank_lines(forecast), *weak_lines(forecast.weak, forecast.mechanism)]
     best = f"; {_BEST}" if error.position < np.inf else ""
     lines.append(f"platform over the workspace: {_expected(error)}{best}")

@@ -158,14 +158,9 @@ def uncertainty(half: float, unit: str, units: Mapping[str, str] = VALUES) -> st
 def fixed(
     value: float, half: float, unit: str, units: Mapping[str, str] = VALUES, sign: str = ""
 ) -> str:
-    """Return a value, as it is read, to two digits of an uncertainty.
+    """Return a value, as it is read, to two digits of an uncertainty, both in SI.
 
-    Args:
-        value: In SI.
-        half: The uncertainty, in SI; 0 or infinite if there is none.
-        unit: Of both.
-        units: In which they are read.
-        sign: ``"+"`` to write the sign of what is positive too.
+    Uncertainties of 0 or infinity are none. The sign ``"+"`` is also that of what is positive.
     """
     read, known = units[unit], half > 0.0 and isfinite(half)
     digits = decimals(shown_in(half, unit, units), read) if known else _digits(read, _LAST)

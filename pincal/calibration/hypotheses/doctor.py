@@ -62,9 +62,6 @@ def remedies(calibration: Calibration) -> Iterator[Remedy]:
 
     Explanations that fit alike are all tried: several may work, and the measurements do not say
     which is true.
-
-    Args:
-        calibration: Measurements and options as the user has them.
     """
     for stage in _stages(calibration):
         yield from stage

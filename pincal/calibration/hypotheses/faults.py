@@ -98,10 +98,7 @@ def zeros(offsets: Array) -> Hypothesis:
 
 
 def zeros_by_poses(case: Case, nominal: Array) -> Array:
-    """Return by which constants readings differ from the nominal ones, shape (n_readings,).
-
-    Medians; angles without whole turns. Nominal readings have shape (N, n_readings).
-    """
+    """Return medians of readings less nominal ones, both (N, n_readings); no whole turns."""
     differences = case.readings - nominal
     offsets = np.zeros(differences.shape[1])
     for column, unit in enumerate(case.mechanism.reading_units):
@@ -114,10 +111,7 @@ def zeros_by_poses(case: Case, nominal: Array) -> Array:
 
 
 def scale(case: Case, nominal: Array) -> Hypothesis:
-    """Return that readings have another scale than their header says, such as counts.
-
-    Nominal readings, shape (N, n_readings), say by how much.
-    """
+    """Return how readings are scaled, such as counts, by nominal ones, shape (N, n_readings)."""
     factors = _factors(case, nominal)
     values = {"factors": tuple(factors.tolist())}
     return Hypothesis("scale-of-readings", _readings_times(1.0 / factors), values, by_leg=True)
@@ -126,9 +120,7 @@ def scale(case: Case, nominal: Array) -> Hypothesis:
 def _factors(case: Case, nominal: Array) -> Array:
     """Return how many times too large readings are, shape (n_readings,), by their medians.
 
-    Whole numbers, or parts of one, where it is nearly that: edges that are counted once or four
-    times, a gear that is left out. 1 where none say, and where it is a unit: a hypothesis of its
-    own.
+    Whole numbers, or parts of one, where it is nearly that; 1 where it is a unit.
     """
     factors = np.ones(nominal.shape[1])
     for column, unit in enumerate(case.mechanism.reading_units):

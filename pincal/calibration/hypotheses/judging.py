@@ -246,10 +246,7 @@ def other_side(mechanism: Mechanism, matrices: Array) -> float:
 
 
 def _placed(case: Case, calibrations: Sequence[Calibration]) -> list[Array]:
-    """Return poses ``T_base_platform`` of several calibrations, shape (N, 4, 4) each.
-
-    NaN where readings lead nowhere, or cannot be brought together with what was measured.
-    """
+    """Return poses, NaN where readings lead nowhere, of several calibrations, (N, 4, 4) each."""
     platform = case.mechanism.platform
     if case.alone or not calibrations:
         starts = (calibration.observation.external.start for calibration in calibrations)
@@ -272,10 +269,7 @@ def _placed(case: Case, calibrations: Sequence[Calibration]) -> list[Array]:
 
 
 def _aligned(calibration: Calibration, reached: Array, good: Mask) -> Array:
-    """Return where the platform was by the measurements, in the base frame, shape (N, 4, 4).
-
-    The nominal machine reaches poses (N, 4, 4) by its readings where these are good, shape (N,).
-    """
+    """Return measured poses in the base frame, by those reached where good, (N, 4, 4)."""
     mechanism, data = calibration.mechanism, calibration.measurements
     every, observation = np.arange(len(data)), calibration.observation
     problem = Problem(calibration.leg_block([0], every), observation)
@@ -331,9 +325,8 @@ def _missed(conditions: Array) -> Array:
 def _nearest(calibration: Calibration, matrices: Array, used: Mask, place: int) -> Array:
     """Return what the machine near nominal that fits best leaves of a leg's closure, shape (N,).
 
-    To first order and over the leg's size, by Gauss–Newton steps from the nominal parameters, in
-    the weights of where the last one ended, none of them farther than machines differ. Poses, shape
-    (N, 4, 4), are taken as measured; rows used have shape (N, n_legs).
+    To first order, over the leg's size: Gauss–Newton steps from nominal, in the weights of where
+    the last one ended, none farther than machines differ, at poses as measured.
     """
     leg, rows = calibration.mechanism.legs[place], np.flatnonzero(used[:, place])
     observation = Observation(calibration.mechanism, calibration.measurements.rows(rows), Setup())

@@ -87,13 +87,9 @@ def misaligned(
 
 
 def zeros_found(calibration: Calibration, faults: Sequence[Finding]) -> Array | None:
-    """Return where the search starts if zeros explain what does not fit, shape (n_params,).
+    """Return where the search starts, (n_params,), if zeros alone explain what does not fit.
 
-    None if something else may explain it, or if a zero is not identified.
-
-    Args:
-        calibration: What is to be identified.
-        faults: Hypotheses that explain the measurements.
+    None if a fault among those found is another, or a zero is not identified.
     """
     names = calibration.mechanism.reading_names
     offsets = np.zeros(len(names))

@@ -53,10 +53,7 @@ _TIMES = 3  # then over a cell of the last
 def implausible(
     mechanism: Mechanism, data: Measurements, setup: Setup = _PLAIN
 ) -> tuple[Finding, ...]:
-    """Return why measurements cannot come from a mechanism like the nominal one; empty if they can.
-
-    Only rows with complete poses are looked at, and of a leg those with its reading.
-    """
+    """Return why a mechanism like the nominal one cannot have made measurements, by full poses."""
     case = Case.of(mechanism, data, setup.unknown_frame, setup.targets[ORIGIN])
     return () if case is None or not case.oriented else _faults(case, _strange)
 
@@ -131,12 +128,7 @@ def _explaining(case: Case) -> list[Judged]:
 
 
 def explanations(case: Case, as_measured: Judged) -> list[Judged]:
-    """Return the hypotheses that explain measurements, the simplest, as good as the best.
-
-    Args:
-        case: The measurements.
-        as_measured: How they fit as they are.
-    """
+    """Return the hypotheses that explain measurements, the simplest, as good as the best."""
     for stage in _stages(case, as_measured):
         explaining = [judged for judged in stage if _explains(judged, as_measured)]
         if explaining:
@@ -150,10 +142,7 @@ def explanations(case: Case, as_measured: Judged) -> list[Judged]:
 
 
 def _stages(case: Case, as_measured: Judged) -> Iterator[list[Judged]]:
-    """Yield hypotheses with their fits, the simplest first.
-
-    A base that is near where it should be is a change of parameters, and no hypothesis.
-    """
+    """Yield hypotheses with their fits, the simplest first; a base nearly in place is none."""
     every, framed = list(faults(case)), case.anywhere(_ROWS_FRAMED)
     single = [hypothesis for hypothesis in every if hypothesis.faults == 1]
     if case.alone and (nominal := as_measured.nominal_readings) is not None:
@@ -325,10 +314,7 @@ def _turns(case: Case, given: Judged) -> tuple[Finding, ...]:
 
 
 def _slips(case: Case, given: Judged) -> tuple[Finding, ...]:
-    """Return which few rows miss machines near the nominal one much farther than the others.
-
-    Where poses were measured in full: those filled in by forward kinematics vary in precision.
-    """
+    """Return which few rows, with full poses, miss machines near nominal far more than others."""
     if not case.oriented or not given.judged:
         return ()
     left = np.array([given.left(leg) for leg in given.judged])

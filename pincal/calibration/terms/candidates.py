@@ -84,8 +84,7 @@ def _lacking(
 ) -> Iterator[tuple[Pair, dict[int | str, Term], str]]:
     """Yield places and kinds with their terms, all of one amplitude, and what that is.
 
-    Terms are those of sensors, by index, or of parameters, by name. Readings of the leg have shape
-    (N, n_sensors).
+    Terms are those of sensors, by index, or of parameters; readings have shape (N, n_sensors).
     """
     several = len(leg.sensors) > 1
     sensors = zip(leg.reading_names, leg.reading_units, readings.T, strict=True)
@@ -125,9 +124,6 @@ def _bases(
     """Yield what amplitudes of a kind are times: name, basis, what it follows, what they are.
 
     The range over which they are scaled is that of readings, shape (N,), or of columns.
-
-    Raises:
-        MeasurementError: a column that was not measured.
     """
     if kind.name == HARMONICS:
         for order in kind.numbers if unit == "rad" else ():
@@ -265,8 +261,7 @@ def idle_places(mechanism: Mechanism, measurements: Measurements) -> set[str]:
     """Return readings and ids that gravity loads no more than their axes are true.
 
     As joints about the vertical: what loads them is rounding, or how far the axis leans. Forces
-    count by the moment that they have about the machine's size. Nothing is known to load those
-    whose loads were neither measured nor worked out.
+    count by the moment that they have about the machine's size.
     """
     size = largest_size(mechanism.legs)
     units = dict(zip(mechanism.reading_names, mechanism.reading_units, strict=True))

@@ -196,8 +196,8 @@ def _grown(
 ) -> list[Model]:
     """Return models that grow by the likeliest term of a screen, until none is likely, or most."""
     models: list[Model] = []
-    while len(models) < most:
-        likely = [term for term in candidates if term.corrected < LEVEL and term.kind.name != ORDER]
+    for _ in range(most):
+        likely = [term for term in candidates if term.corrected < LEVEL and term.kind != ORDER]
         if not likely:
             break
         added = (*(models[-1].added if models else ()), likely[0].pair)
@@ -205,8 +205,7 @@ def _grown(
             fits = _identified(replace(extended(geometry, added), start=None))
         except _TROUBLE:  # what the rows do not determine
             break
-        name = "{} {}".format(*likely[0].pair)
-        models.append(Model(name, fits, added, likely[0].corrected))
+        models.append(Model("{} {}".format(*added[-1]), fits, added, likely[0].corrected))
         candidates = screen(fits, pairs)
     return models
 
@@ -214,11 +213,7 @@ def _grown(
 def _errors_of_fold(
     unseen: Calibration, seen: Sequence[Calibration], pairs: Sequence[Pair], most: int
 ) -> list[Array]:
-    """Return errors of rows held out by each model, of the machine as drawn and its geometry first.
-
-    Raises:
-        PincalError, LinAlgError: the rows seen do not determine the geometry.
-    """
+    """Return errors of rows held out, as drawn and by geometry first; raises if these fail."""
     drawn, geometry = (calibration.at_this_noise() for calibration in seen)
     models = [Model("", _identified(calibration)) for calibration in (drawn, geometry)]
     errors = [model.errors(unseen) for model in models]
@@ -231,11 +226,7 @@ def _errors_of_fold(
 
 
 def _identified(calibration: Calibration) -> Fits:
-    """Return fits that converged.
-
-    Raises:
-        PincalError, LinAlgError: rows that do not determine the model, or a search without end.
-    """
+    """Return fits; raises if rows do not determine the model, or the search has no end."""
     fits = fitted(calibration)
     if not fits.converged:
         raise MeasurementError("the search does not converge")
@@ -243,11 +234,10 @@ def _identified(calibration: Calibration) -> Fits:
 
 
 def _slips(models: Sequence[Model]) -> list[Slip]:
-    """Return what slipped or drifted, its rows those of the measurements.
+    """Return what slipped or drifted, by rows of the measurements.
 
-    By the residuals of the geometry, the first model; or, while a term is likelier than the
-    clearest slip, of the model with that term: a slip may only follow it, as terms may follow a
-    slip.
+    By the geometry; while a term is likelier than the clearest slip, by the model with that term: a
+    slip may only follow it, as terms may follow a slip.
     """
     slipped: list[Slip] = []
     for index, model in enumerate(models):
@@ -265,12 +255,9 @@ def _slips(models: Sequence[Model]) -> list[Slip]:
 def _compared(
     models: Sequence[Model], errors: Array, places: Sequence[str]
 ) -> tuple[list[Model], int]:
-    """Return models, and the index of the simplest within one standard error of the best.
+    """Return models, by their errors (n_models, N, 4), and which is the simplest of the best.
 
-    Args:
-        models: By their size, the machine as drawn first, then its geometry.
-        errors: Of held-out rows (see ``errors``), shape (n_models, N, 4); NaN of folds lost.
-        places: Poses of the rows: those of one go together.
+    Within one standard error, rows of one place being one; errors of lost folds are NaN.
     """
     known = np.isfinite(errors[0, :, 0])
     if not known.any():
@@ -284,17 +271,10 @@ def _compared(
     compared = []
     for model, mean, wide, of_model in zip(models, means, spread, errors, strict=True):
         position, orientation = (_root_mean_square(column) for column in of_model.T[2:])
-        held_out = float(np.sqrt(mean))
-        relative = float(wide / (2.0 * held_out)) if mean > 0.0 else 0.0
-        compared.append(
-            replace(
-                model,
-                held_out=held_out,
-                spread=relative,
-                position=position,
-                orientation=orientation,
-            )
-        )
+        model = replace(model, held_out=float(np.sqrt(mean)))
+        model = replace(model, position=position, orientation=orientation)
+        relative = float(wide / (2.0 * np.sqrt(mean))) if mean > 0.0 else 0.0
+        compared.append(replace(model, spread=relative))
     return compared, int(np.flatnonzero(means - means[best] <= spread)[0])
 
 

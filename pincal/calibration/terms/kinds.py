@@ -9,7 +9,6 @@ place is a reading, a length or angle by its id (``leg_1.l``) or its name in all
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -36,28 +35,21 @@ READINGS = "readings"
 """In the place of one: all of them, each with amplitudes of its own."""
 
 
-@dataclass(frozen=True)
-class Kind:
-    """A kind of term, such as harmonics of orders 1 and 2."""
-
-    name: str
-    """One of ``"harmonics"``, ``"polynomial"``, ``"backlash"``, ``"gravity"`` and ``"order"``, or a
-    column."""
-    numbers: tuple[float, ...] = ()
-    """Orders of harmonics, powers of a polynomial."""
+class Kind(str):
+    """A kind of term, as options say it: ``harmonics:1``, ``backlash``, or a column's name."""
 
     @classmethod
     def of(cls, text: str) -> Kind:
-        """Return the kind that a text names.
+        """Return the kind that a text names, without numbers that are the usual ones.
 
         Raises:
             MeasurementError: numbers that are none, or that the kind does not have.
         """
         name, colon, numbers = (part.strip() for part in text.partition(":"))
         try:
-            values = [float(number) for number in numbers.split(",")] if colon else []
+            values = tuple(float(number) for number in numbers.split(",")) if colon else ()
         except ValueError:
-            values = [np.nan]
+            values = (np.nan,)
         known = not values or (name in _KNOWN and all(map(_KNOWN[name], values)))
         if not name or "," in name or not known:
             raise MeasurementError(
@@ -65,12 +57,20 @@ class Kind:
                 "polynomial:2,3 (powers, 2 to 20), backlash, gravity, or a column of the "
                 "measurements; several as options of their own"
             )
-        return cls(name, tuple(values) or _NUMBERS.get(name, ()))
+        shown = (f"{value:g}" if float(f"{value:g}") == value else repr(value) for value in values)
+        usual = not values or values == _NUMBERS[name]
+        return cls(name if usual else f"{name}:{','.join(shown)}")
 
-    def __str__(self) -> str:
-        if self.numbers == _NUMBERS.get(self.name, ()):
-            return self.name
-        return f"{self.name}:{','.join(f'{number:g}' for number in self.numbers)}"
+    @property
+    def name(self) -> str:
+        """One of ``"harmonics"``, ``"polynomial"``, ``"backlash"``, … , or a column."""
+        return str(self).partition(":")[0]
+
+    @property
+    def numbers(self) -> tuple[float, ...]:
+        """Orders of harmonics, powers of a polynomial."""
+        numbers = str(self).partition(":")[2]
+        return tuple(map(float, numbers.split(","))) if numbers else _NUMBERS.get(self, ())
 
 
 Pair = tuple[str, Kind]

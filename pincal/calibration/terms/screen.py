@@ -63,12 +63,7 @@ class Candidate:
 
 
 def screen(fits: Fits, pairs: Sequence[Pair]) -> list[Candidate]:
-    """Return what readings and parameters may lack, the most improbable by chance first.
-
-    Args:
-        fits: The fits whose residuals are looked at.
-        pairs: Readings, lengths and angles, and kinds of term that they may lack.
-    """
+    """Return what readings, lengths and angles may lack, the most improbable by chance first."""
     return screened(trials(fits, pairs))
 
 
@@ -127,13 +122,7 @@ def trials(fits: Fits, pairs: Sequence[Pair]) -> list[tuple[Residuals, list[Cand
 def _trials_of(
     fit: Fit, extended: Calibration, ids: Mapping[Pair, tuple[str, ...]]
 ) -> tuple[Residuals, list[Candidate]]:
-    """Return residuals of a fit, and the terms that may be tried on them.
-
-    Args:
-        fit: The fit, without the terms.
-        extended: The calibration of the mechanism with all of them, at zero.
-        ids: Of their amplitudes, by place and kind.
-    """
+    """Return residuals of a fit without terms, and the terms, by ids, that may be tried on them."""
     residuals, parameters = Residuals.of(fit), extended.mechanism.parameters
     names, W = _columns(extended, fit, residuals.used)
     by_amplitudes: dict[tuple[str, ...], Candidate] = {}  # not of several places where one has it
@@ -152,15 +141,10 @@ def _trials_of(
 
 
 def inseparable(candidate: Candidate, rivals: Sequence[Candidate], chi2: float) -> list[Candidate]:
-    """Return the rivals that take off as much as a candidate.
+    """Return the rivals that take off as much as a candidate, of χ² over the variance left.
 
     They are of its kind, elsewhere; or another function of the same reading, such as a polynomial
     for harmonics, whose χ² counts less two for each amplitude (Akaike 1974).
-
-    Args:
-        candidate: The candidate.
-        rivals: Among which they are.
-        chi2: Of which shares are, in units of the variance that is left.
     """
     alike = []
     for rival in rivals:
