@@ -106,22 +106,23 @@ def closed_mechanism(
     bare, free = [], Platform.at_origin(kind)
     for name, limb in zip(_leg_names(limbs), limbs, strict=True):
         leg = _leg(tree, name, limb, [point for _, point in limbs])
-        while (idle := _idle(leg, free)) is not None:
-            remarks.append(f"{leg.name}: {idle!r} moves no end of it: held")
-            leg = _holding(leg, idle)
-        bare.append(leg)
+        bare.append(_without_idle(leg, free, remarks))
     axes = _PLANAR if kind in ("point", "planar") else _SPATIAL
     legs = [displaced(leg, stems, axes) for leg, stems in zip(bare, _stems(bare), strict=True)]
     closed, placed = _closed(tree, legs, free)
-    remarks += [
-        f"{leg.name}: {joint.name!r} closes the loops at {joint.home:.6g}, outside its limits"
-        for leg in closed
-        for joint in leg.moving
-        if joint.limited and not joint.lower <= joint.home <= joint.upper
-    ]
+    remarks += [text for leg in closed for text in _outside_limits(leg)]
     name = re.sub(r"\W+", "_", tree.name)[:100] or "mechanism"
     reduced = tuple(_reduced(leg, placed, tree.slack) for leg in closed)
     return Mechanism(name, placed, reduced, f"From {tree.source}."), tuple(remarks)
+
+
+def _outside_limits(leg: Leg) -> list[str]:
+    """Return which joints of a leg close the loops outside their limits, as sentences."""
+    return [
+        f"{leg.name}: {joint.name!r} closes the loops at {joint.home:.6g}, outside its limits"
+        for joint in leg.moving
+        if joint.limited and not joint.lower <= joint.home <= joint.upper
+    ]
 
 
 def _closed(tree: Tree, legs: list[Leg], platform: Platform) -> tuple[tuple[Leg, ...], Platform]:
@@ -296,6 +297,14 @@ def _idle(leg: Leg, platform: Platform) -> str | None:
         return None
     null = np.linalg.svd(by_passive[0])[2][-1]
     return leg.moving[leg.passive[int(np.argmax(np.abs(null)))]].name
+
+
+def _without_idle(leg: Leg, platform: Platform, remarks: list[str]) -> Leg:
+    """Return a leg without parameters whose idle joints are held; remarks say so."""
+    while (idle := _idle(leg, platform)) is not None:
+        remarks.append(f"{leg.name}: {idle!r} moves no end of it: held")
+        leg = _holding(leg, idle)
+    return leg
 
 
 def _holding(leg: Leg, name: str) -> Leg:

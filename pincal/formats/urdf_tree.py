@@ -11,7 +11,7 @@ github.com/Gepetto/example-parallel-robots, ``loader_tools.py``.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Sized
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,10 +21,10 @@ from lxml import etree
 from pincal.errors import FileError, MechanismError
 from pincal.files.text import read_xml
 from pincal.files.urdf import link_of, read_joint, weighed
-from pincal.files.yaml import read_yaml
+from pincal.files.yaml import Entry, read_yaml
 from pincal.formats.tree import Edge, Tree, at_home, root_of, turns, with_ranges
 from pincal.model.checks import listed
-from pincal.model.leg import Joint
+from pincal.model.leg import Closing, Joint
 from pincal.model.placement import placement_of
 
 XACRO = "python -m pip install xacro; xacro FILE.urdf.xacro > FILE.urdf"
@@ -154,56 +154,65 @@ def read_loops(urdf: Path, loops: Path) -> Tree:
     """Return the tree of a URDF with the loops of a YAML file."""
     keys = read_yaml(loops, MechanismError).keys(("name_mot",), _LOOP_KEYS, others=True)
     lists = {key: keys[key].items() if key in keys else [] for key in (*_LOOP_KEYS[:4], "name_mot")}
-    for first, second in (("closed_loop", "type"), ("joint_name", "joint_type")):
-        sizes = len(lists[first]), len(lists[second])
-        if sizes[0] != sizes[1] and (sizes[1] or first == "joint_name"):
-            raise MechanismError(
-                f"{loops}: {sizes[0]} entries of {first!r}, but {sizes[1]} of {second!r}; each "
-                "needs one"
-            )
+    _check_sizes(lists, "joint_name", "joint_type", loops)
+    if lists["type"]:
+        _check_sizes(lists, "closed_loop", "type", loops)
     axes = [_TURNED[entry.choice(*_TURNED)] for entry in lists["joint_type"]]
     replaced = [entry.text() for entry in lists["joint_name"]]
-    pairs = [[end.text() for end in entry.items(2, 2)] for entry in lists["closed_loop"]]
-    kinds = [entry.choice("3d", "3D", "6d", "6D") for entry in lists["type"]] or ["6d"] * len(pairs)
-    motors = [entry.text() for entry in lists["name_mot"]]
-    platform = keys["platform"].text() if "platform" in keys else None
+    tree = read_urdf(urdf, dict(zip(replaced, axes, strict=True)))
     homed = keys["home"].pairs() if "home" in keys else {}
     home = {joint: entry.number() for joint, entry in homed.items()}
-    tree = read_urdf(urdf, dict(zip(replaced, axes, strict=True)))
-    names = [str(element.get("name")) for element in read_xml(urdf, "robot").findall("joint")]
+    drawn = [str(element.get("name")) for element in read_xml(urdf, "robot").findall("joint")]
+    _check_known("joint_name", replaced, drawn, urdf, loops)
+    _check_known("home", home, [edge.joint.name for edge in tree.edges], urdf, loops)
+    platform = keys["platform"].text() if "platform" in keys else None
+    if platform is not None:
+        tree.link(platform, f"the platform of {loops}")
     edges = tuple(
         replace(edge, joint=replace(edge.joint, mass=0.0, centre=(0.0, 0.0, 0.0)))
         for edge in tree.edges  # frames of legs with loops are turned, centres of mass are not
     )
-    joints = [edge.joint.name for edge in edges]
-    for key, named, known in (
-        ("joint_name", replaced, names),
-        ("home", list(home), joints),
-    ):
-        if unknown := [name for name in named if name not in known]:
-            raise MechanismError(
-                f"{loops}: {key!r} has {unknown[0]!r}, which is no joint of {urdf}; it has "
-                f"{listed(known)}"
-            )
-    if platform is not None:
-        tree.link(platform, f"the platform of {loops}")
-    closed = tuple(
-        Edge(
-            Joint("_".join(pair), "fixed"),
-            tree.link(pair[0], f"'closed_loop' of {loops}"),
-            tree.link(pair[1], f"'closed_loop' of {loops}"),
-            closes="point" if kind.lower() == "3d" else "frame",
-        )
-        for pair, kind in zip(pairs, kinds, strict=True)
-    )
+    motors = [entry.text() for entry in lists["name_mot"]]
     return replace(
         tree,
         edges=at_home(edges, home),
-        loops=closed,
+        loops=tuple(_closings(tree, lists["closed_loop"], lists["type"], loops)),
         active=_motors(motors, edges, f"{loops}: 'name_mot'", urdf),
         platform=platform,
         homed=bool(home),
     )
+
+
+def _check_sizes(lists: Mapping[str, Sized], first: str, second: str, loops: Path) -> None:
+    """Raise if two lists of the YAML file are not as long as each other."""
+    if len(lists[first]) != len(lists[second]):
+        raise MechanismError(
+            f"{loops}: {len(lists[first])} entries of {first!r}, but {len(lists[second])} of "
+            f"{second!r}; each needs one"
+        )
+
+
+def _check_known(
+    key: str, names: Iterable[str], known: Sequence[str], urdf: Path, loops: Path
+) -> None:
+    """Raise if a key of the YAML file names a joint that the URDF does not have."""
+    if unknown := [name for name in names if name not in known]:
+        raise MechanismError(
+            f"{loops}: {key!r} has {unknown[0]!r}, which is no joint of {urdf}; it has "
+            f"{listed(known)}"
+        )
+
+
+def _closings(
+    tree: Tree, pairs: Sequence[Entry], types: Sequence[Entry], loops: Path
+) -> Iterator[Edge]:
+    """Yield what closes the loops: pairs of links whose frames meet, or their origins alone."""
+    kinds = [entry.choice("3d", "3D", "6d", "6D") for entry in types] or ["6d"] * len(pairs)
+    for pair, kind in zip(pairs, kinds, strict=True):
+        ends = [end.text() for end in pair.items(2, 2)]
+        parent, child = (tree.link(end, f"'closed_loop' of {loops}") for end in ends)
+        closes: Closing = "point" if kind.lower() == "3d" else "frame"
+        yield Edge(Joint("_".join(ends), "fixed"), parent, child, closes=closes)
 
 
 def _motors(named: Sequence[str], edges: Sequence[Edge], key: str, urdf: Path) -> tuple[str, ...]:

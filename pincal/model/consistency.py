@@ -49,7 +49,7 @@ def identifiers(names: Iterable[str]) -> tuple[str, ...]:
 
 def check_leg(leg: Leg) -> None:
     """Raise MechanismError if joints, sensors, parameters and terms do not go together."""
-    topics = (_joint_faults, _term_faults, _parameter_faults)
+    topics = (_joint_faults, _sensor_faults, _term_faults, _parameter_faults)
     for fault in chain.from_iterable(faults(leg) for faults in topics):
         raise MechanismError(f"{leg.name}: {fault}")
     for joint in (*leg.joints, leg.point):
@@ -57,7 +57,7 @@ def check_leg(leg: Leg) -> None:
 
 
 def _joint_faults(leg: Leg) -> Iterator[str]:
-    """Yield what is wrong with joints, their limits and names, and with the joints of sensors."""
+    """Yield what is wrong with joints: their limits and names."""
     for joint in leg.moving:
         ends = (joint.lower, joint.upper)
         limits = np.isfinite(ends).all() or (joint.turns and np.isinf(ends).all())
@@ -69,6 +69,10 @@ def _joint_faults(leg: Leg) -> Iterator[str]:
     names = [joint.name for joint in leg.joints]
     if len(set(names)) != len(names):
         yield f"joint names repeat: {names}"
+
+
+def _sensor_faults(leg: Leg) -> Iterator[str]:
+    """Yield with which joints the sensors cannot be."""
     moving, read = [joint.name for joint in leg.moving], [sensor.joint for sensor in leg.sensors]
     if still := [name for name in read if name not in moving]:
         yield (
@@ -157,14 +161,14 @@ def check_mechanism(mechanism: Mechanism) -> None:
     title = mechanism.name
     if not (title and title.isprintable() and len(title) <= 100):
         raise MechanismError(f"{title!r} is no name for a mechanism")
-    for fault in _name_faults(mechanism):
+    for fault in chain(_name_faults(mechanism), _load_faults(mechanism)):
         raise MechanismError(f"mechanism {title!r}: {fault}")
     for fault in _leg_faults(mechanism):
         raise MechanismError(fault)
 
 
 def _name_faults(mechanism: Mechanism) -> Iterator[str]:
-    """Yield what is wrong with names of legs, of readings and influences, columns, and the load."""
+    """Yield what is wrong with names of legs, and of readings and influences, columns of tables."""
     names, readings = mechanism.leg_names, mechanism.reading_names
     if not names:
         yield "it has no legs"
@@ -194,6 +198,10 @@ def _name_faults(mechanism: Mechanism) -> Iterator[str]:
         )
     if "platform" in names:
         yield "'platform' names the platform's file; name the leg otherwise"
+
+
+def _load_faults(mechanism: Mechanism) -> Iterator[str]:
+    """Yield what is wrong with what weighs on the mechanism."""
     ids = mechanism.parameters.ids
     for name, _ in () if mechanism.load is None else mechanism.load.drawn:
         if name not in ids:

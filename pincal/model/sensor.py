@@ -207,7 +207,7 @@ class Sensor:
         counts = self.counts_per_unit
         if counts is not None and not 1.0 / LARGEST <= counts <= LARGEST:
             raise MechanismError(
-                f"sensor of {self.joint!r}: {counts!r} counts of one unit; expected a number above "
+                f"sensor of {self.joint!r}: counts_per_unit is {counts!r}; expected a number above "
                 "0 (which way it counts is the direction)"
             )
 

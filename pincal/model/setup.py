@@ -359,25 +359,21 @@ class Setup:
                     f"leg of {mechanism.name!r} is {size:.3g} m; expected metres: is this "
                     "millimetres?"
                 )
-        platform, legs = mechanism.platform, set(mechanism.leg_names)
-        if shared := [item.name for item in self.instruments if item.name in legs]:
+        if shared := {item.name for item in self.instruments} & set(mechanism.leg_names):
             raise MeasurementError(
-                f"an instrument is named {shared[0]!r}, as a leg of {mechanism.name!r}; choose "
+                f"an instrument is named {min(shared)!r}, as a leg of {mechanism.name!r}; choose "
                 "another name"
             )
-        groups: list[Mapping[str, str]] = [self.points(platform)]
+        groups: list[Mapping[str, str]] = [self.points(mechanism.platform)]
         groups.append(dict.fromkeys(self.distances, "m"))
         groups += [item.columns for item in self.instruments]
         named = [name for group in groups for name in group]
-        taken = {*legs, *mechanism.reading_names, *platform.coordinates, *platform.freedoms}
-        taken |= {*RESERVED} - {"x", "y", "z", "phi"}
-        if ambiguous := [
-            name
-            for name in named
-            if name in taken or name.startswith("sigma_") or named.count(name) > 1
-        ]:
+        taken = {*mechanism.leg_names, *mechanism.reading_names, *mechanism.platform.freedoms}
+        taken |= RESERVED - {"x", "y", "z", "phi"}
+        odd = {name for name in named if name.startswith("sigma_") or named.count(name) > 1}
+        if odd := odd | (taken | {*mechanism.platform.coordinates}).intersection(named):
             raise MeasurementError(
-                f"the setup names a column {min(ambiguous)!r}, which means something else in "
+                f"the setup names a column {min(odd)!r}, which means something else in "
                 "measurements; choose another name"
             )
         return {name: unit for group in groups for name, unit in group.items()}

@@ -59,13 +59,15 @@ class Units:
             readings: Names of all readings, each of which needs its counts.
         """
         names: dict[str, str] = {}
-        listed = [name.strip() for name in text.split(",") if name.strip()]
+        listed = list(filter(None, map(str.strip, text.split(","))))
         if COUNTS in listed and (lacking := [name for name in readings if name not in counts]):
             raise MeasurementError(
                 f"--units {text}: how many counts one rad or m of {', '.join(lacking)} has is not "
                 f"said: {SCALE}"
             )
-        for unit in (name for name in listed if name != COUNTS):
+        for unit in listed:
+            if unit == COUNTS:
+                continue
             dimension = UNITS.get(unit, ("1", 1.0))[0]
             if dimension == "1" or dimension in names:
                 known = (name for name, (kind, _) in UNITS.items() if kind != "1")
