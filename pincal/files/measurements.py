@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from pincal.errors import MeasurementError, MechanismError
+from pincal.errors import MeasurementError
 from pincal.files.level import levelled, tilt_column
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.files.table import TextTable, is_dataframe, read_table
@@ -64,7 +64,7 @@ def read_poses(source: Any, mechanism: GivenMechanism, *, partial: bool = False)
     if not (isinstance(source, str | Path) or is_dataframe(source)):
         kind = "poses, a plan or its file"
         return Plan(array_of(source, ("N", platform.dof), kind, MeasurementError))
-    table = table_for(source, mechanism)
+    table = _table(source, mechanism, _known(mechanism, {}))
     commanded = mechanism.by_readings and any(name in table for name in mechanism.reading_names)
     return Plan(
         _poses(table, mechanism, partial=partial),
@@ -85,7 +85,7 @@ def read_readings(source: Any, mechanism: GivenMechanism) -> tuple[Array, dict[s
         MeasurementError: a column or cell that is missing or wrong; the message says where.
     """
     mechanism = as_mechanism(mechanism)
-    table = table_for(source, mechanism)
+    table = _table(source, mechanism, _known(mechanism, {}))
     return table.array(_reading_units(mechanism)), _influences(table, mechanism)
 
 
@@ -124,9 +124,12 @@ def read_measurements(
         must_be(source, kinds, "measurements, their CSV file or DataFrame", MeasurementError)
     further = setup.columns(mechanism)
     level = tilt_column(mechanism, further)
-    meaning = further | level
-    table = table_for(source, mechanism, meaning, influences)
-    table = table.where_measured(measured_columns(mechanism, further))
+    known = _known(mechanism, further | level)
+    table = _table(source, mechanism, known, influences)
+    turns = {name for names, _ in WAYS.values() for name in names}
+    table = table.where_measured(
+        {*platform.coordinates, *turns, *further, *mechanism.reading_names}
+    )
     _check_columns(table, mechanism, setup, further)
     way = _way(table, mechanism)
     if platform.turns == 3 and partial and way is None:
@@ -135,7 +138,7 @@ def read_measurements(
     if level and "z" in table:
         poses = levelled(table, setup, poses)
     freedoms = dict(zip(platform.freedoms, platform.units, strict=True))
-    unknown = unknown_columns(table, mechanism, meaning)
+    unknown = _unknown(table, known)
     extra, sigma_extra = _further_columns(table, further, partial=partial)
     if not partial and not np.isfinite(np.column_stack((poses, *extra.values()))).any():
         raise MeasurementError(f"{table.path}: nothing of the platform is measured")
@@ -168,52 +171,37 @@ def _further_columns(
     )
 
 
-def table_for(
+def _table(
     source: Any,
     mechanism: Mechanism,
-    further: Mapping[str, str] | None = None,
+    known: Mapping[str, str],
     wanted_influences: Collection[str] | None = (),
 ) -> TextTable:
     """Return a table; headers such as ``x (mm)``, ``X [mm]``, ``x_mm`` are read as ``x [mm]``.
 
-    That is logged, as are columns without a meaning, but for influences that are wanted (None: any
-    column is).
+    That is logged, as are columns that are not known (see ``_known``), but for influences that are
+    wanted (None: any column is).
     """
-    must_be(mechanism, Mechanism, "the mechanism", MechanismError)
     counts = {name: mechanism.counts.get(name) for name in mechanism.reading_names}
     counts |= {f"sigma_{name}": per_unit for name, per_unit in counts.items()}
     table = replace(read_table(source), counts=counts)
-    meant = _headers_meant(table, _known(mechanism, further or {}))
-    if meant:
+    if meant := _headers_meant(table, known):
         read_as = [f"{column!r} as '{name} [{unit}]'" for column, (name, unit) in meant.items()]
         _log.info("%s: columns read: %s", table.path, ", ".join(read_as))
         table = table.renamed(meant)
     if wanted_influences is not None:
-        unused = unknown_columns(table, mechanism, further).keys() - set(wanted_influences)
-        names = [name for name in table.units if name in unused and not _of_sheet(name)]
-        if names:
-            shown = [name if name.isprintable() else ascii(name) for name in names[:NAMED]]
-            shown += [f"and {len(names) - NAMED} more"] * (len(names) > NAMED)
+        unused = [name for name in _unknown(table, known) if name not in wanted_influences]
+        if unused:
+            shown = [name if name.isprintable() else ascii(name) for name in unused[:NAMED]]
+            shown += [f"and {len(unused) - NAMED} more"] * (len(unused) > NAMED)
             _log.info("%s: columns not used: %s", table.path, ", ".join(shown))
     return table
 
 
-def unknown_columns(
-    table: TextTable, mechanism: Mechanism, further: Mapping[str, str] | None = None
-) -> dict[str, tuple[str, ...]]:
-    """Return the columns of a table without a meaning, as they are: name to cells."""
-    known = _known(mechanism, further or {})
-    return {
-        name: tuple(cells)
-        for name, cells in table.text.items()
-        if name not in known and not name.startswith("cov_")
-    }
-
-
-def measured_columns(mechanism: Mechanism, further: Iterable[str]) -> set[str]:
-    """Return the columns that say what was measured or read, those of a setup too."""
-    turns = {name for names, _ in WAYS.values() for name in names}
-    return {*mechanism.platform.coordinates, *turns, *further, *mechanism.reading_names}
+def _unknown(table: TextTable, known: Collection[str]) -> list[str]:
+    """Return the columns of a table without a meaning, but for those that sheets plan by."""
+    sheet = ("cov_", "planned_")
+    return [n for n in table.units if n not in known and n != "row" and not n.startswith(sheet)]
 
 
 def product_unit(first: str, second: str) -> str:
@@ -236,11 +224,6 @@ def _known(mechanism: Mechanism, further: Mapping[str, str]) -> dict[str, str]:
 def _reading_units(mechanism: Mechanism) -> dict[str, str]:
     """Return the unit of each reading, by its column."""
     return dict(zip(mechanism.reading_names, mechanism.reading_units, strict=True))
-
-
-def _of_sheet(column: str) -> bool:
-    """Return whether a column is of a measuring sheet, and says what was planned."""
-    return column == "row" or column.startswith("planned_")
 
 
 def _headers_meant(table: TextTable, units: Mapping[str, str]) -> dict[str, tuple[str, str]]:
@@ -387,7 +370,7 @@ def _influences(table: TextTable, mechanism: Mechanism) -> dict[str, Array]:
 
 
 def _further_influences(
-    table: TextTable, columns: Mapping[str, object], wanted: Collection[str] | None
+    table: TextTable, columns: Iterable[str], wanted: Collection[str] | None
 ) -> dict[str, Array]:
     """Return further columns of a table, those that are wanted, or all of numbers that differ."""
     if wanted is not None:
@@ -401,11 +384,9 @@ def _further_influences(
     for name in columns:
         values = np.array([plain_number(cell) for cell in table.text[name]])
         known = np.isfinite(values)
-        if _of_sheet(name) or not known.any():
-            continue
         if known.all() and np.ptp(values) > 0.0:
             numbers[name] = values
-        elif not known.all():
+        elif known.any() and not known.all():
             where = table.where(int(np.argmin(known)))
             _log.info("%s: no number, so no term is tried with column %r", where, name)
     return numbers
@@ -441,8 +422,8 @@ def _sigma(table: TextTable, name: str, unit: str, *, blank: bool = False) -> Ar
 
 def _covariances(table: TextTable, units: Mapping[str, str]) -> dict[str, Array]:
     """Return the covariances that a table has of quantities, by pair such as ``"x,y"``, in SI."""
-    pairs = {f"cov_{a}_{b}": f"{a},{b}" for a, b in combinations(units, 2)}
-    pairs |= {f"cov_{b}_{a}": f"{a},{b}" for a, b in combinations(units, 2)}
+    pairs = {f"cov_{a}_{b}": (a, b) for a, b in combinations(units, 2)}
+    pairs |= {f"cov_{b}_{a}": (a, b) for a, b in combinations(units, 2)}
     covariances: dict[str, Array] = {}
     for header in (name for name in table.units if name.startswith("cov_")):
         if header not in pairs:
@@ -450,8 +431,8 @@ def _covariances(table: TextTable, units: Mapping[str, str]) -> dict[str, Array]
                 f"{table.path}: column {header!r} is no covariance of two quantities measured of "
                 f"the platform ({', '.join(units)}); rename it, or leave it out"
             )
-        first, second = pairs[header].split(",")
-        if pairs[header] in covariances:
+        first, second = pairs[header]
+        if f"{first},{second}" in covariances:
             raise MeasurementError(
                 f"{table.path}: the covariance of {first} and {second} is said twice; leave one "
                 "of the columns"
@@ -465,7 +446,7 @@ def _covariances(table: TextTable, units: Mapping[str, str]) -> dict[str, Array]
                 f"'{header} [{product_unit(*needed)}]', the product of both, or [mm2], [mm mrad], "
                 "[mrad2]"
             )
-        covariances[pairs[header]] = table.plain(header, blank=True) * factor
+        covariances[f"{first},{second}"] = table.plain(header, blank=True) * factor
     return covariances
 
 

@@ -33,6 +33,7 @@ _log = logging.getLogger(__name__)
 _HEADER = re.compile(r"\w\s*\[[^]]+\]\s*$")
 _MOST_COLUMNS = 1000
 _COLUMN = re.compile("[A-Z]{1,3}")
+_BOOK_LINKS = "_rels/workbook.xml.rels"
 _SEPARATORS = {";": "semicolons", "\t": "tabs"}
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?", re.ASCII)
 _DECIMAL_POINT = re.compile(r"[-+]?\d*\.\d*(?:[eE][-+]?\d+)?", re.ASCII)
@@ -273,14 +274,18 @@ def _sheet_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             if sum(part.file_size for part in archive.infolist()) > LARGEST_FILE["table"]:
                 raise MeasurementError("its sheet is larger than 256 MiB; save it as CSV")
-            title, name = _first_sheet(archive)
-            shared = _shared_texts(archive)
+            book, links = (_xml(archive, f"xl/{n}") for n in ("workbook.xml", _BOOK_LINKS))
+            (first, *_) = book.iterfind(".//{*}sheet")
+            (link,) = (item for item in links if item.get("Id") in first.values())
+            sheet_path = posixpath.normpath(posixpath.join("/xl", link.get("Target", "")))
+            shared = "xl/sharedStrings.xml"
+            texts = [*map(_text_in, _xml(archive, shared))] if shared in archive.namelist() else []
             number = 0
-            with archive.open(name) as sheet:
+            with archive.open(sheet_path.lstrip("/")) as sheet:
                 for _, row in etree.iterparse(sheet, tag="{*}row", resolve_entities=False):
                     number = int(row.get("r", number + 1))
-                    if texts := dict(_sheet_cells(row, number, shared, title)):
-                        rows[number] = texts
+                    if cells := dict(_sheet_cells(row, number, texts, first.get("name", ""))):
+                        rows[number] = cells
                     row.clear(keep_tail=False)
     except MeasurementError as error:
         raise MeasurementError(f"{path}: {error}") from error
@@ -291,44 +296,34 @@ def _sheet_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
         yield number, [rows[number].get(column, "") for column in columns]
 
 
-def _first_sheet(archive: zipfile.ZipFile) -> tuple[str, str]:
-    """Return the title of an .xlsx file's first sheet, and where it is in the archive."""
-    book = etree.fromstring(archive.read("xl/workbook.xml"))
-    relations = etree.fromstring(archive.read("xl/_rels/workbook.xml.rels"))
-    (sheet, *_) = book.iterfind(".//{*}sheet")
-    (target,) = (item.get("Target", "") for item in relations if item.get("Id") in sheet.values())
-    return sheet.get("name", ""), posixpath.normpath(posixpath.join("/xl", target)).lstrip("/")
+def _xml(archive: zipfile.ZipFile, name: str) -> etree._Element:
+    return etree.fromstring(archive.read(name))
 
 
-def _shared_texts(archive: zipfile.ZipFile) -> list[str]:
-    """Return the texts that cells of an .xlsx file name by their number."""
-    if "xl/sharedStrings.xml" not in archive.namelist():
-        return []
-    return [_texts_in(item) for item in etree.fromstring(archive.read("xl/sharedStrings.xml"))]
-
-
-def _texts_in(element: etree._Element) -> str:
+def _text_in(element: etree._Element) -> str:
     """Return the text of an element of an .xlsx file, in one piece or as runs of one format."""
     pieces = [*element.iterfind("{*}t"), *element.iterfind("{*}r/{*}t")]
     return "".join(piece.text or "" for piece in pieces)
 
 
 def _sheet_cells(
-    row: etree._Element, number: int, shared: Sequence[str], title: str
+    row: etree._Element, number: int, texts: Sequence[str], title: str
 ) -> Iterator[tuple[int, str]]:
     """Yield column, from 1, and text of a row's cells in which something stands."""
     column = 0
     for cell in row:
         letters = _COLUMN.match(cell.get("r", ""))
-        column = _column_number(letters[0]) if letters else column + 1
+        column += 1
+        if letters:  # A is 1, AA is 27
+            column = reduce(lambda place, letter: 26 * place + ord(letter) - 64, letters[0], 0)
         place = f"in cell {cell.get('r', f'R{number}C{column}')} of sheet {title}"
         value, kind = cell.findtext("{*}v") or "", cell.get("t", "n")
         if kind == "e":
             value = f"{value} {place}"
         elif kind == "inlineStr":
-            value = "".join(map(_texts_in, cell))
+            value = "".join(map(_text_in, cell))
         elif kind == "s" and value:
-            value = shared[int(value)]
+            value = texts[int(value)]
         elif not value and kind != "str" and cell.find("{*}f") is not None:
             value = f"formula that was never computed {place}"
         if value.strip():
@@ -338,11 +333,6 @@ def _sheet_cells(
                     "the rows and columns beyond the table"
                 )
             yield column, value.strip()
-
-
-def _column_number(letters: str) -> int:
-    """Return the number, from 1, of the column that a sheet calls by letters."""
-    return reduce(lambda number, letter: 26 * number + ord(letter) - 64, letters, 0)
 
 
 def _separator(text: str) -> str:
@@ -360,10 +350,9 @@ def _with_points(rows: list[list[str]]) -> bool:
     if not commas or any(_DECIMAL_POINT.fullmatch(cell.strip()) for cell in cells):
         return False
     for row in rows:
-        row[:] = [
-            cell.replace(",", ".") if _DECIMAL_COMMA.fullmatch(cell.strip()) else cell
-            for cell in row
-        ]
+        for place, cell in enumerate(row):
+            if _DECIMAL_COMMA.fullmatch(cell.strip()):
+                row[place] = cell.replace(",", ".")
     return True
 
 
@@ -374,15 +363,10 @@ def _uneven(row: list[str], line: int, header: list[str], top: int) -> str:
             f", line {top} is taken for the header ({', '.join(header)[:60]!r}), but line {line} "
             f"has {len(row)} cells; remove the lines above the header, or comments and titles"
         )
+    counts = f", line {line}: {len(row)} cells under {len(header)} headers"
     if len(row) > len(header) and not any(cell.strip() for cell in row[len(header) :]):
-        return (
-            f", line {line}: {len(row)} cells under {len(header)} headers, the last ones empty; "
-            "remove the commas at the end of the row"
-        )
-    return (
-        f", line {line}: {len(row)} cells under {len(header)} headers; separate cells by commas, "
-        "decimals by points"
-    )
+        return f"{counts}, the last ones empty; remove the commas at the end of the row"
+    return f"{counts}; separate cells by commas, decimals by points"
 
 
 def _header(path: Path, header: Sequence[str], line: int, counted: str) -> dict[str, str | None]:
