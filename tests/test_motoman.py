@@ -184,3 +184,28 @@ def test_the_independent_fit() -> None:
     assert {one.rank for one in found} == {27}
     assert np.mean([one.held_out for one in found]) == pytest.approx(0.0716e-3, rel=2e-3)
     assert np.mean([one.registered for one in found]) == pytest.approx(0.344e-3, rel=0.03)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("side", SIDES)
+def test_noise_that_is_not_given_holds_at_nominal_values(side: str) -> None:
+    """Without a noise rows held out are as well predicted as by an independent fit, within 3 %.
+
+    What estimated noise leaves undetermined is held at nominal values, not where a search at the
+    assumed noise had taken it: the left arm's lengths stay within 50 mm of the table. (The right
+    arm's rows determine its tool 66 to 82 mm off, also at a given noise.)
+    """
+    mechanism, data = motoman.mechanism(side), motoman.measurements(side)
+    squares, wanted = [], []
+    for seed in range(3):
+        rows, others = motoman.split(side, seed)
+        result = pincal.calibrate(mechanism, data.rows(rows), setup=SETUP, rough=True)
+        turn, shift = external(result)
+        points = pincal.forward(result.identified, data.readings[others]).poses[:, :3]
+        off = turn.apply(points) + shift - data.poses[others, :3]
+        squares.append((off**2).sum(axis=1).mean())
+        wanted.append(motoman.reference(side, seed).held_out ** 2)
+        assert side == "right" or all(
+            abs(p.change) < 0.05 for p in result.parameters if p.unit == "m"
+        )
+    assert np.mean(squares) <= 1.03**2 * np.mean(wanted)

@@ -264,8 +264,8 @@ def _all_legs(
     system = _system(calibration, problem, free, calibration.counts)
     held = None
     if options.holds:
-        least = begin.held.least if before is not None and begin and begin.held else 1.0
-        fit, held = _fit_holding(calibration, system, start, least)
+        former = begin.held if before is not None and begin else None
+        fit, held = _fit_holding(calibration, system, start, former)
     else:
         fit = robust_fit(mechanism, system, loss_of(options.loss), start)
     if before is not None:  # whose search began where this one's would have
@@ -274,15 +274,21 @@ def _all_legs(
 
 
 def _fit_holding(
-    calibration: Calibration, system: System, start: State | None, least: float
+    calibration: Calibration, system: System, start: State | None, former: HeldUnknowns | None
 ) -> tuple[Fit, HeldUnknowns]:
-    """Return a fit with weak directions held, and what was: more of them until it converges."""
+    """Return a fit with weak directions held, and what was: more of them until it converges.
+
+    What is held besides the former is held at nominal values: the search starts from these.
+    """
+    least = former.least if former else 1.0
     mechanism, options, free = calibration.mechanism, calibration.options, system.unknowns
     problem = system.problem
     if system.kept is not None:
         problem = problem.at(np.flatnonzero(system.kept))
     while True:
         held = hold_unobservable(mechanism, problem, free, least)
+        if former and held.directions.shape[1] > former.directions.shape[1]:
+            start = None
         may_hold_more = held.weakest < _HELD_MORE * least and least < _HELD_MOST
         patience = _PATIENCE if may_hold_more else None
         system = replace(system, unknowns=held.unknowns, max_evaluations=patience)
