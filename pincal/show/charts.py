@@ -226,10 +226,13 @@ class Plots:
         The other coordinates are as at home; in space, z is in the middle of the workspace.
 
         Raises:
-            MeasurementError: residuals are so large that no accuracy can be promised.
+            MeasurementError: residuals are so large that no accuracy can be promised, or what the
+                measurements do not determine leaves no error finite.
             WorkspaceError: no workspace was found with the default margins.
         """
         x, y, height, errors = error_map(self.result)
+        if not np.isfinite(errors).any():
+            raise MeasurementError("no error of the platform is determined over x and y")
         x, y, errors = per_si("m", STORED) * x, per_si("m", STORED) * y, per_si("m") * errors
         half_x, half_y = (x[1] - x[0]) / 2, (y[1] - y[0]) / 2
         extent = (x[0] - half_x, x[-1] + half_x, y[0] - half_y, y[-1] + half_y)
