@@ -4,8 +4,8 @@ Passive joints are eliminated leg by leg (projection on the left null space of t
 columns), so each step solves one small system for the platform's twist. With more legs than
 freedoms it is a least-squares system, and the pose is that of the least gaps [m].
 
-Newton's method goes astray where readings are far from home's. Searches that do begin again at the
-nearest of configurations that were reached from home, a few times; what none finds is not found.
+Newton's method goes astray where readings are far from home's: such poses are followed step by
+step on the way of the readings from home.
 """
 
 from __future__ import annotations
@@ -13,10 +13,8 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
-from scipy.spatial import KDTree
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from pincal.blas import on_one_thread
@@ -133,7 +131,7 @@ def _joints_near(legs: Sequence[LegClosure], matrices: Array) -> Array:
     return np.where(closed.reached[:, None], closed.joints, starts)
 
 
-_STARTS, _ROUNDS, _DRAWN, _NEARER = 4, 5, 300, 6  # searches; rounds, draws, halvings around home
+_WAY = 8  # steps on the way from home
 _STEPS, _LARGEST = 40, 0.2  # of Newton's method: how many, and how far at once
 _SMALL = 1e-9  # step after which the next error is rounding
 _CLOSED = 1e-8  # gap, of a leg's size, of what is closed
@@ -180,8 +178,8 @@ def forward(
 ) -> ForwardSolution:
     """Return the poses of sensor readings, in the assembly mode of home.
 
-    Without a guess they are searched from home, then from configurations nearer to them that were
-    reached from home. Rows that none of these searches solves have no pose, and a reason.
+    Without a guess they are searched from home, then on the way from home. Rows that are not found
+    have no pose, and a reason.
 
     More legs than freedoms have no pose in common if their readings are not exact; the pose is
     then that of the least sum of squared gaps between legs and platform, and ``gap`` says how
@@ -217,7 +215,7 @@ def forward(
     columns = influence_columns(mechanism, influences, len(readings))
     solution = _forward(mechanism, readings, transforms, columns)
     if guess is None:
-        solution = _from_elsewhere(mechanism, readings, columns, solution)
+        solution = _on_the_way(mechanism, readings, columns, solution)
     if columns is None or not needs_loads(mechanism, columns):
         return solution
     start = platform.from_matrices(transforms.as_matrix())
@@ -232,51 +230,23 @@ def forward(
     return solution
 
 
-def _from_elsewhere(
+def _on_the_way(
     mechanism: Mechanism, readings: Array, columns: Array | None, solution: ForwardSolution
 ) -> ForwardSolution:
-    """Return forward kinematics with rows searched again that were not found from home."""
-    poses, gap = solution.poses, solution.gap
+    """Return forward kinematics with rows that were not found searched step by step from home."""
+    lost = np.flatnonzero(~solution.converged)
+    if not len(lost):
+        return solution
+    home, near = reading_range(mechanism)[2], np.tile(mechanism.platform.home, (len(lost), 1))
+    influences = None if columns is None else columns[lost]
+    for share in np.linspace(0.0, 1.0, _WAY + 1)[1:]:
+        stage, guess = home + share * (readings[lost] - home), mechanism.platform.transforms(near)
+        reached = _forward(mechanism, stage, guess, influences)
+        near = np.where(reached.converged[:, None], reached.poses, near)
     reasons = np.array(solution.reasons, dtype=object)
-    for place in range(_STARTS):
-        lost = np.flatnonzero(reasons != "")
-        if not len(lost):
-            break
-        known, known_poses = _around_home(mechanism)
-        near = mechanism.platform.transforms(known_poses[_nearest(known, readings[lost], place)])
-        again = _forward(
-            mechanism, readings[lost], near, None if columns is None else columns[lost]
-        )
-        poses[lost], gap[lost], reasons[lost] = again.poses, again.gap, again.reasons
+    reasons[lost] = reached.reasons
+    solution.poses[lost], solution.gap[lost] = reached.poses, reached.gap
     return replace(solution, converged=reasons == "", reasons=tuple(reasons))
-
-
-def _nearest(known: Array, readings: Array, place: int) -> Index:
-    """Return which known readings are nearest to others, or next to the nearest, shape (N,)."""
-    spread = known.std(axis=0)
-    scale = np.where(spread > 0.0, spread, 1.0)
-    indices = KDTree(known / scale).query(readings / scale, [place + 1])[1][:, 0]
-    return np.asarray(np.minimum(indices, len(known) - 1))
-
-
-@lru_cache(maxsize=16)
-def _around_home(mechanism: Mechanism) -> tuple[Array, Array]:
-    """Return readings and poses of configurations in home's assembly mode, (M, ·) each.
-
-    Readings are drawn between their limits, and nearer to home by halves; each is searched from the
-    nearest one that was reached before.
-    """
-    rng = np.random.default_rng(0)
-    low, high, home = reading_range(mechanism)
-    known, poses = home[None], np.array([mechanism.platform.home])
-    for _ in range(_ROUNDS):
-        part = 0.5 ** rng.integers(0, _NEARER, (_DRAWN, 1))
-        drawn = home + part * (rng.uniform(low, high, (_DRAWN, len(home))) - home)
-        near = mechanism.platform.transforms(poses[_nearest(known, drawn, 0)])
-        reached = _forward(mechanism, drawn, near, influence_columns(mechanism, None, _DRAWN))
-        known = np.concatenate((known, drawn[reached.converged]))
-        poses = np.concatenate((poses, reached.poses[reached.converged]))
-    return known, poses
 
 
 def reading_range(mechanism: Mechanism) -> tuple[Array, Array, Array]:
