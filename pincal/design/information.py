@@ -20,7 +20,7 @@ from pincal.estimation.observability.indices import (
     scaled_axes,
 )
 from pincal.estimation.observation import Observation
-from pincal.estimation.rows import NoNoiseError, WhiteRows, white_rows
+from pincal.estimation.rows import NoNoiseError, white_rows
 from pincal.estimation.unknowns import ExternalUnknowns
 from pincal.kinematics.closure import largest_size
 from pincal.kinematics.configurations import Legs, legs_at, nearby
@@ -41,8 +41,6 @@ def parameter_ids(mechanism: Mechanism) -> tuple[str, ...]:
 class Information:
     """What configurations say of parameters and external unknowns, pose by pose."""
 
-    white: WhiteRows
-    """What frees of the poses and whitens, by the noise of readings and of what is measured."""
     rows: Array
     """Free of the poses and whitened, shape (N, k, n): their Gram matrix is the information."""
     off: Array
@@ -124,7 +122,7 @@ def information_rows(
     oriented = bool(set(names) & set(platform.freedoms[platform.units.count("m") :]))
     external = ExternalUnknowns(platform, setup, oriented).names
     unknowns = (*parameter_ids(mechanism), *external)
-    return Information(white, rows, white(errors), unknowns, names)
+    return Information(rows, white(errors), unknowns, names)
 
 
 def _planned(

@@ -178,14 +178,8 @@ def turn_between(first: Array, second: Array) -> Array:
     Of matrices (N, 3, 3). e = log(R₁ R₂ᵀ): a turn ω of R₁ changes it by J⁻¹(e) ω, one of R₂ by
     −J⁻¹(e)ᵀ ω, with the inverse left Jacobian J⁻¹.
     """
-    return _rotation_vectors(first @ second.transpose(0, 2, 1))
-
-
-def _rotation_vectors(turns: Array) -> Array:
-    """Return the rotation vectors of rotation matrices, shape (N, 3, 3) to (N, 3), [rad].
-
-    From R − Rᵀ, which is quick; farther than a quarter turn, where that gets small again, SciPy's.
-    """
+    # from R − Rᵀ, which is quick; farther than a quarter turn, where that gets small again, SciPy's
+    turns = first @ second.transpose(0, 2, 1)
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = turns.transpose(1, 2, 0)
     sines = 0.5 * np.array((zy - yz, xz - zx, yx - xy))
     sine, cosine = np.sqrt((sines * sines).sum(axis=0)), 0.5 * (xx + yy + zz - 1.0)

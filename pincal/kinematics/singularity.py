@@ -90,19 +90,14 @@ def platform_margin(mechanism: Mechanism, lines: Sequence[Array]) -> Array:
 def rods_margin(mechanism: Mechanism, matrices: Array) -> Array | None:
     """Return the same of poses ``T_base_platform`` by closed forms, before any leg is closed, (N,).
 
-    Where a leg does not reach, a number without meaning. None if a leg is no rod or slide.
+    Where a leg does not reach, a number without meaning. None if a leg is no rod or slide, or does
+    not close at home, which then has no side.
     """
-    side = _rods_side(mechanism)
-    return None if side is None else side * _rods_volume(mechanism, matrices)
-
-
-@lru_cache(maxsize=64)
-def _rods_side(mechanism: Mechanism) -> float | None:
-    """Return the sign of what the rods' lines span at home; None without rods, or out of reach."""
-    if not np.isfinite(home_determinant(mechanism)):  # no leg closes there: no side is home's
+    home = mechanism.platform.home_pose.as_matrix()
+    volume = _rods_volume(mechanism, np.concatenate((home, matrices)))
+    if np.isnan(volume[0]) or not np.isfinite(home_determinant(mechanism)):
         return None
-    volume = _rods_volume(mechanism, mechanism.platform.home_pose.as_matrix())[0]
-    return None if np.isnan(volume) else float(np.sign(volume)) or 1.0
+    return volume[1:] * (np.sign(volume[0]) or 1.0)
 
 
 def _rods_volume(mechanism: Mechanism, matrices: Array) -> Array:
