@@ -17,7 +17,6 @@ WHY = {
     "numpy": "batched arrays and small linear algebra",
     "scipy": "least squares, rigid transforms, k-d trees, Voronoi diagrams, graph and grid "
     "components, distributions",
-    "joblib": "chunks of work on several cores (`--jobs`)",
     "lazy_loader": "names of `pincal` imported when first used, from one typed list",
     "lxml": "reads URDF strictly and safely (no entities, no network), with line numbers; yourdfpy "
     "repairs what is broken and folds roll-pitch-yaw into matrices, so what was read could not be "

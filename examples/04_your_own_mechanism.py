@@ -37,7 +37,7 @@ leg = pincal.Leg(
     parameters=tuple(parameters.items()),
 )
 platform = pincal.Platform("planar", home=(0.0, 0.0, 0.0))
-mechanism = pincal.generate("3RPR", leg, pincal.Element.rotations(3), platform, "An example.")
+mechanism = pincal.generate("3RPR", leg, pincal.cyclic(3), platform, "An example.")
 print(pincal.symmetry_group(mechanism))
 
 mechanism.save("04_3RPR", force=True)  # 'pincal demo 04_3RPR' calibrates it

@@ -27,7 +27,7 @@ leg = pincal.Leg(
     sensors=(pincal.Sensor("drive", offset="gamma"),),
     parameters=tuple(values.items()),
 )
-turn, mirror = pincal.Element.rotations(2), pincal.Element.mirror
+turn, mirror = pincal.cyclic(2), pincal.Element.mirror
 elements = (turn[0], mirror(0.0), turn[1], mirror(pi / 2))
 robot = pincal.generate("four_cranks", leg, elements, platform, "Four cranks, 3T1R.")
 print(robot)

@@ -44,7 +44,7 @@ from .symmetry.carry import generate
 from .symmetry.detect import symmetry_group
 from .symmetry.elements import Element, cyclic, dihedral
 from .workspace.axes import Orientations
-from .workspace.criteria import Margins, articular_symmetry
+from .workspace.criteria import Margins
 from .workspace.grid import Grid
 from .workspace.inscribed import Inscribed, largest_inscribed
 from .workspace.region import Workspace, compute_workspace
@@ -95,7 +95,6 @@ __all__ = [
     "Workspace",
     "WorkspaceError",
     "accuracy",
-    "articular_symmetry",
     "calibrate",
     "compute_workspace",
     "corrections",

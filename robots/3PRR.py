@@ -15,6 +15,7 @@ from pincal import (
     Placement,
     Platform,
     Sensor,
+    cyclic,
     generate,
 )
 
@@ -36,7 +37,7 @@ LABELS = {
     "beta_b": "platform joint, azimuth",
     "k": "gain of the reading",
 }
-GROUP: tuple[Element, ...] = Element.rotations(3)
+GROUP: tuple[Element, ...] = cyclic(3)
 
 
 def mechanism() -> Mechanism:

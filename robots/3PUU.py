@@ -16,6 +16,7 @@ from pincal import (
     Placement,
     Platform,
     Sensor,
+    cyclic,
     generate,
 )
 
@@ -38,7 +39,7 @@ LABELS = {
     "L": "rods",
     "k": "gain of the reading",
 }
-LEGS = Element.rotations(3)
+LEGS = cyclic(3)
 GROUP: tuple[Element, ...] = (*LEGS, *(Element.mirror(k * pi / 3) for k in range(3)))
 
 

@@ -15,6 +15,7 @@ from pincal import (
     Placement,
     Platform,
     Sensor,
+    cyclic,
     generate,
 )
 
@@ -34,7 +35,7 @@ LABELS = {
     "k": "gain of the reading",
     "gamma": "length at reading zero",
 }
-GROUP: tuple[Element, ...] = Element.rotations(3)
+GROUP: tuple[Element, ...] = cyclic(3)
 
 
 def mechanism() -> Mechanism:

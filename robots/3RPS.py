@@ -8,13 +8,13 @@ from math import pi
 from pathlib import Path
 
 from pincal import (
-    Element,
     Joint,
     Leg,
     Mechanism,
     Placement,
     Platform,
     Sensor,
+    cyclic,
     generate,
 )
 
@@ -61,7 +61,7 @@ def mechanism() -> Mechanism:
     return generate(
         "3RPS",
         leg,
-        Element.rotations(3),
+        cyclic(3),
         Platform("spatial", home=(0.0, 0.0, 0.786, 0.0, 0.0, 0.0)),
         "3-RPS parallel manipulator (Hunt 1983): one translation and two tilts.",
         LABELS,

@@ -4,13 +4,13 @@ from math import pi, radians, sqrt
 from pathlib import Path
 
 from pincal import (
-    Element,
     Joint,
     Leg,
     Mechanism,
     Placement,
     Platform,
     Sensor,
+    cyclic,
     generate,
 )
 
@@ -52,7 +52,7 @@ def mechanism() -> Mechanism:
     return generate(
         "3RRR",
         leg,
-        Element.rotations(3),
+        cyclic(3),
         Platform("planar", home=(0.0, 0.0, 0.0)),
         "Planar 3-RRR, dyads [-1 -1 -1] (Durango et al., symmetrical observability, Fig. 5).",
         LABELS,

@@ -28,7 +28,7 @@ LABELS = dict(zip(PARAMETERS, (
     "platform joint, azimuth", "gain of the reading"), strict=True))  # fmt: skip
 GROUP = tuple(
     element
-    for k, turn in enumerate(pincal.Element.rotations(3))
+    for k, turn in enumerate(pincal.cyclic(3))
     for element in (turn, pincal.Element.mirror((k + 1) * pi / 3))
 )
 

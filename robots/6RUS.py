@@ -15,6 +15,7 @@ from pincal import (
     Placement,
     Platform,
     Sensor,
+    cyclic,
     generate,
 )
 
@@ -46,7 +47,7 @@ LABELS = {
 }
 GROUP: tuple[Element, ...] = tuple(
     element
-    for k, turn in enumerate(Element.rotations(3))
+    for k, turn in enumerate(cyclic(3))
     for element in (turn, Element.mirror((k + 1) * pi / 3))
 )
 

@@ -14,6 +14,7 @@ from pincal import (
     Placement,
     Platform,
     Sensor,
+    cyclic,
     generate,
 )
 
@@ -70,7 +71,7 @@ def mechanism() -> Mechanism:
         parameters=tuple(PARAMETERS.items()),
     )
     elements: list[Element] = []
-    for k, turn in enumerate(Element.rotations(3)):  # legs 1 to 6 around the base, as in Table 1
+    for k, turn in enumerate(cyclic(3)):  # legs 1 to 6 around the base, as in Table 1
         elements += [turn, Element.mirror((k + 1) * pi / 3)]
     return generate(
         "6UPS",

@@ -37,7 +37,7 @@ LABELS = {
 
 def group(posts: int) -> tuple[Element, ...]:
     """Return D_2n: rotations carry post to post, mirrors one cable of a post to the other."""
-    turns = pincal.Element.rotations(posts)
+    turns = pincal.cyclic(posts)
     return tuple(e for t in turns for e in (t, t.after(pincal.Element.mirror(pi / posts))))
 
 

@@ -16,6 +16,7 @@ from pincal import (
     Placement,
     Platform,
     Sensor,
+    cyclic,
     generate,
 )
 
@@ -39,7 +40,7 @@ LABELS = {
     "L": "rods",
     "gamma": "arm below the horizontal at reading zero",
 }
-LEGS = Element.rotations(3)
+LEGS = cyclic(3)
 GROUP: tuple[Element, ...] = (*LEGS, *(Element.mirror(k * pi / 3) for k in range(3)))
 
 

@@ -17,6 +17,7 @@ from pincal import (
     Placement,
     Platform,
     Sensor,
+    cyclic,
     generate,
 )
 
@@ -32,7 +33,7 @@ LABELS = {
     "arm": "rods",
     "endstop": "nozzle over the bed, at the endstops",
 }
-LEGS = Element.rotations(3)
+LEGS = cyclic(3)
 GROUP: tuple[Element, ...] = (*LEGS, *(Element.mirror(pi / 6 + k * pi / 3) for k in range(3)))
 PRINT_RADIUS = 0.12  # that the limits of carriages and rods leave on the bed [m]
 

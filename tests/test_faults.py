@@ -188,20 +188,29 @@ def test_killed_while_writing(measured: Path, tmp_path: Path) -> None:
     assert all(path.name.startswith(allowed) for path in tmp_path.iterdir())
 
 
+REGION = "workspace 6UPS --kind total-orientation --axis tilt=0:0.05:0.001"
+REGION += " --axis torsion=-0.05:0.05:0.005"
+
+
 @pytest.mark.parametrize(
-    ("line", "begun"),
-    [
-        ("workspace 6UPS --kind total-orientation --axis tilt=0:0.05:0.001 "
-         "--axis torsion=-0.05:0.05:0.005 --jobs 1", " …"),
-        pytest.param("workspace 6UPS --kind total-orientation --axis tilt=0:0.05:0.001 "
-                     "--axis torsion=-0.05:0.05:0.005 --jobs 2", " …", marks=pytest.mark.slow),
-        pytest.param("select 5R --count 12 --candidates {}/candidates.csv --starts 1000000", " …",
-                     marks=pytest.mark.slow),
-        pytest.param("calibrate 5R {}/many.csv", " …", marks=pytest.mark.slow),
-    ],
-)  # fmt: skip
-def test_an_interrupt_leaves_nothing(line: str, begun: str, measured: Path, tmp_path: Path) -> None:
-    """Ctrl-C once work has begun, which stderr says: exit code 130, no traceback, no file."""
+    ("line", "sent"),
+    quick(
+        1,
+        [
+            (REGION, signal.SIGINT),
+            (REGION, signal.SIGTERM),
+            ("select 5R --count 12 --candidates {}/candidates.csv --starts 1000000", signal.SIGINT),
+            ("calibrate 5R {}/many.csv", signal.SIGINT),
+        ],
+    ),
+)
+def test_an_interrupt_leaves_nothing(
+    line: str, sent: signal.Signals, measured: Path, tmp_path: Path
+) -> None:
+    """Ctrl-C or a termination once work has begun, which stderr says: no traceback, no file.
+
+    The exit code is that of the signal.
+    """
     if "many" in line:  # minutes of work
         mechanism = pincal.load_mechanism("5R")
         poses = workspace("5R", 60_000)
@@ -217,13 +226,13 @@ def test_an_interrupt_leaves_nothing(line: str, begun: str, measured: Path, tmp_
         text=True,
     )
     assert process.stderr
-    while begun not in (said := process.stderr.readline()):
+    while " …" not in (said := process.stderr.readline()):
         assert said, process.wait()
     time.sleep(0.3)
     assert process.poll() is None  # still at work
-    process.send_signal(signal.SIGINT)
+    process.send_signal(sent)
     _, err = process.communicate(timeout=60)
-    assert process.returncode == 130, err
+    assert process.returncode == 128 + sent, err
     assert "Traceback" not in err
     assert contents(tmp_path) == {}
 
@@ -279,27 +288,6 @@ def test_a_result_is_written_though_nothing_can_be_printed(
     assert "Traceback" not in ended.stderr
     made = tmp_path / "new.csv"
     assert (made / "result.json").is_file() or len(made.read_text().splitlines()) == 13
-
-
-def test_sigterm_ends_the_workers_too(tmp_path: Path) -> None:
-    """Processes that a command started are gone soon after it: nobody holds its stdout."""
-    grid = "--kind total-orientation --axis tilt=0:0.05:0.001 --axis torsion=-0.05:0.05:0.005"
-    process = subprocess.Popen(
-        [*PINCAL, *f"workspace 6UPS {grid} --jobs 2 -o new".split()],
-        cwd=tmp_path,
-        env=os.environ | HERE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
-    while process.poll() is None and len(children.read_text().split()) < 2:
-        time.sleep(0.1)
-    time.sleep(1.0)
-    process.terminate()
-    process.communicate(timeout=20)  # until all have closed the pipe
-    assert process.returncode == 128 + signal.SIGTERM
-    assert contents(tmp_path) == {}
 
 
 @pytest.mark.parametrize("begin", ["-m pincal", "-c 'from pincal_command import main; main()'"])

@@ -106,7 +106,7 @@ def own_3rrr() -> pincal.Mechanism:
         parameters=tuple(values.items()),
     )
     platform = pincal.Platform("planar", home=(0.0, 0.0, 0.0))
-    return pincal.generate("my_3RRR", leg, pincal.Element.rotations(3), platform, "Mine.")
+    return pincal.generate("my_3RRR", leg, pincal.cyclic(3), platform, "Mine.")
 
 
 def cad_3rrr(folder: Path) -> Path:

@@ -87,9 +87,9 @@ def carried_poses_are_read_by_carried_legs(draw: Draw, folder: Path) -> None:
     families = KINDS[platform.kind][1]
     leg = random_leg("leg_1", families[rng.integers(len(families))], platform, rng)
     turns = draw(st.integers(3, 8) if platform.kind != "spatial" else st.integers(6, 8))
-    elements = pincal.Element.rotations(turns)
+    elements = pincal.cyclic(turns)
     if draw(st.booleans()):
-        elements = pincal.Element.rotations(half := max(turns // 2, 3))
+        elements = pincal.cyclic(half := max(turns // 2, 3))
         elements += tuple(pincal.Element.mirror(np.pi * k / half) for k in range(half))
     mechanism = pincal.generate("generated", leg, elements, platform)
     group = pincal.symmetry_group(mechanism)

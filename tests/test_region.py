@@ -161,7 +161,7 @@ def test_square_grid_follows_quarter_turns() -> None:
     """Four legs a quarter turn apart map a square grid onto itself, x and y changing places."""
     leg = pincal.load_mechanism("3RRR").legs[0]
     platform = pincal.Platform("planar", (0.0, 0.0, 0.0))
-    mechanism = pincal.generate("4RRR", leg, pincal.Element.rotations(4), platform)
+    mechanism = pincal.generate("4RRR", leg, pincal.cyclic(4), platform)
     grid = pincal.Grid.of("x=-0.6:0.6:0.05", "y=-0.6:0.6:0.05")
     short = pincal.compute_workspace(mechanism, "constant-orientation", grid)
     long = pincal.compute_workspace(mechanism, "constant-orientation", grid, symmetry=False)
@@ -331,28 +331,14 @@ def test_parts_hang_together_around_the_full_turn(hexapod: pincal.Mechanism) -> 
     assert counts[0] == counts[1] > 0
 
 
-def test_articular_space_is_as_symmetric_as_the_workspace(
-    candidates: dict[str, np.ndarray],
-) -> None:
-    """Permuted readings of the 3-RRR are reached, at the carried poses (Section 3.2)."""
-    mechanism = pincal.load_mechanism("3RRR")
-    poses = candidates["3RRR"][:1000]
-    checks = pincal.articular_symmetry(mechanism, poses)
-    assert [str(c.element) for c in checks] == ["rotation by 120°", "rotation by 240°"]
-    for check in checks:
-        assert check.solved == check.inside == check.asked == 1000
-        assert check.off < 1e-9
-
-
-@pytest.mark.slow
-def test_jobs_change_nothing(hexapod: pincal.Mechanism, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two processes give the very set that one gives."""
-    monkeypatch.setattr("pincal.workspace.region._CHUNK", 1 << 12)
+def test_chunks_change_nothing(hexapod: pincal.Mechanism, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Positions asked in many chunks are those asked at once, and progress rises to all."""
     grid = pincal.Grid.of(*POLAR["6UPS"])
     turns = pincal.Orientations.of(hexapod.platform, *TURNS["6UPS"])
+    two = pincal.compute_workspace(hexapod, "total-orientation", grid, turns)
+    monkeypatch.setattr("pincal.workspace.region.BLOCK", 1 << 12)
     done: list[int] = []
     one = pincal.compute_workspace(hexapod, "total-orientation", grid, turns, progress=done.append)
-    two = pincal.compute_workspace(hexapod, "total-orientation", grid, turns, jobs=2)
     np.testing.assert_array_equal(one.inside, two.inside)
     assert len(done) > 2
     assert done == sorted(done)
@@ -450,7 +436,7 @@ def test_elements_that_turn_the_determinant_over_are_left_out() -> None:
     """Half a turn swaps two legs, and the sides of the type-2 singularity with them."""
     legs = mirrored().legs[:1]
     mechanism = pincal.generate(
-        "2R", legs[0], pincal.Element.rotations(2), pincal.Platform("point", (0.0, 1.1))
+        "2R", legs[0], pincal.cyclic(2), pincal.Platform("point", (0.0, 1.1))
     )
     grid = pincal.Grid.of("x=-1.5:1.5:0.1", "y=-2:2:0.1")
     for least, order in ((None, 1), (NONE, 2)):

@@ -271,7 +271,7 @@ def test_terms_turn_with_their_legs_and_are_not_saved(tmp_path: Path) -> None:
     with pytest.raises(pincal.MechanismError, match="'a' is code"):
         robot.save(tmp_path / "r")
     five = _with_terms("5R")
-    turns = (pincal.Element.rotations(1)[0], pincal.Element.mirror(np.pi / 2))
+    turns = (pincal.cyclic(1)[0], pincal.Element.mirror(np.pi / 2))
     pair = pincal.generate("pair", five.legs[0], turns, five.platform, "Two legs, mirrored.")
     poses = five.platform.home + np.array([[0.01, 0.02], [-0.02, 0.01]])
     here, there = (pincal.inverse(pair, one).readings for one in (poses, poses * [-1.0, 1.0]))

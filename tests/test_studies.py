@@ -74,7 +74,7 @@ def test_three_rrr(folders: dict[str, Path]) -> None:
     """Permuted readings are reached; orbits gain over the paper's own sets."""
     folder = folders["3RRR"]
     table = "fig_7_articular_symmetry"
-    assert column(folder, table, "in the workspace") == column(folder, table, "readings")
+    assert column(folder, table, "at the carried pose") == column(folder, table, "readings")
     assert column(folder, "fig_5_workspaces", "kept by rotations") == ["1", "1", "1"]
     gains = dict(
         zip(

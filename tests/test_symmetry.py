@@ -25,7 +25,7 @@ ROBOTS = Path(__file__).parents[1] / "robots"
 
 def dihedral(n: int) -> list[pincal.Element]:
     """Return the 2n elements of D_2n."""
-    return [*pincal.Element.rotations(n), *(pincal.Element.mirror(np.pi * k / n) for k in range(n))]
+    return [*pincal.cyclic(n), *(pincal.Element.mirror(np.pi * k / n) for k in range(n))]
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 5, 8])
@@ -108,7 +108,7 @@ def test_generated_mechanisms_are_detected_as_generated(n: int) -> None:
     """A leg carried by n rotations gives a mechanism whose group is those rotations."""
     leg = pincal.load_mechanism("3RRR").legs[0]
     platform = pincal.Platform("planar", (0.0, 0.0, 0.0))
-    mechanism = pincal.generate(f"{n}RRR", leg, pincal.Element.rotations(n), platform)
+    mechanism = pincal.generate(f"{n}RRR", leg, pincal.cyclic(n), platform)
     group = pincal.symmetry_group(mechanism)
     assert len(group.elements) == n
     assert not any(e.reflection for e in group.elements)
@@ -185,9 +185,7 @@ def test_a_leg_that_misses_home_is_refused() -> None:
     """Generating from a leg that does not reach the home pose raises."""
     leg = pincal.load_mechanism("3RRR").legs[0]
     with pytest.raises(pincal.MechanismError, match="does not reach the home pose"):
-        pincal.generate(
-            "far", leg, pincal.Element.rotations(3), pincal.Platform("planar", (9.0, 0.0, 0.0))
-        )
+        pincal.generate("far", leg, pincal.cyclic(3), pincal.Platform("planar", (9.0, 0.0, 0.0)))
 
 
 def on_its_mirror_plane(n: int) -> pincal.Mechanism:
@@ -195,7 +193,7 @@ def on_its_mirror_plane(n: int) -> pincal.Mechanism:
     leg = pincal.load_mechanism("6UPS").legs[0]
     leg = leg.with_parameters({"beta": 0.0, "beta_b": 0.0})
     platform = pincal.Platform("spatial", (0.0, 0.0, 2.0, 0.0, 0.0, 0.0))
-    return pincal.generate(f"{n}UPS", leg, pincal.Element.rotations(n), platform)
+    return pincal.generate(f"{n}UPS", leg, pincal.cyclic(n), platform)
 
 
 @pytest.mark.parametrize("n", quick(5, range(2, 9)))

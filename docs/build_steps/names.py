@@ -9,7 +9,7 @@ GROUPS = {
     "Kinematics": "inverse forward margins identification_jacobian",
     "Workspace": "sample_workspace sample_configurations compute_workspace Workspace Grid "
     "Orientations Margins free_of_collision largest_inscribed Inscribed",
-    "Symmetry": "symmetry_group articular_symmetry Element cyclic dihedral",
+    "Symmetry": "symmetry_group Element cyclic dihedral",
     "Poses to measure": "select_poses Selection select_configurations Plan forecast indices",
     "Measurements": "Measurements Noise Setup Target Distance Tracker Systematic Instrument Image",
     "Calibration": "calibrate Options Loss CalibrationResult load_result explain "
@@ -37,6 +37,5 @@ pincal.show.pictures.picture.Picture
 pincal.show.view.view.View
 pincal.symmetry.detect.SymmetryGroup
 pincal.words.table.Table
-pincal.workspace.criteria.ArticularSymmetry
 pincal.workspace.axes.Axis
 """

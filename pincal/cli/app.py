@@ -18,7 +18,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import is_dataclass
 from functools import wraps
-from multiprocessing import active_children
 from pathlib import Path
 from threading import current_thread, main_thread
 from typing import Annotated, Any, NoReturn
@@ -282,9 +281,5 @@ def _leave(code: int, message: str) -> NoReturn:
 
 
 def _terminate(number: int, frame: object) -> None:  # noqa: ARG001 - what signals call
-    """End at SIGTERM, with all worker processes: they would hold stdout."""
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    for worker in active_children():
-        if worker.pid is not None:
-            os.kill(worker.pid, signal.SIGKILL)
+    """End at SIGTERM, leaving nothing half-written behind."""
     sys.exit(128 + signal.SIGTERM)

@@ -30,7 +30,7 @@ from pincal.workspace.region import KINDS, Workspace, compute_workspace
 from pincal.workspace.sampling import sample_configurations
 
 #: Options that samples of poses do not have; of regions that is the number of poses.
-_OF_REGIONS = ("axis", "symmetry", "connected", "inscribed", "picture", "jobs")
+_OF_REGIONS = ("axis", "symmetry", "connected", "inscribed", "picture")
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,6 @@ class WorkspaceOptions:
     )
     inscribed: bool = option(False, "Find the largest circle or ball inside.")
     picture: Path | None = option(None, "Draw the workspace.", metavar="FILE.svg|png|pdf")
-    jobs: int = option(1, "Processes; -1 for one a core.", most=1024)
     force: bool = option(False, FORCE)
 
 
@@ -119,7 +118,6 @@ def _region(
                 least,
                 symmetry=options.symmetry,
                 connected=options.connected,
-                jobs=options.jobs,
                 progress=done,
             )
 

@@ -56,7 +56,7 @@ class SymmetryGroup:
 
     @cached_property
     def name(self) -> str:
-        """Name of the group: D_2n with its order 2n, C_n of rotations only, or Schoenflies'."""
+        """Name of the group: D_2n with its order 2n, C_n of rotations only, or what it has."""
         return group_name(self.elements)
 
     def subgroups(self) -> tuple[SymmetryGroup, ...]:

@@ -122,12 +122,6 @@ class Element:
         return cls(float(magnitude), reflection, base, platform)
 
     @staticmethod
-    def rotations(n: int) -> tuple[Element, ...]:
-        """Return the n rotations of D_2n, the identity first."""
-        n = count_of(n, "the order of rotation", SymmetryError)
-        return tuple(Element(wrapped(2 * np.pi * k / n)) for k in range(n))
-
-    @staticmethod
     def mirror(azimuth: float) -> Element:
         """Return the reflection through the plane that holds z at an azimuth, [rad]."""
         return Element(wrapped(2 * azimuth), reflection=True)
@@ -239,7 +233,8 @@ def wrapped(angle: float) -> float:
 
 def cyclic(n: int) -> tuple[Element, ...]:
     """Return C_n: the n rotations about z, the identity first."""
-    return Element.rotations(n)
+    n = count_of(n, "the order of rotation", SymmetryError)
+    return tuple(Element(wrapped(2 * np.pi * k / n)) for k in range(n))
 
 
 def dihedral(n: int, azimuth: float = 0.0) -> tuple[Element, ...]:

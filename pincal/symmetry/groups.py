@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from pincal.symmetry.elements import SAME, Element, Isometry
 from pincal.types import Array, Index
@@ -17,6 +18,7 @@ from pincal.types import Array, Index
 Table = Index
 _NEAREST = 0.25  # how far a product may be from the element that it is meant to be, |Q − Q'|
 _ROUNDS = 8  # of averaging: each squares the error
+_NAMED = 1e-6  # within which mirrors go through the main axis
 
 
 def product_table(elements: Sequence[Element], labels: Sequence[object] | None = None) -> Table:
@@ -136,56 +138,22 @@ def _upright(turns: Array) -> Array:
 def group_name(elements: Sequence[Element]) -> str:
     """Return the name of a group: C_n of n rotations about an axis, D_2n with n mirrors through it.
 
-    Others have the names of Schoenflies, such as D2h of a box.
+    Of others, what they have: rotations, the identity among them, and reflections.
     """
-    order = len(elements)
-    rotations = [e for e in elements if not e.reflection]
-    orders = list(map(_order, rotations))
-    n = max(orders)
-    reflections = np.array([e.base.Q for e in elements if e.reflection]).reshape(-1, 3, 3)
-    traces = np.trace(reflections, axis1=1, axis2=2)
-    if n > 2 and orders.count(n) > n:  # several main axes
-        kind = {12: "T", 24: "O", 60: "I"}.get(len(rotations), "G")
-        if order == len(rotations):
-            return kind
-        inversion = bool((traces < -3.0 + 1e-6).any())
-        return f"{kind}d" if kind == "T" and not inversion else f"{kind}h"
+    rotations = np.array([e.base.Q for e in elements if not e.reflection])
+    mirrored = np.array([-e.base.Q for e in elements if e.reflection]).reshape(-1, 3, 3)
+    angles = Rotation.from_matrix(rotations).magnitude()
+    order = round(2 * np.pi / min([angle for angle in angles if angle > SAME], default=2 * np.pi))
     if order == len(rotations):
-        return f"C{n}" if order == n else f"D{n} of half-turns"
-    mirrors = reflections[np.abs(traces - 1.0) < 1e-6]
-    if n == 1:
-        return "D2" if len(mirrors) else "Ci"
-    axis = _axis(rotations[orders.index(n)].base.Q)
-    return _name_about_axis(n, len(rotations), np.array([abs(_axis(-Q) @ axis) for Q in mirrors]))
-
-
-def _name_about_axis(n: int, n_rotations: int, mirrors: Array) -> str:
-    """Return the name of a group with reflections and one main axis, of order n.
-
-    Mirrors are given by the cosines, 0 or more, between the main axis and their normals.
-    """
-    across = bool((np.abs(mirrors - 1.0) < 1e-6).any())
-    if n_rotations > n:
-        return f"D{n}h" if across else f"D{n}d"
-    if across:
-        return f"C{n}h"
-    return f"D{2 * n}" if np.count_nonzero(mirrors < 1e-6) == n else f"S{2 * n}"
-
-
-def _order(element: Element) -> int:
-    """Return after how many times a rotation is the identity."""
-    Q, power = element.base.Q, element.base.Q
-    for order in range(1, 1000):
-        if np.abs(power - np.eye(3)).max() < 1e-6:
-            return order
-        power = power @ Q
-    return 0
-
-
-def _axis(Q: Array) -> Array:
-    """Return the unit axis of a rotation that is not the identity, shape (3,)."""
-    values, vectors = np.linalg.eigh((Q + Q.T) / 2)
-    return np.asarray(vectors[:, int(np.argmax(values))])
+        if not len(mirrored):
+            return f"C{order}"
+        # mirrors are half turns times −1, about their normals, which lie across the main axis
+        normals = Rotation.from_matrix(mirrored).as_rotvec() / np.pi
+        axes = Rotation.from_matrix(rotations).as_rotvec()
+        through = np.abs(np.linalg.norm(normals, axis=1) - 1.0).max() <= _NAMED
+        if through and np.abs(normals @ axes.T).max() <= _NAMED:
+            return f"D{2 * order}"
+    return f"{len(rotations)} rotations" + f" and {len(mirrored)} reflections" * bool(len(mirrored))
 
 
 def place_of(element: Element) -> tuple[bool, bool, float]:

@@ -18,8 +18,7 @@ from pincal.kinematics.batches import chunks, matrix_chunks
 from pincal.kinematics.closed_forms import closed_form
 from pincal.kinematics.closing import ClosedLegs, by_leg, close_legs, in_home_modes
 from pincal.kinematics.closure import nominal_legs
-from pincal.kinematics.forward import forward
-from pincal.kinematics.inverse import beyond_limits, inverse
+from pincal.kinematics.inverse import beyond_limits
 from pincal.kinematics.nearest_closure import nearest_closure
 from pincal.kinematics.singularity import (
     drive_margins,
@@ -32,8 +31,6 @@ from pincal.model.consistency import home_gap
 from pincal.model.mechanism import Mechanism
 from pincal.model.option import option
 from pincal.model.platform import Poses
-from pincal.symmetry.detect import symmetry_group
-from pincal.symmetry.elements import Element
 from pincal.types import Array, Mask
 
 _GRIP = 1e-6  # at a type-1 singularity rounding errors choose the working mode
@@ -184,64 +181,3 @@ def in_workspace(mechanism: GivenMechanism, poses: Poses, least: Margins | None 
     for rows, matrices in matrix_chunks(placed):
         inside[rows] = criteria(matrices)
     return inside
-
-
-_ASIDE = 1e-2  # of the poses' spread: how far off the forward kinematics starts
-
-
-@dataclass(frozen=True)
-class ArticularSymmetry:
-    """How well permuted readings stay in the space."""
-
-    element: Element
-    solved: int
-    """Number of permuted readings whose forward kinematics converged."""
-    asked: int
-    off: float
-    """Largest distance of the poses found from the carried ones, [m] and [rad] together."""
-    inside: int
-    """Number of poses found that are in the workspace."""
-
-
-def articular_symmetry(
-    mechanism: GivenMechanism, poses: Array, least: Margins | None = None, seed: int = 0
-) -> tuple[ArticularSymmetry, ...]:
-    """Return whether permuted readings are reached, for each element but the identity.
-
-    Readings of poses are permuted as the element permutes legs; their forward kinematics,
-    started aside, must give poses in the workspace, which are the carried ones.
-
-    Args:
-        mechanism: The mechanism.
-        poses: Poses in its workspace, coordinates of shape (N, dof).
-        least: Margins of the workspace.
-        seed: Seed of where the forward kinematics starts.
-
-    Raises:
-        MechanismError: a mechanism whose forward kinematics is not determined.
-
-    Example:
-        >>> import pincal
-        >>> checks = pincal.articular_symmetry("5R", pincal.sample_workspace("5R", 50, seed=0))
-        >>> len(checks) > 0
-        True
-    """
-    mechanism = as_mechanism(mechanism)
-    platform, group = mechanism.platform, symmetry_group(mechanism)
-    poses = platform.coordinates_of(poses)
-    readings = inverse(mechanism, poses).readings
-    spread = np.ptp(platform.twists_between(poses[:1].repeat(len(poses), 0), poses), axis=0)
-    aside = np.random.default_rng(seed).normal(size=poses.shape) * _ASIDE * spread
-    checks = []
-    for element, permutation in list(zip(group.elements, group.permutations, strict=True))[1:]:
-        permuted = np.empty_like(readings)
-        permuted[:, list(permutation)] = readings
-        carried = element.poses(platform, poses)
-        solution = forward(mechanism, permuted, platform.moved(carried, aside))
-        ok = solution.converged
-        off = platform.twists_between(carried[ok], solution.poses[ok])
-        inside = in_workspace(mechanism, solution.poses[ok], least)
-        worst = float(np.linalg.norm(off, axis=1).max(initial=0.0))
-        counts = int(ok.sum()), len(poses), worst, int(inside.sum())
-        checks.append(ArticularSymmetry(element, *counts))
-    return tuple(checks)

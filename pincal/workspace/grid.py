@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import TypeAlias
 
 import numpy as np
@@ -189,7 +188,6 @@ def _match(axis: Axis, images: Array) -> Indices | None:
     return index if np.abs(values[index] - images).max() <= 4 * SAME * max(1.0, size) else None
 
 
-@lru_cache(maxsize=4)  # asked for by every chunk
 def representatives(grid: Grid, moves: tuple[Isometry, ...]) -> Carrier:
     """Return what takes numbers of positions to the lowest numbers of their orbits.
 

@@ -14,7 +14,6 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-import joblib
 import numpy as np
 
 from pincal.blas import on_one_thread
@@ -60,10 +59,6 @@ class PositionTest:
     @cached_property
     def _criteria(self) -> Criteria:
         return criteria_of(self.mechanism, self.least)
-
-    def __reduce__(self) -> tuple[type[PositionTest], tuple[object, ...]]:
-        """Pickle what is given, not what is cached: it goes to other processes often."""
-        return PositionTest, (self.mechanism, self.orientations, self.every, self.least)
 
     @property
     def in_closed_form(self) -> bool:
@@ -310,8 +305,6 @@ class Computing:
     connected: bool = False
     """Keep only what hangs together, on this grid, with the position that counts and is nearest
     to home."""
-    jobs: int = 1
-    """Processes; -1 for one a core."""
     progress: Callable[[int], None] | None = None
     """Called with the number of positions done."""
 
@@ -338,63 +331,40 @@ def compute_workspace(
         orientations: Orientations asked; if not given, home's for a constant orientation, and
             all round (5° apart in a plane, 30° in space) if reachable or dexterous.
         least: Margins from singularities.
-        **options: ``symmetry``, ``connected``, ``jobs``, ``progress``: see ``Computing``.
+        **options: ``symmetry``, ``connected``, ``progress``: see ``Computing``.
 
     Raises:
-        WorkspaceError: an unknown kind, no orientations where they are needed, or work that
-            cannot be run as asked.
+        WorkspaceError: an unknown kind, or no orientations where they are needed.
     """
     how, mechanism = Computing(**options), as_mechanism(mechanism)
-    if not isinstance(how.jobs, int | np.integer) or how.jobs == 0 or how.jobs < -1:
-        raise WorkspaceError(
-            f"{described(how.jobs)} jobs; expected at least 1, or -1 for one a core"
-        )
     orientations = _orientations(mechanism, kind, orientations)
     if not isinstance(grid, Grid):
         raise WorkspaceError(f"grid: expected a Grid; got {described(grid)}")
     _check_grid(mechanism, grid)
     refuse_readings(mechanism)
-    every = kind != "reachable"
     least = as_margins(least)
     group = symmetry_group(mechanism, ROUNDING, readings=False).elements
     elements: tuple[Element, ...] = (IDENTITY,)
     if how.symmetry:
         elements = usable(keep_side(mechanism, group, least), grid, orientations)
     unused = tuple(e for e in group if e not in elements)
-    moves = moves_of(elements, orientations)
-    test = PositionTest(mechanism, orientations, every, least)
-    test(grid.at(np.zeros(1, np.int64)))  # errors in the mechanism show here, not there
+    lowest_of = representatives(grid, moves_of(elements, orientations))
+    test = PositionTest(mechanism, orientations, kind != "reachable", least)
     size = max(1, min(BLOCK, (_CHUNK if test.in_closed_form else BLOCK) // len(orientations)))
     inside, computed = np.zeros(grid.size, dtype=bool), 0
-    chunks = list(blocks(grid.size, size))
-    parallel = joblib.Parallel(how.jobs, return_as="generator_unordered")
-    asking = parallel(joblib.delayed(_asked_bits)(test, grid, moves, chunk) for chunk in chunks)
-    for done, (chunk, bits) in enumerate(asking, 1):
-        packed = np.frombuffer(bits, dtype=np.uint8)
-        inside[slice(*chunk)] = np.unpackbits(packed, count=chunk[1] - chunk[0])
-        if how.progress:
-            how.progress(min(done * size, grid.size))
-    lowest_of = representatives(grid, moves)
-    for begin, end in blocks(grid.size):
+    for begin, end in blocks(grid.size, size):
         index = np.arange(begin, end)
-        lowest = lowest_of(index)
-        computed += int(np.count_nonzero(lowest == index))
+        lowest = lowest_of(index)  # of each orbit: done with before, or now
+        now = index[lowest == index]
+        inside[now] = test(grid.at(now))
         inside[begin:end] = inside[lowest]
+        computed += len(now)
+        if how.progress:
+            how.progress(end)
     if how.connected and inside.any():
         inside = part_around(grid, inside, mechanism.platform.home_pose.translation[0])
     inside.setflags(write=False)
     return Workspace(kind, test, grid, inside, elements, unused, computed)
-
-
-def _asked_bits(
-    test: PositionTest, grid: Grid, moves: tuple[Isometry, ...], chunk: tuple[int, int]
-) -> tuple[tuple[int, int], bytes]:
-    """Return which positions of a chunk count, as packed bits: of each orbit the lowest."""
-    index = np.arange(*chunk)
-    lowest = index[representatives(grid, moves)(index) == index]
-    inside = np.zeros(len(index), dtype=bool)
-    inside[lowest - chunk[0]] = test(grid.at(lowest))
-    return chunk, np.packbits(inside).tobytes()
 
 
 def _orientations(
