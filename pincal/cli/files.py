@@ -48,10 +48,11 @@ from pincal.formats.urdf_tree import XACRO, loops_beside, read_loops, read_urdf
 from pincal.kinematics.closure import largest_size
 from pincal.kinematics.influences import own_influences
 from pincal.kinematics.inverse import inverse
+from pincal.model.checks import counted
 from pincal.model.measurements import Measurements, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.option import option
-from pincal.words.numbers import amount, counted, listed, reading_in
+from pincal.words.numbers import amount, listed, reading_in
 from pincal.workspace.sampling import grid_poses, has_grid
 
 PROBING = "probing.csv"

@@ -47,9 +47,9 @@ def triple(values: Iterable[float]) -> str:
     return f"({', '.join(f'{value:.4g}' for value in values)})"
 
 
-def counted(count: int, noun: str) -> str:
-    """Return a number and a noun that agrees with it."""
-    return f"{count} {noun}{'' if count == 1 else 's'}"
+def counted(count: int, singular: str, plural: str = "") -> str:
+    """Return a number of things: ``1 row``, ``2 rows``."""
+    return f"{count} {singular if count == 1 else plural or singular + 's'}"
 
 
 def listed(names: Iterable[str], limit: int = 6) -> str:

@@ -14,20 +14,12 @@ from pincal.calibration.result_parts import Missed
 from pincal.calibration.validation import MISSES
 from pincal.design.platform_error import platform_error
 from pincal.estimation.observability.identifiable import WeakPair
+from pincal.model.checks import counted
 from pincal.model.mechanism import Mechanism
 from pincal.model.setup import ORIGIN
 from pincal.show.misses import WorkspaceErrors, workspace_errors
 from pincal.show.tables import calibration_tables
-from pincal.words.numbers import (
-    amount,
-    capital,
-    counted,
-    listed,
-    number,
-    percent,
-    rounded,
-    size,
-)
+from pincal.words.numbers import amount, capital, listed, number, percent, rounded, size
 from pincal.words.sentences import WORDINGS, finding, sentence
 from pincal.words.table import Table
 from pincal.words.wording import UNCOVERED, missed_line, noise_in_words

@@ -14,19 +14,12 @@ from pincal.design.forecast import Forecast
 from pincal.design.select import Selection
 from pincal.design.select_configurations import ConfigurationChoice
 from pincal.design.simulate import Accuracy
+from pincal.model.checks import counted
 from pincal.model.mechanism import Mechanism
 from pincal.show.misses import readings_exact
 from pincal.symmetry.breaks import no_symmetries
 from pincal.symmetry.detect import SymmetryGroup
-from pincal.words.numbers import (
-    SMALL,
-    STORED,
-    VALUES,
-    chance,
-    counted,
-    shown_in,
-    uncertainty,
-)
+from pincal.words.numbers import SMALL, STORED, VALUES, chance, shown_in, uncertainty
 from pincal.words.table import Cell, Table, Value, quantity
 from pincal.words.wording import NAMED, mapped_diagonals
 from pincal.workspace.inscribed import Inscribed

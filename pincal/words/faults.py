@@ -7,68 +7,63 @@ hypotheses that explain measurements alike are one sentence.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 from pincal.finding import Finding
 from pincal.words.numbers import percent
 from pincal.words.wording import Wording, filled
 
+_error = partial(Wording, severity="error")
 FAULTS: dict[str, Wording] = {
-    "readings-still": Wording(
+    "readings-still": _error(
         "A sensor does not move",
         "{% for name, value, unit, moved in readings %}{', ' if not loop.first}{name} reads the "
         "same in all rows ({value|g(6)} {unit}){% endfor %}, where readings of the nominal "
         "mechanism differ by {% for name, value, unit, moved in readings %}"
         "{', ' if not loop.first}{moved|g(2)} {unit}{% endfor %} over these poses",
         "Check the sensor, its cable and the log",
-        "error",
     ),
-    "whole-turns": Wording(
+    "whole-turns": _error(
         "Readings off by whole turns",
         "{leg}: {rows|length|counted('reading is', 'readings are')} off by whole turns, the first "
         "in data row {row}: {reading|g(6)} rad, where the nominal mechanism reads {nominal|g(6)} "
         "rad",
         "Count without the turns, or correct the nominal offset",
-        "error",
     ),
-    "other-working-mode": Wording(
+    "other-working-mode": _error(
         "Another working mode",
         "readings and poses close the legs, but these bend the other way than in mechanism.yaml's "
         "home: {% for leg, passive, bent, total in legs %}{', ' if not loop.first}{leg} "
         "({passive|join(' and ')}, in {bent} of {total} rows){% endfor %}",
         "Correct 'home' there, or measure in its working mode",
-        "error",
     ),
-    "not-this-mechanism": Wording(
+    "not-this-mechanism": _error(
         "Measurements of another mechanism",
         "{leg}: the measurements miss the nominal mechanism by {(100 * gap)|f(1)} % of a leg's "
         "length (median), and no single fault in units, signs, order, zeros or frame explains it",
         "Check the units, the order and signs of the readings, the frame of the poses, and that "
         "this is the right mechanism. If it is known but roughly, say so (--rough)",
-        "error",
     ),
-    "readings-do-not-follow": Wording(
+    "readings-do-not-follow": _error(
         "Readings do not follow the poses",
         "{leg}: the readings do not follow those of the nominal mechanism (machines near it leave "
         "{(100 * left)|g(2)} % of the leg's length where readings move it by "
         "{(100 * stroke)|g(2)} %)",
         "Check their order and signs, the signs and frame of the poses, and the mechanism",
-        "error",
     ),
-    "rows-copied": Wording(
+    "rows-copied": _error(
         "Copied rows",
         "data rows {first[0] + 1} and {first[1] + 1} are identical in all that was measured"
         "{' (and %d more such pairs)' % (pairs - 1) if pairs > 1}; measured twice, they would "
         "differ by noise",
         "Remove the copies",
-        "error",
     ),
-    "noise-too-large": Wording(
+    "noise-too-large": _error(
         "Noise far too large",
         "the noise of {what} is given as {'%g' % given} {unit}{% if what == 'position' %}, more "
         "than {(100 * most / size)|f(0)} % of a leg's length ({size|g} m){% else %}; expected less "
         "than {'%g' % most}{% endif %}",
         "It is in {'metres' if unit == 'm' else 'radians'}",
-        "error",
     ),
     "bad-rows": Wording(
         "Few rows far from the nominal mechanism",
@@ -95,7 +90,7 @@ _FRAMED = "{' and the base is elsewhere in their frame' if unknown_frame}"
 
 def _hypothesis(title: str, says: str, remedy: str, framed: str = _FRAMED) -> Wording:
     """Return the wording of a hypothesis, which has values that all hypotheses have."""
-    return Wording(title, says + framed, remedy, "error", unsaid=_COMMON)
+    return _error(title, says + framed, remedy, unsaid=_COMMON)
 
 
 HYPOTHESES: dict[str, Wording] = {

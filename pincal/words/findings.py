@@ -1,7 +1,7 @@
 """Sentences of findings about a calibration: its fit, its rows, its parameters, its freedoms.
 
-One table for each kind, from code to ``Wording``; those of measurements that cannot be right are in
-``faults``. What codes and values mean: ``docs/errors.md``.
+Those of measurements that cannot be right are in ``faults``; ``docs/errors.md`` says what codes and
+values mean.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ _SOURCE = "{'repeated rows show' if source == 'repeats' else 'given'}"
 _CHI2 = "reduced χ² is {chi2|rounded(3)} where 1 is expected: the noise is "
 _ASSUMED = "the uncertainties assume that noise"
 
-RESULTS: dict[str, Wording] = {
+FINDINGS: dict[str, Wording] = {
     "not-converged": Wording(
         "The fit did not converge",
         "the fit did not converge: {message}",
@@ -93,8 +93,6 @@ RESULTS: dict[str, Wording] = {
         "the promise leaves out {what|of(UNCOVERED)|listed}: nothing was said of that",
         severity="info",
     ),
-}
-ROWS: dict[str, Wording] = {
     "model-lacks": Wording(
         "Residuals follow something",
         "{quantity}: residuals follow {TERMS[term][0]} ({p_value|chance}), and the model has "
@@ -142,8 +140,6 @@ ROWS: dict[str, Wording] = {
         "expected ({p_value|chance}): the model follows its rows more closely than the machine",
         "Measure more poses, or fix parameters",
     ),
-}
-PARAMETERS: dict[str, Wording] = {
     "tolerance-found": Wording(
         "Tolerances found with the parameters",
         "{% set kinds = {'m': 'lengths', 'rad': 'angles', '1': 'gains'}[unit] %}"
@@ -196,9 +192,6 @@ PARAMETERS: dict[str, Wording] = {
         "{nominal|g(4)} to {length|g(4)} m{% endfor %}",
         "Correct the nominal values (zeros of motors first), or fix these lengths (--fixed)",
     ),
-}
-_NEAREST = "Of equal parameters, those nearest to nominal were taken."
-FREEDOMS: dict[str, Wording] = {
     "gauge-base-frame": Wording(
         "Gauge freedom of the base frame",
         "the base frame: {freedoms|counted('freedom')}, since "

@@ -124,11 +124,6 @@ def listed(words: Iterable[object], last: str = "and") -> str:
     return f"{', '.join(first)} {last} {end}" if first else end
 
 
-def counted(count: int, singular: str, plural: str = "") -> str:
-    """Return a number of things: ``1 row``, ``2 rows``."""
-    return f"{count} {singular if count == 1 else plural or singular + 's'}"
-
-
 def capital(text: str) -> str:
     """Return a sentence with a capital, unless it begins with a name such as ``leg_1.l``."""
     first = text.partition(" ")[0].rstrip(":,")

@@ -7,23 +7,17 @@ from typing import Any
 
 from pincal.finding import Finding
 from pincal.words.faults import FAULTS, HYPOTHESES, explanation
-from pincal.words.findings import FREEDOMS, PARAMETERS, RESULTS, ROWS
-from pincal.words.wording import Wording
+from pincal.words.findings import FINDINGS
+from pincal.words.wording import Wording, filled
 
 #: What is said of each code.
-WORDINGS: Mapping[str, Wording] = RESULTS | ROWS | PARAMETERS | FREEDOMS | FAULTS | HYPOTHESES
+WORDINGS: Mapping[str, Wording] = FINDINGS | FAULTS | HYPOTHESES
 
 
 def finding(
     code: str, rows: Iterable[int] = (), parameters: Iterable[str] = (), **values: Any
 ) -> Finding:
-    """Return a finding, of the severity of its code.
-
-    Args:
-        code: One of ``WORDINGS``.
-        rows: Rows of the measurements concerned, counted from 0.
-        parameters: Parameters concerned, by their ids.
-        **values: What the code's wording asks for, in SI.
+    """Return a finding of a code, its rows counted from 0, its values in SI.
 
     Raises:
         KeyError: a code that there is not.
@@ -31,10 +25,8 @@ def finding(
     """
     wording = WORDINGS[code]
     if set(values) != wording.value_names:
-        raise TypeError(
-            f"{code} has the values {sorted(wording.value_names)}, got {sorted(values)}: "
-            "see pincal.words"
-        )
+        named = f"{sorted(wording.value_names)}, got {sorted(values)}"
+        raise TypeError(f"{code} has the values {named}: see pincal.words")
     places = tuple(int(row) for row in rows)
     return Finding(code, wording.severity, values, places, tuple(parameters))
 
@@ -47,7 +39,7 @@ def sentence(finding: Finding) -> str:
     if finding.code in HYPOTHESES:
         return explanation([finding])
     wording = WORDINGS[finding.code]
-    return ". ".join(filter(None, (wording.said(finding), wording.remedied(finding))))
+    return ". ".join(filter(None, (wording.said(finding), filled(wording.remedy, finding))))
 
 
 def sentences(findings: Iterable[Finding], *severities: str) -> list[str]:

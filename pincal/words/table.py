@@ -10,7 +10,6 @@ import io
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import pairwise
 from math import isfinite
 from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
@@ -59,7 +58,7 @@ class Table:
     heads: bool = True
     """Whether columns have heads; a list of facts has none."""
 
-    @cached_property
+    @property
     def _parts(self) -> list[tuple[str, str, str]]:
         """Name, SI unit and format of each column; unit and format are empty if there is none."""
         matches = (_HEAD.fullmatch(column) for column in self.columns)
@@ -97,18 +96,14 @@ class Table:
     _repr_html_ = __html__
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        """Yield the title, the table, and the caption as wide as the terminal.
-
-        Where it is too wide, units go below heads and text is broken between words; words are
-        broken only where their longest alone are wider than the terminal.
-        """
+        """Yield title, table and caption; where it is too wide, text is broken between words."""
         from rich import box
         from rich.table import Table as RichTable
         from rich.text import Text
 
         cells, style = self.cells(), box.SIMPLE_HEAD if self.heads else None
 
-        def drawn(*, broken: bool, whole_words: bool = False) -> RichTable:
+        def drawn(broken: bool, whole_words: bool) -> RichTable:
             table = RichTable(box=style, pad_edge=False, show_header=self.heads)
             for place, (head, side) in enumerate(zip(self.head_cells, self.aligned, strict=True)):
                 head = head.replace(" [", "\n[") if broken else head
@@ -125,11 +120,11 @@ class Table:
             return table
 
         unbounded = options.update(max_width=_WIDE)
-        table = drawn(broken=False)
-        if console.measure(table, options=unbounded).maximum > options.max_width:
-            table = drawn(broken=True, whole_words=True)
-            if console.measure(table, options=unbounded).minimum > options.max_width:
-                table = drawn(broken=True)
+        for broken, whole_words in ((False, False), (True, True), (True, False)):
+            table = drawn(broken, whole_words)
+            needed = console.measure(table, options=unbounded)
+            if (needed.minimum if broken else needed.maximum) <= options.max_width:
+                break
         yield Text(self.title, style="bold")
         yield table
         if self.caption:

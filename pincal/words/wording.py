@@ -1,9 +1,8 @@
 """What is said of a code, as templates; text that pages can hold; templates of pages.
 
-A sentence is written as it is read, what differs in braces: ``{size|amount(unit)}``. What stands
-in braces is a Jinja expression of the finding's values, of its ``rows`` (counted from 1), ``row``
-(the first) and ``parameters``, with ``them`` for its rows (``it`` for a single one), and the
-filters below.
+A sentence is written as it is read, with Jinja expressions in braces: ``{size|amount(unit)}``, of a
+finding's values, its ``rows`` (counted from 1), ``row`` (the first), ``them`` (``it`` for one row)
+and ``parameters``, and of the filters below.
 """
 
 from __future__ import annotations
@@ -18,18 +17,8 @@ from typing import Any
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined, Template, meta
 
 from pincal.finding import Finding, Severity
-from pincal.model.checks import ALIKE
-from pincal.words.numbers import (
-    SMALL,
-    amount,
-    chance,
-    counted,
-    listed,
-    number,
-    percent,
-    rounded,
-    size,
-)
+from pincal.model.checks import ALIKE, counted
+from pincal.words.numbers import SMALL, amount, chance, listed, number, percent, rounded, size
 
 #: Groups of parameters in a sentence; result.json has all.
 LISTED = 4
@@ -59,10 +48,6 @@ class Wording:
     def said(self, finding: Finding) -> str:
         """Return what was found."""
         return filled(self.says, finding)
-
-    def remedied(self, finding: Finding) -> str:
-        """Return what to do about it."""
-        return filled(self.remedy, finding)
 
 
 def filled(words: str, finding: Finding) -> str:
@@ -105,12 +90,9 @@ def groups_in_words(groups: Sequence[tuple[str, ...]], most: int = LISTED) -> st
 def noise_in_words(
     position: float | None, orientation: float | None, reading: float, units: Sequence[str]
 ) -> str:
-    """Return standard deviations of what was measured, [m], [rad] and [units]; 0 is exact.
-
-    ``units`` are those of the readings, or what they may be where legs differ.
-    """
-    sizes = ((position, "m", "position"), (orientation, "rad", "orientation"))
-    parts = [f"{amount(size, unit)} in {name}" for size, unit, name in sizes if size is not None]
+    """Return standard deviations of what was measured, readings in [units]; 0 is exact."""
+    parts = [] if position is None else [f"{amount(position, 'm')} in position"]
+    parts += [] if orientation is None else [f"{amount(orientation, 'rad')} in orientation"]
     read = listed((SMALL[unit] for unit in units), "or")
     parts.append(f"{number(reading, units[0])} {read} in readings" if reading else "readings exact")
     return ", ".join(parts)
@@ -216,17 +198,15 @@ def mapped_diagonals(differ: float) -> str:
     return f"|R_ii| of mapped legs differ from those of their reference legs by {most} (Eq. 10)"
 
 
-def missed_line(
-    target: str, unit: str, poses: int, rms: float, mean: float, largest: float, **others: Any
-) -> str:
+def missed_line(target: str, unit: str, poses: int, rms: float, **others: Any) -> str:
     """Return how far a target is missed at held-out rows: the values of a ``Missed``."""
-    low, high = others["rms_ends"]
+    what, (low, high) = "position" if unit == "m" else "orientation", others["rms_ends"]
     ends = f" (95 %: {number(low, unit)} to {number(high, unit)})" if isfinite(high) else ""
+    mean, largest, fit = (number(others[name], unit) for name in ("mean", "largest", "fit"))
     return (
-        f"{'position' if unit == 'm' else 'orientation'} of {target!r} is missed by "
-        f"{amount(rms, unit)}{ends} held out, root mean square of {counted(poses, 'pose')}, by "
-        f"{number(mean, unit)} on average and {number(largest, unit)} at most; by "
-        f"{number(others['fit'], unit)} in the fit"
+        f"{what} of {target!r} is missed by {amount(rms, unit)}{ends} held out, root mean square "
+        f"of {counted(poses, 'pose')}, by {mean} on average and {largest} at most; by {fit} in the "
+        "fit"
     )
 
 

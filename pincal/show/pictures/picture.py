@@ -23,7 +23,7 @@ from pincal.errors import MeasurementError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.configurations import home_of, joints_at
-from pincal.model.checks import EXACT
+from pincal.model.checks import EXACT, counted
 from pincal.model.measurements import EVERY_LEG, Plan
 from pincal.show.pictures.dimensions import Dimension, dimensions_of, symbol
 from pincal.show.pictures.files import drawing, figure_bytes, save_figure
@@ -31,7 +31,7 @@ from pincal.show.pictures.painter import Names, draw_dimensions, paint
 from pincal.show.style import ACTIVE, IDENTIFIED, MARKERS, PASSIVE, RASTER_FROM
 from pincal.show.view.scene import MAGNIFY, Scene, plan_of, scene
 from pincal.types import Array
-from pincal.words.numbers import amount, counted, minus
+from pincal.words.numbers import amount, minus
 from pincal.words.wording import clean
 
 
