@@ -15,7 +15,7 @@ from scipy.stats import chi2, f
 
 import pincal
 from pincal.calibration.calibration import Calibration
-from pincal.calibration.fits import _same_gauge, fitted
+from pincal.calibration.fits import fitted
 from pincal.calibration.options import Options, folds_of
 from pincal.calibration.validation import least_of_folds
 from pincal.show.answers import check_lines
@@ -45,25 +45,6 @@ def test_held_out_rows_miss_as_expected(method: str, known: bool) -> None:
         assert found.position is not None
         assert found.position[1] > found.position[0]
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.06)
-
-
-def test_rows_of_a_fit_keep_its_gauge_where_the_same_is_measured() -> None:
-    """Others find their own: what is free there may be more, or less."""
-    mechanism, _, data = machine("3RRR", 40)
-    moved = seen_from_elsewhere(mechanism, data)
-    options = Options(noise=NOISE, setup=FRAME)
-    whole = fitted(Calibration(mechanism, moved, options))
-    some = np.arange(40) < 30
-    free = whole.unknowns
-    assert free is not None
-    part = Calibration(mechanism, moved.rows(some), options)
-    assert _same_gauge(whole, part.latent_problem, free) is whole.gauge
-    poses = moved.poses.copy()
-    poses[:, 2] = np.nan  # no orientations
-    blind = Calibration(mechanism, replace(moved, poses=poses).rows(some), options)
-    assert _same_gauge(whole, blind.latent_problem, free) is None
-    fixed = replace(part, options=replace(options, fixed=("leg_1.l",)))
-    assert _same_gauge(whole, part.latent_problem, fixed.unknowns) is None
 
 
 def test_what_rows_hold_is_theirs_wherever_the_search_begins() -> None:

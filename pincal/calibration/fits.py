@@ -56,8 +56,6 @@ class Fits:
     fits: list[Fit]
     gauge: Gauge | None = None
     """Gauge freedoms."""
-    unknowns: Unknowns | None = None
-    """What was free before gauge and weak directions were held; None where poses are measured."""
     held: HeldUnknowns | None = None
     """What the measurements cannot observe, if that was held."""
     variances: Array | None = None
@@ -251,8 +249,11 @@ def _all_legs(
         before = begin.fits[0]
         start, gauge, first = before.last.state, begin.gauge, before.problem.first
     elif begin is not None and rows is not None:
-        start = begin.fits[0].last.state.rows(np.flatnonzero(rows))
-        gauge = _same_gauge(begin, problem, unknowns)
+        of_all = begin.fits[0]
+        start = of_all.last.state.rows(np.flatnonzero(rows))
+        seen, here = (part.observation.measured for part in (of_all.problem, problem))
+        same = bool(np.all(seen.any(axis=0) == here.any(axis=0)))
+        gauge = begin.gauge if same else None  # else others are free
         # what is held follows where the search would have started
         holds = begin.held is not None and begin.held.directions.size > 0
         first = None if gauge is None or holds else start
@@ -270,7 +271,7 @@ def _all_legs(
         fit = robust_fit(mechanism, system, loss_of(options.loss), start)
     if before is not None:  # whose search began where this one's would have
         fit = replace(fit, first=before.first)
-    return Fits(calibration, [fit], gauge, unknowns, held)
+    return Fits(calibration, [fit], gauge, held)
 
 
 def _fit_holding(
@@ -300,28 +301,6 @@ def _fit_holding(
             if not may_hold_more:
                 raise
         least *= _HELD_MORE
-
-
-def _same_gauge(fits: Fits, problem: Problem, unknowns: Unknowns) -> Gauge | None:
-    """Return the gauge of fits if it is a problem's too: the same is free, measured and known."""
-    free = fits.unknowns
-    applies = (
-        free is not None
-        and free.labels == unknowns.labels
-        and np.array_equal(free.map, unknowns.map)
-        and np.array_equal(free.priors, unknowns.priors, equal_nan=True)
-        and _known_somewhere(fits.fits[0].problem) == _known_somewhere(problem)
-    )
-    return fits.gauge if applies else None
-
-
-def _known_somewhere(problem: Problem) -> tuple[list[bool], dict[str, bool]]:
-    """Return what is measured in some row, and which influences are known in some."""
-    known = {
-        name: bool(np.isfinite(influence).any())
-        for name, influence in problem.leg_block.influences.items()
-    }
-    return [bool(column.any()) for column in problem.observation.measured.T], known
 
 
 def _measured(calibration: Calibration) -> Fits:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -60,13 +60,6 @@ _CONTRADICT = frozenset(
         "terms-chosen",
     }
 )
-
-
-class HtmlPage(Protocol):
-    """What can be written as a page."""
-
-    def html(self) -> str:
-        """Return the page."""
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -367,7 +360,7 @@ class CalibrationResult:
 
     @attached
     def save(
-        self, folder: str | Path, *, force: bool = False, report: HtmlPage | None = None
+        self, folder: str | Path, *, force: bool = False, report: Report | None = None
     ) -> Path:
         """Write the result to a folder: ``load_result`` gives it back.
 

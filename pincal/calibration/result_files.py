@@ -11,7 +11,7 @@ import math
 import warnings
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast, get_origin
+from typing import TYPE_CHECKING, Any, cast, get_origin
 
 import numpy as np
 from cattrs import Converter
@@ -22,7 +22,7 @@ from pincal import __version__
 from pincal.calibration.calibration import Calibration, located
 from pincal.calibration.options import Progress, Tolerance
 from pincal.calibration.promise import most_uncertain, uncovered
-from pincal.calibration.result import CalibrationResult, HtmlPage
+from pincal.calibration.result import CalibrationResult
 from pincal.calibration.result_parts import IdentifiedParameter, LegResult, Validation
 from pincal.errors import MeasurementError, PincalError
 from pincal.estimation.system import LOSSES, Loss, LossName
@@ -40,6 +40,9 @@ from pincal.model.setup import Instrument
 from pincal.model.terms import LOAD
 from pincal.types import Array
 from pincal.words.sentences import sentence
+
+if TYPE_CHECKING:
+    from pincal.show.report import Report
 
 
 def _is_array(kind: Any) -> bool:
@@ -147,7 +150,7 @@ def save_result(
     folder: str | Path,
     *,
     force: bool = False,
-    report: HtmlPage | None = None,
+    report: Report | None = None,
 ) -> Path:
     """Write a result folder, whole or not at all, then its report, and return it.
 

@@ -126,23 +126,11 @@ class LegResult(ResidualGroup):
     """Of the leg's whitened identification Jacobian, columns scaled to unit length."""
 
     def __repr__(self) -> str:
+        before, after = (shown_in(rms, self.unit) for rms in (self.rms_before, self.rms_after))
         return (
             f"LegResult({self.name!r}, {len(self.parameters)} parameters, rank {self.rank}, "
-            f"{self.quantity} residuals {self._fell})"
+            f"{self.quantity} residuals {before:.3g} → {after:.3g} {SMALL[self.unit]})"
         )
-
-    def __str__(self) -> str:
-        lines = [
-            f"{self.name}: {self.quantity} residuals {self._fell} (root mean square), "
-            f"{self.n_residuals} from {self.n_poses} poses",
-            f"rank {self.rank} of {len(self.parameters)}, condition {self.condition:.3g}",
-        ]
-        return "\n".join([*lines, *(f"  {p.id}  {p.text}" for p in self.parameters)])
-
-    @property
-    def _fell(self) -> str:
-        before, after = (shown_in(rms, self.unit) for rms in (self.rms_before, self.rms_after))
-        return f"{before:.3g} → {after:.3g} {SMALL[self.unit]}"
 
     @property
     def n_poses(self) -> int:
