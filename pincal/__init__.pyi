@@ -1,12 +1,11 @@
 """The names of ``pincal``, and where each is: imported when it is first used."""
 
 from .architectures.new import new_mechanism
-from .calibration.calibrate import calibrate
+from .calibration.calibrate import calibrate, explain
 from .calibration.options import Options
 from .calibration.result import CalibrationResult
 from .calibration.result_files import load_result
 from .calibration.terms.choice import Explanation
-from .calibration.terms.explain import explain
 from .design.forecast import forecast
 from .design.select import Selection, select_poses
 from .design.select_configurations import select_configurations

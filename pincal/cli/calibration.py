@@ -10,12 +10,11 @@ from typing import Annotated
 
 import numpy as np
 
-from pincal.calibration.calibrate import prepared, run
+from pincal.calibration.calibrate import explained, prepared, run
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.hypotheses.doctor import Remedy, remedies
 from pincal.calibration.options import AUTO, FOLDS, By, Options
 from pincal.calibration.result_files import REPORT, RESULT_FILES
-from pincal.calibration.terms.explain import explained
 from pincal.cli.app import command, fail, remark, say, stdout, typed, warn, working, wrote
 from pincal.cli.options import FORCE, Force, Measured, Mech, SetupOptions, output_option
 from pincal.errors import MeasurementError, MisfitError
