@@ -148,15 +148,9 @@ def dh_joints(table: Any, convention: str = "standard") -> tuple[Joint, ...]:
     Row i of the standard convention is Rz(θ) Tz(d) Tx(a) Rx(α), turned by its joint about z first;
     of the modified one (Craig) Rx(α) Tx(a) Rz(θ) Tz(d), turned about z behind Tx(a).
 
-    Args:
-        table: CSV file or pandas DataFrame of revolute joints: ``a [mm]``, ``alpha [deg]``,
-            ``d [mm]``, ``theta [deg]`` (where the joint reads zero); if wanted ``lower [deg]`` and
-            ``upper [deg]``, limits.
-        convention: ``"standard"`` or ``"modified"``.
-
-    Raises:
-        FileError: the table is missing or cannot be read.
-        MeasurementError: a column or cell that is missing or wrong; the message says where.
+    The table, a CSV file or pandas DataFrame, is of revolute joints: ``a [mm]``, ``alpha [deg]``,
+    ``d [mm]``, ``theta [deg]`` (where the joint reads zero); if wanted ``lower [deg]`` and
+    ``upper [deg]``, limits.
     """
     read = read_table(table)
     units = {"a": "m", "alpha": "rad", "d": "m", "theta": "rad"}

@@ -46,11 +46,7 @@ class SheetDimension:
         return float(self.default) * before[self.of] if self.of else self.default
 
     def checked(self, value: Any, before: Values) -> float | str:
-        """Return a value that the dimension may have, where those before it are what they are.
-
-        Raises:
-            MechanismError: something else.
-        """
+        """Return a value that the dimension may have, where those before it are what they are."""
         title = f"the {self.label} ({self.name})"
         if self.choices and value not in self.choices:
             must_be(value, (str,), title, MechanismError)
@@ -112,11 +108,7 @@ class Architecture:
     so, [m] and [rad]."""
 
     def complete(self, dimensions: Values) -> dict[str, float | str]:
-        """Return all dimensions in order: those given, others in proportion to these.
-
-        Raises:
-            MechanismError: one that the architecture does not have, or that cannot be.
-        """
+        """Return all dimensions in order: those given, others in proportion to these."""
         names = [dimension.name for dimension in self.dimensions]
         if unknown := [name for name in dimensions if name not in names]:
             raise MechanismError(

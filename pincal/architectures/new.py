@@ -48,11 +48,7 @@ def new_mechanism(architecture: str, *, name: str = "", **dimensions: Any) -> Me
 
 
 def architecture_of(name: str) -> Architecture:
-    """Return an architecture by its name.
-
-    Raises:
-        MechanismError: no such architecture.
-    """
+    """Return an architecture by its name."""
     known = {key.lower().replace("-", ""): kind for key, kind in ARCHITECTURES.items()}
     plain = re.sub("[-_]", "", must_be(name, str, "the architecture", MechanismError).lower())
     if plain not in known:

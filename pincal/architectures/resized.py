@@ -25,13 +25,9 @@ Limits = Mapping[str, tuple[float, float]]
 def _resized(
     bundled: str, legs: list[dict[str, float]], home: tuple[float, ...], *limits: Limits
 ) -> Mechanism:
-    """Return a bundled mechanism with other parameters, home pose and limits of joints.
+    """Return a bundled mechanism with other parameters by leg, home pose and limits of joints.
 
-    Args:
-        bundled: Its name.
-        legs: For each leg, parameters by name, SI; others are kept.
-        home: Home pose.
-        *limits: By name of a joint, [rad] or [m]; others are kept. One for all legs, or one each.
+    Limits are by name of a joint, [rad] or [m], once for all legs or for each.
     """
     template = load_mechanism(bundled)
     made = template.with_parameters(dict(zip(template.leg_names, legs, strict=True)))

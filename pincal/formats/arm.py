@@ -92,13 +92,8 @@ def with_tip(joints: Iterable[Joint]) -> tuple[Joint, ...]:
 def displaced(leg: Leg, stems: Sequence[str], axes: Sequence[str], end: str = "tip") -> Leg:
     """Return a leg with small displacements, its parameters, at each joint that moves and the tip.
 
-    And at its platform point, if it closes one: along axes, not about them.
-
-    Args:
-        leg: Without parameters.
-        stems: What the names of the moving joints' displacements begin with.
-        axes: Of the displacements.
-        end: What the names of the tip's begin with.
+    And at its platform point, if it closes one: along axes, not about them. Their names begin with
+    the stems, one for each moving joint, and with that of the end.
     """
     stem_of = dict(zip((joint.name for joint in leg.moving), stems, strict=True))
     stem_of[leg.joints[-1].name] = end

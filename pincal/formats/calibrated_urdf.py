@@ -32,14 +32,8 @@ Edges = Mapping[str, Edge]
 def calibrated_urdf(original: str | Path, mechanism: Mechanism) -> bytes:
     """Return the bytes of a URDF with the origins of a calibrated mechanism's joints.
 
-    Args:
-        original: The URDF whose joints the mechanism has: of an arm, of a tree with loops, of one
-            leg of a mechanism folder (named as the leg), or of its platform.
-        mechanism: At its calibrated parameters.
-
-    Raises:
-        FileError: the file is missing or cannot be read.
-        MechanismError: not well-formed, or a joint that it has no place for.
+    The URDF is that whose joints the mechanism has: of an arm, of a tree with loops, of one leg of
+    a mechanism folder (called so where other legs have joints of these names), or of its platform.
     """
     path = Path(original)
     urdf = {edge.joint.name: edge for edge in read_urdf(path).edges}

@@ -86,10 +86,8 @@ def closed_mechanism(
 ) -> tuple[Mechanism, tuple[str, ...]]:
     """Return the mechanism of a tree with loops, and sentences on what was left out of it.
 
-    Args:
-        tree: Links, joints and loops.
-        platform: Link whose frame is the platform's; the one in which the legs meet if not given.
-        base: Link from which the legs start; the root if not given.
+    Its platform is a link, that in which the legs meet if not given; its base another one, or the
+    root.
     """
     if base is not None:
         tree = replace(tree, root=tree.link(base, "the base"))

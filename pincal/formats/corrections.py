@@ -100,10 +100,7 @@ def correction_columns(
 ) -> Columns:
     """Return a table of corrections: poses, ``correction_leg_1 [rad]``, ``command_x [m]``, reasons.
 
-    Args:
-        mechanism: The mechanism.
-        lacking: The corrections.
-        orientation: Way to write a spatial platform's orientation, a key of ``WAYS``.
+    Orientations are written in a way of ``WAYS``.
     """
     columns = columns_of(mechanism, lacking.plan, orientation)
     named = zip(mechanism.reading_names, mechanism.reading_units, lacking.readings.T, strict=True)

@@ -112,10 +112,6 @@ def delta_printer(mechanism: Mechanism) -> DeltaPrinter:
     """Return a mechanism in a firmware's parameters, its legs being the towers in order.
 
     Read off the geometry, whatever the parameters are called.
-
-    Raises:
-        MechanismError: not a linear delta with vertical carriages, or readings that do not count
-            down from endstops.
     """
     if mechanism.platform.kind != "translational" or len(mechanism.legs) != 3:
         raise MechanismError(

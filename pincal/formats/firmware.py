@@ -55,15 +55,10 @@ _SHOWS: dict[Firmware, re.Pattern[str]] = {
 
 
 def read_klipper(path: str | Path) -> tuple[DeltaPrinter, Array, Array]:
-    """Return the delta of a ``printer.cfg``, and the heights that it holds.
+    """Return the delta of a ``printer.cfg``, heights that it holds, and readings there.
 
-    Returns:
-        The printer; probed and manual heights of the nozzle over the bed, shape (N,), [m]; ways of
-        the carriages down from their endstops there, shape (N, 3), [m].
-
-    Raises:
-        FileError: the file is missing or cannot be read.
-        MechanismError: not a configuration of Klipper, not a delta, or a missing or wrong option.
+    Probed and manual heights of the nozzle over the bed have shape (N,), [m]; ways of the carriages
+    down from their endstops, (N, 3), [m].
     """
     config = _KlipperOptions(Path(path))
     kinematics = config.text("printer", "kinematics", "")
@@ -88,14 +83,7 @@ def read_klipper(path: str | Path) -> tuple[DeltaPrinter, Array, Array]:
 def read_reprap(path: str | Path, firmware: Firmware | None = None) -> DeltaPrinter:
     """Return the delta kinematics of M665 and M666 in a file; later lines win, letter by letter.
 
-    Args:
-        path: The file.
-        firmware: Whose file it is; what the file shows if not given.
-
-    Raises:
-        FileError: the file is missing or cannot be read.
-        MechanismError: no M665, a letter missing or unknown, a tilt of the bed, or corrections of
-            endstops in a file that does not show whose it is.
+    It is the file of a firmware, or of the one that it shows.
     """
     text = read_text(Path(path), LARGEST_FILE["printer"], MechanismError, pipe=True)
     shown: list[Firmware] = [name for name, signs in _SHOWS.items() if signs.search(text)]

@@ -35,13 +35,7 @@ _KNOWN = ("link", "joint", "material", "transmission", "gazebo", "sensor", "ros2
 def read_urdf(path: Path, replaced: Mapping[str, str] | None = None) -> Tree:
     """Return the tree of a URDF; joints that no leg can have are in ``Tree.refused``.
 
-    Args:
-        path: The URDF.
-        replaced: Axes about which joints turn in place of their own, by name; none to fix one.
-
-    Raises:
-        FileError: the file is missing or cannot be read.
-        MechanismError: not well-formed, no tree, or an element that may place links.
+    Some joints, by name, turn about other axes in place of their own, or are fixed by none.
     """
     robot = read_xml(path, "robot")
     remarks = _unknown_elements(robot, path)

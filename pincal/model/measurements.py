@@ -18,10 +18,6 @@ from pincal.model.setup import Setup
 from pincal.types import Array, Index, Mask
 
 EVERY_LEG = "all"
-#: Fields that are not named where a table shows itself.
-_COLUMNS = {"poses", "readings", "lines", "written", "extra", "sigma_extra", "covariances"} | {
-    "influences"
-}
 VERIFY = "verify"
 SMALLEST_SIGMA = 1e-50
 """Standard deviation, [m] or [rad], below which powers of weights overflow; 0 is exact."""
@@ -169,15 +165,15 @@ class Plan:
         """Return a pandas DataFrame with the columns of a CSV file, units in brackets."""
 
     def __repr__(self) -> str:
-        has = [name for name, value in vars(self).items() if value is not None]
-        has = [name for name in has if name not in _COLUMNS]
-        poses = f"{counted(len(self), 'row')}: {counted(self.poses.shape[1], 'coordinate')}"
+        rows = f"{counted(len(self), 'row')}: {counted(self.poses.shape[1], 'coordinate')}"
         if lacks := int(np.isnan(self.poses).any(axis=1).sum()):
-            poses += f" (not all in {counted(lacks, 'row')})"
+            rows += f" (not all in {counted(lacks, 'row')})"
         if self.readings is not None:
-            poses += f", {counted(self.readings.shape[1], 'reading')}"
+            rows += f", {counted(self.readings.shape[1], 'reading')}"
+        further = ("sets", "places", "runs", "sigma_poses", "sigma_readings")
+        has = [name for name in further if getattr(self, name, None) is not None]
         return one_line(
-            type(self).__name__, poses, *has, *getattr(self, "extra", ()), *self.influences
+            type(self).__name__, rows, *has, *getattr(self, "extra", ()), *self.influences
         )
 
     def __len__(self) -> int:

@@ -117,13 +117,8 @@ class Mechanism:
     def known(self, leg: int, readings: Array, influences: Array | None = None) -> Array:
         """Return what is known of rows for a leg's terms: its readings, then its influences.
 
-        Args:
-            leg: Index.
-            readings: Of all legs, shape (N, n_readings), [rad] or [m].
-            influences: Of all legs, shape (N, n_influences); at their reference if not given.
-
-        Returns:
-            Shape (N, n_active [+ n_influences of the leg]).
+        Shape (N, n_active [+ n_influences of the leg]), of readings (N, n_readings), [rad] or [m],
+        and influences (N, n_influences) of all legs; these are at their reference if not given.
         """
         own = readings[:, self.reading_columns[leg]]
         if influences is None:

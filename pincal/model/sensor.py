@@ -126,11 +126,8 @@ def law_of_sensors(
 ) -> SensorLaw:
     """Return the law of a leg's sensors at parameter values, by name, in order.
 
-    Args:
-        leg: The leg.
-        parameters: Of the leg.
-        home: The active joints' positions at the platform's home pose, shape (n_active,).
-        home_by_parameter: Their derivatives, shape (n_active, n_params).
+    By its active joints' positions at the platform's home pose, shape (n_active,), and their
+    derivatives, shape (n_active, n_params).
     """
     slope, start, slopes, starts = map(
         np.array, zip(*(sensor.law(parameters) for sensor in leg.sensors), strict=True)

@@ -184,12 +184,7 @@ class Systematic:
     """Standard uncertainties of what is off by the same in all rows (type B, GUM 4.3).
 
     More rows do not make them smaller: they are taken into what is promised, not into weights.
-
-    Example:
-        >>> import pincal
-        >>> warm = pincal.Systematic(scale=2e-6, temperature=1.0)  # a tracker's scale; 1 K
-        >>> pincal.Setup(systematic=warm).systematic.expansion  # steel
-        1.15e-05
+    ``Systematic(scale=2e-6, temperature=1.0)`` is of a tracker's scale, and of 1 K.
     """
 
     scale: float = 0.0
