@@ -129,15 +129,10 @@ def delta_printer(mechanism: Mechanism) -> DeltaPrinter:
             "than a rod is long; a firmware cannot home such a printer"
         )
     remarks = [
-        f"{leg.name}: terms of its sensor have no place in a firmware"
+        f"{leg.name}: terms of {', '.join(('its sensor', *leg.deformed))} have no place in a "
+        "firmware; it gets what they are at the reference of what they follow"
         for leg in mechanism.legs
-        if any(sensor.terms for sensor in leg.sensors)
-    ]
-    remarks += [
-        f"{leg.name}: terms of {', '.join(leg.deformed)} have no place in a firmware; it gets what "
-        "they are at the reference of what they follow"
-        for leg in mechanism.legs
-        if leg.terms
+        if leg.amplitudes
     ]
     if hypot(x, y) > _SMALL:
         remarks.append(

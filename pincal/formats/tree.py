@@ -194,11 +194,9 @@ def turns(joint: Joint, parent: str, child: str, axes: str) -> tuple[Edge, ...]:
 
 def at_home(edges: tuple[Edge, ...], home: Mapping[str, float]) -> tuple[Edge, ...]:
     """Return edges with other home positions of joints, by name."""
-    joints = (
-        replace(edge.joint, home=float(home.get(edge.joint.name, edge.joint.home)))
-        for edge in edges
-    )
-    return tuple(replace(edge, joint=joint) for edge, joint in zip(edges, joints, strict=True))
+    joints = ((edge.joint, home.get(edge.joint.name, edge.joint.home)) for edge in edges)
+    moved = (replace(joint, home=float(position)) for joint, position in joints)
+    return tuple(replace(edge, joint=joint) for edge, joint in zip(edges, moved, strict=True))
 
 
 def root_of(edges: Sequence[Edge], links: Sequence[str], source: str) -> str:

@@ -99,11 +99,9 @@ def unwritten(mechanism: Mechanism) -> tuple[str, ...]:
         if not all(sensor.reads_position(leg.nominal_by_name) for sensor in leg.sensors)
     ]
     if converting:
-        has_terms = any(sensor.terms for leg in mechanism.legs for sensor in leg.sensors)
-        laws = "gains, offsets, zeros and terms" if has_terms else "gains, offsets and zeros"
         remarks.append(
-            f"the file holds joint positions, not readings: {laws} of the sensors of "
-            f"{', '.join(converting)} have no place in it"
+            "the file holds joint positions, not readings: gains, offsets, zeros and terms of the "
+            f"sensors of {', '.join(converting)} have no place in it"
         )
     if grown := [leg.name for leg in mechanism.legs if leg.terms]:
         remarks.append(

@@ -91,7 +91,7 @@ def _parameter_faults(leg: Leg) -> Iterator[str]:
     used, declared = set(leg.units), leg.parameter_names
     if len(set(declared)) != len(declared):
         yield f"parameter names repeat: {list(declared)}"
-    for name in sorted(used.symmetric_difference(declared)):
+    for name in (*sorted(used.difference(declared)), *sorted(set(declared) - used)):
         yield f"parameter {name!r} is used " + (
             "in a placement or the sensor but has no nominal value under 'parameters'"
             if name in used

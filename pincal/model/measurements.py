@@ -96,21 +96,19 @@ class Plan:
         columns: Sequence[str],
     ) -> None:
         """Make fields arrays, tuples, and mappings of arrays, with one entry for each pose."""
-        count, checked = len(self.poses), dict[str, Any]()
-        for name, shape in arrays.items():
-            if (values := getattr(self, name)) is not None:
-                checked[name] = array_of(values, (count, *shape), name, MeasurementError)
-        for name in names:
-            if (values := getattr(self, name)) is not None:
-                checked[name] = names_of(values, count, name, MeasurementError)
-        for name in columns:
-            named = must_be(getattr(self, name), Mapping, name, MeasurementError)
-            checked[name] = {
-                column: array_of(values, (count,), f"{name} {column!r}", MeasurementError)
-                for column, values in named.items()
-            }
-        for name, value in checked.items():
-            object.__setattr__(self, name, value)
+        count = len(self.poses)
+        for name in (*arrays, *names, *columns):
+            values = getattr(self, name)
+            if name in columns:
+                values = {
+                    column: array_of(entries, (count,), f"{name} {column!r}", MeasurementError)
+                    for column, entries in must_be(values, Mapping, name, MeasurementError).items()
+                }
+            elif values is not None and name in names:
+                values = names_of(values, count, name, MeasurementError)
+            elif values is not None:
+                values = array_of(values, (count, *arrays[name]), name, MeasurementError)
+            object.__setattr__(self, name, values)
 
     @staticmethod
     @attached

@@ -90,11 +90,7 @@ class Parameters(tuple[Parameter, ...]):
 
 
 def labels_of(labels: object, name: str) -> tuple[tuple[str, str], ...]:
-    """Return what parameters of a mechanism are called for people, as pairs of key and text.
-
-    Raises:
-        MechanismError: something else, or a text that cannot be shown in a line.
-    """
+    """Return what parameters of a mechanism are called for people, as pairs of key and text."""
     context = f"mechanism {name!r}: labels"
     try:
         texts: dict[object, object] = dict(labels)  # type: ignore[call-overload]

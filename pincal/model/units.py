@@ -53,10 +53,8 @@ class Units:
     def of(cls, text: str, counts: Mapping[str, float], readings: Iterable[str] = ()) -> Units:
         """Return the units that a list such as ``mm,deg,counts`` names.
 
-        Args:
-            text: Units with commas between them; numbers end where those of ``WRITTEN`` do.
-            counts: Encoder counts of one rad or m, by reading.
-            readings: Names of all readings, each of which needs its counts.
+        Counts are those of one rad or m, by reading, and all readings need theirs. Numbers end
+        where those of ``WRITTEN`` do.
         """
         names: dict[str, str] = {}
         listed = list(filter(None, map(str.strip, text.split(","))))
