@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import wraps
-from textwrap import wrap
 from typing import Any
 
 import numpy as np
@@ -43,7 +42,6 @@ _NAMED = 6  # outliers that are named
 _GAP = 0.08  # between images, of the widest
 _ARROW = 0.07  # length of a typical large arrow, of the widest image
 _LARGE = 0.9  # share of arrows that are shorter
-_LETTER_WIDTH = 0.065  # of labels, [inch]
 #: Light enough for black lines; brighter is more, in black and white too.
 _LIGHT = ListedColormap(colormaps["cividis"](np.linspace(0.35, 1.0, 128)))
 #: Behind numbers of lines: dark letters are read on it wherever a map is dark.
@@ -140,23 +138,20 @@ class Plots:
                 f"{self.result.nominal.name}: no camera measured it: no instrument of the setup "
                 "has an image; expected one with a pincal.Image as its 'image'"
             )
-        sizes = np.array([image.size for _, image, _ in cameras], dtype=np.float64)
-        widest, highest = sizes.max(axis=0)
-        gap = _GAP * widest
-        step = np.array([widest + gap, highest + 2 * gap])
-        columns = min(len(cameras), 2)
+        widest, highest = np.max([image.size for _, image, _ in cameras], axis=0)
+        gap, low = _GAP * widest, highest + _GAP * widest
         lengths = np.concatenate([np.hypot(*points[2:4]) for *_, points in cameras])
         magnified = rounded_down(_ARROW * widest / max(float(np.quantile(lengths, _LARGE)), 1e-12))
         for index, (name, image, points) in enumerate(cameras):
-            x, y = (step * (index % columns, index // columns)).tolist()
-            ax.add_patch(Rectangle((x, y), *image.size, fill=False, ec="0.6", lw=0.8))
+            x = index * (widest + gap)
+            ax.add_patch(Rectangle((x, 0.0), *image.size, fill=False, ec="0.6", lw=0.8))
             u, v, *misses, standardised = points
             rms = float(np.sqrt((np.square(misses)).sum(axis=0).mean()))
             title = f"{clean(name)}: {len(u)} points, {rms:.2g} px"
-            ax.text(x, y - 0.2 * gap, title, size=8, va="bottom")
+            ax.text(x, -0.2 * gap, title, size=8, va="bottom")
             arrows = ax.quiver(
                 x + u,
-                y + v,
+                v,
                 *(magnified * np.array(misses)),
                 np.nan_to_num(standardised),
                 cmap="cividis_r",
@@ -166,16 +161,14 @@ class Plots:
                 scale=1.0,
                 width=0.0025,
             )
-        low = -(-len(cameras) // columns) * step[1] - gap
         pixels = rounded_down(_ARROW * widest / magnified)
         ax.plot((0.0, magnified * pixels), (low, low), color=INK[0], lw=1.5, solid_capstyle="butt")
         key = f"  {pixels:g} px of residual, predicted less seen"
         ax.text(magnified * pixels, low, key, size=8, va="center")
-        bar = ax.figure.colorbar(arrows, ax=ax, extend="max", shrink=0.8)
-        name = "larger residual / (σ√(1−h)) of the point"
-        bar.set_label(_wrapped(name, 0.8 * _height(ax)))
-        ax.set(xlim=(-0.02 * widest, columns * step[0] - gap + 0.02 * widest), aspect="equal")
-        ax.set_ylim(low + 0.5 * gap, -gap)
+        label = "larger residual / (σ√(1−h))"
+        ax.figure.colorbar(arrows, ax=ax, extend="max", shrink=0.8, label=label)
+        right = len(cameras) * (widest + gap) - gap
+        ax.set(xlim=(-0.2 * gap, right + 0.2 * gap), ylim=(low + 0.5 * gap, -gap), aspect="equal")
         ax.set_axis_off()
         _name_undrawn(ax, self.result)
         return ax
@@ -244,8 +237,7 @@ class Plots:
             )
             for text in ax.clabel(lines, fmt=f"%.{digits}f", fontsize=7):
                 text.set_bbox(_PLATE)
-        name = _wrapped(f"expected error of position [{SMALL['m']}]", _height(ax))
-        ax.figure.colorbar(image, ax=ax, label=name)
+        ax.figure.colorbar(image, ax=ax, label=f"expected error of position [{SMALL['m']}]")
         if height is not None:
             ax.set_title(minus(f"z = {amount(height, 'm', 3, STORED)}"))
         ax.set(xlabel=f"x [{STORED['m']}]", ylabel=f"y [{STORED['m']}]")
@@ -318,12 +310,6 @@ def _height(axes: Axes) -> float:
     """Return about how high axes will be beside their labels, [inch]."""
     figure: Any = axes.get_figure(root=True)
     return float(figure.get_size_inches()[1] * axes.get_position().height)
-
-
-def _wrapped(text: str, inches: float) -> str:
-    """Return a label in as many lines as it needs in a length; no-break spaces stay whole."""
-    line = max(int(inches / _LETTER_WIDTH), 12)
-    return "\n".join(wrap(text, line, break_long_words=False, break_on_hyphens=False))
 
 
 def _label(name: str) -> str:

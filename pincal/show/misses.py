@@ -151,7 +151,8 @@ def error_map(result: CalibrationResult) -> tuple[Array, Array, float | None, Ar
         errors, shape (n, n), rows of equal y, [m], NaN outside of the workspace or not determined.
 
     Raises:
-        MeasurementError: residuals are so large that no accuracy can be promised.
+        MeasurementError: residuals are so large that no accuracy can be promised, or no error is
+            determined.
         WorkspaceError: no workspace was found, or it fills no plane.
     """
     nominal, platform = result.nominal, result.nominal.platform
@@ -178,4 +179,6 @@ def error_map(result: CalibrationResult) -> tuple[Array, Array, float | None, Ar
     errors = np.full(len(poses), np.nan)
     errors[inside] = result.expected_error(poses[inside]).sizes[:, 0]
     errors[~np.isfinite(errors)] = np.nan
+    if np.isnan(errors).all():
+        raise MeasurementError("no map: the platform's position is not determined anywhere")
     return x, y, height, errors.reshape(count, count)

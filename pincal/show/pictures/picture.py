@@ -5,11 +5,11 @@ Mechanisms in a plane are seen from above, others from the side, in parallel pro
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import cycle
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -68,7 +68,10 @@ class Picture:
         names = Names(axes, links[np.isfinite(links).all(axis=(1, 2))])
         _name_axes_and_legs(names, scene)
         draw_dimensions(names, dimensions, V)
-        _write_legend(axes, legend)
+        longest = max(len(str(handle.get_label())) for handle in legend)
+        below: dict[str, Any] = {"loc": "upper center", "bbox_to_anchor": (0.5, 0.0)}
+        columns = int(np.clip(_LINE / longest, 1, 3))
+        axes.legend(handles=legend, ncols=columns, frameon=False, **below)
         if dimensions:
             _write_values(axes, scene, self.dimensions)
         return axes
@@ -208,20 +211,6 @@ def _name_axes_and_legs(names: Names, scene: Scene) -> None:
         turns = outward + np.radians([0.0, 30.0, -30.0, 65.0, -65.0, 100.0, -100.0])
         directions = np.stack((np.cos(turns), np.sin(turns)), axis=1)
         names.write_beside(shortened(leg.name), foot, directions)
-
-
-def _write_legend(axes: Axes, handles: Sequence[Line2D]) -> None:
-    """Write a legend below, in as many columns as fit."""
-    longest = max(len(str(handle.get_label())) for handle in handles)
-    axes.legend(
-        handles=handles,
-        loc="upper center",
-        bbox_to_anchor=(0.5, 0.0),
-        ncols=int(np.clip(_LINE / longest, 1, 3)),
-        frameon=False,
-        handlelength=1.2,
-        columnspacing=1.4,
-    )
 
 
 def _write_values(axes: Axes, scene: Scene, name: str) -> None:
