@@ -823,20 +823,6 @@ def test_what_is_typed_wrong_at_length_is_said_short(words: list[str]) -> None:
     assert 20 < len(outcome.err) <= 1500
 
 
-@pytest.mark.parametrize(("kind", "writer"), [("urdf", "loops_urdf"), ("xml", "mjcf")])
-def test_no_export_holds_what_is_no_number(
-    kind: str, writer: str, work: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A file with nan or inf for a number is not written, and its line is said."""
-    import pincal.cli.files as exporting  # of the functions that it calls
-
-    monkeypatch.setattr(exporting, writer, lambda _: '<a>\n<b xyz="0 nan 0"/>')
-    outcome = run("export", "5R", "-o", f"new.{kind}")
-    assert outcome.code == 2
-    assert "nan would be written for a number, in line 2" in outcome.trouble
-    assert not Path(f"new.{kind}").exists()
-
-
 def test_a_fit_that_chi2_contradicts_is_no_success(work: Path) -> None:
     """Noise given far too small: all files are written, exit code 1."""
     small = ["--noise-position", 1e-7, "--noise-orientation", 1e-7, "--folds", 0]

@@ -120,39 +120,32 @@ def _main(
 _Quiet = Annotated[bool, typer.Option("--quiet", help="Say nothing but warnings and errors.")]
 
 
-def command(name: str | None = None) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Return a decorator that registers a command with ``--quiet``.
+def command(function: Callable[..., None]) -> Callable[..., None]:
+    """Register a function as a command with ``--quiet``.
 
     A parameter that is a dataclass is a group of options: each field declared by ``option``.
-
-    Args:
-        name: What is typed, if not the function's name.
     """
+    groups: dict[str, type] = {}
+    offered: list[inspect.Parameter] = []
+    for argument in inspect.signature(function, eval_str=True).parameters.values():
+        if is_dataclass(argument.annotation):
+            groups[argument.name] = argument.annotation  # type: ignore[assignment]
+            offered += option_parameters(groups[argument.name])
+        else:
+            offered.append(argument.replace(kind=_NAMED))
+    offered.append(inspect.Parameter("quiet", _NAMED, default=False, annotation=_Quiet))
 
-    def register(function: Callable[..., None]) -> Callable[..., None]:
-        groups: dict[str, type] = {}
-        offered: list[inspect.Parameter] = []
-        for argument in inspect.signature(function, eval_str=True).parameters.values():
-            if is_dataclass(argument.annotation):
-                groups[argument.name] = argument.annotation  # type: ignore[assignment]
-                offered += option_parameters(groups[argument.name])
-            else:
-                offered.append(argument.replace(kind=_NAMED))
-        offered.append(inspect.Parameter("quiet", _NAMED, default=False, annotation=_Quiet))
+    @wraps(function)
+    def run(**values: Any) -> None:
+        stdout.quiet = _remarks.quiet = values.pop("quiet")
+        values |= {group: filled(kind, values) for group, kind in groups.items()}
+        with sparing_inputs():
+            function(**values)
 
-        @wraps(function)
-        def run(**values: Any) -> None:
-            stdout.quiet = _remarks.quiet = values.pop("quiet")
-            values |= {group: filled(kind, values) for group, kind in groups.items()}
-            with sparing_inputs():
-                function(**values)
-
-        run.__signature__ = inspect.Signature(offered)  # type: ignore[attr-defined]
-        run.__annotations__ = {parameter.name: parameter.annotation for parameter in offered}
-        app.command(name or function.__name__)(run)
-        return function
-
-    return register
+    run.__signature__ = inspect.Signature(offered)  # type: ignore[attr-defined]
+    run.__annotations__ = {parameter.name: parameter.annotation for parameter in offered}
+    app.command(function.__name__.rstrip("_"))(run)  # import_ is a command too
+    return function
 
 
 def typed() -> str:
@@ -201,18 +194,10 @@ def remark(text: str) -> None:
 
 
 class _Remarks(logging.Handler):
-    """Says what the package logs, such as columns that are not used."""
+    """Says what the package logs, such as columns that are not used (stderr)."""
 
     def emit(self, record: logging.LogRecord) -> None:
         remark(record.getMessage())
-
-
-def listen() -> None:
-    """Say on stderr what the package logs."""
-    log = logging.getLogger("pincal")
-    log.setLevel(logging.INFO)
-    log.handlers = [_Remarks()]
-    log.propagate = False
 
 
 def warn(*texts: str) -> None:
@@ -246,9 +231,11 @@ def main(argv: list[str] | None = None) -> None:
         if isinstance(stream, io.TextIOWrapper):  # χ and ± where the encoding lacks them
             stream.reconfigure(errors="replace")
     if current_thread() is main_thread():
-        signal.signal(signal.SIGTERM, _terminate)
+        signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     _typed[:] = sys.argv[1:] if argv is None else argv
-    listen()
+    log = logging.getLogger("pincal")
+    log.setLevel(logging.INFO)
+    log.handlers, log.propagate = [_Remarks()], False
     stdout.failure = ""
     try:
         code = app(args=argv, prog_name="pincal", standalone_mode=False) or 0
@@ -278,8 +265,3 @@ def _leave(code: int, message: str) -> NoReturn:
     """End the process with a message on stderr."""
     stderr.print(f"pincal: {message}", style="bold red")
     sys.exit(code)
-
-
-def _terminate(number: int, frame: object) -> None:  # noqa: ARG001 - what signals call
-    """End at SIGTERM, leaving nothing half-written behind."""
-    sys.exit(128 + signal.SIGTERM)

@@ -99,7 +99,7 @@ class CalibrateOptions:
     force: bool = option(False, FORCE)
 
 
-@command()
+@command
 def calibrate(
     mech: Mech,
     measurements: Measured,
@@ -170,7 +170,7 @@ def calibrate(
         fail(1, "exit code 1, since χ² contradicts the noise")
 
 
-@command()
+@command
 def explain(mech: Mech, measurements: Measured, options: Options, known: InputOptions) -> None:
     """Say what geometry does not explain, and which terms pay.
 
@@ -208,7 +208,7 @@ def _calibrate_line(*added: str, measured: tuple[Path, Path] | None = None) -> s
     return shlex.join(["pincal", "calibrate", *words, *added, "-o", "RESULT"])
 
 
-@command()
+@command
 def doctor(
     mech: Mech,
     measurements: Measured,

@@ -85,7 +85,7 @@ class SelectOptions(PlanOptions):
     force: bool = option(False, FORCE)
 
 
-@command()
+@command
 def select(
     mech: Mech,
     output: Annotated[Path, output_option("PLAN.csv", "Poses to measure, with their sets.")],
@@ -185,7 +185,7 @@ def _protocol_of(mechanism: Mechanism) -> Protocol:
     return "symmetric"
 
 
-@command()
+@command
 def identifiability(
     mech: Mech,
     options: PlanOptions,
@@ -251,7 +251,7 @@ class SimulateOptions(TableOptions):
     )
 
 
-@command()
+@command
 def simulate(
     mech: Mech,
     plan: Annotated[Path, typer.Argument(metavar="PLAN.csv", help="Poses to command.")],

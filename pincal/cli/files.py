@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -84,7 +83,6 @@ _ONLY = {
     "probed": ("klipper", "reprap", "marlin"),
 }
 _ROWS = 1000  # of a grid over the workspace, about
-_NO_NUMBER = re.compile(r"(?<![\w.-])[-+]?(?:nan|inf)(?![\w.-])", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -119,7 +117,7 @@ class ImportOptions:
     force: bool = option(False, FORCE)
 
 
-@command("import")
+@command
 def import_(
     file: Annotated[
         Path,
@@ -242,7 +240,7 @@ def _say_what_it_is(mechanism: Mechanism) -> None:
     stdout.print("* driven: its position is read")
 
 
-@command("export")
+@command
 def export(
     mech: Mech,
     output: Annotated[
@@ -300,11 +298,7 @@ def export(
     if form == "table":
         _export_corrections(mechanism, output, options, poses, force=force)
         return
-    remarks: Sequence[str]
-    if original is not None:
-        files, remarks = {output: _calibrated(original, mechanism)}, [*unwritten(mechanism)]
-    else:
-        files, remarks = _exported(mechanism, output, form)
+    files, remarks = _exported(mechanism, output, form, original)
     with writing_together([(path, ()) for path in files], force=force) as scratch:
         for path, data in zip(scratch, files.values(), strict=True):
             path.write_bytes(data)
@@ -322,10 +316,16 @@ def export(
 
 
 def _exported(
-    mechanism: Mechanism, output: Path, form: str
+    mechanism: Mechanism, output: Path, form: str, original: Path | None
 ) -> tuple[dict[Path, bytes], Sequence[str]]:
     """Return the files of a mechanism in another form, and what to know of them."""
     remarks: Sequence[str]
+    if original is not None:
+        data = calibrated_urdf(original, mechanism)
+        lines = set(read_bytes(original, LARGEST_FILE["XML"], MechanismError).splitlines())
+        changed = sum(line not in lines for line in data.splitlines())
+        remark(f"{changed} lines are other than in {original}")
+        return {output: data}, unwritten(mechanism)
     if form in _ONLY["tip"]:
         tree, remarks = tree_of(mechanism)
         texts = {output: mjcf(tree) if form == "mjcf" else loops_urdf(tree)}
@@ -336,31 +336,7 @@ def _exported(
         remarks = printer.remarks
         texts = {output: write_klipper(printer) if form == "klipper" else write_reprap(printer)}
         say(texts[output].rstrip())
-    _check_numbers(mechanism, *texts.values())
     return {path: text.encode() for path, text in texts.items()}, remarks
-
-
-def _calibrated(original: Path, mechanism: Mechanism) -> bytes:
-    """Return the user's URDF with the origins of calibrated joints."""
-    before = read_bytes(original, LARGEST_FILE["XML"], MechanismError)
-    data = calibrated_urdf(original, mechanism)
-    if not _NO_NUMBER.search(before.decode(errors="replace")):
-        _check_numbers(mechanism, data.decode(errors="replace"))
-    lines = set(before.splitlines())
-    changed = sum(line not in lines for line in data.splitlines())
-    remark(f"{changed} lines are other than in {original}")
-    return data
-
-
-def _check_numbers(mechanism: Mechanism, *texts: str) -> None:
-    """Raise if numbers are to be written that no program can read."""
-    for text in texts:
-        if match := _NO_NUMBER.search(text):
-            raise MechanismError(
-                f"{mechanism.name}: {match.group()} would be written for a number, in "
-                f"line {text[: match.start()].count(chr(10)) + 1}; its parameters or frames are "
-                "far too large"
-            )
 
 
 def _columns(mechanism: Mechanism) -> list[str]:

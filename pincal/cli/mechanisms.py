@@ -34,7 +34,7 @@ from pincal.words.wording import LISTED
 from pincal.workspace.sampling import sample_configurations, sample_workspace
 
 
-@command()
+@command
 def mechanisms() -> None:
     """List the mechanisms that come with pincal."""
     for name, folder in bundled().items():
@@ -44,7 +44,7 @@ def mechanisms() -> None:
         stdout.print(f"{'':12s} {mechanism.description}")
 
 
-@command()
+@command
 def check(mech: Mech, options: TableOptions) -> None:
     """Say whether a mechanism is sound.
 
@@ -85,7 +85,7 @@ def check(mech: Mech, options: TableOptions) -> None:
         stdout.print(f"symmetry: {symmetry_group(mechanism)}")
 
 
-@command()
+@command
 def symmetry(
     mech: Mech,
     tolerance: Annotated[
@@ -104,7 +104,7 @@ def symmetry(
     stdout.print(symmetry_table(detected, deviation))
 
 
-@command()
+@command
 def inverse(
     mech: Mech,
     poses: Annotated[Path, typer.Argument(metavar="POSES.csv", help="Poses: x [m], y [m], …")],
@@ -139,7 +139,7 @@ def inverse(
     fail_if_lost(poses, places, reasons, "pose")
 
 
-@command()
+@command
 def forward(
     mech: Mech,
     readings: Annotated[Path, typer.Argument(metavar="READINGS.csv", help="leg_1 [rad], …")],
@@ -202,7 +202,7 @@ STUDY = "study.md"
 _ROOT = Path(__file__).resolve().parents[2]
 
 
-@command()
+@command
 def study(
     name: Annotated[str, typer.Argument(metavar="5R|3RRR|6UPS|errors|all", help="Which study.")],
     output: Annotated[Path, output_option("FOLDER", "Page, tables and figures.")],

@@ -70,7 +70,7 @@ def _dimension_options() -> type[Any]:
 DimensionOptions = _dimension_options()
 
 
-@command()
+@command
 def new(
     architecture: Annotated[
         str, typer.Argument(metavar="ARCHITECTURE", help=f"{', '.join(ARCHITECTURES)}.")

@@ -128,7 +128,7 @@ class PageOptions:
     force: bool = option(False, FORCE)
 
 
-@command()
+@command
 def view(mech: Mech, options: PageOptions, shown: Shown = None, magnify: Magnify = None) -> None:
     """Look at a mechanism in the browser.
 
@@ -168,7 +168,7 @@ def view(mech: Mech, options: PageOptions, shown: Shown = None, magnify: Magnify
         page.close()
 
 
-@command()
+@command
 def picture(
     mech: Mech,
     output: Annotated[Path, output_option("FILE.svg|png|pdf", "The picture.")],
@@ -208,7 +208,7 @@ def _say_unreached(scene: Scene) -> None:
 Kind = StrEnum("Kind", [name for name in vars(Plots) if name[0] != "_"])  # type: ignore[misc]
 
 
-@command()
+@command
 def plot(
     result: Annotated[
         Path, typer.Argument(metavar="RESULT", help="Folder of 'pincal calibrate -o RESULT'.")

@@ -57,7 +57,7 @@ class WorkspaceOptions:
     force: bool = option(False, FORCE)
 
 
-@command()
+@command
 def workspace(
     mech: Mech,
     output: Annotated[Path, output_option("OUTPUT.csv", "Poses or positions that count.")],
