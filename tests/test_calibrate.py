@@ -53,7 +53,7 @@ def error(result: pincal.CalibrationResult, truth: pincal.Mechanism) -> float:
     return max(float(np.abs(a.nominal - b.nominal).max()) for a, b in pairs)
 
 
-@pytest.mark.parametrize("residual", ["closure", "joint"])
+@pytest.mark.parametrize("residual", quick(1, ["closure", "joint"]))
 @pytest.mark.parametrize(
     ("method", "poses"), quick(2, [("per-leg", "own"), ("all-legs", "own"), ("per-leg", "all")])
 )

@@ -437,7 +437,7 @@ def write_pair(place: Path, text: str) -> None:
         (folder / MARKER).write_text(text)
 
 
-@pytest.mark.parametrize("exists", [True, False])
+@pytest.mark.parametrize("exists", some_slow([True, False], False))
 def test_outputs_that_belong_together_never_differ(exists: bool, tmp_path: Path) -> None:
     """A kill at any step of writing two: the first is never beside what it does not belong to."""
     for step in range(1000):

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from command_line import contents, done, run
 from lxml import etree
+from marks import some_slow
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgb
@@ -254,7 +255,9 @@ def test_matplotlib_is_imported_where_it_is_needed() -> None:
     assert told.stdout.strip() == "[]"
 
 
-@pytest.mark.parametrize("name", sorted(bundled()))
+@pytest.mark.parametrize(
+    "name", some_slow(sorted(bundled()), *(set(bundled()) - {"3RRR", "6UPS", "8cable", "delta"}))
+)
 def test_no_two_names_overlap(name: str) -> None:
     """Names of legs, of axes and of parameters each have their place, as drawn."""
     mechanism = pincal.load_mechanism(name)

@@ -11,6 +11,7 @@ import pytest
 from arms import robot
 from command_line import done, run
 from lxml import etree
+from marks import quick
 from matplotlib.axes import Axes
 from matplotlib.contour import QuadContourSet
 from matplotlib.figure import Figure
@@ -107,7 +108,7 @@ j4 | revolute | 0 1 0 | 0.3 0 0.1
 """
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", quick(3, CASES))
 def test_every_kind_of_result_plots(case: str, tmp_path: Path) -> None:
     """Legs alone and together, exact and noisy readings, an arm, a machine without poses."""
     name, noise, options = CASES[case]

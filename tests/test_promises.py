@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 import pytest
 from cramer_rao import Machine, drawn, machine, values_of
-from marks import some_slow
+from marks import quick, some_slow
 from measured import validated
 from numpy.typing import NDArray
 from resized import scaled
@@ -205,7 +205,7 @@ def test_size_changes_nothing(factor: float) -> None:
     assert [f.code for f in results[0].findings] == [f.code for f in results[1].findings]
 
 
-@pytest.mark.parametrize("name", ["5R", "3RRR"])
+@pytest.mark.parametrize("name", quick(1, ["5R", "3RRR"]))
 def test_nothing_is_read_in_rounding_errors(name: str) -> None:
     """Of data without noise only that is said: no step, no eccentric disc, no outlier, no limit."""
     mechanism = pincal.load_mechanism(name)

@@ -93,7 +93,7 @@ def apart(points: np.ndarray, others: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("name", ["6UPS", pytest.param("delta", marks=pytest.mark.slow)])
-@pytest.mark.parametrize("tolerance", [{}, {"m": 1e-3, "rad": 1e-3}])
+@pytest.mark.parametrize("tolerance", quick(1, [{}, {"m": 1e-3, "rad": 1e-3}]))
 def test_frames_are_no_error_of_the_machine(name: str, tolerance: dict[str, float]) -> None:
     """Unknown frame, with and without tolerances: promised as it is, frames apart, 0.7 to 1.4.
 
@@ -141,7 +141,7 @@ def test_the_error_is_that_of_the_points_measured(tolerance: dict[str, float], s
     assert error.units == ("m",) * 9
 
 
-@pytest.mark.parametrize(("motion", "seed"), [(0.3, 0), (0.1, 1)])
+@pytest.mark.parametrize(("motion", "seed"), quick(1, [(0.3, 0), (0.1, 1)]))
 def test_where_all_was_measured_held_directions_leave_the_error_finite(
     motion: float, seed: int
 ) -> None:

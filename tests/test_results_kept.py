@@ -41,24 +41,15 @@ def with_verifying(folder: Path, count: int) -> Path:
 
 @pytest.mark.parametrize(
     ("verifying", "options"),
-    [
-        (1, ()),
-        (
-            4,
-            (
-                "--method",
-                "per-leg",
-            ),
-        ),
-        (
-            1,
-            (
-                "--method",
-                "per-leg",
-            ),
-        ),
-        (0, ("--tolerance", "auto")),
-    ],
+    quick(
+        2,
+        [
+            (1, ("--method", "per-leg")),
+            (0, ("--tolerance", "auto")),
+            (1, ()),
+            (4, ("--method", "per-leg")),
+        ],
+    ),
 )
 def test_what_is_infinite_is_written_and_loaded(
     folder: Path, tmp_path: Path, verifying: int, options: tuple[str, ...]

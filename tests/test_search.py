@@ -147,7 +147,7 @@ def check(kind: str, seeds: range, options: dict[str, object]) -> None:
 
 
 @pytest.mark.parametrize("name", OPTIONS)
-@pytest.mark.parametrize("kind", some_slow(KINDS, "spatial"))
+@pytest.mark.parametrize("kind", some_slow(KINDS, "spatial", "point"))
 def test_never_above_the_start(kind: str, name: str) -> None:
     """From up to 5 % off, χ² is never above the start's, nor that of the truth where converged.
 

@@ -324,6 +324,7 @@ def _with_a_warm_leg(plain: pincal.Mechanism) -> tuple[pincal.Measurements, pinc
 NOISE = ("--noise-position", "20um", "--noise-orientation", 2e-5, "--noise-reading", 2e-5)
 
 
+@pytest.mark.slow
 def test_the_term_that_is_there_is_named_first_and_pays(tmp_path: Path) -> None:
     data, machine = _with_a_warm_leg(pincal.load_mechanism("3RRR"))
     data.to_csv(tmp_path / "d.csv", machine)
