@@ -193,7 +193,7 @@ def _moments(
     fit: Fit, problem: Problem, readings: float
 ) -> tuple[Array, Array, float, Array, tuple[Array, Array, Array]]:
     """Return what a fit says of the variances of groups at a problem's noise: see ``Moments``."""
-    linear = problem.renoised(fit.last)
+    linear = problem.evaluate(fit.last.state)
     rows = fit.weights > 0.0
     if fit.system.loss is not None:
         rows &= ~outlying(linear.squares / fit.system.scale(linear) ** 2, linear.equations)

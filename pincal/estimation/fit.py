@@ -341,19 +341,18 @@ def _evened(problem: Problem, linear: Linear) -> Problem | None:
     )
 
 
-_PAIRS, _CLEARLY = 3, 0.1
+_PAIRS = 3
 _BY_PRIORS = 0.5  # share of what determines a direction, from which it is the priors'
 
 
-def curvature(fit: Fit, threshold: float = 0.0) -> float:
+def curvature(fit: Fit) -> float:
     """Return the curved part of residuals over the straight one, at one standard error.
 
     Rows do not see to second order that poses move, so poses are not solved at the ends. What
     priors determine rather than rows is as wide as they are, and rows say nothing straight of it:
-    it stays. Far below a threshold one pair of draws will do.
+    it stays.
     """
-    problem, linear = fit.problem, fit.last
-    used, n = fit.weights > 0.0, len(fit.covariance)
+    problem, linear, used = fit.problem, fit.last, fit.weights > 0.0
     size = np.sqrt(np.diagonal(fit.covariance))
     size = np.where(size > 0.0, size, 1.0)  # so that draws are the same in any unit
     values, axes = np.linalg.eigh(fit.covariance / np.outer(size, size))
@@ -361,15 +360,11 @@ def curvature(fit: Fit, threshold: float = 0.0) -> float:
     by_priors, axes = np.linalg.eigh(root.T @ (root / fit.unknowns.priors[:, None] ** 2))
     root = root @ (axes * (by_priors < _BY_PRIORS))
     bent = straight = 0.0
-    for draw in np.random.default_rng(0).standard_normal((_PAIRS, n)):
+    for draw in np.random.default_rng(0).standard_normal((_PAIRS, len(size))):
         step = root @ draw
         ends = [problem.evaluate(problem.moved(linear, sign * step)) for sign in (1.0, -1.0)]
         middle = 0.5 * sum(linear.whitened(end.conditions) for end in ends)
         bent += float(((middle - linear.residuals)[used] ** 2).sum())
-        straight += float(
-            (linear.whitened(linear.after(step) - linear.conditions)[used] ** 2).sum()
-        )
-        relative = float(np.sqrt(bent / straight)) if straight > 0.0 else 0.0
-        if relative <= _CLEARLY * threshold:
-            break
-    return relative if np.isfinite(relative) else np.inf
+        straight += float(((linear.jacobian @ step)[used] ** 2).sum())
+    relative = np.sqrt(bent / straight) if straight > 0.0 else 0.0
+    return float(relative) if np.isfinite(relative) else np.inf

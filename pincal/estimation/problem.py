@@ -204,13 +204,6 @@ class Problem:
             equations=self.equations,
         )
 
-    def renoised(self, linear: Linear) -> Linear:
-        """Return what another problem's conditions are with the noise of this one."""
-        roots = [self.leg_block.noise_root(linear.demands)]
-        if self.latent:
-            roots.append(self.observation.noise_root(linear.state))
-        return replace(linear, noise_root=block_diagonal(roots))
-
     def moved(self, linear: Linear, step: Array) -> State:
         """Return the state after a step of all unknowns, shape (n,), the poses following."""
         state, n = linear.state, self.leg_block.n_parameters
