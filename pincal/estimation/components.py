@@ -56,11 +56,8 @@ class Moments:
     def of(cls, fits: Sequence[tuple[Fit, Problem]], reading: float) -> Moments:
         """Return the moments of fits of groups of legs.
 
-        To first order they need no new fit: what parameters take up is projected out.
-
-        Args:
-            fits: Of groups of legs, each with its problem at the noise in question.
-            reading: Standard deviation to which that of readings is relative, [rad] or [m].
+        To first order they need no new fit: what parameters take up is projected out. Each fit has
+        its problem at the noise in question; that of readings is relative to one, [rad] or [m].
         """
         every = (_moments(fit, problem, reading) for fit, problem in fits)
         F, q, chi2, levers, parts = zip(*every, strict=True)
@@ -245,12 +242,7 @@ class Evidence:
 
     @classmethod
     def of(cls, fit: Fit, groups: dict[str, int]) -> Evidence:
-        """Return what a fit says of groups of its parameters.
-
-        Args:
-            fit: The fit; priors of these parameters do not count.
-            groups: By ids of parameters.
-        """
+        """Return what a fit says of groups of its parameters, by their ids, less their priors."""
         labels, unknowns = fit.unknowns.labels, fit.unknowns
         places = [place for place, id_ in enumerate(labels) if id_ in groups]
         priors = unknowns.priors.copy()

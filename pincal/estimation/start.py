@@ -137,11 +137,7 @@ def _well(mechanism: Mechanism, problem: Problem, state: State) -> Mask:
 def placed(problem: Problem, data: Measurements, parameters: Array, external: External) -> State:
     """Return poses as measured, what was not measured as at home; orientations in full or not.
 
-    Args:
-        problem: The problem.
-        data: The measurements.
-        parameters: Of all legs, shape (n_params,).
-        external: Values of the external unknowns.
+    Parameters are those of all legs, shape (n_params,).
     """
     platform = problem.platform
     partly = np.where(np.isfinite(data.poses), data.poses, platform.home)

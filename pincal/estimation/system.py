@@ -204,14 +204,8 @@ class System:
             │ J  r │ = Q R      one block row a pose, those of the priors above
             └ ⋮  ⋮ ┘
 
-        Args:
-            linear: Where.
-            weights: Of the rows, shape (N,).
-            bend: Curvature of a loss along each row's residuals over its weight, shape (N,).
-            white: Whether of white residuals, if others are minimised.
-
-        Returns:
-            Shape (n_free + 1, n_free + 1).
+        Shape (n_free + 1, n_free + 1), by weights of rows, shape (N,), and the curvature of a loss
+        along each row's residuals over its weight, (N,). White ones may be taken if others are used.
         """
         rows = linear.white if white else self.rows(linear)
         residuals = rows(linear.conditions[:, :, None])[:, :, 0]

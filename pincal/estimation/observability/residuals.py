@@ -78,11 +78,8 @@ def leg_residuals(problem: Problem, linear: Linear, index: int) -> LegResiduals:
 def remaining_variances(fit: Fit, follows: Array) -> Array:
     """Return variances of what a fit leaves of quantities c e, in squares of their units, (N, q).
 
-    With what is left r − J δz, those of the noise as modelled, of the estimate, and of both.
-
-    Args:
-        fit: The fit.
-        follows: c, how quantities follow the conditions, shape (N, q, k).
+    With what is left r − J δz, those of the noise as modelled, of the estimate, and of both. They
+    follow the conditions by c, shape (N, q, k).
     """
     system, linear, parts = fit.system, fit.last, []
     by_free, rows = system.unknowns.map @ fit.root, system.rows(linear)
