@@ -205,7 +205,7 @@ class System:
             └ ⋮  ⋮ ┘
 
         Shape (n_free + 1, n_free + 1), by weights of rows, shape (N,), and the curvature of a loss
-        along each row's residuals over its weight, (N,). White rows may be taken where others are not.
+        along each row's residuals over its weight, (N,); of what is minimised, or of white rows.
         """
         rows = linear.white if white else self.rows(linear)
         residuals = rows(linear.conditions[:, :, None])[:, :, 0]
