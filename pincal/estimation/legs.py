@@ -22,7 +22,7 @@ from pincal.kinematics.batches import block_diagonal, repeated, stacked
 from pincal.kinematics.closing import close, grouped, sensor_law
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.derivatives import Demand, demands
-from pincal.kinematics.nearest_closure import arm_poses, nearest_closure
+from pincal.kinematics.nearest_closure import nearest_closure
 from pincal.model.leg import Leg
 from pincal.model.platform import Platform
 from pincal.types import Array, Index, Mask
@@ -168,24 +168,6 @@ class LegBlock:
             by_pose = np.concatenate([demand.pose for demand in of_legs], axis=1)
             noise = np.concatenate((noise, by_pose @ self.pose_roots), axis=2)
         return np.where(self.active[:, :, None], noise, 0.0)
-
-    def carried(
-        self, of_legs: Sequence[Demand], step: Array, twists: Array, parameters: Array
-    ) -> Array | None:
-        """Return poses at which an arm's closure is what a step was to make it, (N, 4, 4).
-
-        An arm that is read carries the platform exactly, along no straight line; None if no leg
-        is one. Of the step of all unknowns (n,), twists of the poses (N, dof), what legs demanded
-        before, and the parameters of all legs after it (n_params,).
-        """
-        for leg, demand, known, columns in zip(
-            self.legs, of_legs, self.known, self.columns, strict=True
-        ):
-            if leg.is_arm and self.platform.dof == 6:
-                gap = demand.value + demand.parameter @ step[columns]
-                gap += (demand.pose @ twists[:, :, None])[:, :, 0]
-                return arm_poses(LegClosure(leg, self.platform, parameters[columns]), known, gap)
-        return None
 
     @cached_property
     def _alike(self) -> list[list[int]]:

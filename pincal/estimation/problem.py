@@ -209,9 +209,8 @@ class Problem:
         state, n = linear.state, self.leg_block.n_parameters
         external = self.observation.external.moved(state.external, step[n:])
         parameters = state.parameters + step[:n]
-        matrices, twists = state.matrices, np.zeros((len(state.matrices), self.platform.dof))
+        matrices = state.matrices
         if self.latent:
             twists = linear.white.pose_step(linear.after(step))
-            carried = self.leg_block.carried(linear.demands, step, twists, parameters)
-            matrices = self.platform.displaced(matrices, twists) if carried is None else carried
+            matrices = self.platform.displaced(matrices, twists)
         return State(parameters, matrices, state.joints, external)

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from pincal.kinematics.batches import (
     applied,
@@ -333,17 +332,13 @@ class LegClosure:
         sizes = (len(leg.parameters), len(leg.sensors), len(leg.influences), *placing.tolist())
         return (*self.chain.form, self.platform, *sizes, *leg.active, "passive", *leg.passive)
 
-    def frame(self, joints: Array, gap: Array | None = None) -> Array:
+    def frame(self, joints: Array) -> Array:
         """Return where joints put the platform if the leg closes a frame in space, (N, 4, 4).
 
-        The closure is to be a gap there, shape (N, 6), or nothing. Joints are those of
-        ``evaluate``.
+        Joints are those of ``evaluate``.
         """
         motion, point = self.chain.motion(self.parameters, joints), self.point_at(joints)
         tips, turns = motion.tips.T, motion.turns
-        if gap is not None:
-            tips = tips - gap[:, :3]
-            turns = Rotation.from_rotvec(-gap[:, 3:] / self.size).as_matrix() @ turns
         matrices = np.tile(np.eye(4), (len(joints), 1, 1))
         matrices[:, :3, :3] = turns @ point.turn.transpose(0, 2, 1)
         matrices[:, :3, 3] = tips - applied(matrices, point.arm)[:, 0].T

@@ -86,11 +86,10 @@ def _curved_step(closed: Closure, rows: Mask) -> Array:
     return -np.asarray(steps)[:, :, 0]
 
 
-def arm_poses(leg: LegClosure, known: Array, gap: Array | None = None) -> Array:
+def arm_poses(leg: LegClosure, known: Array) -> Array:
     """Return where an arm puts the platform, ``T_base_platform``, shape (N, 4, 4).
 
-    Known are readings, then influences, shape (N, n_active [+ n_influences]). The closure is to be
-    a gap there, shape (N, 6), or nothing.
+    Known are readings, then influences, shape (N, n_active [+ n_influences]).
     """
     joints = np.empty((len(known), len(leg.leg.moving)))
-    return leg.frame(driven(leg, joints, known), gap)
+    return leg.frame(driven(leg, joints, known))
