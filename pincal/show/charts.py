@@ -202,9 +202,8 @@ class Plots:
         ax.errorbar(changes, places, xerr=ends, fmt="none", ecolor=EVERY, elinewidth=0.8, capsize=2)
         ax.set_yticks(places, [_label(name) for *_, name in bars], fontsize=7)
         ax.set_xlabel(f"moves the platform by [{SMALL['m']}]")
-        keys = ((IDENTIFIED, "changed by more than its ±"), (NOMINAL, "by less"))
-        handles = [Patch(color=colour, label=text) for colour, text in keys]
-        ax.legend(handles=handles, loc="lower right")
+        changed = Patch(color=IDENTIFIED, label="changed by more than its ±")
+        ax.legend(handles=[changed, Patch(color=NOMINAL, label="by less")], loc="lower right")
         ax.set_xlim(left=0.0)
         legend = _LEGEND * (len(bars) + 1.0) / (_height(ax) - _LEGEND)  # in bars
         ax.set_ylim(-0.7 - legend, len(bars) - 0.4)

@@ -73,8 +73,7 @@ def mechanism_html(mechanism: Mechanism) -> str:
     drawn = page_figure("mechanism", picture(mechanism).draw, caption)
     coordinates = ", ".join(mechanism.platform.coordinates)
     title = f"{mechanism.name}: {len(mechanism.legs)} legs, {coordinates}"
-    description = [mechanism.description] if mechanism.description else []
-    parts = [*description, drawn, tables.nominal_table(mechanism)]
+    parts = [*filter(None, [mechanism.description]), drawn, tables.nominal_table(mechanism)]
     return rendered("notebook.html", title=title, warnings=[], parts=parts)
 
 

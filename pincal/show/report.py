@@ -97,16 +97,16 @@ def report(
         FileError: a file that cannot be read.
         MeasurementError: a unit that is not understood.
     """
-    today = datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %z")
-    regular = [path for path in map(Path, files) if not path.is_fifo()]  # a pipe is read once
+    if date is None:
+        date = datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %z")
     hashes = tuple(
         (path.name, sha256(read_bytes(path, LARGEST_FILE["table"], FileError)).hexdigest())
-        for path in regular
+        for path in map(Path, files)
+        if not path.is_fifo()  # a pipe is read once
     )
     read = Units.of(units, result.nominal.counts, result.nominal.reading_names)
     errors = workspace_errors(result) if result.converged else None
-    made = today if date is None else date
-    return Report(result, errors, command, hashes, tuple(notes), made, read)
+    return Report(result, errors, command, hashes, tuple(notes), date, read)
 
 
 def _sections(report: Report) -> list[tuple[Any, ...]]:

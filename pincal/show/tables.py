@@ -132,21 +132,17 @@ def accuracy_table(errors: Mapping[str, Accuracy], turns: bool) -> Table:
 def standard_errors(forecast: Forecast) -> Table:
     """Return the standard errors of a forecast by parameter and leg."""
     mechanism = forecast.mechanism
-    ids = [(leg.name, name) for leg in mechanism.legs for name in leg.parameter_names]
-    errors = dict(zip(ids, forecast.std.tolist(), strict=True))
-    units = {name: leg.units[name] for leg in mechanism.legs for name in leg.parameter_names}
-
-    def cell(leg: str, name: str) -> Value:
-        if (std := errors.get((leg, name))) is None:
-            return None
-        return Cell(std, uncertainty(std, units[name], SMALL) if std < np.inf else "—")
-
+    units = {p.name: p.unit for p in mechanism.parameters}
+    cells = {
+        p.id: Cell(std, uncertainty(std, p.unit, SMALL) if std < np.inf else "—")
+        for p, std in zip(mechanism.parameters, forecast.std.tolist(), strict=True)
+    }
     return Table(
         f"{mechanism.name}: standard errors (1 σ) from {forecast.poses} poses, measured: "
         f"{', '.join(forecast.measured) or 'nothing'}",
         ["parameter", "unit", *mechanism.leg_names],
         [
-            (name, SMALL[unit], *(cell(leg, name) for leg in mechanism.leg_names))
+            (name, SMALL[unit], *(cells.get(f"{leg}.{name}") for leg in mechanism.leg_names))
             for name, unit in units.items()
         ],
     )

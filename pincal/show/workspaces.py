@@ -30,15 +30,13 @@ def workspace_figure(workspace: Workspace, inscribed: Inscribed | None = None) -
     panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
     for axes in panels[len(levels) :]:
         axes.set_axis_off()
-    names, bases = workspace.test.mechanism.leg_names, _bases(workspace)
+    bases = _bases(workspace)
     for axes, level in zip(panels, levels, strict=False):
         _draw_workspace(axes, workspace, level, inscribed)
-        for leg, base in bases.items():
-            axes.plot(*base, look(names.index(leg)).marker, color="0.25", ms=6)
+        for index, (leg, (x, y)) in enumerate(bases.items()):
+            axes.plot(x, y, look(index).marker, color="0.25", ms=6)
             if level is None:
-                axes.annotate(
-                    leg, (base[0], base[1]), xytext=(5, 5), textcoords="offset points", size=7
-                )
+                axes.annotate(leg, (x, y), xytext=(5, 5), textcoords="offset points", size=7)
         axes.autoscale_view()
     handles = [Patch(color=DOMAIN, label="counts")]
     if len(workspace.elements) > 1:

@@ -117,14 +117,9 @@ def _read(
 ) -> Iterator[Dimension]:
     """Yield what a sensor reads, and its offset if that is a parameter.
 
-    Args:
-        sensor: The sensor.
-        joint: Its joint.
-        frame: Where that is at its zero, ``T_base_joint``, shape (4, 4).
-        places: Of the joints and the tip, shape (n, 3), [m].
-        positions: From which the joint is counted, at which the sensor reads zero, and where the
-            joint is, [rad] or [m].
-        size: Radius of the smallest arc, [m].
+    The frame is the joint's at its zero, ``T_base_joint``; places, shape (n, 3), are of the joints
+    and the tip; the joint is counted from the first position, the sensor from the second, up to
+    the third.
     """
     zero, start, position = positions
     origin, axis = frame[:3, 3], frame[:3, :3] @ np.array(joint.axis)

@@ -97,12 +97,7 @@ class Names:
     """Names in axes whose limits are set, each where it hides least."""
 
     def __init__(self, axes: Axes, links: Array) -> None:
-        """Begin with no names.
-
-        Args:
-            axes: Where to write.
-            links: Segments that names should not hide, shape (n, 2, 2), right and up, [m].
-        """
+        """Begin with links that names should not hide, shape (n, 2, 2), right and up, [m]."""
         low, high = np.array((axes.get_xlim(), axes.get_ylim())).T
         figure: Any = axes.get_figure(root=True)
         paper = 72.0 * figure.get_size_inches() * axes.get_position().size
@@ -156,13 +151,7 @@ class Names:
 
 
 def draw_dimensions(names: Names, dimensions: Sequence[Dimension], V: Array) -> None:
-    """Draw dimensions, then their names beside their lines.
-
-    Args:
-        names: Where to draw.
-        dimensions: The dimensions.
-        V: What points right, up and towards the viewer, shape (3, 3), rows in the base frame.
-    """
+    """Draw dimensions as seen along V (see ``paint``), then their names beside their lines."""
     lines = [_draw_line(names, dimension, V) for dimension in dimensions]
     for dimension, line in zip(dimensions, lines, strict=True):
         text = symbol(dimension.name) if dimension.name else ""

@@ -217,13 +217,7 @@ def _pistons(
     """Yield path, shape and placements of the rods of prismatic joints, and of their cylinders.
 
     Together they reach back from the slider to where it is at zero; a cylinder is half as long as
-    both at home, a cable has none.
-
-    Args:
-        leg: The leg.
-        joints: Positions of its moving joints, shape (N, n_joints).
-        links: ``T_base_link``, shape (N, n, 4, 4).
-        radius: Of joints, [m].
+    both at home, a cable has none. Joints have shape (N, n_joints), links (N, n, 4, 4).
     """
     moving = [joint.name for joint in leg.moving]
     for place, joint in enumerate(leg.joints):

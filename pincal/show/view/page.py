@@ -151,10 +151,9 @@ def _sliders(scene: Scene) -> list[dict[str, Any]]:
     ``axis`` is the base's that a coordinate shifts along, -1 of all else.
     """
     mechanism, platform = scene.mechanism, scene.mechanism.platform
-    if mechanism.by_readings:
-        names, units = mechanism.reading_names, mechanism.reading_units
-        axes = [-1] * len(names)
-    else:
+    names, units = mechanism.reading_names, mechanism.reading_units
+    axes = [-1] * len(names)
+    if not mechanism.by_readings:
         names, units = platform.freedoms, platform.units
         axes = [row if row < 3 else -1 for row in platform.twist_rows]
     return [
