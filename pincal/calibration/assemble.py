@@ -20,12 +20,12 @@ from pincal.calibration.result import CalibrationResult
 from pincal.calibration.result_parts import HELD, IdentifiedParameter, LegResult, ResidualGroup
 from pincal.design.platform_error import CONFIDENCE
 from pincal.estimation.fit import Fit, Outlier
-from pincal.estimation.observability.residuals import LegResiduals, leg_residuals, redundancy
+from pincal.estimation.observability.residuals import leg_residuals, redundancy
 from pincal.kinematics.batches import over_rows
 from pincal.model.measurements import Noise
 from pincal.model.parameter import Parameter, means
 from pincal.model.setup import Systematic
-from pincal.types import Array
+from pincal.types import Array, Mask
 
 _UNMOVED = 0.1  # of a standard error: what is held and moves a value by less leaves its interval
 
@@ -298,58 +298,49 @@ def _residuals(
 
     At rows that count. Of measured quantities of the platform nothing where poses are as measured.
     """
-    legs, observed = {}, []
+    legs = {}
     for fit in fits.fits:
         residuals, shares = redundancy(fit)
-        for index, leg in enumerate(fit.problem.legs):
+        problem, kept = fit.problem, fit.weights > 0.0
+        for index, (leg, after) in enumerate(zip(problem.legs, residuals, strict=True)):
+            before = leg_residuals(problem, fit.first, index).value
+            counted = problem.leg_block.used[:, index] & kept
             rank, condition = fit.ranks[index]
             legs[leg.name] = LegResult(
-                **_left_of_leg(fit, index, residuals[index], shares[index]),
+                name=leg.name,
+                quantity=after.quantity,
+                unit=after.unit,
                 parameters=tuple(p for p in parameters if p.owner == leg.name),
                 rank=rank,
                 condition=condition,
+                **_columns(fit, counted, before, after.value, after.sigma, shares[index]),
             )
-        observed = _left_of_platform(fit, shares[-1]) if fits.latent else []
-    return tuple(legs[name] for name in fits.calibration.mechanism.leg_names), tuple(observed)
+    in_order = tuple(legs[name] for name in fits.calibration.mechanism.leg_names)
+    if not fits.latent:
+        return in_order, ()
+    observed, observation = [], problem.observation
+    n_legs = problem.leg_block.n_rows
+    first, last = (linear.conditions[:, n_legs:] for linear in (fit.first, fit.last))
+    for column, (name, unit) in enumerate(zip(observation.names, observation.units, strict=True)):
+        counted = observation.measured[:, column] & kept
+        if counted.any():
+            parts = (part[:, column] for part in (first, last, observation.sigma, shares[-1]))
+            columns = _columns(fit, counted, *parts)
+            observed.append(ResidualGroup(name=name, quantity=name, unit=unit, **columns))
+    return in_order, tuple(observed)
 
 
-def _left_of_leg(fit: Fit, index: int, after: LegResiduals, shares: Array) -> dict[str, Any]:
-    """Return what a fit leaves of a leg by fields of ``ResidualGroup``; redundancies are (N, k)."""
-    counted = fit.problem.leg_block.used[:, index] & (fit.weights > 0.0)
-    before = leg_residuals(fit.problem, fit.first, index).value
+def _columns(
+    fit: Fit, counted: Mask, before: Array, after: Array, sigma: Array, shares: Array
+) -> dict[str, Any]:
+    """Return fields of ``ResidualGroup`` of rows that count, from arrays of shape (N[, k])."""
     return {
-        "name": fit.problem.legs[index].name,
-        "quantity": after.quantity,
-        "unit": after.unit,
-        "rows": np.repeat(fit.rows[counted], before.shape[1]),
-        "sigma": fit.noise_scale * after.sigma[counted].ravel(),
+        "rows": np.repeat(fit.rows[counted], before.size // len(before)),
+        "sigma": fit.noise_scale * sigma[counted].ravel(),
         "residuals_before": before[counted].ravel(),
-        "residuals": after.value[counted].ravel(),
+        "residuals": after[counted].ravel(),
         "redundancy": shares[counted].ravel(),
     }
-
-
-def _left_of_platform(fit: Fit, shares: Array) -> list[ResidualGroup]:
-    """Return what a fit leaves of measured quantities, whose redundancies are (N, r)."""
-    observation, n_legs = fit.problem.observation, fit.problem.leg_block.n_rows
-    before, after = (linear.conditions[:, n_legs:] for linear in (fit.first, fit.last))
-    groups = []
-    for column, (name, unit) in enumerate(zip(observation.names, observation.units, strict=True)):
-        counted = observation.measured[:, column] & (fit.weights > 0.0)
-        if counted.any():
-            groups.append(
-                ResidualGroup(
-                    name=name,
-                    quantity=name,
-                    unit=unit,
-                    rows=np.flatnonzero(counted),
-                    sigma=fit.noise_scale * observation.sigma[counted, column],
-                    residuals_before=before[counted, column],
-                    residuals=after[counted, column],
-                    redundancy=shares[counted, column],
-                )
-            )
-    return groups
 
 
 def _merged_outliers(fits: Sequence[Fit]) -> tuple[Outlier, ...]:

@@ -323,11 +323,9 @@ def _groups(calibration: Calibration) -> list[list[int]]:
     legs, options = calibration.mechanism.legs, calibration.options
     if options.method == "all-legs":
         return [list(range(len(legs)))]
-    together = [
-        i for i, leg in enumerate(legs) if any(name in leg.parameter_names for name in options.tied)
-    ]
-    single_legs = [[i] for i in range(len(legs)) if i not in together]
-    return [together, *single_legs] if together else single_legs
+    tied = [i for i, leg in enumerate(legs) if set(options.tied) & set(leg.parameter_names)]
+    alone = [[i] for i in range(len(legs)) if i not in tied]
+    return [tied, *alone] if tied else alone
 
 
 def with_found_tolerance(calibration: Calibration) -> Calibration:

@@ -265,11 +265,10 @@ class CalibrationResult:
     def expected_error(self, poses: Plan | Array | None = None) -> PlatformError:
         """Return the platform error to expect of the calibrated mechanism.
 
-        Where frames were fixed by choice, less what a motion of these frames explains. Infinite
-        where what was held, being undetermined, moves the platform at one of the poses, and by more
-        than where all that is seen of it was measured. While
-        something contradicts the model, no limit is promised, and no error is smaller than that
-        with which the platform misses the measured poses.
+        Where frames were fixed by choice, less what a motion of these explains. Infinite where what
+        was held, being undetermined, moves the platform at a pose, and by more than where all that
+        is seen of it was measured. While something contradicts the model, no limit is promised, and
+        no error is smaller than that with which the platform misses the measured poses.
 
         Args:
             poses: Poses over which to take the mean, coordinates of shape (N, dof), or a plan;
@@ -293,9 +292,8 @@ class CalibrationResult:
     @property
     def poses(self) -> Array:
         """Poses of all rows in the base frame, measured or estimated, shape (N, dof)."""
-        if self.estimated_poses is not None:
-            return self.estimated_poses
-        return self.measurements.poses
+        estimated = self.estimated_poses
+        return self.measurements.poses if estimated is None else estimated
 
     @attached
     def validated(self, folds: int = FOLDS, by: By = "region") -> CalibrationResult:
