@@ -107,7 +107,7 @@ def random_case(seed: int) -> Case:
         )
     options: dict[str, Any] = {"method": str(rng.choice(["all-legs", "all-legs", "per-leg"]))}
     options["loss"] = str(rng.choice(["none", "none", "huber", "reject"]))
-    if rng.uniform() < 0.3:
+    if rng.uniform() < 0.3 and options["method"] == "all-legs":
         options["setup"] = Setup(unknown_frame=True)
     return Case(mechanism, data, options)
 
