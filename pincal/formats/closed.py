@@ -275,7 +275,7 @@ def _leg(tree: Tree, name: str, limb: Limb, points: Sequence[Joint | None]) -> L
         raise MechanismError(f"{tree.source}: {name} has no driven joint")
     closes: Closing = "frame" if point is None else "point"
     point = point or Joint("point", "fixed")
-    shared = sum(other is not None and other.name == point.name for other in points) > 1
+    shared = [p.name for p in points if p is not None].count(point.name) > 1
     if shared or point.name == "point":
         point = replace(point, name=f"{name}_point")
     return Leg(name, with_tip(joints), tuple(map(Sensor, driven)), (), point, closes)

@@ -126,21 +126,21 @@ class _Graph:
             if bond not in unused or base not in self.ends(bond):
                 continue
             path: list[Step] = []
-            here, onward = base, [bond]
-            while not path or here != goal:
+            body, onward = base, [bond]
+            while not path or body != goal:
                 if len(onward) != 1:
                     names = ", ".join(edge.joint.name for edge, _ in path)
                     raise MechanismError(
                         f"{self.tree.source}: the way {names} from the base leads to "
-                        f"{self.named(here)}, where {len(onward)} ways go on; expected a serial "
+                        f"{self.named(body)}, where {len(onward)} ways go on; expected a serial "
                         f"chain to the platform {self.named(goal)}"
                     )
                 edge = onward[0]
                 unused.remove(edge)
                 parent, child = self.ends(edge)
-                path.append((edge, parent == here))
-                here = child if parent == here else parent
-                onward = [other for other in unused if here in self.ends(other)]
+                path.append((edge, parent == body))
+                body = child if parent == body else parent
+                onward = [bond for bond in unused if body in self.ends(bond)]
             paths.append(path)
         return paths
 

@@ -80,8 +80,8 @@ def _compiled(path: Path) -> mujoco.MjModel:
             _drop_shapes(spec)
             model = spec.compile()
     except (ValueError, RuntimeError) as error:
-        why = " ".join(_NOISE.sub("", str(error)).split())[:240]
-        raise MechanismError(f"{path}: MuJoCo does not read it: {why}") from error
+        fault = " ".join(_NOISE.sub("", str(error)).split())[:240]
+        raise MechanismError(f"{path}: MuJoCo does not read it: {fault}") from error
     finally:
         mujoco.set_mju_user_warning(handler)
     places = (model.body_pos, model.jnt_pos, model.jnt_axis, model.site_pos, model.eq_data)
@@ -280,10 +280,10 @@ def _children(
         etree.SubElement(body, "inertial", pos="0 0 0", mass="0.1", diaginertia="0.001 0.001 0.001")
         if joint.kind != "fixed":
             kind = "slide" if joint.kind == "prismatic" else "hinge"
-            said = {"name": joint.name, "type": kind, "axis": numbers_text(joint.axis)}
+            attributes = {"name": joint.name, "type": kind, "axis": numbers_text(joint.axis)}
             if np.isfinite([joint.lower, joint.upper]).all():
-                said["range"] = numbers_text((joint.lower, joint.upper))
-            etree.SubElement(body, "joint", said)
+                attributes["range"] = numbers_text((joint.lower, joint.upper))
+            etree.SubElement(body, "joint", attributes)
             home.append(joint.home)
         if any(abs(value) > 1e-9 for value in placement.xyz):
             shape = {"fromto": f"0 0 0 {numbers_text(placement.xyz)}", "size": f"{radius:.6g}"}

@@ -214,11 +214,11 @@ def _motors(named: Sequence[str], edges: Sequence[Edge], key: str, urdf: Path) -
     moving = [edge.joint.name for edge in edges if edge.joint.kind != "fixed"]
     motors: list[str] = []
     for name in named:
-        alike = [name] if name in moving else [joint for joint in moving if name in joint]
-        if not alike:
+        matching = [name] if name in moving else [joint for joint in moving if name in joint]
+        if not matching:
             raise MechanismError(
                 f"{key} has {name!r}, but no joint of {urdf} that moves has that in its name; it "
                 f"has {listed(moving)}"
             )
-        motors += alike
+        motors += matching
     return tuple(dict.fromkeys(motors))

@@ -247,7 +247,7 @@ def check_home(leg: Leg, platform: Platform) -> None:
     gap, turn = _gap_and_turn(leg, platform)
     if max(gap, leg.size * turn) <= ROUGH * leg.size:
         return
-    how = (
+    gap_shown = (
         f"its tip is {gap:.2g} m from the platform's point {leg.point.name!r}, the leg is "
         f"{leg.size:.2g} m long; expected a tenth of that at most"
         if gap >= leg.size * turn
@@ -264,7 +264,7 @@ def check_home(leg: Leg, platform: Platform) -> None:
         if abs(value) > 2 * np.pi
     ]
     raise MechanismError(
-        f"{leg.name} does not close at home: {how}. Correct 'home' of {leg.name} or of the "
+        f"{leg.name} does not close at home: {gap_shown}. Correct 'home' of {leg.name} or of the "
         f"platform{''.join(questions[:1])}"
     )
 

@@ -120,10 +120,10 @@ class Mechanism:
         Shape (N, n_active [+ n_influences of the leg]), of readings (N, n_readings), [rad] or [m],
         and influences (N, n_influences) of all legs; these are at their reference if not given.
         """
-        own = readings[:, self.reading_columns[leg]]
+        of_leg = readings[:, self.reading_columns[leg]]
         if influences is None:
-            return own
-        return np.hstack((own, self.influences_at(leg, influences)))
+            return of_leg
+        return np.hstack((of_leg, self.influences_at(leg, influences)))
 
     def influences_at(self, leg: int, influences: Array) -> Array:
         """Return the influences of one leg among those of all, shape (N, n_influences of it)."""

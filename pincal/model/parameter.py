@@ -20,8 +20,8 @@ LONGEST_LABEL = 60
 
 def means(wanted_name: str, leg: str, name: str) -> bool:
     """Return whether a name means a leg's parameter: ``l``, ``leg_1.l``, ``leg_1.*``, ``A_*``."""
-    wanted_leg, _, wanted = wanted_name.rpartition(".")
-    return fnmatchcase(name, wanted) and fnmatchcase(leg, wanted_leg or "*")
+    leg_pattern, _, pattern = wanted_name.rpartition(".")
+    return fnmatchcase(name, pattern) and fnmatchcase(leg, leg_pattern or "*")
 
 
 @dataclass(frozen=True)

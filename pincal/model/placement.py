@@ -99,8 +99,8 @@ class Coordinate:
             return Step("rz", azimuth), Step("x", radius), Step("rz", azimuth, -1)
         if self.kind == "spherical":
             radius, polar, azimuth = self.values
-            there = Step("rz", azimuth), Step("ry", polar), Step("z", radius)
-            return (*there, Step("ry", polar, -1), Step("rz", azimuth, -1))
+            outward = Step("rz", azimuth), Step("ry", polar), Step("z", radius)
+            return (*outward, Step("ry", polar, -1), Step("rz", azimuth, -1))
         return (Step(self.kind, self.values[0]),)
 
     @property

@@ -82,10 +82,10 @@ def evaluated(instrument: Instrument, poses: Array, values: Array, measured: Arr
     arrays = instrument.evaluate(poses, values, measured)
     rows = (len(poses), len(instrument.columns))
     shapes = (rows, (*rows, 6), (*rows, len(instrument.parameters)))
-    found = tuple(map(np.shape, arrays)) if isinstance(arrays, tuple) else type(arrays).__name__
-    if found != shapes:
+    shown = tuple(map(np.shape, arrays)) if isinstance(arrays, tuple) else type(arrays).__name__
+    if shown != shapes:
         raise MeasurementError(
-            f"evaluate of instrument {instrument.name!r} gave {found}; expected residuals, and "
+            f"evaluate of instrument {instrument.name!r} gave {shown}; expected residuals, and "
             "their derivatives by the platform's twist and by its parameters, of the shapes "
             f"{', '.join(map(str, shapes))}"
         )
