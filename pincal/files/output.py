@@ -50,7 +50,8 @@ def refuse_existing(path: str | Path, *, force: bool, folder: Sequence[str] = ()
         has_parent = real.parent.is_dir()
         known = bool(folder) and (real / folder[0]).is_file()
         inside = is_folder and Path.cwd().is_relative_to(real)
-        read = _inputs_in(_made_in(real, folder) if known else [real])
+        places = _made_in(real, folder) if known else [real]
+        read = [file for place in places for file in _files(place) if is_input(file)]
     except (OSError, ValueError, RuntimeError) as error:
         raise FileError(f"cannot write {str(path)!r}: {error}") from error
     known_by = folder[0] if folder else ""
@@ -150,25 +151,15 @@ def writing_together(
 
 def _unchanged(made: Path, target: Path, folder: Sequence[str]) -> bool:
     """Return whether a file, or all that pincal writes in a folder, is at its place already."""
-    if not folder:
-        return filecmp.cmp(made, target, shallow=False)
-    places = _made_in(target, folder)
+    places = _made_in(target, folder) if folder else [target]
     old = {file.relative_to(target) for place in places for file in _files(place)}
     new = {file.relative_to(made) for file in _files(made)}
-    return old <= new and all(
-        (target / name).is_file() and filecmp.cmp(made / name, target / name, shallow=False)
-        for name in new
-    )
+    return old == new and all(filecmp.cmp(made / n, target / n, shallow=False) for n in new)
 
 
 def _made_in(place: Path, folder: Sequence[str]) -> list[Path]:
     """Return the files and folders that pincal made in a folder."""
     return [path for pattern in folder for path in place.glob(pattern)]
-
-
-def _inputs_in(places: list[Path]) -> list[Path]:
-    """Return the files at and below places that the command at work has read."""
-    return [file for place in places for file in _files(place) if is_input(file)]
 
 
 def _files(place: Path) -> list[Path]:
@@ -182,15 +173,13 @@ def _carry(old: Path, new: Path, folder: Sequence[str]) -> None:
 
     def not_carried(place: str, names: list[str]) -> list[str]:
         skipped = []
-        for name in names:
-            source = Path(place, name)
+        for source in (Path(place, name) for name in names):
             target = new / source.relative_to(old)
             is_folder = source.is_dir() and not source.is_symlink()
             if is_folder and target.is_file():
                 raise FileError(f"{source} is where a file is to be written; move it")
-            is_made = os.path.lexists(target) and not is_folder
-            if is_made or source in replaced:
-                skipped.append(name)
+            if source in replaced or (os.path.lexists(target) and not is_folder):
+                skipped.append(source.name)
         return skipped
 
     shutil.copytree(
@@ -243,9 +232,8 @@ def _move(source: Path, target: Path) -> None:
         return
     try:
         os.link(source, target)
+        source.unlink()
     except FileExistsError:
         raise
     except OSError:  # a file system without links
         source.rename(target)
-    else:
-        source.unlink()
