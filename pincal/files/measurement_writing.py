@@ -66,15 +66,14 @@ def columns_of(
     """
     mechanism = as_mechanism(mechanism)
     must_be(plan, Plan, "poses or measurements to write", MeasurementError)
+    measured = isinstance(plan, Measurements)
     columns: Columns = {} if plan.sets is None else {"set": plan.sets}
-    poses = _pose_columns(mechanism, plan, orientation)
-    if isinstance(plan, Measurements):  # what was never measured has no column
-        poses = {header: values for header, values in poses.items() if np.isfinite(values).any()}
-    columns |= poses
+    for header, values in _pose_columns(mechanism, plan, orientation).items():
+        if not measured or np.isfinite(values).any():  # what was never measured has no column
+            columns[header] = values
     if plan.readings is not None:
         columns |= reading_columns(mechanism, plan.readings)
-    if isinstance(plan, Measurements):
-        columns |= _measured_columns(mechanism, plan, setup)
+    columns |= _measured_columns(mechanism, plan, setup) if isinstance(plan, Measurements) else {}
     columns |= plan.influences
     return columns if plan.places is None else columns | {"pose": plan.places}
 
