@@ -76,25 +76,20 @@ def explanation_lines(explanation: Explanation) -> list[str]:
     result, candidates = explanation.result, explanation.candidates
     nominal, visible = result.nominal, [c for c in candidates if c.corrected < LEVEL]
     terms = [candidate for candidate in visible if candidate.kind != ORDER]
-    lines = [_slip_line(slip) for slip in explanation.slips]
-    remaining = list(visible)
-    while remaining and len(lines) < NAMED + len(explanation.slips):
-        first = remaining.pop(0)
-        remaining = [rival for rival in remaining if rival.pair not in first.or_else]
-        lines.append(_seen_line(first, nominal))
-    if explanation.slips:
-        lines.append(_MEND)
-    if not visible:
-        least = min((candidate.corrected for candidate in candidates), default=1.0)
-        lines.append(
-            "nothing that was tried is seen in the residuals: the least probable of "
-            f"{len(candidates)} has a chance of {least:.2g}, their number taken in"
-        )
-    if len(terms) < len(visible):  # the order of rows is none
-        lines.append(_NO_TERM)
-    loaded = nominal.weighs or any(candidate.kind.name == GRAVITY for candidate in candidates)
-    if nominal.platform.space == 3 and not loaded:
-        lines.append(_NO_LOAD)
+    loaded = nominal.weighs or any(candidate.kind == GRAVITY for candidate in candidates)
+    least = min((candidate.corrected for candidate in candidates), default=1.0)
+    nothing = (
+        "nothing that was tried is seen in the residuals: the least probable of "
+        f"{len(candidates)} has a chance of {least:.2g}, their number taken in"
+    )
+    notes = (
+        (_MEND, explanation.slips),
+        (nothing, not visible),
+        (_NO_TERM, len(terms) < len(visible)),  # the order of rows is none
+        (_NO_LOAD, nominal.platform.space == 3 and not loaded),
+    )
+    lines = [*map(_slip_line, explanation.slips), *_seen_lines(visible, nominal)]
+    lines += [text for text, holds in notes if holds]
     lines += [
         f"fold {fold + 1} is left out of the comparison, the other rows do not determine it: {why}"
         for fold, why in explanation.lost
@@ -106,6 +101,16 @@ def explanation_lines(explanation: Explanation) -> list[str]:
             "but no limit is promised while residuals follow something: with --terms "
             f"{term_text(*terms[0].pair)} it is modelled"
         )
+    return lines
+
+
+def _seen_lines(candidates: Sequence[Candidate], mechanism: Mechanism) -> list[str]:
+    """Return what residuals follow, the likeliest first, without what is not separate from it."""
+    lines, remaining = list[str](), list(candidates)
+    while remaining and len(lines) < NAMED:
+        first = remaining.pop(0)
+        remaining = [rival for rival in remaining if rival.pair not in first.or_else]
+        lines.append(_seen_line(first, mechanism))
     return lines
 
 

@@ -110,10 +110,6 @@ class Case:
         """Readings of the rows, shape (N, n_readings), [rad] or [m]; NaN where not measured."""
         return self.data.readings[self.rows]
 
-    def anywhere(self, count: int) -> Case:
-        """Return the case with the base at an unknown place, judged by its first rows."""
-        return replace(self, free=True, rows=self.rows[:count])
-
     def few(self, count: int) -> Case:
         """Return the case judged by some of its rows, evenly spaced."""
         places = np.linspace(0, len(self.rows) - 1, min(count, len(self.rows)))
@@ -208,11 +204,6 @@ class Judged:
         """Return whether the mean misfit is so small; legs are asked until it cannot be."""
         sums = accumulate(self.misfit_of(leg) for leg in self.judged)
         return bool(self.judged) and all(total <= most * len(self.judged) for total in sums)
-
-    @property
-    def mean_gap(self) -> float:
-        """Mean gap over the legs that have rows, 1 at most and where nothing fits."""
-        return float(np.mean([min(self.gap[leg], 1.0) for leg in self.judged] or [1.0]))
 
     @cached_property
     def questioned(self) -> list[int]:

@@ -10,7 +10,7 @@ from scipy.special import fdtrc
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.hypotheses.faults import zeros_by_poses
 from pincal.calibration.hypotheses.judging import Case
-from pincal.calibration.hypotheses.plausibility import as_measured
+from pincal.calibration.hypotheses.plausibility import judge_as_measured
 from pincal.estimation.observability.gauge import frame_motions
 from pincal.estimation.observability.indices import NEGLIGIBLE, plausible_changes
 from pincal.finding import Finding
@@ -43,47 +43,58 @@ def misaligned(
         readings: Measured, shape (N, n_readings), [rad] or [m].
     """
     rows = np.linspace(0, len(poses) - 1, min(_ROWS_MOVED, len(poses))).astype(int)
-    read = readings[rows] if mechanism.by_readings else None
-    if not np.isfinite(poses[rows]).all() or (read is not None and np.isnan(read).any()):
+    plan = Plan(poses[rows], readings=readings[rows] if mechanism.by_readings else None)
+    if not np.isfinite(plan.poses).all() or (
+        mechanism.by_readings and np.isnan(readings[rows]).any()
+    ):
         return ()
-    legs = legs_at(mechanism, Plan(poses[rows], readings=read))
+    legs = legs_at(mechanism, plan)
     if not len(legs.gain) or not np.isfinite(legs.gain).all() or not changes.all():
         return ()  # out of reach, or parameters are held
     platform, scale = mechanism.platform, plausible_changes(mechanism)
     size, own, space = largest_size(mechanism.legs), changes / scale, platform.space
-    lengths = np.array([1.0 if unit == "m" else size for unit in platform.units])[:, None]
+    lengths = np.where(np.array(platform.units) == "m", 1.0, size)[:, None]
     A = (legs.gain * lengths).reshape(-1, len(own)) * scale
     motions = frame_motions(platform, platform.matrices(legs.poses)) * lengths
     of_base, of_platform = np.split(
         motions.reshape(len(A), -1), [motions.shape[2] - platform.dof], axis=1
     )
-    for frame, b in (("base", of_base), ("platform", of_platform)):
-        D = np.linalg.lstsq(A, b, rcond=1e-9)[0]
-        k, free = D.shape[1], len(own) - D.shape[1]
-        misfit, sizes = np.linalg.norm(A @ D - b, axis=0), np.linalg.norm(b, axis=0)
-        if free <= 0 or (misfit > NEGLIGIBLE * sizes).any():
-            continue  # parameters cannot move so
-        Q, R = np.linalg.qr(D)
-        along, moved = Q.T @ own, A @ own
-        inside = along @ along
-        p_value = float(fdtrc(k, free, inside / k / ((own @ own - inside) / free)))
-        left = moved - b @ np.linalg.lstsq(b, moved, rcond=None)[0]
-        share = float(1.0 - left @ left / (moved @ moved))
+    for frame, of_frame in (("base", of_base), ("platform", of_platform)):
+        p_value, share, amounts = _as_one(A, of_frame, own)
         if p_value > _CHANCE or share < _MATTERS:
             continue
-        amounts = np.linalg.lstsq(R, along, rcond=None)[0]
         shift, turn = (float(np.linalg.norm(part)) for part in np.split(amounts, [space]))
-        found = finding(
+        motion = finding(
             "frame-misaligned",
             frame=frame,
             remedy=frame if "rad" in platform.units else "base",
             share=share,
             p_value=p_value,
             shift=shift,
-            turn=turn if k > space else None,
+            turn=turn if len(amounts) > space else None,
         )
-        return (found,)
+        return (motion,)
     return ()
+
+
+def _as_one(A: Array, b: Array, own: Array) -> tuple[float, float, Array]:
+    """Return the chance of changes (n,) as one body, its share of what they move, and its motion.
+
+    A, shape (m, n), is what parameters move, b, shape (m, k), what a frame does. The chance is 1 if
+    parameters cannot move so.
+    """
+    D = np.linalg.lstsq(A, b, rcond=1e-9)[0]
+    k, free = D.shape[1], len(own) - D.shape[1]
+    misfit, sizes = np.linalg.norm(A @ D - b, axis=0), np.linalg.norm(b, axis=0)
+    if free <= 0 or (misfit > NEGLIGIBLE * sizes).any():
+        return 1.0, 0.0, np.zeros(k)
+    Q, R = np.linalg.qr(D)
+    along, moved = Q.T @ own, A @ own
+    inside = along @ along
+    p_value = float(fdtrc(k, free, inside / k / ((own @ own - inside) / free)))
+    left = moved - b @ np.linalg.lstsq(b, moved, rcond=None)[0]
+    share = float(1.0 - left @ left / (moved @ moved))
+    return p_value, share, np.linalg.lstsq(R, along, rcond=None)[0]
 
 
 def zeros_found(calibration: Calibration, faults: Sequence[Finding]) -> Array | None:
@@ -108,7 +119,7 @@ def zeros_measured(calibration: Calibration) -> Array | None:
     """
     mechanism, setup = calibration.mechanism, calibration.options.setup
     case = Case.of(mechanism, calibration.measurements, setup.unknown_frame, setup.targets[ORIGIN])
-    nominal = as_measured(case).nominal_readings if case and case.alone else None
+    nominal = judge_as_measured(case).nominal_readings if case and case.alone else None
     if case is None or nominal is None:
         return None
     offsets = zeros_by_poses(case, nominal)

@@ -88,7 +88,7 @@ def hypotheses_of(
     if case is None:
         return []
     explaining = _explaining(case)
-    findings = as_findings(mechanism, as_measured(case), explaining)
+    findings = as_findings(mechanism, judge_as_measured(case), explaining)
     return list(zip(findings, explaining, strict=True))
 
 
@@ -101,14 +101,16 @@ def _faults(
     case: Case, unexplained: Callable[[Case, Judged], tuple[Finding, ...]]
 ) -> tuple[Finding, ...]:
     """Return what is wrong: readings that stand still, what explains the misfit, or the rest."""
-    given = as_measured(case)
-    if faults := _still(case, given):
+    as_measured = judge_as_measured(case)
+    if faults := _still(case, as_measured):
         return faults
-    return as_findings(case.mechanism, given, _explaining(case)) or unexplained(case, given)
+    return as_findings(case.mechanism, as_measured, _explaining(case)) or unexplained(
+        case, as_measured
+    )
 
 
 @lru_cache(maxsize=4)
-def as_measured(case: Case) -> Judged:
+def judge_as_measured(case: Case) -> Judged:
     """Return how measurements fit as they were given, and on which side of singularities."""
     (judged,) = judge(case)
     return replace(judged, elsewhere=other_side(case.mechanism, judged.matrices))
@@ -117,14 +119,14 @@ def as_measured(case: Case) -> Judged:
 @lru_cache(maxsize=4)
 def _explaining(case: Case) -> list[Judged]:
     """Return what explains measurements that do not fit."""
-    given = as_measured(case)
-    if given.fits_well:
+    as_measured = judge_as_measured(case)
+    if as_measured.fits_well:
         return []
-    if slips := _slips(case, given):  # few rows may be all that is wrong
+    if slips := _slips(case, as_measured):  # few rows may be all that is wrong
         sound = replace(case, rows=np.setdiff1d(case.rows, slips[0].rows))
         if judge(sound)[0].fits_well:
             return []
-    return explanations(case, given)
+    return explanations(case, as_measured)
 
 
 def explanations(case: Case, as_measured: Judged) -> list[Judged]:
@@ -143,7 +145,7 @@ def explanations(case: Case, as_measured: Judged) -> list[Judged]:
 
 def _stages(case: Case, as_measured: Judged) -> Iterator[list[Judged]]:
     """Yield hypotheses with their fits, the simplest first; a base nearly in place is none."""
-    every, framed = list(faults(case)), case.anywhere(_ROWS_FRAMED)
+    every, framed = list(faults(case)), replace(case.few(_ROWS_FRAMED), free=True)
     single = [hypothesis for hypothesis in every if hypothesis.faults == 1]
     if case.alone and (nominal := as_measured.nominal_readings) is not None:
         single += [scale(case, nominal), zeros(zeros_by_poses(case, nominal))]
@@ -214,7 +216,8 @@ def _zeros(case: Case) -> list[Judged]:
         tried = [
             zeros(offset * axis) for row in grid for offset, axis in zip(row, axes, strict=True)
         ]
-        costs = np.reshape([judged.mean_gap for judged in judge(on_few_rows, tried)], grid.shape)
+        gaps = np.array([judged.gap for judged in judge(on_few_rows, tried)])
+        costs = np.fmin(gaps, 1.0).mean(axis=1).reshape(grid.shape)  # 1 where nothing fits
         among = costs <= equal * costs.min(axis=0)
         best = (grid * among).sum(axis=0) / among.sum(axis=0)
         # where no measurement says more, the middle
@@ -228,7 +231,7 @@ def as_findings(
 ) -> tuple[Finding, ...]:
     """Return hypotheses that explain measurements as findings."""
     names, reading_names = mechanism.leg_names, mechanism.reading_names
-    named_legs, found = as_measured.questioned or list(range(len(names))), []
+    named_legs, findings = as_measured.questioned or list(range(len(names))), []
     for judged in explaining:
         hypothesis, values = judged.hypothesis, dict[str, Any](judged.hypothesis.values)
         legs = hypothesis.legs or range(len(names))
@@ -243,48 +246,48 @@ def as_findings(
             "other_side": as_measured.elsewhere,
             "unknown_frame": judged.free and not as_measured.free,
         }
-        found.append(finding(hypothesis.code, **values))
-    return tuple(found)
+        findings.append(finding(hypothesis.code, **values))
+    return tuple(findings)
 
 
-def _strange(case: Case, given: Judged) -> tuple[Finding, ...]:
+def _strange(case: Case, as_measured: Judged) -> tuple[Finding, ...]:
     """Return what bars a fit though no hypothesis explains it."""
-    legs = [(i, case.mechanism.legs[i]) for i in given.judged]
+    legs = [(i, case.mechanism.legs[i]) for i in as_measured.judged]
     if not legs:
         return ()
-    worst, leg = max(legs, key=lambda pair: given.gap[pair[0]])
-    if given.gap[worst] > DIFFER:
-        return (finding("not-this-mechanism", leg=leg.name, gap=float(given.gap[worst])),)
+    worst, leg = max(legs, key=lambda pair: as_measured.gap[pair[0]])
+    if as_measured.gap[worst] > DIFFER:
+        return (finding("not-this-mechanism", leg=leg.name, gap=float(as_measured.gap[worst])),)
     bent = tuple(
         (
             leg.name,
             tuple(leg.moving[j].name for j in leg.passive),
-            int(given.bent[i]),
-            int(given.rows[i]),
+            int(as_measured.bent[i]),
+            int(as_measured.rows[i]),
         )
         for i, leg in legs
-        if not given.as_home[i]
+        if not as_measured.as_home[i]
     )
     if bent:
         return (finding("other-working-mode", legs=bent),)
-    if turned := _turns(case, given):
+    if turned := _turns(case, as_measured):
         return turned
     for i, leg in legs:
-        left, stroke = given.near(i), float(given.stroke[i])
+        left, stroke = as_measured.near(i), float(as_measured.stroke[i])
         if left > max(_FOLLOWS * stroke, _STILL):
             return (finding("readings-do-not-follow", leg=leg.name, left=left, stroke=stroke),)
     return ()
 
 
-def _still(case: Case, given: Judged) -> tuple[Finding, ...]:
+def _still(case: Case, as_measured: Judged) -> tuple[Finding, ...]:
     """Return which readings are the same in all rows though the poses move their sensors."""
     mechanism, readings = case.mechanism, case.readings
     still = np.ptp(readings, axis=0) == 0.0
-    if case.free or not still.any() or given.nominal_readings is None:
+    if case.free or not still.any() or as_measured.nominal_readings is None:
         return ()
     named = []
     for i, (leg, name) in enumerate(zip(mechanism.legs, mechanism.reading_names, strict=True)):
-        nominal, unit = given.nominal_readings[:, i], mechanism.reading_units[i]
+        nominal, unit = as_measured.nominal_readings[:, i], mechanism.reading_units[i]
         known = nominal[np.isfinite(nominal)]
         moved = float(np.ptp(known)) if len(known) > 1 else 0.0
         if still[i] and moved > _STILL * (1.0 if unit == "rad" else leg.size):
@@ -292,15 +295,15 @@ def _still(case: Case, given: Judged) -> tuple[Finding, ...]:
     return (finding("readings-still", readings=tuple(named)),) if named else ()
 
 
-def _turns(case: Case, given: Judged) -> tuple[Finding, ...]:
+def _turns(case: Case, as_measured: Judged) -> tuple[Finding, ...]:
     """Return readings that are whole turns off the nominal ones, of the first such leg."""
     mechanism = case.mechanism
-    if given.nominal_readings is None or any(len(leg.active) > 1 for leg in mechanism.legs):
+    if as_measured.nominal_readings is None or any(len(leg.active) > 1 for leg in mechanism.legs):
         return ()
     for i, leg in enumerate(mechanism.legs):
         if leg.reading_units[0] != "rad":
             continue
-        measured, expected = case.readings[:, i], given.nominal_readings[:, i]
+        measured, expected = case.readings[:, i], as_measured.nominal_readings[:, i]
         gain, _ = leg.sensors[0].constants(leg.nominal_by_name)
         turn = 2 * np.pi * (abs(gain) if leg.sensors[0].form == "reading" else 1 / abs(gain))
         law, (joint,) = sensor_law(nominal_legs(mechanism)[i]), leg.active
@@ -313,11 +316,11 @@ def _turns(case: Case, given: Judged) -> tuple[Finding, ...]:
     return ()
 
 
-def _slips(case: Case, given: Judged) -> tuple[Finding, ...]:
+def _slips(case: Case, as_measured: Judged) -> tuple[Finding, ...]:
     """Return which few rows, with full poses, miss machines near nominal far more than others."""
-    if not case.oriented or not given.judged:
+    if not case.oriented or not as_measured.judged:
         return ()
-    left = np.array([given.left(leg) for leg in given.judged])
+    left = np.array([as_measured.left(leg) for leg in as_measured.judged])
     usual = np.maximum(np.nanmedian(left, axis=1, keepdims=True), ROUNDING)
     times = np.nan_to_num(left / usual).max(axis=0)
     far = np.flatnonzero(times > _SLIP)
@@ -370,7 +373,7 @@ def check_noise(mechanism: Mechanism, noise: Noise) -> None:
         ("orientation", noise.orientation, "rad", QUESTIONED if turns else np.inf),
     ):
         if given > most:
-            found = finding(
+            too_large = finding(
                 "noise-too-large", what=what, given=given, unit=unit, most=most, size=size
             )
-            raise MeasurementError(sentence(found))
+            raise MeasurementError(sentence(too_large))

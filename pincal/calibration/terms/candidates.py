@@ -103,13 +103,18 @@ def _lacking(
                 )
     for kind in (kind for wanted_place, kind in wanted if wanted_place == GROWTH):
         for name, basis, of, label in _bases(kind, "", "", _NOTHING, data):
-            lengths: dict[int | str, Term] = {}
-            for length, unit in leg.placed.items():  # a share of each, in proportion to it
-                value = leg.nominal_by_name[length]
-                if isinstance(basis, Share) and unit == "m" and value:
-                    share = replace(basis, per=basis.per / value)
-                    lengths[length] = Term(_identifier(GROWTH, name), share, of=of, unit="1")
-            yield (GROWTH, kind), lengths, f"share of all lengths {label}"
+            term = Term(_identifier(GROWTH, name), basis, of=of, unit="1")
+            yield (GROWTH, kind), _in_proportion(term, leg), f"share of all lengths {label}"
+
+
+def _in_proportion(term: Term, leg: Leg) -> dict[int | str, Term]:
+    """Return a term by each length of a leg, in proportion to it: a share of all lengths."""
+    basis, by_length = term.basis, dict[int | str, Term]()
+    for name, unit in leg.placed.items():
+        value = leg.nominal_by_name[name]
+        if isinstance(basis, Share) and unit == "m" and value:
+            by_length[name] = replace(term, basis=replace(basis, per=basis.per / value))
+    return by_length
 
 
 def _identifier(stem: str, name: str) -> str:
