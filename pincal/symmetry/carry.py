@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from pincal.errors import MechanismError, SymmetryError
 from pincal.kinematics.closing import close
 from pincal.kinematics.closure import LegClosure
-from pincal.model.checks import ALIKE, ROUNDING
+from pincal.model.checks import ROUNDING
 from pincal.model.leg import Joint, Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.placement import Coordinate, Placement, Value
@@ -27,6 +27,7 @@ from pincal.model.sensor import Sensor
 from pincal.model.terms import LOAD
 from pincal.symmetry.elements import Element, Isometry, wrapped
 from pincal.types import Array
+from pincal.words.numbers import listed
 
 LOCAL_MIRROR = np.diag([1.0, -1.0, 1.0])
 #: Signs of elementary coordinates under the local mirror.
@@ -166,9 +167,6 @@ def _set(value: Value, target: float, new: dict[str, float]) -> Value:
     return target
 
 
-_STEP = 1e-3  # [m] or [rad], by which a parameter is moved to see where it goes
-
-
 def carry(leg: Leg, element: Element, name: str, point: str) -> Leg:
     """Return a leg carried by an element, in canonical form, under new names.
 
@@ -176,15 +174,14 @@ def carry(leg: Leg, element: Element, name: str, point: str) -> Leg:
     leg a reflection mirrors geometry.
 
     Raises:
-        SymmetryError: a placement whose coordinates cannot express the carried leg, or in which a
-            parameter that deforms is another one after.
+        SymmetryError: a placement whose coordinates cannot express the carried leg, or parameters
+            that have terms.
     """
-    moved = _moved(leg, element, name, point)
-    return canonical(_turned_terms(leg, element, moved) if leg.terms else moved)
-
-
-def _moved(leg: Leg, element: Element, name: str, point: str) -> Leg:
-    """Return a leg carried by an element, amplitudes of its terms as they were."""
+    if varying := [parameter for parameter, term in leg.terms if term.of != LOAD]:
+        raise SymmetryError(
+            f"{leg.name}: {listed(varying)} have terms, of which the {element} may make others; "
+            "carry the leg without them, and give them to the legs that it becomes"
+        )
     old, new = leg.nominal_by_name, dict(leg.parameters)
     local = LOCAL_MIRROR if element.reflection else np.eye(3)
     joints = []
@@ -194,9 +191,7 @@ def _moved(leg: Leg, element: Element, name: str, point: str) -> Leg:
         constant = p.rest(old, context).copy()
         if index == 0 or joint is leg.point:
             isometry = element.platform if joint is leg.point else element.base
-            keeps_turn = (
-                joint is leg.point and leg.closes == "point"
-            )  # a point's frame has no meaning
+            keeps_turn = joint is leg.point and leg.closes == "point"  # its frame has no meaning
             placement = on_body(
                 p, isometry, constant, keeps_turn, (old, new), f"{context}: the {element}"
             )
@@ -208,53 +203,18 @@ def _moved(leg: Leg, element: Element, name: str, point: str) -> Leg:
             constant[:3, 3] = local @ constant[:3, 3]
             placement = Placement(coordinates).at(new, constant)
         axis = local @ np.array(joint.axis)
-        if joint.kind == "revolute":
-            axis = axis * (-1.0 if element.reflection else 1.0)
+        if joint.kind == "revolute" and element.reflection:
+            axis = -axis
         joints.append(replace(joint, placement=placement, axis=_triple(axis)))
-    return replace(
-        leg,
-        name=name,
-        joints=tuple(joints[:-1]),
-        point=replace(joints[-1], name=point),
-        parameters=tuple(new.items()),
-    )
-
-
-def _turned_terms(leg: Leg, element: Element, moved: Leg) -> Leg:
-    """Return a carried leg with amplitudes that turn over where their parameters do.
-
-    How a parameter follows is seen by carrying the leg with another value of it.
-    """
-    names, sides = [*leg.placed], {}
-    base = np.array([moved.nominal_by_name[name] for name in names])
-    for place, name in enumerate(names):
-        if name not in leg.deformed:
-            continue
-        varied = leg.with_parameters({name: leg.nominal_by_name[name] + _STEP})
-        values_after = _moved(varied, element, moved.name, moved.point.name).nominal_by_name
-        change = np.array([values_after[parameter] for parameter in names]) - base
-        turned = [wrapped(float(value)) for value in change]
-        change = (
-            np.where([leg.placed[parameter] == "rad" for parameter in names], turned, change)
-            / _STEP
+    return canonical(
+        replace(
+            leg,
+            name=name,
+            joints=tuple(joints[:-1]),
+            point=replace(joints[-1], name=point),
+            parameters=tuple(new.items()),
         )
-        sides[name] = float(np.round(change[place]))
-        change[place] -= sides[name]
-        if abs(sides[name]) != 1.0 or np.abs(change).max() > ALIKE:
-            raise SymmetryError(
-                f"{leg.name}: {name!r} has terms, and the {element} makes another direction of it; "
-                "give the point by polar or spherical coordinates"
-            )
-    values, factors = moved.nominal_by_name, dict[str, float]()
-    for name, term in leg.terms:
-        side = 1.0 if term.of == LOAD else sides[name]  # loads turn over themselves
-        if factors.setdefault(term.parameter, side) != side:
-            raise SymmetryError(
-                f"{leg.name}: the {element} turns over some of the parameters that share the "
-                f"amplitude {term.parameter!r}, not all; give each an amplitude of its own"
-            )
-    new = {name: 0.0 + side * values[name] for name, side in factors.items()}
-    return moved.with_parameters(new)
+    )
 
 
 def canonical(leg: Leg) -> Leg:

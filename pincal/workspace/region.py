@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -119,44 +118,25 @@ class PositionTest:
         return decided != self.every
 
 
-def keep_side(
-    mechanism: Mechanism, group: tuple[Element, ...], least: Margins
-) -> tuple[Element, ...]:
-    """Return the elements that keep home on its side of type-2 singularities.
+def usable(group: tuple[Element, ...], grid: Grid, test: PositionTest) -> tuple[Element, ...]:
+    """Return the elements of a group that map what is asked onto itself, positions that count too.
 
-    An element that permutes legs oddly turns the determinant's sign over, which the margin
-    looks at, unless home is where it was.
+    An element that permutes legs oddly turns the determinant's sign over, which the margin from
+    type-2 singularities looks at, unless home is where it was.
     """
-    platform = mechanism.platform
-    if least.least_type2(mechanism) == -np.inf:
-        return group
-    home = np.array([platform.home])
-    images = np.concatenate([element.poses(platform, home) for element in group])
-    with np.errstate(invalid="ignore"):
-        same = margins(mechanism, images).type2 > 0.0
-    return tuple(element for element, ok in zip(group, same, strict=True) if ok)
-
-
-def usable(
-    group: tuple[Element, ...], grid: Grid, orientations: Orientations
-) -> tuple[Element, ...]:
-    """Return the elements of a group that map positions and orientations onto themselves.
-
-    Raises:
-        WorkspaceError: they are no group, so that orbits would not be what they stand for.
-    """
-    turns, mapping = orientations.rotations.as_matrix(), []
+    mechanism, turns = test.mechanism, test.orientations.rotations.as_matrix()
+    home, elements = np.array([mechanism.platform.home]), []
     for element in group:
         move = element.positions(turns)
-        if move is not None and orientations.maps(element) and grid.carrier(move):
-            mapping.append(element)
-    for first, second in product(mapping, mapping):
-        if not any(first.after(second).equals(element) for element in mapping):
-            raise WorkspaceError(
-                f"the elements that map these positions onto themselves are no group: {first} "
-                f"after {second} is missing. Compute all positions (symmetry=False, --no-symmetry)"
-            )
-    return tuple(mapping)
+        if move is None or not test.orientations.maps(element) or not grid.carrier(move):
+            continue
+        if test.least.least_type2(mechanism) > -np.inf:
+            with np.errstate(invalid="ignore"):
+                image = margins(mechanism, element.poses(mechanism.platform, home))
+                if not image.type2[0] > 0.0:
+                    continue
+        elements.append(element)
+    return tuple(elements)
 
 
 def moves_of(elements: tuple[Element, ...], orientations: Orientations) -> tuple[Isometry, ...]:
@@ -272,16 +252,6 @@ class Workspace:
         for begin, end in blocks(len(self.inside)):
             yield begin + np.flatnonzero(self.inside[begin:end])
 
-    def __str__(self) -> str:
-        """Return a short page: the workspace, and what it was asked of."""
-        lines = [repr(self), f"  orientations asked: {len(self.test.orientations)}"]
-        lines.append(f"  positions computed: {self.computed:,}, the others by symmetry")
-        if self.cut:
-            lines.append("  it reaches the edge of the grid: there may be more outside")
-        if self.apart:
-            lines.append(f"  not connected with home on this grid: {self.apart:,} positions")
-        return "\n".join(lines)
-
     @property
     def size(self) -> str:
         """Its measure to the digits that are known, with the unit."""
@@ -344,12 +314,10 @@ def compute_workspace(
     refuse_readings(mechanism)
     least = as_margins(least)
     group = symmetry_group(mechanism, ROUNDING, readings=False).elements
-    elements: tuple[Element, ...] = (IDENTITY,)
-    if how.symmetry:
-        elements = usable(keep_side(mechanism, group, least), grid, orientations)
+    test = PositionTest(mechanism, orientations, kind != "reachable", least)
+    elements = usable(group, grid, test) if how.symmetry else (IDENTITY,)
     unused = tuple(e for e in group if e not in elements)
     lowest_of = representatives(grid, moves_of(elements, orientations))
-    test = PositionTest(mechanism, orientations, kind != "reachable", least)
     size = max(1, min(BLOCK, (_CHUNK if test.in_closed_form else BLOCK) // len(orientations)))
     inside, computed = np.zeros(grid.size, dtype=bool), 0
     for begin, end in blocks(grid.size, size):
