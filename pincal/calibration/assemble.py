@@ -298,13 +298,12 @@ def _residuals(
 
     At rows that count. Of measured quantities of the platform nothing where poses are as measured.
     """
-    legs = {}
+    legs, observed = {}, list[ResidualGroup]()
     for fit in fits.fits:
         residuals, shares = redundancy(fit)
-        problem, kept = fit.problem, fit.weights > 0.0
-        for index, (leg, after) in enumerate(zip(problem.legs, residuals, strict=True)):
-            before = leg_residuals(problem, fit.first, index).value
-            counted = problem.leg_block.used[:, index] & kept
+        for index, (leg, after) in enumerate(zip(fit.problem.legs, residuals, strict=True)):
+            before = leg_residuals(fit.problem, fit.first, index).value
+            counted = fit.problem.leg_block.used[:, index] & (fit.weights > 0.0)
             rank, condition = fit.ranks[index]
             legs[leg.name] = LegResult(
                 name=leg.name,
@@ -315,19 +314,22 @@ def _residuals(
                 condition=condition,
                 **_columns(fit, counted, before, after.value, after.sigma, shares[index]),
             )
-    in_order = tuple(legs[name] for name in fits.calibration.mechanism.leg_names)
-    if not fits.latent:
-        return in_order, ()
-    observed, observation = [], problem.observation
-    n_legs = problem.leg_block.n_rows
-    first, last = (linear.conditions[:, n_legs:] for linear in (fit.first, fit.last))
+        if fits.latent:
+            observed = _of_platform(fit, shares[-1])
+    return tuple(legs[name] for name in fits.calibration.mechanism.leg_names), tuple(observed)
+
+
+def _of_platform(fit: Fit, shares: Array) -> list[ResidualGroup]:
+    """Return what is left of what was measured of the platform; redundancies are (N, r)."""
+    observation, n_legs = fit.problem.observation, fit.problem.leg_block.n_rows
+    before, after = (linear.conditions[:, n_legs:] for linear in (fit.first, fit.last))
+    groups = []
     for column, (name, unit) in enumerate(zip(observation.names, observation.units, strict=True)):
-        counted = observation.measured[:, column] & kept
+        counted = observation.measured[:, column] & (fit.weights > 0.0)
         if counted.any():
-            parts = (part[:, column] for part in (first, last, observation.sigma, shares[-1]))
-            columns = _columns(fit, counted, *parts)
-            observed.append(ResidualGroup(name=name, quantity=name, unit=unit, **columns))
-    return in_order, tuple(observed)
+            parts = (part[:, column] for part in (before, after, observation.sigma, shares))
+            groups.append(ResidualGroup(name, name, unit, **_columns(fit, counted, *parts)))
+    return groups
 
 
 def _columns(

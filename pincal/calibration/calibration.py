@@ -58,17 +58,10 @@ class Calibration:
         nominal = self.mechanism.parameters.values
         return np.zeros_like(nominal) if self.start is None else self.start - nominal
 
-    @property
-    def parameter_legs(self) -> Index:
-        """The leg of each parameter, by its place in the mechanism, shape (n_params,)."""
-        sizes = [len(leg.parameters) for leg in self.mechanism.legs]
-        return np.repeat(np.arange(len(sizes)), sizes)
-
     def identified(self, parameters: Array) -> Mechanism:
         """Return the mechanism with parameters of all legs, shape (n_params,)."""
-        starts = np.flatnonzero(np.diff(self.parameter_legs)) + 1
-        by_leg = zip(self.mechanism.leg_names, np.split(parameters, starts), strict=True)
-        return self.mechanism.with_parameters(dict(by_leg))
+        by_id = zip(self.mechanism.parameters.ids, parameters.tolist(), strict=True)
+        return self.mechanism.with_parameters(dict(by_id))
 
     @cached_property
     def noise(self) -> NoiseModel:

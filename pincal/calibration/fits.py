@@ -98,9 +98,11 @@ class Fits:
         """Places of the unknowns of each fit among those of all legs, then external ones."""
         if self.latent:
             return [np.arange(len(self.fits[0].unknowns.labels))]
-        legs, owners = self.calibration.mechanism.leg_names, self.calibration.parameter_legs
-        groups = [[legs.index(leg.name) for leg in fit.problem.legs] for fit in self.fits]
-        return [np.concatenate([np.flatnonzero(owners == i) for i in group]) for group in groups]
+        owners = np.array([p.owner for p in self.calibration.mechanism.parameters])
+        groups = [[leg.name for leg in fit.problem.legs] for fit in self.fits]
+        return [
+            np.concatenate([np.flatnonzero(owners == leg) for leg in group]) for group in groups
+        ]
 
     @property
     def parameters(self) -> Array:
