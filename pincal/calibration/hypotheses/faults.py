@@ -13,9 +13,10 @@ from functools import partial
 from itertools import combinations, product
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 from scipy.spatial.transform import Rotation
 
-from pincal.calibration.hypotheses.judging import Case, Hypothesis
+from pincal.calibration.hypotheses.judging import QUESTIONED, Case, Hypothesis, judge
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import WAYS, columns_of, rotation_of
@@ -59,7 +60,7 @@ def faults(case: Case) -> Iterator[Hypothesis]:
         yield Hypothesis("orientation-inverted", inverted)
         yield Hypothesis("pose-inverted", _posed(platform, _inverted))
     if len(case.mechanism.leg_names) == len(case.mechanism.reading_names):
-        yield from _exchanged(case.mechanism.leg_names)
+        yield from _exchanged(case)
     for shift in _SHIFTS:
         yield Hypothesis("rows-shifted", _read(partial(_shifted, shift=shift)), {"shift": shift})
 
@@ -250,13 +251,31 @@ def _turned(
     return r, rotation_of(way, columns[:, order] * signs).as_matrix()
 
 
-def _exchanged(names: Sequence[str]) -> Iterator[Hypothesis]:
-    """Yield exchanges of two legs, and legs counted from another one, or the other way round."""
+def _exchanged(case: Case) -> Iterator[Hypothesis]:
+    """Yield the order of columns in which the legs fit best, each judged alone.
+
+    In an unknown frame exchanges of two, and legs counted from another one or the other way round.
+    """
+    names = case.mechanism.leg_names
     n = len(names)
     turned = [[*range(k, n), *range(k)] for k in range(n)]
     orders = [_swapped(n, i, j) for i, j in combinations(range(n), 2)]
     orders += [*turned, *(order[::-1] for order in turned)]
+    if case.alone:
+        orders = [_best_order(case, turned)]
     for order in dict.fromkeys(map(tuple, orders)):
         moved = tuple((names[i], names[j]) for i, j in enumerate(order) if i != j)
         if moved:
             yield Hypothesis("legs-exchanged", _ordered(order), {"order": moved})
+
+
+def _best_order(case: Case, turned: Sequence[list[int]]) -> list[int]:
+    """Return the column that each leg fits best, each to one leg; legs stay where they may."""
+    every = np.arange(len(turned))
+    costs = -1e-9 * np.eye(len(turned))
+    tried = [Hypothesis("legs-exchanged", _ordered(order)) for order in turned]
+    for order, judged in zip(turned, judge(case, tried), strict=True):
+        near = [judged.near(leg) if judged.rows[leg] > 1 else 1.0 for leg in every.tolist()]
+        least = np.where(judged.rows > 1, QUESTIONED * judged.stroke, 0.0)
+        costs[every, order] += np.clip(np.nan_to_num(near, nan=1.0), least, 1.0)
+    return linear_sum_assignment(costs)[1].tolist()
