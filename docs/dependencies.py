@@ -24,7 +24,9 @@ WHY = {
     "cattrs": "results as plain data and back, bit for bit (`load_result`)",
     "jinja2": "pages (reports, tables, notebooks) from templates that escape what people's files "
     "hold",
-    "yourdfpy": "second reader of the URDFs that pincal writes (tests)",
+    "yourdfpy": "second reader of the URDFs that pincal writes (tests); meshes for `pincal view`",
+    "trimesh": "meshes of people's URDFs (STL, DAE, OBJ) in `pincal view --meshes`; yourdfpy needs "
+    "it, and its reader of DAE, too",
     "PyYAML": "mechanism files, scanned by the libyaml in its wheels",
     "typer": "command line",
     "rich": "tables and progress",

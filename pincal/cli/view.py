@@ -124,6 +124,9 @@ class PageOptions:
         None, "Cloud of positions, from 'pincal workspace'.", metavar="CSV"
     )
     html: Path | None = option(None, "Write one file that opens anywhere, offline.", metavar="FILE")
+    meshes: Path | None = option(
+        None, "Your URDF: an arm's links as its meshes show them.", metavar="URDF"
+    )
     open: bool = option(True, "Print the address, open no browser.")
     force: bool = option(False, FORCE)
 
@@ -151,6 +154,8 @@ def view(mech: Mech, options: PageOptions, shown: Shown = None, magnify: Magnify
         page = make_view(**arguments, source=shown.name if shown else "")
         if result is not None:
             page = page.with_result(result)
+        if options.meshes is not None:
+            page = page.with_meshes(options.meshes)
         page.html()
     _say_unreached(page.scene)
     if options.html is not None:
@@ -220,7 +225,8 @@ def plot(
     """Draw a figure of a calibration.
 
     170 mm wide, letters of 7 to 9 points. residuals: by row; images: over those of cameras;
-    parameters: what their changes move the platform by; error_map: expected error over x and y.
+    parameters: what their changes move the platform by; error_map: expected error over x and y;
+    bed: z over a printer's bed.
     """
     calibrated = load_result(result)
     refuse_existing(picture_path(output), force=force)

@@ -16,6 +16,7 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
 from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import MaxNLocator
 
@@ -25,7 +26,7 @@ from pincal.design.platform_error import without_frames
 from pincal.errors import MeasurementError
 from pincal.kinematics.configurations import legs_at
 from pincal.model.setup import Image, image_of
-from pincal.show.misses import error_map, noisy_residuals
+from pincal.show.misses import bed_map, error_map, noisy_residuals
 from pincal.show.pictures.picture import shortened
 from pincal.show.style import EVERY, IDENTIFIED, INK, NOMINAL, OUTLIER, look
 from pincal.show.view.scene import rounded_down
@@ -71,6 +72,10 @@ CAPTIONS = {
         4.2,
         "Error of the platform's position to expect after the calibration over the workspace "
         "(standard error); the other coordinates are as at home. White: not in the workspace.",
+    ),
+    "bed": (
+        4.2,
+        "Bed map: by how much z is off over the bed with the nominal model, at the height of home.",
     ),
 }
 
@@ -223,24 +228,48 @@ class Plots:
             WorkspaceError: no workspace was found with the default margins.
         """
         x, y, height, errors = error_map(self.result)
-        if not np.isfinite(errors).any():
-            raise MeasurementError("no error of the platform is determined over x and y")
-        x, y, errors = per_si("m", STORED) * x, per_si("m", STORED) * y, per_si("m") * errors
-        half_x, half_y = (x[1] - x[0]) / 2, (y[1] - y[0]) / 2
-        extent = (x[0] - half_x, x[-1] + half_x, y[0] - half_y, y[-1] + half_y)
-        image = ax.imshow(errors, origin="lower", extent=extent, cmap=_LIGHT)
-        levels, digits = _round_levels(errors[np.isfinite(errors)])
-        if levels.size:
-            lines = ax.contour(
-                x, y, np.ma.masked_invalid(errors), levels, colors="#101010", linewidths=0.7
-            )
-            for text in ax.clabel(lines, fmt=f"%.{digits}f", fontsize=7):
-                text.set_bbox(_PLATE)
-        ax.figure.colorbar(image, ax=ax, label=f"expected error of position [{SMALL['m']}]")
+        _draw_map(ax, x, y, errors, f"expected error of position [{SMALL['m']}]")
         if height is not None:
             ax.set_title(minus(f"z = {amount(height, 'm', 3, STORED)}"))
-        ax.set(xlabel=f"x [{STORED['m']}]", ylabel=f"y [{STORED['m']}]")
         return ax
+
+    @_chart(5.0, 4.2)
+    def bed(self, ax: Axes) -> Axes:
+        """Draw by how much the nominal model misses z over the bed of a printer.
+
+        At home's height, at which printers probe. Where frames were fixed by choice, less what
+        motions of these explain.
+
+        Raises:
+            WorkspaceError: a machine without x, y and z, or no workspace at that height.
+        """
+        x, y, heights = bed_map(self.result)
+        image = _draw_map(ax, x, y, heights, f"z, true less commanded [{SMALL['m']}]")
+        largest = per_si("m") * float(np.nanmax(np.abs(heights)))
+        image.set(cmap="RdBu_r", clim=(-largest, largest))
+        return ax
+
+
+def _draw_map(axes: Axes, x: Array, y: Array, values: Array, name: str) -> AxesImage:
+    """Draw values [m] over x and y, shape (n_y, n_x), with lines of equal value."""
+    x, y, values = per_si("m", STORED) * x, per_si("m", STORED) * y, per_si("m") * values
+    half_x, half_y = (x[1] - x[0]) / 2, (y[1] - y[0]) / 2
+    extent = (x[0] - half_x, x[-1] + half_x, y[0] - half_y, y[-1] + half_y)
+    image = axes.imshow(values, origin="lower", extent=extent, cmap=_LIGHT)
+    low, high = np.nanquantile(values, (0.05, 0.95))
+    ticks = MaxNLocator(3, steps=[1, 2, 5, 10]).tick_values(low, high)
+    digits = max(0, int(np.ceil(-np.log10(ticks[1] - ticks[0]) - 1e-9)))
+    levels = ticks[(ticks > low) & (ticks < high)].round(digits) + 0.0  # no -0
+    if levels.size:
+        style: dict[str, Any] = {"colors": "#101010", "linewidths": 0.7}
+        masked = np.ma.masked_invalid(values)
+        lines = axes.contour(x, y, masked, levels, negative_linestyles="solid", **style)
+        numbers = {level: minus(f"{level:.{digits}f}") for level in levels}
+        for text in axes.clabel(lines, fmt=numbers, fontsize=7):
+            text.set_bbox(_PLATE)
+    axes.figure.colorbar(image, ax=axes, label=name)
+    axes.set(xlabel=f"x [{STORED['m']}]", ylabel=f"y [{STORED['m']}]")
+    return image
 
 
 def _mark_outliers(axes: Axes, result: CalibrationResult) -> None:
@@ -295,14 +324,6 @@ def _name_undrawn(axes: Axes, result: CalibrationResult) -> None:
     )
     if unchecked:
         axes.set_title(f"{unchecked} not drawn: the fit follows them", fontsize=8)
-
-
-def _round_levels(known: Array) -> tuple[Array, int]:
-    """Return up to four round values among others, and how many decimal places they have."""
-    low, high = np.quantile(known, (0.05, 0.95))
-    ticks = MaxNLocator(3, steps=[1, 2, 5, 10]).tick_values(low, high)
-    digits = max(0, int(np.ceil(-np.log10(ticks[1] - ticks[0]) - 1e-9)))
-    return ticks[(ticks > low) & (ticks < high)].round(digits), digits
 
 
 def _height(axes: Axes) -> float:

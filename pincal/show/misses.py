@@ -19,7 +19,7 @@ from pincal.errors import MeasurementError, WorkspaceError
 from pincal.finding import Finding
 from pincal.kinematics.configurations import as_plan
 from pincal.model.measurements import Plan
-from pincal.types import Array
+from pincal.types import Array, Mask
 from pincal.words.numbers import percent
 from pincal.words.sentences import finding
 from pincal.workspace.criteria import in_workspace
@@ -131,14 +131,23 @@ def errors_at(
     within = expected.within
     if not within.all():  # frames are those of other poses, the region is the same
         inside = replace(result.expected_error(plan.rows(within)), outside=expected.outside[within])
+    moved, units = _apart(result, plan)
+    return WorkspaceErrors(plan.poses, sizes(units, moved), expected, inside, sampled)
+
+
+def _apart(result: CalibrationResult, plan: Plan) -> tuple[Array, tuple[str, ...]]:
+    """Return where the identified machine goes less where the nominal one sends it, and units.
+
+    What is seen of it, as in ``expected_error``, shape (N, r), frames apart; NaN out of reach.
+    """
     twists = platform_errors(result.begun, result.identified, plan)
     reached = np.isfinite(twists).all(axis=1)
     seen, units = seen_of(
         result.identified, plan.poses[reached], twists[reached, :, None], seen_by(result)
     )
-    before = np.full((len(twists), 2), np.nan)
-    before[reached] = sizes(units, seen[:, :, 0])
-    return WorkspaceErrors(plan.poses, before, expected, inside, sampled)
+    apart = np.full((len(twists), len(units)), np.nan)
+    apart[reached] = seen[:, :, 0]
+    return apart, units
 
 
 def error_map(result: CalibrationResult) -> tuple[Array, Array, float | None, Array]:
@@ -155,11 +164,40 @@ def error_map(result: CalibrationResult) -> tuple[Array, Array, float | None, Ar
             determined.
         WorkspaceError: no workspace was found, or it fills no plane.
     """
-    nominal, platform = result.nominal, result.nominal.platform
     if not result.explained:
         raise MeasurementError(
             "no map: no accuracy can be promised, since residuals are far larger than the noise"
         )
+    x, y, height, poses, inside = _level(result)
+    errors = np.full(inside.shape, np.nan)
+    errors[inside] = result.expected_error(poses[inside]).sizes[:, 0]
+    errors[~np.isfinite(errors)] = np.nan
+    if np.isnan(errors).all():
+        raise MeasurementError("no map: the platform's position is not determined anywhere")
+    return x, y, height, errors
+
+
+def bed_map(result: CalibrationResult) -> tuple[Array, Array, Array]:
+    """Return by how much the nominal model misses z over a bed: x, y, values as of ``error_map``.
+
+    True less commanded, at home's height, at which printers probe.
+
+    Raises:
+        WorkspaceError: a machine without x, y and z, or no workspace at that height.
+    """
+    if result.nominal.platform.coordinates[:3] != ("x", "y", "z"):
+        raise WorkspaceError("no map: a bed needs a platform that moves in x, y and z")
+    x, y, _, poses, inside = _level(result, at_home=True)
+    heights = np.full(inside.shape, np.nan)
+    heights[inside] = _apart(result, Plan(poses[inside]))[0][:, 2]
+    return x, y, heights
+
+
+def _level(
+    result: CalibrationResult, *, at_home: bool = False
+) -> tuple[Array, Array, float | None, Array, Mask]:
+    """Return x, y, z, poses of their grid, shape (n, n, dof), and which are in the workspace."""
+    nominal, platform = result.nominal, result.nominal.platform
     if nominal.by_readings:
         raise WorkspaceError("no map: its poses follow from readings, and do not fill a plane")
     if platform.coordinates[:2] != ("x", "y"):
@@ -167,18 +205,12 @@ def error_map(result: CalibrationResult) -> tuple[Array, Array, float | None, Ar
     samples = sample_configurations(nominal, _SAMPLES).poses
     count, height = _ACROSS[platform.space], None
     x, y = np.linspace(samples.min(axis=0)[:2], samples.max(axis=0)[:2], count, axis=1)
-    grid = np.tile(platform.home, (count, count, 1))
-    grid[..., 0], grid[..., 1] = x, y[:, None]
+    poses = np.tile(platform.home, (count, count, 1))
+    poses[..., 0], poses[..., 1] = x, y[:, None]
     if platform.coordinates[2:3] == ("z",):
-        height = float(np.median(samples[:, 2]))
-        grid[..., 2] = height
-    poses = grid.reshape(-1, platform.dof)
-    inside = in_workspace(nominal, poses)
+        height = platform.home[2] if at_home else float(np.median(samples[:, 2]))
+        poses[..., 2] = height
+    inside = in_workspace(nominal, poses.reshape(-1, platform.dof)).reshape(count, count)
     if not inside.any():
         raise WorkspaceError("no map: no workspace was found with the default margins")
-    errors = np.full(len(poses), np.nan)
-    errors[inside] = result.expected_error(poses[inside]).sizes[:, 0]
-    errors[~np.isfinite(errors)] = np.nan
-    if np.isnan(errors).all():
-        raise MeasurementError("no map: the platform's position is not determined anywhere")
-    return x, y, height, errors.reshape(count, count)
+    return x, y, height, poses, inside

@@ -153,6 +153,7 @@ def _sections(report: Report) -> list[tuple[Any, ...]]:
             "platform",
             "Error of the platform",
             _chart(result, "error_map"),
+            _chart(result, "bed") if result.nominal.platform.kind == "translational" else None,
             [f"{capital(line)}." for line in answers.platform_lines(result, errors)],
         ),
         reproduction,

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from lxml import etree
+from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
@@ -30,7 +31,7 @@ _FLAT = 1e-6  # of what is a plane's size
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """A box, cylinder (along z) or sphere on a link, or the hull of points."""
+    """A box, cylinder (along z) or sphere on a link, the hull of points, or a mesh."""
 
     kind: str
     size: tuple[float, ...]
@@ -40,7 +41,9 @@ class Shape:
     colour: str
     """``"#rrggbb"``."""
     points: Array | None = None
-    """Of a hull, shape (n, 3), [m]."""
+    """Of a hull, or corners of a mesh, shape (n, 3), [m]."""
+    faces: NDArray[np.int64] | None = None
+    """Corners of a mesh's triangles, shape (m, 3)."""
 
 
 def rod(begin: Array, end: Array, radius: float, colour: str) -> Shape:

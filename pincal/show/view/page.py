@@ -281,5 +281,6 @@ def _geometry(shape: Shape) -> Any:
         return g.Cylinder(length, radius)
     if shape.points is None:
         return g.Sphere(*shape.size)
-    corners = shape.points[ConvexHull(shape.points).simplices].reshape(-1, 3)
+    faces = ConvexHull(shape.points).simplices if shape.faces is None else shape.faces
+    corners = shape.points[faces].reshape(-1, 3)
     return g.TriangularMeshGeometry(corners, np.arange(len(corners)).reshape(-1, 3))

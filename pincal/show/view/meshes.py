@@ -1,0 +1,109 @@
+"""Links of a mechanism as the meshes (STL, DAE, OBJ) of the URDF that it was read from."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+import yourdfpy
+from numpy.typing import NDArray
+
+from pincal.errors import FileError
+from pincal.files.text import read_xml
+from pincal.kinematics.readers import check_mesh
+from pincal.model.mechanism import Mechanism
+from pincal.show.view.bodies import Body, Shape
+from pincal.types import Array
+
+METAL = "#aab1ba"
+#: Triangles of a link, at most about; cells along it into which corners are gathered.
+MOST_FACES, _CELLS = 3000, (60, 45, 32, 22, 15)
+
+
+def with_meshes(body: Body, mechanism: Mechanism, urdf: str | Path) -> Body:
+    """Return a body whose links look as a URDF's visuals do, where it has them as meshes.
+
+    Args:
+        body: Of the mechanism.
+        mechanism: Its legs' joints have the URDF's names.
+        urdf: The file; ``package://`` is looked for in the folders above it.
+
+    Raises:
+        FileError: the URDF or a mesh is missing or cannot be read, or moves no link of the
+            mechanism.
+        MechanismError: not a well-formed URDF.
+    """
+    path = Path(urdf)
+    read_xml(path, "robot")  # yourdfpy repairs what is broken
+    robot = yourdfpy.URDF.load(path, load_meshes=False, build_scene_graph=False).robot
+    shapes = {
+        link.name: tuple(_mesh(path, v) for v in link.visuals if v.geometry.mesh is not None)
+        for link in robot.links
+    }
+    joints, paths = {joint.name: joint for joint in robot.joints}, list(body.parts)
+    parts, found = dict(body.parts), False
+    for number, (leg, chain) in enumerate(zip(mechanism.legs, body.chains, strict=True), 1):
+        pairs = zip(chain, leg.joints, strict=True)
+        links = [(paths[place], joint.name, "child") for place, joint in pairs]
+        for part, name, end in [(f"leg {number}/base", leg.joints[0].name, "parent"), *links]:
+            meshes = shapes.get(getattr(joints.get(name), end, ""), ())
+            parts[part] = meshes or parts[part]
+            found = found or bool(meshes and end == "child")
+    if not found:
+        raise FileError(
+            f"{urdf}: no joint of {mechanism.name!r} moves a link with a mesh; expected the URDF "
+            "that the mechanism was read from"
+        )
+    hub, *_, x, y, z = parts["platform/body"]
+    parts["platform/body"] = (hub, x, y, z)  # the last link is the platform
+    return replace(body, parts=parts)
+
+
+def _mesh(path: Path, visual: Any) -> Shape:
+    """Return a visual as triangles, in its link's frame."""
+    source = visual.geometry.mesh
+    file = _mesh_path(path, source.filename)
+    try:
+        mesh: Any = trimesh.load(file, force="mesh", process=False)
+    except Exception as error:  # whatever readers of meshes raise
+        raise FileError(f"{file}: a mesh that cannot be read: {error}") from error
+    check_mesh(file, np.asarray(getattr(mesh, "vertices", ())), len(getattr(mesh, "faces", ())))
+    mesh.process()  # corners that several triangles share become one
+    scale = np.ones(3) if source.scale is None else np.broadcast_to(source.scale, 3)
+    corners, faces = coarser(np.asarray(mesh.vertices) * scale, np.asarray(mesh.faces))
+    T = np.eye(4) if visual.origin is None else np.asarray(visual.origin, dtype=np.float64)
+    return Shape("mesh", (), T, METAL, corners, faces)
+
+
+def _mesh_path(path: Path, name: str) -> Path:
+    """Return the file of a mesh: beside the URDF, or in a package in a folder above it."""
+    scheme, _, bare = name.removeprefix("file://").rpartition("://")
+    candidates = [path.parent / bare]
+    if scheme:
+        inside = [Path(bare), Path(*Path(bare).parts[1:])]
+        candidates = [folder / part for folder in path.resolve().parents for part in inside]
+    for candidate in candidates:
+        if candidate.is_file():
+            return candidate
+    raise FileError(f"{path}: its mesh {name} is not found beside it, nor in a folder above it")
+
+
+def coarser(corners: Array, faces: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
+    """Return a mesh of fewer triangles, corners (n, 3) in one cell of a grid become their mean."""
+    means, fewer = corners, faces
+    for cells in _CELLS:
+        if len(fewer) <= MOST_FACES:
+            break
+        cell = np.floor((corners - corners.min(axis=0)) / np.ptp(corners, axis=0).max() * cells)
+        _, group = np.unique(cell, axis=0, return_inverse=True)
+        group = group.ravel()
+        means = np.stack([np.bincount(group, axis) for axis in corners.T], axis=1)
+        means /= np.bincount(group)[:, None]
+        fewer = group[faces]
+        fewer = fewer[(np.diff(np.sort(fewer, axis=1), axis=1) > 0).all(axis=1)]
+        _, first = np.unique(np.sort(fewer, axis=1), axis=0, return_index=True)
+        fewer = fewer[np.sort(first)]
+    return means, fewer
