@@ -25,9 +25,8 @@ _POOL = 200  # candidates that swaps come from, at least; by as many the pool gr
 _POOL_PER_CHOSEN = 4  # candidates in the pool for each of a set, at least
 _RANDOM = 50  # further candidates in the pool, drawn from all
 _TURNS = 100  # visits of each place of a set between two looks at all candidates, at most
-_FAILED = 2  # looks in a row that find nothing better: it ends
 _GAIN = 1e-9  # least gain of a swap
-_WEIGHTED = (0.98, 0.8)  # share of priority by which the first and the last start are drawn
+_WEIGHTED = (0.97, 0.75)  # share of priority by which the first and the last start are drawn
 
 
 def best_choice(
@@ -89,23 +88,20 @@ def exchange(
     size = max(_POOL, _POOL_PER_CHOSEN * count)
     drawn = rng.integers(total, size=_RANDOM)
     pool = np.union1d(largest(priority, size), drawn)
-    best, value, near, failed = np.arange(0), -np.inf, priority[pool], 0
-    while failed < _FAILED:
+    best, value, near = np.arange(0), -np.inf, priority[pool]
+    while True:
         parts = tuple(part[pool] for part in rows)
         sets = np.sort(_swapped(parts, _starts(near, count, rng, starts), criterion), axis=1)
         values = [criterion.value(tuple(part[members] for part in parts)) for members in sets]
         first = int(np.argmax(values))
         if not values[first] > value + _GAIN:
-            failed += 1
-            continue
-        failed = 0
+            return best, value
         best, value = pool[sets[first]], values[first]
         roots = [_inverse_roots(part, sets[first][None]) for part in parts]
         slopes = gradient(rows, tuple(root[0] @ criterion.direction(root)[0] for root in roots))
         better = np.flatnonzero(slopes > slopes[best].min())
         pool = np.union1d(pool, better[largest(slopes[better], size)])
         near = np.isin(pool, best).astype(float)
-    return best, value
 
 
 def _starts(priority: Array, count: int, rng: np.random.Generator, starts: int) -> Index:

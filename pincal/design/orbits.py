@@ -7,7 +7,6 @@ alike, under any offset of a sensor, whose columns M mixes.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from functools import lru_cache
 
@@ -59,14 +58,21 @@ def _originals(platform: Platform, poses: Poses, readings: Array | None = None) 
         parts[place] = part / max(np.ptp(part, axis=0).max(), ALIKE * size) if size else part
     places = np.concatenate(parts, axis=1)
     along = places @ np.random.default_rng(0).uniform(-1.0, 1.0, places.shape[1])
-    order, originals = np.argsort(along, kind="stable"), np.arange(len(places))
-    breaks = np.flatnonzero(np.diff(along[order]) > ALIKE * places.shape[1]) + 1
-    for begin, end in itertools.pairwise((0, *breaks.tolist(), len(places))):
-        rows = np.sort(order[begin:end])
-        while len(rows) > 1:
-            alike = np.abs(places[rows] - places[rows[0]]).max(axis=1) <= ALIKE
-            originals[rows[alike]] = rows[0]
-            rows = rows[~alike]
+    order, originals, apart = np.argsort(along, kind="stable"), np.arange(len(places)), 1
+    while apart < len(order):
+        pairs = np.stack((order[:-apart], order[apart:]))
+        pairs = pairs[:, along[pairs[1]] - along[pairs[0]] <= ALIKE * places.shape[1]]
+        if not pairs.size:
+            break
+        alike = np.abs(places[pairs[0]] - places[pairs[1]]).max(axis=1) <= ALIKE
+        if not alike.any():
+            apart += 1
+            continue
+        copies = pairs[:, alike].max(axis=0)
+        originals[copies] = pairs[:, alike].min(axis=0)
+        order, apart = order[~np.isin(order, copies)], 1
+    while (originals[originals] != originals).any():  # copies of copies
+        originals = originals[originals]
     return originals
 
 
