@@ -111,10 +111,10 @@ class Moments:
         (Satterthwaite 1946); the covariance is that of the relative variances, shape (3, 3).
         """
         freedoms = []
-        for P, _, back in self.parts:
-            groups = np.einsum("in,gij,jn->gn", back, P, back)
+        for P, _, by_rows in self.parts:
+            groups = np.einsum("in,gij,jn->gn", by_rows, P, by_rows)
             spread = np.einsum("gn,gh,hn->n", groups, covariance, groups)
-            known = 2.0 * (back**2).sum(axis=0) ** 2 / np.where(spread > 0.0, spread, 1.0)
+            known = 2.0 * (by_rows**2).sum(axis=0) ** 2 / np.where(spread > 0.0, spread, 1.0)
             freedoms.append(np.where(spread > 0.0, known, np.inf))
         return tuple(freedoms)
 
@@ -125,8 +125,8 @@ class Moments:
         the covariance at the estimate is as much too small: 2 Λ (Kenward and Roger 1997).
         """
         return [
-            back.T @ (2.0 * np.einsum("gh,ghij->ij", covariance, rest)) @ back
-            for _, rest, back in self.parts
+            by_rows.T @ (2.0 * np.einsum("gh,ghij->ij", covariance, crossed)) @ by_rows
+            for _, crossed, by_rows in self.parts
         ]
 
 
@@ -206,14 +206,14 @@ def _moments(
     V = np.stack([part[rows] @ part[rows].transpose(0, 2, 1) for part in groups])
     normal = NormalEquations.of(fit.system.triangle(linear, rows.astype(float), white=True))
     Q = normal.orthonormal(linear.jacobian[rows] @ fit.unknowns.map)
-    left = linear.residuals[rows] - Q @ normal.c
+    residuals = linear.residuals[rows] - Q @ normal.c
     VQ = V @ Q
     P = np.stack([over_rows(Q, part) for part in VQ])
     F = np.einsum("gnij,hnij->gh", V, V) + np.einsum("gij,hij->gh", P, P)
     F -= 2.0 * np.einsum("gnmi,hnmi->gh", VQ, VQ)
-    q = np.einsum("nm,gnmk,nk->g", left, V, left, optimize=True)
-    rest = np.stack([[over_rows(a, b) for b in VQ] for a in VQ]) - P[:, None] @ P
-    return F, q, normal.left, levers, (P, rest, normal.orthonormal(fit.unknowns.map).T)
+    q = np.einsum("nm,gnmk,nk->g", residuals, V, residuals, optimize=True)
+    crossed = np.stack([[over_rows(a, b) for b in VQ] for a in VQ]) - P[:, None] @ P
+    return F, q, normal.left, levers, (P, crossed, normal.orthonormal(fit.unknowns.map).T)
 
 
 def _levers(problem: Problem, linear: Linear, by_reading: Array) -> Array:

@@ -122,10 +122,7 @@ def search(
     while current.normal.decrement > _tolerance(system, current, enough):
         if evaluations >= current.limit(system.max_evaluations) or damping > _DAMPING[1]:
             break
-        if system.progress and evaluations % 5 == 0:
-            system.progress(
-                f"step {evaluations}: {np.sqrt(current.cost / len(unused)):.3g} σ a pose"
-            )
+        _report(system, current, evaluations)
         # 1. A damped step of all unknowns; then each pose alone.
         step = current.normal.step(damping)
         trial, count = _reached(system, current, step, fixed_poses)
@@ -202,6 +199,13 @@ def adjusted(problem: Problem, linear: Linear) -> Linear:
         back = (by_reading @ noise[:, :, None])[:, :, 0]
         at_adjusted = replace(corrected, conditions=corrected.conditions - back)
     return at_adjusted
+
+
+def _report(system: System, current: Iterate, evaluations: int) -> None:
+    """Say how far a search is, now and then."""
+    if system.progress and evaluations % 5 == 0:
+        deviation = np.sqrt(current.cost / len(current.weights))
+        system.progress(f"step {evaluations}: {deviation:.3g} σ a pose")
 
 
 def _tolerance(system: System, current: Iterate, enough: float) -> float:

@@ -79,7 +79,7 @@ class Slip:
     """What else may have slipped: these rows cannot separate it."""
 
 
-def scores(fit: Fit, again: Mapping[str, Index] | None = None) -> list[Score]:
+def scores(fit: Fit, repeated: Mapping[str, Index] | None = None) -> list[Score]:
     """Return the score tests of a fit, none of them independent of the others.
 
     Also whether what was measured at poses again and again moved with time, by their rows among
@@ -92,16 +92,19 @@ def scores(fit: Fit, again: Mapping[str, Index] | None = None) -> list[Score]:
     moved, axes = _of_frame(fit, errors)
     time = np.linspace(-1.0, 1.0, len(used))[:, None]
     courses = {"order": [time] * len(errors), **_of_readings(fit, used)}
-    asked = [*_asked(errors, n, courses), (LENGTHS, "order", _grown(fit, used) * time[:, None])]
+    tests = [
+        *_course_tests(errors, n, courses),
+        (LENGTHS, "order", _grown(fit, used) * time[:, None]),
+    ]
     if len(axes) > 1:
-        asked.append((FRAME, "order", moved * time[:, None]))
-    chances = residuals.chances([rows for *_, rows in asked]).tolist()
-    pairs = zip(asked, chances, strict=True)
+        tests.append((FRAME, "order", moved * time[:, None]))
+    chances = residuals.chances([rows for *_, rows in tests]).tolist()
+    pairs = zip(tests, chances, strict=True)
     results = [Score(quantity, term, chance) for (quantity, term, _), chance in pairs]
     for name, error in errors.items():
         row, step = residuals.step(error)
         results.append(Score(name, "step", step.p_value, row, -float(step.values[0])))
-        for place, rows in (again or {}).items():
+        for place, rows in (repeated or {}).items():
             at_place, since = np.isin(used, rows), np.zeros((len(used), 1, 1))
             if at_place.sum() > 1:  # the time about its mean, 1 from first to last
                 times = used[at_place]
@@ -112,7 +115,7 @@ def scores(fit: Fit, again: Mapping[str, Index] | None = None) -> list[Score]:
     return results
 
 
-def _asked(
+def _course_tests(
     errors: Mapping[str, Array], n_readings: int, courses: Mapping[str, Sequence[Array]]
 ) -> Iterator[tuple[str, str, Array]]:
     """Yield quantities and courses to ask for, and their white rows, (n_used, m, f).

@@ -151,7 +151,7 @@ class Residuals:
         rows = np.flatnonzero(fit.good)
         return cls(rows, left, fit.Q, fit.normal.left, fit.degrees_of_freedom)
 
-    def seen(self, W: Array) -> tuple[Array, Array, Array]:
+    def projected(self, W: Array) -> tuple[Array, Array, Array]:
         """Return Wᵀ M W, Wᵀ M r and the squared columns of W, of white rows (n_used, m, f)."""
         gram, taken = over_rows(W, W), over_rows(self.Q, W)
         along = over_rows(W, self.left[:, :, None])[:, 0]
@@ -189,7 +189,7 @@ class Residuals:
         C makes M W C orthonormal, shape (f, rank); then (M W C)ᵀ r, shape (rank,), and which errors
         parameters take up in part, shape (f,).
         """
-        information, along, squares = self.seen(W)
+        information, along, squares = self.projected(W)
         lengths = np.sqrt(np.where(squares > 0.0, squares, 1.0))
         s, V = np.linalg.eigh(information / np.outer(lengths, lengths))
         resolved = s > NEGLIGIBLE**2
@@ -226,7 +226,7 @@ class Residuals:
 
         Of each white rows W, shape (n_used, m, f), whose amplitudes are as large as each other.
         """
-        sums = [(np.linalg.eigvalsh(parts[0]), *parts[1:]) for parts in map(self.seen, errors)]
+        sums = [(np.linalg.eigvalsh(parts[0]), *parts[1:]) for parts in map(self.projected, errors)]
         chances = np.ones(len(sums))
         known = [
             place
