@@ -1,7 +1,6 @@
 """Sentences of measurements that cannot be right, and of hypotheses that would explain them.
 
-``FAULTS`` are refused or warned of as they are. What a hypothesis ``says`` follows 'if';
-hypotheses that explain measurements alike are one sentence.
+What a hypothesis ``says`` follows 'if'; those that explain measurements alike are one sentence.
 """
 
 from __future__ import annotations

@@ -1,8 +1,4 @@
-"""Sentences of findings about a calibration: its fit, its rows, its parameters, its freedoms.
-
-Those of measurements that cannot be right are in ``faults``; ``docs/errors.md`` says what codes and
-values mean.
-"""
+"""Sentences of findings about a calibration; ``docs/errors.md`` says what codes and values mean."""
 
 from __future__ import annotations
 

@@ -84,10 +84,10 @@ class Table:
     @property
     def aligned(self) -> tuple[Literal["left", "right"], ...]:
         """On which side each column's cells stand: to the right if there is a number in it."""
-        return tuple(
-            "right" if any(isinstance(_raw(row[i]), int | float) for row in self.rows) else "left"
-            for i in range(len(self.columns))
-        )
+        raw = [[v.value if isinstance(v, Cell) else v for v in row] for row in self.rows]
+        places = range(len(self.columns))
+        numeric = [any(isinstance(row[i], int | float) for row in raw) for i in places]
+        return tuple("right" if number else "left" for number in numeric)
 
     def __html__(self) -> str:
         """Return the table for templates, in a frame that scrolls where the page is too narrow."""
@@ -151,8 +151,3 @@ def _text(value: Value, unit: str, form: str) -> str:
         return "∞"
     shown = shown_in(value, unit) if unit else value
     return rounded(shown, int(form[1:-1])) if form.endswith("g") else f"{shown:{form}}"
-
-
-def _raw(value: Value) -> float | str | None:
-    """Return a value without its looks."""
-    return value.value if isinstance(value, Cell) else value
