@@ -74,8 +74,9 @@ def _read(
     if result.nominal.leg_names != mechanism.leg_names:
         raise MechanismError(f"{shown} is of {result.nominal.name!r}, which has other legs")
     magnified = {} if magnify is None else {"magnify": magnify}
-    arguments = {"identified": result.identified, "poses": result.poses} | magnified
-    return {"mechanism": mechanism, **arguments}, result
+    plan = replace(result.measurements, poses=result.poses)
+    arguments = {"mechanism": mechanism, "identified": result.identified, "poses": plan}
+    return arguments | magnified, result
 
 
 def _plan(table: Path, mechanism: Mechanism) -> Plan:
