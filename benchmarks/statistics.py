@@ -319,11 +319,13 @@ def held_out(sets: int) -> Lines:
     for name, given in (("given", NOISE), ("estimated", None)):
         found = [
             bool(
-                validated(
+                pincal.calibrate(
                     one.nominal,
                     drawn(one, pincal.Noise(5e-5, 5e-5, 2e-5), seed, waves),
                     noise=None if given is None else pincal.Noise(5e-5, 5e-5, 2e-5),
-                ).findings
+                )
+                .validated()
+                .contradictions
             )
             for seed in range(sets)
         ]

@@ -188,7 +188,7 @@ class Validation:
     p_value: float
     """Probability of such a growth, or a larger one, if the model is right."""
     findings: tuple[Finding, ...]
-    """What to know first: what residuals follow, held-out rows that miss by more than expected."""
+    """That held-out rows miss by more than is expected, if they do."""
     targets: tuple[Missed, ...]
     """How far each measured target is missed at held-out rows: mean, root mean square, largest,
     and intervals by a bootstrap of poses."""

@@ -18,7 +18,7 @@ from scipy.special import bdtrc, betaincinv, chdtri
 from pincal.blas import on_one_thread
 from pincal.calibration.assemble import chi2_freedoms, noise_freedoms
 from pincal.calibration.calibration import Calibration
-from pincal.calibration.findings import lacking, rounding
+from pincal.calibration.findings import rounding
 from pincal.calibration.fits import Fits, fitted
 from pincal.calibration.options import FOLDS, By, clusters, folds_of
 from pincal.calibration.promise import UNEXPLAINED, exceeded
@@ -83,12 +83,8 @@ def held_out(
     held = float(np.sqrt(squares / equations / unit))
     expected = float(fit * np.sqrt(1.0 + unknown / equations))
     p_value = least_of_folds(min(chances), fits_of_all.fits, groups, known=known)
-    remarks = []
-    if not rounding(fits_of_all):
-        remarks = lacking(fits_of_all)
-        if p_value < UNLIKELY and fit <= MISSES:
-            worse = finding("held-out-worse", held_out=held, expected=expected, p_value=p_value)
-            remarks.append(worse)
+    worse = finding("held-out-worse", held_out=held, expected=expected, p_value=p_value)
+    is_worse = p_value < UNLIKELY and fit <= MISSES and not rounding(fits_of_all)
     targets = missed(misses_of(calibration.rows(calibration.counts), fits_of_all), misses)
     return Validation(
         folds=count,
@@ -97,7 +93,7 @@ def held_out(
         held_out=held,
         expected=expected,
         p_value=p_value,
-        findings=tuple(remarks),
+        findings=(worse,) if is_worse else (),
         targets=targets,
     )
 
