@@ -40,16 +40,11 @@ class Remedy:
 
     @property
     def works(self) -> bool:
-        """Whether the search converged, nothing contradicts its result, and every row fits."""
+        """Whether the search converged, nothing contradicts it, and every row that counts fits."""
         result = self.result
-        return result is not None and result.converged and result.promises and not self.outlying
-
-    @property
-    def outlying(self) -> bool:
-        """Whether rows that take part do not fit the others."""
-        return self.result is not None and any(
-            outlier.weight > 0.0 for outlier in self.result.outliers
-        )
+        if result is None or not result.converged or not result.promises:
+            return False
+        return all(outlier.weight == 0.0 for outlier in result.outliers)
 
     @property
     def mends(self) -> bool:
@@ -75,9 +70,8 @@ def _stages(calibration: Calibration) -> Iterator[list[Remedy]]:
     origin = replace(setup.targets[ORIGIN], unknown=True)
     framed = replace(setup, unknown_frame=True)
     placed = replace(framed, targets={**setup.targets, ORIGIN: origin})
-    setups = [setup]  # and in which less is known of frame and target
-    setups += [wider for wider in (framed, placed) if wider not in setups]
-    for known in setups:
+    setups = [setup] + [framed] * (framed != setup) + [placed] * (placed != framed)
+    for known in setups:  # the less is known of frame and target
         in_setup = calibration.with_options(setup=known)
         first = _attempt((), in_setup)
         yield [first]
