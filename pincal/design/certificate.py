@@ -161,15 +161,10 @@ def _inverse_root(rows: Array, weights: Array) -> Array:
 
 
 def _interior_point(rows: Parts, weights: Array, criterion: Criterion, gap: float) -> Array:
-    """Return the weights of few candidates that maximise a criterion, by an interior-point method.
+    """Return the best weights of few candidates, from others, by an interior-point method.
 
     Slacks z of gⱼ + zⱼ = d, and wⱼ zⱼ = μ → 0; a step eliminates z, and the multiplier of Σ w = 1.
-
-    Args:
-        rows: Rows of the candidates, shape (s, r, n) for each part.
-        weights: Weights at which it begins, shape (s,).
-        criterion: The criterion.
-        gap: Relative gap at the last look, to a share of which steps go.
+    Steps go to a share of the relative gap at the last look.
     """
     s, degree = len(weights), criterion.degree(sum(part.shape[2] for part in rows))
     gap = max(_WITHIN * gap, 0.1 * TOLERANCE)
@@ -201,15 +196,9 @@ def _inside(values: Array, change: Array) -> float:
 
 
 def derivatives(rows: Parts, weights: Array, criterion: Criterion) -> tuple[Array, Array, Array]:
-    """Return derivatives of a criterion by the weights of few candidates.
+    """Return minus the Hessian by the weights of few candidates, (s, s), gradient and leverages.
 
-    Args:
-        rows: Rows of the candidates, shape (s, r, n) for each part.
-        weights: Shape (s,).
-        criterion: The criterion.
-
-    Returns:
-        Minus the Hessian, shape (s, s), the gradient, shape (s,), and leverages tr Aⱼ M⁻¹ Aⱼᵀ.
+    Leverages are tr Aⱼ M⁻¹ Aⱼᵀ, of rows of shape (s, r, n) for each part and weights (s,).
     """
     s, p = len(weights), criterion.order
     hessian, slopes, leverage = np.zeros((s, s)), np.zeros(s), np.zeros(s)

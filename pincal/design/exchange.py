@@ -122,11 +122,7 @@ def _inverse_roots(rows: Array, sets: Index) -> Array:
 
 
 def _swapped(rows: Parts, sets: Index, criterion: Criterion) -> Index:
-    """Return sets, shape (S, count), that no swap of one of each for another one improves.
-
-    In turns a place is freed in all sets, and what the criterion gains most by comes there. Sets
-    that lack rank are judged beside a ridge.
-    """
+    """Return sets (S, count) improved in turns at each place: what gains most comes there."""
     sets, count = sets.copy(), sets.shape[1]
     unchanged = np.zeros(len(sets), dtype=int)  # places in a row at which a set stayed as it was
     for turn in range(_TURNS * count):

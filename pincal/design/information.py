@@ -132,11 +132,7 @@ def _planned(
     measured: Sequence[str] | None,
     setup: Setup,
 ) -> tuple[Array, Array, Array, Array, tuple[str, ...]]:
-    """Return derivatives by pose and externals, what is off, roots of the noise, and names.
-
-    Raises:
-        MeasurementError: unknown freedoms.
-    """
+    """Return derivatives by pose and externals, what is off, roots of the noise, and names."""
     platform, count = mechanism.platform, len(matrices)
     columns = dict.fromkeys(setup.columns(mechanism), np.zeros(count))
     offered = (*platform.freedoms, *columns)

@@ -302,12 +302,7 @@ def select_poses(
 def _leg_by_leg(
     search: Search, carried: dict[str, tuple[str, Element, bool]]
 ) -> tuple[Plan, list[float]]:
-    """Return poses of each leg, its own or carried ones, and their efficiencies in order.
-
-    Args:
-        search: The search.
-        carried: See ``carried_legs``.
-    """
+    """Return poses of each leg, its own or carried ones, and their efficiencies in order."""
     platform = search.mechanism.platform
     choices: dict[str, tuple[Array, float]] = {}
     poses, efficiencies = [], []
@@ -324,11 +319,7 @@ def _leg_by_leg(
 
 
 def _refuse_ranks(mechanism: Mechanism) -> None:
-    """Raise if a leg demands more of a pose than it has readings.
-
-    Raises:
-        ObservabilityError: its rows by readings lack rank, so that no index of them has a meaning.
-    """
+    """Raise if a leg demands more of a pose than it has readings, whose rows lack rank then."""
     for leg in mechanism.legs:
         rows = mechanism.platform.equations(leg)
         if rows > len(leg.sensors):

@@ -143,10 +143,7 @@ def select_configurations(
 
 
 def _platform_rows(mechanism: Mechanism, legs: Legs, frames: Array) -> Array:
-    """Return how the platform follows the legs' parameters, [m], shape (m, n); Gram: mean square.
-
-    Positions, and orientations times the radius at which legs hold the platform.
-    """
+    """Return how the platform follows parameters, (m, n), [m]: turns times the points' radius."""
     gain = without_frames(mechanism, legs.poses, legs.gain, frames)
     tips = np.concatenate([leg.targets(np.eye(4)[None])[:, :3] for leg in nominal_legs(mechanism)])
     radius = float(np.sqrt((tips**2).sum(axis=1).mean()))

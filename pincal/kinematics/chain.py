@@ -160,10 +160,7 @@ def _chain(leg: Leg, joints: Sequence[Joint], spatial: bool, copies: int | None 
 def _elements(
     leg: Leg, joints: Sequence[Joint]
 ) -> tuple[tuple[Elementary, ...], Array, Array, tuple[float, ...]]:
-    """Return elementary joints, how they follow parameters and leg joints, and the tip behind them.
-
-    Shapes (n, n_params) and (n, n_joints).
-    """
+    """Return elementary joints, how they follow parameters and leg joints, and the tip behind."""
     names = list(leg.parameter_names)
     moving = [joint.name for joint in joints if joint.kind != "fixed"]
     elements: list[Elementary] = []

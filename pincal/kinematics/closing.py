@@ -81,10 +81,7 @@ def _samples(leg: Leg, platform: Platform) -> tuple[KDTree, Array, float]:
 
 
 def _places(closure: LegClosure, matrices: Array) -> Array:
-    """Return where poses put a leg's end, shape (N, k), [m]: its point, and its axes if it turns.
-
-    The axes' tips are as far from the point as the leg is long.
-    """
+    """Return where poses put a leg's end, (N, k): its point, and its axes times the leg's size."""
     points = closure.targets(matrices)[:, : closure.platform.space]
     if closure.leg.closes == "point":
         return points
@@ -287,11 +284,7 @@ def driven(leg: LegClosure, joints: Array, known: Array) -> Array:
 
 
 def _at_home(leg: LegClosure) -> tuple[Array, Array]:
-    """Return the active joints' positions at the home pose, and their derivatives.
-
-    q_home in [rad] or [m], shape (n_active,), and ∂q_home/∂φ = −(Nᵀ ∂c/∂θ)⁻¹ (Nᵀ ∂c/∂φ), shape
-    (n_active, n_params).
-    """
+    """Return q_home, (n_active,), and ∂q_home/∂φ = −(Nᵀ ∂c/∂θ)⁻¹ (Nᵀ ∂c/∂φ), (n_active, k)."""
     closed = close((leg,), leg.platform.home_pose.as_matrix())
     if not closed.reached[0]:
         values = ", ".join(f"{name} = {value:.6g}" for name, value in leg.by_name.items())

@@ -131,10 +131,7 @@ class Forest:
     def _evaluated(
         self, configurations: Array, bases: Sequence[Base | None]
     ) -> tuple[Array, Array]:
-        """Return Pinocchio's joint columns at the base's origin, and where chains end.
-
-        Shapes (L, N, width, 6) and (L, N, 12), see ``placements_in``.
-        """
+        """Return joint columns at the base's origin, (L, N, width, 6), and ends, (L, N, 12)."""
         legs, count, n = configurations.shape
         blocks, size = -(-count // self.copies), self.copies * self.width
         padded = np.zeros((legs, blocks * self.copies, self.width))
@@ -158,10 +155,7 @@ class Forest:
         )
 
     def _tips(self, ends: Array) -> tuple[Array, Array]:
-        """Return tips, shape (2 or 3, N), and their turns, of where the last joints are, (N, 12).
-
-        In the plane across z no turns, shape (0, 3, 3).
-        """
+        """Return tips (2 or 3, N) and turns, in space only, of where the last joints are."""
         turns, m = ends[:, :9].reshape(-1, 3, 3).swapaxes(1, 2), 3 if self.spatial else 2
         tips = np.ascontiguousarray(ends[:, 9 : 9 + m].T)
         if self._tip is not None:

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import RigidTransform
 
 from pincal.blas import on_one_thread
 from pincal.errors import MechanismError
@@ -152,16 +152,12 @@ class ForwardSolution:
     """How far each leg stays from closing, shape (N, n_legs), [m]; NaN where not found. Rounding
     errors, unless the legs demand more than there are freedoms and readings contradict; less than
     a tenth of the size."""
-    iterations: int
     reasons: tuple[str, ...]
     """Why a row has no pose; empty strings where it has one."""
 
     def __repr__(self) -> str:
         """Return the solution in a line."""
-        converged = int(np.count_nonzero(self.converged))
-        return (
-            f"ForwardSolution: {converged} of {len(self.poses)} poses, {self.iterations} iterations"
-        )
+        return f"ForwardSolution: {np.count_nonzero(self.converged)} of {len(self.poses)} poses"
 
     def __str__(self) -> str:
         """Return a page: why poses were not found, and how many of them."""
@@ -268,15 +264,14 @@ def _forward(
     known = [mechanism.known(leg, readings, columns) for leg in range(len(legs))]
     poses = np.full((len(readings), platform.dof), np.nan)
     gap = np.full((len(readings), len(legs)), np.nan)
-    reasons, iterations = np.full(len(readings), "", dtype=object), 0
+    reasons = np.full(len(readings), "", dtype=object)
     for rows in chunks(len(readings)):
         at_rows = [columns_of_leg[rows] for columns_of_leg in known]
-        matrices, reasons[rows], gaps, steps = _solve(mechanism, legs, at_rows, guess[rows])
+        matrices, reasons[rows], gaps = _solve(mechanism, legs, at_rows, guess[rows])
         solved = reasons[rows] == ""
         poses[rows][solved] = platform.from_matrices(matrices[solved])
         gap[rows][solved] = gaps[solved]
-        iterations = max(iterations, steps)
-    return ForwardSolution(poses, reasons == "", gap, iterations, tuple(reasons))
+    return ForwardSolution(poses, reasons == "", gap, tuple(reasons))
 
 
 def with_loads(
@@ -328,35 +323,30 @@ def needs_loads(mechanism: Mechanism, influences: Array) -> bool:
 
 def _solve(
     mechanism: Mechanism, legs: Sequence[LegClosure], known: Sequence[Array], guess: RigidTransform
-) -> tuple[Array, list[str], Array, int]:
-    """Return matrices, reasons, gaps and the number of steps for one chunk.
-
-    Known are, leg by leg, readings and influences.
-    """
+) -> tuple[Array, list[str], Array]:
+    """Return matrices, reasons and gaps for one chunk."""
     matrices = placed_by_arm(legs, known)
     matrices = guess.as_matrix().copy() if matrices is None else matrices
     groups, size = moving_legs(legs, known, matrices), max(leg.size for leg in legs)
-    moving, steps = np.ones(len(matrices), dtype=bool), 0
-    while moving.any() and steps < _STEPS:
-        steps += 1
+    platform, moving = mechanism.platform, np.ones(len(matrices), dtype=bool)
+    turns = np.array([unit == "rad" for unit in platform.units], dtype=bool)
+    for _ in range(_STEPS):
         rows = np.flatnonzero(moving)
+        if not len(rows):
+            break
         closures = [group.at(matrices, rows) for group in groups]
         twist = _platform_step(groups, closures)
-        full = np.zeros((len(rows), 6))
-        full[:, list(mechanism.platform.twist_rows)] = twist
-        length = np.maximum(lengths(full[:, :3]) / size, lengths(full[:, 3:]))
+        length = np.maximum(lengths(twist[:, ~turns]) / size, lengths(twist[:, turns]))
         with np.errstate(divide="ignore", invalid="ignore"):
-            shorten = np.minimum(1.0, _LARGEST / length)[:, None]
+            twist = np.minimum(1.0, _LARGEST / length)[:, None] * twist
         moved = length
         for group, closure in zip(groups, closures, strict=True):
-            moved = np.maximum(moved, group.follow(closure, rows, shorten * twist))
+            moved = np.maximum(moved, group.follow(closure, rows, twist))
         finite = np.isfinite(moved)
-        good, full = rows[finite], (shorten * full)[finite]
-        matrices[good, :3, 3] += full[:, :3]
-        turn = Rotation.from_rotvec(full[:, 3:]).as_matrix()
-        matrices[good, :3, :3] = turn @ matrices[good, :3, :3]
+        good = rows[finite]
+        matrices[good] = platform.displaced(matrices[good], twist[finite])
         moving[rows] = finite & (moved > _SMALL)
-    return matrices, *_reasons(mechanism, groups, matrices, moving), steps
+    return matrices, *_reasons(mechanism, groups, matrices, moving)
 
 
 def placed_by_arm(legs: Sequence[LegClosure], known: Sequence[Array]) -> Array | None:

@@ -173,10 +173,7 @@ def _along(rows: Array, force: Array) -> Array:
 
 
 def _links(leg: LegClosure, joints: Array, gravity: Array) -> Array:
-    """Return what links lose in height with each joint, then each parameter, times weight.
-
-    Shape (N, n_joints + n_params).
-    """
+    """Return what links lose in height by joints, then parameters, times weight, (N, n + k)."""
     n, moving = len(leg.leg.moving), 0
     lost_height = np.zeros((len(joints), n + len(leg.parameters)))
     for index, joint in enumerate(leg.leg.joints):
