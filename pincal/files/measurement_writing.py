@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from pincal.errors import MeasurementError
-from pincal.files.measurements import product_unit
+from pincal.files.columns import product_unit
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.files.table import dataframe, write_table
 from pincal.model.checks import array_of, must_be

@@ -6,10 +6,7 @@ What people hand over is an object, or the name, file or DataFrame that it is re
 from __future__ import annotations
 
 import logging
-import re
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import replace
-from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +14,15 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from pincal.errors import MeasurementError
-from pincal.files.level import levelled, tilt_column
+from pincal.files.columns import (
+    covariances_of,
+    known_columns,
+    reading_units,
+    table_of,
+    unknown_columns,
+)
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
-from pincal.files.table import TextTable, is_dataframe, read_table
+from pincal.files.table import TextTable, is_dataframe
 from pincal.files.text import plain_number
 from pincal.files.yaml import read_setup
 from pincal.model.checks import array_of, must_be
@@ -27,12 +30,11 @@ from pincal.model.measurements import EVERY_LEG, VERIFY, Measurements, Noise, Pl
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import SINGLE_ANGLES, WAYS, columns_of, rotation_of
 from pincal.model.setup import Setup
-from pincal.model.units import COUNTS, UNITS
 from pincal.types import Array
-from pincal.words.wording import NAMED
+from pincal.words.numbers import amount
 
-_SQUARE = re.compile(r"(.+?)\s*(?:\^|\*\*)?\s*[2²]")
 _log = logging.getLogger(__name__)
+_MATTERS = 1.0  # of what points miss their plane by: less that they are shortened is noise
 
 
 def as_noise(noise: Noise | None) -> Noise:
@@ -64,12 +66,12 @@ def read_poses(source: Any, mechanism: GivenMechanism, *, partial: bool = False)
     if not (isinstance(source, str | Path) or is_dataframe(source)):
         kind = "poses, a plan or its file"
         return Plan(array_of(source, ("N", platform.dof), kind, MeasurementError))
-    table = _table(source, mechanism, _known(mechanism, {}))
+    table = table_of(source, mechanism, known_columns(mechanism, {}))
     commanded = mechanism.by_readings and any(name in table for name in mechanism.reading_names)
     return Plan(
         _poses(table, mechanism, partial=partial),
         _sets(table, mechanism),
-        table.array(_reading_units(mechanism)) if commanded else None,
+        table.array(reading_units(mechanism)) if commanded else None,
         places=_names(table, "pose"),
         influences=_influences(table, mechanism),
         lines=table.file_lines,
@@ -85,8 +87,8 @@ def read_readings(source: Any, mechanism: GivenMechanism) -> tuple[Array, dict[s
         MeasurementError: a column or cell that is missing or wrong; the message says where.
     """
     mechanism = as_mechanism(mechanism)
-    table = _table(source, mechanism, _known(mechanism, {}))
-    return table.array(_reading_units(mechanism)), _influences(table, mechanism)
+    table = table_of(source, mechanism, known_columns(mechanism, {}))
+    return table.array(reading_units(mechanism)), _influences(table, mechanism)
 
 
 def read_measurements(
@@ -123,9 +125,9 @@ def read_measurements(
         kinds = (Measurements, str, Path)
         must_be(source, kinds, "measurements, their CSV file or DataFrame", MeasurementError)
     further = setup.columns(mechanism)
-    level = tilt_column(mechanism, further)
-    known = _known(mechanism, further | level)
-    table = _table(source, mechanism, known, influences)
+    level = {"z": "m"} if platform.space == 2 and "z" not in further else {}
+    known = known_columns(mechanism, further | level)
+    table = table_of(source, mechanism, known, influences)
     turns = {name for names, _ in WAYS.values() for name in names}
     table = table.where_measured(
         {*platform.coordinates, *turns, *further, *mechanism.reading_names}
@@ -136,21 +138,21 @@ def read_measurements(
         further |= dict.fromkeys(filter(table.units.__contains__, SINGLE_ANGLES), "rad")
     poses = _poses(table, mechanism, partial=partial)
     if level and "z" in table:
-        poses = levelled(table, setup, poses)
+        poses = _levelled(table, setup, poses)
     freedoms = dict(zip(platform.freedoms, platform.units, strict=True))
-    unknown = _unknown(table, known)
+    unknown = unknown_columns(table, known)
     extra, sigma_extra = _further_columns(table, further, partial=partial)
     if not partial and not np.isfinite(np.column_stack((poses, *extra.values()))).any():
         raise MeasurementError(f"{table.path}: nothing of the platform is measured")
     return Measurements(
         poses=poses,
         sets=_sets(table, mechanism),
-        readings=table.array(_reading_units(mechanism), blank=partial),
+        readings=table.array(reading_units(mechanism), blank=partial),
         sigma_poses=_sigmas(table, freedoms, partial=partial),
-        sigma_readings=_sigmas(table, _reading_units(mechanism)),
+        sigma_readings=_sigmas(table, reading_units(mechanism)),
         extra=extra,
         sigma_extra=sigma_extra,
-        covariances=_covariances(table, freedoms | further),
+        covariances=covariances_of(table, freedoms | further),
         influences=_influences(table, mechanism) | _further_influences(table, unknown, influences),
         runs=_names(table, "run"),
         places=_names(table, "pose"),
@@ -169,99 +171,6 @@ def _further_columns(
         {name: table.numbers(name, units[name], blank=True) for name in wanted},
         {name: _sigma(table, name, unit, blank=partial) for name, unit in uncertain.items()},
     )
-
-
-def _table(
-    source: Any,
-    mechanism: Mechanism,
-    known: Mapping[str, str],
-    wanted_influences: Collection[str] | None = (),
-) -> TextTable:
-    """Return a table; headers such as ``x (mm)``, ``X [mm]``, ``x_mm`` are read as ``x [mm]``.
-
-    That is logged, as are columns that are not known (see ``_known``), but for influences that are
-    wanted (None: any column is).
-    """
-    counts = {name: mechanism.counts.get(name) for name in mechanism.reading_names}
-    counts |= {f"sigma_{name}": per_unit for name, per_unit in counts.items()}
-    table = replace(read_table(source), counts=counts)
-    if meant := _headers_meant(table, known):
-        read_as = [f"{column!r} as '{name} [{unit}]'" for column, (name, unit) in meant.items()]
-        _log.info("%s: columns read: %s", table.path, ", ".join(read_as))
-        table = table.renamed(meant)
-    if wanted_influences is not None:
-        unused = [name for name in _unknown(table, known) if name not in wanted_influences]
-        if unused:
-            shown = [name if name.isprintable() else ascii(name) for name in unused[:NAMED]]
-            shown += [f"and {len(unused) - NAMED} more"] * (len(unused) > NAMED)
-            _log.info("%s: columns not used: %s", table.path, ", ".join(shown))
-    return table
-
-
-def _unknown(table: TextTable, known: Collection[str]) -> list[str]:
-    """Return the columns of a table without a meaning, but for those that sheets plan by."""
-    sheet = ("cov_", "planned_")
-    return [n for n in table.units if n not in known and n != "row" and not n.startswith(sheet)]
-
-
-def product_unit(first: str, second: str) -> str:
-    """Return how the product of two SI units is written."""
-    return f"{first}2" if first == second else f"{first} {second}"
-
-
-def _known(mechanism: Mechanism, further: Mapping[str, str]) -> dict[str, str]:
-    """Return the columns that mean something, with their units; empty for names."""
-    platform = mechanism.platform
-    units = dict(zip(platform.freedoms, platform.units, strict=True))
-    units |= dict(zip(platform.coordinates, platform.units, strict=True))
-    units |= {name: unit for names, unit in WAYS.values() for name in names}
-    units |= {**_reading_units(mechanism), **further}
-    units |= {f"sigma_{name}": unit for name, unit in units.items()}
-    named = ("set", "run", "pose", *mechanism.influences, *mechanism.followed)
-    return {**dict.fromkeys(named, ""), **units}
-
-
-def _reading_units(mechanism: Mechanism) -> dict[str, str]:
-    """Return the unit of each reading, by its column."""
-    return dict(zip(mechanism.reading_names, mechanism.reading_units, strict=True))
-
-
-def _headers_meant(table: TextTable, units: Mapping[str, str]) -> dict[str, tuple[str, str]]:
-    """Return name and unit of columns whose headers say them in other case, or otherwise."""
-    meant: dict[str, tuple[str, str]] = {}
-    for column, bracketed in table.units.items():
-        behind = {
-            name: unit
-            for name, dimension in units.items()
-            if name not in table and (unit := _unit_behind(column, name, dimension)) is not None
-        }
-        if column in units or not behind:
-            continue
-        name = next(iter(behind))
-        unit = bracketed or behind[name]
-        if not unit or len(behind) > 1 or name in dict(meant.values()):
-            header = f"{column} [{bracketed}]" if bracketed else column
-            unit = unit or units[name]
-            raise MeasurementError(
-                f"{table.path}: column {header!r} is not understood; write "
-                f"{f'{name} [{unit}]' if unit else name!r}"
-            )
-        meant[column] = name, unit
-    return meant
-
-
-def _unit_behind(column: str, name: str, dimension: str) -> str | None:
-    """Return the unit behind a name as in ``x (mm)``, ``x_mm``, ``x/mm``.
-
-    It is empty where there is nothing or another unit in brackets, None if the column is another.
-    """
-    rest = column[len(name) :]
-    if not column.lower().startswith(name.lower()):
-        return None
-    unit = rest.strip(" _/-(){}<>")
-    if (unit == COUNTS or UNITS.get(unit, ("",))[0] == dimension) and unit != rest:
-        return unit
-    return "" if not rest or rest.strip().startswith("(") else None
 
 
 def _check_columns(
@@ -330,6 +239,52 @@ def _poses(table: TextTable, mechanism: Mechanism, *, partial: bool) -> Array:
     except MeasurementError as error:
         raise MeasurementError(f"{table.path}: {error}") from error
     return np.hstack((poses, turns))
+
+
+def _levelled(table: TextTable, setup: Setup, poses: Array) -> Array:
+    """Return poses whose positions lie in the x-y plane, as a tracker that is level sees them.
+
+    A tracker that is not level sees a plane that is tilted: x and y alone would be too short across
+    the tilt, and no residual would show it. The plane is turned into x-y the shortest way, where
+    that is more than noise. Poses are those of a planar machine, (N, dof); the table has z.
+    """
+    z = table.numbers("z", "m", blank=True)
+    points = np.column_stack((poses[:, :2], z))
+    known = np.isfinite(points).all(axis=1)
+    if known.sum() < 4:
+        return poses
+    middle = points[known].mean(axis=0)
+    _, s, axes = np.linalg.svd(points[known] - middle)
+    normal = axes[2] * (1.0 if axes[2, 2] >= 0.0 else -1.0)
+    across = float(s[2] / np.sqrt(known.sum()))
+    cosine = float(normal[2])
+    shortened = float(np.ptp((points[known] - middle) @ axes[0])) * (1.0 - cosine)
+    if not shortened > _MATTERS * across or s[1] < 10.0 * s[2]:  # a line lies in many planes
+        return poses
+    tilt = np.degrees(np.arccos(min(cosine, 1.0)))
+    tilted = (
+        f"{table.path}: positions lie in a plane that is tilted by {tilt:.2g}° to x-y (they miss "
+        f"it by {amount(across, 'm', 2)}): x and y alone are too short by up to "
+        f"{amount(shortened, 'm', 2)}"
+    )
+    if not setup.unknown_frame:
+        raise MeasurementError(
+            f"{tilted}. Say that the base is elsewhere in their frame (--unknown-frame), and they "
+            "are turned into their plane; or give them in the base frame"
+        )
+    if np.isfinite(poses[:, 2:]).any() or len(setup.targets) > 1 or setup.distances:
+        raise MeasurementError(
+            f"{tilted}. Of orientations, further targets and distances it is not known how they "
+            "lie in that plane: turn all of them into it, or leave them out"
+        )
+    if not known.all() and np.isfinite(poses[~known, :2]).any():
+        row = int(np.flatnonzero(~known & np.isfinite(poses[:, :2]).any(axis=1))[0])
+        raise MeasurementError(f"{tilted}. {table.where(row)}: no z; all positions need it")
+    _log.info("%s; they were turned into their plane", tilted)
+    half = np.array([-normal[1], normal[0], 0.0])  # z × normal, sin of the tilt long
+    K = np.cross(np.eye(3), half)
+    turned = (points - middle) @ (np.eye(3) + K + K @ K / (1.0 + cosine)) + middle
+    return np.column_stack((turned[:, :2], poses[:, 2:]))
 
 
 def _names(table: TextTable, column: str) -> tuple[str, ...] | None:
@@ -418,42 +373,3 @@ def _sigma(table: TextTable, name: str, unit: str, *, blank: bool = False) -> Ar
             "negative; a standard deviation is 0 or more"
         )
     return values
-
-
-def _covariances(table: TextTable, units: Mapping[str, str]) -> dict[str, Array]:
-    """Return the covariances that a table has of quantities, by pair such as ``"x,y"``, in SI."""
-    pairs = {f"cov_{a}_{b}": (a, b) for a, b in combinations(units, 2)}
-    pairs |= {f"cov_{b}_{a}": (a, b) for a, b in combinations(units, 2)}
-    covariances: dict[str, Array] = {}
-    for header in (name for name in table.units if name.startswith("cov_")):
-        if header not in pairs:
-            raise MeasurementError(
-                f"{table.path}: column {header!r} is no covariance of two quantities measured of "
-                f"the platform ({', '.join(units)}); rename it, or leave it out"
-            )
-        first, second = pairs[header]
-        if f"{first},{second}" in covariances:
-            raise MeasurementError(
-                f"{table.path}: the covariance of {first} and {second} is said twice; leave one "
-                "of the columns"
-            )
-        unit, needed = table.units[header], (units[first], units[second])
-        factor = _product_factor(unit or "", needed)
-        if factor is None:
-            has = "no unit" if unit is None else f"unit [{unit}]"
-            raise MeasurementError(
-                f"{table.path}: column {header!r} has {has}; expected "
-                f"'{header} [{product_unit(*needed)}]', the product of both, or [mm2], [mm mrad], "
-                "[mrad2]"
-            )
-        covariances[f"{first},{second}"] = table.plain(header, blank=True) * factor
-    return covariances
-
-
-def _product_factor(unit: str, needed: tuple[str, str]) -> float | None:
-    """Return the factor to SI of a product of two units, None if it is another."""
-    square = _SQUARE.fullmatch(unit.strip())
-    parts = [square[1]] * 2 if square else re.split(r"\s*[·*⋅ ]\s*", unit.strip())
-    if sorted(UNITS.get(part, (part,))[0] for part in parts) != sorted(needed):
-        return None
-    return UNITS[parts[0]][1] * UNITS[parts[1]][1]
