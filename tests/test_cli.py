@@ -516,7 +516,9 @@ BAD = {
 }
 
 
-@pytest.mark.parametrize("case", BAD)
+@pytest.mark.parametrize(
+    "case", some_slow(BAD, "readings-in-degrees-5R", "positions-in-millimetres-5R")
+)
 def test_bad_input_is_named_and_harms_nothing(case: str, work: Path) -> None:
     """Bad input: exit code 2, one paragraph that names the trouble, and no file touched."""
     BAD[case].prepare()

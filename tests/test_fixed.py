@@ -68,6 +68,7 @@ def test_with_all_parameters_held_frame_and_target_are_found(
         assert abs(unknown.identified - value) < 5.0 * unknown.std < 2e-4, unknown.id
 
 
+@pytest.mark.slow
 def test_hand_eye_calibration_alone_has_a_verdict_and_a_report(
     arm: pincal.Mechanism, tmp_path: Path
 ) -> None:

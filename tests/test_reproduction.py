@@ -40,7 +40,6 @@ QUICK = {
     ("8cable", "plain"),
     ("5R", "per leg"),
     ("5R", "backlash"),
-    ("ur5", "gravity in a frame"),
     ("3PRR", "growth"),
 }
 #: Each way of three machines, each machine in three ways; all others with -m fuzz.

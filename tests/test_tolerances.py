@@ -155,6 +155,7 @@ def test_what_cannot_be_is_refused() -> None:
         pincal.calibrate("5R", data, tolerance="all")
 
 
+@pytest.mark.slow
 def test_the_command_finds_them(tmp_path: Path) -> None:
     """``--tolerance auto`` says sizes; the saved result has them as options."""
     _, data = drawn("3RRR", 24, seed=2)
