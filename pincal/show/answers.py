@@ -10,7 +10,6 @@ from scipy.special import gammaincinv
 
 from pincal.calibration.promise import seen_by
 from pincal.calibration.result import CalibrationResult
-from pincal.calibration.result_parts import Missed
 from pincal.calibration.validation import MISSES
 from pincal.design.platform_error import platform_error
 from pincal.estimation.observability.identifiable import WeakPair
@@ -162,7 +161,8 @@ def accuracy_table(result: CalibrationResult, errors: WorkspaceErrors) -> Table:
             for head, values in sizes.items()
         }
     region = f" {errors.where}{_FRAMES * result.moves_frames}" if rows else ""
-    for missed in _missed(result):
+    validation = result.validation
+    for missed in validation.targets if validation and validation.fit <= MISSES else ():
         name = "position" if missed.unit == "m" else "orientation"
         name += "" if missed.target == ORIGIN else f" of {missed.target}"
         rows.setdefault("held out", {})[name, missed.unit] = missed.rms
@@ -177,7 +177,7 @@ def accuracy_table(result: CalibrationResult, errors: WorkspaceErrors) -> Table:
 
 def _reliable(result: CalibrationResult, notes: Sequence[str]) -> Answer:
     """Return whether the result can be relied on: warnings, χ², held-out rows, outliers."""
-    lines = [*noise_lines(result), *_comparisons(result)]
+    lines = [*noise_lines(result), *check_lines(result)[:1]]
     if result.outliers:
         lines.append(f"{counted(len(result.outliers), 'row does', 'rows do')} not fit the others")
     lines = [f"{capital(line)}." for line in lines] + list(notes)
@@ -349,30 +349,20 @@ def platform_lines(result: CalibrationResult, errors: WorkspaceErrors) -> list[s
 
 def check_lines(result: CalibrationResult) -> list[str]:
     """Return how held-out rows compare, and how far held-out targets are missed."""
-    return [*_comparisons(result), *(missed_line(**vars(missed)) for missed in _missed(result))]
-
-
-def _missed(result: CalibrationResult) -> Sequence[Missed]:
-    """Return how far targets are missed at held-out rows, where the fit meets its own at all."""
-    validation = result.validation
-    return validation.targets if validation and validation.fit <= MISSES else ()
-
-
-def _comparisons(result: CalibrationResult) -> list[str]:
-    """Return how held-out rows compare."""
-    lines, validation = [], result.validation
-    if validation is not None:
-        folds, count = validation.folds, validation.rows
-        rows = f"{folds} folds" if folds > 1 else f"{count} rows of the set verify"
-        text = (
-            f"held-out rows miss by {validation.held_out:.2f} σ, those of the fit by "
-            f"{validation.fit:.2f} σ; {validation.expected:.2f} σ are expected held out"
-        )
-        if validation.fit > MISSES:
-            text = "held-out rows show nothing: the fit misses even its own rows by "
-            text += f"{validation.fit:.3g} σ. Look at the warnings first"
-        lines.append(f"{text} ({rows})")
-    return lines
+    if (validation := result.validation) is None:
+        return []
+    folds, count = validation.folds, validation.rows
+    rows = f"{folds} folds" if folds > 1 else f"{count} rows of the set verify"
+    if validation.fit > MISSES:
+        return [
+            "held-out rows show nothing: the fit misses even its own rows by "
+            f"{validation.fit:.3g} σ. Look at the warnings first ({rows})"
+        ]
+    compared = (
+        f"held-out rows miss by {validation.held_out:.2f} σ, those of the fit by "
+        f"{validation.fit:.2f} σ; {validation.expected:.2f} σ are expected held out ({rows})"
+    )
+    return [compared, *(missed_line(**vars(missed)) for missed in validation.targets)]
 
 
 def weak_lines(pairs: Sequence[WeakPair], mechanism: Mechanism) -> list[str]:
