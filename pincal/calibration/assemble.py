@@ -56,6 +56,10 @@ def assemble(fits: Fits) -> CalibrationResult:
     least = float(freedoms.min(initial=np.inf))
     external = _external(fits, by_noise[n:, n:], by_systematic[n:], held[n:], least)
     legs, observed = _residuals(fits, identified)
+    free, directions, motions = (
+        ((), None, None) if gauge is None else (gauge.found, gauge.of_legs, gauge.frames)
+    )
+    poses = mechanism.platform.from_matrices(fits.fits[0].last.state.matrices)
     return CalibrationResult(
         calibration=calibration,
         identified=calibration.identified(parameters),
@@ -75,14 +79,12 @@ def assemble(fits: Fits) -> CalibrationResult:
         left=max(fit.distance for fit in fits.fits),
         converged=fits.converged,
         outliers=_merged_outliers(fits.fits),
-        gauge=() if gauge is None else gauge.found,
-        gauge_directions=None if gauge is None else gauge.of_legs,
-        frames_moved=None if gauge is None else gauge.frames,
+        gauge=free,
+        gauge_directions=directions,
+        frames_moved=motions,
         undetermined_directions=held[:n] if held.shape[1] else None,
         outside=fits.external if len(calibration.observation.external) else None,
-        estimated_poses=mechanism.platform.from_matrices(fits.fits[0].last.state.matrices)
-        if fits.latent
-        else None,
+        estimated_poses=poses if fits.latent else None,
     )
 
 

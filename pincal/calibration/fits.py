@@ -246,19 +246,7 @@ def _all_legs(
     problem, unknowns = calibration.latent_problem, calibration.unknowns
     if options.setup.plain and not options.tied and (options.strict or not calibration.noise.known):
         calibration.check_counts()
-    start = gauge = first = before = None
-    if begin is not None and rows is None:
-        before = begin.fits[0]
-        start, gauge, first = before.last.state, begin.gauge, before.problem.first
-    elif begin is not None and rows is not None:
-        of_all = begin.fits[0]
-        start = of_all.last.state.rows(np.flatnonzero(rows))
-        seen, here = (part.observation.measured for part in (of_all.problem, problem))
-        same = bool(np.all(seen.any(axis=0) == here.any(axis=0)))
-        gauge = begin.gauge if same else None  # else others are free
-        # what is held follows where the search would have started
-        holds = begin.held is not None and begin.held.directions.size > 0
-        first = None if gauge is None or holds else start
+    start, gauge, first = _beginning(problem, begin, rows)
     problem = calibration.started(problem) if first is None else replace(problem, first=first)
     if gauge is None:
         gauge = find_gauge(mechanism, problem, unknowns, strict=not options.holds)
@@ -267,13 +255,34 @@ def _all_legs(
     system = _system(calibration, problem, free, calibration.counts)
     held = None
     if options.holds:
-        former = begin.held if before is not None and begin else None
+        former = begin.held if begin is not None and rows is None else None
         fit, held = _fit_holding(calibration, system, start, former)
     else:
         fit = robust_fit(mechanism, system, loss_of(options.loss), start)
-    if before is not None:  # whose search began where this one's would have
-        fit = replace(fit, first=before.first)
+    if begin is not None and rows is None:  # whose search began where this one's would have
+        fit = replace(fit, first=begin.fits[0].first)
     return Fits(calibration, [fit], gauge, held)
+
+
+def _beginning(
+    problem: Problem, begin: Fits | None, rows: Mask | None
+) -> tuple[State | None, Gauge | None, State | None]:
+    """Return where a search starts, the gauge, and where it would have started; None if not known.
+
+    Of fits of more rows the gauge is the same where the same is measured.
+    """
+    if begin is None:
+        return None, None, None
+    fit = begin.fits[0]
+    if rows is None:
+        return fit.last.state, begin.gauge, fit.problem.first
+    start = fit.last.state.rows(np.flatnonzero(rows))
+    columns = (part.observation.measured.T for part in (fit.problem, problem))
+    if any(a.any() != b.any() for a, b in zip(*columns, strict=True)):
+        return start, None, None
+    # what is held follows where the search would have started
+    holds = begin.held is not None and begin.held.directions.size > 0
+    return start, begin.gauge, None if holds else start
 
 
 def _fit_holding(

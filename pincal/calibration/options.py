@@ -1,4 +1,4 @@
-"""What a calibration is asked to do: one set of options for calibrate, validate and compare."""
+"""What a calibration is asked to do: one set of options for fit and validation."""
 
 from __future__ import annotations
 

@@ -128,20 +128,16 @@ def seen_by(result: CalibrationResult) -> Array | Seen | None:
     """
     observation, values = result.calibration.observation, result.outside
     platform, outside = result.nominal.platform, observation.external
-    axes, measured = "xyz"[: platform.space], observation.measured.any(axis=0)
-    known = set(np.array(observation.names)[measured].tolist())
-    columns = [
-        platform.coordinates[: platform.space] if name == ORIGIN else [f"{name}_{a}" for a in axes]
-        for name in observation.setup.targets
-    ]
-    names = [name for of_target in columns if known.issuperset(of_target) for name in of_target]
+    columns = zip(observation.names, observation.measured.T, strict=True)
+    known = {name for name, rows in columns if rows.any()}
+    names = _target_coordinates(result, known)
     if values is None or not names or observation.setup.instruments:
         return result.frames_moved
     places = [observation.names.index(name) for name in names]
     turns = platform.freedoms[platform.lengths :]
     rotations = [row - 3 for row in platform.twist_rows if row >= 3 and known.issuperset(turns)]
     units = ("m",) * len(names) + ("rad",) * len(rotations)
-    size, n_targets = largest_size(result.identified.legs), len(names) / len(axes)
+    size, n_targets = largest_size(result.identified.legs), len(names) / platform.space
 
     def seen(poses: Array, twists: Array) -> tuple[Array, tuple[str, ...]]:
         """Return what is seen of twists at poses: see ``Seen``."""
@@ -166,6 +162,17 @@ def seen_by(result: CalibrationResult) -> Array | Seen | None:
         return unexplained(units, moved, motions, size), units
 
     return seen
+
+
+def _target_coordinates(result: CalibrationResult, known: set[str]) -> list[str]:
+    """Return coordinates of targets of which all are known."""
+    platform = result.nominal.platform
+    axes = platform.coordinates[: platform.space]
+    targets = [
+        axes if name == ORIGIN else [f"{name}_{axis}" for axis in "xyz"[: platform.space]]
+        for name in result.options.setup.targets
+    ]
+    return [name for columns in targets if known.issuperset(columns) for name in columns]
 
 
 def measured_plan(result: CalibrationResult) -> Plan:
