@@ -15,7 +15,7 @@ product of matrices. What bars other driven rods is a shell too, and more.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -189,49 +189,54 @@ class ClosedForm:
 @lru_cache(maxsize=256)
 def closed_form(closure: LegClosure) -> ClosedForm | None:
     """Return the closed form of a leg, or None if it has none."""
-    leg, space = closure.leg, closure.platform.space
+    leg, space, small = closure.leg, closure.platform.space, ROUNDING * closure.size
     kinds, pointing = [joint.kind for joint in leg.moving], ["revolute"] * (space - 1)
     rod = kinds[1:] == pointing
     if leg.closes == "frame" or not (rod or kinds == [*pointing, "prismatic"]):
         return None
     tips, (zero, home) = closure.at_zero_and_home
-    small, driven = ROUNDING * closure.size, 0 if rod else len(kinds) - 1
+    driven = 0 if rod else len(kinds) - 1
     turning = np.delete(zero, driven, axis=1)
     start = _arm(turning)  # from where the axes cross to the tip
     arm = start if rod else zero[:3, -1]
     length, e1 = float(np.linalg.norm(arm)), turning[3:, 0]
-    if length <= small:
-        return None
-    e2 = np.cross(arm / length, e1) if space == 2 else turning[3:, 1]
-    skew = [0.0 if space == 2 else e1 @ e2, 0.0 if rod else turning[3:, -1] @ arm]
+    e2 = np.cross(arm / max(length, small), e1) if space == 2 else turning[3:, 1]
     missed = np.abs(turning[:3].T - np.cross(turning[3:].T, start)).max()
-    if missed > small or np.abs(skew).max() > ROUNDING:
+    skew = max(abs(e1 @ e2), 0.0 if rod else abs(turning[3:, -1] @ arm))
+    if missed > small or length <= small or skew > ROUNDING:
         return None
-    axes = np.stack((e1, e2, np.cross(e1, e2)), axis=1)
-    delta, side = 0.0, 1.0
+    axes, delta, side = np.stack((e1, e2, np.cross(e1, e2)), axis=1), 0.0, 1.0
     if space == 3:
         delta = float(np.arctan2(arm @ e1, arm @ axes[:, 2]))
-        side = float(np.sign(np.cos(leg.home[driven - 1 if driven else 2] + delta))) or 1.0
-    centre = tips[0] - start
+        side = _sign(np.cos(leg.home[2 if rod else 1] + delta))
+    pointed = closure, driven, tips[0] - start, axes, delta, side
     if not rod:
         shift = float(start @ arm)
-        mode = float(np.sign(leg.home[-1] + shift)) or 1.0
-        return ClosedForm(closure, driven, centre, axes, delta, side, shift, mode)
+        return ClosedForm(*pointed, shift, _sign(leg.home[-1] + shift))
+    return _rod(ClosedForm(*pointed, length, 0.0), zero, home)
+
+
+def _rod(form: ClosedForm, zero: Array, home: Array) -> ClosedForm | None:
+    """Return the form of a rod with its drive, of twists at zero and at home, (6, n)."""
     axis, at_home, radius = zero[3:, 0], _arm(home), 0.0
-    way = zero[:3, 0] - np.cross(axis, arm)
-    if np.linalg.norm(way) <= small:
+    way = zero[:3, 0] - np.cross(axis, _arm(zero))
+    if np.linalg.norm(way) <= ROUNDING * form.closure.size:
         return None
-    if leg.moving[0].turns:
+    if form.closure.leg.moving[0].turns:
         radius = float(np.linalg.norm(way))
         way = way / radius
         frame = np.stack((np.cross(way, axis), way, axis), axis=1)
-        centre = centre - radius * frame[:, 0]
     else:
         across = np.linalg.qr(np.column_stack((way, np.eye(3))))[0][:, 1:]
         frame = np.stack((across[:, 0], way, across[:, 1]), axis=1)
-    grip = at_home @ (home[:3, 0] - np.cross(home[3:, 0], at_home))
-    mode = float(np.sign(grip)) or 1.0
-    return ClosedForm(closure, driven, centre, axes, delta, side, length, mode, radius, frame)
+    mode = _sign(float(at_home @ (home[:3, 0] - np.cross(home[3:, 0], at_home))))
+    centre = form.centre - radius * frame[:, 0]
+    return replace(form, centre=centre, mode=mode, radius=radius, frame=frame)
+
+
+def _sign(value: float) -> float:
+    """Return the sign of a number, 1 of zero."""
+    return float(np.sign(value)) or 1.0
 
 
 def _arm(columns: Array) -> Array:

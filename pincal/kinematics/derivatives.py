@@ -126,14 +126,21 @@ def leg_demands_at(
                 stacked([values[i][rows] for i in places]) for values in (placed, influences)
             )
             psi = stacked([readings[i][rows] for i in places]) if readings else None
-            closure, known, reached = _closed(group, matrices, columns, psi)
-            parts.append(demands(group, closure, known))
-            for part, at_rows in zip(parts[-1], np.split(reached, len(group)), strict=True):
-                if not at_rows.all():
-                    for values in vars(part).values():
-                        values[~at_rows] = np.nan
+            parts.append(_demands_in_reach(group, *_closed(group, matrices, columns, psi)))
         demand_of |= zip(places, map(_joined, zip(*parts, strict=True)), strict=True)
     return [demand_of[place] for place in range(len(legs))]
+
+
+def _demands_in_reach(
+    legs: Sequence[LegClosure], closure: Closure, known: Array, reached: Mask
+) -> list[Demand]:
+    """Return what alike legs demand, NaN where they are not reached."""
+    parts = demands(legs, closure, known)
+    if not reached.all():
+        for part, at_rows in zip(parts, np.split(reached, len(legs)), strict=True):
+            for values in vars(part).values():
+                values[~at_rows] = np.nan
+    return parts
 
 
 def _joined(parts: Sequence[Demand]) -> Demand:
