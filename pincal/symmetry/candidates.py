@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -19,13 +18,12 @@ NEARLY = 0.1
 _FITTED = 1e-3  # by which fits of one element differ
 
 
-@dataclass(frozen=True, eq=False)
 class Points:
     """Where the legs of a mechanism begin and end."""
 
-    mechanism: Mechanism
-    base: Array
-    """Base points in the base frame, shape (n_legs, 3), [m]."""
+    def __init__(self, mechanism: Mechanism, base: Array) -> None:
+        """Take base points in the base frame, shape (n_legs, 3), [m]."""
+        self.mechanism, self.base = mechanism, base
 
     @cached_property
     def platform(self) -> Array:

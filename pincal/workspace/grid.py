@@ -283,7 +283,10 @@ def default_grid(mechanism: GivenMechanism, fixed: Iterable[str | Axis] = ()) ->
         raise WorkspaceError(f"axis 'z': the platform of {mechanism.name!r} moves in a plane")
     low, high = _reach(mechanism)
     step = float((high - low)[:n].max()) / _ACROSS[n]
-    defaults = [_across(name, low[i], high[i], step) for i, name in enumerate("xyz"[:n])]
+    defaults = [
+        Axis(name, np.linspace(start, end, round((end - start) / step) + 1))
+        for name, start, end in zip("xyz"[:n], low, high, strict=False)
+    ]
     turns = _turns(mechanism)
     if names & {"radius", "bearing"} or (turns > 1 and not names & {"x", "y"}):
         around = 2 * turns * -(-_AROUND[n] // (2 * turns))
@@ -319,18 +322,11 @@ def closer_grid(grid: Grid, inside: Mask, fixed: Iterable[str]) -> Grid | None:
         low, high = float(occupied[0]) - 2 * axis.step, float(occupied[-1]) + 2 * axis.step
         if axis.name == "radius" and low <= axis.step:
             step = high / len(axis.values)
-            axes.append(
-                Axis("radius", step * (np.arange(len(axis.values), dtype=np.float64) + 0.5))
-            )
+            axes.append(Axis("radius", step * (np.arange(len(axis.values)) + 0.5)))
         else:
             axes.append(Axis(axis.name, np.linspace(low, high, len(axis.values))))
         closer |= high - low < _CLOSER * float(np.ptp(axis.values))
     return Grid(tuple(axes)) if closer else None
-
-
-def _across(name: str, low: float, high: float, step: float) -> Axis:
-    """Return an axis from end to end, in steps of about the size wanted."""
-    return Axis(name, np.linspace(low, high, round((high - low) / step) + 1))
 
 
 def _reach(mechanism: Mechanism) -> tuple[Array, Array]:

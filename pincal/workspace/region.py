@@ -27,7 +27,7 @@ from pincal.symmetry.elements import IDENTITY, Element, Isometry
 from pincal.types import Array, Mask
 from pincal.words.numbers import measured
 from pincal.workspace.axes import Orientations
-from pincal.workspace.criteria import Criteria, Margins, as_margins, criteria_of, refuse_readings
+from pincal.workspace.criteria import Margins, as_margins, criteria_of, refuse_readings
 from pincal.workspace.grid import (
     BLOCK,
     Grid,
@@ -41,23 +41,18 @@ from pincal.workspace.grid import (
 
 KINDS = ("reachable", "constant-orientation", "total-orientation", "dexterous")
 _CHUNK = 1 << 22  # poses handed out at a time, where legs have a closed form
-
-
 _FIRST = 16  # orientations after which closed loops ask who is decided, then 8 times as many
 
 
-@dataclass(frozen=True)
 class PositionTest:
     """Decides which positions are reached in any, or in every, orientation of a set."""
 
-    mechanism: Mechanism
-    orientations: Orientations
-    every: bool
-    least: Margins
-
-    @cached_property
-    def _criteria(self) -> Criteria:
-        return criteria_of(self.mechanism, self.least)
+    def __init__(
+        self, mechanism: Mechanism, orientations: Orientations, every: bool, least: Margins
+    ) -> None:
+        self.mechanism, self.orientations = mechanism, orientations
+        self.every, self.least = every, least
+        self._criteria = criteria_of(mechanism, least)
 
     @property
     def in_closed_form(self) -> bool:
