@@ -30,7 +30,7 @@ def information(
     noise: pincal.Noise = NOISE,
 ) -> np.ndarray:
     """Return the information of each configuration, in what all of them determine, (N, r, r)."""
-    rows = information_rows(mechanism, legs_at(mechanism, plan), noise, measured, setup).rows
+    rows = information_rows(mechanism, legs_at(mechanism, plan), noise, measured, setup)[0]
     flat = rows.reshape(-1, rows.shape[2])
     lengths = np.linalg.norm(flat, axis=0)
     lengths[lengths == 0.0] = 1.0

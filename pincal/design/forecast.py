@@ -151,21 +151,21 @@ def forecast(
     legs = legs_at(mechanism, plan)
     if not len(legs.poses):
         check_reached(mechanism, plan)
-    known = information_rows(mechanism, legs, noise, measured, setup)
-    flat, n = known.rows.reshape(-1, known.rows.shape[2]), legs.parameter.shape[2]
-    rank = identifiability(flat, known.unknowns)
+    rows, off, unknowns, names = information_rows(mechanism, legs, noise, measured, setup)
+    flat, n = rows.reshape(-1, rows.shape[2]), legs.parameter.shape[2]
+    rank = identifiability(flat, unknowns)
     root, undetermined = pseudo_inverse(flat, rank.rank)
     gauge, lost, frames = apart_from_frames(mechanism, legs, undetermined[:n])
     to_nominal = root[:, :n] @ nearest_to_nominal(mechanism, gauge).T
     # what is off in all rows comes on top, however many they are
-    moved = to_nominal.T @ (root @ (flat.T @ known.off.reshape(len(flat), -1)))
+    moved = to_nominal.T @ (root @ (flat.T @ off.reshape(len(flat), -1)))
     return Forecast(
         mechanism,
-        known.measured,
+        names,
         len(legs.poses),
         rank,
         covariance=to_nominal.T @ to_nominal + moved @ moved.T,
-        least=float(np.ceil(rank.rank / known.rows.shape[1])),
+        least=float(np.ceil(rank.rank / rows.shape[1])),
         lost=lost,
         gauge=gauge,
         frames=frames,
@@ -194,8 +194,8 @@ def scale_effect(
     mechanism = found.mechanism
     legs = legs_at(mechanism, plan.rows(~plan.verifying))
     scaled = replace(setup, systematic=Systematic(scale=SCALE))
-    known = information_rows(mechanism, legs, noise, found.measured, scaled)
-    rows, off = known.rows.reshape(-1, known.rows.shape[2]), known.off.reshape(-1)
+    rows, off, *_ = information_rows(mechanism, legs, noise, found.measured, scaled)
+    rows, off = rows.reshape(-1, rows.shape[2]), off.reshape(-1)
     if not off.size or not off.any():
         return None
     root, _ = pseudo_inverse(rows, found.rank.rank)

@@ -9,7 +9,7 @@ noise of pose and readings does to it.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -37,19 +37,6 @@ def parameter_ids(mechanism: Mechanism) -> tuple[str, ...]:
     return tuple(name for leg in mechanism.legs for name in leg.parameter_ids)
 
 
-@dataclass(frozen=True)
-class Information:
-    """What configurations say of parameters and external unknowns, pose by pose."""
-
-    rows: Array
-    """Free of the poses and whitened, shape (N, k, n): their Gram matrix is the information."""
-    off: Array
-    """Errors of these by what is off in all rows, one standard uncertainty each, (N, k, q)."""
-    unknowns: tuple[str, ...]
-    """Ids."""
-    measured: tuple[str, ...]
-
-
 def leg_rows(demand: Demand, mechanism: Mechanism, noise: Noise) -> Array:
     """Return the whitened rows of a leg alone by its parameters, poses as measured, (N, k, n).
 
@@ -75,8 +62,12 @@ def information_rows(
     noise: Noise,
     measured: Sequence[str] | None,
     setup: Setup,
-) -> Information:
+) -> tuple[Array, Array, tuple[str, ...], tuple[str, ...]]:
     """Return what configurations say of parameters and external unknowns, pose by pose.
+
+    Rows free of the poses and whitened, shape (N, k, n): their Gram matrix is the information.
+    Errors of these by what is off in all rows, one standard uncertainty each, shape (N, k, q). Ids
+    of the unknowns. Names of what is measured.
 
     Args:
         mechanism: The mechanism.
@@ -122,7 +113,7 @@ def information_rows(
     oriented = bool(set(names) & set(platform.freedoms[platform.units.count("m") :]))
     external = ExternalUnknowns(platform, setup, oriented).names
     unknowns = (*parameter_ids(mechanism), *external)
-    return Information(rows, white(errors), unknowns, names)
+    return rows, white(errors), unknowns, names
 
 
 def _planned(

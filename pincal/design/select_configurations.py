@@ -113,11 +113,11 @@ def select_configurations(
             f"two are alike; {count} are to be chosen. Give more candidates"
         )
     noise, setup = as_noise(search.noise), read_setup(setup or Setup())
-    known = information_rows(mechanism, legs, noise, measured, setup)
-    flat = known.rows.reshape(-1, known.rows.shape[2])
-    identifiable = identifiability(flat, known.unknowns)
+    white, _, unknowns, names = information_rows(mechanism, legs, noise, measured, setup)
+    flat = white.reshape(-1, white.shape[2])
+    identifiable = identifiability(flat, unknowns)
     rank, (lengths, _, axes) = identifiable.rank, scaled_axes(flat)
-    blocks = (known.rows / lengths) @ axes[:rank].T
+    blocks = (white / lengths) @ axes[:rank].T
     if count * blocks.shape[1] < rank:
         raise ObservabilityError(
             f"{count} of {len(blocks)} configurations give {count * blocks.shape[1]} equations for "
@@ -136,7 +136,7 @@ def select_configurations(
         Plan(legs.poses, readings=legs.readings).rows(chosen),
         efficiency,
         identifiable,
-        known.measured,
+        names,
         len(blocks),
         goal,
     )

@@ -51,15 +51,14 @@ from pincal.model.terms import LOAD
 from pincal.types import Array, Index, Mask
 
 
-@dataclass(frozen=True)
 class MovingLegs:
-    """Alike legs, and their joints on the way to a pose."""
+    """Alike legs, their places among all, and their joints on the way to a pose.
 
-    places: list[int]
-    """Of the legs, among all."""
-    legs: list[LegClosure]
-    joints: Array
-    """Shape (L, N, n_joints [+ n_deformed]); changed in place."""
+    Joints have shape (L, N, n_joints [+ n_deformed]) and are changed in place.
+    """
+
+    def __init__(self, places: list[int], legs: list[LegClosure], joints: Array) -> None:
+        self.places, self.legs, self.joints = places, legs, joints
 
     def closed(self, matrices: Array, joints: Array) -> Closure:
         """Return their closures at poses, rows of each leg below those of the one before."""
