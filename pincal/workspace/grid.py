@@ -322,7 +322,8 @@ def closer_grid(grid: Grid, inside: Mask, fixed: Iterable[str]) -> Grid | None:
         low, high = float(occupied[0]) - 2 * axis.step, float(occupied[-1]) + 2 * axis.step
         if axis.name == "radius" and low <= axis.step:
             step = high / len(axis.values)
-            axes.append(Axis("radius", step * (np.arange(len(axis.values)) + 0.5)))
+            rings = np.arange(len(axis.values), dtype=np.float64) + 0.5
+            axes.append(Axis("radius", step * rings))
         else:
             axes.append(Axis(axis.name, np.linspace(low, high, len(axis.values))))
         closer |= high - low < _CLOSER * float(np.ptp(axis.values))
