@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import shlex
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
@@ -240,18 +241,7 @@ def doctor(
         stdout.print(remedy_table(tries))
         say(*advice(tries))
     if len(cures) == 1:
-        mended = output or Path("MENDED.csv")
-        lines = [f"{typed()} -o MENDED.csv"] if cures[0].mends and not output else []
-        if cures[0].mends and output:
-            data = cures[0].calibration.measurements
-            way = data.written or "tilt-torsion"
-            write_table(output, columns_of(mechanism, data, way, setup), force=force)
-            wrote(output)
-        elif output:
-            remark(f"options are enough: {output} is not written, take {measurements}")
-        exchanged = (measurements, mended) if cures[0].mends else None
-        lines.append(_calibrate_line(*_cure_options(cures[0], known), measured=exchanged))
-        say("this works:", *(f"  {line}" for line in lines))
+        _say_cure(cures[0], known, measurements, output, force=force)
         return
     if cures:
         stdout.print(
@@ -259,16 +249,44 @@ def doctor(
             "is true: look at the machine, and mend the source"
         )
     else:
-        stdout.print("nothing of this makes the measurements fit the mechanism")
-        converged = [remedy for remedy in tries if remedy.result and remedy.result.converged]
-        if converged:
-            line = f"pincal explain {mech} {measurements}"
-            stdout.print(f"the mechanism may lack a term: {line} looks for it")
-        near = next((remedy for remedy in converged if not remedy.mends), None)
-        if near and near.result and near.result.excess == 1.0:
-            line = _calibrate_line(*_cure_options(near, known))
-            say("this converges, and promises nothing:", f"  {line}")
+        _say_what_converged(mech, measurements, known, tries)
     fail(1)
+
+
+def _say_cure(
+    cure: Remedy, known: InputOptions, measurements: Path, output: Path | None, *, force: bool
+) -> None:
+    """Say which command works, and write the measurements put right that it needs."""
+    lines, mended = list[str](), None
+    if cure.mends:
+        mended = (measurements, output or Path("MENDED.csv"))
+        if output is None:
+            lines.append(f"{typed()} -o MENDED.csv")
+        else:
+            data, setup = cure.calibration.measurements, cure.calibration.options.setup
+            way = data.written or "tilt-torsion"
+            columns = columns_of(cure.calibration.mechanism, data, way, setup)
+            write_table(output, columns, force=force)
+            wrote(output)
+    elif output:
+        remark(f"options are enough: {output} is not written, take {measurements}")
+    lines.append(_calibrate_line(*_cure_options(cure, known), measured=mended))
+    say("this works:", *(f"  {line}" for line in lines))
+
+
+def _say_what_converged(
+    mech: str, measurements: Path, known: InputOptions, tries: Sequence[Remedy]
+) -> None:
+    """Say that no remedy makes the measurements fit, and what to try if a fit converged."""
+    stdout.print("nothing of this makes the measurements fit the mechanism")
+    converged = [remedy for remedy in tries if remedy.result and remedy.result.converged]
+    if converged:
+        line = f"pincal explain {mech} {measurements}"
+        stdout.print(f"the mechanism may lack a term: {line} looks for it")
+    near = next((remedy for remedy in converged if not remedy.mends), None)
+    if near and near.result and near.result.excess == 1.0:
+        line = _calibrate_line(*_cure_options(near, known))
+        say("this converges, and promises nothing:", f"  {line}")
 
 
 def _cure_options(remedy: Remedy, known: InputOptions) -> list[str]:

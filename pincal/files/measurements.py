@@ -128,10 +128,7 @@ def read_measurements(
     level = {"z": "m"} if platform.space == 2 and "z" not in further else {}
     known = known_columns(mechanism, further | level)
     table = table_of(source, mechanism, known, influences)
-    turns = {name for names, _ in WAYS.values() for name in names}
-    table = table.where_measured(
-        {*platform.coordinates, *turns, *further, *mechanism.reading_names}
-    )
+    table = table.where_measured(_measured_columns(mechanism, further))
     _check_columns(table, mechanism, setup, further)
     way = _way(table, mechanism)
     if platform.turns == 3 and partial and way is None:
@@ -159,6 +156,12 @@ def read_measurements(
         lines=table.file_lines,
         written=way,
     )
+
+
+def _measured_columns(mechanism: Mechanism, further: Iterable[str]) -> set[str]:
+    """Return the columns that say what was measured or read, those of a setup too."""
+    turns = {name for names, _ in WAYS.values() for name in names}
+    return {*mechanism.platform.coordinates, *turns, *further, *mechanism.reading_names}
 
 
 def _further_columns(

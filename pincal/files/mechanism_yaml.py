@@ -6,7 +6,7 @@ together.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -180,6 +180,25 @@ def mechanism_urdfs(folder: Path) -> list[Path]:
     return list(dict.fromkeys(folder / part.pairs()["urdf"].text() for part in parts))
 
 
+def _check_joints(
+    leg: str, named: Iterable[str], home: Mapping[str, float], joints: Sequence[Joint], urdf: str
+) -> None:
+    """Raise if a leg names joints that its URDF does not have, or not all that move."""
+    known = [joint.name for joint in joints]
+    for key in named:
+        if key not in known:
+            raise MechanismError(
+                f"{leg}: unknown joint {key!r}; {urdf} has {', '.join(known[:-1])}, the "
+                f"platform point is {known[-1]!r}"
+            )
+    moving = [joint.name for joint in joints if joint.kind != "fixed"]
+    if set(home) != set(moving):
+        raise MechanismError(
+            f"{leg}: 'home' gives {', '.join(home) or 'nothing'}; it needs the home position of "
+            f"each moving joint: {', '.join(moving)}"
+        )
+
+
 def _leg(entry: Entry, folder: Path, points: Mapping[str, Joint]) -> Leg:
     """Return a leg, of its keys and its URDF."""
     needed = ("name", "urdf", "tip", "platform_point", "home", "sensors", "parameters")
@@ -200,19 +219,8 @@ def _leg(entry: Entry, folder: Path, points: Mapping[str, Joint]) -> Leg:
             f"{', '.join(sorted(points)) or 'none'}"
         )
     point, placements = points[point_name], keys["placements"].pairs()
-    known = [joint.name for joint in (*chain, point)]
-    for key in (*placements, *home, *(sensor.joint for sensor in sensors)):
-        if key not in known:
-            raise MechanismError(
-                f"{name}: unknown joint {key!r}; {path.name} has {', '.join(known[:-1])}, the "
-                f"platform point is {point.name!r}"
-            )
-    moving = [joint.name for joint in chain if joint.kind != "fixed"]
-    if set(home) != set(moving):
-        raise MechanismError(
-            f"{name}: 'home' gives {', '.join(home) or 'nothing'}; it needs the home position of "
-            f"each moving joint: {', '.join(moving)}"
-        )
+    named = (*placements, *home, *(sensor.joint for sensor in sensors))
+    _check_joints(name, named, home, (*chain, point), path.name)
 
     def placed(joint: Joint) -> Joint:
         place = f"{name}, placement of {joint.name!r}"

@@ -50,8 +50,7 @@ def refuse_existing(path: str | Path, *, force: bool, folder: Sequence[str] = ()
         has_parent = real.parent.is_dir()
         known = bool(folder) and (real / folder[0]).is_file()
         inside = is_folder and Path.cwd().is_relative_to(real)
-        places = _made_in(real, folder) if known else [real]
-        read = [file for place in places for file in _files(place) if is_input(file)]
+        read = _inputs_in(_made_in(real, folder) if known else [real])
     except (OSError, ValueError, RuntimeError) as error:
         raise FileError(f"cannot write {str(path)!r}: {error}") from error
     known_by = folder[0] if folder else ""
@@ -160,6 +159,11 @@ def _unchanged(made: Path, target: Path, folder: Sequence[str]) -> bool:
 def _made_in(place: Path, folder: Sequence[str]) -> list[Path]:
     """Return the files and folders that pincal made in a folder."""
     return [path for pattern in folder for path in place.glob(pattern)]
+
+
+def _inputs_in(places: list[Path]) -> list[Path]:
+    """Return the files at and below places that the command at work has read."""
+    return [file for place in places for file in _files(place) if is_input(file)]
 
 
 def _files(place: Path) -> list[Path]:

@@ -47,17 +47,7 @@ _KINDS: dict[str, JointKind] = {
 def read_chain(path: Path, tip: str) -> tuple[Joint, ...]:
     """Return the joints from a URDF's root link to its tip link, base first."""
     robot = read_xml(path, "robot")
-    ahead: dict[str, etree._Element] = {}  # the joint that a link carries, each one
-    children: set[str] = set()
-    for element in robot.findall("joint"):
-        parent, child = link_of(element, "parent", path), link_of(element, "child", path)
-        if parent in ahead or child in children:
-            raise MechanismError(
-                f"{path}, line {element.sourceline}: link {parent!r} branches or closes a loop; a "
-                "leg must be a serial chain, one joint from each link to the next"
-            )
-        ahead[parent] = element
-        children.add(child)
+    ahead, children = _joints_ahead(robot, path)
     links = sorted(str(link.get("name")) for link in robot.findall("link"))
     roots = [link for link in dict.fromkeys(links) if link not in children]
     if tip not in links:
@@ -85,6 +75,22 @@ def read_chain(path: Path, tip: str) -> tuple[Joint, ...]:
     if not any(joint.kind != "fixed" for joint in chain):
         raise MechanismError(f"{path}: no joint moves between the root link and {tip!r}")
     return tuple(chain)
+
+
+def _joints_ahead(robot: etree._Element, path: Path) -> tuple[dict[str, etree._Element], set[str]]:
+    """Return the joints by the links that carry them, one each, and the links that they carry."""
+    ahead: dict[str, etree._Element] = {}
+    children: set[str] = set()
+    for element in robot.findall("joint"):
+        parent, child = link_of(element, "parent", path), link_of(element, "child", path)
+        if parent in ahead or child in children:
+            raise MechanismError(
+                f"{path}, line {element.sourceline}: link {parent!r} branches or closes a loop; a "
+                "leg must be a serial chain, one joint from each link to the next"
+            )
+        ahead[parent] = element
+        children.add(child)
+    return ahead, children
 
 
 def weighed(joint: Joint, robot: etree._Element, link: str, path: Path) -> Joint:
