@@ -300,8 +300,8 @@ def with_loads(
         lost = known & ~np.isfinite(coordinates).all(axis=1)
         if lost.any():
             search = forward(drawing, readings[lost])
-            found = np.where(search.converged[:, None], search.poses, drawing.platform.home)
-            coordinates[lost] = found
+            near = np.where(search.converged[:, None], search.poses, drawing.platform.home)
+            coordinates[lost] = near
         matrices = drawing.platform.matrices(coordinates[known])
     loads = gravity_loads(drawing, readings[known], matrices)
     completed = influences.copy()
