@@ -129,7 +129,7 @@ def test_one_error_gives_the_numbers_of_all(name: str, setup: pincal.Setup | Non
     errors = errors_at(result, poses)
     # of angles against lengths, with frames: the radius there is that of the nominal legs
     same = 1e-9 if setup is None else 1e-4
-    np.testing.assert_allclose(found.sizes, errors.after, rtol=same)
+    np.testing.assert_allclose(found.sizes, errors.expected.sizes, rtol=same)
     assert inside.where_determined == pytest.approx(errors.mean_after(), rel=same)
     wider = unseen(result.reduced_chi2, result.chi2_freedoms)
     limit = tuple(wider * one for one in inside.limit)
@@ -150,7 +150,7 @@ def test_held_directions_give_the_numbers_of_all() -> None:
     errors = errors_at(result, poses)
     np.testing.assert_array_equal(found.determined, errors.expected.determined)
     known = found.determined
-    np.testing.assert_allclose(found.sizes[known], errors.after[known], rtol=1e-9)
+    np.testing.assert_allclose(found.sizes[known], errors.expected.sizes[known], rtol=1e-9)
     region = poses[errors.expected.within]
     inside = platform_error(result.identified, result.covariance, region, held, result.frames_moved)
     assert inside.where_determined == pytest.approx(errors.mean_after(), rel=1e-9)
