@@ -133,7 +133,7 @@ def test_one_error_gives_the_numbers_of_all(name: str, setup: pincal.Setup | Non
     assert inside.where_determined == pytest.approx(errors.mean_after(), rel=same)
     wider = unseen(result.reduced_chi2, result.chi2_freedoms)
     limit = tuple(wider * one for one in inside.limit)
-    assert limit == pytest.approx(errors.limit, rel=same, abs=1e-15)
+    assert limit == pytest.approx(errors.inside.limit, rel=same, abs=1e-15)
 
 
 def test_held_directions_give_the_numbers_of_all() -> None:
@@ -155,7 +155,7 @@ def test_held_directions_give_the_numbers_of_all() -> None:
     inside = platform_error(result.identified, result.covariance, region, held, result.frames_moved)
     assert inside.where_determined == pytest.approx(errors.mean_after(), rel=1e-9)
     limit = tuple(errors.expected.unseen * one for one in inside.limit)
-    assert limit == pytest.approx(errors.limit, rel=1e-9)
+    assert limit == pytest.approx(errors.inside.limit, rel=1e-9)
     assert result.expected_error(poses).position == found.position
 
 
