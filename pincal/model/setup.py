@@ -184,7 +184,12 @@ class Systematic:
     """Standard uncertainties of what is off by the same in all rows (type B, GUM 4.3).
 
     More rows do not make them smaller: they are taken into what is promised, not into weights.
-    ``Systematic(scale=2e-6, temperature=1.0)`` is of a tracker's scale, and of 1 K.
+
+    Example:
+        >>> import pincal
+        >>> tracker = pincal.Systematic(scale=2e-6, temperature=1.0)
+        >>> pincal.Setup(systematic=tracker).systematic.temperature
+        1.0
     """
 
     scale: float = 0.0

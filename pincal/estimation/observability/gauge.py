@@ -163,9 +163,16 @@ def find_gauge(
         moved = gauge[:n_legs]
     elif inside.shape[1]:
         follows = gain.reshape(-1, n_legs) @ T[:n_legs]
+        lacking = _undetermined(J, unknowns, len(lost), follows)
+        if inside.shape[1] == 1 and (gains := _scale_gains(mechanism, moved)):
+            lacking = (
+                "the scale. Lengths alone do not fix it where the gains of their sensors "
+                f"({', '.join(gains)}) are free: a machine twice as large reads the same. Fix the "
+                f"gains ({' '.join(f'--fixed {name}' for name in gains)}), or measure a position "
+                "or a distance"
+            )
         raise ObservabilityError(
-            f"what is measured leaves parameters undetermined at any poses: "
-            f"{_undetermined(J, unknowns, len(lost), follows)}"
+            f"what is measured leaves parameters undetermined at any poses: {lacking}"
         )
     n_still = len(directions) - frames.shape[1]
     findings = _freedoms(frames.shape[1], mechanism, unknowns, directions @ T.T)
@@ -195,6 +202,19 @@ def _undetermined(J: Array, unknowns: Unknowns, n_lost: int, gain: Array) -> str
         f"{groups_in_words(needed, most=len(needed))}. Measure more of the platform, or fix one of "
         "them, or make it a constant in mechanism.yaml"
     )
+
+
+def _scale_gains(mechanism: Mechanism, lost: Array) -> tuple[str, ...]:
+    """Return names of gains that grow or shrink with all lengths along directions lost, if any."""
+    parameters = mechanism.parameters
+    units = np.array([parameter.unit for parameter in parameters])
+    nominal = np.array([parameter.nominal for parameter in parameters])
+    Q = np.linalg.qr(lost / np.linalg.norm(lost, axis=0))[0]
+    for sign in (1.0, -1.0):
+        grown = np.where(units == "m", nominal, np.where(units == "1", sign * nominal, 0.0))
+        if np.linalg.norm(grown - Q @ (Q.T @ grown)) < NEGLIGIBLE * np.linalg.norm(grown):
+            return tuple(dict.fromkeys(p.name for p in parameters if p.unit == "1"))
+    return ()
 
 
 def _weights(mechanism: Mechanism, problem: Problem) -> Array:
