@@ -835,6 +835,15 @@ def test_a_fit_that_chi2_contradicts_is_no_success(work: Path) -> None:
     assert Path("doubted/mechanism/mechanism.yaml").is_file()
 
 
+def test_the_next_command_is_of_what_was_typed(work: Path) -> None:
+    """It keeps what is known of the measurements, leaves out what it has not, and can be typed."""
+    small = ["--noise-position", "1e-7", "--noise-orientation", "1e-7"]
+    line = ["calibrate", "3RRR", "measured.csv", *small, "--folds", 0, "--no-report", "--verbose"]
+    typed = run(*line, "-o", "doubted").out.splitlines()[-1].removeprefix("next: pincal ").split()
+    assert typed == ["explain", "3RRR", "measured.csv", *small, "--folds", "0"]
+    assert run(*[*typed[:-1], "2"]).code == 0
+
+
 def test_the_verdict_comes_first(work: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What the platform's error is, in the first of about ten lines of 80 characters."""
     monkeypatch.setattr(pincal.cli.app.stdout, "width", 80)

@@ -272,8 +272,8 @@ def explain_failure(calibration: Calibration, frame: External | None) -> tuple[F
     setup = calibration.options.setup
     faults = explain_misfit(calibration.mechanism, calibration.measurements, setup, frame)
     # where motors' zeros were found the search started where the offsets are right
-    found = calibration.start is not None
-    return tuple(fault for fault in faults if not (found and fault.code == "reading-offset"))
+    zeros_known = calibration.start is not None
+    return tuple(fault for fault in faults if not (zeros_known and fault.code == "reading-offset"))
 
 
 def explain_result(result: CalibrationResult, frame: External) -> tuple[Finding, ...]:

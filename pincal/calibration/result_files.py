@@ -129,8 +129,8 @@ def restored(data: dict[str, Any], nominal: Mechanism) -> CalibrationResult:
     converter = _CONVERTER.copy()
     converter.register_structure_hook(Mechanism, lambda *_: nominal)
     result = converter.structure(data, CalibrationResult)
-    found = [(p.id, p.unit) for leg in result.legs for p in leg.parameters]
-    if found != [(parameter.id, parameter.unit) for parameter in nominal.parameters]:
+    parameters = [(p.id, p.unit) for leg in result.legs for p in leg.parameters]
+    if parameters != [(parameter.id, parameter.unit) for parameter in nominal.parameters]:
         raise ValueError("parameters of another mechanism than the nominal one")
     values = np.concatenate([leg.identified for leg in result.legs])
     return replace(result, identified=result.calibration.identified(values))

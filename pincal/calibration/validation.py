@@ -282,7 +282,7 @@ def per_row(misses: Misses, count: int) -> Array:
     """Return sizes of misses of position [m], of all targets, and orientation [rad], (N, 2)."""
     sizes = np.full((count, 2), np.nan)
     for column, unit in enumerate(("m", "rad")):
-        squares = [values**2 for (_, of), values in misses.items() if of == unit]
+        squares = [values**2 for (_, unit_missed), values in misses.items() if unit_missed == unit]
         if squares:
             known = np.isfinite(squares).any(axis=0)
             sizes[known, column] = np.sqrt(np.nanmean(np.array(squares)[:, known], axis=0))

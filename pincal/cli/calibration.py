@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import shlex
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -17,7 +17,15 @@ from pincal.calibration.hypotheses.doctor import Remedy, remedies
 from pincal.calibration.options import AUTO, FOLDS, By, Options
 from pincal.calibration.result_files import REPORT, RESULT_FILES
 from pincal.cli.app import command, fail, remark, say, stdout, typed, warn, working, wrote
-from pincal.cli.options import FORCE, Force, Measured, Mech, SetupOptions, output_option
+from pincal.cli.options import (
+    FORCE,
+    Force,
+    Measured,
+    Mech,
+    SetupOptions,
+    output_option,
+    typed_name,
+)
 from pincal.errors import MeasurementError, MisfitError
 from pincal.files.measurement_writing import columns_of
 from pincal.files.measurements import read_measurements
@@ -129,9 +137,7 @@ def calibrate(
         try:
             result, notes = run(calibration, options.folds, running.by)
         except MisfitError:
-            remark(
-                f"pincal doctor {mech} {measurements} tries what may be wrong, and says what works"
-            )
+            remark(f"{_again('doctor')} tries what may be wrong, and says what works")
             raise
         result.save(output, force=running.force)
         files = [*mechanism_files(mech), measurements]
@@ -159,7 +165,7 @@ def calibrate(
         for part in (*details, *notes) if running.verbose else notes:
             stdout.print(part)
     wrote(output)
-    say(f"next: {'; '.join(next_steps(result, mech, str(measurements), str(output)))}")
+    say(f"next: {'; '.join(next_steps(result, _again, str(output)))}")
     if undrawn:
         fail(
             3,
@@ -193,20 +199,32 @@ def explain(mech: Mech, measurements: Measured, options: Options, known: InputOp
         say(*explanation_lines(explanation))
     if explanation.terms:
         added = (word for term in explanation.terms for word in ("--terms", term))
-        say(f"  {_calibrate_line(*added)}")
+        say(f"  {_again('calibrate', *added)}")
 
 
-def _calibrate_line(*added: str, measured: tuple[Path, Path] | None = None) -> str:
-    """Return what was typed as ``calibrate`` with further options, and with a file for another."""
+def _again(command: str, *added: str, measured: tuple[Path, Path] | None = None) -> str:
+    """Return what was typed, as another command of the same measurements.
+
+    Args:
+        command: ``calibrate``, ``explain`` or ``doctor``; options that it has not are left out.
+        *added: Further words.
+        measured: A file of measurements, and that in place of it.
+    """
+    groups = {"explain": (CalibrateOptions,), "doctor": (CalibrateOptions, Options)}
+    dropped = [field for kind in groups.get(command, ()) for field in fields(kind)]
+    flags = {typed_name(f): isinstance(f.default, bool) for f in dropped if "option" in f.metadata}
+    flags |= {"quiet": True, "force": True}
+    if command == "explain" or "--terms" in added:  # those that were tried
+        flags["terms"] = False
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
-    for option_name in ("--terms", "-o"):  # those that were tried, and another output
-        parser.add_argument(option_name, *["--output"] * (option_name == "-o"), action="append")
-    for flag in ("--force", "--quiet"):
-        parser.add_argument(flag, action="store_true")
+    parser.add_argument("-o", "--output")
+    for name, flag in flags.items():
+        parser.add_argument(f"--{name}", action="store_true" if flag else "append")
     _, words = parser.parse_known_args(shlex.split(typed())[2:])
     if measured:
         words = [str(measured[1]) if Path(word) == measured[0] else word for word in words]
-    return shlex.join(["pincal", "calibrate", *words, *added, "-o", "RESULT"])
+    output = ("-o", "RESULT") if command == "calibrate" else ()
+    return shlex.join(["pincal", command, *words, *added, *output])
 
 
 @command
@@ -249,7 +267,7 @@ def doctor(
             "is true: look at the machine, and mend the source"
         )
     else:
-        _say_what_converged(mech, measurements, known, tries)
+        _say_what_converged(known, tries)
     fail(1)
 
 
@@ -270,22 +288,19 @@ def _say_cure(
             wrote(output)
     elif output:
         remark(f"options are enough: {output} is not written, take {measurements}")
-    lines.append(_calibrate_line(*_cure_options(cure, known), measured=mended))
+    lines.append(_again("calibrate", *_cure_options(cure, known), measured=mended))
     say("this works:", *(f"  {line}" for line in lines))
 
 
-def _say_what_converged(
-    mech: str, measurements: Path, known: InputOptions, tries: Sequence[Remedy]
-) -> None:
+def _say_what_converged(known: InputOptions, tries: Sequence[Remedy]) -> None:
     """Say that no remedy makes the measurements fit, and what to try if a fit converged."""
     stdout.print("nothing of this makes the measurements fit the mechanism")
     converged = [remedy for remedy in tries if remedy.result and remedy.result.converged]
     if converged:
-        line = f"pincal explain {mech} {measurements}"
-        stdout.print(f"the mechanism may lack a term: {line} looks for it")
+        stdout.print(f"the mechanism may lack a term: {_again('explain')} looks for it")
     near = next((remedy for remedy in converged if not remedy.mends), None)
     if near and near.result and near.result.excess == 1.0:
-        line = _calibrate_line(*_cure_options(near, known))
+        line = _again("calibrate", *_cure_options(near, known))
         say("this converges, and promises nothing:", f"  {line}")
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -192,17 +192,28 @@ def _reliable(result: CalibrationResult, notes: Sequence[str]) -> Answer:
     return Answer("Can I rely on it?", shown, tone, [lines])
 
 
+def _again(command: str, *added: str) -> str:
+    """Return a command line of the same measurements, where what was typed is not known."""
+    return " ".join(("pincal", command, "MECH", "DATA.csv", *added))
+
+
 def next_steps(
-    result: CalibrationResult, mech: str = "MECH", data: str = "DATA.csv", folder: str = "RESULT"
+    result: CalibrationResult, again: Callable[..., str] = _again, folder: str = "RESULT"
 ) -> list[str]:
-    """Return the commands that come next."""
+    """Return the commands that come next.
+
+    Args:
+        result: What was found.
+        again: Returns a command line of the same measurements, of its command and further words.
+        folder: Where the result is.
+    """
     codes = {finding.code for finding in result.findings}
     if not result.converged or not result.corrects:
-        return [f"pincal doctor {mech} {data}"]
+        return [again("doctor")]
     if codes & {"wrong-rows", "outliers"} and result.loss == "none":
-        return [f"pincal calibrate {mech} {data} --loss reject -o {folder}"]
+        return [again("calibrate", "--loss", "reject")]
     if not result.promises:
-        return [f"pincal explain {mech} {data}"]
+        return [again("explain")]
     return [f"pincal view {folder}", f"pincal inverse {folder} POSES.csv -o READINGS.csv"]
 
 

@@ -99,7 +99,8 @@ FINDINGS: dict[str, Wording] = {
     "step": Wording(
         "A step",
         "{quantity} is off by {size|amount(unit)} from data row {row} on ({p_value|chance})",
-        "Look for an encoder that slipped, or a target that was hit; leave the shorter part out",
+        "First see what physics explains (pincal explain); else look for an encoder that slipped, "
+        "or a target that was hit, and leave the shorter part out",
     ),
     "reference-moved": Wording(
         "A pose moved that was measured again",

@@ -128,12 +128,12 @@ def sample_configurations(
             progress(min(total, count))
         if total >= count:
             return Plan(np.concatenate(poses)[:count], readings=np.concatenate(readings)[:count])
-    why = "legs do not close within their joints' limits, or too near to singularities"
+    reason = "legs do not close within their joints' limits, or too near to singularities"
     if not solution.converged.any():
-        why = Counter(solution.reasons).most_common(1)[0][0]
+        reason = Counter(solution.reasons).most_common(1)[0][0]
     raise WorkspaceError(
         f"only {total} of {count} configurations of {mechanism.name!r} found between the limits of "
-        f"the active joints and near home, where {why}. Look at its home and limits: 'pincal check'"
+        f"the active joints and near home, where {reason}. Look at home and limits: 'pincal check'"
     )
 
 

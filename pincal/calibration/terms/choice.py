@@ -136,8 +136,8 @@ class Explanation:
         """Return a page: what residuals follow, the models compared, and what to do."""
 
     def __repr__(self) -> str:
-        found = ", ".join(self.terms) or self.verdict
-        return f"Explanation({self.result.nominal.name!r}: {found})"
+        chosen = ", ".join(self.terms) or self.verdict
+        return f"Explanation({self.result.nominal.name!r}: {chosen})"
 
 
 def choose(
