@@ -14,19 +14,19 @@ sys.path.insert(0, str(ROOT))
 from tools.counts import Counts, count, count_revision, main  # noqa: E402
 
 LINES = {
-    "": 340,
+    "": 335,
     "architectures": 565,
     "calibration": 5_845,
     "cli": 2_280,
-    "design": 2_280,
-    "estimation": 4_870,
-    "files": 2_690,
-    "formats": 2_490,
+    "design": 2_285,
+    "estimation": 4_865,
+    "files": 2_695,
+    "formats": 2_485,
     "kinematics": 3_590,
-    "model": 3_140,
-    "show": 4_130,
-    "symmetry": 1_580,
-    "words": 1_000,
+    "model": 3_135,
+    "show": 4_135,
+    "symmetry": 1_575,
+    "words": 1_005,
     "workspace": 1_570,
 }
 """Most lines of each room; a room that is not listed may have none."""

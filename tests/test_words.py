@@ -301,4 +301,4 @@ def test_findings_have_what_their_sentences_need() -> None:
     found += [finding("terms-chosen", parameters=("leg_1.sin",))]
     assert [one.severity for one in found] == ["warning", "info"]
     assert len(sentences(found)) == 2
-    assert sentences(found, "warning")[0].startswith("leg_1: 1 poses for 8 parameters")
+    assert sentences(found, "warning")[0].startswith("leg_1: 1 pose for 8 parameters")

@@ -24,7 +24,7 @@ from pincal.calibration.options import Progress, Tolerance
 from pincal.calibration.promise import most_uncertain, uncovered
 from pincal.calibration.result import CalibrationResult
 from pincal.calibration.result_parts import IdentifiedParameter, LegResult, Validation
-from pincal.errors import MeasurementError, PincalError
+from pincal.errors import FileError, MeasurementError, PincalError
 from pincal.estimation.system import LOSSES, Loss, LossName
 from pincal.estimation.unknowns import State
 from pincal.files.measurement_writing import write_plan
@@ -358,6 +358,11 @@ def read_result(folder: str | Path) -> dict[str, Any]:
         MeasurementError: not a result of pincal, or of another version.
     """
     path = Path(folder) / RESULT
+    if not path.exists():
+        raise FileError(
+            f"{folder} is no result: it holds no {RESULT}; make one by 'pincal calibrate … -o "
+            "RESULT'"
+        )
     text = read_text(path, LARGEST_FILE["result"], MeasurementError)
     try:
         data = json.loads(

@@ -17,6 +17,7 @@ from pincal.estimation.observability.gauge import frame_motions, unexplained
 from pincal.estimation.observability.indices import NEGLIGIBLE
 from pincal.kinematics.closure import largest_size
 from pincal.kinematics.configurations import leg_demands, legs_at
+from pincal.model.checks import counted
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.types import Array, Mask
@@ -139,7 +140,8 @@ class PlatformError:
         if not self.promised:
             lines.append("  no limit is promised: something contradicts the model or its noise")
         elif outside := int((self.outside > 1.0).sum()):
-            lines.append(f"  no limit is promised: {outside} poses lie outside the measured region")
+            lie = counted(outside, "pose lies", "poses lie")
+            lines.append(f"  no limit is promised: {lie} outside the measured region")
         else:
             lines.append(f"  95 of 100 below   {self._shown(*self.limit)}")
             lines += [f"  left out          {UNCOVERED[code]}" for code in self.uncovered]

@@ -62,7 +62,8 @@ def refuse_existing(path: str | Path, *, force: bool, folder: Sequence[str] = ()
         "not replaced; choose another name": exists and folder and not known,
         f"{path} would replace {', '.join(map(str, read[:1]))}, which this command reads; choose "
         "another name": read,
-        f"{path} exists; choose another name, or say --force to replace it": exists and not force,
+        f"{path} exists; choose another name, or say --force (force=True) to replace it": exists
+        and not force,
         f"{path} holds the current folder, so it is not replaced; leave it first": inside,
         f"cannot write {path}: the folder {real.parent} does not exist": not has_parent,
     }

@@ -212,6 +212,8 @@ def next_steps(
         return [again("doctor")]
     if codes & {"wrong-rows", "outliers"} and result.loss == "none":
         return [again("calibrate", "--loss", "reject")]
+    if not result.promises and "few-poses" in codes:
+        return [f"pincal select {folder} -o PLAN.csv"]
     if not result.promises:
         return [again("explain")]
     return [f"pincal view {folder}", f"pincal inverse {folder} POSES.csv -o READINGS.csv"]

@@ -198,6 +198,8 @@ class Plots:
             for p, factor in zip(parameters, per_unit.tolist(), strict=True)
             if 0.0 < p.std < np.inf
         ]
+        if not sizes:
+            raise MeasurementError("no parameter's change is determined")
         bars = sorted(sizes)[-int((_height(ax) - _LEGEND) / _BAR) :]
         changes, halves = np.array([bar[:2] for bar in bars]).T
         places = np.arange(len(bars))

@@ -151,7 +151,7 @@ FINDINGS: dict[str, Wording] = {
     ),
     "few-poses": Wording(
         "Few poses",
-        "{legs|join(', ')}: {poses} poses for {unknowns} parameters",
+        "{legs|join(', ')}: {poses|counted('pose')} for {unknowns} parameters",
         "Measure more: two or three times as many poses as parameters are advised",
     ),
     "weakly-determined": Wording(

@@ -82,8 +82,11 @@ def number(value: float, unit: str, digits: int = 3, units: Mapping[str, str] = 
     """Return what ``amount`` does, without the unit; less than anybody measures is a bound."""
     if not (read := units[unit]):
         return rounded(value, digits)
-    bound = _bound(abs(value), unit, units)
-    return bound or rounded(round(shown_in(value, unit, units), _finest(read)), digits)
+    if bound := _bound(abs(value), unit, units):
+        return bound
+    shown = shown_in(value, unit, units)
+    finest = digits - 1 - floor(log10(abs(shown))) if shown and isfinite(shown) else 0
+    return rounded(round(shown, min(_finest(read), finest)), digits)  # rounded once
 
 
 def _bound(value: float, unit: str, units: Mapping[str, str]) -> str:
