@@ -25,7 +25,7 @@ FOREIGN = [
         r"(Array|ArrayLike|Axes|Figure|Path|NDArray|Any|Callable|Iterable|Iterator|Literal)",
     ),
     (r"py:.*", r"pincal(\.[a-z_]+)+\.[A-Z]\w+"),  # inner types that calls neither take nor return
-    (r"py:.*", r"(Calibration|Outlier|Observed|External|Plots)"),
+    (r"py:.*", r"(Calibration|Outlier|External|Plots|Report)"),
     (r"py:.*", r"(Mapping|Sequence|Self|Generator|optional|array|bool|int|float|str|DataFrame)"),
 ]
 _BARE = re.compile(r"(``.*?``)|\|")
