@@ -19,7 +19,7 @@ for protocol, count in (("symmetric", 24), ("orbits", 24), ("orbits", 8)):
 selection = pincal.select_poses(mechanism, candidates, 24, "symmetric")
 selection.plan.to_csv("02_plan.csv", mechanism, force=True)
 
-figure = Figure(figsize=(15, 4.6), layout="constrained")
+figure = Figure(figsize=(15, 5.0), layout="constrained")
 left, middle, right = figure.subplots(1, 3)
 pincal.picture(mechanism).draw(left).set_title("3-RRR at home")
 middle.plot(*candidates[:, :2].T, ",", color="0.8")
