@@ -358,12 +358,10 @@ def read_result(folder: str | Path) -> dict[str, Any]:
         MeasurementError: not a result of pincal, or of another version.
     """
     path = Path(folder) / RESULT
-    if not path.exists():
-        raise FileError(
-            f"{folder} is no result: it holds no {RESULT}; make one by 'pincal calibrate … -o "
-            "RESULT'"
-        )
-    text = read_text(path, LARGEST_FILE["result"], MeasurementError)
+    try:
+        text = read_text(path, LARGEST_FILE["result"], MeasurementError)
+    except FileError as error:
+        raise FileError(f"{error}; 'pincal calibrate … -o RESULT' makes a result") from error
     try:
         data = json.loads(
             text, parse_float=_finite, parse_constant=_finite, object_pairs_hook=_once
