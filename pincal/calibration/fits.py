@@ -288,10 +288,7 @@ def _beginning(
 def _fit_holding(
     calibration: Calibration, system: System, start: State | None, former: HeldUnknowns | None
 ) -> tuple[Fit, HeldUnknowns]:
-    """Return a fit with weak directions held, and what was: more of them until it converges.
-
-    What is held besides the former is held at nominal values: the search starts from these.
-    """
+    """Return a fit with weak directions held, and what was: more of them until it converges."""
     least = former.least if former else 1.0
     mechanism, options, free = calibration.mechanism, calibration.options, system.unknowns
     problem = system.problem
@@ -300,7 +297,7 @@ def _fit_holding(
     while True:
         held = hold_unobservable(mechanism, problem, free, least)
         if former and held.directions.shape[1] > former.directions.shape[1]:
-            start = None
+            start = None  # at nominal values: there what is held besides is held
         may_hold_more = held.weakest < _HELD_MORE * least and least < _HELD_MOST
         patience = _PATIENCE if may_hold_more else None
         system = replace(system, unknowns=held.unknowns, max_evaluations=patience)

@@ -8,7 +8,7 @@ import numpy as np
 
 from pincal.calibration.hypotheses.doctor import Remedy
 from pincal.calibration.terms.choice import LEVEL, Explanation
-from pincal.calibration.terms.kinds import GRAVITY, GROWTH, ORDER, READINGS, parts_of, term_text
+from pincal.calibration.terms.kinds import GROWTH, ORDER, READINGS, loads_known, parts_of, term_text
 from pincal.calibration.terms.screen import Candidate
 from pincal.estimation.observability.courses import Slip
 from pincal.model.mechanism import Mechanism
@@ -76,7 +76,7 @@ def explanation_lines(explanation: Explanation) -> list[str]:
     result, candidates = explanation.result, explanation.candidates
     nominal, visible = result.nominal, [c for c in candidates if c.corrected < LEVEL]
     terms = [candidate for candidate in visible if candidate.kind != ORDER]
-    loaded = nominal.weighs or any(candidate.kind == GRAVITY for candidate in candidates)
+    loaded = loads_known(nominal, result.measurements)
     least = min((candidate.corrected for candidate in candidates), default=1.0)
     nothing = (
         "nothing that was tried is seen in the residuals: the least probable of "

@@ -20,6 +20,7 @@ from pincal.calibration.terms.kinds import (
     Kind,
     Pair,
     check_place,
+    loads_known,
     parts_of,
 )
 from pincal.errors import MeasurementError
@@ -229,7 +230,7 @@ def with_influences(
     names = {APPROACH: mechanism.reading_names, LOAD: mechanism.load_names}
     known = measurements.influences
     if LOAD in asked_for and not mechanism.weighs:
-        if not any(f"{LOAD}_{name}" in known for name in mechanism.load_names):
+        if not loads_known(mechanism, measurements):
             raise MeasurementError(
                 f"terms 'gravity': what weighs on {mechanism.name!r} is not known; measure columns "
                 f"{LOAD}_{mechanism.reading_names[0]} …, or say it in mechanism.yaml: 'load: "
@@ -272,13 +273,12 @@ def idle_places(mechanism: Mechanism, measurements: Measurements) -> set[str]:
     units = dict(zip(mechanism.reading_names, mechanism.reading_units, strict=True))
     units |= {parameter.id: parameter.unit for parameter in mechanism.parameters}
     loads = {}
-    for name, values in measurements.influences.items():
-        owner = name.removeprefix(f"{LOAD}_")
-        if owner != name and owner in units:
-            largest = float(np.nanmax(np.abs(values), initial=0.0))
-            loads[owner] = largest * (size if units[owner] == "m" else 1.0)
-    least = _TRUE * max(loads.values(), default=0.0)
-    return {owner for owner in mechanism.load_names if not loads.get(owner, 0.0) > least}
+    for owner in mechanism.load_names:
+        values = measurements.influences.get(f"{LOAD}_{owner}", 0.0)
+        arm = size if units[owner] == "m" else 1.0
+        loads[owner] = arm * float(np.nanmax(np.abs(values), initial=0.0))
+    least = _TRUE * max(loads.values())
+    return {owner for owner, load in loads.items() if load <= least}
 
 
 def _with_each(leg: Leg, influences: Sequence[str]) -> Leg:

@@ -77,6 +77,12 @@ Pair = tuple[str, Kind]
 """A place, and a kind of term that it has or may lack."""
 
 
+def loads_known(mechanism: Mechanism, measurements: Measurements) -> bool:
+    """Return whether loads can be worked out, or some were measured."""
+    columns = {f"{LOAD}_{name}" for name in mechanism.load_names}
+    return mechanism.weighs or not columns.isdisjoint(measurements.influences)
+
+
 def every_pair(mechanism: Mechanism, measurements: Measurements) -> list[Pair]:
     """Return where which kinds of term are tried that measurements can show.
 
@@ -84,10 +90,9 @@ def every_pair(mechanism: Mechanism, measurements: Measurements) -> list[Pair]:
     lengths and angles between a leg's joints gravity, where loads are known. Each place alone, and
     what machines are built of several times together: all readings, and what has one name.
     """
-    columns = measurements.influences
     names = [HARMONICS] * ("rad" in mechanism.reading_units) + [POLYNOMIAL, BACKLASH, ORDER]
-    loads = (f"{LOAD}_{name}" in columns for name in mechanism.reading_names)
-    names += [GRAVITY] * (mechanism.weighs or any(loads))
+    names += [GRAVITY] * loads_known(mechanism, measurements)
+    columns = measurements.influences
     names += [name for name in columns if name not in {*mechanism.followed, *_KINDS}]
     kinds = [Kind.of(name) for name in dict.fromkeys(names)]
     every = [READINGS] * (len(mechanism.reading_names) > 1)
