@@ -193,9 +193,9 @@ def columns(path: Path) -> dict[str, list[str]]:
 
 
 def test_what_an_export_leaves_out_is_offered_and_the_command_works(tmp_path: Path) -> None:
-    """URDF, MJCF and firmware say which commands write corrections; these run as they are."""
+    """MJCF and firmware say which commands write corrections; these run as they are."""
     with_forms(pincal.load_mechanism("linear_delta"), "power").save(tmp_path / "a printer")
-    for file in ("m.urdf", "m.xml", "m.cfg", "m.g"):
+    for file in ("m.xml", "m.cfg", "m.g"):
         outcome = done("export", tmp_path / "a printer", "-o", tmp_path / file)
         offered = [line for line in outcome.err.splitlines() if ": pincal export " in line]
         assert len(offered) == 1
@@ -219,7 +219,7 @@ def test_what_an_export_leaves_out_is_offered_and_the_command_works(tmp_path: Pa
 
 
 def test_without_terms_no_table_is_offered(tmp_path: Path) -> None:
-    for name, file in (("5R", "m.urdf"), ("linear_delta", "m.cfg")):
+    for name, file in (("5R", "m.xml"), ("linear_delta", "m.cfg")):
         assert "corrections" not in done("export", name, "-o", tmp_path / file).err
 
 

@@ -32,8 +32,7 @@ import pincal
 from pincal.formats.arm import serial_arm
 from pincal.formats.calibrated_urdf import calibrated_urdf
 from pincal.formats.closed import closed_mechanism
-from pincal.formats.mjcf import mjcf, read_mjcf
-from pincal.formats.tree_of import loops_urdf, loops_yaml, tree_of
+from pincal.formats.mjcf import mjcf, read_mjcf, unwritten
 from pincal.formats.urdf_tree import read_loops
 from pincal.kinematics.assembly import independent
 from pincal.kinematics.batches import cross
@@ -52,12 +51,9 @@ def read(file: Path, platform: str | None = None) -> pincal.Mechanism:
     return closed_mechanism(tree, platform)[0]
 
 
-def exported(mechanism: pincal.Mechanism, folder: Path, form: str) -> Path:
-    """Write a mechanism in a neighbour's form."""
-    tree, _ = tree_of(mechanism)
-    if form == "urdf":
-        return written(folder, loops_urdf(tree), loops_yaml(tree))
-    (folder / "robot.xml").write_text(mjcf(tree))
+def exported(mechanism: pincal.Mechanism, folder: Path) -> Path:
+    """Write a mechanism as MJCF."""
+    (folder / "robot.xml").write_text(mjcf(mechanism))
     return folder / "robot.xml"
 
 
@@ -80,12 +76,11 @@ def some_joints(mechanism: pincal.Mechanism, count: int) -> tuple[np.ndarray, li
     return mechanism.platform.transforms(found.poses).as_matrix(), joints
 
 
-@pytest.mark.parametrize("form", ["urdf", "mjcf"])
 @pytest.mark.parametrize("name", FAMILIES)
-def test_what_is_written_is_read(name: str, form: str, tmp_path: Path) -> None:
+def test_what_is_written_is_read(name: str, tmp_path: Path) -> None:
     """A mechanism, out and in again, has the same platform, legs, home and joint positions."""
     mechanism = pincal.load_mechanism(name)
-    again = read(exported(mechanism, tmp_path, form))
+    again = read(exported(mechanism, tmp_path))
     assert again.platform.kind == mechanism.platform.kind
     assert again.leg_names == mechanism.leg_names
     np.testing.assert_allclose(again.platform.home, mechanism.platform.home, atol=1e-11)
@@ -128,7 +123,7 @@ def test_pinocchio_closes_the_loops_where_pincal_does(name: str, tmp_path: Path)
     Off by 1 mm or mrad in one joint they do not.
     """
     mechanism = pincal.load_mechanism(name)
-    file = exported(mechanism, tmp_path, "mjcf")
+    file = exported(mechanism, tmp_path)
     model, points, frames = pin.buildModelAndConstraintsFromMJCF(str(file))
     assert (len(points), len(frames)) == (len(mechanism.legs), 0)
     data = model.createData()
@@ -157,7 +152,7 @@ def test_mujoco_loads_what_is_written(name: str, tmp_path: Path) -> None:
     """In MuJoCo the keyframe closes the loops, and each drive has an actuator."""
     mujoco = pytest.importorskip("mujoco")
     mechanism = pincal.load_mechanism(name)
-    model = mujoco.MjModel.from_xml_path(str(exported(mechanism, tmp_path, "mjcf")))
+    model = mujoco.MjModel.from_xml_path(str(exported(mechanism, tmp_path)))
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
     mujoco.mj_forward(model, data)
@@ -548,13 +543,12 @@ def test_an_arm_out_and_in(tmp_path: Path) -> None:
     arm = pincal.Mechanism.from_urdf(tmp_path / "arm.urdf", "tool0")
     q = np.random.default_rng(0).uniform(-1.5, 1.5, (20, 6))
     expected = pincal.forward(arm, q).poses
-    tree, remarks = tree_of(arm)
-    assert remarks == ()
-    (tmp_path / "out.xml").write_text(mjcf(tree))
-    (tmp_path / "out.urdf").write_text(loops_urdf(tree))
+    assert unwritten(arm) == ()
+    (tmp_path / "out.xml").write_text(mjcf(arm))
+    done("export", arm.save(tmp_path / "arm"), "-o", tmp_path / "out.urdf")
     for again in (
         serial_arm(read_mjcf(tmp_path / "out.xml"), "platform"),
-        pincal.Mechanism.from_urdf(tmp_path / "out.urdf", "platform"),
+        pincal.Mechanism.from_urdf(tmp_path / "out.urdf", "arm_tip"),
     ):
         np.testing.assert_allclose(pincal.forward(again, q).poses, expected, atol=1e-11)
 
@@ -835,9 +829,9 @@ def test_options_that_do_not_go_together(tmp_path: Path) -> None:
     assert "leave out --tip: not for" in told
     done("import", file, "--tip", "a2", *again)
     assert len(pincal.load_mechanism(tmp_path / "other").reading_names) == 2
-    done("export", out, "-o", tmp_path / "new.urdf")
-    assert (tmp_path / "new.yaml").is_file()
-    assert "exists" in run("export", out, "-o", tmp_path / "new.urdf").trouble
+    assert "has loops" in run("export", out, "-o", tmp_path / "new.urdf").trouble
+    done("export", out, "-o", tmp_path / "new.xml")
+    assert "exists" in run("export", out, "-o", tmp_path / "new.xml").trouble
     assert "does not say what to write" in run("export", out, "-o", tmp_path / "new.txt").trouble
     original = ("--original", file)
     told = run("export", out, *original, "-o", tmp_path / "new.xml").trouble

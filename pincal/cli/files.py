@@ -31,18 +31,18 @@ from pincal.files.mechanism_folders import (
     save_mechanism,
     write_mechanism,
 )
-from pincal.files.output import writing, writing_together
+from pincal.files.output import writing
 from pincal.files.table import write_table
 from pincal.files.text import LARGEST_FILE, read_bytes
+from pincal.files.urdf import leg_urdf
 from pincal.formats.arm import serial_arm
 from pincal.formats.calibrated_urdf import calibrated_urdf
 from pincal.formats.closed import closed_mechanism, closing_in_words, slack_of
 from pincal.formats.corrections import CORRECTION, correction_columns, corrections
 from pincal.formats.delta_printer import delta_printer
 from pincal.formats.firmware import read_klipper, read_reprap, write_klipper, write_reprap
-from pincal.formats.mjcf import mjcf, read_mjcf
+from pincal.formats.mjcf import mjcf, read_mjcf, unwritten
 from pincal.formats.tree import Tree
-from pincal.formats.tree_of import loops_urdf, loops_yaml, tree_of, unwritten
 from pincal.formats.urdf_tree import XACRO, loops_beside, read_loops, read_urdf
 from pincal.kinematics.closure import largest_size
 from pincal.kinematics.influences import own_influences
@@ -272,8 +272,7 @@ def export(
     """Write URDF, MJCF, printer configurations, or corrections.
 
     With --original FILE is a copy of that URDF in which only the origins of calibrated joints are
-    other. Without it URDF (.urdf, with a .yaml beside it that closes the loops) and MJCF (.xml)
-    hold the kinematics of the whole mechanism.
+    other. Without it MJCF (.xml) holds the kinematics of any mechanism, URDF (.urdf) of an arm.
 
     Of a delta printer FILE gets a section of Klipper's printer.cfg (.cfg), or M665 and M666 of
     RepRapFirmware (.g). What a file has no place for is said. MECH may be a result of 'pincal
@@ -298,12 +297,11 @@ def export(
     if form == "table":
         _export_corrections(mechanism, output, options, poses, force=force)
         return
-    files, remarks = _exported(mechanism, output, form, original)
-    with writing_together([(path, ()) for path in files], force=force) as scratch:
-        for path, data in zip(scratch, files.values(), strict=True):
-            path.write_bytes(data)
+    data, remarks = _exported(mechanism, form, original)
+    with writing(output, force=force) as scratch:
+        scratch.write_bytes(data)
     warn(*remarks)
-    wrote(*files)
+    wrote(output)
     if mechanism.amplitudes:
         named = _columns(mechanism)
         units = " --units mm" * (form not in _ONLY["tip"])
@@ -316,27 +314,27 @@ def export(
 
 
 def _exported(
-    mechanism: Mechanism, output: Path, form: str, original: Path | None
-) -> tuple[dict[Path, bytes], Sequence[str]]:
-    """Return the files of a mechanism in another form, and what to know of them."""
-    remarks: Sequence[str]
+    mechanism: Mechanism, form: str, original: Path | None
+) -> tuple[bytes, Sequence[str]]:
+    """Return the file of a mechanism in another form, and what to know of it."""
     if original is not None:
         data = calibrated_urdf(original, mechanism)
         lines = set(read_bytes(original, LARGEST_FILE["XML"], MechanismError).splitlines())
         changed = sum(line not in lines for line in data.splitlines())
         remark(f"{changed} lines are other than in {original}")
-        return {output: data}, unwritten(mechanism)
+        return data, unwritten(mechanism)
+    if form == "urdf" and not (len(mechanism.legs) == 1 and mechanism.legs[0].is_arm):
+        raise MechanismError(
+            f"{mechanism.name!r} has loops, which a URDF has no place for: write MJCF (.xml), or "
+            "give your own URDF (--original); each leg's URDF is in its folder"
+        )
     if form in _ONLY["tip"]:
-        tree, remarks = tree_of(mechanism)
-        texts = {output: mjcf(tree) if form == "mjcf" else loops_urdf(tree)}
-        if form == "urdf" and tree.loops:
-            texts[output.with_suffix(".yaml")] = loops_yaml(tree)
-    else:
-        printer = delta_printer(mechanism)
-        remarks = printer.remarks
-        texts = {output: write_klipper(printer) if form == "klipper" else write_reprap(printer)}
-        say(texts[output].rstrip())
-    return {path: text.encode() for path, text in texts.items()}, remarks
+        text = mjcf(mechanism) if form == "mjcf" else leg_urdf(mechanism.legs[0])
+        return text.encode(), unwritten(mechanism)
+    printer = delta_printer(mechanism)
+    text = write_klipper(printer) if form == "klipper" else write_reprap(printer)
+    say(text.rstrip())
+    return text.encode(), printer.remarks
 
 
 def _columns(mechanism: Mechanism) -> list[str]:

@@ -322,7 +322,8 @@ def joint_element(robot: etree._Element, joint: Joint, parent: str, child: str) 
     continuous = joint.kind == "revolute" and not np.isfinite(joint.lower)
     kind = "continuous" if continuous else joint.kind
     element = etree.SubElement(robot, "joint", name=joint.name, type=kind)
-    ends_element(element, parent, child)
+    etree.SubElement(element, "parent", link=parent)
+    etree.SubElement(element, "child", link=child)
     origin = {"xyz": numbers_text(joint.placement.xyz), "rpy": numbers_text(joint.placement.rpy)}
     etree.SubElement(element, "origin", origin)
     if joint.kind == "fixed":
@@ -331,12 +332,6 @@ def joint_element(robot: etree._Element, joint: Joint, parent: str, child: str) 
     if not continuous:
         limits = {"lower": numbers_text([joint.lower]), "upper": numbers_text([joint.upper])}
         etree.SubElement(element, "limit", {"effort": "0", "velocity": "0", **limits})
-
-
-def ends_element(joint: etree._Element, parent: str, child: str) -> None:
-    """Add the links on either side of a joint."""
-    etree.SubElement(joint, "parent", link=parent)
-    etree.SubElement(joint, "child", link=child)
 
 
 def _rod(link: etree._Element, end: Triple, size: float) -> None:

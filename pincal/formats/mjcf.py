@@ -1,4 +1,4 @@
-"""MJCF as MuJoCo reads it: bodies and joints as a tree, with loops, couplings and drives.
+"""MJCF as MuJoCo reads it: a tree with loops, couplings and drives; and a mechanism as MJCF.
 
 MuJoCo's own compiler resolves defaults, includes, frames, replicas and every notation of an
 orientation; what it compiled is the kinematics that simulation uses (``body_pos``, ``jnt_axis``,
@@ -11,6 +11,7 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -24,10 +25,13 @@ from pincal.errors import MechanismError
 from pincal.files.text import read_xml
 from pincal.files.urdf import numbers_text, xml_text
 from pincal.formats.tree import Edge, Tree, at_home, turns, with_ranges
+from pincal.kinematics.assembly import assembled
 from pincal.model.checks import LARGEST
-from pincal.model.leg import Closing, Joint, JointKind
+from pincal.model.leg import Closing, Joint, JointKind, Leg
+from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import turns_in_series
 from pincal.model.placement import Placement, placement_of
+from pincal.model.platform import Platform
 from pincal.types import Array
 
 if TYPE_CHECKING:
@@ -39,6 +43,7 @@ else:
 _NOISE = re.compile(r"(?:XML )?Error: |Element name '', id \d+, ")
 _STILL = np.array([1.0, 0.0, 0.0, 0.0])
 _TETRAHEDRON = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+_PLATFORM = "platform"
 
 
 def read_mjcf(path: Path) -> Tree:
@@ -240,56 +245,92 @@ def _joints_of_tendon(model: mujoco.MjModel, tendon: int) -> list[int]:
     return moving
 
 
-def mjcf(tree: Tree) -> str:
-    """Return the MJCF file of a tree: a body for each joint, a site at either end of each loop."""
-    root = etree.Element("mujoco", model=tree.name)
+def mjcf(mechanism: Mechanism) -> str:
+    """Return the MJCF file of a mechanism at nominal parameters; home closes the loops if it can.
+
+    The platform hangs on the base by its own freedoms, all passive, and each leg ends in a loop
+    with it: so legs of any number of joints, and platforms of any kind, come out alike, and come in
+    again. A serial arm has no loop, and its tip is the platform. Joints keep their names if all
+    legs' differ; else they are ``leg_joint``.
+    """
+    with suppress(MechanismError):
+        legs, platform = assembled(mechanism.legs, mechanism.platform)
+        mechanism = replace(mechanism, legs=legs, platform=platform)
+    first, placed = mechanism.legs[0], [leg.joints for leg in mechanism.legs]
+    serial = len(mechanism.legs) == 1 and first.is_arm and first.point.placement == Placement()
+    names = [joint.name for joints in placed for joint in joints]
+    shared = len(set(names)) != len(names) or _PLATFORM in names
+    longest = max(float(np.linalg.norm(j.placement.xyz)) for joints in placed for j in joints)
+    thickness = 0.02 * (longest or 1.0)
+    root = etree.Element("mujoco", model=mechanism.name)
     etree.SubElement(root, "compiler", angle="radian", autolimits="true")
     world = etree.SubElement(root, "worldbody")
-    bodies = {tree.root: etree.SubElement(world, "body", name=tree.root)}
-    longest = max(float(np.linalg.norm(edge.joint.placement.xyz)) for edge in tree.edges)
+    base = etree.SubElement(world, "body", name="base")
+    equality, actuators = (etree.SubElement(root, tag) for tag in ("equality", "actuator"))
     home: list[float] = []
-    _children(tree, tree.root, bodies, home, 0.02 * (longest or 1.0))
-    equality = etree.SubElement(root, "equality")
-    for loop in tree.loops:
-        sites = {}
-        ends = ((loop.parent, loop.joint.placement), (loop.child, loop.at_child))
-        for key, (link, placement) in zip(("site1", "site2"), ends, strict=True):
-            sites[key] = f"{loop.joint.name}_{key}"
-            site = etree.Element("site", {"name": sites[key], **_written_pose(placement)})
-            bodies[link].insert(1, site)
-        tag = "connect" if loop.closes == "point" else "weld"
-        etree.SubElement(equality, tag, {"name": loop.joint.name, **sites})
-    actuators = etree.SubElement(root, "actuator")
-    for name in tree.active:
-        etree.SubElement(actuators, "position", name=name, joint=name)
+    end = base
+    freedoms = [] if serial else _freedoms(mechanism.platform)
+    for joint in freedoms:
+        end = _body(
+            end, _PLATFORM if joint is freedoms[-1] else f"on_{joint.name}", joint, thickness
+        )
+        home.append(joint.home)
+    carried = end
+    for leg in mechanism.legs:
+        stem, end = f"{leg.name}_" * shared, base
+        for index, joint in enumerate(leg.joints):
+            is_tip = serial and joint is leg.joints[-1]
+            name = _PLATFORM if is_tip else f"{leg.name}_link_{index + 1}"
+            end = _body(end, name, replace(joint, name=stem + joint.name), thickness)
+            home += [joint.home] * (joint.kind != "fixed")
+        for sensor in leg.sensors:
+            name = stem + sensor.joint
+            etree.SubElement(actuators, "position", name=name, joint=name)
+        if not serial:
+            sites = {"site1": f"{leg.name}_tip", "site2": f"{leg.name}_end"}
+            etree.SubElement(end, "site", name=sites["site1"])
+            point = _written_pose(_point(leg, mechanism.platform))
+            etree.SubElement(carried, "site", {"name": sites["site2"], **point})
+            tag = "connect" if leg.closes == "point" else "weld"
+            etree.SubElement(equality, tag, {"name": leg.name, **sites})
     frames = etree.SubElement(root, "keyframe")
     etree.SubElement(frames, "key", name="home", qpos=numbers_text(home))
     return xml_text(root)
 
 
-def _children(
-    tree: Tree, link: str, bodies: dict[str, etree._Element], home: list[float], radius: float
-) -> None:
-    """Enter the bodies on a link, and their joints' home positions in the same order."""
-    for edge in tree.edges:
-        if edge.parent != link:
-            continue
-        joint, placement = edge.joint, edge.joint.placement
-        pose = {"name": edge.child, **_written_pose(placement)}
-        bodies[edge.child] = body = etree.SubElement(bodies[link], "body", pose)
-        etree.SubElement(body, "inertial", pos="0 0 0", mass="0.1", diaginertia="0.001 0.001 0.001")
-        if joint.kind != "fixed":
-            kind = "slide" if joint.kind == "prismatic" else "hinge"
-            attributes = {"name": joint.name, "type": kind, "axis": numbers_text(joint.axis)}
-            if np.isfinite([joint.lower, joint.upper]).all():
-                attributes["range"] = numbers_text((joint.lower, joint.upper))
-            etree.SubElement(body, "joint", attributes)
-            home.append(joint.home)
-        if any(abs(value) > 1e-9 for value in placement.xyz):
-            shape = {"fromto": f"0 0 0 {numbers_text(placement.xyz)}", "size": f"{radius:.6g}"}
-            looks = {"type": "capsule", "contype": "0", "conaffinity": "0", "mass": "0"}
-            etree.SubElement(bodies[link], "geom", {**shape, **looks})
-        _children(tree, edge.child, bodies, home, radius)
+def _freedoms(platform: Platform) -> list[Joint]:
+    """Return the platform's freedoms as joints, at home."""
+    T = platform.home_pose.as_matrix()[0]
+    home = (*T[:3, 3], *turns_in_series(T[None, :3, :3])[0])
+    letters = "".join("XYZxyz"[row] for row in platform.twist_rows)
+    edges = turns(Joint(_PLATFORM, "fixed"), "", "", letters)
+    rows = zip(edges, platform.twist_rows, strict=True)
+    return [replace(edge.joint, home=float(home[row])) for edge, row in rows]
+
+
+def _point(leg: Leg, platform: Platform) -> Placement:
+    """Return where a platform point is; in the plane at the height of the leg's tip."""
+    x, y, z = leg.point.placement.xyz
+    if platform.space == 2:
+        z = float(leg.link_placements(leg.home[None])[0, -1, 2, 3])
+    return Placement((), (x, y, z), leg.point.placement.rpy)
+
+
+def _body(parent: etree._Element, name: str, joint: Joint, thickness: float) -> etree._Element:
+    """Add a body on another one by a joint, and a rod to it."""
+    body = etree.SubElement(parent, "body", {"name": name, **_written_pose(joint.placement)})
+    etree.SubElement(body, "inertial", pos="0 0 0", mass="0.1", diaginertia="0.001 0.001 0.001")
+    if joint.kind != "fixed":
+        kind = "slide" if joint.kind == "prismatic" else "hinge"
+        attributes = {"name": joint.name, "type": kind, "axis": numbers_text(joint.axis)}
+        if np.isfinite([joint.lower, joint.upper]).all():
+            attributes["range"] = numbers_text((joint.lower, joint.upper))
+        etree.SubElement(body, "joint", attributes)
+    if any(abs(value) > 1e-9 for value in joint.placement.xyz):
+        shape = {"fromto": f"0 0 0 {numbers_text(joint.placement.xyz)}", "size": f"{thickness:.6g}"}
+        looks = {"type": "capsule", "contype": "0", "conaffinity": "0", "mass": "0"}
+        etree.SubElement(parent, "geom", {**shape, **looks})
+    return body
 
 
 def _written_pose(placement: Placement) -> dict[str, str]:
@@ -301,3 +342,24 @@ def _written_pose(placement: Placement) -> dict[str, str]:
         turn = Rotation.from_matrix(placement.origin()[:3, :3])
         pose["quat"] = numbers_text(turn.as_quat(scalar_first=True))
     return pose
+
+
+def unwritten(mechanism: Mechanism) -> tuple[str, ...]:
+    """Return what neighbours' files have no place for."""
+    remarks = []
+    converting = [
+        leg.name
+        for leg in mechanism.legs
+        if not all(sensor.reads_position(leg.nominal_by_name) for sensor in leg.sensors)
+    ]
+    if converting:
+        remarks.append(
+            "the file holds joint positions, not readings: gains, offsets, zeros and terms of the "
+            f"sensors of {', '.join(converting)} have no place in it"
+        )
+    if grown := [leg.name for leg in mechanism.legs if leg.terms]:
+        remarks.append(
+            "the file holds one machine, at the reference of its influences: lengths and angles of "
+            f"{', '.join(grown)} that follow these (terms) are as they are there"
+        )
+    return tuple(remarks)
