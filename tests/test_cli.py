@@ -835,6 +835,32 @@ def test_a_fit_that_chi2_contradicts_is_no_success(work: Path) -> None:
     assert Path("doubted/mechanism/mechanism.yaml").is_file()
 
 
+def test_a_wrong_row_of_the_set_verify_is_named(work: Path) -> None:
+    """One orientation off by 20 mrad, a row to verify with: calibrate, report and doctor name it.
+
+    The exit code is 1, and 0 without that row; the next command leaves it out, and then only that.
+    """
+    noise = ["--noise-position", 1e-4, "--noise-orientation", 1e-4]
+    done("select", "3RRR", "-o", "verified.csv", "--count", 24, "--verify", 6)
+    done("simulate", "3RRR", "verified.csv", *noise, "-o", "sound.csv")
+    header, *rows = [line.split(",") for line in Path("sound.csv").read_text().splitlines()]
+    row = [line[0] for line in rows].index("verify") + 2
+    rows[row][3] = str(float(rows[row][3]) + 0.02)
+    Path("slip.csv").write_text("\n".join(",".join(line) for line in [header, *rows]))
+    doubted = run("calibrate", "3RRR", "slip.csv", *noise, "-o", "doubted")
+    name = f"data row {row + 1}"
+    assert doubted.code == 1
+    assert name in doubted.err
+    assert name in Path("doubted/report.html").read_text(encoding="utf-8")
+    assert "--loss reject" in doubted.out.splitlines()[-1]
+    assert name in done("doctor", "3RRR", "slip.csv", *noise).out
+    mended = done("calibrate", "3RRR", "slip.csv", *noise, "--loss", "reject", "-o", "mended")
+    assert f"left out: {name} " in mended.out
+    (outlier,) = pincal.load_result("mended").outliers
+    assert outlier.row == row
+    assert outlier.weight == 0.0
+
+
 def test_the_next_command_is_of_what_was_typed(work: Path) -> None:
     """It keeps what is known of the measurements, leaves out what it has not, and can be typed."""
     small = ["--noise-position", "1e-7", "--noise-orientation", "1e-7"]

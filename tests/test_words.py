@@ -210,6 +210,7 @@ SAID: dict[str, tuple[dict[str, Any], tuple[int, ...], tuple[str, ...], str]] = 
     "zeros-found": ({"changes": (("leg_1.gamma", 0.7, "rad"),)}, (), ("leg_1.gamma",), "zeros of readings are far from the drawing's: leg_1.gamma by 0.7 rad. Nothing to do if"),
     "sign-changed": ({"lengths": (("leg_1.l", 0.05, -0.0478),)}, (), ("leg_1.l",), "lengths changed their sign: leg_1.l from 0.05 to -0.0478 m"),
     "held-out-worse": ({"held_out": 3.0, "expected": 1.1, "p_value": 1e-6}, (), (), "the model follows its rows more closely than the machine. Measure more poses"),
+    "wrong-held-out": ({"total": 6, "sigma": 190.2, "quantity": "measured phi", "off": 199.0}, (32,), (), "1 of 6 held-out rows does not fit, data row 33 by 190 standard deviations (measured phi off by 199 σ); the other held-out rows fit. Mend or remove it"),
     "bad-rows": ({"worst": 7, "times": 123.4}, (7, 8), (), "data row 8 misses the nominal mechanism 123 times as far as rows usually do, and 1 more row so. Look for a slip"),
     "frame-misaligned": ({"frame": "base", "remedy": "base", "share": 0.9, "shift": 5e-3, "turn": 1e-3, "p_value": 1e-7}, (), (), "one motion of the base's frame, by 5 mm and 1 mrad"),
     "readings-still": ({"readings": (("leg_1", 0.5, "rad", 0.3),)}, (), (), "leg_1 reads the same in all rows (0.5 rad), where readings of the nominal mechanism differ by 0.3 rad over these poses. Check the sensor"),

@@ -88,8 +88,8 @@ def commands() -> str:
         "",
         "Made of the commands themselves, as `pincal COMMAND --help` shows them. `MECH` is the",
         "name of a bundled mechanism or a folder. Exit codes: 0 done; 1 a fit that did not",
-        "converge or that χ² contradicts, or rows without a solution; 2 wrong input, and then",
-        "nothing was written.",
+        "converge or that χ² or held-out rows contradict, or rows without a solution; 2 wrong",
+        "input, and then nothing was written.",
         "",
     ]
     listed = list(group.commands)  # type: ignore[attr-defined]

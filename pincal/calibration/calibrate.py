@@ -299,7 +299,9 @@ def with_validation(
     result: CalibrationResult, folds: int = FOLDS, by: By = "region", fits: Fits | None = None
 ) -> CalibrationResult:
     """Return what ``CalibrationResult.validated`` does; by the fits of all rows if at hand."""
-    validation = held_out(result.calibration, folds, by, fits)
+    validation, wrong_rows = held_out(result.calibration, folds, by, fits)
     codes = {remark.code for remark in result.findings}
     news = tuple(remark for remark in validation.findings if remark.code not in codes)
-    return replace(result, validation=validation, findings=(*result.findings, *news))
+    outliers = sorted((*result.outliers, *wrong_rows), key=lambda outlier: -outlier.sigma)
+    findings = (*result.findings, *news)
+    return replace(result, validation=validation, findings=findings, outliers=tuple(outliers))

@@ -55,6 +55,7 @@ _CONTRADICT = frozenset(
         "no-noise",
         "many-outliers",
         "held-out-worse",
+        "wrong-held-out",
         "step",
         "reference-moved",
         "terms-chosen",

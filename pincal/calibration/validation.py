@@ -11,6 +11,7 @@ measured, noise included. Intervals are by a bootstrap of poses (A. C. Davison a
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.special import bdtrc, betaincinv, chdtri
@@ -18,18 +19,19 @@ from scipy.special import bdtrc, betaincinv, chdtri
 from pincal.blas import on_one_thread
 from pincal.calibration.assemble import chi2_freedoms, noise_freedoms
 from pincal.calibration.calibration import Calibration
-from pincal.calibration.findings import rounding
+from pincal.calibration.findings import MANY_ROWS, rounding
 from pincal.calibration.fits import Fits, fitted
 from pincal.calibration.options import FOLDS, By, clusters, folds_of
 from pincal.calibration.promise import UNEXPLAINED, exceeded
 from pincal.calibration.result_parts import Missed, Validation
 from pincal.design.platform_error import CONFIDENCE, DRAWS
 from pincal.errors import MeasurementError
-from pincal.estimation.fit import Fit
+from pincal.estimation.fit import Fit, Outlier
 from pincal.estimation.problem import Linear
+from pincal.estimation.robust import as_one
 from pincal.estimation.solver import solve_poses
 from pincal.estimation.start import placed, poses_at_rest
-from pincal.estimation.system import UNLIKELY, NormalEquations
+from pincal.estimation.system import UNLIKELY, NormalEquations, suspected
 from pincal.kinematics.batches import CHUNK
 from pincal.kinematics.forward import forward
 from pincal.model.setup import ORIGIN
@@ -44,8 +46,10 @@ make worse."""
 @on_one_thread
 def held_out(
     calibration: Calibration, folds: int = FOLDS, by: By = "region", fits_of_all: Fits | None = None
-) -> Validation:
-    """Return the errors of a calibration at held-out rows; errors are those of ``validate``.
+) -> tuple[Validation, tuple[Outlier, ...]]:
+    """Return the errors of a calibration at held-out rows, and the few rows that alone miss.
+
+    With a robust loss these rows are left out, as are those that do not fit.
 
     Args:
         calibration: What was calibrated.
@@ -56,39 +60,68 @@ def held_out(
     if fits_of_all is None:
         fits_of_all = _converged(calibration, "the fit of all rows")
     calibration = fits_of_all.calibration
-    if calibration.options.loss != "none":
-        outlying = [outlier.row for fit in fits_of_all.fits for outlier in fit.outliers]
-        fitting_rows = ~np.isin(np.arange(len(calibration.measurements)), outlying)
-        calibration = calibration.rows(fitting_rows).with_options(loss="none")
-        fits_of_all = _converged(calibration, "the fit of the rows that fit")
-        calibration = fits_of_all.calibration
+    if calibration.options.loss == "none":
+        return _validated(fits_of_all, folds, by)
+    calibration = calibration.with_options(loss="none")
+    fitting = np.ones(len(calibration.measurements), dtype=bool)
+    fitting[[outlier.row for fit in fits_of_all.fits for outlier in fit.outliers]] = False
+    rejected: tuple[Outlier, ...] = ()
+    while True:
+        fits = _converged(calibration.rows(fitting), "the fit of the rows that fit")
+        validation, strays = _validated(fits, folds, by)
+        if not strays:
+            return validation, rejected
+        rows = np.flatnonzero(fitting)
+        rejected += tuple(replace(row, row=int(rows[row.row]), weight=0.0) for row in strays)
+        fitting[[outlier.row for outlier in rejected]] = False
+
+
+def _validated(fits_of_all: Fits, folds: int, by: By) -> tuple[Validation, tuple[Outlier, ...]]:
+    """Return errors at held-out rows, and the few rows that alone miss by more than expected."""
+    calibration = fits_of_all.calibration
     groups = folds_of(calibration.measurements, folds, by)
-    count, of_folds, misses, chances = int(groups.max()) + 1, np.zeros(4), [], []
+    count, misses, chances, chances_without = int(groups.max()) + 1, [], [], []
+    strays, of_folds = list[Outlier](), np.zeros(4)
     dof = fits_of_all.degrees_of_freedom
     chi2 = sum(fit.chi2 for fit in fits_of_all.fits)
     total = chi2 if (groups >= 0).all() else None  # rows to verify with are in no fit
-    for fold in range(count):
-        calibration.options.report(f"held-out rows, fold {fold + 1} of {count}")
-        seen_rows, unseen = groups != fold, calibration.rows(groups == fold)
-        fold_calibration = calibration.rows(seen_rows).at_this_noise()
-        fits = _converged(fold_calibration, f"fold {fold + 1} of {count}", fits_of_all, seen_rows)
-        sums = _sums(predictions(fits, unseen))
-        chances.append(_chance(fits, sums, total))
-        misses.append((unseen, misses_of(unseen, fits)))
-        of_folds += sums
     known = calibration.noise.known
     unit = 1.0 if known else max(chi2 / max(dof, 1), 1e-300)  # noise that was estimated
+    for fold in range(count):
+        calibration.options.report(f"held-out rows, fold {fold + 1} of {count}")
+        seen_rows, rows = groups != fold, np.flatnonzero(groups == fold)
+        unseen = calibration.rows(rows)
+        fold_calibration = calibration.rows(seen_rows).at_this_noise()
+        fits = _converged(fold_calibration, f"fold {fold + 1} of {count}", fits_of_all, seen_rows)
+        predicted = predictions(fits, unseen)
+        sums = _sums(predicted, len(rows))
+        wrong = suspected(sums[:, 0] / unit, sums[:, 3].astype(np.intp))
+        strays += [
+            _stray(predicted, row, sums[row], unit, rows) for row in np.flatnonzero(wrong).tolist()
+        ]
+        chances.append(_chance(fits, sums, total))
+        chances_without.append(_chance(fits, sums[~wrong], None))
+        misses.append((unseen, misses_of(unseen, fits)))
+        of_folds += sums.sum(axis=0)
     _, squares, unknown, equations = of_folds
+    held_rows = int((groups >= 0).sum())
     fit = float(np.sqrt(chi2 / max(dof, 1) / unit))
     held = float(np.sqrt(squares / equations / unit))
     expected = float(fit * np.sqrt(1.0 + unknown / equations))
     p_value = least_of_folds(min(chances), fits_of_all.fits, groups, known=known)
-    worse = finding("held-out-worse", held_out=held, expected=expected, p_value=p_value)
     is_worse = p_value < UNLIKELY and fit <= MISSES and not rounding(fits_of_all)
+    few = 0 < len(strays) <= max(1.0, MANY_ROWS * held_rows)
+    if not (is_worse and few and min(chances_without) >= UNLIKELY):
+        strays = []
+    worse = finding("held-out-worse", held_out=held, expected=expected, p_value=p_value)
+    if strays:
+        strays.sort(key=lambda outlier: -outlier.sigma)
+        values = {name: getattr(strays[0], name) for name in ("sigma", "quantity", "off")}
+        worse = finding("wrong-held-out", [row.row for row in strays], total=held_rows, **values)
     targets = missed(misses_of(calibration.rows(calibration.counts), fits_of_all), misses)
-    return Validation(
+    validation = Validation(
         folds=count,
-        rows=int((groups >= 0).sum()),
+        rows=held_rows,
         fit=fit,
         held_out=held,
         expected=expected,
@@ -96,6 +129,7 @@ def held_out(
         findings=(worse,) if is_worse else (),
         targets=targets,
     )
+    return validation, tuple(strays)
 
 
 def _converged(
@@ -110,41 +144,56 @@ def _converged(
     return fits
 
 
-def predictions(fits_of_all: Fits, unseen: Calibration) -> list[tuple[Fit, Linear]]:
-    """Return fits with their residuals and derivatives at rows that they have not seen."""
+def predictions(fits_of_all: Fits, unseen: Calibration) -> list[tuple[Fit, Index, Linear]]:
+    """Return fits, rows that they have not seen, and residuals and derivatives at these."""
     if fits_of_all.latent:
         (fit,) = fits_of_all.fits
         problem, external = unseen.latent_problem, fit.last.state.external
         state = placed(problem, unseen.measurements, fit.parameters, external)
         linear = problem.evaluate(poses_at_rest(problem, state))
-        return [(fit, solve_poses(problem, linear)[0])]
-    names = list(unseen.mechanism.leg_names)
-    pairs = []
+        return [(fit, np.arange(len(unseen.measurements)), solve_poses(problem, linear)[0])]
+    names, parts = list(unseen.mechanism.leg_names), []
     for fit in fits_of_all.fits:
-        group = [names.index(leg.name) for leg in fit.problem.legs]
-        problem, _ = unseen.measured_problem(group)
-        pairs.append((fit, problem.evaluate(problem.start(fit.parameters))))
-    return pairs
+        problem, rows = unseen.measured_problem([names.index(leg.name) for leg in fit.problem.legs])
+        parts.append((fit, rows, problem.evaluate(problem.start(fit.parameters))))
+    return parts
 
 
-def _sums(predicted: Sequence[tuple[Fit, Linear]]) -> Array:
-    """Return sums over rows that fits have not seen, noise of unit variance, shape (4,).
+def _sums(predicted: Sequence[tuple[Fit, Index, Linear]], count: int) -> Array:
+    """Return sums over all fits at each row that they have not seen, shape (count, 4).
 
-    Σ rᵀ (1 + J C Jᵀ)⁻¹ r; Σ rᵀ r; Σ tr(J C Jᵀ), by which the squares grow as the fits do not know
-    all; and the number of equations.
+    rᵀ (1 + J C Jᵀ)⁻¹ r; rᵀ r; tr(J C Jᵀ), by which the squares grow as the fits do not know all;
+    and the number of equations. Noise is of unit variance.
     """
-    sums = np.zeros(4)
-    for fit, linear in predicted:
+    sums = np.zeros((count, 4))
+    for fit, rows, linear in predicted:
         J, r = linear.jacobian, linear.residuals
         spread = J @ (fit.covariance / fit.noise_scale**2) @ J.transpose(0, 2, 1)
         weighed = np.linalg.solve(np.eye(J.shape[1]) + spread, r[:, :, None])[:, :, 0]
-        sums += (
-            (r * weighed).sum(),
-            (r**2).sum(),
-            np.einsum("nkk->", spread),
-            linear.equations.sum(),
-        )
+        unknown = np.einsum("nkk->n", spread)
+        squares = (r**2).sum(axis=1)
+        sums[rows] += np.stack(((r * weighed).sum(axis=1), squares, unknown, linear.equations), 1)
     return sums
+
+
+def _stray(
+    predicted: Sequence[tuple[Fit, Index, Linear]], row: int, sums: Array, unit: float, rows: Index
+) -> Outlier:
+    """Return a held-out row that misses, and by which quantity most: its place, its sums."""
+    largest = (0.0, "")
+    for fit, served, linear in predicted:
+        quantities = tuple(fit.problem.quantities)
+        for noise in linear.noise[served == row, : len(quantities)]:
+            off = np.abs(noise) / np.sqrt(unit)
+            largest = max(largest, (float(off.max()), quantities[int(off.argmax())]))
+    return Outlier(
+        row=int(rows[row]),
+        legs=tuple(leg.name for fit, _, _ in predicted for leg in fit.problem.legs),
+        sigma=as_one(float(sums[0] / unit), int(sums[3])),
+        weight=1.0,
+        quantity=largest[1],
+        off=largest[0],
+    )
 
 
 def _chance(fits: Fits, sums: Array, total: float | None) -> float:
@@ -154,10 +203,12 @@ def _chance(fits: Fits, sums: Array, total: float | None) -> float:
     an F test where the scale of the noise was estimated (G. C. Chow 1960). To first order that is
     Σ rᵀ (1 + J C Jᵀ)⁻¹ r, which curvature spoils where a region is left out.
 
-    Sums are what fits of the rows seen predict of the others (see ``_sums``), the total is χ² of
-    all rows at this noise: by the first order if not given.
+    Sums are what fits of the rows seen predict of the others, row by row (see ``_sums``), the total
+    is χ² of all rows at this noise: by the first order if not given.
     """
-    statistic, _, _, equations = sums.tolist()
+    statistic, _, _, equations = sums.sum(axis=0).tolist()
+    if not equations:
+        return 1.0
     dof = fits.degrees_of_freedom
     share = 1.0 if fits.latent else chi2_freedoms(fits.fits) / max(dof, 1)
     chi2_seen = sum(fit.chi2 for fit in fits.fits)

@@ -124,8 +124,8 @@ def calibrate(
     estimated by group from the residuals. RESULT holds report.html to read,
     result.json, residuals.csv and the calibrated mechanism; every command takes it as MECH. The
     exit code is 1, and no mechanism is written, if the fit does not converge; 1 with all files
-    written, if χ² contradicts the noise given; 3 if the result is written and its report cannot be
-    drawn.
+    written, if χ² contradicts the noise given, or held-out rows the result; 3 if the result is
+    written and its report cannot be drawn.
     """
     if options.poses != "own" and options.method != "per-leg":
         remark("--poses is for --method per-leg; all legs at once use every pose")
@@ -175,6 +175,8 @@ def calibrate(
         fail(1)
     if result.excess > 1.0:
         fail(1, "exit code 1, since χ² contradicts the noise")
+    if result.validation and result.validation.findings:
+        fail(1, "exit code 1, since held-out rows contradict the result")
 
 
 @command

@@ -121,7 +121,7 @@ def _outliers(fit: Fit, scale: float, judged: float, counts: Mask | None) -> tup
         Outlier(
             row=int(fit.rows[i]),
             legs=tuple(leg.name for leg in fit.problem.legs),
-            sigma=_as_one(float(relative[i]), int(equations[i])),
+            sigma=as_one(float(relative[i]), int(equations[i])),
             weight=float(fit.weights[i]),
             quantity=quantities[worst[i]],
             off=float(noise[i, worst[i]]),
@@ -131,7 +131,7 @@ def _outliers(fit: Fit, scale: float, judged: float, counts: Mask | None) -> tup
     return tuple(sorted(outliers, key=lambda outlier: -outlier.sigma))
 
 
-def _as_one(squares: float, equations: int) -> float:
+def as_one(squares: float, equations: int) -> float:
     """Return the size of one normal residual that is as unlikely as a χ² of several."""
     chance = chdtrc(equations, squares)
     return float(-ndtri(chance / 2) if chance > _LEAST else np.sqrt(squares))

@@ -21,7 +21,7 @@ from pincal.show.tables import calibration_tables
 from pincal.words.numbers import amount, capital, listed, number, percent, rounded, size
 from pincal.words.sentences import WORDINGS, finding, sentence
 from pincal.words.table import Table
-from pincal.words.wording import UNCOVERED, missed_line, noise_in_words
+from pincal.words.wording import NAMED, UNCOVERED, missed_line, noise_in_words
 
 _MOST_PAIRS = 3  # weak pairs that are named
 _MARKS = {"good": "✓", "care": "⚠", "bad": "✗"}
@@ -210,7 +210,7 @@ def next_steps(
     codes = {finding.code for finding in result.findings}
     if not result.converged or not result.corrects:
         return [again("doctor")]
-    if codes & {"wrong-rows", "outliers"} and result.loss == "none":
+    if codes & {"wrong-rows", "wrong-held-out", "outliers"} and result.loss == "none":
         return [again("calibrate", "--loss", "reject")]
     if not result.promises and "few-poses" in codes:
         return [f"pincal select {folder} -o PLAN.csv"]
@@ -423,7 +423,20 @@ def limit_lines(result: CalibrationResult, errors: WorkspaceErrors) -> list[str]
 
 def remarks(result: CalibrationResult, errors: WorkspaceErrors) -> list[str]:
     """Return what a terminal shows below the platform's errors."""
-    return [*limit_lines(result, errors), *_tolerances(result)]
+    return [*rejected_lines(result), *limit_lines(result, errors), *_tolerances(result)]
+
+
+def rejected_lines(result: CalibrationResult) -> list[str]:
+    """Return which rows a robust loss left out, and what is wrong with the worst, in a line."""
+    rejected = [outlier for outlier in result.outliers if outlier.weight == 0.0]
+    if not rejected:
+        return []
+    rows = sorted(outlier.row + 1 for outlier in rejected)
+    words = f"data row{'s' * (len(rows) > 1)} {listed(rows[:NAMED])}"
+    words += f" and {len(rows) - NAMED} more" * (len(rows) > NAMED)
+    worst = rejected[0]
+    of_worst = f"data row {worst.row + 1}: " * (len(rows) > 1)
+    return [f"left out: {words} ({of_worst}{worst.quantity} off by {worst.off:.0f} σ)"]
 
 
 def _tolerances(result: CalibrationResult) -> list[str]:

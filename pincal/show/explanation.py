@@ -13,7 +13,7 @@ from pincal.calibration.terms.screen import Candidate
 from pincal.estimation.observability.courses import Slip
 from pincal.model.mechanism import Mechanism
 from pincal.model.setup import ORIGIN
-from pincal.show.answers import unpromised
+from pincal.show.answers import rejected_lines, unpromised
 from pincal.show.tables import models_table, screen_table
 from pincal.words.faults import HYPOTHESES
 from pincal.words.numbers import amount, chance, listed
@@ -206,5 +206,8 @@ def advice(remedies: Sequence[Remedy]) -> list[str]:
     """Return what to do: at the source of what works, or else about each refusal."""
     working = [finding for remedy in remedies if remedy.works for finding in remedy.findings]
     if any(remedy.works for remedy in remedies):
-        return [f"{HYPOTHESES[code].remedy}." for code in dict.fromkeys(f.code for f in working)]
+        results = [remedy.result for remedy in remedies if remedy.works and remedy.result]
+        left_out = dict.fromkeys(line for result in results for line in rejected_lines(result))
+        sources = [f"{HYPOTHESES[code].remedy}." for code in dict.fromkeys(f.code for f in working)]
+        return [*left_out, *sources]
     return [f"{tried(remedy)}: {remedy.trouble}" for remedy in remedies if remedy.trouble]

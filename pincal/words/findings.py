@@ -137,6 +137,13 @@ FINDINGS: dict[str, Wording] = {
         "expected ({p_value|chance}): the model follows its rows more closely than the machine",
         "Measure more poses, or fix parameters",
     ),
+    "wrong-held-out": Wording(
+        "Held-out rows do not fit",
+        "{rows|length} of {total} held-out rows do{'es' if rows|length == 1} not fit, "
+        "{'' if rows|length == 1 else 'the worst '}data row {row} by {sigma|f(0)} standard "
+        "deviations ({quantity} off by {off|f(0)} σ); the other held-out rows fit",
+        "Mend or remove {them}, or leave {them} out by --loss reject",
+    ),
     "tolerance-found": Wording(
         "Tolerances found with the parameters",
         "{% set kinds = {'m': 'lengths', 'rad': 'angles', '1': 'gains'}[unit] %}"

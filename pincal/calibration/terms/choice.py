@@ -74,11 +74,9 @@ class Model:
         unseen = replace(unseen, mechanism=self.fits.calibration.mechanism)
         count = len(unseen.measurements)
         errors = np.hstack((np.zeros((count, 2)), per_row(misses_of(unseen, self.fits), count)))
-        for fit, linear in predictions(self.fits, unseen):
-            legs = [unseen.mechanism.leg_names.index(leg.name) for leg in fit.problem.legs]
-            serves = unseen.used[:, legs].any(axis=1) | self.fits.latent
-            errors[serves, 0] += linear.squares
-            errors[serves, 1] += linear.equations
+        for _, rows, linear in predictions(self.fits, unseen):
+            errors[rows, 0] += linear.squares
+            errors[rows, 1] += linear.equations
         return errors
 
 
