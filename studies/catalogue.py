@@ -34,18 +34,6 @@ STUDIES: dict[str, tuple[str, str, Callable[[Study], None]]] = {
 }
 
 
-def named(name: str) -> list[str]:
-    """Return the names of the studies that are asked for, whatever their case.
-
-    Raises:
-        MechanismError: there is no study of that name.
-    """
-    found = [one for one in STUDIES if name == "all" or one.lower() == name.lower()]
-    if not found:
-        raise pincal.MechanismError(f"no study of {name!r}; expected {', '.join(STUDIES)} or all")
-    return found
-
-
 def run_study(
     name: str,
     seed: int = 0,
@@ -55,7 +43,7 @@ def run_study(
     """Return a study.
 
     Args:
-        name: ``5R``, ``3RRR``, ``6UPS`` or ``errors``.
+        name: ``5R``, ``3RRR``, ``6UPS`` or ``errors``, in any case.
         seed: Of all random choices.
         quick: Fewer draws and coarser grids.
         progress: Called with what is being done.
@@ -63,7 +51,10 @@ def run_study(
     Raises:
         MechanismError: there is no study of that name.
     """
-    (name,) = named(name)
+    known = {study.lower(): study for study in STUDIES}
+    if name.lower() not in known:
+        raise pincal.MechanismError(f"no study of {name!r}; expected {', '.join(STUDIES)}")
+    name = known[name.lower()]
     title, paper, content = STUDIES[name]
     study = Study(name, title, paper, seed, quick, progress)
     content(study)

@@ -37,21 +37,16 @@ def dependencies() -> dict[str, Any]:
 
 
 def test_errors_page_has_each_error() -> None:
-    """Each class has a section that says what its docstring says, and which built-in it is."""
+    """Each class has a section with its docstring, causes, a remedy, and which built-in it is."""
     text = (ROOT / "docs" / "errors.md").read_text(encoding="utf-8")
     sections = dict(re.findall(r"^## (\w+)\n(.*?)(?=^## |\Z)", text, re.MULTILINE | re.DOTALL))
     for name, kind in vars(errors).items():
         if inspect.isclass(kind) and issubclass(kind, errors.PincalError):
-            said = (inspect.getdoc(kind) or "").partition("\n\nExample:")[0]
-            page = re.sub(r"\[(.*?)\]\(.*?\)", r"\1", sections[name])
-            assert _words(said) in _words(page)
+            page = sections[name]
+            assert (inspect.getdoc(kind) or "") in page
+            assert all(f"**{part}**: " in page for part in ("Causes", "What to do"))
             base = kind.__bases__[-1]
             assert base is Exception or f"also a `{base.__name__}`" in page
-
-
-def _words(text: str) -> str:
-    """Return text without what marks it."""
-    return " ".join(re.sub(r"[`*]", "", text).split())
 
 
 def test_every_page_is_linked() -> None:
@@ -173,8 +168,8 @@ def raised() -> set[str]:
     }
 
 
-def test_every_error_is_raised_and_explained() -> None:
-    """Each class of error says its causes and remedies and is raised; wrong input raises no other.
+def test_every_error_is_raised() -> None:
+    """Each class of error is raised; wrong input raises no other.
 
     ``TypeError`` and ``AttributeError`` are for wrong calls, ``ValueError`` and
     ``FileExistsError`` for what a reader or a writer turns into one of pincal's.
@@ -190,9 +185,6 @@ def test_every_error_is_raised_and_explained() -> None:
         *("TypeError", "ValueError", "AttributeError", "SystemExit", "FileExistsError")
     }
     assert set(kinds) <= names
-    for name in names & set(kinds):
-        assert "Causes: " in str(kinds[name].__doc__)
-        assert "What to do: " in str(kinds[name].__doc__)
 
 
 def test_dependencies_page_is_what_is_installed(dependencies: dict[str, Any]) -> None:

@@ -21,7 +21,7 @@ from resized import scaled
 
 import pincal
 from pincal import Measurements, Mechanism, Noise, Platform
-from pincal.blas import on_one_thread, one_thread
+from pincal.blas import one_thread
 from pincal.model.consistency import home_gap
 from pincal.workspace.criteria import in_workspace
 
@@ -531,7 +531,7 @@ def test_blas_has_its_threads_back() -> None:
     def threads() -> set[int]:
         return {one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas"}
 
-    @on_one_thread
+    @one_thread()
     def nested() -> None:
         with one_thread():
             assert threads() == {1}

@@ -43,11 +43,13 @@ def used_in_examples() -> set[str]:
 
 
 EXAMPLES = used_in_examples()
+ERRORS_PAGE = (DOCS / "errors.md").read_text("utf-8")
+ERRORS = dict(re.findall(r"^## (\w+)\n(?:(?!^## ).)*?```pycon\n(.*?)```", ERRORS_PAGE, re.M | re.S))
 
 
 @pytest.mark.parametrize("name", pincal.__all__)
 def test_public_name_is_explained_and_has_an_example(name: str) -> None:
-    """It has a docstring of its own, and an example there or in the gallery; functions say shapes.
+    """It has a docstring of its own, and an example there, in the gallery or on the errors' page.
 
     A function's docstring has a line for each of its arguments.
     """
@@ -55,7 +57,7 @@ def test_public_name_is_explained_and_has_an_example(name: str) -> None:
     text = inspect.getdoc(what) or ""
     assert len(text.split()) >= 3
     assert text.splitlines()[0].rstrip().endswith((".", ":"))
-    assert ">>>" in text or name in EXAMPLES
+    assert ">>>" in text or name in EXAMPLES or name in ERRORS
     if inspect.isfunction(what):
         told = text.partition("Args:\n")[2] or text
         taken = inspect.signature(what).parameters
@@ -76,11 +78,21 @@ def test_docstring_example_is_true(
 ) -> None:
     """What a docstring shows as answer is what comes."""
     monkeypatch.chdir(tmp_path)
-    found = doctest.DocTestParser().get_doctest(
-        inspect.getdoc(getattr(pincal, name)) or "", {}, name, None, None
-    )
+    run_example(name, inspect.getdoc(getattr(pincal, name)) or "", {})
+
+
+@pytest.mark.parametrize("name", ERRORS)
+def test_example_of_an_error_is_true(name: str) -> None:
+    """What raises it, on the page of errors, raises it with this message."""
+    assert issubclass(getattr(pincal, name), pincal.PincalError)
+    run_example(name, ERRORS[name], {"pincal": pincal})
+
+
+def run_example(name: str, text: str, known: dict[str, Any]) -> None:
+    """Run what a text shows as typed; the answers must be those that it shows."""
+    example = doctest.DocTestParser().get_doctest(text, known, name, None, None)
     said: list[str] = []
-    doctest.DocTestRunner(verbose=False).run(found, out=said.append)
+    doctest.DocTestRunner(verbose=False).run(example, out=said.append)
     assert not said, "".join(said)
 
 

@@ -27,9 +27,9 @@ FIGURES = {
 def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """A quick run of every study."""
     root = tmp_path_factory.mktemp("studies")
-    (root / "all").mkdir()
-    done("study", "all", "--quick", "-o", root / "all")
-    return {name: root / "all" / name for name in FIGURES}
+    for name in (*FIGURES, "errors"):
+        done("study", name, "--quick", "-o", root / name)
+    return {name: root / name for name in FIGURES}
 
 
 def column(folder: Path, table: str, name: str) -> list[str]:
@@ -125,12 +125,12 @@ def test_both_commands_give_the_same_files(folders: dict[str, Path], tmp_path: P
 
 
 def test_wrong_studies_are_refused(tmp_path: Path) -> None:
-    """An unknown name, a folder that is not pincal's, a missing folder for all."""
+    """An unknown name, a folder that is not pincal's, a missing folder."""
     (tmp_path / "mine").mkdir()
     for line, word in (
         (["study", "delta", "-o", tmp_path / "a"], "5R, 3RRR, 6UPS"),
         (["study", "5R", "--force", "-o", tmp_path / "mine"], "not a folder that pincal wrote"),
-        (["study", "all", "-o", tmp_path / "none" / "all"], "does not exist"),
+        (["study", "5R", "-o", tmp_path / "none" / "5R"], "does not exist"),
     ):
         outcome = run(*line)
         assert outcome.code == 2

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtri
 
-from pincal.blas import on_one_thread
+from pincal.blas import one_thread
 from pincal.calibration.assemble import assemble, with_unsure_tolerances
 from pincal.calibration.calibration import Calibration, with_followed_influences
 from pincal.calibration.findings import MANY_ROWS, findings_of
@@ -112,7 +112,7 @@ def prepared(
     return with_followed_influences(Calibration(machine, replace(data), asked))
 
 
-@on_one_thread
+@one_thread()
 def run(
     asked: Calibration, folds: int | None = None, by: By = "region"
 ) -> tuple[CalibrationResult, list[str]]:
@@ -198,7 +198,7 @@ def blame_wrong_rows(
     return (wrong_rows, *without_rows, *unrelated), outliers
 
 
-@on_one_thread
+@one_thread()
 def started(calibration: Calibration) -> Calibration:
     """Return a calibration whose measurements were looked at: its terms, where its search starts.
 
@@ -215,7 +215,7 @@ def started(calibration: Calibration) -> Calibration:
     return with_found_tolerance(calibration)
 
 
-@on_one_thread
+@one_thread()
 def explained(calibration: Calibration) -> Explanation:
     """Return what ``explain`` does, of a calibration to be done; its terms are those to try."""
     tried = calibration.options.terms

@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import bdtrc, betaincinv, chdtri
 
-from pincal.blas import on_one_thread
+from pincal.blas import one_thread
 from pincal.calibration.assemble import chi2_freedoms, noise_freedoms
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.findings import MANY_ROWS, rounding
@@ -43,7 +43,7 @@ MISSES = 10.0
 make worse."""
 
 
-@on_one_thread
+@one_thread()
 def held_out(
     calibration: Calibration, folds: int = FOLDS, by: By = "region", fits_of_all: Fits | None = None
 ) -> tuple[Validation, tuple[Outlier, ...]]:

@@ -198,13 +198,12 @@ def fail_if_lost(path: Path, places: Sequence[str], reasons: Sequence[str], kind
         )
 
 
-STUDY = "study.md"
 _ROOT = Path(__file__).resolve().parents[2]
 
 
 @command
 def study(
-    name: Annotated[str, typer.Argument(metavar="5R|3RRR|6UPS|errors|all", help="Which study.")],
+    name: Annotated[str, typer.Argument(metavar="5R|3RRR|6UPS|errors", help="Which study.")],
     output: Annotated[Path, output_option("FOLDER", "Page, tables and figures.")],
     quick: Annotated[
         bool, typer.Option("--quick", help="Fewer draws, coarser grids: seconds, not minutes.")
@@ -217,8 +216,8 @@ def study(
     And what it lacks. 5R: divide and conquer; 3RRR: symmetrical observability; 6UPS: symmetrical
     workspace and, after its paper, the calibration. errors: errors that are no geometry,
     simulated and, where PINCAL_DATA has them, of real arms. FOLDER gets study.md, tables as
-    CSV, figures as SVG and PNG; with 'all' one folder for each. The same seed
-    gives the same text and tables; times are in figures only.
+    CSV, figures as SVG and PNG. The same seed gives the same text and tables; times are in figures
+    only.
     """
     installed = [n for n in ("pincal_studies", "studies") if (_ROOT / n / "catalogue.py").is_file()]
     if not installed:
@@ -226,17 +225,10 @@ def study(
             f"the papers' studies are not installed: no folder pincal_studies or studies in {_ROOT}"
             "; install pincal from its wheel, or run this in its sources"
         )
-    studies = import_module(f"{installed[0]}.catalogue")
-    names = studies.named(name)
-    if name == "all" and not output.is_dir():
-        refuse_existing(output, force=False).mkdir()
-    folders = [output / study_name if name == "all" else output for study_name in names]
-    for folder in folders:
-        refuse_existing(folder, force=force, folder=(STUDY,))
-    for study_name, folder in zip(names, folders, strict=True):
-        with working(f"study of the {study_name}") as progress:
-            result = studies.run_study(study_name, seed, quick, progress)
-        with writing(folder, force=force, folder=(STUDY,)) as scratch:
-            result.write(scratch)
-        wrote(folder)
-    remark(f"read {folders[0] / STUDY}")
+    refuse_existing(output, force=force, folder=("study.md",))
+    with working(f"study of the {name}") as progress:
+        catalogue = import_module(f"{installed[0]}.catalogue")
+        result = catalogue.run_study(name, seed, quick, progress)
+    with writing(output, force=force, folder=("study.md",)) as scratch:
+        result.write(scratch)
+    wrote(output)

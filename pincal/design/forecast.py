@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pincal.blas import on_one_thread
+from pincal.blas import one_thread
 from pincal.design.information import (
     apart_from_frames,
     information_rows,
@@ -122,7 +122,7 @@ class Forecast:
         return "\n".join([repr(self), "standard errors (1 σ):", *rows, *words])
 
 
-@on_one_thread
+@one_thread()
 def forecast(
     mechanism: GivenMechanism,
     poses: Plan | Array,

@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pincal.blas import on_one_thread
+from pincal.blas import one_thread
 from pincal.estimation.observability.gauge import frame_motions, unexplained
 from pincal.estimation.observability.indices import NEGLIGIBLE
 from pincal.kinematics.closure import largest_size
@@ -154,7 +154,7 @@ class PlatformError:
         return f"{text}, {amount(orientation, 'rad')}" if "rad" in self.units else text
 
 
-@on_one_thread
+@one_thread()
 def platform_error(
     mechanism: Mechanism,
     covariance: Array,

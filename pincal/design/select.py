@@ -18,7 +18,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from pincal.blas import on_one_thread
+from pincal.blas import one_thread
 from pincal.design.certificate import continuous_design
 from pincal.design.criteria import Criterion, Parts, triangles
 from pincal.design.exchange import best_choice
@@ -245,7 +245,7 @@ class Search:
         return tuple(rows[leg] for leg in legs)
 
 
-@on_one_thread
+@one_thread()
 def select_poses(
     mechanism: GivenMechanism,
     candidates: Array,

@@ -14,7 +14,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from pincal.blas import on_one_thread
+from pincal.blas import one_thread
 from pincal.design.criteria import Criterion
 from pincal.design.exchange import best_choice
 from pincal.design.information import apart_from_frames, information_rows, null_directions
@@ -66,7 +66,7 @@ class ConfigurationChoice:
         return f"{self!r}\nmeasured: {', '.join(self.measured)}; {self.rank}"
 
 
-@on_one_thread
+@one_thread()
 def select_configurations(
     mechanism: GivenMechanism,
     candidates: Plan | Array,

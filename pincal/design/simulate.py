@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pincal.blas import on_one_thread
+from pincal.blas import one_thread
 from pincal.design.platform_error import root_mean_squares, sizes
 from pincal.errors import MeasurementError
 from pincal.files.measurements import as_noise, read_poses
@@ -79,7 +79,7 @@ class Simulation:
         return "\n".join([repr(self), *lost[:ROWS], *hidden])
 
 
-@on_one_thread
+@one_thread()
 def simulate(
     mechanism: GivenMechanism,
     truth: GivenMechanism,
@@ -170,7 +170,7 @@ class Accuracy:
         return f"Accuracy({size}, {self.poses} poses, {self.unreachable} not reached)"
 
 
-@on_one_thread
+@one_thread()
 def platform_errors(model: Mechanism, truth: Mechanism, poses: Plan | Poses) -> Array:
     """Return how far the true mechanism goes from poses that a model commands, shape (N, dof).
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from pincal.blas import on_one_thread
+from pincal.blas import one_thread
 from pincal.errors import MechanismError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.batches import chunks, least_squares, lengths, product, repeated, stacked
@@ -164,7 +164,7 @@ class ForwardSolution:
         return "\n".join([repr(self), *(f"  {n}: {reason}" for reason, n in counts.most_common())])
 
 
-@on_one_thread
+@one_thread()
 def forward(
     mechanism: GivenMechanism,
     readings: Array,

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pincal.blas import on_one_thread
+from pincal.blas import one_thread
 from pincal.errors import MechanismError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.closing import by_leg, close_chunks, sensor_law
@@ -54,7 +54,7 @@ class InverseSolution:
         return "\n".join(lines + [f"  and {len(missed) - ROWS} more"] * (len(missed) > ROWS))
 
 
-@on_one_thread
+@one_thread()
 def inverse(
     mechanism: GivenMechanism,
     poses: Poses,

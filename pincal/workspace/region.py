@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from pincal.blas import on_one_thread
+from pincal.blas import one_thread
 from pincal.errors import WorkspaceError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.files.table import write_table
@@ -274,7 +274,7 @@ class Computing:
     """Called with the number of positions done."""
 
 
-@on_one_thread
+@one_thread()
 def compute_workspace(
     mechanism: GivenMechanism,
     kind: str,

@@ -17,7 +17,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from pincal.blas import on_one_thread
+from pincal.blas import one_thread
 from pincal.errors import WorkspaceError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.closing import close
@@ -79,7 +79,7 @@ class HomeComponent:
         return self._platform.twists_between(np.repeat(self._home, len(poses), axis=0), poses)
 
 
-@on_one_thread
+@one_thread()
 def sample_configurations(
     mechanism: GivenMechanism,
     count: int,
@@ -137,7 +137,7 @@ def sample_configurations(
     )
 
 
-@on_one_thread
+@one_thread()
 def sample_workspace(
     mechanism: GivenMechanism,
     count: int,

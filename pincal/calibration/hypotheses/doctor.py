@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from pincal.blas import on_one_thread
+from pincal.blas import one_thread
 from pincal.calibration.calibrate import run
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.hypotheses.plausibility import check_noise, hypotheses_of
@@ -107,7 +107,7 @@ def _mended(calibration: Calibration) -> Iterator[tuple[Finding, Calibration]]:
         yield fault, replace(calibration, measurements=data).with_options(setup=framed)
 
 
-@on_one_thread
+@one_thread()
 def _attempt(findings: tuple[Finding, ...], calibration: Calibration) -> Remedy:
     try:
         result, _ = run(calibration)
