@@ -12,9 +12,8 @@ from marks import slow_or_fuzz
 from measured import workspace
 
 import pincal
-from pincal.design.certificate import continuous_design
 from pincal.design.criteria import Criterion, inverse_roots
-from pincal.design.exchange import best_choice, exchange
+from pincal.design.optimal import continuous_design, exchange
 
 NOISE = pincal.Noise(1e-4, 1e-4, 0.0)
 
@@ -38,11 +37,13 @@ def test_the_best_of_all_sets_is_found(r: int, q: int, seed: int) -> None:
     blocks, C = random(12, r, 4, q, seed)
     least = min(variance(blocks[list(some)], C) for some in combinations(range(12), 5))
     criterion = Criterion(C)
-    chosen, efficiency = best_choice((blocks,), 5, np.random.default_rng(0), 20, criterion)
+    design, rng = continuous_design((blocks,), criterion), np.random.default_rng(0)
+    chosen, value = exchange((blocks,), 5, design.priority, rng, 20, criterion)
+    efficiency = design.efficiency(value, 5)
     assert len(set(chosen.tolist())) == 5
     assert variance(blocks[chosen], C) == pytest.approx(least, rel=1e-9)
     assert efficiency <= 1.0
-    bound = np.exp(-continuous_design((blocks,), criterion).bound)
+    bound = np.exp(-design.bound)
     assert bound / 5 <= least
     assert efficiency == pytest.approx(bound / 5 / least, rel=1e-9)
 

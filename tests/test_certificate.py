@@ -9,10 +9,9 @@ import pytest
 from measured import workspace
 
 import pincal
-from pincal.design.certificate import continuous_design, derivatives
 from pincal.design.criteria import Criterion
-from pincal.design.exchange import exchange
 from pincal.design.information import leg_rows as leg_rows_of
+from pincal.design.optimal import continuous_design, derivatives, exchange
 from pincal.kinematics.derivatives import leg_demand
 
 

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 import pincal
-from pincal.design.certificate import continuous_design
-from pincal.design.exchange import exchange
 from pincal.design.information import leg_rows
+from pincal.design.optimal import continuous_design, exchange
 from pincal.estimation.observability.indices import identifiability, indices, r_diagonal
 from pincal.kinematics.derivatives import leg_demand
 from pincal.workspace.criteria import in_workspace

@@ -255,7 +255,7 @@ def test_orbits_are_as_good_as_all_legs_together() -> None:
 
     log det is concave, and the group turns each leg's information into another's.
     """
-    from pincal.design.certificate import continuous_design
+    from pincal.design.optimal import continuous_design
     from pincal.kinematics.batches import block_diagonal
 
     mechanism = pincal.load_mechanism("3RRR")

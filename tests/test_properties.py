@@ -22,9 +22,8 @@ from scipy.spatial.transform import Rotation
 
 import pincal
 from pincal import Measurements, Mechanism, Noise, Placement, Platform
-from pincal.design.certificate import continuous_design
-from pincal.design.exchange import exchange
 from pincal.design.information import leg_rows
+from pincal.design.optimal import continuous_design, exchange
 from pincal.kinematics.derivatives import leg_demand
 
 Array = NDArray[np.float64]

@@ -21,7 +21,7 @@ from pincal.cli.options import (
     offered,
     output_option,
 )
-from pincal.design.forecast import forecast, scale_effect
+from pincal.design.forecast import forecast
 from pincal.design.orbits import selection_group
 from pincal.design.order import in_turns, with_reference, with_verification
 from pincal.design.select import Protocol, select_poses
@@ -34,12 +34,12 @@ from pincal.files.measurements import read_poses
 from pincal.files.mechanism_folders import MECHANISM_FILES, load_mechanism, write_mechanism
 from pincal.files.output import refuse_existing, refuse_existing_of, writing_together
 from pincal.files.table import write_table
-from pincal.kinematics.configurations import as_plan, check_reached
+from pincal.kinematics.configurations import check_reached
 from pincal.kinematics.readers import arm_free_of_collision
 from pincal.model.measurements import Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.option import Option, option
-from pincal.show.forecasts import forecast_lines, poses_line, scale_lines
+from pincal.show.forecasts import forecast_lines, poses_line
 from pincal.show.tables import choice_table, selection_table, standard_errors
 from pincal.words.numbers import reading_in
 from pincal.words.table import Table
@@ -205,8 +205,7 @@ def identifiability(
 
     Prints the rank, what cannot be determined, the standard error of each parameter as 'pincal
     calibrate' will give it (the Cramér-Rao bound: the best that any calibration can reach), and
-    the platform error over the workspace; with --accuracy how many poses that takes; what a wrong
-    scale of the instrument would do.
+    the platform error over the workspace; with --accuracy how many poses that takes.
 
     Positions are of the platform's origin in the robot's base frame, unless --unknown-frame,
     --unknown-target or --setup say otherwise.
@@ -224,12 +223,9 @@ def identifiability(
             poses = sample_configurations(mechanism, _FORECAST, options.seed + 1)
     expected = forecast(mechanism, poses, noise, measured, setup)
     error = expected.platform_error(workspace)
-    scale = scale_effect(expected, as_plan(mechanism, poses), workspace, noise, setup)
     with reading_in(units.printed):
         stdout.print(standard_errors(expected))
-        lines = forecast_lines(expected, error)
-        lines += scale_lines(scale, setup.systematic.scale > 0.0)
-        stdout.print(*lines, sep="\n")
+        stdout.print(*forecast_lines(expected, error), sep="\n")
         if accuracy is not None:
             stdout.print(poses_line(accuracy, expected.poses_for(accuracy, workspace)))
 

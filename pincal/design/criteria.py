@@ -23,13 +23,12 @@ from typing import TypeAlias
 
 import numpy as np
 
-from pincal.kinematics.batches import chunks, solve
+from pincal.kinematics.batches import solve
 from pincal.model.checks import ROUNDING
-from pincal.types import Array, Index
+from pincal.types import Array
 
 Parts: TypeAlias = tuple[Array, ...]
 """An array for each part of the parameters, such as rows of candidates, (M, r, n)."""
-_CHUNK = 8192  # candidates evaluated together: their products stay near the processor
 
 
 @dataclass(frozen=True)
@@ -38,19 +37,6 @@ class Criterion:
 
     C: Array | None = None
     """Quantities that are to be known, in the unknowns, which are one part, shape (n, q)."""
-
-    @property
-    def order(self) -> int:
-        """P of the module's formulas."""
-        return 0 if self.C is None else 1
-
-    def degree(self, n: int) -> int:
-        """Return d of value(c M) = value(M) + d log c, for n parameters."""
-        return n if self.C is None else 1
-
-    def transformed(self, turns: Parts) -> Criterion:
-        """Return the criterion, but for a constant, of rows A T, T of shape (n, n) each."""
-        return self if self.C is None else Criterion(turns[0].T @ self.C)
 
     def value(self, rows: Parts) -> float:
         """Return the value of rows, shape (m, r, n) for each part; −∞ if they lack rank."""
@@ -69,7 +55,7 @@ class Criterion:
         """Return H by roots R of M⁻¹, shape (S, n, n): the unit matrix, or Rᵀ C over its norm."""
         if self.C is None:
             return np.broadcast_to(np.eye(root.shape[-1]), root.shape)
-        half = root.swapaxes(1, 2) @ self.C
+        half = root.mT @ self.C
         return np.asarray(half / np.linalg.norm(half, axis=(1, 2), keepdims=True))
 
     def gain(self, rows: Array, root: Array) -> Array:
@@ -104,38 +90,21 @@ def _blocks(W: Array, r: int) -> Array:
 
 def triangles(rows: Parts) -> Parts:
     """Return a triangle R of each part, shape (n, n) or less: Rᵀ R is the Gram of all rows."""
-    return tuple(map(_triangle, rows))
-
-
-def _triangle(rows: Array) -> Array:
-    return np.asarray(np.linalg.qr(rows.reshape(-1, rows.shape[-1]), mode="r"))
+    return tuple(np.linalg.qr(part.reshape(-1, part.shape[-1]), mode="r") for part in rows)
 
 
 def gradient(rows: Parts, turns: Parts) -> Array:
-    """Return |Aⱼ T|² of each candidate, summed over the parts, shape (M,).
+    """Return |Aⱼ T|² of each candidate, shape (M,), by T of each part, shape (n, k).
 
     With T = R H it is the change of the value by a small weight on the candidate.
-
-    Args:
-        rows: Rows of M candidates.
-        turns: T of each part, shape (n, k).
     """
     total = np.zeros(len(rows[0]))
     for part, turn in zip(rows, turns, strict=True):
-        for chunk in chunks(len(part), _CHUNK):
-            turned = (part[chunk].reshape(-1, len(turn)) @ turn).reshape(
-                chunk.stop - chunk.start, -1
-            )
-            total[chunk] += np.einsum("mk,mk->m", turned, turned)
+        turned = (part.reshape(-1, len(turn)) @ turn).reshape(len(part), -1)
+        total += np.einsum("mk,mk->m", turned, turned)
     return total
 
 
 def inverse_roots(information: Array) -> Array:
     """Return R of M⁻¹ = R Rᵀ, shape (S, n, n) for both."""
-    return np.linalg.inv(np.linalg.cholesky(information)).swapaxes(-1, -2)
-
-
-def largest(values: Array, count: int) -> Index:
-    """Return where the largest values are, in order of their places."""
-    count = min(count, len(values))
-    return np.sort(np.argpartition(-values, count - 1)[:count]) if count else np.arange(0)
+    return np.linalg.inv(np.linalg.cholesky(information)).mT

@@ -1,13 +1,13 @@
 """What measurements will give before they are made: rank, standard errors, platform error.
 
 The covariance is the inverse of the information that the best estimator draws from them (see
-``information``): the Cramér-Rao bound. What a wrong scale would do is told beside it.
+``information``): the Cramér-Rao bound.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -35,7 +35,7 @@ from pincal.kinematics.configurations import as_plan, check_reached, legs_at
 from pincal.model.checks import ROWS
 from pincal.model.measurements import Noise, Plan
 from pincal.model.mechanism import Mechanism
-from pincal.model.setup import Setup, Systematic
+from pincal.model.setup import Setup
 from pincal.types import Array
 from pincal.words.numbers import amount
 
@@ -170,37 +170,3 @@ def forecast(
         gauge=gauge,
         frames=frames,
     )
-
-
-SCALE = 1e-4
-"""Relative: a tracker or camera that was set up badly."""
-
-
-def scale_effect(
-    found: Forecast, plan: Plan, over: Plan | Array, noise: Noise, setup: Setup
-) -> tuple[PlatformError, float] | None:
-    """Return what lengths do that are all measured a ten-thousandth too long, None without lengths.
-
-    By how much the platform is off then; and the root of what that adds to χ²: the standard
-    deviations by which a test made for it sees it.
-
-    Args:
-        found: The forecast, of all legs together.
-        plan: The plan of which it is.
-        over: Where the platform's errors are taken, shape (N, dof), or a plan.
-        noise: Standard deviations of what is measured.
-        setup: What measured numbers will mean.
-    """
-    mechanism = found.mechanism
-    legs = legs_at(mechanism, plan.rows(~plan.verifying))
-    scaled = replace(setup, systematic=Systematic(scale=SCALE))
-    rows, off, *_ = information_rows(mechanism, legs, noise, found.measured, scaled)
-    rows, off = rows.reshape(-1, rows.shape[2]), off.reshape(-1)
-    if not off.size or not off.any():
-        return None
-    root, _ = pseudo_inverse(rows, found.rank.rank)
-    taken = root.T @ (root @ (rows.T @ off))
-    n = legs.parameter.shape[2]
-    shift = nearest_to_nominal(mechanism, found.gauge) @ taken[:n]
-    error = platform_error(mechanism, np.outer(shift, shift), over, found.lost, found.frames)
-    return error, float(np.linalg.norm(off - rows @ taken))

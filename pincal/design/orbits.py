@@ -179,17 +179,10 @@ def orbit_of(elements: Sequence[Element], matrices: Array) -> tuple[Array, Mask]
     within = ALIKE * np.array((1.0, 1.0, 1.0, size or 1.0))
     first = np.ones(images.shape[:2], dtype=bool)
     for later in range(1, len(images)):
-        for earlier in range(later):
-            first[later] &= ~_coincide(images[later], images[earlier], within)
+        for earlier in images[:later]:
+            apart = np.abs(images[later] - earlier) > within
+            first[later] &= apart.any(axis=(1, 2))
     return images, first
-
-
-def _coincide(first: Array, second: Array, within: Array) -> Mask:
-    """Return which poses, shape (M, 4, 4), agree within something by column, shape (M,)."""
-    agree = np.abs(first[:, 0, 3] - second[:, 0, 3]) <= within[3]
-    rows = np.flatnonzero(agree)
-    agree[rows] = (np.abs(first[rows, :3] - second[rows, :3]) <= within).all(axis=(1, 2))
-    return agree
 
 
 def representatives(images: Array) -> Array:

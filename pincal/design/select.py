@@ -19,10 +19,9 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from pincal.blas import one_thread
-from pincal.design.certificate import continuous_design
 from pincal.design.criteria import Criterion, Parts, triangles
-from pincal.design.exchange import best_choice
 from pincal.design.information import leg_rows
+from pincal.design.optimal import continuous_design, exchange
 from pincal.design.orbits import (
     carried_legs,
     distinct,
@@ -150,17 +149,10 @@ class Search:
     def __init__(
         self, mechanism: Mechanism, candidates: Array, count: int, options: SelectionOptions
     ) -> None:
-        """Hold the candidates that all legs reach, each once.
-
-        Args:
-            mechanism: The mechanism.
-            candidates: Coordinates, shape (M, dof), [m] and [rad].
-            count: Number of poses, or of orbits, to choose.
-            options: How to search.
+        """Hold the candidates that all legs reach, each once, of coordinates of shape (M, dof).
 
         Raises:
-            MechanismError: poses of a wrong shape, or not finite.
-            ObservabilityError: fewer candidates in reach than are to be chosen.
+            ObservabilityError: fewer of them than the poses, or orbits, that are to be chosen.
         """
         self.mechanism, self.count, self.options = mechanism, count, options
         self.noise, self.rng = as_noise(options.noise), np.random.default_rng(options.seed)
@@ -180,9 +172,7 @@ class Search:
     ) -> tuple[Array, float]:
         """Return the best poses for legs, with their orbits, shape (N, dof), and their efficiency.
 
-        Args:
-            legs: Legs that the poses are for, as often as each is to count.
-            elements: Group whose orbits of the poses are measured, the identity first.
+        Legs are given as often as each is to count, of the group the identity first.
 
         Raises:
             ObservabilityError: too few poses or candidates, or some parameter undetermined.
@@ -209,29 +199,23 @@ class Search:
                 f"the candidate poses leave parameters undetermined: {'; '.join(lost)}. "
                 "Add poses that determine each of them, or make one of them a constant"
             )
-        chosen, efficiency = best_choice(rows, self.count, self.rng, self.options.starts)
+        design = continuous_design(rows)
+        chosen, value = exchange(rows, self.count, design.priority, self.rng, self.options.starts)
+        efficiency = design.efficiency(value, self.count)
         if len(elements) == 1:
             return poses[chosen], efficiency
         return platform.from_matrices(images[:, chosen][first[:, chosen]]), efficiency
 
     def efficiency(self, leg: str, element: Element, chosen: Array) -> float:
-        """Return the efficiency for a leg of chosen poses that an element carries, (count, dof).
-
-        It is that among carried candidates.
-        """
+        """Return the efficiency for a leg of chosen poses that are carried, as candidates are."""
         matrices = map(self.mechanism.platform.matrices, (self.poses, chosen))
         offered, taken = (self.rows(element.matrices(m)[None], (leg,)) for m in matrices)
         return continuous_design(offered).efficiency(Criterion().value(taken), len(chosen))
 
     def rows(self, images: Array, legs: Sequence[str], first: Mask | None = None) -> Parts:
-        """Return whitened rows of legs at poses and their images, a part for each leg.
+        """Return whitened rows of legs, a part for each, at images of poses, shape (E, M, 4, 4).
 
-        They are zero at an image that is an earlier one of its pose, which is measured once.
-
-        Args:
-            images: Poses that all legs reach, of each their images, shape (E, M, 4, 4).
-            legs: Leg of each part, as often as it is to count.
-            first: Which images count, shape (E, M); all if not given.
+        They are zero at images that do not count, of shape (E, M): each pose is measured once.
         """
         rows: dict[str, Array] = {}
         for leg in dict.fromkeys(legs):
@@ -277,7 +261,15 @@ def select_poses(
     if not isinstance(protocol, str) or protocol not in get_args(Protocol):
         known = ", ".join(get_args(Protocol))
         raise MeasurementError(f"no protocol {described(protocol)}; expected one of {known}")
-    _refuse_ranks(mechanism)
+    for leg in mechanism.legs:
+        equations, readings = mechanism.platform.equations(leg), len(leg.sensors)
+        if equations > readings:
+            raise ObservabilityError(
+                f"{leg.name} of {mechanism.name!r} makes {equations} equations at a pose and has "
+                f"{readings} reading: rows of readings lack rank, and poses for single legs cannot "
+                "be compared by them. Choose configurations for all parameters together: "
+                "select_configurations, or 'pincal select' without a protocol"
+            )
     search = Search(mechanism, candidates, count, SelectionOptions(**options))
     names = mechanism.leg_names
     carried = {name: (name, IDENTITY, True) for name in names}
@@ -294,9 +286,27 @@ def select_poses(
         plan, efficiencies = Plan(poses, (EVERY_LEG,) * len(poses)), [efficiency] * len(names)
     else:
         plan, efficiencies = _leg_by_leg(search, carried)
-    references = [reference for reference, _, _ in carried.values()]
-    designs = _leg_designs(mechanism, plan, efficiencies, references)
-    return Selection(plan, protocol, designs, search.in_reach, search.unreachable)
+    matrices = mechanism.platform.matrices(plan.poses)
+    demands = leg_demands_at(
+        nominal_legs(mechanism), [matrices[plan.serves(name)] for name in names]
+    )
+    designs = []
+    for leg, demand, efficiency in zip(mechanism.legs, demands, efficiencies, strict=True):
+        C = demand.as_joint().parameter.reshape(-1, len(leg.parameters))
+        condition = identifiability(C, leg.parameter_ids).condition
+        reference = carried[leg.name][0]
+        designs.append(
+            LegDesign(
+                leg.name,
+                len(demand.value),
+                efficiency,
+                indices(C),
+                r_diagonal(C),
+                condition,
+                reference,
+            )
+        )
+    return Selection(plan, protocol, tuple(designs), search.in_reach, search.unreachable)
 
 
 def _leg_by_leg(
@@ -316,40 +326,3 @@ def _leg_by_leg(
     own = all(element.is_identity for _, element, _ in carried.values())
     plan = Plan(every, tuple(legs)) if own else merged(search.mechanism, every, legs)
     return plan, efficiencies
-
-
-def _refuse_ranks(mechanism: Mechanism) -> None:
-    """Raise if a leg demands more of a pose than it has readings, whose rows lack rank then."""
-    for leg in mechanism.legs:
-        rows = mechanism.platform.equations(leg)
-        if rows > len(leg.sensors):
-            raise ObservabilityError(
-                f"{leg.name} of {mechanism.name!r} makes {rows} equations at a pose and has "
-                f"{len(leg.sensors)} reading: rows of readings lack rank, and poses for single "
-                "legs cannot be compared by them. Choose configurations for all parameters "
-                "together: select_configurations, or 'pincal select' without a protocol"
-            )
-
-
-def _leg_designs(
-    mechanism: Mechanism, plan: Plan, efficiencies: Sequence[float], references: Sequence[str]
-) -> tuple[LegDesign, ...]:
-    """Return what a plan gives each leg, whose efficiency and reference leg are known."""
-    matrices, legs = mechanism.platform.matrices(plan.poses), nominal_legs(mechanism)
-    served = [matrices[plan.serves(name)] for name in mechanism.leg_names]
-    demands, designs = leg_demands_at(legs, served), []
-    parts = zip(mechanism.legs, demands, efficiencies, references, strict=True)
-    for leg, demand, efficiency, reference in parts:
-        C = demand.as_joint().parameter.reshape(-1, len(leg.parameters))
-        designs.append(
-            LegDesign(
-                leg.name,
-                len(demand.value),
-                efficiency,
-                indices(C),
-                r_diagonal(C),
-                identifiability(C, leg.parameter_ids).condition,
-                reference,
-            )
-        )
-    return tuple(designs)

@@ -16,8 +16,8 @@ import numpy as np
 
 from pincal.blas import one_thread
 from pincal.design.criteria import Criterion
-from pincal.design.exchange import best_choice
 from pincal.design.information import apart_from_frames, information_rows, null_directions
+from pincal.design.optimal import continuous_design, exchange
 from pincal.design.orbits import distinct
 from pincal.design.platform_error import without_frames
 from pincal.design.select import SelectionOptions
@@ -32,10 +32,9 @@ from pincal.files.measurements import as_noise
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.files.yaml import read_setup
 from pincal.kinematics.closure import nominal_legs
-from pincal.kinematics.configurations import Legs, as_plan, check_reached, legs_at
+from pincal.kinematics.configurations import as_plan, check_reached, legs_at
 from pincal.model.checks import count_of
 from pincal.model.measurements import Plan
-from pincal.model.mechanism import Mechanism
 from pincal.model.setup import Setup
 from pincal.types import Array
 
@@ -127,33 +126,23 @@ def select_configurations(
     rng, criterion = np.random.default_rng(search.seed), Criterion()
     if goal == "platform":
         n = legs.gain.shape[2]
-        lost = null_directions(lengths, axes, rank)[:n]
-        rows = _platform_rows(mechanism, legs, apart_from_frames(mechanism, legs, lost)[2])
-        moved = rows / lengths[:n] @ axes[:rank, :n].T
-        criterion = Criterion(_root(moved.T @ moved))
-    chosen, efficiency = best_choice((blocks,), count, rng, search.starts, criterion)
+        frames = apart_from_frames(mechanism, legs, null_directions(lengths, axes, rank)[:n])[2]
+        gain = without_frames(mechanism, legs.poses, legs.gain, frames)
+        gain = gain[np.isfinite(gain).all(axis=(1, 2))]
+        points = [leg.targets(np.eye(4)[None])[:, :3] for leg in nominal_legs(mechanism)]
+        radius = np.sqrt((np.concatenate(points) ** 2).sum(axis=1).mean())
+        size = np.where([unit == "m" for unit in mechanism.platform.units], 1.0, radius)
+        moved = (gain * size[:, None]).reshape(-1, n) / lengths[:n] @ axes[:rank, :n].T
+        values, directions = np.linalg.eigh(moved.T @ moved)
+        moving = values > NEGLIGIBLE**2 * values.max()
+        criterion = Criterion(directions[:, moving] * np.sqrt(values[moving]))
+    design = continuous_design((blocks,), criterion)
+    chosen, value = exchange((blocks,), count, design.priority, rng, search.starts, criterion)
     return ConfigurationChoice(
         Plan(legs.poses, readings=legs.readings).rows(chosen),
-        efficiency,
+        design.efficiency(value, count),
         identifiable,
         names,
         len(blocks),
         goal,
     )
-
-
-def _platform_rows(mechanism: Mechanism, legs: Legs, frames: Array) -> Array:
-    """Return how the platform follows parameters, (m, n), [m]: turns times the points' radius."""
-    gain = without_frames(mechanism, legs.poses, legs.gain, frames)
-    tips = np.concatenate([leg.targets(np.eye(4)[None])[:, :3] for leg in nominal_legs(mechanism)])
-    radius = float(np.sqrt((tips**2).sum(axis=1).mean()))
-    size = np.array([1.0 if unit == "m" else radius for unit in mechanism.platform.units])
-    gain = gain[np.isfinite(gain).all(axis=(1, 2))] * size[:, None]
-    return gain.reshape(-1, gain.shape[2]) / np.sqrt(len(gain))
-
-
-def _root(gram: Array) -> Array:
-    """Return C of C Cᵀ = Gram, shape (n, rank)."""
-    values, axes = np.linalg.eigh(gram)
-    moving = values > NEGLIGIBLE**2 * values.max()
-    return np.asarray(axes[:, moving] * np.sqrt(values[moving]))

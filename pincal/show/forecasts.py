@@ -1,21 +1,16 @@
-"""What a plan promises, in sentences and for scripts: rank, platform error, scale."""
+"""What a plan promises, in sentences and for scripts: rank and platform error."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from pincal.design.forecast import SCALE, Forecast
+from pincal.design.forecast import Forecast
 from pincal.design.platform_error import PlatformError
-from pincal.estimation.system import CLEAR
 from pincal.show.answers import weak_lines
 from pincal.words.numbers import amount, listed
 from pincal.words.wording import groups_in_words
 
 _BEST = "the best that any calibration can reach; 'pincal calibrate' does"
-_SAY_SCALE = (
-    "no poses separate it from gains and lengths. Say how well the scale is known "
-    "(systematic: {scale: …} in the setup), or measure lengths that are known"
-)
 
 
 def forecast_lines(forecast: Forecast, error: PlatformError) -> list[str]:
@@ -51,23 +46,6 @@ def _expected(error: PlatformError) -> str:
     known = [amount(size, unit) for _, size, unit in sizes if size < np.inf]
     lost = [f"{name} not determined" for name, size, _ in sizes if not size < np.inf]
     return ", ".join([*([f"root mean square {listed(known)}"] if known else []), *lost])
-
-
-def scale_lines(effect: tuple[PlatformError, float] | None, known: bool) -> list[str]:
-    """Return what a wrong scale of the instrument would do (see ``scale_effect``).
-
-    Nothing if no lengths are measured, or the platform is not determined in the first place. The
-    setup may say how well the scale is known.
-    """
-    if effect is None or not np.isfinite(effect[0].position):
-        return []
-    error, seen = effect
-    text = f"all lengths measured {1e6 * SCALE:.0f} µm/m too long: the platform off by "
-    text += amount(error.position, "m")
-    if seen > CLEAR:
-        return [f"{text}; residuals would show it, by {seen:.2g} standard deviations"]
-    remedy = "that is taken into what is promised" if known else _SAY_SCALE
-    return [f"{text}, and no residual shows it ({seen:.2g} standard deviations): {remedy}"]
 
 
 def poses_line(accuracy: float, needed: float) -> str:

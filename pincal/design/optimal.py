@@ -1,12 +1,15 @@
-"""The continuous optimal design: a bound on what any choice of poses can reach.
+"""The best choice of candidates: a bound on what any choice can reach, and an exchange towards it.
 
 Weights w on the candidates maximise a criterion of M(w) = Σ wⱼ Aⱼᵀ Aⱼ. By the equivalence theorem
 of Kiefer and Wolfowitz any weights bound the best ones: of a criterion of degree d with gradient g,
 value(w*) ≤ value(w) + d log(maxⱼ gⱼ / d). No set of N candidates has more than N M(w*), so the
-bound is a proof whether or not w has converged.
+bound is a proof whether or not w has converged. Few candidates carry weight. On these the criterion
+is maximised by interior-point steps; then those that violate gⱼ ≤ d most join them, until none does
+(column generation).
 
-Few candidates carry weight. On these the criterion is maximised by interior-point steps; then those
-that violate gⱼ ≤ d most join them, until none does (column generation).
+Sets of N are improved by exchange: a member is swapped for another candidate as long as that gains
+something. Fedorov (1972), place by place as Cook and Nachtsheim (1980); of robot poses Sun and
+Hollerbach (2008). All starts are swapped at once.
 """
 
 from __future__ import annotations
@@ -22,7 +25,6 @@ from pincal.design.criteria import (
     Parts,
     gradient,
     inverse_roots,
-    largest,
     triangles,
 )
 from pincal.errors import ObservabilityError
@@ -43,6 +45,13 @@ _CENTRED = 0.03  # share of the mean complementarity at which a step aims
 _DROPPED = 0.3  # share of the gap that dropping the least weights may cost
 _INSIDE = 0.99  # share of the way to the boundary that a step goes
 
+_POOL = 200  # candidates that swaps come from, at least; by as many the pool grows
+_POOL_PER_CHOSEN = 4  # candidates in the pool for each of a set, at least
+_RANDOM = 50  # further candidates in the pool, drawn from all
+_TURNS = 100  # visits of each place of a set between two looks at all candidates, at most
+_GAIN = 1e-9  # least gain of a swap
+_WEIGHTED = (0.97, 0.75)  # share of priority by which the first and the last start are drawn
+
 
 @dataclass(frozen=True)
 class ContinuousDesign:
@@ -57,7 +66,7 @@ class ContinuousDesign:
     bound: float
     """Upper bound of the value of any weights."""
     degree: int
-    """Degree of the criterion."""
+    """d of value(c M) = value(M) + d log c."""
 
     @property
     def priority(self) -> Array:
@@ -65,14 +74,7 @@ class ContinuousDesign:
         return self.weights + ROUNDING * self.gradient
 
     def efficiency(self, value: float, count: int) -> float:
-        """Return the efficiency of a set of candidates, at most 1.
-
-        It is the share of the poses that the best weights would need to give as much.
-
-        Args:
-            value: Value of the set's information Σ Aⱼᵀ Aⱼ.
-            count: Number of candidates in it.
-        """
+        """Return the share of so many candidates that the best weights would need for a value."""
         return float(np.exp((value - self.bound) / self.degree) / count)
 
 
@@ -87,21 +89,24 @@ def continuous_design(rows: Parts, criterion: Criterion = DETERMINANT) -> Contin
         ObservabilityError: all candidates together leave a parameter undetermined.
     """
     factors, total = triangles(rows), len(rows[0])
-    if any(map(_lacks_rank, factors)):
-        raise ObservabilityError("the candidate poses leave a parameter undetermined")
+    for factor in factors:
+        least = ROUNDING * np.linalg.norm(factor, axis=0).max()
+        if len(factor) < factor.shape[1] or np.abs(np.diagonal(factor)).min() <= least:
+            raise ObservabilityError("the candidate poses leave a parameter undetermined")
     # In these coordinates the information of equal weights is 1.
     turns = tuple(np.linalg.inv(factor) * np.sqrt(total) for factor in factors)
-    turned = criterion.transformed(turns)
     n = sum(len(turn) for turn in turns)
-    degree, gap = criterion.degree(n), 1.0
+    turned, degree, gap = criterion, n, 1.0
+    if criterion.C is not None:
+        turned, degree = Criterion(turns[0].T @ criterion.C), 1
     support = _first_support(rows, turns, max(_FIRST, 4 * n))
     weights = np.full(len(support), 1.0 / len(support))
     for _ in range(_ROUNDS):
-        parts = _turned(rows, support, turns)
-        weights = _interior_point(parts, weights, turned, gap)
+        parts = tuple(part[support] @ turn for part, turn in zip(rows, turns, strict=True))
+        weights = _interior_point(parts, weights, turned, degree, gap)
         carrying = weights > 0.0
         support, weights = support[carrying], weights[carrying]
-        roots = [_inverse_root(part[carrying], weights) for part in parts]
+        roots = [_weighted_root(part[carrying], weights) for part in parts]
         tangents = tuple(
             turn @ root @ turned.direction(root[None])[0]
             for turn, root in zip(turns, roots, strict=True)
@@ -110,27 +115,19 @@ def continuous_design(rows: Parts, criterion: Criterion = DETERMINANT) -> Contin
         gap = float(slopes.max()) / degree - 1.0
         if gap <= TOLERANCE:
             break
-        joining = largest(slopes, _JOINING * n)
+        joining = np.argsort(-slopes)[: _JOINING * n]
         joining = np.setdiff1d(joining[slopes[joining] > degree], support)
         share = min(_SHARE, gap) if len(joining) else 0.0
         support = np.concatenate((support, joining))
         equal = np.full(len(joining), share / max(1, len(joining)))
         weights = np.append((1.0 - share) * weights, equal)
     carrying = weights > 0.0
-    roots = np.sqrt(weights[carrying])[:, None, None]
-    value = criterion.value(tuple(part[support[carrying]] * roots for part in rows))
+    scale = np.sqrt(weights[carrying])[:, None, None]
+    value = criterion.value(tuple(part[support[carrying]] * scale for part in rows))
     all_weights = np.zeros(total)
     all_weights[support] = weights
     bound = value + degree * float(np.log1p(max(0.0, gap)))
     return ContinuousDesign(all_weights, slopes, value, bound, degree)
-
-
-def _lacks_rank(factor: Array) -> bool:
-    """Return whether a triangle, shape (m, n), has less than full rank."""
-    scale = np.linalg.norm(factor, axis=0).max()
-    return len(factor) < factor.shape[1] or bool(
-        np.abs(np.diagonal(factor)).min() <= ROUNDING * scale
-    )
 
 
 def _first_support(rows: Parts, turns: Parts, size: int) -> Index:
@@ -142,32 +139,29 @@ def _first_support(rows: Parts, turns: Parts, size: int) -> Index:
     cumulated = np.cumsum(leverage)
     levels = (np.arange(_SAMPLE) + 0.5) / _SAMPLE * cumulated[-1]
     sample = np.unique(np.searchsorted(cumulated, levels))
-    support = [largest(leverage, size)]
-    for part in _turned(rows, sample, turns):
+    support = [np.argsort(-leverage)[:size]]
+    for part, turn in zip(rows, turns, strict=True):
         r, n = part.shape[1:]
-        _, pivots = qr(part.reshape(-1, n).T, mode="r", pivoting=True)
+        _, pivots = qr((part[sample] @ turn).reshape(-1, n).T, mode="r", pivoting=True)
         support.append(sample[pivots[:n] // r])
     return np.unique(np.concatenate(support))
 
 
-def _turned(rows: Parts, places: Index, turns: Parts) -> Parts:
-    return tuple(part[places] @ turn for part, turn in zip(rows, turns, strict=True))
-
-
-def _inverse_root(rows: Array, weights: Array) -> Array:
+def _weighted_root(rows: Array, weights: Array) -> Array:
     """Return R of M(w)⁻¹ = R Rᵀ, shape (n, n), of rows of one part, shape (s, r, n)."""
     flat = (rows * np.sqrt(weights)[:, None, None]).reshape(-1, rows.shape[2])
     return inverse_roots(flat.T @ flat)
 
 
-def _interior_point(rows: Parts, weights: Array, criterion: Criterion, gap: float) -> Array:
+def _interior_point(
+    rows: Parts, weights: Array, criterion: Criterion, degree: int, gap: float
+) -> Array:
     """Return the best weights of few candidates, from others, by an interior-point method.
 
     Slacks z of gⱼ + zⱼ = d, and wⱼ zⱼ = μ → 0; a step eliminates z, and the multiplier of Σ w = 1.
     Steps go to a share of the relative gap at the last look.
     """
-    s, degree = len(weights), criterion.degree(sum(part.shape[2] for part in rows))
-    gap = max(_WITHIN * gap, 0.1 * TOLERANCE)
+    s, gap = len(weights), max(_WITHIN * gap, 0.1 * TOLERANCE)
     w = (1.0 - _MIXED) * weights + _MIXED / s
     hessian, slopes, leverage = derivatives(rows, w, criterion)
     z = np.maximum(degree - slopes, _MIXED * degree)
@@ -200,10 +194,10 @@ def derivatives(rows: Parts, weights: Array, criterion: Criterion) -> tuple[Arra
 
     Leverages are tr Aⱼ M⁻¹ Aⱼᵀ, of rows of shape (s, r, n) for each part and weights (s,).
     """
-    s, p = len(weights), criterion.order
+    s, p = len(weights), 0 if criterion.C is None else 1
     hessian, slopes, leverage = np.zeros((s, s)), np.zeros(s), np.zeros(s)
     for part in rows:
-        root, r = _inverse_root(part, weights), part.shape[1]
+        root, r = _weighted_root(part, weights), part.shape[1]
         W = part.reshape(s * r, -1) @ root
         V = W @ criterion.direction(root[None])[0] if p else W
         K = W @ W.T
@@ -212,3 +206,88 @@ def derivatives(rows: Parts, weights: Array, criterion: Criterion) -> tuple[Arra
         slopes += (V * V).reshape(s, -1).sum(axis=1)
         leverage += (W * W).reshape(s, -1).sum(axis=1)
     return hessian - p * np.outer(slopes, slopes), slopes, leverage
+
+
+def exchange(
+    rows: Parts,
+    count: int,
+    priority: Array,
+    rng: np.random.Generator,
+    starts: int,
+    criterion: Criterion = DETERMINANT,
+) -> tuple[Index, float]:
+    """Return the best set of candidates from several starts, and its value.
+
+    The first start rounds the continuous design, the others are drawn by its weights. Swaps run in
+    a pool, which then grows by those of all candidates that would improve the best set to first
+    order; the next starts are this set and others near it. It ends when none is better.
+
+    Args:
+        rows: Rows that each candidate contributes, of each part of the parameters, shape (M, r, n);
+            together of rank n.
+        count: Size of the set, without repetition.
+        priority: Order in which candidates come into the pool, the largest first, shape (M,).
+        rng: Source of the random starts.
+        starts: Number of starts.
+        criterion: Criterion to maximise; log det if not given.
+
+    Raises:
+        ObservabilityError: fewer candidates than the set is to have.
+    """
+    total = len(rows[0])
+    if total < count:
+        raise ObservabilityError(
+            f"{total} candidates are in reach, no two of them alike; {count} are to be chosen"
+        )
+    size = max(_POOL, _POOL_PER_CHOSEN * count)
+    drawn = rng.integers(total, size=_RANDOM)
+    pool = np.union1d(np.argsort(-priority)[:size], drawn)
+    best, value, near = np.arange(0), -np.inf, priority[pool]
+    while True:
+        parts = tuple(part[pool] for part in rows)
+        sets = np.sort(_swapped(parts, _starts(near, count, rng, starts), criterion), axis=1)
+        values = [criterion.value(tuple(part[members] for part in parts)) for members in sets]
+        first = int(np.argmax(values))
+        if not values[first] > value + _GAIN:
+            return best, value
+        best, value = pool[sets[first]], values[first]
+        roots = [_roots_of_sets(part, sets[first][None]) for part in parts]
+        slopes = gradient(rows, tuple(root[0] @ criterion.direction(root)[0] for root in roots))
+        better = np.flatnonzero(slopes > slopes[best].min())
+        pool = np.union1d(pool, better[np.argsort(-slopes[better])[:size]])
+        near = np.isin(pool, best).astype(float)
+
+
+def _starts(priority: Array, count: int, rng: np.random.Generator, starts: int) -> Index:
+    """Return the candidates of highest priority, and sets drawn by it, shape (starts, count)."""
+    weights = np.maximum(priority, 0.0)
+    share = np.linspace(*_WEIGHTED, starts)[:, None]
+    chances = share * weights / weights.sum() + (1.0 - share) / len(weights)
+    keys = np.log(chances) + rng.gumbel(size=(starts, len(weights)))
+    keys[0] = priority
+    return np.argsort(-keys, axis=1, kind="stable")[:, :count]
+
+
+def _roots_of_sets(rows: Array, sets: Index) -> Array:
+    """Return R of M⁻¹ = R Rᵀ of sets (S, count), (S, n, n), beside a ridge: some lack rank."""
+    members = rows[sets].reshape(len(sets), -1, rows.shape[2])
+    ridge = np.diag(ROUNDING * (rows * rows).sum(axis=(0, 1)))
+    return inverse_roots(members.mT @ members + ridge)
+
+
+def _swapped(rows: Parts, sets: Index, criterion: Criterion) -> Index:
+    """Return sets (S, count) improved in turns at each place: what gains most comes there."""
+    sets, count = sets.copy(), sets.shape[1]
+    unchanged = np.zeros(len(sets), dtype=int)  # places in a row at which a set stayed as it was
+    for turn in range(_TURNS * count):
+        active, place = np.flatnonzero(unchanged < count), turn % count
+        if not len(active):
+            break
+        others = np.delete(sets[active], place, axis=1)
+        gains = sum(criterion.gain(part, _roots_of_sets(part, others)) for part in rows)
+        np.put_along_axis(gains, others, -np.inf, axis=1)
+        coming, index = gains.argmax(axis=1), np.arange(len(active))
+        better = gains[index, coming] > gains[index, sets[active, place]] + _GAIN
+        sets[active[better], place] = coming[better]
+        unchanged[active] = np.where(better, 0, unchanged[active] + 1)
+    return sets
