@@ -90,7 +90,8 @@ def _blocks(W: Array, r: int) -> Array:
 
 def triangles(rows: Parts) -> Parts:
     """Return a triangle R of each part, shape (n, n) or less: Rᵀ R is the Gram of all rows."""
-    return tuple(np.linalg.qr(part.reshape(-1, part.shape[-1]), mode="r") for part in rows)
+    flat = (part.reshape(-1, part.shape[-1]) for part in rows)
+    return tuple(np.asarray(np.linalg.qr(part, mode="r")) for part in flat)
 
 
 def gradient(rows: Parts, turns: Parts) -> Array:

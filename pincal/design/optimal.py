@@ -284,7 +284,9 @@ def _swapped(rows: Parts, sets: Index, criterion: Criterion) -> Index:
         if not len(active):
             break
         others = np.delete(sets[active], place, axis=1)
-        gains = sum(criterion.gain(part, _roots_of_sets(part, others)) for part in rows)
+        gains = np.zeros((len(active), len(rows[0])))
+        for part in rows:
+            gains += criterion.gain(part, _roots_of_sets(part, others))
         np.put_along_axis(gains, others, -np.inf, axis=1)
         coming, index = gains.argmax(axis=1), np.arange(len(active))
         better = gains[index, coming] > gains[index, sets[active, place]] + _GAIN
