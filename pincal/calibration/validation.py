@@ -47,9 +47,9 @@ make worse."""
 def held_out(
     calibration: Calibration, folds: int = FOLDS, by: By = "region", fits_of_all: Fits | None = None
 ) -> tuple[Validation, tuple[Outlier, ...]]:
-    """Return the errors of a calibration at held-out rows, and the few rows that alone miss.
+    """Return the errors of a calibration at held-out rows, and rows to verify with that are wrong.
 
-    With a robust loss these rows are left out, as are those that do not fit.
+    Errors are without these, and without rows that a robust loss leaves out.
 
     Args:
         calibration: What was calibrated.
@@ -59,29 +59,32 @@ def held_out(
     """
     if fits_of_all is None:
         fits_of_all = _converged(calibration, "the fit of all rows")
-    calibration = fits_of_all.calibration
-    if calibration.options.loss == "none":
-        return _validated(fits_of_all, folds, by)
-    calibration = calibration.with_options(loss="none")
+    robust = fits_of_all.calibration.options.loss != "none"
+    calibration = fits_of_all.calibration.with_options(loss="none")
     fitting = np.ones(len(calibration.measurements), dtype=bool)
-    fitting[[outlier.row for fit in fits_of_all.fits for outlier in fit.outliers]] = False
-    rejected: tuple[Outlier, ...] = ()
-    while True:
+    fits, wrong = fits_of_all, list[Outlier]()
+    if robust:
+        fitting[[outlier.row for fit in fits_of_all.fits for outlier in fit.outliers]] = False
+        fits = _converged(calibration.rows(fitting), "the fit of the rows that fit")
+    validation, strays = _validated(fits, folds, by)
+    while strays:
+        wrong += [replace(row, row=int(np.flatnonzero(fitting)[row.row])) for row in strays]
+        fitting[[row.row for row in wrong]] = False
         fits = _converged(calibration.rows(fitting), "the fit of the rows that fit")
         validation, strays = _validated(fits, folds, by)
-        if not strays:
-            return validation, rejected
-        rows = np.flatnonzero(fitting)
-        rejected += tuple(replace(row, row=int(rows[row.row]), weight=0.0) for row in strays)
-        fitting[[outlier.row for outlier in rejected]] = False
+    if wrong and not robust and not validation.findings:
+        values = {name: getattr(wrong[0], name) for name in ("sigma", "quantity", "off")}
+        total = validation.rows + len(wrong)
+        remark = finding("wrong-held-out", [row.row for row in wrong], total=total, **values)
+        validation = replace(validation, findings=(remark,))
+    return validation, tuple(wrong)
 
 
-def _validated(fits_of_all: Fits, folds: int, by: By) -> tuple[Validation, tuple[Outlier, ...]]:
-    """Return errors at held-out rows, and the few rows that alone miss by more than expected."""
+def _validated(fits_of_all: Fits, folds: int, by: By) -> tuple[Validation, list[Outlier]]:
+    """Return errors at held-out rows, and the few rows to verify with that alone contradict."""
     calibration = fits_of_all.calibration
     groups = folds_of(calibration.measurements, folds, by)
-    count, misses, chances, chances_without = int(groups.max()) + 1, [], [], []
-    strays, of_folds = list[Outlier](), np.zeros(4)
+    count, misses, chances, of_folds = int(groups.max()) + 1, [], [], np.zeros(4)
     dof = fits_of_all.degrees_of_freedom
     chi2 = sum(fit.chi2 for fit in fits_of_all.fits)
     total = chi2 if (groups >= 0).all() else None  # rows to verify with are in no fit
@@ -89,47 +92,38 @@ def _validated(fits_of_all: Fits, folds: int, by: By) -> tuple[Validation, tuple
     unit = 1.0 if known else max(chi2 / max(dof, 1), 1e-300)  # noise that was estimated
     for fold in range(count):
         calibration.options.report(f"held-out rows, fold {fold + 1} of {count}")
-        seen_rows, rows = groups != fold, np.flatnonzero(groups == fold)
-        unseen = calibration.rows(rows)
+        seen_rows, unseen = groups != fold, calibration.rows(groups == fold)
         fold_calibration = calibration.rows(seen_rows).at_this_noise()
         fits = _converged(fold_calibration, f"fold {fold + 1} of {count}", fits_of_all, seen_rows)
         predicted = predictions(fits, unseen)
-        sums = _sums(predicted, len(rows))
-        wrong = suspected(sums[:, 0] / unit, sums[:, 3].astype(np.intp))
-        strays += [
-            _stray(predicted, row, sums[row], unit, rows) for row in np.flatnonzero(wrong).tolist()
-        ]
+        sums = _sums(predicted, len(unseen.measurements))
         chances.append(_chance(fits, sums, total))
-        chances_without.append(_chance(fits, sums[~wrong], None))
         misses.append((unseen, misses_of(unseen, fits)))
         of_folds += sums.sum(axis=0)
     _, squares, unknown, equations = of_folds
-    held_rows = int((groups >= 0).sum())
     fit = float(np.sqrt(chi2 / max(dof, 1) / unit))
     held = float(np.sqrt(squares / equations / unit))
     expected = float(fit * np.sqrt(1.0 + unknown / equations))
     p_value = least_of_folds(min(chances), fits_of_all.fits, groups, known=known)
     is_worse = p_value < UNLIKELY and fit <= MISSES and not rounding(fits_of_all)
-    few = 0 < len(strays) <= max(1.0, MANY_ROWS * held_rows)
-    if not (is_worse and few and min(chances_without) >= UNLIKELY):
-        strays = []
+    strays = list[Outlier]()
+    if is_worse and total is None:
+        wrong = suspected(sums[:, 0] / unit, sums[:, 3].astype(np.intp))
+        few = 0 < wrong.sum() <= max(1.0, MANY_ROWS * len(wrong))
+        if few and _chance(fits, sums[~wrong], total) >= UNLIKELY:
+            strays = _strays(predicted, sums, wrong, unit, np.flatnonzero(groups == 0))
     worse = finding("held-out-worse", held_out=held, expected=expected, p_value=p_value)
-    if strays:
-        strays.sort(key=lambda outlier: -outlier.sigma)
-        values = {name: getattr(strays[0], name) for name in ("sigma", "quantity", "off")}
-        worse = finding("wrong-held-out", [row.row for row in strays], total=held_rows, **values)
-    targets = missed(misses_of(calibration.rows(calibration.counts), fits_of_all), misses)
     validation = Validation(
         folds=count,
-        rows=held_rows,
+        rows=int((groups >= 0).sum()),
         fit=fit,
         held_out=held,
         expected=expected,
         p_value=p_value,
         findings=(worse,) if is_worse else (),
-        targets=targets,
+        targets=missed(misses_of(calibration.rows(calibration.counts), fits_of_all), misses),
     )
-    return validation, tuple(strays)
+    return validation, strays
 
 
 def _converged(
@@ -176,24 +170,32 @@ def _sums(predicted: Sequence[tuple[Fit, Index, Linear]], count: int) -> Array:
     return sums
 
 
-def _stray(
-    predicted: Sequence[tuple[Fit, Index, Linear]], row: int, sums: Array, unit: float, rows: Index
-) -> Outlier:
-    """Return a held-out row that misses, and by which quantity most: its place, its sums."""
-    largest = (0.0, "")
-    for fit, served, linear in predicted:
-        quantities = tuple(fit.problem.quantities)
-        for noise in linear.noise[served == row, : len(quantities)]:
-            off = np.abs(noise) / np.sqrt(unit)
-            largest = max(largest, (float(off.max()), quantities[int(off.argmax())]))
-    return Outlier(
-        row=int(rows[row]),
-        legs=tuple(leg.name for fit, _, _ in predicted for leg in fit.problem.legs),
-        sigma=as_one(float(sums[0] / unit), int(sums[3])),
-        weight=1.0,
-        quantity=largest[1],
-        off=largest[0],
-    )
+def _strays(
+    predicted: Sequence[tuple[Fit, Index, Linear]],
+    sums: Array,
+    wrong: Mask,
+    unit: float,
+    rows: Index,
+) -> list[Outlier]:
+    """Return held-out rows that are wrong, the worst first, and by which quantity most."""
+    strays = []
+    for place in np.flatnonzero(wrong).tolist():
+        largest = (0.0, "")
+        for fit, served, linear in predicted:
+            quantities = tuple(fit.problem.quantities)
+            for noise in np.abs(linear.noise[served == place, : len(quantities)]):
+                worst = int(noise.argmax())
+                largest = max(largest, (float(noise[worst]) / unit**0.5, quantities[worst]))
+        stray = Outlier(
+            row=int(rows[place]),
+            legs=tuple(leg.name for fit, _, _ in predicted for leg in fit.problem.legs),
+            sigma=as_one(float(sums[place, 0] / unit), int(sums[place, 3])),
+            weight=0.0,
+            quantity=largest[1],
+            off=largest[0],
+        )
+        strays.append(stray)
+    return sorted(strays, key=lambda stray: -stray.sigma)
 
 
 def _chance(fits: Fits, sums: Array, total: float | None) -> float:

@@ -429,7 +429,7 @@ def remarks(result: CalibrationResult, errors: WorkspaceErrors) -> list[str]:
 def rejected_lines(result: CalibrationResult) -> list[str]:
     """Return which rows a robust loss left out, and what is wrong with the worst, in a line."""
     rejected = [outlier for outlier in result.outliers if outlier.weight == 0.0]
-    if not rejected:
+    if not rejected or result.loss == "none":
         return []
     rows = sorted(outlier.row + 1 for outlier in rejected)
     words = f"data row{'s' * (len(rows) > 1)} {listed(rows[:NAMED])}"
