@@ -17,15 +17,15 @@ Method = TypeVar("Method", bound=Callable[..., Any])
 
 DONE_BY = {
     "CalibrationResult.__str__": "pincal.show.answers.result_text",
-    "CalibrationResult._repr_html_": "pincal.show.page.result_html",
+    "CalibrationResult._repr_html_": "pincal.show.report.result_html",
     "CalibrationResult.plot": "pincal.show.charts.Plots",
     "CalibrationResult.report": "pincal.show.report.report",
     "CalibrationResult.save": "pincal.calibration.result_files.save_result",
     "CalibrationResult.validated": "pincal.calibration.calibrate.with_validation",
     "Explanation.__str__": "pincal.show.explanation.explanation_page",
     "Measurements.from_csv": "pincal.files.measurements.read_measurements",
-    "Mechanism.__str__": "pincal.show.page.mechanism_text",
-    "Mechanism._repr_html_": "pincal.show.page.mechanism_html",
+    "Mechanism.__str__": "pincal.show.report.mechanism_text",
+    "Mechanism._repr_html_": "pincal.show.report.mechanism_html",
     "Mechanism.from_urdf": "pincal.formats.arm.load_arm",
     "Mechanism.save": "pincal.files.mechanism_folders.save_mechanism",
     "Plan.from_csv": "pincal.files.measurements.read_poses",

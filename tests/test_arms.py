@@ -16,7 +16,7 @@ from random_mechanisms import reached
 
 import pincal
 from pincal.kinematics.closure import LegClosure
-from pincal.words.sentences import sentence
+from pincal.words.findings import sentence
 
 Array = np.ndarray
 NOISE = pincal.Noise(1e-4, 1e-4, 0.0)

@@ -13,7 +13,7 @@ from marks import quick, slow_or_fuzz, some_slow
 
 import pincal
 from pincal.show.misses import workspace_errors
-from pincal.words.sentences import sentence
+from pincal.words.findings import sentence
 
 NOISE = pincal.Noise(1e-4, 1e-4, 0.0)
 EXACT = pincal.Noise(0.0, 0.0, 0.0)

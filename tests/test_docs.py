@@ -23,7 +23,7 @@ from pincal import errors
 from pincal.cli.app import app
 from pincal.model.orientation import WAYS
 from pincal.model.units import UNITS
-from pincal.words.sentences import WORDINGS
+from pincal.words.findings import WORDINGS
 
 ROOT = Path(__file__).parents[1]
 #: Licences that ask of users of pincal no more than to name the authors.
@@ -123,7 +123,7 @@ def made() -> set[str]:
 
 
 def test_every_finding_is_explained() -> None:
-    """The page has each code with title, meaning and remedy, and what each value of it is.
+    """The page has each code with severity, meaning and remedy, and what each value of it is.
 
     What the source finds has a code.
     """
@@ -134,8 +134,8 @@ def test_every_finding_is_explained() -> None:
     names = {name for one in WORDINGS.values() for name in one.value_names}
     assert set(re.findall(r"^\| `(\w+)` \| \S", values, re.MULTILINE)) == names
     for code, one in WORDINGS.items():
-        severity, title, means, advice = rows[code].replace("`", "").strip(" |").split(" | ")
-        assert (severity, title) == (one.severity, one.title)
+        severity, means, advice = rows[code].replace("`", "").strip(" |").split(" | ")
+        assert severity == one.severity
         assert means.endswith(".")
         assert advice == f"{one.remedy}." if one.remedy and "{" not in one.remedy else advice
     elsewhere = {"not-converged", "not-corrected", "residuals-too-large"}  # said by the report

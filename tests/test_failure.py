@@ -14,7 +14,7 @@ from measured import put, workspace
 import pincal
 from pincal.calibration.findings import findings_of
 from pincal.calibration.fits import fitted
-from pincal.words.sentences import sentences
+from pincal.words.findings import sentences
 
 NOISE = pincal.Noise(2e-5, 5e-5)
 FRAME = pincal.Setup(unknown_frame=True)

@@ -34,7 +34,7 @@ from pincal.estimation.observation import Observation
 from pincal.estimation.problem import Problem
 from pincal.estimation.unknowns import Unknowns
 from pincal.kinematics.closure import largest_size
-from pincal.words.sentences import sentence
+from pincal.words.findings import sentence
 
 KINDS = ["5R", "3RRR", "6UPS"]
 FRAME = pincal.Setup(unknown_frame=True)

@@ -13,7 +13,7 @@ from measured import put
 import pincal
 from pincal.estimation.observability.identifiable import weak_pairs
 from pincal.formats.delta_printer import delta_printer
-from pincal.words.sentences import sentence
+from pincal.words.findings import sentence
 
 PROBE = pincal.Noise(2e-5, 0.0, 0.0)  # of heights [m]
 

@@ -19,7 +19,7 @@ from pincal.calibration.fits import fitted
 from pincal.calibration.options import Options, folds_of
 from pincal.calibration.validation import least_of_folds
 from pincal.show.answers import check_lines
-from pincal.words.sentences import finding
+from pincal.words.findings import finding
 
 FRAME = pincal.Setup(unknown_frame=True)
 

@@ -41,7 +41,7 @@ from pincal.finding import Finding
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
 from pincal.types import Array
-from pincal.words.sentences import finding
+from pincal.words.findings import finding
 
 
 def calibrate(

@@ -20,7 +20,7 @@ from pincal.model.checks import ROUNDING
 from pincal.model.measurements import Measurements
 from pincal.model.setup import ORIGIN, Setup
 from pincal.types import Index
-from pincal.words.sentences import finding
+from pincal.words.findings import finding
 
 if TYPE_CHECKING:
     from pincal.calibration.result import CalibrationResult

@@ -33,8 +33,8 @@ from pincal.model.measurements import Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.parameter import Parameters
 from pincal.types import Array
+from pincal.words.findings import sentences
 from pincal.words.numbers import rounded
-from pincal.words.sentences import sentences
 
 if TYPE_CHECKING:
     from pincal.show.charts import Plots

@@ -39,7 +39,7 @@ from pincal.model.mechanism import Mechanism
 from pincal.model.setup import Instrument
 from pincal.model.terms import LOAD
 from pincal.types import Array
-from pincal.words.sentences import sentence
+from pincal.words.findings import sentence
 
 if TYPE_CHECKING:
     from pincal.show.report import Report

@@ -9,8 +9,8 @@ import numpy as np
 from pincal.finding import Finding
 from pincal.model.parameter import Parameter
 from pincal.types import Array, Index
+from pincal.words.findings import sentences
 from pincal.words.numbers import SMALL, chance, measured, shown_in
-from pincal.words.sentences import sentences
 from pincal.words.wording import missed_line
 
 HELD = "held nearest to nominal"

@@ -36,7 +36,7 @@ from pincal.kinematics.batches import CHUNK
 from pincal.kinematics.forward import forward
 from pincal.model.setup import ORIGIN
 from pincal.types import Array, Index, Mask
-from pincal.words.sentences import finding
+from pincal.words.findings import finding
 
 MISSES = 10.0
 """Standard deviations by which a fit misses its own rows that is none, which held-out rows do not

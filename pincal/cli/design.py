@@ -39,7 +39,7 @@ from pincal.kinematics.readers import arm_free_of_collision
 from pincal.model.measurements import Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.option import Option, option
-from pincal.show.forecasts import forecast_lines, poses_line
+from pincal.show.explanation import forecast_lines, poses_line
 from pincal.show.tables import choice_table, selection_table, standard_errors
 from pincal.words.numbers import reading_in
 from pincal.words.table import Table

@@ -34,7 +34,6 @@ from pincal.show.style import PAGE_WIDTH
 from pincal.show.view.scene import MAGNIFY, Scene
 from pincal.show.view.view import view as make_view
 from pincal.types import Mask
-from pincal.words.wording import unreached
 
 Shown = Annotated[
     Path | None,
@@ -202,12 +201,13 @@ def picture(
 
 def _say_unreached(scene: Scene) -> None:
     """Say at how many poses something is not drawn."""
-    texts = [unreached("mechanism", scene.body.problems)]
+    machines = {"mechanism": scene.body}
     if scene.magnified:
-        machine = f"identified machine (errors × {scene.magnify:g})"
-        texts.append(unreached(machine, scene.magnified.problems))
-    for text in filter(None, texts):
-        stderr.print(text)
+        machines[f"identified machine (errors × {scene.magnify:g})"] = scene.magnified
+    for name, body in machines.items():
+        if problems := list(filter(None, body.problems)):
+            text = f"the {name} is not drawn in full at {len(problems)} of {len(body.problems)}"
+            stderr.print(f"{text} poses; the first: {problems[0]}")
 
 
 #: What is drawn: the charts of ``result.plot``.

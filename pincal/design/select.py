@@ -43,7 +43,7 @@ from pincal.model.measurements import EVERY_LEG, Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.symmetry.elements import IDENTITY, Element
 from pincal.types import Array, Mask
-from pincal.words.wording import mapped_diagonals
+from pincal.words.numbers import percent
 
 _SAMPLE = 64  # candidates on which it is looked at whether rows map
 Protocol = Literal["independent", "symmetric", "orbits", "common"]
@@ -139,7 +139,8 @@ class Selection:
         ]
         lines = [repr(self), "  leg          poses  efficiency  condition", *rows]
         if self.mapped and self.diagonals_differ >= ALIKE:
-            lines.append(f"  {mapped_diagonals(self.diagonals_differ)}")
+            differ = f"reference legs by {percent(self.diagonals_differ)} (Eq. 10)"
+            lines.append(f"  |R_ii| of mapped legs differ from those of their {differ}")
         return "\n".join(lines)
 
 

@@ -8,30 +8,39 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import gammaincinv
 
-from pincal.calibration.promise import seen_by
 from pincal.calibration.result import CalibrationResult
 from pincal.calibration.validation import MISSES
-from pincal.design.platform_error import platform_error
 from pincal.estimation.observability.identifiable import WeakPair
 from pincal.model.checks import counted
 from pincal.model.mechanism import Mechanism
 from pincal.model.setup import ORIGIN
 from pincal.show.misses import WorkspaceErrors, workspace_errors
 from pincal.show.tables import calibration_tables
-from pincal.words.numbers import amount, capital, listed, number, percent, rounded, size
-from pincal.words.sentences import WORDINGS, finding, sentence
+from pincal.words.findings import WORDINGS, finding, sentence
+from pincal.words.numbers import amount, capital, listed, number, percent, rounded
 from pincal.words.table import Table
 from pincal.words.wording import NAMED, UNCOVERED, missed_line, noise_in_words
 
 _MOST_PAIRS = 3  # weak pairs that are named
-_MARKS = {"good": "✓", "care": "⚠", "bad": "✗"}
-_STYLES = {"good": "bold green", "care": "bold yellow", "bad": "bold red"}
-_UNDETERMINED = "not determined anywhere, since what was held moves it at every pose"
-_FOLLOWED = "Something is wrong with rows, noise or model, and the parameters follow it."
-_NO_BETTER = "Parameters that fit no better than nominal ones correct nothing."
+_MARKS = {"bad": ("✗", "bold red"), "care": ("⚠", "bold yellow"), "good": ("✓", "bold green")}
+_UNDETERMINED = "Not determined anywhere, since what was held moves it at every pose"
+_FOLLOWED = "Something is wrong with rows, noise or model, and the parameters follow it"
+_NO_BETTER = "Parameters that fit no better than nominal ones correct nothing"
 _HELD = "The machine itself was held"
 _ONLY_FRAMES = "No parameter of it was identified, only where the frames lie"
 _FRAMES = ", but for where the base and platform frames lie"
+_LITTLE = (
+    "What the calibration corrects is little more than what it does not know: more or better "
+    "measurements are needed"
+)
+_NO_RESULT = (
+    "The search for the parameters ended without an answer: there is no calibrated mechanism."
+)
+_NOISE_SOURCES = {
+    "given": "as given",
+    "repeats": "from rows that were measured repeatedly",
+    "estimated": "estimated from the residuals, since none was given",
+}
 
 
 class Answer(NamedTuple):
@@ -55,15 +64,17 @@ def answers(
         errors: The platform's over the workspace; None if the fit did not converge.
         notes: Sentences on what was not done, and why.
     """
+    steps = next_steps(result)
+    following = Answer("What next?", "Use it" if steps[1:] else "Look into it", "", [steps])
     if errors is None:
-        text = "The search for the parameters ended without an answer: there is no calibrated "
-        failed = Answer("Is it better?", "There is no result", "bad", [f"{text}mechanism."])
-        return [failed, _next(result)]
+        return [Answer("Is it better?", "There is no result", "bad", [_NO_RESULT]), following]
+    better, tone, reason, by = _improvement(result, errors)
+    limits = [f"{capital(line)}." for line in _limit_lines(result, errors)]
     return [
-        _better(result, errors),
-        _accuracy(result, errors),
+        Answer("Is it better?", better, tone, [f"{reason}."]),
+        Answer("By how much?", by, "", [accuracy_table(result, errors), *limits]),
         _reliable(result, notes),
-        _next(result),
+        following,
     ]
 
 
@@ -71,79 +82,51 @@ def verdict(result: CalibrationResult, errors: WorkspaceErrors | None) -> tuple[
     """Return the verdict in a line, and its style in a terminal."""
     better, *others, _ = answers(result, errors)
     tones = {better.tone, *(answer.tone for answer in others)}
-    tone = next(tone for tone in ("bad", "care", "good") if tone in tones)
+    mark, style = next(look for tone, look in _MARKS.items() if tone in tones)
     first, *following = [answer.verdict for answer in others or [better]]
     words = [first, *(text[:1].lower() + text[1:] for text in following)]
     if result.converged and result.degrees_of_freedom:
         words.append(f"χ² {rounded(result.reduced_chi2)}")
-    return f"{_MARKS[tone]} {result.nominal.name}: {' · '.join(words)}", _STYLES[tone]
+    return f"{mark} {result.nominal.name}: {' · '.join(words)}", style
 
 
-def _better(result: CalibrationResult, errors: WorkspaceErrors) -> Answer:
-    """Return whether the machine is better: by what the platform's errors fall."""
-    question = "Is it better?"
+def _improvement(result: CalibrationResult, errors: WorkspaceErrors) -> tuple[str, str, str, str]:
+    """Return whether the machine is better, its tone and reason, and by how much.
+
+    By what the platform's errors fall.
+    """
     if not result.explained:
-        text = f"Residuals are {_excess(result)}. {_NO_BETTER}"
-        if result.corrects:
-            text = f"Residuals fell, but are still {_excess(result)}. {_FOLLOWED}"
-        return Answer(question, "Not shown" if result.corrects else "No", "bad", [text])
-    if not _determined(errors):
-        return Answer(question, "Not determined", "bad", [f"{_UNDETERMINED}."])
-    if not _moved(errors):
-        return Answer(question, _HELD, "good", [f"{_ONLY_FRAMES}."])
+        by = "No accuracy can be promised"
+        excess = f"{result.excess:.3g} times as large as the noise given makes them"
+        if not result.corrects:
+            return "No", "bad", f"Residuals are {excess}. {_NO_BETTER}", by
+        return "Not shown", "bad", f"Residuals fell, but are still {excess}. {_FOLLOWED}", by
+    if not errors.determined:
+        return "Not determined", "bad", _UNDETERMINED, "Not determined"
+    if not errors.moved:
+        return _HELD, "good", _ONLY_FRAMES, _HELD
     sizes = np.array([errors.mean_before(), errors.mean_after(), errors.inside.limit])
+    kind, unit = (0, "m") if result.nominal.platform.lengths else (1, "rad")
+    by = f"{number(sizes[0, kind], unit)} → {amount(sizes[1, kind], unit)}"
+    by += f" (95 %: ≤ {number(sizes[2, kind], unit)})" if result.promises else " or more"
     before, after, limit = sizes[:, sizes[:2].any(axis=0)]  # of what moves and was measured
     ratios = before / after
     if min(ratios) >= 2.0:
-        text = f"Expect the platform's error to be smaller by a factor of {_factors(ratios)}"
-        text += f", with 95 % confidence {_factors(before / limit)} at least" * result.promises
+        reason = f"Expect the platform's error to be smaller by a factor of {_factors(ratios)}"
+        reason += f", with 95 % confidence {_factors(before / limit)} at least" * result.promises
         sound = result.promises and result.degrees_of_freedom
-        return Answer(question, *(("Yes", "good") if sound else ("Probably", "care")), [f"{text}."])
+        return *(("Yes", "good") if sound else ("Probably", "care")), reason, by
     if max(ratios) > 1.0:
-        text = "What the calibration corrects is little more than what it does not know: more or "
-        text += "better measurements are needed."
-        return Answer(question, "Hardly", "bad", [text])
-    text = "The correction is smaller than its own uncertainty."
-    return Answer(question, "No sign of it", "bad", [text])
-
-
-def _moved(errors: WorkspaceErrors) -> bool:
-    """Return whether parameters that were identified move the platform at all."""
-    return any((*errors.mean_before(), *errors.mean_after()))
-
-
-def _determined(errors: WorkspaceErrors) -> bool:
-    """Return whether the measurements say how far the calibrated platform is off anywhere."""
-    return bool(errors.expected.determined.any() and np.isfinite(errors.mean_after()).all())
+        return "Hardly", "bad", _LITTLE, by
+    return "No sign of it", "bad", "The correction is smaller than its own uncertainty", by
 
 
 def _factors(ratios: Sequence[float]) -> str:
     """Return factors in position and, where the platform turns, in orientation."""
-    shown = [rounded(ratio) for ratio in ratios]
-    if len(set(shown)) == 1:
-        return shown[0]
-    return f"{shown[0]} (position) and {shown[1]} (orientation)"
-
-
-def _excess(result: CalibrationResult) -> str:
-    return f"{result.excess:.3g} times as large as the noise given makes them"
-
-
-def _accuracy(result: CalibrationResult, errors: WorkspaceErrors) -> Answer:
-    """Return by how much the platform is off: before, as expected, held out."""
-    lines = [f"{capital(line)}." for line in limit_lines(result, errors)]
-    if not (result.explained and _determined(errors) and _moved(errors)):
-        shown = WORDINGS["residuals-too-large"].title
-        if result.explained:
-            shown = _HELD if _determined(errors) else "Not determined"
-        return Answer("By how much?", shown, "", [accuracy_table(result, errors), *lines])
-    kind, unit = (0, "m") if result.nominal.platform.lengths else (1, "rad")
-    before, after = (sizes()[kind] for sizes in (errors.mean_before, errors.mean_after))
-    text = f"{number(before, unit)} → {amount(after, unit)}"
-    text += (
-        f" (95 %: ≤ {number(errors.inside.limit[kind], unit)})" if result.promises else " or more"
+    position, *orientation = dict.fromkeys(map(rounded, ratios))
+    return " and ".join(
+        [f"{position} (position)", f"{orientation[0]} (orientation)"] if orientation else [position]
     )
-    return Answer("By how much?", text, "", [accuracy_table(result, errors), *lines])
 
 
 def accuracy_table(result: CalibrationResult, errors: WorkspaceErrors) -> Table:
@@ -152,15 +135,15 @@ def accuracy_table(result: CalibrationResult, errors: WorkspaceErrors) -> Table:
     Of the model alone where it can be promised; held-out rows miss by what they miss.
     """
     names, rows = list(errors.units.items()), dict[str, dict[tuple[str, str], float]]()
-    if result.explained and _determined(errors) and _moved(errors):
+    region = ""
+    if result.explained and errors.determined and errors.moved:
         sizes = {"nominal": errors.mean_before(), "calibrated": errors.mean_after()}
         sizes |= {"95 %: below": errors.inside.limit} if result.promises else {}
-        kinds = {"m": 0, "rad": 1}
         rows = {
-            head: {(name, unit): values[kinds[unit]] for name, unit in names}
+            head: {(name, unit): values[unit == "rad"] for name, unit in names}
             for head, values in sizes.items()
         }
-    region = f" {errors.where}{_FRAMES * result.moves_frames}" if rows else ""
+        region = f" {errors.where}{_FRAMES * result.moves_frames}"
     validation = result.validation
     for missed in validation.targets if validation and validation.fit <= MISSES else ():
         name = "position" if missed.unit == "m" else "orientation"
@@ -177,19 +160,19 @@ def accuracy_table(result: CalibrationResult, errors: WorkspaceErrors) -> Table:
 
 def _reliable(result: CalibrationResult, notes: Sequence[str]) -> Answer:
     """Return whether the result can be relied on: warnings, χ², held-out rows, outliers."""
-    lines = [*noise_lines(result), *check_lines(result)[:1]]
+    lines = [*_noise_lines(result), *_tolerances(result), *check_lines(result)[:1]]
     if result.outliers:
         lines.append(f"{counted(len(result.outliers), 'row does', 'rows do')} not fit the others")
-    lines = [f"{capital(line)}." for line in lines] + list(notes)
     shown, tone = "No problems found", "good"
     if result.validation is None:
         shown, tone = "Not tested on rows left out", "care"
     if count := len(warnings(result)):
         warned = "one warning" if count == 1 else f"{count} warnings"
-        sound = result.promises
-        shown = f"{'With care' if sound else 'Not as it is'}: {warned}"
-        tone = "care" if sound else "bad"
-    return Answer("Can I rely on it?", shown, tone, [lines])
+        shown, tone = f"With care: {warned}", "care"
+        if not result.promises:
+            shown, tone = f"Not as it is: {warned}", "bad"
+    lines = [f"{capital(line)}." for line in lines]
+    return Answer("Can I rely on it?", shown, tone, [[*lines, *notes]])
 
 
 def _again(command: str, *added: str) -> str:
@@ -212,18 +195,9 @@ def next_steps(
         return [again("doctor")]
     if codes & {"wrong-rows", "wrong-held-out", "outliers"} and result.loss == "none":
         return [again("calibrate", "--loss", "reject")]
-    if not result.promises and "few-poses" in codes:
-        return [f"pincal select {folder} -o PLAN.csv"]
     if not result.promises:
-        return [again("explain")]
+        return [f"pincal select {folder} -o PLAN.csv" if "few-poses" in codes else again("explain")]
     return [f"pincal view {folder}", f"pincal inverse {folder} POSES.csv -o READINGS.csv"]
-
-
-def _next(result: CalibrationResult) -> Answer:
-    """Return what to do next."""
-    steps = next_steps(result)
-    purpose = "Use it" if len(steps) > 1 else "Look into it"
-    return Answer("What next?", purpose, "", [steps])
 
 
 # What supports the answers, one line each
@@ -242,16 +216,47 @@ def warnings(result: CalibrationResult) -> list[str]:
 
 def unpromised(result: CalibrationResult) -> str:
     """Return why no limit is promised, in titles of findings; empty if one is."""
-    titles = dict.fromkeys(WORDINGS[finding.code].title for finding in result.contradictions)
-    return ", ".join(title[:1].lower() + title[1:] for title in titles)
+    return ", ".join(dict.fromkeys(WORDINGS[lack.code].title for lack in result.contradictions))
+
+
+def _limit_lines(result: CalibrationResult, errors: WorkspaceErrors) -> list[str]:
+    """Return why no limit is promised, or where and against what none is, in a line."""
+    if not result.promises:
+        return [f"no limit is promised: {unpromised(result)}"] if result.contradictions else []
+    parts = [UNCOVERED[code] for code in errors.inside.uncovered]
+    if errors.beyond is not None:
+        parts.insert(0, f"outside the measured region ({percent(1.0 - errors.share)})")
+    return [f"no limit: {', '.join(parts)}"] if parts else []
+
+
+def _tolerances(result: CalibrationResult) -> list[str]:
+    return [sentence(finding) for finding in result.findings if finding.code == "tolerance-found"]
+
+
+def remarks(result: CalibrationResult, errors: WorkspaceErrors) -> list[str]:
+    """Return what a terminal shows below the platform's errors."""
+    return [*rejected_lines(result), *_limit_lines(result, errors), *_tolerances(result)]
+
+
+def rejected_lines(result: CalibrationResult) -> list[str]:
+    """Return which rows a robust loss left out, and what is wrong with the worst, in a line."""
+    rejected = [outlier for outlier in result.outliers if outlier.weight == 0.0]
+    if not rejected or result.loss == "none":
+        return []
+    rows = sorted(outlier.row + 1 for outlier in rejected)
+    words = f"data row{'s' * (len(rows) > 1)} {listed(rows[:NAMED])}"
+    words += f" and {len(rows) - NAMED} more" * (len(rows) > NAMED)
+    worst = rejected[0]
+    of_worst = f"data row {worst.row + 1}: " * (len(rows) > 1)
+    return [f"left out: {words} ({of_worst}{worst.quantity} off by {worst.off:.0f} σ)"]
 
 
 def supporting_lines(result: CalibrationResult, errors: WorkspaceErrors | None) -> list[str]:
-    """Return all that a calibration means, beside its tables: for terminals, and in Python."""
-    lines = [f"{method_line(result)}; {result.message}", *noise_lines(result)]
+    """Return what a calibration means, beside its tables and remarks."""
+    lines = [f"{method_line(result)}; {result.message}", *_noise_lines(result)]
     if not result.converged:
         return lines
-    lines += platform_lines(result, errors) if errors is not None else []
+    lines += region_lines(result, errors) if errors is not None else []
     lines += [*check_lines(result), *weak_lines(result.weak, result.nominal)]
     lines += [f"fixed by choice, {gauge_line(result)}"] if result.gauge else []
     return lines
@@ -275,30 +280,29 @@ def method_line(result: CalibrationResult) -> str:
     return f"each leg alone by {poses}, taken as measured"
 
 
-def noise_lines(result: CalibrationResult) -> list[str]:
-    """Return how residuals compare with the noise, what all rows share, and tolerances found."""
-    dof, line = result.degrees_of_freedom, ""
-    if result.noise_source in ("estimated", "repeats"):
-        line = f"noise {noise_line(result)}; "
+def _noise_lines(result: CalibrationResult) -> list[str]:
+    """Return how residuals compare with the noise, and what all rows share."""
+    dof, parts = result.degrees_of_freedom, list[str]()
     if not dof:
-        line = (
+        parts = [
             "as many unknowns as measured values: residuals vanish whatever the machine is, and "
             "show nothing; measure more poses"
-        )
+        ]
     elif result.noise_source != "estimated":
-        line += f"reduced χ² {rounded(result.reduced_chi2, 3)} on {dof} degrees of freedom"
+        parts = [f"reduced χ² {rounded(result.reduced_chi2, 3)} on {dof} degrees of freedom"]
         if result.loss == "none":
             free = result.chi2_freedoms
             low, high = 2.0 * gammaincinv(free / 2.0, (0.025, 0.975)) / free
-            line += f"; {low:.2f} to {high:.2f} is expected by the noise"
-    return [line.removesuffix("; "), *systematic_lines(result), *_tolerances(result)]
-
-
-_NOISE_SOURCES = {
-    "given": "as given",
-    "repeats": "from rows that were measured repeatedly",
-    "estimated": "estimated from the residuals, since none was given",
-}
+            parts.append(f"{low:.2f} to {high:.2f} is expected by the noise")
+    if dof and result.noise_source in ("estimated", "repeats"):
+        parts.insert(0, f"noise {noise_line(result)}")
+    lines = ["; ".join(parts)]
+    if result.systematic is not None and result.converged:
+        scale = result.options.setup.systematic
+        shared = [f"{1e6 * scale.relative:.3g} µm/m of all lengths"] if scale.relative else []
+        shared += [f"{amount(scale.target, 'm')} of each known target"] if scale.target else []
+        lines.append(f"every ± holds what more rows do not make smaller: {listed(shared)}")
+    return lines
 
 
 def noise_line(result: CalibrationResult) -> str:
@@ -317,44 +321,13 @@ def noise_line(result: CalibrationResult) -> str:
     return f"{_NOISE_SOURCES[result.noise_source]}: σ {sizes}"
 
 
-def systematic_lines(result: CalibrationResult) -> list[str]:
-    """Return what is off by the same in all rows, if anything is said to be."""
-    if result.systematic is None or not result.converged:
-        return []
-    part, total = (
-        platform_error(
-            result.identified, covariance, result.poses, frames=seen_by(result)
-        ).where_determined[0]
-        for covariance in (result.systematic, result.covariance)
-    )
-    scale, share = result.options.setup.systematic, (part / total) ** 2 if total else 0.0
-    parts = [f"{1e6 * scale.relative:.3g} µm/m of all lengths"] if scale.relative else []
-    parts += [f"{amount(scale.target, 'm')} of each known target"] if scale.target else []
-    return [
-        f"every ± holds what more rows do not make smaller, {listed(parts)}: {100 * share:.2g} % "
-        "of the platform's expected mean square error of position"
-    ]
-
-
-def platform_lines(result: CalibrationResult, errors: WorkspaceErrors) -> list[str]:
-    """Return what limits the platform's accuracy: why none is promised, where, what is left out."""
-    if not errors.expected.determined.any():
-        return [f"platform: {_UNDETERMINED}"]
+def region_lines(result: CalibrationResult, errors: WorkspaceErrors) -> list[str]:
+    """Return what is to be expected outside the measured region, and what limits leave out."""
     if not result.explained:
-        before = errors.mean_before()
-        differs = size(before[0], before[1] if len(errors.units) > 1 else None)
-        failed = "" if result.corrects else ", and hardly fell"
-        return [
-            f"platform: the calibrated model differs from the nominal one by {differs}, but no "
-            f"accuracy can be promised of it: residuals are {_excess(result)}{failed}"
-        ]
-    lines = []
-    if not result.promises:
-        lines.append(f"platform: no limit is promised: {unpromised(result)}")
+        return []
+    lines = [sentence(errors.beyond)] if errors.beyond is not None else []
     if result.begun is not result.nominal:
-        lines.append("platform: the nominal model is taken with the zeros of motors as found")
-    if errors.beyond is not None:
-        lines.append(sentence(errors.beyond))
+        lines.insert(0, "the nominal model is taken with the zeros of motors as found")
     if result.promises and errors.inside.uncovered:
         lines.append(sentence(finding("promise-leaves-out", what=errors.inside.uncovered)))
     return lines
@@ -388,19 +361,17 @@ def weak_lines(pairs: Sequence[WeakPair], mechanism: Mechanism) -> list[str]:
         names = (name, second) if leg == other_leg else (pair.first, pair.second)
         groups.setdefault(names, []).append(pair)
     lines = []
-    for shown, alike_pairs in groups.items():
-        worst, legs = alike_pairs[0], [pair.first.rpartition(".")[0] for pair in alike_pairs]
+    for shown, (worst, *others) in groups.items():
         ids, owner = (worst.first, worst.second), ""
-        if len(legs) == 1:
-            shown = ids
-        elif shown != ids:
+        if others:
+            legs = [pair.first.rpartition(".")[0] for pair in (worst, *others)]
             owner = f" of {'every leg' if len(legs) == len(mechanism.legs) else ', '.join(legs)}"
+        first, second = shown if others else ids
         known = []
-        for id_, name, exact, std in zip(ids, shown, worst.known, worst.std, strict=True):
-            after, before = amount(exact, units[id_]), number(std, units[id_])
-            if number(exact, units[id_]) != before:
-                known.append(f"{after} instead of {before} for {name}")
-        first, second = shown
+        for id_, name, exact, std in zip(ids, (first, second), worst.known, worst.std, strict=True):
+            after, before = (number(size, units[id_]) for size in (exact, std))
+            if after != before:
+                known.append(f"{amount(exact, units[id_])} instead of {before} for {name}")
         lines.append(
             f"{first} and {second}{owner} are weakly determined together, correlation "
             f"{worst.correlation:+.3f}: if the other one were known, the standard error would be "
@@ -411,44 +382,12 @@ def weak_lines(pairs: Sequence[WeakPair], mechanism: Mechanism) -> list[str]:
     return lines
 
 
-def limit_lines(result: CalibrationResult, errors: WorkspaceErrors) -> list[str]:
-    """Return why no limit is promised, or where and against what none is, in a line."""
-    if not result.promises:
-        return [f"no limit is promised: {unpromised(result)}"] if result.contradictions else []
-    parts = [UNCOVERED[code] for code in errors.inside.uncovered]
-    if errors.beyond is not None:
-        parts.insert(0, f"outside the measured region ({percent(1.0 - errors.share)})")
-    return [f"no limit: {', '.join(parts)}"] if parts else []
-
-
-def remarks(result: CalibrationResult, errors: WorkspaceErrors) -> list[str]:
-    """Return what a terminal shows below the platform's errors."""
-    return [*rejected_lines(result), *limit_lines(result, errors), *_tolerances(result)]
-
-
-def rejected_lines(result: CalibrationResult) -> list[str]:
-    """Return which rows a robust loss left out, and what is wrong with the worst, in a line."""
-    rejected = [outlier for outlier in result.outliers if outlier.weight == 0.0]
-    if not rejected or result.loss == "none":
-        return []
-    rows = sorted(outlier.row + 1 for outlier in rejected)
-    words = f"data row{'s' * (len(rows) > 1)} {listed(rows[:NAMED])}"
-    words += f" and {len(rows) - NAMED} more" * (len(rows) > NAMED)
-    worst = rejected[0]
-    of_worst = f"data row {worst.row + 1}: " * (len(rows) > 1)
-    return [f"left out: {words} ({of_worst}{worst.quantity} off by {worst.off:.0f} σ)"]
-
-
-def _tolerances(result: CalibrationResult) -> list[str]:
-    return [sentence(finding) for finding in result.findings if finding.code == "tolerance-found"]
-
-
 def result_text(result: CalibrationResult) -> str:
     """Return a calibration as a page of text: the verdict, accuracy, tables, what to know."""
     errors = workspace_errors(result) if result.converged else None
-    parts = [verdict(result, errors)[0]]
+    parts, lines = [verdict(result, errors)[0]], supporting_lines(result, errors)
     if errors is not None:
-        tables = [accuracy_table(result, errors), *calibration_tables(result)]
-        parts += map(str, tables)
-    parts.append("\n".join(supporting_lines(result, errors)))
+        parts += map(str, (accuracy_table(result, errors), *calibration_tables(result)))
+        lines = [*remarks(result, errors), *lines]
+    parts.append("\n".join(lines))
     return "\n\n".join([*parts, *(f"warning: {warning}" for warning in warnings(result))])

@@ -7,8 +7,6 @@ there, σ√(1−h) of leverage h.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import wraps
 from typing import Any
 
 import numpy as np
@@ -23,10 +21,11 @@ from matplotlib.ticker import MaxNLocator
 from pincal.calibration.result import CalibrationResult
 from pincal.calibration.result_parts import LegResult
 from pincal.design.platform_error import without_frames
-from pincal.errors import MeasurementError
+from pincal.errors import MeasurementError, WorkspaceError
 from pincal.kinematics.configurations import legs_at
+from pincal.model.measurements import Plan
 from pincal.model.setup import Image, image_of
-from pincal.show.misses import bed_map, error_map, noisy_residuals
+from pincal.show.misses import apart, level_poses, noisy_residuals
 from pincal.show.pictures.picture import shortened
 from pincal.show.style import EVERY, IDENTIFIED, INK, NOMINAL, OUTLIER, look
 from pincal.show.view.scene import rounded_down
@@ -80,32 +79,19 @@ CAPTIONS = {
 }
 
 
-def _chart(width: float, height: float) -> Callable[[Callable[..., Axes]], Callable[..., Axes]]:
-    """Let a method draw into a figure of its own, of so many inches, where no axes are given."""
-
-    def decorated(draw: Callable[..., Axes]) -> Callable[..., Axes]:
-        @wraps(draw)
-        def method(self: Plots, ax: Axes | None = None) -> Axes:
-            return draw(self, ax or Figure((width, height), layout="compressed").subplots())
-
-        return method
-
-    return decorated
-
-
 class Plots:
     """Charts of a result, as ``result.plot``: each returns its axes, those given or new ones."""
 
     def __init__(self, result: CalibrationResult) -> None:
         self.result = result
 
-    @_chart(6.4, 3.6)
-    def residuals(self, ax: Axes) -> Axes:
+    def residuals(self, ax: Axes | None = None) -> Axes:
         """Draw residuals after the calibration in standard deviations, against the row.
 
         Those of the legs or, if their readings are exact, of the platform as measured; dashed
         lines: between which 95 % are. Outliers are ringed; rows that were rejected are named.
         """
+        ax = ax or _axes(6.4, 3.6)
         for index, group in enumerate(noisy_residuals(self.result)):
             colour, marker = look(index)
             noisy, of_leg = group.sigma > 0.0, isinstance(group, LegResult)
@@ -128,8 +114,7 @@ class Plots:
         ax.legend(**beside, frameon=False, fontsize=7, labelspacing=0.15)
         return ax
 
-    @_chart(6.4, 3.6)
-    def images(self, ax: Axes) -> Axes:
+    def images(self, ax: Axes | None = None) -> Axes:
         """Draw residuals as arrows over the images of cameras, magnified, with their scale.
 
         Of instruments with an ``image`` (``pincal.Image``), side by side: from each point as seen
@@ -138,6 +123,7 @@ class Plots:
         Raises:
             MeasurementError: no camera measured.
         """
+        ax = ax or _axes(6.4, 3.6)
         if not (cameras := _seen_by_cameras(self.result)):
             raise MeasurementError(
                 f"{self.result.nominal.name}: no camera measured it: no instrument of the setup "
@@ -178,8 +164,7 @@ class Plots:
         _name_undrawn(ax, self.result)
         return ax
 
-    @_chart(6.4, 4.6)
-    def parameters(self, ax: Axes) -> Axes:
+    def parameters(self, ax: Axes | None = None) -> Axes:
         """Draw what each parameter's change moves the platform by, over the workspace, and its ±.
 
         Root mean square of the position; bars end where the change does, thin lines are its 95 %.
@@ -187,6 +172,7 @@ class Plots:
         Raises:
             WorkspaceError: no workspace was found.
         """
+        ax = ax or _axes(6.4, 4.6)
         result = self.result
         columns = legs_at(result.identified, sample_configurations(result.nominal, _SAMPLES))
         moved = without_frames(result.identified, columns.poses, columns.gain, result.frames_moved)
@@ -218,8 +204,7 @@ class Plots:
             ax.set_title(f"the {len(bars)} largest of {len(sizes)}", fontsize=8)
         return ax
 
-    @_chart(5.0, 4.2)
-    def error_map(self, ax: Axes) -> Axes:
+    def error_map(self, ax: Axes | None = None) -> Axes:
         """Draw the expected error of the calibrated platform's position over x and y.
 
         The other coordinates are as at home; in space, z is in the middle of the workspace.
@@ -229,14 +214,23 @@ class Plots:
                 measurements do not determine leaves no error finite.
             WorkspaceError: no workspace was found with the default margins.
         """
-        x, y, height, errors = error_map(self.result)
+        ax = ax or _axes(5.0, 4.2)
+        if not self.result.explained:
+            raise MeasurementError(
+                "no map: no accuracy can be promised, since residuals are far larger than the noise"
+            )
+        x, y, height, poses, inside = level_poses(self.result)
+        errors = np.full(inside.shape, np.nan)
+        errors[inside] = self.result.expected_error(poses[inside]).sizes[:, 0]
+        errors[np.isinf(errors)] = np.nan
+        if np.isnan(errors).all():
+            raise MeasurementError("no map: the platform's position is not determined anywhere")
         _draw_map(ax, x, y, errors, f"expected error of position [{SMALL['m']}]")
         if height is not None:
             ax.set_title(minus(f"z = {amount(height, 'm', 3, STORED)}"))
         return ax
 
-    @_chart(5.0, 4.2)
-    def bed(self, ax: Axes) -> Axes:
+    def bed(self, ax: Axes | None = None) -> Axes:
         """Draw by how much the nominal model misses z over the bed of a printer.
 
         At home's height, at which printers probe. Where frames were fixed by choice, less what
@@ -245,11 +239,21 @@ class Plots:
         Raises:
             WorkspaceError: a machine without x, y and z, or no workspace at that height.
         """
-        x, y, heights = bed_map(self.result)
+        ax = ax or _axes(5.0, 4.2)
+        if self.result.nominal.platform.coordinates[:3] != ("x", "y", "z"):
+            raise WorkspaceError("no map: a bed needs a platform that moves in x, y and z")
+        x, y, _, poses, inside = level_poses(self.result, at_home=True)
+        heights = np.full(inside.shape, np.nan)
+        heights[inside] = apart(self.result, Plan(poses[inside]))[0][:, 2]
         image = _draw_map(ax, x, y, heights, f"z, true less commanded [{SMALL['m']}]")
         largest = per_si("m") * float(np.nanmax(np.abs(heights)))
         image.set(cmap="RdBu_r", clim=(-largest, largest))
         return ax
+
+
+def _axes(width: float, height: float) -> Axes:
+    """Return the axes of a figure of so many inches."""
+    return Figure((width, height), layout="compressed").subplots()
 
 
 def _draw_map(axes: Axes, x: Array, y: Array, values: Array, name: str) -> AxesImage:

@@ -1,4 +1,4 @@
-"""What ``explain`` and ``doctor`` say: what residuals follow, which terms pay, what was tried."""
+"""What ``explain``, ``doctor`` and ``identifiability`` say, in sentences."""
 
 from __future__ import annotations
 
@@ -10,15 +10,17 @@ from pincal.calibration.hypotheses.doctor import Remedy
 from pincal.calibration.terms.choice import LEVEL, Explanation
 from pincal.calibration.terms.kinds import GROWTH, ORDER, READINGS, loads_known, parts_of, term_text
 from pincal.calibration.terms.screen import Candidate
+from pincal.design.forecast import Forecast
+from pincal.design.platform_error import PlatformError
 from pincal.estimation.observability.courses import Slip
 from pincal.model.mechanism import Mechanism
 from pincal.model.setup import ORIGIN
-from pincal.show.answers import rejected_lines, unpromised
+from pincal.show.answers import rejected_lines, unpromised, weak_lines
 from pincal.show.tables import models_table, screen_table
 from pincal.words.faults import HYPOTHESES
 from pincal.words.numbers import amount, chance, listed
 from pincal.words.table import Table
-from pincal.words.wording import NAMED
+from pincal.words.wording import NAMED, groups_in_words
 
 #: What a mechanic looks at, by kind of term; other kinds are columns.
 _CAUSES = {
@@ -69,6 +71,8 @@ _NO_LOAD = (
     "gravity was not tried: mechanism.yaml does not say what weighs on the mechanism "
     "(load: {mass: …, centre: […]})"
 )
+
+_BEST = "the best that any calibration can reach; 'pincal calibrate' does"
 
 
 def explanation_lines(explanation: Explanation) -> list[str]:
@@ -211,3 +215,44 @@ def advice(remedies: Sequence[Remedy]) -> list[str]:
         sources = [f"{HYPOTHESES[code].remedy}." for code in dict.fromkeys(f.code for f in working)]
         return [*left_out, *sources]
     return [f"{tried(remedy)}: {remedy.trouble}" for remedy in remedies if remedy.trouble]
+
+
+# Plans
+
+
+def forecast_lines(forecast: Forecast, error: PlatformError) -> list[str]:
+    """Return what a plan determines, and what error of the platform over the workspace.
+
+    What is not determined first, whether or not it is a fault of the plan.
+    """
+    rank, count = forecast.rank, forecast.gauge.shape[1]
+    lines = [f"rank {rank.rank} of {rank.n_params}"]
+    if count:
+        group_name = f" ({groups_in_words(rank.groups)})" if len(rank.groups) == 1 else ""
+        lines[0] += (
+            f": {count} {'is a freedom' if count == 1 else 'are freedoms'} of frames, or of "
+            f"redundant parameters{group_name}, which such measurements cannot determine. Of "
+            "equal parameters those nearest to nominal are meant, and errors of the platform are "
+            "what no motion of the base or platform frame explains"
+        )
+    else:
+        lines[0] += f", condition {rank.condition:.3g}"
+    if forecast.lost.shape[1]:
+        lines.append(f"not determined (—): {groups_in_words(rank.groups)}")
+    lines += weak_lines(forecast.weak, forecast.mechanism)
+    sizes = [("position", error.position, "m"), ("orientation", error.orientation, "rad")]
+    sizes = sizes if "rad" in error.units else sizes[:1]
+    known = [amount(size, unit) for _, size, unit in sizes if size < np.inf]
+    parts = [f"root mean square {listed(known)}"] if known else []
+    parts += [f"{name} not determined" for name, size, _ in sizes if not size < np.inf]
+    best = f"; {_BEST}" if error.position < np.inf else ""
+    return [*lines, f"platform over the workspace: {', '.join(parts)}{best}"]
+
+
+def poses_line(accuracy: float, needed: float) -> str:
+    """Return how many poses an accuracy [m] takes."""
+    poses = f"{needed:,.0f} poses like these" if np.isfinite(needed) else "no number of poses"
+    text = f"for {amount(accuracy, 'm', 6)}: {poses}"
+    if 1e5 < needed < np.inf:
+        text += ", which nobody measures: that takes less noise, not more poses"
+    return text

@@ -15,13 +15,13 @@ from pincal.calibration.result import CalibrationResult
 from pincal.calibration.result_parts import ResidualGroup
 from pincal.design.platform_error import PlatformError, root_mean_squares, seen_of, sizes
 from pincal.design.simulate import platform_errors
-from pincal.errors import MeasurementError, WorkspaceError
+from pincal.errors import WorkspaceError
 from pincal.finding import Finding
 from pincal.kinematics.configurations import as_plan
 from pincal.model.measurements import Plan
 from pincal.types import Array, Mask
+from pincal.words.findings import finding
 from pincal.words.numbers import percent
-from pincal.words.sentences import finding
 from pincal.workspace.criteria import in_workspace
 from pincal.workspace.sampling import sample_configurations
 
@@ -91,6 +91,16 @@ class WorkspaceErrors:
         return self.inside.where_determined
 
     @property
+    def determined(self) -> bool:
+        """Whether measurements say how far the calibrated platform is off, at any of the poses."""
+        return bool(self.expected.determined.any() and np.isfinite(self.mean_after()).all())
+
+    @property
+    def moved(self) -> bool:
+        """Whether parameters that were identified move the platform at all."""
+        return any((*self.mean_before(), *self.mean_after()))
+
+    @property
     def beyond(self) -> Finding | None:
         """What is to be expected outside the measured region; None if little lies there."""
         outside = np.isinf(self.expected.outside) | (self.expected.outside > 1.0)
@@ -131,72 +141,37 @@ def errors_at(
     within = expected.within
     if not within.all():  # frames are those of other poses, the region is the same
         inside = replace(result.expected_error(plan.rows(within)), outside=expected.outside[within])
-    moved, units = _apart(result, plan)
+    moved, units = apart(result, plan)
     return WorkspaceErrors(plan.poses, sizes(units, moved), expected, inside, sampled)
 
 
-def _apart(result: CalibrationResult, plan: Plan) -> tuple[Array, tuple[str, ...]]:
+def apart(result: CalibrationResult, plan: Plan) -> tuple[Array, tuple[str, ...]]:
     """Return where the identified machine goes less where the nominal one sends it, and units.
 
     What is seen of it, as in ``expected_error``, shape (N, r), frames apart; NaN out of reach.
     """
     twists = platform_errors(result.begun, result.identified, plan)
-    reached = np.isfinite(twists).all(axis=1)
+    known = np.isfinite(twists).all(axis=1)
     seen, units = seen_of(
-        result.identified, plan.poses[reached], twists[reached, :, None], seen_by(result)
+        result.identified, plan.poses[known], twists[known, :, None], seen_by(result)
     )
-    apart = np.full((len(twists), len(units)), np.nan)
-    apart[reached] = seen[:, :, 0]
-    return apart, units
+    differences = np.full((len(twists), len(units)), np.nan)
+    differences[known] = seen[:, :, 0]
+    return differences, units
 
 
-def error_map(result: CalibrationResult) -> tuple[Array, Array, float | None, Array]:
-    """Return the expected error of the calibrated platform's position over x and y.
-
-    The other coordinates are as at home.
-
-    Returns:
-        x and y, shapes (n,), [m]; z in the middle of the workspace, [m], or None in a plane;
-        errors, shape (n, n), rows of equal y, [m], NaN outside of the workspace or not determined.
-
-    Raises:
-        MeasurementError: residuals are so large that no accuracy can be promised, or no error is
-            determined.
-        WorkspaceError: no workspace was found, or it fills no plane.
-    """
-    if not result.explained:
-        raise MeasurementError(
-            "no map: no accuracy can be promised, since residuals are far larger than the noise"
-        )
-    x, y, height, poses, inside = _level(result)
-    errors = np.full(inside.shape, np.nan)
-    errors[inside] = result.expected_error(poses[inside]).sizes[:, 0]
-    errors[~np.isfinite(errors)] = np.nan
-    if np.isnan(errors).all():
-        raise MeasurementError("no map: the platform's position is not determined anywhere")
-    return x, y, height, errors
-
-
-def bed_map(result: CalibrationResult) -> tuple[Array, Array, Array]:
-    """Return by how much the nominal model misses z over a bed: x, y, values as of ``error_map``.
-
-    True less commanded, at home's height, at which printers probe.
-
-    Raises:
-        WorkspaceError: a machine without x, y and z, or no workspace at that height.
-    """
-    if result.nominal.platform.coordinates[:3] != ("x", "y", "z"):
-        raise WorkspaceError("no map: a bed needs a platform that moves in x, y and z")
-    x, y, _, poses, inside = _level(result, at_home=True)
-    heights = np.full(inside.shape, np.nan)
-    heights[inside] = _apart(result, Plan(poses[inside]))[0][:, 2]
-    return x, y, heights
-
-
-def _level(
+def level_poses(
     result: CalibrationResult, *, at_home: bool = False
 ) -> tuple[Array, Array, float | None, Array, Mask]:
-    """Return x, y, z, poses of their grid, shape (n, n, dof), and which are in the workspace."""
+    """Return poses over x and y, the other coordinates as at home, for maps of the workspace.
+
+    Returns:
+        x and y, shapes (n,), [m]; z in the middle of the workspace, or at home, [m], None in a
+        plane; coordinates, shape (n, n, dof), rows of equal y; which are in the workspace, (n, n).
+
+    Raises:
+        WorkspaceError: no workspace was found, or it fills no plane.
+    """
     nominal, platform = result.nominal, result.nominal.platform
     if nominal.by_readings:
         raise WorkspaceError("no map: its poses follow from readings, and do not fill a plane")

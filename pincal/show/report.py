@@ -1,8 +1,8 @@
-"""``result.report()``: a calibration as one page to read, print and keep."""
+"""Pages to read, print and keep: ``result.report()``, and what notebooks and print show."""
 
 from __future__ import annotations
 
-import platform
+import html
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,7 +11,8 @@ from functools import cached_property
 from hashlib import sha256
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from platform import python_version
+from typing import Any, ClassVar
 
 import numpy as np
 from markupsafe import Markup
@@ -19,14 +20,15 @@ from markupsafe import Markup
 from pincal import __version__
 from pincal.calibration.result import CalibrationResult
 from pincal.errors import FileError, MeasurementError, WorkspaceError
+from pincal.files.output import writing
 from pincal.files.text import LARGEST_FILE, read_bytes
 from pincal.model.measurements import EVERY_LEG, Plan
+from pincal.model.mechanism import Mechanism
 from pincal.model.setup import image_of
 from pincal.model.units import SI, Units
 from pincal.show import answers, tables
 from pincal.show.charts import CAPTIONS
 from pincal.show.misses import WorkspaceErrors, workspace_errors
-from pincal.show.page import Page
 from pincal.show.pictures.files import page_figure
 from pincal.show.pictures.picture import Picture, picture
 from pincal.show.view.scene import MOST_POSES, scene
@@ -36,6 +38,40 @@ from pincal.words.wording import clean, rendered
 
 _MOST_OUTLIERS = 50  # that are listed
 _FILES = "Files read, and their SHA-256"
+
+
+class Page:
+    """A page, made when it is first asked for."""
+
+    sandbox: ClassVar[str] = ""
+    """What its scripts may do in a notebook."""
+    height: ClassVar[str] = "800px"
+    """Of the frame in a notebook."""
+
+    def html(self) -> str:
+        """Return the page, which needs no server, no other file and no network."""
+        return self._page
+
+    @cached_property
+    def _page(self) -> str:
+        raise NotImplementedError
+
+    def save(self, path: str | Path, *, force: bool = False) -> Path:
+        """Write the page to a file, whole or not at all, and return its path.
+
+        Raises:
+            FileError: the file exists and ``force`` is not set, or cannot be written.
+        """
+        with writing(path, force=force) as scratch:
+            scratch.write_text(self.html(), encoding="utf-8")
+        return Path(path)
+
+    def _repr_html_(self) -> str:
+        """Return the page in a frame, for notebooks."""
+        return (
+            f'<iframe sandbox="{self.sandbox}" style="width: 100%; height: {self.height}; '
+            f'border: 0" srcdoc="{html.escape(self.html())}"></iframe>'
+        )
 
 
 @dataclass(eq=False)
@@ -123,7 +159,7 @@ def _sections(report: Report) -> list[tuple[Any, ...]]:
         "How to reproduce it",
         Markup("<pre><code>{}</code></pre>").format(clean(report.command)),
         f"Made on {report.date} with pincal {__version__}, {libraries}, Python "
-        f"{platform.python_version()}. No random choice is involved.",
+        f"{python_version()}. No random choice is involved.",
         Table(_FILES, ["file", "SHA-256"], report.files) if report.files else None,
     )
     if errors is None:
@@ -154,7 +190,7 @@ def _sections(report: Report) -> list[tuple[Any, ...]]:
             "Error of the platform",
             _chart(result, "error_map"),
             _chart(result, "bed") if result.nominal.platform.kind == "translational" else None,
-            [f"{capital(line)}." for line in answers.platform_lines(result, errors)],
+            [f"{capital(line)}." for line in answers.region_lines(result, errors)],
         ),
         reproduction,
     ]
@@ -222,3 +258,41 @@ def _columns(result: CalibrationResult) -> str:
     counts = {name: int(np.isfinite(values).sum()) for name, values in measured.items()}
     often = {name: "" if n == len(data) else f" ({n} rows)" for name, n in counts.items() if n}
     return ", ".join(map("".join, often.items())) or "nothing"
+
+
+# What mechanisms and results show in print and in notebooks
+
+
+def mechanism_text(mechanism: Mechanism) -> str:
+    """Return a mechanism as a page of text: platform, legs, nominal parameters."""
+    platform = mechanism.platform
+    home = zip(platform.coordinates, platform.home, platform.units, strict=True)
+    lines = [
+        f"{mechanism.name}{': ' * bool(mechanism.description)}{mechanism.description}",
+        f"platform {platform.kind}, at home "
+        + ", ".join(f"{name} = {value:.6g} {unit}" for name, value, unit in home),
+    ]
+    lines += [
+        f"{leg.name}: {leg.joint_letters}, reads {', '.join(leg.reading_names)}, closes a "
+        f"{leg.closes}"
+        for leg in mechanism.legs
+    ]
+    return "\n".join([*lines, "", str(tables.nominal_table(mechanism))])
+
+
+def mechanism_html(mechanism: Mechanism) -> str:
+    """Return a mechanism: a picture and its nominal parameters."""
+    caption = f"{mechanism.name} at home"
+    drawn = page_figure("mechanism", picture(mechanism).draw, caption)
+    coordinates = ", ".join(mechanism.platform.coordinates)
+    title = f"{mechanism.name}: {len(mechanism.legs)} legs, {coordinates}"
+    parts = [*filter(None, [mechanism.description]), drawn, tables.nominal_table(mechanism)]
+    return rendered("notebook.html", title=title, warnings=[], parts=parts)
+
+
+def result_html(result: CalibrationResult) -> str:
+    """Return a calibration: what to know first, what supports it, its tables."""
+    shown = tables.calibration_tables(result) if result.converged else []
+    title = f"{result.nominal.name}: calibration, {result.message}"
+    parts = [answers.supporting_lines(result, None), *shown]
+    return rendered("notebook.html", title=title, warnings=answers.warnings(result), parts=parts)

@@ -21,7 +21,7 @@ from pincal.symmetry.breaks import no_symmetries
 from pincal.symmetry.detect import SymmetryGroup
 from pincal.words.numbers import SMALL, STORED, VALUES, chance, shown_in, uncertainty
 from pincal.words.table import Cell, Table, Value, quantity
-from pincal.words.wording import NAMED, mapped_diagonals
+from pincal.words.wording import NAMED
 from pincal.workspace.inscribed import Inscribed
 from pincal.workspace.region import Workspace
 
@@ -70,8 +70,6 @@ def selection_table(selection: Selection) -> Table:
         "efficiency: (det / det of the continuous D-optimal bound)^(1/n), at most 1; "
         "O1: of the unweighted Jacobian, over the number of parameters"
     )
-    if selection.mapped:
-        caption += f"\n{mapped_diagonals(selection.diagonals_differ)}"
     return Table(
         f"{len(selection.plan.poses)} poses, {selection.protocol} selection from "
         f"{selection.candidates} candidates",

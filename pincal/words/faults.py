@@ -15,7 +15,6 @@ from pincal.words.wording import Wording, filled
 _error = partial(Wording, severity="error")
 FAULTS: dict[str, Wording] = {
     "readings-still": _error(
-        "A sensor does not move",
         "{% for name, value, unit, moved in readings %}{', ' if not loop.first}{name} reads the "
         "same in all rows ({value|g(6)} {unit}){% endfor %}, where readings of the nominal "
         "mechanism differ by {% for name, value, unit, moved in readings %}"
@@ -23,55 +22,47 @@ FAULTS: dict[str, Wording] = {
         "Check the sensor, its cable and the log",
     ),
     "whole-turns": _error(
-        "Readings off by whole turns",
         "{leg}: {rows|length|counted('reading is', 'readings are')} off by whole turns, the first "
         "in data row {row}: {reading|g(6)} rad, where the nominal mechanism reads {nominal|g(6)} "
         "rad",
         "Count without the turns, or correct the nominal offset",
     ),
     "other-working-mode": _error(
-        "Another working mode",
         "readings and poses close the legs, but these bend the other way than in mechanism.yaml's "
         "home: {% for leg, passive, bent, total in legs %}{', ' if not loop.first}{leg} "
         "({passive|join(' and ')}, in {bent} of {total} rows){% endfor %}",
         "Correct 'home' there, or measure in its working mode",
     ),
     "not-this-mechanism": _error(
-        "Measurements of another mechanism",
         "{leg}: the measurements miss the nominal mechanism by {(100 * gap)|f(1)} % of a leg's "
         "length (median), and no single fault in units, signs, order, zeros or frame explains it",
         "Check the units, the order and signs of the readings, the frame of the poses, and that "
         "this is the right mechanism. If it is known but roughly, say so (--rough)",
     ),
     "readings-do-not-follow": _error(
-        "Readings do not follow the poses",
         "{leg}: the readings do not follow those of the nominal mechanism (machines near it leave "
         "{(100 * left)|g(2)} % of the leg's length where readings move it by "
         "{(100 * stroke)|g(2)} %)",
         "Check their order and signs, the signs and frame of the poses, and the mechanism",
     ),
     "rows-copied": _error(
-        "Copied rows",
         "data rows {first[0] + 1} and {first[1] + 1} are identical in all that was measured"
         "{' (and %d more such pairs)' % (pairs - 1) if pairs > 1}; measured twice, they would "
         "differ by noise",
         "Remove the copies",
     ),
     "noise-too-large": _error(
-        "Noise far too large",
         "the noise of {what} is given as {'%g' % given} {unit}{% if what == 'position' %}, more "
         "than {(100 * most / size)|f(0)} % of a leg's length ({size|g} m){% else %}; expected less "
         "than {'%g' % most}{% endif %}",
         "It is in {'metres' if unit == 'm' else 'radians'}",
     ),
     "bad-rows": Wording(
-        "Few rows far from the nominal mechanism",
         "data row {worst + 1} misses the nominal mechanism {times|g} times as far as rows usually "
         "do{% if rows|length > 1 %}, and {(rows|length - 1)|counted('more row')} so{% endif %}",
         "Look for a slip there first, or leave such rows out (--loss reject)",
     ),
     "frame-misaligned": Wording(
-        "Parameters moved as one body",
         "{(100 * share)|f(0)} % of what the nominal model is off by (in squares) is one motion of "
         "the {frame}'s frame, by {size_in_words(shift, turn)}, and parameters that differ each in "
         "its own way hardly move so ({p_value|chance})",
@@ -87,83 +78,70 @@ _ORDER = "Correct the order of columns"
 _FRAMED = "{' and the base is elsewhere in their frame' if unknown_frame}"
 
 
-def _hypothesis(title: str, says: str, remedy: str, framed: str = _FRAMED) -> Wording:
+def _hypothesis(says: str, remedy: str, framed: str = _FRAMED) -> Wording:
     """Return the wording of a hypothesis, which has values that all hypotheses have."""
-    return _error(title, says + framed, remedy, unsaid=_COMMON)
+    return _error(says + framed, remedy, unsaid=_COMMON)
 
 
 HYPOTHESES: dict[str, Wording] = {
     "sign-of-readings": _hypothesis(
-        "Sign of the readings",
         f"{_READINGS} have the other sign",
         _SIGN.format("their sign"),
     ),
     "sign-of-column": _hypothesis(
-        "Sign of one reading",
         "{column} has the other sign",
         _SIGN.format("its sign"),
     ),
     "columns-exchanged": _hypothesis(
-        "Exchanged columns of a leg",
         "{columns|join(' and ')} are exchanged",
         _ORDER,
     ),
     "legs-exchanged": _hypothesis(
-        "Exchanged legs",
         "legs are exchanged: {% for leg, column in order %}{' and ' if not loop.first}column "
         "{column} fits {leg}{% endfor %}",
         _ORDER,
     ),
     "unit": _hypothesis(
-        "Wrong unit",
         "{% for kind, unit, written in units %}{' and ' if not loop.first}"
         f"{{% if kind == 'readings' %}}{_READINGS}{{% else %}}the {{kind}}{{% endif %}}"
         " are {UNDER[written]}{% endfor %}",
         "Correct the units in the headers",
     ),
     "left-handed-frame": _hypothesis(
-        "Left-handed frame",
         "{axis|join(' and ')} {'has the other sign' if axis|length == 1 else 'are exchanged'}"
         "{' and the orientations are right' if orientations_right else ', as in a left-handed "
         "frame'}",
         "Give the poses in the right-handed frame of the base",
     ),
     "sign-of-angle": _hypothesis(
-        "Sign of an angle of the platform",
         "{column} has the other sign",
         "Change the sign of that angle",
     ),
     "angles-exchanged": _hypothesis(
-        "Exchanged columns of the orientation",
         "{% if order|length == 2 %}{order[0][0]} and {order[1][0]} are exchanged{% else %}columns "
         "of the orientation are exchanged: {% for name, column in order %}"
         "{', ' if not loop.first}{name} is below {column}{% endfor %}{% endif %}",
         _ORDER,
     ),
     "orientation-inverted": _hypothesis(
-        "Inverted orientation",
         "the orientations turn the other way (that of the base seen from the platform)",
         "Give the orientation of the platform in the base frame",
     ),
     "pose-inverted": _hypothesis(
-        "Inverted pose",
         "the poses are those of the base in the platform's frame",
         "Give the poses of the platform in the base frame",
     ),
     "rows-shifted": _hypothesis(
-        "Logs out of step",
         "the readings stand {shift|abs|counted('row')} {'below' if shift > 0 else 'above'} the "
         "poses they belong to",
         "Bring the logs of poses and readings into step",
     ),
     "reading-offset": _hypothesis(
-        "Zero of a sensor",
         "the zeros of readings are off: {% for name, offset, unit in offsets %}"
         "{', ' if not loop.first}{name} by about {offset|g(2)} {unit}{% endfor %}",
         "Set the sensor's zero, or correct its nominal offset",
     ),
     "scale-of-readings": _hypothesis(
-        "Scale of the readings",
         "{% if factors|map(attribute=1)|unique|list|length == 1 %}"
         f"{_READINGS} are {{factors[0][1]|times_off}}"
         "{% else %}the readings of {% for name, factor, unit in factors %}"
@@ -172,7 +150,6 @@ HYPOTHESES: dict[str, Wording] = {
         "mechanism.yaml)",
     ),
     "unknown-frame": _hypothesis(
-        "Frame of the measurements",
         "the poses are those in another frame than the base's",
         "Say that the base is elsewhere in that frame (--unknown-frame; in Python "
         "Setup(unknown_frame=True))",

@@ -1,8 +1,13 @@
-"""Sentences of findings about a calibration; ``docs/errors.md`` says what codes and values mean."""
+"""Findings and their sentences, by code and values, which ``docs/errors.md`` explains."""
 
 from __future__ import annotations
 
-from pincal.words.wording import Wording
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from pincal.finding import Finding
+from pincal.words.faults import FAULTS, HYPOTHESES, explanation
+from pincal.words.wording import Wording, filled
 
 _EXCESS = (
     "no accuracy can be promised: residuals are {excess|g} times as large as the noise given "
@@ -15,62 +20,56 @@ _ASSUMED = "the uncertainties assume that noise"
 
 FINDINGS: dict[str, Wording] = {
     "not-converged": Wording(
-        "The fit did not converge",
         "the fit did not converge: {message}",
         "Look at the units and at the working mode; give a better nominal mechanism, more poses, "
         "or a robust loss (--loss reject)",
         "error",
     ),
     "not-corrected": Wording(
-        "The fit failed",
         _EXCESS + ", and hardly fell",
         "Look at the warnings first",
         "error",
     ),
     "residuals-too-large": Wording(
-        "No accuracy can be promised",
         _EXCESS,
         "Look at the warnings first",
         "error",
     ),
     "no-noise": Wording(
-        "Measurements without noise",
         "residuals are rounding errors: nothing was measured like that",
         "Say how well you will measure (--noise-position, --noise-orientation, --noise-reading)",
+        title="measurements without noise",
     ),
     "noise-estimated": Wording(
-        "Noise estimated by group",
         "the noise was not given: it was estimated from the residuals, "
         "{noise_in_words(position, orientation, reading, units)}",
         f"{_GIVE_NOISE}, if it is known",
     ),
     "chi2-too-large": Wording(
-        "Residuals larger than the noise",
         f"{_CHI2}larger than {_SOURCE}, or the model lacks something; {_ASSUMED}",
         "See what they follow (pincal explain), and look at outlying rows",
         unsaid="dof",
+        title="residuals larger than the noise",
     ),
     "chi2-too-small": Wording(
-        "Residuals smaller than the noise",
         f"{_CHI2}smaller than {_SOURCE}; {_ASSUMED}",
         "Correct the noise, if it is known to be smaller",
         unsaid="dof",
     ),
     "noise-in-other-proportion": Wording(
-        "Noise in another proportion",
         "the noise is not in the proportion given ({p_value|chance}): residuals show "
         "{% for name, ratio in ratios.items() %}{(100 * ratio)|f(0)} % of it in {name}"
         "{', ' if not loop.last}{% endfor %}",
         "Leave the noise out: it is then estimated by group",
+        title="noise in another proportion",
     ),
     "curved": Wording(
-        "Intervals of a curved problem",
         "within one standard error the problem is curved: the curved part of the residuals' change "
         "is {curvature|g(2)} of the straight one",
         "Measure more poses, or with less noise",
+        title="intervals of a curved problem",
     ),
     "beyond-measured": Wording(
-        "Outside the measured region",
         "{share|percent} of the workspace lies outside the measured region"
         "{% if undetermined < 1 %}: expect {size_in_words(position, orientation)} there, if the "
         "model holds as it does where it was measured{% endif %}"
@@ -80,37 +79,35 @@ FINDINGS: dict[str, Wording] = {
         "info",
     ),
     "terms-chosen": Wording(
-        "Terms were chosen by the same measurements",
         "{parameters|join(', ')} were added because they fit these measurements",
         severity="info",
+        title="terms were chosen by the same measurements",
     ),
     "promise-leaves-out": Wording(
-        "What the promise leaves out",
         "the promise leaves out {what|of(UNCOVERED)|listed}: nothing was said of that",
         severity="info",
     ),
     "model-lacks": Wording(
-        "Residuals follow something",
         "{quantity}: residuals follow {TERMS[term][0]} ({p_value|chance}), and the model has "
         "nothing for that: {TERMS[term][1]}",
         "Model it (pincal explain says which term pays) or remove its cause; measure in a mixed "
         "order",
+        title="residuals follow something",
     ),
     "step": Wording(
-        "A step",
         "{quantity} is off by {size|amount(unit)} from data row {row} on ({p_value|chance})",
         "First see what physics explains (pincal explain); else look for an encoder that slipped, "
         "or a target that was hit, and leave the shorter part out",
+        title="a step",
     ),
     "reference-moved": Wording(
-        "A pose moved that was measured again",
         "the pose '{pose}', measured {rows|length} times: {quantity} moved by {size|amount(unit)} "
         "from data row {row} to {rows[-1]} ({p_value|chance})",
         "Look for what warms up, a tracker or a base that moves; measure again when warm, or the "
         "run in parts, named in a column run",
+        title="a pose moved that was measured again",
     ),
     "outliers": Wording(
-        "Outliers",
         "{rows|length} of {total} rows do{'es' if rows|length == 1} not fit the others, "
         "{'' if rows|length == 1 else 'the worst '}data row {row} by {sigma|f(1)} standard "
         "deviations ({quantity} off by {off|f(1)} σ)",
@@ -118,34 +115,33 @@ FINDINGS: dict[str, Wording] = {
         "else 'Look at ' ~ them ~ ', or use a robust loss (--loss reject)'}",
     ),
     "wrong-rows": Wording(
-        "Few rows spoil the fit",
         "{% if rows|length == 1 %}data row {row} does not fit the others, by{% else %}"
         "{rows|length} data rows of {total}, {rows[:6]|listed}"
         "{% if rows|length > 6 %} and {rows|length - 6} more{% endif %}, do not fit the others, "
         "the first by{% endif %} {sigma|f(0)} standard deviations ({quantity} off by {off|f(0)} "
         "σ): reduced χ² is {chi2|g} with {them}, {without|g} without, and what follows is with",
         "Mend or remove {them}, or leave {them} out by --loss reject",
+        title="few rows spoil the fit",
     ),
     "many-outliers": Wording(
-        "Many rows do not fit",
         "{(100 * share)|f(0)} % of the rows do not fit the others, data row {row} least",
         "Correct the noise or the model before leaving rows out (--loss reject)",
+        title="many rows do not fit",
     ),
     "held-out-worse": Wording(
-        "Held-out rows miss by more than is expected",
         "held-out rows miss by {held_out|f(2)} standard deviations where {expected|f(2)} are "
         "expected ({p_value|chance}): the model follows its rows more closely than the machine",
         "Measure more poses, or fix parameters",
+        title="held-out rows miss by more than is expected",
     ),
     "wrong-held-out": Wording(
-        "Held-out rows do not fit",
         "{rows|length} of {total} held-out rows do{'es' if rows|length == 1} not fit, "
         "{'' if rows|length == 1 else 'the worst '}data row {row} by {sigma|f(0)} standard "
         "deviations ({quantity} off by {off|f(0)} σ); the other held-out rows fit",
         "Mend or remove {them}, or leave {them} out by --loss reject",
+        title="held-out rows do not fit",
     ),
     "tolerance-found": Wording(
-        "Tolerances found with the parameters",
         "{% set kinds = {'m': 'lengths', 'rad': 'angles', '1': 'gains'}[unit] %}"
         "{% if size|finite %}{kinds} differ from the drawing by {size|amount(unit)}, standard "
         "deviation of {count} (95 %: {low|amount(unit)} "
@@ -157,12 +153,11 @@ FINDINGS: dict[str, Wording] = {
         "info",
     ),
     "few-poses": Wording(
-        "Few poses",
         "{legs|join(', ')}: {poses|counted('pose')} for {unknowns} parameters",
         "Measure more: two or three times as many poses as parameters are advised",
+        title="few poses",
     ),
     "weakly-determined": Wording(
-        "Weakly determined parameters",
         "{% if parameters|length == 1 %}{parameter} is weakly determined, known{% else %}"
         "{parameters|length} parameters are weakly determined, {parameter}{% endif %} to ± "
         "{half|g(2)}{unit|si} only",
@@ -171,48 +166,79 @@ FINDINGS: dict[str, Wording] = {
         "values are known (--priors)",
     ),
     "undetermined-held": Wording(
-        "Undetermined parameters were held",
         "these measurements do not determine everything: {groups|groups}{'; ' if groups and weak}"
         "{weak|listed ~ ' are weakly determined' if weak}",
         "Held as near to nominal as can be, so that the machine is calibrated where it was "
         "measured only",
     ),
     "far-from-nominal": Wording(
-        "A parameter moved far",
         "{parameter} moved by {'%+.3g' % change}{unit|si}, farther than a machine differs from its "
         "drawing",
         "Check units, the order of the readings, and the frame of the measurements"
         "{' (if unknown: --' ~ options|join(', --') ~ ')' if options}",
     ),
     "zeros-found": Wording(
-        "Zeros of motors are far off",
         "zeros of readings are far from the drawing's: {% for id, change, unit in changes %}"
         "{loop|joint}{id} by {change|g}{unit|si or ' '}{% endfor %}",
         "Nothing to do if the motors were zeroed anew; else look at the columns of these readings",
     ),
     "sign-changed": Wording(
-        "A length changed its sign",
         "lengths changed their sign: {% for id, nominal, length in lengths %}{loop|joint}{id} from "
         "{nominal|g(4)} to {length|g(4)} m{% endfor %}",
         "Correct the nominal values (zeros of motors first), or fix these lengths (--fixed)",
     ),
     "gauge-base-frame": Wording(
-        "Gauge freedom of the base frame",
         "the base frame: {freedoms|counted('freedom')}, since "
         "{% if unknown_frame %}the frame of the measurements is unknown{% else %}what was measured "
         "does not fix it{% endif %}",
         severity="info",
     ),
     "gauge-platform-frame": Wording(
-        "Gauge freedom of the platform's frame",
         "the platform's frame: {freedoms|counted('freedom')}, since what was measured does not say "
         "how the platform's points lie in it",
         severity="info",
     ),
     "redundant-parameters": Wording(
-        "Redundant parameters",
         "{count|counted('parameter is', 'parameters are')} redundant, whatever is measured: "
         "{groups|groups}",
         severity="info",
     ),
 }
+#: What is said of each code.
+WORDINGS: Mapping[str, Wording] = FINDINGS | FAULTS | HYPOTHESES
+
+
+def finding(
+    code: str, rows: Iterable[int] = (), parameters: Iterable[str] = (), **values: Any
+) -> Finding:
+    """Return a finding of a code, its rows counted from 0, its values in SI.
+
+    Raises:
+        KeyError: a code that there is not.
+        TypeError: values that are missing, or that the code does not have.
+    """
+    wording = WORDINGS[code]
+    if set(values) != wording.value_names:
+        named = f"{sorted(wording.value_names)}, got {sorted(values)}"
+        raise TypeError(f"{code} has the values {named}: see pincal.words")
+    places = tuple(int(row) for row in rows)
+    return Finding(code, wording.severity, values, places, tuple(parameters))
+
+
+def sentence(finding: Finding) -> str:
+    """Return what was found and what to do about it, without a full stop."""
+    if finding.code in HYPOTHESES:
+        return explanation([finding])
+    wording = WORDINGS[finding.code]
+    return ". ".join(filter(None, (wording.said(finding), filled(wording.remedy, finding))))
+
+
+def sentences(findings: Iterable[Finding], *severities: str) -> list[str]:
+    """Return the sentences of findings, of some severities if they are given.
+
+    Hypotheses that explain the same measurements alike are one sentence.
+    """
+    chosen = [finding for finding in findings if not severities or finding.severity in severities]
+    hypotheses = [finding for finding in chosen if finding.code in HYPOTHESES]
+    others = [sentence(finding) for finding in chosen if finding.code not in HYPOTHESES]
+    return [explanation(hypotheses), *others] if hypotheses else others

@@ -17,7 +17,7 @@ from typing import Any
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined, Template, meta
 
 from pincal.finding import Finding, Severity
-from pincal.model.checks import ALIKE, counted
+from pincal.model.checks import counted
 from pincal.words.numbers import SMALL, amount, chance, listed, number, percent, rounded, size
 
 #: Groups of parameters in a sentence; result.json has all.
@@ -30,8 +30,6 @@ NAMED = 12
 class Wording:
     """All that is said of one code."""
 
-    title: str
-    """What it is, in few words."""
     says: str
     """Template of what was found, in one sentence without capital and full stop."""
     remedy: str = ""
@@ -39,11 +37,16 @@ class Wording:
     severity: Severity = "warning"
     unsaid: str = ""
     """Names of values that are not in these templates."""
+    title: str = ""
+    """In few words, why no limit is promised; empty of what contradicts no promise."""
 
     @property
     def value_names(self) -> set[str]:
         """Names of the values that a finding of it has (``docs/errors.md`` says what they are)."""
-        return {*_names_in(self.says), *_names_in(self.remedy), *self.unsaid.split()}
+        environment = _sentences()
+        names = meta.find_undeclared_variables(environment.parse(f"{self.says} {self.remedy}"))
+        names -= {"rows", "row", "them", "parameters", *environment.globals}
+        return {*names, *self.unsaid.split()}
 
     def said(self, finding: Finding) -> str:
         """Return what was found."""
@@ -55,22 +58,12 @@ def filled(words: str, finding: Finding) -> str:
     rows = [row + 1 for row in finding.rows]
     them = "it" if len(rows) == 1 else "them"
     names = {"rows": rows, "row": rows[0] if rows else None, "them": them}
-    template = _template(words)
-    return template.render(names, parameters=finding.parameters, **finding.values)
+    return _template(words).render(names, parameters=finding.parameters, **finding.values)
 
 
 @cache
 def _template(words: str) -> Template:
-    """Return a sentence with what differs in braces."""
     return _sentences().from_string(words)
-
-
-@cache
-def _names_in(words: str) -> set[str]:
-    """Return the names of values that a template asks for."""
-    environment = _sentences()
-    names = meta.find_undeclared_variables(environment.parse(words))
-    return names - {"rows", "row", "them", "parameters", *environment.globals}
 
 
 def group_in_words(group: tuple[str, ...]) -> str:
@@ -104,12 +97,6 @@ _UNPRINTABLE = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff
 def clean(text: str) -> str:
     """Return text without characters that no page can hold."""
     return _UNPRINTABLE.sub("\ufffd", text)
-
-
-def _cleaned(value: Any) -> Any:
-    if value is None:
-        return ""
-    return clean(value) if isinstance(value, str) and not hasattr(value, "__html__") else value
 
 
 def rendered(template: str, **values: Any) -> str:
@@ -183,19 +170,15 @@ def _pages() -> Environment:
         ),
         autoescape=True,
         keep_trailing_newline=True,
-        finalize=_cleaned,
+        finalize=lambda value: (
+            clean(value) if isinstance(value, str) and not hasattr(value, "__html__") else value
+        ),
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
     environment.filters |= _FILTERS
     return environment
-
-
-def mapped_diagonals(differ: float) -> str:
-    """Return by which part |R_ii| of legs differ from those of the legs they are mapped from."""
-    most = percent(differ) if differ >= ALIKE else "0"
-    return f"|R_ii| of mapped legs differ from those of their reference legs by {most} (Eq. 10)"
 
 
 def missed_line(target: str, unit: str, poses: int, rms: float, **others: Any) -> str:
@@ -208,11 +191,3 @@ def missed_line(target: str, unit: str, poses: int, rms: float, **others: Any) -
         f"of {counted(poses, 'pose')}, by {mean} on average and {largest} at most; by {fit} in the "
         "fit"
     )
-
-
-def unreached(machine: str, problems: Sequence[str]) -> str:
-    """Return at how many poses a machine is not drawn; problems are empty where it is."""
-    reasons = [text for text in problems if text]
-    first = reasons[0] if reasons else ""
-    text = f"the {machine} is not drawn in full at {len(reasons)} of {len(problems)} poses; the "
-    return f"{text}first: {first}" if first else ""

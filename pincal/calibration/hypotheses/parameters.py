@@ -20,7 +20,7 @@ from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.setup import ORIGIN
 from pincal.types import Array
-from pincal.words.sentences import finding
+from pincal.words.findings import finding
 
 _CHANCE = 1e-5  # probability of so much motion as one body by chance, above which it is none
 _MATTERS = 0.25  # of the platform's error: a motion of less is not worth a warning

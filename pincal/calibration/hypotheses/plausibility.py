@@ -37,7 +37,7 @@ from pincal.model.checks import ROUNDING
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
 from pincal.model.setup import ORIGIN, Setup, Target
-from pincal.words.sentences import finding, sentence, sentences
+from pincal.words.findings import finding, sentence, sentences
 
 _STILL = 1e-3  # readings that differ by less hardly move, of a leg's size and [rad]
 _FOLLOWS = 0.5  # of the stroke: what is left of readings that follow the nominal ones

@@ -34,7 +34,7 @@ from pincal.kinematics.closure import largest_size
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Platform
 from pincal.types import Array
-from pincal.words.sentences import finding
+from pincal.words.findings import finding
 from pincal.words.wording import groups_in_words
 
 _STILL = 1e-7  # motion of the platform below which it is none, of what each parameter would do

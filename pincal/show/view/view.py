@@ -26,7 +26,7 @@ from pincal.kinematics.configurations import home_of
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.show.answers import warnings
-from pincal.show.page import Page
+from pincal.show.report import Page
 from pincal.show.view.calibrated import calibrated
 from pincal.show.view.meshes import with_meshes
 from pincal.show.view.page import answer, page
