@@ -220,7 +220,7 @@ def test_exported_kinematics_are_those_of_the_mechanism(firmware: str) -> None:
     ("write", "read", "ending", "digits"),
     [
         (write_klipper, lambda path: read_klipper(path)[0], "cfg", 1e-9),
-        (write_reprap, read_reprap, "g", 1.1e-7),
+        (write_reprap, lambda path: read_reprap(path, "reprap"), "g", 1.1e-7),
     ],
 )
 def test_what_is_exported_is_imported(tmp_path, write, read, ending, digits) -> None:
@@ -291,7 +291,7 @@ def test_reprap_lines_are_read(tmp_path: Path) -> None:
         "M665 L361.676:361.7:361.6 R180.679 H470.070 B150.0 X-0.105 Y0.161 Z0.000\n"
         "M666 X-0.748 Y-0.006 Z0.755 A0.00 B0.00\nn3 m665 r180.5 *71\nM92 X200 Y200 Z200\n"
     )
-    printer = read_reprap(config_file(tmp_path, text, "config.g"))
+    printer = read_reprap(config_file(tmp_path, text, "config.g"), "reprap")
     assert printer.radius == pytest.approx(0.1805)
     np.testing.assert_allclose(printer.arms, [0.361676, 0.3617, 0.3616])
     np.testing.assert_allclose(np.degrees(printer.angles), [209.895, 330.161, 90.0])

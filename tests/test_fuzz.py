@@ -163,7 +163,10 @@ def read_printer_cfg(path: Path) -> None:
 
 
 def read_config_g(path: Path) -> None:
-    check_printer(read_reprap(path), path, write_reprap, read_reprap)
+    def read(file: Path) -> DeltaPrinter:
+        return read_reprap(file, "reprap")
+
+    check_printer(read(path), path, write_reprap, read)
 
 
 def sound(name: str) -> bytes:

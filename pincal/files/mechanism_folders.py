@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Protocol
 
 from pincal.errors import FileError, MechanismError
-from pincal.files.mechanism_yaml import YAML, mechanism_urdfs, mechanism_yaml, read_mechanism
+from pincal.files.mechanism_yaml import YAML, mechanism_yaml, read_mechanism
 from pincal.files.output import writing
 from pincal.files.urdf import leg_urdf, platform_urdf
 from pincal.model.checks import must_be
@@ -55,9 +55,9 @@ _read_once = lru_cache(maxsize=64)(_read)
 
 
 def mechanism_files(name_or_path: str | Path) -> list[Path]:
-    """Return the files that ``load_mechanism`` reads: ``mechanism.yaml`` and the URDFs."""
+    """Return the files of a mechanism's folder: ``mechanism.yaml`` and the URDFs."""
     folder = _folder(name_or_path)
-    return [folder / YAML, *mechanism_urdfs(folder)]
+    return [path for pattern in MECHANISM_FILES for path in sorted(folder.glob(pattern))]
 
 
 def _folder(name_or_path: str | Path) -> Path:

@@ -6,10 +6,10 @@ together.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import yaml
@@ -17,7 +17,7 @@ import yaml
 from pincal.errors import MechanismError
 from pincal.files.text import plain_number
 from pincal.files.urdf import leg_links, read_chain, read_points
-from pincal.files.yaml import Entry, read_yaml
+from pincal.files.yaml import Entry, Readers, read_yaml
 from pincal.model.checks import LARGEST
 from pincal.model.consistency import check_home
 from pincal.model.leg import Joint, Leg
@@ -42,9 +42,9 @@ _BLOCKS = ("parameters", "labels", "load")  # mappings of which each key has a l
 
 def _term(entry: Entry, amplitude: str, place: str) -> Term:
     """Return a term with the name of its amplitude; messages say its place."""
-    keys = entry.keys((), (*_FORM_KEYS, "period", "range", "centre", "of", "reference"))
-    influence = keys.pop("of").text() if "of" in keys else ""
-    values: dict[str, Any] = {key: part.number() for key, part in keys.items()}
+    numbers = dict.fromkeys((*_FORM_KEYS, "period", "range", "centre", "reference"), Entry.number)
+    values = entry.values({**numbers, "of": Entry.text, "power": lambda part: part.value})
+    influence = values.pop("of", "")
     forms = [key for key in _FORM_KEYS if key in values] or ["per"] * bool(influence)
     form = " and ".join(forms) or "none"
     further = _FORM_KEYS.get(form, ())
@@ -58,10 +58,8 @@ def _term(entry: Entry, amplitude: str, place: str) -> Term:
             raise MechanismError(
                 f"{odd[0]!r} does not go with {form!r}; expected {', '.join(further)}"
             )
-        if form == "power":
-            if "range" not in values:
-                raise MechanismError("'power' needs 'range' beside it")
-            values["power"] = keys["power"].value
+        if form == "power" and "range" not in values:
+            raise MechanismError("'power' needs 'range' beside it")
         if form in ("sine", "cosine"):
             values |= {"order": values.pop(form), "phase": form}
         return Term(amplitude, _FORMS[form](**values), of=influence)
@@ -69,10 +67,9 @@ def _term(entry: Entry, amplitude: str, place: str) -> Term:
         raise MechanismError(f"{place}, term {amplitude!r}: {error}") from error
 
 
-def _terms(entry: Entry | None, place: str) -> tuple[Term, ...]:
-    """Return terms by their amplitudes; none where there is no such key."""
-    parts = {} if entry is None else entry.pairs()
-    return tuple(_term(part, amplitude, place) for amplitude, part in parts.items())
+def _terms(entry: Entry, place: str) -> tuple[Term, ...]:
+    """Return terms by their amplitudes."""
+    return tuple(_term(part, amplitude, place) for amplitude, part in entry.pairs().items())
 
 
 def _value(entry: Entry) -> str | float:
@@ -81,26 +78,28 @@ def _value(entry: Entry) -> str | float:
     return entry.name() if is_name else entry.number()
 
 
+def _zero(entry: Entry) -> float | Literal["home"]:
+    """Return the position from which a sensor counts."""
+    if entry.value == "home":
+        return "home"
+    if not abs(plain_number(str(entry.value))) <= LARGEST:
+        entry.refuse("a finite number or 'home' is expected")
+    return entry.number()
+
+
 def _sensor(entry: Entry, leg: str) -> Sensor:
     """Return a sensor of a leg."""
-    known = ("form", "gain", "offset", "direction", "zero", "counts_per_unit", "terms")
-    keys = entry.keys(("joint",), known)
-    values: dict[str, Any] = {"joint": keys["joint"].text()}
-    values |= {key: _value(keys[key]) for key in ("gain", "offset") if key in keys}
-    if "form" in keys:
-        values["form"] = keys["form"].choice("joint", "reading")
-    if "direction" in keys:
-        values["direction"] = keys["direction"].choice(1, -1)
-    if "counts_per_unit" in keys:
-        values["counts_per_unit"] = keys["counts_per_unit"].number()
-    if "zero" in keys:
-        zero = keys["zero"]
-        if not isinstance(zero.value, int | float | str) or not (
-            zero.value == "home" or abs(plain_number(str(zero.value))) <= LARGEST
-        ):
-            zero.refuse("a finite number or 'home' is expected")
-        values["zero"] = "home" if zero.value == "home" else zero.number()
-    return Sensor(**values, terms=_terms(keys.get("terms"), leg))
+    readers: Readers = {
+        "joint": Entry.text,
+        "form": lambda part: part.choice("joint", "reading"),
+        "gain": _value,
+        "offset": _value,
+        "direction": lambda part: part.choice(1, -1),
+        "zero": _zero,
+        "counts_per_unit": Entry.number,
+        "terms": lambda part: _terms(part, leg),
+    }
+    return Sensor(**entry.values(readers, ("joint",)))
 
 
 def _coordinates(entry: Entry | None, place: str) -> tuple[Coordinate, ...]:
@@ -137,17 +136,19 @@ def _platform(entry: Entry) -> Platform:
 
 
 def _load(entry: Entry) -> Load:
-    keys = entry.keys((), ("mass", "centre", "gravity", "drawn"))
-    values: dict[str, Any] = {k: keys[k].vector() for k in ("centre", "gravity") if k in keys}
-    if "mass" in keys:
-        values["mass"] = keys["mass"].number()
-    drawn = keys["drawn"].pairs() if "drawn" in keys else {}
-    return Load(**values, drawn=tuple((name, part.number()) for name, part in drawn.items()))
+    readers: Readers = {
+        "mass": Entry.number,
+        "centre": Entry.vector,
+        "gravity": Entry.vector,
+        "drawn": lambda part: tuple((name, p.number()) for name, p in part.pairs().items()),
+    }
+    return Load(**entry.values(readers))
 
 
 def read_mechanism(folder: Path) -> Mechanism:
     """Return what a folder's ``mechanism.yaml`` and the URDFs that it names say together."""
-    keys = mechanism_keys(folder)
+    needed, known = ("pincal", "name", "platform", "legs"), ("description", "labels", "load")
+    keys = read_yaml(inside(folder, YAML), MechanismError).keys(needed, known)
     keys["pincal"].choice(FORMAT)
     platform = _platform(keys["platform"])
     points = read_points(inside(folder, keys["platform"].pairs()["urdf"].text()))
@@ -165,38 +166,6 @@ def read_mechanism(folder: Path) -> Mechanism:
     for leg in () if identified else legs:
         check_home(leg, platform)
     return mechanism
-
-
-def mechanism_keys(folder: Path) -> dict[str, Entry]:
-    """Return the entries of a folder's ``mechanism.yaml``."""
-    needed, known = ("pincal", "name", "platform", "legs"), ("description", "labels", "load")
-    return read_yaml(inside(folder, YAML), MechanismError).keys(needed, known)
-
-
-def mechanism_urdfs(folder: Path) -> list[Path]:
-    """Return the URDFs that a folder's ``mechanism.yaml`` names, each once."""
-    keys = mechanism_keys(folder)
-    parts = (keys["platform"], *keys["legs"].items())
-    return list(dict.fromkeys(folder / part.pairs()["urdf"].text() for part in parts))
-
-
-def _check_joints(
-    leg: str, named: Iterable[str], home: Mapping[str, float], joints: Sequence[Joint], urdf: str
-) -> None:
-    """Raise if a leg names joints that its URDF does not have, or not all that move."""
-    known = [joint.name for joint in joints]
-    for key in named:
-        if key not in known:
-            raise MechanismError(
-                f"{leg}: unknown joint {key!r}; {urdf} has {', '.join(known[:-1])}, the "
-                f"platform point is {known[-1]!r}"
-            )
-    moving = [joint.name for joint in joints if joint.kind != "fixed"]
-    if set(home) != set(moving):
-        raise MechanismError(
-            f"{leg}: 'home' gives {', '.join(home) or 'nothing'}; it needs the home position of "
-            f"each moving joint: {', '.join(moving)}"
-        )
 
 
 def _leg(entry: Entry, folder: Path, points: Mapping[str, Joint]) -> Leg:
@@ -219,8 +188,19 @@ def _leg(entry: Entry, folder: Path, points: Mapping[str, Joint]) -> Leg:
             f"{', '.join(sorted(points)) or 'none'}"
         )
     point, placements = points[point_name], keys["placements"].pairs()
-    named = (*placements, *home, *(sensor.joint for sensor in sensors))
-    _check_joints(name, named, home, (*chain, point), path.name)
+    known = [joint.name for joint in (*chain, point)]
+    for joint_name in (*placements, *home, *(sensor.joint for sensor in sensors)):
+        if joint_name not in known:
+            raise MechanismError(
+                f"{name}: unknown joint {joint_name!r}; {path.name} has {', '.join(known[:-1])}, "
+                f"the platform point is {point.name!r}"
+            )
+    moving = [joint.name for joint in chain if joint.kind != "fixed"]
+    if set(home) != set(moving):
+        raise MechanismError(
+            f"{name}: 'home' gives {', '.join(home) or 'nothing'}; it needs the home position of "
+            f"each moving joint: {', '.join(moving)}"
+        )
 
     def placed(joint: Joint) -> Joint:
         place = f"{name}, placement of {joint.name!r}"

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import re
 import reprlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, NoReturn, TypeAlias, TypeVar
+from typing import Any, NoReturn, TypeAlias, TypeVar, get_type_hints
 
 import yaml
 from yaml.composer import Composer
@@ -68,6 +68,9 @@ class _Loader(Composer, yaml.CSafeLoader):
 _PLAIN = re.compile(r"[-+]?(0|[1-9][0-9]*|[0-9]*\.[0-9]*(e[-+]?[0-9]+)?|\.inf|\.nan)|\.nan", re.I)
 for _kind in ("int", "float"):
     _Loader.add_constructor(f"tag:yaml.org,2002:{_kind}", _Loader.construct_number)
+
+
+Readers: TypeAlias = "Mapping[str, Callable[[Entry], Any]]"
 
 
 class Entry:
@@ -132,6 +135,16 @@ class Entry:
                 self.fail(f"key {f'{self._named}.{key}'.lstrip('.')!r} is missing")
         return entries
 
+    def values(self, readers: Readers, needed: Sequence[str] = ()) -> dict[str, Any]:
+        """Return what readers make of a mapping's keys, of which some are needed."""
+        keys = self.keys(needed, [key for key in readers if key not in needed])
+        return {key: readers[key](part) for key, part in keys.items()}
+
+    def built(self, kind: type[T]) -> T:
+        """Return a dataclass whose fields are the keys, each read by its type."""
+        hints = get_type_hints(kind)
+        return kind(**self.values({name: _BY_TYPE[hint] for name, hint in hints.items()}))
+
     def items(self, least: int = 0, most: float = float("inf")) -> list[Entry]:
         """Return the entries of a list."""
         if not isinstance(self._node, yaml.SequenceNode):
@@ -184,6 +197,9 @@ class Entry:
         if not isinstance(self.value, bool):
             self.refuse("true or false is expected")
         return self.value
+
+
+_BY_TYPE = {bool: Entry.flag, float: Entry.number, Vector: Entry.vector}
 
 
 def read_yaml(path: Path, error_type: type[PincalError]) -> Entry:
@@ -239,37 +255,24 @@ def read_setup(source: Setup | str | Path) -> Setup:
     if isinstance(source, Setup):
         return source
     path = Path(must_be(source, (Setup, str, Path), "a setup or its file", MeasurementError))
-    known = ("frame", "targets", "distances", "tracker", "systematic")
-    keys = read_yaml(path, MeasurementError).keys(("pincal_setup",), known)
-    keys["pincal_setup"].choice(1)
-    of_setup: dict[str, Any] = {}
+    readers: Readers = {
+        "pincal_setup": lambda part: part.choice(1),
+        "frame": lambda part: part.choice("base", "unknown"),
+        "targets": lambda part: {name: p.built(Target) for name, p in part.pairs().items()},
+        "distances": lambda part: {name: _distance(p) for name, p in part.pairs().items()},
+        "tracker": lambda part: part.built(Tracker),
+        "systematic": lambda part: part.built(Systematic),
+    }
     try:
-        if "frame" in keys:
-            of_setup["unknown_frame"] = keys["frame"].choice("base", "unknown") == "unknown"
-        for group, read in (("targets", _target), ("distances", _distance)):
-            if group in keys:
-                of_setup[group] = {n: read(entry) for n, entry in keys[group].pairs().items()}
-        if "tracker" in keys:
-            parts = keys["tracker"].keys((), ("at", "range", "azimuth", "elevation"))
-            at = parts.pop("at").vector() if "at" in parts else (0.0, 0.0, 0.0)
-            of_setup["tracker"] = Tracker(at, **{n: part.number() for n, part in parts.items()})
-        if "systematic" in keys:
-            names = ("scale", "temperature", "expansion", "target")
-            parts = keys["systematic"].keys((), names)
-            of_setup["systematic"] = Systematic(**{n: part.number() for n, part in parts.items()})
-        return Setup(**of_setup)
+        values = read_yaml(path, MeasurementError).values(readers, ("pincal_setup",))
+        unknown = values.pop("frame", "base") == "unknown"
+        del values["pincal_setup"]
+        return Setup(**values, unknown_frame=unknown)
     except MeasurementError as error:
         place = "" if str(path) in str(error) else f"{path}: "
         raise MeasurementError(f"{place}{error}") from error
 
 
-def _target(entry: Entry) -> Target:
-    parts = entry.keys((), ("offset", "unknown"))
-    offset = {"offset": parts["offset"].vector()} if "offset" in parts else {}
-    return Target(**offset, unknown="unknown" in parts and parts["unknown"].flag())
-
-
 def _distance(entry: Entry) -> Distance:
-    parts = entry.keys(("from",), ("target",))
-    target = {"target": parts["target"].name()} if "target" in parts else {}
-    return Distance(parts["from"].vector(), **target)
+    values = entry.values({"from": Entry.vector, "target": Entry.name}, ("from",))
+    return Distance(values.pop("from"), **values)

@@ -39,18 +39,10 @@ _STEPPERS = ("stepper_a", "stepper_b", "stepper_c")
 _COMMENT = re.compile(r";.*|\([^)]*(?:\)|$)")
 _COMMAND = re.compile(r"^\s*(?:N\d+\s+)?M0*(665|666)(?![\d.])(.*)$", re.I | re.A)
 Firmware = Literal["reprap", "marlin"]
-#: What each firmware's commands take, and what only its files have.
+#: What each firmware's commands take, by letters.
 _KNOWN = {
     "reprap": {"665": "LRHBXYZ", "666": "XYZAB"},
     "marlin": {"665": "LRHBXYZABCS", "666": "XYZ"},
-}
-_SHOWS: dict[Firmware, re.Pattern[str]] = {
-    "reprap": re.compile(
-        r"RepRapFirmware|\bRRF\b|\bDuet|config(-override)?\.g\b|^\s*M(550|552|563|584|586)\b"
-        r"|^\s*M666[^;(\n]*[AB]|^\s*M665[^;(\n]*L[-+.\d\s]*:",
-        re.I | re.M,
-    ),
-    "marlin": re.compile(r"Marlin|^\s*echo:|^\s*M50[03]\b|^\s*M665[^;(\n]*[ACS]", re.I | re.M),
 }
 
 
@@ -83,30 +75,27 @@ def read_klipper(path: str | Path) -> tuple[DeltaPrinter, Array, Array]:
 def read_reprap(path: str | Path, firmware: Firmware | None = None) -> DeltaPrinter:
     """Return the delta kinematics of M665 and M666 in a file; later lines win, letter by letter.
 
-    It is the file of a firmware, or of the one that it shows.
+    Whose file it is must be said where firmwares mean different things by it.
     """
     text = read_text(Path(path), LARGEST_FILE["printer"], MechanismError, pipe=True)
-    shown: list[Firmware] = [name for name, signs in _SHOWS.items() if signs.search(text)]
-    is_marlin = (firmware or shown) in ("marlin", ["marlin"])
-    numbers = _commands(text, _KNOWN["marlin" if is_marlin else "reprap"], path)
+    numbers = _commands(text, _KNOWN[firmware or "reprap"], path)
 
     def values(command: str, letters: str) -> Array:
         return np.array([numbers.get(command + letter, [0.0])[0] for letter in letters])
 
-    tilt = values("666", "AB")
+    tilt, corrections = values("666", "AB"), values("666", "XYZ")
     if tilt.any():
         raise MechanismError(
             f"{path}: M666 tilts the bed by {tilt[tilt != 0.0][0]:g} %, which a linear delta has "
             "no parameter for. Calibrate without tilt (factors 6 or 7 of G30 S), or set A0 B0 and "
             "measure anew"
         )
-    corrections = values("666", "XYZ")
-    if corrections.any() and firmware is None and len(shown) != 1:
+    if corrections.any() and firmware is None:
         raise MechanismError(
             f"{path}: M666 corrects endstops, which RepRapFirmware adds to the height and Marlin "
-            "takes off, and the file does not show whose it is; say --format reprap or --format "
-            "marlin"
+            "takes off; say whose file it is: --format reprap or --format marlin"
         )
+    is_marlin = firmware == "marlin"
     has_trims = is_marlin and not {"665A", "665C"}.isdisjoint(numbers)
     arms = np.array((numbers["665L"] * 3)[:3]) + (values("665", "ABC") if has_trims else 0.0)
     radius, height, printed = values("665", "RHB").tolist()
