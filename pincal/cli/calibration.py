@@ -15,6 +15,7 @@ from pincal.calibration.calibrate import explained, prepared, run
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.hypotheses.doctor import Remedy, remedies
 from pincal.calibration.options import AUTO, FOLDS, By, Options
+from pincal.calibration.result import CalibrationResult
 from pincal.calibration.result_files import REPORT, RESULT_FILES
 from pincal.cli.app import command, fail, remark, say, stdout, typed, warn, working, wrote
 from pincal.cli.options import (
@@ -171,6 +172,11 @@ def calibrate(
             3,
             f"exit code 3, since the report could not be drawn ({undrawn}); the result is written",
         )
+    _fail_if_contradicted(result)
+
+
+def _fail_if_contradicted(result: CalibrationResult) -> None:
+    """End with exit code 1 if the fit did not converge, or something contradicts its result."""
     if not result.converged:
         fail(1)
     if result.excess > 1.0:
