@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 import pincal
 from pincal import Element
@@ -39,7 +40,7 @@ NONE = pincal.Margins.none()
 
 def run(study: Study) -> None:
     """Check the symmetry of the hexapod, and calibrate it."""
-    drawing.parameters(study, "Figs. 1 to 3")
+    drawing.parameters(study, "Fig. 1")
     study.progress("sampling the workspace")
     poses = pincal.sample_workspace(study.mechanism, 1_000 if study.quick else 10_000, study.seed)
     equal = _lengths(study, poses[:300])
@@ -84,7 +85,7 @@ def run(study: Study) -> None:
 
 
 def _equations(mechanism: pincal.Mechanism) -> list[tuple[str, str, str, str]]:
-    """Return what Eqs. 29 and 39 print, and what holds."""
+    """Return what Eqs. 15, 29 and 39 print, and what holds."""
     (place,) = mechanism.platform.transforms(POSE)
     (image,) = mechanism.platform.transforms(
         Element(0.0, reflection=True).poses(mechanism.platform, POSE)
@@ -95,7 +96,19 @@ def _equations(mechanism: pincal.Mechanism) -> list[tuple[str, str, str, str]]:
     off = {sign: float(np.abs(mirrored - (place.apply(b) + sign * A)).max()) for sign in (-1, 1)}
     lengths = [np.array(printed) for _, _, printed in PRINTED[:3]]
     shifts = [float(np.abs(np.roll(lengths[k], 2) - lengths[k + 1]).max()) for k in (0, 1)]
+    turned = {}
+    for steps, angle in ((1, np.pi / 3), (2, 2 * np.pi / 3)):
+        turn = Rotation.from_euler("z", angle)
+        pairs = [(np.roll(points, -steps, axis=0), turn.apply(points)) for points in (A, b)]
+        turned[steps] = max(float(np.abs(there - here).max()) for there, here in pairs)
     return [
+        (
+            "Eq. 15: a_i+1 = R_z(α) a_i, b alike",
+            "from each leg to the next",
+            f"off by {turned[1]:.2g} m with α = 60°; to the leg after, with α = 120°, by "
+            f"{turned[2]:.0e} m",
+            "holds from leg i to leg i + 2: the joints lie in pairs",
+        ),
         (
             "Eqs. 29, 30: leg vectors of the mirrored pose",
             "+ x_b, + y_b, + z_b",
