@@ -133,22 +133,21 @@ def fitted(calibration: Calibration, near: Fits | None = None, rows: Mask | None
     fixed = calibration.fixed_noise or calibration.noise.known
     if fixed or calibration.options.residual == "joint":
         return fits
-    unit = fits.reading_unit
-    unscaled, tie = noise, None
+    unit, tie = fits.reading_unit, None
     for _ in range(_REFITS):
         if not _sound(fits):
             break
         estimate = _noise_of(fits, noise, unit, tie)
         if tie is None and (tie := _moments(fits, estimate, unit).tie(estimate)):
             estimate = _noise_of(fits, noise, unit, tie)
-        if _agree(unscaled, estimate):
+        if _agree(noise, estimate):
             break
-        noise, unscaled, unit = estimate, estimate, estimate.reading or unit
+        noise, unit = estimate, estimate.reading or unit
         fits = _again(fits, noise)
-        scale = float(np.mean([fit.noise_scale for fit in fits.fits]))
-        if abs(scale - 1.0) > SCALE_OFF and scale > 0.0:  # a group at its floor leaves that to all
-            noise = Noise(*(scale * value for value in vars(noise).values()))
-            fits = _again(fits, noise)
+    scale = float(np.mean([fit.noise_scale for fit in fits.fits]))
+    if _sound(fits) and abs(scale - 1.0) > SCALE_OFF and scale > 0.0:  # a group is at its floor
+        noise = Noise(*(scale * value for value in vars(noise).values()))
+        fits = _again(fits, noise)
     return _with_variances(fits, noise, unit, tie)
 
 

@@ -11,7 +11,7 @@ from pincal.errors import ObservabilityError
 from pincal.estimation.fit import Fit, Outlier, fit
 from pincal.estimation.observability.identifiable import check_covariance, check_weakly_determined
 from pincal.estimation.problem import Linear, Problem
-from pincal.estimation.solver import unsolved
+from pincal.estimation.solver import solve_poses, unsolved
 from pincal.estimation.system import LOSSES, Loss, System, outlying, robust_scale, suspected
 from pincal.estimation.unknowns import State
 from pincal.kinematics.closure import largest_size
@@ -55,24 +55,31 @@ def robust_fit(
 def _under_loss(system: System, loss: Loss, start: State | None) -> tuple[Fit, float]:
     """Return the fit under a loss, and the scale of the noise by which it rejects rows.
 
-    By Cauchy's loss, which forgets no row, first; what rejects rows begins with Tukey's.
+    From nominal parameters by Cauchy's loss, which forgets no row, then, if rows are rejected, by
+    Tukey's. A start is an optimum under the same loss, at other noise: it says the scale.
     """
-    coarse = fit(replace(system, loss=LOSSES["cauchy"]), start)
-    near = _near(system.problem, coarse.last)
-    near = near if system.kept is None else near & system.kept
-    fine = LOSSES["tukey"] if loss.name == "reject" else loss
-    system = replace(system, held_scale=coarse.scale, kept=near)
-    optimum = fit(replace(system, loss=fine), coarse.last.state)
-    scale = optimum.scale
+    problem, coarse = system.problem, None
+    if start is None:
+        coarse = fit(replace(system, loss=LOSSES["cauchy"]))
+        linear, scale = coarse.last, coarse.scale
+    else:
+        linear, _ = solve_poses(problem, problem.evaluate(start))
+        _, scale = replace(system, loss=loss).weights(linear)
+    near = _near(problem, linear) & system.in_use(linear)
+    system = replace(system, held_scale=scale, kept=near)
+    if loss.name != "reject" or coarse is not None:
+        fine = LOSSES["tukey"] if loss.name == "reject" else loss
+        optimum = fit(replace(system, loss=fine), linear.state)
+        linear = optimum.last
     if loss.name == "reject":  # least squares of the rows that fit each other, until they stay
         rows = None
         for _ in range(_ROUNDS):
-            linear = optimum.last
             inliers = near & ~outlying(linear.squares / scale**2, linear.equations)
             if rows is not None and (inliers == rows).all():
                 break
             rows, optimum = inliers, fit(replace(system, kept=inliers), linear.state)
-    return replace(optimum, first=coarse.first), scale
+            linear = optimum.last
+    return (replace(optimum, first=coarse.first) if coarse else optimum), scale
 
 
 def _seen_scale(fit: Fit) -> float:
