@@ -33,7 +33,6 @@ METHODS: dict[str, dict[str, Any]] = {
     "per leg, all": {"method": "per-leg", "poses": "all"},
     "together": {"method": "together", "poses": "all"},
     "latent": {"method": "latent"},
-    "per leg, joint": {"method": "per-leg", "residual": "joint"},
 }
 WHOLE = ("per leg, own", "per leg, all", "together", "latent")
 COUNTS = {"5R": 40, "3RRR": 40, "6UPS": 60, "delta": 60, "3RPS": 60, "4cable": 45, "8cable": 60}
@@ -62,7 +61,7 @@ class Scenario:
     @property
     def own(self) -> bool:
         """Whether each leg has its own poses."""
-        return self.method in ("per leg, own", "per leg, joint")
+        return self.method == "per leg, own"
 
     def __str__(self) -> str:
         return f"{self.machine} {self.method} {self.data}"
@@ -76,8 +75,6 @@ def scenarios() -> Iterator[Scenario]:
             yield Scenario(machine, method, "noisy readings")
         for method in whole[1:] or whole:
             yield Scenario(machine, method, "exact readings", EXACT)
-    for machine in ("5R", "3RRR", "6UPS", "delta", "4cable"):
-        yield Scenario(machine, "per leg, joint", "exact readings", EXACT)
     for machine in ("5R", "3RRR", "6UPS"):
         yield Scenario(machine, "latent", "noise not given", given=False)
         yield Scenario(machine, "together", "noise not given", EXACT, given=False)

@@ -61,7 +61,7 @@ def run(study: Study) -> None:
     outcomes = []
     for way in ways:
         begin = perf_counter()
-        found = [way.run(nominal, truth, NOISE, seed).identified for seed in seeds]
+        found = [way.run(nominal, truth, NOISE, seed)[0] for seed in seeds]
         seconds[f"identify: {way.name}"] = (perf_counter() - begin) / draws
         outcomes.append(Outcome.of(way, nominal, truth, found))
     parameters(study, truth, outcomes)

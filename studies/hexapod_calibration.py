@@ -54,9 +54,9 @@ def calibration(study: Study, poses: Array) -> dict[str, Array]:
     for truth, noise in machines(mechanism, SIGMA, study.seed, count):
         found["before"].append(_errors(mechanism, truth, some))
         for way in ways:
-            result = way.run(mechanism, truth, NOISE, noise)
-            lost += not result.converged
-            found[way.name].append(_errors(result.identified, truth, some))
+            identified, converged = way.run(mechanism, truth, NOISE, noise)
+            lost += not converged
+            found[way.name].append(_errors(identified, truth, some))
             bound = way.bound(mechanism, truth, NOISE, way.method)
             squares[way.name].append(float(np.diagonal(bound).mean()))
     errors = {name: np.array(rows) for name, rows in found.items()}

@@ -109,12 +109,12 @@ def measure_accuracies(study: Study, ways: list[Way], poses: Array, count: int) 
     for truth, noise in trials:
         rows["before"].append(platform_rms(mechanism, truth, some))
         for way in ways:
-            result = way.run(mechanism, truth, NOISE, noise)
-            lost += not result.converged
-            rows[way.name].append(platform_rms(result.identified, truth, some))
+            identified, converged = way.run(mechanism, truth, NOISE, noise)
+            lost += not converged
+            rows[way.name].append(platform_rms(identified, truth, some))
     after = {name: np.array(values) for name, values in rows.items()}
     truth, noise = trials[0]
-    one = ways[0].run(mechanism, truth, NOISE, noise).identified
+    one = ways[0].run(mechanism, truth, NOISE, noise)[0]
     whole = [platform_rms(model, truth, poses) for model in (mechanism, one)]
     study.heading("Accuracy of the platform (Fig. 10)")
     study.say(
@@ -158,7 +158,7 @@ def draw_maps(study: Study, way: Way, planes: dict[float, pincal.Workspace]) -> 
     """Map the position error of one machine before and after (Fig. 11)."""
     mechanism = study.mechanism
     truth, noise = machines(mechanism, SIGMA, study.seed, 1)[0]
-    identified = way.run(mechanism, truth, NOISE, noise).identified
+    identified = way.run(mechanism, truth, NOISE, noise)[0]
     study.heading("Where the errors are (Fig. 11)")
     figure = Figure(figsize=(13, 7.6), layout="constrained")
     panels = figure.subplots(2, len(planes), sharex=True, sharey=True)

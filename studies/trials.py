@@ -10,6 +10,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 from numpy.random import SeedSequence, default_rng
 from numpy.typing import NDArray
+from scipy.optimize import OptimizeResult, least_squares
 
 import pincal
 
@@ -37,17 +38,15 @@ class Way:
         truth: pincal.Mechanism,
         noise: pincal.Noise,
         seed: SeedSequence,
-    ) -> pincal.CalibrationResult:
-        """Return the calibration of a true mechanism, measured with noise."""
+    ) -> tuple[pincal.Mechanism, bool]:
+        """Return what a true mechanism, measured with noise, is identified as; if it converged."""
         data = pincal.simulate(mechanism, truth, self.plan, noise, default_rng(seed)).measurements
-        return pincal.calibrate(
-            mechanism,
-            data,
-            method=self.method,
-            residual=self.residual,
-            poses=self.poses,
-            noise=noise,
+        if self.residual == "joint":
+            return least_squares_of_readings(mechanism, data, self.poses)
+        result = pincal.calibrate(
+            mechanism, data, method=self.method, poses=self.poses, noise=noise
         )
+        return result.identified, result.converged
 
     def bound(
         self,
@@ -65,8 +64,43 @@ class Way:
         little = pincal.Noise(*(_LITTLE * sigma for sigma in vars(noise).values()))
         exact = pincal.simulate(mechanism, truth, self.plan, little, 0).measurements
         return pincal.calibrate(
-            truth, exact, method=method, residual="closure", poses=self.poses, noise=noise
+            truth, exact, method=method, poses=self.poses, noise=noise
         ).covariance
+
+
+def least_squares_of_readings(
+    mechanism: pincal.Mechanism, data: pincal.Measurements, poses: Literal["own", "all"]
+) -> tuple[pincal.Mechanism, bool]:
+    """Return the mechanism of the papers' least squares, and whether they converged.
+
+    Of readings predicted at measured poses less measured ones, not weighted, leg by leg (3-RRR
+    paper, Eq. 24), by poses of a leg's own set or all.
+    """
+    every = np.ones(len(data), dtype=bool)
+    ends = {
+        name: _least_squares(mechanism, data, name, data.serves(name) if poses == "own" else every)
+        for name in mechanism.leg_names
+    }
+    identified = mechanism.with_parameters({name: end.x for name, end in ends.items()})
+    return identified, all(end.success for end in ends.values())
+
+
+def _least_squares(
+    mechanism: pincal.Mechanism, data: pincal.Measurements, name: str, rows: NDArray[np.bool_]
+) -> OptimizeResult:
+    """Return the end of least squares of the readings of one leg at some rows."""
+    place = mechanism.leg_names.index(name)
+    poses, readings = data.poses[rows], data.readings[rows, place]
+
+    def missed(values: Array) -> Array:
+        tried = mechanism.with_parameters({name: values})
+        return pincal.inverse(tried, poses).readings[:, place] - readings
+
+    def slopes(values: Array) -> Array:
+        return pincal.identification_jacobian(mechanism, name, poses, values)
+
+    start, tight = mechanism.legs[place].nominal, {"xtol": 1e-15, "ftol": 1e-15, "gtol": 1e-15}
+    return least_squares(missed, start, slopes, method="lm", x_scale="jac", **tight)
 
 
 def trial_seeds(seed: int, count: int) -> list[tuple[SeedSequence, SeedSequence]]:

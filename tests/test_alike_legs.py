@@ -15,7 +15,7 @@ from pincal.estimation.unknowns import State
 from pincal.kinematics.batches import CHUNK
 from pincal.kinematics.closing import by_leg, close, close_legs, grouped
 from pincal.kinematics.closure import LegClosure
-from pincal.kinematics.derivatives import Demand, leg_demands_at
+from pincal.kinematics.derivatives import leg_demands_at
 
 FORMS = {"5R": 1, "3RRR": 1, "3RPR": 1, "3PRR": 2, "6UPS": 1, "6RUS": 1, "8cable": 1, "delta": 1}
 """How many forms the legs of a machine have: those of the 3-PRR slide to either side."""
@@ -41,13 +41,22 @@ def test_alike_legs_demand_what_each_alone_does(name: str) -> None:
         together = block.evaluate(State(parameters, matrices))
         for index, place in enumerate(places):
             alone = calibration.leg_block([place], rows).evaluate(State(values[place], matrices))
-            for part in Demand.__dataclass_fields__:
-                wanted = getattr(alone.demands[0], part)
+            of_leg, columns, readings = (
+                sizes[index] for sizes in (block.leg_rows, block.columns, block.reading_columns)
+            )
+            parts = {
+                "value": together.value[:, of_leg],
+                "by_pose": together.by_pose[:, of_leg],
+                "by_parameter": together.by_parameter[:, of_leg, columns],
+                "by_measured": together.by_measured[:, of_leg, readings],
+            }
+            for part, values_of_leg in parts.items():
+                wanted = getattr(alone, part)
                 largest = np.abs(wanted).max()
                 # the search ends where passive joints are right to 1e-8, and values to its square
                 atol = 1e-14 if part == "value" else 1e-7 * largest
                 np.testing.assert_allclose(
-                    getattr(together.demands[index], part),
+                    values_of_leg,
                     wanted,
                     rtol=0.0,
                     atol=atol,
@@ -64,7 +73,7 @@ def test_no_rows_demand_nothing() -> None:
     nominal = np.concatenate([leg.nominal for leg in robot.legs])
     block = calibration.leg_block(range(3), np.arange(0))
     rows = block.evaluate(State(nominal, np.empty((0, 4, 4))))
-    assert [demand.value.shape for demand in rows.demands] == [(0, 1)] * 3
+    assert rows.value.shape == (0, 3)
 
 
 def test_each_leg_is_measured_by_its_own_size() -> None:
@@ -87,7 +96,7 @@ def test_each_leg_is_measured_by_its_own_size() -> None:
     block = replace(calibration.leg_block(range(2), rows), legs=legs)
     together = block.evaluate(State(np.concatenate(values), matrices, start))
     alone = calibration.leg_block([1], rows).evaluate(State(values[1], matrices, start[1:]))
-    value, expected = together.demands[1].value, alone.demands[0].value
+    value, expected = together.value[:, 1:], alone.value
     np.testing.assert_allclose(value, expected, rtol=0.0, atol=1e-9)
     np.testing.assert_allclose(together.joints[1], alone.joints[0], rtol=0.0, atol=1e-6)
 

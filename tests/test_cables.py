@@ -102,14 +102,11 @@ def test_any_leg_can_be_homed(kind: str) -> None:
         assert_derivative(C, readings, precision=1e-13)
 
 
-@pytest.mark.parametrize("residual", ["closure", "joint"])
-def test_clean_measurements_give_the_parameters(
-    cables: pincal.Mechanism, poses: Array, residual: str
-) -> None:
+def test_clean_measurements_give_the_parameters(cables: pincal.Mechanism, poses: Array) -> None:
     """Anchors and gains come back from full positions within 1e-9, each leg alone."""
     truth = disturbed(cables, np.random.default_rng(4), 0.02)
     data = pincal.simulate(cables, truth, pincal.Plan(poses[:30]), EXACT).measurements
-    result = pincal.calibrate(cables, data, method="per-leg", residual=residual)
+    result = pincal.calibrate(cables, data, method="per-leg")
     for leg in truth.legs:
         found = result.identified.leg(leg.name).nominal
         np.testing.assert_allclose(found, leg.nominal, rtol=0.0, atol=1e-9)

@@ -546,7 +546,7 @@ def test_one_orientation_is_seen_through_noise(work: Path) -> None:
         (["select", "3RRR", "--count", "0"], "--count"),
         (["select", "3RRR", "--starts", "none"], "--starts"),
         (["workspace", "3RRR", "--seed", "-1"], "--seed"),
-        (["calibrate", "3RRR", "measured.csv", "--residual", "both"], "'both'"),
+        (["calibrate", "3RRR", "measured.csv", "--poses", "both"], "'both'"),
         (["calibrate", "3RRR"], "MEASUREMENTS.csv"),
         (["workspace"], "MECH"),
         (["workspace", "3RRR", "--margin", "1"], "--margin"),

@@ -22,7 +22,6 @@ CASES: dict[str, tuple[pincal.Noise, dict[str, Any]]] = {
     "exact readings": (EXACT, {}),
     "noisy readings": (NOISY, {}),
     "per-leg": (NOISY, {"method": "per-leg"}),
-    "joint": (NOISY, {"method": "per-leg", "residual": "joint"}),
     "priors": (NOISY, {"tolerance": {"m": 1e-4, "rad": 1e-3}}),
 }
 
@@ -47,7 +46,7 @@ def dense_covariance(fit: Fit, follows: NDArray[np.float64]) -> NDArray[np.float
     most = np.abs(linear.noise_root).max()
     noise = [S @ S.T + (1e-4 * most) ** 2 * np.eye(len(S)) for S in linear.noise_root]
     sigma = block_diag(*noise)
-    weight = np.linalg.inv(sigma) if fit.problem.weighted else np.eye(len(sigma))
+    weight = np.linalg.inv(sigma)
     _, prior = fit.unknowns.prior_rows(fit.unknowns.start)
     normal = M.T @ weight @ M
     n = T.shape[1]

@@ -24,7 +24,6 @@ WAYS: dict[str, dict[str, Any]] = {
     "frame": {"setup": FRAME},
     "frame and target": {"setup": TARGET},
     "per leg": {"method": "per-leg"},
-    "joint": {"residual": "joint"},
     "rejecting": {"loss": "reject"},
     "tolerance": {"tolerance": {"m": 1e-3, "rad": 1e-3}},
     "harmonics": {"terms": ["harmonics:1"], "tolerance": {"m": 1e-3, "rad": 1e-3}},

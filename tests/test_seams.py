@@ -18,10 +18,9 @@ import pincal
 from pincal.calibration.result_files import read_result
 from pincal.estimation.legs import LegBlock
 from pincal.estimation.observation import Observation
-from pincal.estimation.unknowns import State
+from pincal.estimation.unknowns import BlockRows, State
 from pincal.kinematics.closing import sensor_law
 from pincal.kinematics.closure import LegClosure
-from pincal.kinematics.derivatives import Demand
 
 Array = NDArray[np.float64]
 EXACT = pincal.Noise(position=0.0, orientation=0.0)
@@ -237,17 +236,17 @@ def test_terms_of_sensors_are_differentiated(name: str) -> None:
     law = sensor_law(LegClosure(leg, robot.platform))
     np.testing.assert_allclose(law.reading(law.position(psi)), psi, rtol=0.0, atol=1e-14)
 
-    def demand(step: Array, readings: Array) -> Demand:
+    def demand(step: Array, readings: Array) -> BlockRows:
         row = np.arange(1)
         used, sigma = np.ones((1, 1), dtype=bool), np.zeros((1, 1))
-        block = LegBlock((leg,), robot.platform, (readings,), "closure", row, used, sigma)
-        return block.evaluate(State(leg.nominal + step, matrices)).demands[0]
+        block = LegBlock((leg,), robot.platform, (readings,), row, used, sigma)
+        return block.evaluate(State(leg.nominal + step, matrices))
 
     n = len(leg.nominal)
     here = demand(np.zeros(n), psi)
-    assert_derivative(here.parameter, lambda step: demand(step, psi).value, precision=1e-13)
+    assert_derivative(here.by_parameter, lambda step: demand(step, psi).value, precision=1e-13)
     assert_derivative(
-        here.reading, lambda step: demand(np.zeros(n), psi + step).value, precision=1e-13
+        here.by_measured, lambda step: demand(np.zeros(n), psi + step).value, precision=1e-13
     )
 
 

@@ -157,12 +157,3 @@ def test_one_row_is_no_slip() -> None:
     poses[-1, 0] += 1.2e-4
     fit = fitted(prepared(plain, replace(data, poses=poses), noise=NOISE)).fits[0]
     assert not slips(fit)
-
-
-def test_residuals_of_readings_are_not_asked() -> None:
-    """They are not white: the answer is a refusal, not that geometry is enough."""
-    plain, data = measured("3RRR")
-    with pytest.raises(pincal.MeasurementError, match="are not; leave that out"):
-        pincal.explain(plain, data, noise=NOISE, residual="joint")
-    with pytest.raises(pincal.MeasurementError, match="are not; leave that out"):
-        pincal.calibrate(plain, data, noise=NOISE, residual="joint", terms="auto")

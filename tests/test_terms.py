@@ -19,9 +19,8 @@ from pincal.calibration.calibration import Calibration
 from pincal.calibration.terms.candidates import with_terms
 from pincal.calibration.terms.kinds import parse_terms
 from pincal.errors import MeasurementError, MechanismError
-from pincal.estimation.unknowns import State
+from pincal.estimation.unknowns import BlockRows, State
 from pincal.kinematics.configurations import planned_influences
-from pincal.kinematics.derivatives import Demand
 from pincal.kinematics.influences import influences_of, sides
 from pincal.model.terms import Load
 
@@ -123,9 +122,9 @@ def test_derivatives_by_amplitudes_are_differences(form: str) -> None:
     matrices = machine.platform.matrices(data.poses)
     values = machine.legs[0].nominal
 
-    def demand(values: np.ndarray, by: float = 0.0) -> Demand:
+    def demand(values: np.ndarray, by: float = 0.0) -> BlockRows:
         moved = legs.corrected(np.full((len(data), 1), by))
-        return moved.evaluate(State(values, matrices)).demands[0]
+        return moved.evaluate(State(values, matrices))
 
     exact = demand(values)
     h = 1e-6
@@ -133,10 +132,10 @@ def test_derivatives_by_amplitudes_are_differences(form: str) -> None:
         step = h * np.eye(len(values))[column]
         ends = [demand(values + side * step).value for side in (1.0, -1.0)]
         np.testing.assert_allclose(
-            exact.parameter[:, :, column], (ends[0] - ends[1]) / (2 * h), atol=1e-7
+            exact.by_parameter[:, :, column], (ends[0] - ends[1]) / (2 * h), atol=1e-7
         )
     ends = [demand(values, by=side * h).value for side in (1.0, -1.0)]
-    np.testing.assert_allclose(exact.reading[:, :, 0], (ends[0] - ends[1]) / (2 * h), atol=1e-7)
+    np.testing.assert_allclose(exact.by_measured[:, :, 0], (ends[0] - ends[1]) / (2 * h), atol=1e-7)
 
 
 def test_gravity_bends_an_arm_and_is_identified() -> None:

@@ -46,11 +46,6 @@ class Calibration:
     def __post_init__(self) -> None:
         _check_shapes(self.mechanism, self.measurements)
         _check_influences(self.mechanism, self.measurements)
-        if self.options.residual == "joint" and self.mechanism.by_readings:
-            raise MeasurementError(
-                f"readings of {self.mechanism.name!r} do not follow from its poses, so there is no "
-                "joint residual; take the closure residual (--residual closure)"
-            )
 
     @property
     def shift(self) -> Array:
@@ -195,7 +190,6 @@ class Calibration:
             tuple(mechanism.legs[place] for place in places),
             mechanism.platform,
             tuple(known),
-            "closure" if self.options.latent else self.options.residual,
             rows,
             np.ones((len(rows), len(places)), dtype=bool) if used is None else used,
             self.noise.readings[np.ix_(rows, columns)],

@@ -183,8 +183,7 @@ def _repeated_poses(data: Measurements, rows: Index) -> dict[str, Index]:
 
 def _curved(fits: Fits) -> list[Finding]:
     """Return a finding if intervals of a linearised problem mean little."""
-    weighted_fits = (fit for fit in fits.fits if fit.problem.weighted)
-    largest = max((curvature(weighted_fit) for weighted_fit in weighted_fits), default=0.0)
+    largest = max(curvature(fit) for fit in fits.fits)
     return [finding("curved", curvature=largest)] if largest > _CURVED else []
 
 

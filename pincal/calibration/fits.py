@@ -14,7 +14,7 @@ from scipy.special import chdtri
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.options import AUTO
 from pincal.design.platform_error import CONFIDENCE
-from pincal.errors import MeasurementError, ObservabilityError
+from pincal.errors import ObservabilityError
 from pincal.estimation.components import (
     Evidence,
     FoundTolerance,
@@ -130,8 +130,7 @@ def fitted(calibration: Calibration, near: Fits | None = None, rows: Mask | None
     else:
         fits = _measured(calibration)
     noise = calibration.noise.noise
-    fixed = calibration.fixed_noise or calibration.noise.known
-    if fixed or calibration.options.residual == "joint":
+    if calibration.fixed_noise or calibration.noise.known:
         return fits
     unit, tie = fits.reading_unit, None
     for _ in range(_REFITS):
@@ -311,7 +310,7 @@ def _fit_holding(
 
 
 def _measured(calibration: Calibration) -> Fits:
-    """Return the fits of all legs, or of each alone, at poses as measured; from nominal values."""
+    """Return the fits of each leg alone, at poses as measured; from nominal values."""
     mechanism, options = calibration.mechanism, calibration.options
     calibration.check_complete()
     calibration.check_counts()
@@ -326,10 +325,8 @@ def _measured(calibration: Calibration) -> Fits:
 
 
 def _groups(calibration: Calibration) -> list[list[int]]:
-    """Return the legs that are identified at once: those that share a tie, or all."""
+    """Return the legs that are identified at once: those that share a tie."""
     legs, options = calibration.mechanism.legs, calibration.options
-    if options.method == "all-legs":
-        return [list(range(len(legs)))]
     tied = [i for i, leg in enumerate(legs) if set(options.tied) & set(leg.parameter_names)]
     alone = [[i] for i in range(len(legs)) if i not in tied]
     return [tied, *alone] if tied else alone
@@ -339,16 +336,10 @@ def with_found_tolerance(calibration: Calibration) -> Calibration:
     """Return a calibration with tolerances found by its measurements, if it asks for that.
 
     Raises:
-        MeasurementError: residuals of readings, which are not white.
         ObservabilityError: what leaves parameters undetermined, tolerances or not.
     """
     if calibration.options.tolerance != AUTO:
         return calibration
-    if calibration.options.residual == "joint":
-        raise MeasurementError(
-            "the size of tolerances is asked of white residuals, which those of readings "
-            "(--residual joint) are not; leave that out, or give tolerances (--tolerance 0.5mm)"
-        )
     units = _tolerated(calibration)
     size = largest_size(calibration.mechanism.legs)
     sought = [unit for unit, ids in units.items() if len(ids) > 2]  # one or two say nothing

@@ -10,7 +10,6 @@ from typing import Any, Final, Literal, get_args
 import numpy as np
 
 from pincal.errors import MeasurementError
-from pincal.estimation.legs import Residual
 from pincal.estimation.system import Loss, LossName, loss_of
 from pincal.files.text import in_si, plain_number
 from pincal.model.checks import must_be
@@ -110,11 +109,6 @@ class Options:
         "All legs at once from every row, each pose an unknown of which any part, or none, was "
         "measured; or each leg alone, poses as measured: the papers' divide and conquer.",
     )
-    residual: Residual = option(
-        "closure",
-        "Loop closure whitened by its noise; or predicted less measured reading (joint), "
-        "unweighted, poses as measured, as in the papers.",
-    )
     poses: Poses = option(
         "own", "With --method per-leg: for each leg the poses of its set (own), or all."
     )
@@ -191,8 +185,7 @@ class Options:
         if not (self.latent or (self.setup.plain and self.setup.systematic == Systematic())):
             raise MeasurementError(
                 "unknown frames, targets, distances, instruments and systematic errors need all "
-                "legs at once and the closure residual; leave out "
-                + ("--method per-leg" if self.method == "per-leg" else "--residual joint")
+                "legs at once; leave out --method per-leg"
             )
         for name in ("fixed", "tied", "terms"):
             texts = getattr(self, name)
@@ -229,7 +222,7 @@ class Options:
     @property
     def latent(self) -> bool:
         """Whether poses are unknowns, or taken as measured."""
-        return self.method == "all-legs" and self.residual == "closure"
+        return self.method == "all-legs"
 
     @property
     def holds(self) -> bool:
@@ -242,7 +235,7 @@ class Options:
             self.progress(what)
 
 
-_CHOICES = {"method": Method, "residual": Residual, "poses": Poses}
+_CHOICES = {"method": Method, "poses": Poses}
 
 
 def _parse_priors(priors: Mapping[str, Any] | Iterable[str]) -> Mapping[str, Any]:

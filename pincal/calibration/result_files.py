@@ -215,8 +215,11 @@ def _missing_twists(calibration: Calibration, poses: Array, parameters: Array) -
     """
     mechanism, rows = calibration.mechanism, np.arange(len(poses))
     block = calibration.leg_block(range(len(mechanism.legs)), rows, calibration.used)
-    demands = block.evaluate(State(parameters, mechanism.platform.matrices(poses))).demands
-    return [(np.linalg.pinv(d.pose) @ d.value[:, :, None])[:, :, 0] for d in demands]
+    missing = block.evaluate(State(parameters, mechanism.platform.matrices(poses)))
+    return [
+        (np.linalg.pinv(missing.by_pose[:, leg]) @ missing.value[:, leg, None])[:, :, 0]
+        for leg in block.leg_rows
+    ]
 
 
 def _influences_again(calibration: Calibration, machine: Mechanism) -> dict[str, Array]:
@@ -254,7 +257,6 @@ def as_json(result: CalibrationResult) -> dict[str, Any]:
         "mechanism": result.nominal.name,
         "calibrated_mechanism": MECHANISM if result.converged else None,
         "method": result.method,
-        "residual": result.options.residual,
         "poses": "all" if result.options.every_pose else "own",
         **_named(result, "converged message evaluations reduced_chi2 degrees_of_freedom"),
         "promised": result.promises,

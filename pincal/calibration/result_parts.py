@@ -116,8 +116,8 @@ class ResidualGroup:
 class LegResult(ResidualGroup):
     """Calibration of one leg: its parameters and residuals.
 
-    Residuals are closure or joint residuals at measured poses; at poses that were estimated,
-    predicted less measured readings.
+    Residuals are closures at measured poses; at poses that were estimated, predicted less measured
+    readings.
     """
 
     parameters: tuple[IdentifiedParameter, ...]

@@ -262,7 +262,7 @@ def _drawn(
     used = fit.weights > 0.0
     J = np.where(used[:, None, None], fit.last.jacobian @ fit.unknowns.map, 0.0)
     _, prior = fit.unknowns.prior_rows(fit.parameters)
-    normal = NormalEquations.of(fit.system.triangle(fit.last, used.astype(float), white=True))
+    normal = NormalEquations.of(fit.system.triangle(fit.last, used.astype(float)))
     Q = normal.orthonormal(J).transpose(0, 2, 1)
     roots, equations = [], []  # draws need no more than single precision
     for fold in range(count):

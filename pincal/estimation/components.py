@@ -10,7 +10,7 @@ covariance is 2 F⁻¹. How far machines differ from their drawing is found by t
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -194,17 +194,16 @@ def _moments(
     rows = fit.weights > 0.0
     if fit.system.loss is not None:
         rows &= ~outlying(linear.squares / fit.system.scale(linear) ** 2, linear.equations)
-    legs, n_readings = problem.leg_block, problem.leg_block.n_readings
-    legs = replace(legs, sigma=np.full_like(legs.sigma, readings))
-    by_reading = np.zeros((*linear.conditions.shape, n_readings))
-    by_reading[:, : legs.n_rows] = legs.noise_root(linear.demands)[:, :, :n_readings]
+    n_readings = problem.leg_block.n_readings
+    by_reading = np.where(linear.active[:, :, None], linear.by_measured[:, :, :n_readings], 0.0)
+    by_reading *= readings
     levers = _levers(problem, linear, by_reading) / readings
     W = linear.white.by_noise[:, :, n_readings : len(problem.quantities)]
     units = list(problem.quantities.values())[n_readings:]
     lengths = np.array([unit == "m" for unit in units], dtype=bool)
     groups = (W[:, :, lengths], W[:, :, ~lengths], linear.white(by_reading))
     V = np.stack([part[rows] @ part[rows].transpose(0, 2, 1) for part in groups])
-    normal = NormalEquations.of(fit.system.triangle(linear, rows.astype(float), white=True))
+    normal = NormalEquations.of(fit.system.triangle(linear, rows.astype(float)))
     Q = normal.orthonormal(linear.jacobian[rows] @ fit.unknowns.map)
     residuals = linear.residuals[rows] - Q @ normal.c
     VQ = V @ Q

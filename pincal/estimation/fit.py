@@ -102,7 +102,7 @@ class Fit(SolverResult):
     @cached_property
     def chi2(self) -> float:
         """Sum of squares; with a loss what good rows would have at their own optimum."""
-        if self.system.loss is None and self.problem.weighted:
+        if self.system.loss is None:
             return self.system.cost(self.last, self.weights)
         return self.normal.left
 
@@ -110,7 +110,7 @@ class Fit(SolverResult):
     def normal(self) -> NormalEquations:
         """Normal equations of good white rows and priors."""
         good = self.good.astype(float)
-        return NormalEquations.of(self.system.triangle(self.last, good, white=True))
+        return NormalEquations.of(self.system.triangle(self.last, good))
 
     @cached_property
     def Q(self) -> Array:
@@ -168,20 +168,17 @@ class Fit(SolverResult):
 
     @cached_property
     def meat_in_root(self) -> Array:
-        """Root of B⁻¹, transposed, M, root of B⁻¹: 1 of least squares, shape (n_free, n_free).
-
-        Of plain residuals with the covariance S Sᵀ of each row, M = Σ Jᵀ S Sᵀ J.
-        """
-        system, linear, noises = self.system, self.last, self._psi[2]
-        if self.problem.weighted and system.loss is None:
+        """Root of B⁻¹, transposed, M, root of B⁻¹: 1 of least squares, shape (n_free, n_free)."""
+        linear, noises = self.last, self._psi[2]
+        if self.system.loss is None:
             return np.eye(len(self.root))
-        by_free, W = self.unknowns.map @ self.root, system.rows(linear).by_noise
+        by_free, W = self.unknowns.map @ self.root, linear.white.by_noise
         pulled = self._pulled[self._psi[3] > 0.0] @ by_free
         prior = self.unknowns.prior_rows(self.parameters)[1] @ self.root
         meat = pulled.T @ pulled + prior.T @ prior
         for poses in linear.parts():
             fits = noises[poses] > 0.0
-            J = system.derivatives(linear, poses)[fits] @ by_free
+            J = linear.jacobian_of(poses)[fits] @ by_free
             rows = W[poses][fits].transpose(0, 2, 1) @ J
             rows = (noises[poses][fits, None, None] * rows).reshape(-1, len(meat))
             meat += rows.T @ rows
@@ -197,8 +194,7 @@ class Fit(SolverResult):
     @property
     def _along(self) -> Array:
         """rᵀ J of each row, shape (N, n)."""
-        J, r = self.system.derivatives(self.last), self.system.residuals(self.last)
-        return np.asarray(np.einsum("nm,nmk->nk", r, J))
+        return np.einsum("nm,nmk->nk", self.last.residuals, self.last.jacobian)
 
     @property
     def _pulled(self) -> Array:
@@ -211,8 +207,8 @@ class Fit(SolverResult):
 
         −B⁻¹ Σ Jᵀ ψ' c.
         """
-        weighted = self.slopes[:, None, None] * self.system.rows(self.last)(errors)
-        J, by_free = self.system.derivatives(self.last), self.unknowns.map @ self.root
+        weighted = self.slopes[:, None, None] * self.last.white(errors)
+        J, by_free = self.last.jacobian, self.unknowns.map @ self.root
         right = np.einsum("nmk,nmq->kq", J, weighted, optimize=True)
         return np.asarray(-by_free @ (by_free.T @ right))
 
@@ -222,7 +218,7 @@ class Fit(SolverResult):
 
         K = −B⁻¹ Jᵀ W at each pose; the last column is what an outlier moves.
         """
-        W, J = self.system.rows(self.last).by_noise, self.system.derivatives(self.last)
+        W, J = self.last.white.by_noise, self.last.jacobian
         noises, by_free = self._psi[2][:, None, None], self.unknowns.map @ self.root
         noise = np.where(noises > 0.0, noises * (J.transpose(0, 2, 1) @ W), 0.0)
         follows = np.concatenate((noise, self._pulled[:, :, None]), axis=2)
@@ -240,8 +236,6 @@ def fit(system: System, start: State | None = None) -> Fit:
     state = start or problem.start(unknowns.start)
     first, evaluations = solve_poses(problem, problem.evaluate(state))
     check_rank(problem, unknowns, first)
-    if not problem.weighted:
-        system = replace(system, unit=float(np.median(np.linalg.norm(first.noise_root, axis=2))))
     highest = system.cost(first)
     near = first
     if start is not None:  # where the last steps ended, which the search does not know of
@@ -327,8 +321,9 @@ def _evened(problem: Problem, linear: Linear) -> Problem | None:
         return None
     typical = float(np.median(noisy[0]))
     sigma = np.maximum(observation.sigma, np.where(lengths, typical, typical / size))
-    slopes = [np.median(np.linalg.norm(d.reading, axis=1), axis=0) for d in linear.demands]
-    floors = typical / np.maximum(np.concatenate(slopes), 1e-300)
+    by_reading = linear.by_measured[:, : legs.n_rows, : legs.n_readings]
+    slopes = np.median(np.linalg.norm(by_reading, axis=1), axis=0)
+    floors = typical / np.maximum(slopes, 1e-300)
     readings = np.maximum(legs.sigma, np.where(np.isfinite(floors), floors, 0.0))
     even = (sigma <= _UNEVEN * observation.sigma) | ~observation.measured
     if even.all() and (readings <= _UNEVEN * legs.sigma).all():

@@ -1,10 +1,9 @@
-"""The residual block of legs: their closures at measured readings, or joint residuals.
+"""The residual block of legs: their closures at measured readings.
 
-The closure residual is Nᵀ c at a pose and a reading, passive joints chosen to minimise |c|: for a
-planar dyad, the platform point's distance from the elbow less L. It exists out of reach and stays
-finite near type-1 singularities. The joint residual is predicted less measured reading (3-RRR
-paper, Eq. 24) and exists within reach only. Legs that differ only in where they begin are
-evaluated in one call: a call costs more than the kinematics of some hundred rows.
+The residual is Nᵀ c at a pose and a reading, passive joints chosen to minimise |c|: for a planar
+dyad, the platform point's distance from the elbow less L. It exists out of reach and stays finite
+near type-1 singularities. Legs that differ only in where they begin are evaluated in one call: a
+call costs more than the kinematics of some hundred rows.
 """
 
 from __future__ import annotations
@@ -12,22 +11,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 
-from pincal.errors import MeasurementError
 from pincal.estimation.unknowns import BlockRows, State
 from pincal.kinematics.batches import block_diagonal, repeated, stacked
-from pincal.kinematics.closing import close, grouped, sensor_law
+from pincal.kinematics.closing import grouped
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.derivatives import Demand, demands
 from pincal.kinematics.nearest_closure import nearest_closure
 from pincal.model.leg import Leg
 from pincal.model.platform import Platform
 from pincal.types import Array, Index, Mask
-
-Residual = Literal["closure", "joint"]
 
 
 @dataclass(frozen=True)
@@ -39,7 +34,6 @@ class LegBlock:
     platform: Platform
     known: tuple[Array, ...]
     """Readings [rad] or [m] of each leg, then its influences, (N, n_active [+ n_influences])."""
-    kind: Residual
     data_rows: Index
     """Rows of the measurements, counted from 0, shape (N,)."""
     used: Mask
@@ -53,8 +47,6 @@ class LegBlock:
     @cached_property
     def widths(self) -> list[int]:
         """Number of equations of each leg at a pose."""
-        if self.kind == "joint":
-            return [len(leg.sensors) for leg in self.legs]
         return [self.platform.equations(leg) for leg in self.legs]
 
     @cached_property
@@ -139,81 +131,44 @@ class LegBlock:
         return replace(self, known=tuple(corrected))
 
     def evaluate(self, state: State) -> BlockRows:
-        """Return the residuals of the legs at a state; zero where a row does not serve a leg.
+        """Return the residuals of the legs where they close best; zero in rows that serve none.
 
         Raises:
-            MeasurementError: joint residual, and a pose out of reach.
             MechanismError: a homed sensor, and a home pose out of reach.
         """
-        of_legs, joints = (self._predicted if self.kind == "joint" else self._closed)(state)
-        value = np.concatenate([demand.value for demand in of_legs], axis=1)
-        by_pose = np.concatenate([demand.pose for demand in of_legs], axis=1)
-        by_pose = np.where(self.active[:, :, None], by_pose, 0.0)
-        by_parameter = block_diagonal([demand.parameter for demand in of_legs])
-        return BlockRows(
-            np.where(self.active, value, 0.0),
-            by_pose[:, :, : None if self.pose_roots is None else 0],
-            np.where(self.active[:, :, None], by_parameter, 0.0),
-            self.noise_root(of_legs),
-            tuple(of_legs),
-            tuple(joints),
-        )
-
-    def noise_root(self, of_legs: Sequence[Demand]) -> Array:
-        """Return S of what the legs demand, shape (N, n_rows, n_readings [+ dof])."""
-        pairs = zip(of_legs, self.reading_columns, strict=True)
-        by_reading = [demand.reading * self.sigma[:, None, columns] for demand, columns in pairs]
-        noise = block_diagonal(by_reading)
-        if self.pose_roots is not None:
-            by_pose = np.concatenate([demand.pose for demand in of_legs], axis=1)
-            noise = np.concatenate((noise, by_pose @ self.pose_roots), axis=2)
-        return np.where(self.active[:, :, None], noise, 0.0)
-
-    @cached_property
-    def _alike(self) -> list[list[int]]:
-        """Places of legs that are evaluated in one call."""
-        forms = [LegClosure(leg, self.platform).form for leg in self.legs]
-        return grouped(forms, len(self.used))
-
-    def _closures(self, parameters: Array) -> list[LegClosure]:
-        """Return the legs at parameters of all of them, shape (n_params,)."""
+        matrices, n = state.matrices, range(len(self.legs))
         pairs = zip(self.legs, self.columns, strict=True)
-        return [LegClosure(leg, self.platform, parameters[columns]) for leg, columns in pairs]
-
-    def _closed(self, state: State) -> tuple[list[Demand], list[Array]]:
-        """Return what the legs demand where they close best, and their joints there."""
-        closures, matrices = self._closures(state.parameters), state.matrices
-        joints, of_legs = dict[int, Array](), dict[int, Demand]()
+        closures = [LegClosure(leg, self.platform, state.parameters[c]) for leg, c in pairs]
+        joints, demand_of = dict[int, Array](), dict[int, Demand]()
         for places in self._alike:
             legs, known = [closures[i] for i in places], stacked([self.known[i] for i in places])
             near = stacked([state.joints[i] for i in places]) if state.joints else None
             closed, nearest = nearest_closure(legs, repeated(matrices, len(legs)), known, near)
             by_leg = nearest.reshape(len(legs), len(matrices), nearest.shape[1])
             joints |= zip(places, by_leg, strict=True)
-            of_legs |= zip(places, demands(legs, closed, known), strict=True)
-        every = range(len(closures))
-        return [of_legs[i] for i in every], [joints[i] for i in every]
+            demand_of |= zip(places, demands(legs, closed, known), strict=True)
+        of_legs, serves = [demand_of[i] for i in n], self.active[:, :, None]
+        by_pose = np.where(serves, np.concatenate([d.pose for d in of_legs], axis=1), 0.0)
+        by_reading = block_diagonal([d.reading for d in of_legs])
+        noise_root = by_reading * self.sigma[:, None]
+        if self.pose_roots is not None:
+            noise_root = np.concatenate((noise_root, by_pose @ self.pose_roots), axis=2)
+            by_pose = by_pose[:, :, :0]
+        value = np.concatenate([d.value for d in of_legs], axis=1)
+        return BlockRows(
+            np.where(self.active, value, 0.0),
+            by_pose,
+            np.where(serves, block_diagonal([d.parameter for d in of_legs]), 0.0),
+            by_reading,
+            np.where(serves, noise_root, 0.0),
+            tuple(joints[i] for i in n),
+        )
 
-    def _predicted(self, state: State) -> tuple[list[Demand], list[Array]]:
-        """Return predicted less measured readings of the legs, and their joints."""
-        of_legs, joints = [], []
-        for closure, known in zip(self._closures(state.parameters), self.known, strict=True):
-            leg = closure.leg
-            measured, influences = np.split(known, [len(leg.sensors)], axis=1)
-            closed = close((closure,), state.matrices, influences)
-            if not closed.reached.all():
-                row = int(self.data_rows[np.argmin(closed.reached)])
-                raise MeasurementError(
-                    f"{leg.name} does not reach measured pose {row + 1} with the parameters being "
-                    "tried, so its joint residual does not exist there; use the closure residual "
-                    "(--residual closure), which does"
-                )
-            reading = sensor_law(closure).reading(closed.joints[:, leg.active], influences)
-            predicted = np.hstack((reading, influences))
-            (rows,) = demands((closure,), closed.closure, predicted)
-            of_legs.append(replace(rows.as_joint(), value=reading - measured))
-            joints.append(closed.joints)
-        return of_legs, joints
+    @cached_property
+    def _alike(self) -> list[list[int]]:
+        """Places of legs that are evaluated in one call."""
+        forms = [LegClosure(leg, self.platform).form for leg in self.legs]
+        return grouped(forms, len(self.used))
 
 
 def slices(sizes: Sequence[int]) -> list[slice]:

@@ -207,7 +207,8 @@ class Observation:
     def evaluate(self, state: State) -> BlockRows:
         """Return the residuals at a state, unknowns those outside the mechanism."""
         value, by_pose, by_external = self.residuals(state.matrices, state.external)
-        return BlockRows(value, by_pose, by_external, self.noise_root(state))
+        by_measured = np.broadcast_to(-np.eye(value.shape[1]), (*value.shape, value.shape[1]))
+        return BlockRows(value, by_pose, by_external, by_measured, self.noise_root(state))
 
     def residuals(self, matrices: Array, external: External) -> tuple[Array, Array, Array]:
         """Return predicted less measured quantities, zero where nothing is measured.

@@ -22,7 +22,6 @@ from pincal.estimation.observation import Observation
 from pincal.estimation.rows import NoNoiseError, WhiteRows, white_rows
 from pincal.estimation.unknowns import State
 from pincal.kinematics.batches import block_diagonal, chunks
-from pincal.kinematics.derivatives import Demand
 from pincal.model.leg import Leg
 from pincal.model.platform import Platform
 from pincal.types import Array, Index, Mask
@@ -39,14 +38,14 @@ class Linear:
 
     state: State
     """Values of the unknowns, joints where the legs close best."""
-    demands: tuple[Demand, ...]
-    """What each leg demands."""
     conditions: Array
     """Residuals e of all blocks, shape (N, k), [m] and [rad]."""
     by_parameter: Array
     """A: derivatives by all parameters and external unknowns, shape (N, k, n)."""
     by_pose: Array
     """B: derivatives by the platform's twist, shape (N, k, dof)."""
+    by_measured: Array
+    """Derivatives by readings, then by what was measured of the platform, shape (N, k, m)."""
     noise_root: Array
     """S: root of the noise, shape (N, k, s)."""
     active: Mask
@@ -89,11 +88,12 @@ class Linear:
     @property
     def jacobian(self) -> Array:
         """Derivatives of the residuals, shape (N, m, n); made anew each time."""
-        return self.jacobian_of(slice(None), self.white)
+        return self.jacobian_of(slice(None))
 
-    def jacobian_of(self, poses: slice, rows: WhiteRows) -> Array:
-        """Return the derivatives of rows at some poses, shape (N, m, n)."""
-        return np.asarray(rows.reduced[poses] @ self.by_parameter[poses]) / rows.scale[poses]
+    def jacobian_of(self, poses: slice) -> Array:
+        """Return the derivatives of the residuals at some poses, shape (N, m, n)."""
+        reduced, scale = self.white.reduced[poses], self.white.scale[poses]
+        return np.asarray(reduced @ self.by_parameter[poses]) / scale
 
     def parts(self) -> Iterator[slice]:
         """Return poses, so many at once as memory holds well."""
@@ -102,7 +102,7 @@ class Linear:
     @cached_property
     def triangle(self) -> Array:
         """R of J = Q R over all poses, shape (n, n): the same columns but for a rotation."""
-        parts = [self.jacobian_of(poses, self.white) for poses in self.parts()]
+        parts = [self.jacobian_of(poses) for poses in self.parts()]
         triangles = [np.linalg.qr(J.reshape(-1, J.shape[2]), mode="r") for J in parts]
         return np.asarray(np.linalg.qr(np.concatenate(triangles), mode="r"))
 
@@ -149,11 +149,6 @@ class Problem:
         return self.leg_block.pose_roots is None
 
     @property
-    def weighted(self) -> bool:
-        """Whether white residuals are minimised, or, as the papers have it, plain joint ones."""
-        return self.leg_block.kind == "closure"
-
-    @property
     def blocks(self) -> tuple[LegBlock] | tuple[LegBlock, Observation]:
         """Residual blocks whose rows stand below each other."""
         return (self.leg_block, self.observation) if self.latent else (self.leg_block,)
@@ -195,10 +190,10 @@ class Problem:
         parts = [legs, *(block.evaluate(state) for block in self.blocks[1:])]
         return Linear(
             state=state,
-            demands=legs.demands,
             conditions=np.concatenate([part.value for part in parts], axis=1),
             by_parameter=block_diagonal([part.by_parameter for part in parts]),
             by_pose=np.concatenate([part.by_pose for part in parts], axis=1),
+            by_measured=block_diagonal([part.by_measured for part in parts]),
             noise_root=block_diagonal([part.noise_root for part in parts]),
             active=np.concatenate([block.active for block in self.blocks], axis=1),
             equations=self.equations,

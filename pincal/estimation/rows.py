@@ -118,18 +118,6 @@ def white_rows(pose: Array, noise: Array) -> WhiteRows:
     return WhiteRows(solve(V, N), size[:, :, None], Q[:, :, :dof], R[:, :dof], noise)
 
 
-def plain_rows(noise: Array, unit: float) -> WhiteRows:
-    """Return rows as they are, over a unit: of poses that are known, not whitened.
-
-    Args:
-        noise: S, root of the noise of what was measured, shape (N, k, s).
-        unit: Typical standard deviation, [rad] or [m].
-    """
-    count, k, _ = noise.shape
-    rows, none = np.broadcast_to(np.eye(k), (count, k, k)), np.zeros((count, k, 0))
-    return WhiteRows(rows, np.full((count, k, 1), unit), none, none[:, :0], noise)
-
-
 def _root(rows: Array) -> Array:
     """Return a triangular L with L Lᵀ = A Aᵀ of rows A, shapes (N, m, s) and (N, m, m)."""
     count, m, s = rows.shape

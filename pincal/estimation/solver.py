@@ -159,7 +159,7 @@ def search(
 def last_steps(system: System, optimum: SolverResult) -> SolverResult:
     """Return the optimum with all conditions at adjusted readings, found from that without.
 
-    As it is where readings are exact, residuals are not whitened, or no such conditions exist.
+    As it is where readings are exact, or no such conditions exist.
     """
     if not (adjusts(system.problem) and optimum.converged):
         return optimum
@@ -174,7 +174,7 @@ def last_steps(system: System, optimum: SolverResult) -> SolverResult:
 def adjusts(problem: Problem) -> bool:
     """Return whether a problem's fit ends at adjusted readings."""
     noisy = np.nanmax(problem.leg_block.sigma, initial=0.0) > 0.0
-    return problem.weighted and problem.latent and bool(noisy)
+    return problem.latent and bool(noisy)
 
 
 def adjusted(problem: Problem, linear: Linear) -> Linear:
@@ -267,8 +267,6 @@ def _reached(
 
 def rounding(system: System, linear: Linear) -> float:
     """Return the decrement that rounding errors of the conditions make."""
-    if not system.problem.weighted:
-        return 0.0
     size = largest_size(system.problem.legs)
     rows = max(linear.residuals.size, 1)
     noise = 2.0 * np.finfo(float).eps * size * np.linalg.norm(linear.white.whitener)  # of a chain

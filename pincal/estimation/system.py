@@ -17,7 +17,6 @@ from scipy.special import chdtr, chdtrc, chdtri, gammaincinv
 
 from pincal.errors import MeasurementError
 from pincal.estimation.problem import Linear, Problem
-from pincal.estimation.rows import WhiteRows, plain_rows
 from pincal.estimation.unknowns import Unknowns
 from pincal.types import Array, Index, Mask
 
@@ -156,8 +155,6 @@ class System:
     """Whether conditions are those at adjusted readings."""
     progress: Callable[[str], None] | None = None
     """Called with what is being done."""
-    unit: float = 1.0
-    """Typical standard deviation of residuals that are minimised unweighted, [rad] or [m]."""
 
     def with_priors(self, priors: Array) -> System:
         """Return the system with other standard deviations of nominal values, shape (n,)."""
@@ -182,22 +179,7 @@ class System:
         share = 1.0 - self.unknowns.n_free / max(int(equations.sum()), 1)
         return robust_scale(linear.squares[rows], equations, max(share, 0.1))
 
-    def rows(self, linear: Linear) -> WhiteRows:
-        """Return what makes the rows that are minimised: white ones, or plain ones over a unit."""
-        weighted = self.problem.weighted
-        return linear.white if weighted else plain_rows(linear.white.noise, self.unit)
-
-    def residuals(self, linear: Linear, frame: Linear | None = None) -> Array:
-        """Return what is minimised, shape (N, m), in the rows of another state if one is given."""
-        return self.rows(frame or linear)(linear.conditions[:, :, None])[:, :, 0]
-
-    def derivatives(self, linear: Linear, poses: slice = slice(None)) -> Array:
-        """Return the derivatives of what is minimised, shape (N, m, n)."""
-        return linear.jacobian_of(poses, self.rows(linear))
-
-    def triangle(
-        self, linear: Linear, weights: Array, bend: Array | None = None, *, white: bool = False
-    ) -> Array:
+    def triangle(self, linear: Linear, weights: Array, bend: Array | None = None) -> Array:
         """Return R of the Jacobian in the free unknowns beside the residuals, with priors.
 
             ┌ J  r ┐
@@ -205,16 +187,14 @@ class System:
             └ ⋮  ⋮ ┘
 
         Shape (n_free + 1, n_free + 1), by weights of rows, shape (N,), and the curvature of a loss
-        along each row's residuals over its weight, (N,); of what is minimised, or of white rows.
+        along each row's residuals over its weight, (N,).
         """
-        rows = linear.white if white else self.rows(linear)
-        residuals = rows(linear.conditions[:, :, None])[:, :, 0]
         r, J = self.unknowns.prior_rows(linear.state.parameters)
         n = self.unknowns.n_free
         R = np.concatenate((np.column_stack((J, r)), np.zeros((n + 1, n + 1))))
         for poses in linear.parts():
             used, root = weights[poses] > 0.0, np.sqrt(weights[poses])[:, None]
-            J, r = root[:, :, None] * linear.jacobian_of(poses, rows), root * residuals[poses]
+            J, r = root[:, :, None] * linear.jacobian_of(poses), root * linear.residuals[poses]
             if bend is not None:
                 J, r = bent(J, r, np.sqrt(bend[poses]))
             J = J[used].reshape(-1, J.shape[2]) @ self.unknowns.map
@@ -227,7 +207,7 @@ class System:
     ) -> float:
         """Return what is minimised, in own weights and rows if not in those of another state."""
         weights = self.weights(linear)[0] if weights is None else weights
-        value = self.residuals(linear, frame)
+        value = (frame or linear).whitened(linear.conditions)
         prior, _ = self.unknowns.prior_rows(linear.state.parameters)
         return float(weights @ np.einsum("nm,nm->n", value, value) + prior @ prior)
 

@@ -18,7 +18,6 @@ from scipy.spatial.transform import Rotation
 
 from pincal.errors import MeasurementError
 from pincal.kinematics.batches import inverse_left_jacobian
-from pincal.kinematics.derivatives import Demand
 from pincal.model.checks import ROUNDING
 from pincal.model.leg import Leg
 from pincal.model.parameter import means
@@ -71,10 +70,10 @@ class BlockRows:
     """Derivatives by the platform's twist, (N, k, dof); no columns where poses are as measured."""
     by_parameter: Array
     """Derivatives by the block's unknowns, those of all legs or external ones, shape (N, k, n)."""
+    by_measured: Array
+    """Derivatives by what was measured: readings, or quantities of the platform, (N, k, m)."""
     noise_root: Array
     """S, root of the noise, shape (N, k, s)."""
-    demands: tuple[Demand, ...] = ()
-    """What each leg demands, if these are residuals of legs, with its derivatives by readings."""
     joints: tuple[Array, ...] = ()
     """Joint positions of each leg, deformations behind them, shape (N, n_joints [+ n_deformed])."""
 

@@ -294,15 +294,16 @@ def _fit(hypothesis: Hypothesis, calibration: Calibration, matrices: Array) -> J
     with np.errstate(all="ignore"):  # units may be far off
         closed = block.evaluate(State(nominal, matrices[rows]))
         for i in np.flatnonzero(counts > 1).tolist():
-            leg, served, demand = mechanism.legs[i], used[rows, i], closed.demands[i]
+            leg, served, of_leg = mechanism.legs[i], used[rows, i], block.leg_rows[i]
             readings = calibration.measurements.readings[rows[served]]
             readings = readings[:, mechanism.reading_columns[i]]
             deviations = (readings - np.median(readings, axis=0))[:, None]
-            moved = np.linalg.norm(demand.reading[served] * deviations, axis=(1, 2))
+            by_reading = closed.by_measured[served, of_leg, block.reading_columns[i]]
+            moved = np.linalg.norm(by_reading * deviations, axis=(1, 2))
             joints, T = closed.joints[i][served], matrices[rows[served]]
             closure = LegClosure(leg, platform).evaluate(joints, T)
             bent[i] = (mode_sign(closure) * home_mode(leg, platform) < 0.0).sum()
-            gap[i] = np.median(_missed(demand.value[served])) / leg.size
+            gap[i] = np.median(_missed(closed.value[served, of_leg])) / leg.size
             stroke[i] = np.median(moved) / leg.size
     left = cache(partial(_nearest, calibration, matrices, used))
     return Judged(hypothesis, calibration, matrices, counts, gap, stroke, bent, left)

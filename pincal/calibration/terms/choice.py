@@ -150,14 +150,8 @@ def choose(
         pairs: Readings, lengths and angles, and kinds of term that they may lack.
 
     Raises:
-        PincalError: the geometry itself cannot be identified by all rows; fewer poses than folds;
-            residuals of readings, which are not white.
+        PincalError: the geometry itself cannot be identified by all rows; fewer poses than folds.
     """
-    if calibration.options.residual == "joint":
-        raise MeasurementError(
-            "what residuals follow is asked of white ones, which those of readings (--residual "
-            "joint) are not; leave that out, and name the terms that it is to have (--terms)"
-        )
     data = with_columns(calibration, [kind for _, kind in pairs])
     choosing_rows = np.flatnonzero(~data.verifying)
     calibration = replace(calibration, measurements=data)

@@ -116,7 +116,7 @@ def trials(fits: Fits, pairs: Sequence[Pair]) -> list[tuple[Residuals, list[Cand
     data = replace(data, influences={**order, **data.influences})
     mechanism, ids = with_terms(calibration.mechanism, data, pairs)
     extended = Calibration(mechanism, data, calibration.options, known_noise=calibration.noise)
-    return [_trials_of(fit, extended, ids) for fit in fits.fits if fit.problem.weighted]
+    return [_trials_of(fit, extended, ids) for fit in fits.fits]
 
 
 def _trials_of(

@@ -135,23 +135,15 @@ def _course_tests(
 
 
 def _testable(fit: Fit) -> bool:
-    """Return whether residuals of a fit are white and say something."""
-    return fit.problem.weighted and fit.degrees_of_freedom >= 2 and fit.chi2 > 0.0
+    """Return whether residuals of a fit say something."""
+    return fit.degrees_of_freedom >= 2 and fit.chi2 > 0.0
 
 
 def errors_of(fit: Fit, used: Index) -> dict[str, Array]:
     """Return the white rows of an error of 1 by measured quantity, (n_used, m, 1)."""
-    problem, linear, legs = fit.problem, fit.last, fit.problem.leg_block
-    (count, k), n = linear.conditions.shape, legs.n_readings
-    errors = np.zeros((count, k, n + k - legs.n_rows))
-    for demand, rows, columns, serves in zip(
-        linear.demands, legs.leg_rows, legs.reading_columns, legs.used.T, strict=True
-    ):
-        errors[:, rows, columns] = np.where(serves[:, None, None], demand.reading, 0.0)
-    seen = np.arange(legs.n_rows, k)
-    errors[:, seen, n + seen - legs.n_rows] = -linear.active[:, seen].astype(float)  # residuals are
-    white = linear.white(errors)[used].transpose(2, 0, 1)[..., None]  # less measured
-    return dict(zip(problem.quantities, white, strict=False))
+    errors = np.where(fit.last.active[:, :, None], fit.last.by_measured, 0.0)
+    white = fit.last.white(errors)[used].transpose(2, 0, 1)[..., None]
+    return dict(zip(fit.problem.quantities, white, strict=False))
 
 
 def _of_readings(fit: Fit, used: Index) -> dict[str, list[Array]]:

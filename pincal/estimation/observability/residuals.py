@@ -49,26 +49,26 @@ class LegResiduals:
 def leg_residuals(problem: Problem, linear: Linear, index: int) -> LegResiduals:
     """Return what a leg misses at each pose.
 
-    Poses as measured: its closure, or joint residual, there. Poses that were estimated: predicted
+    Poses as measured: its closure there. Poses that were estimated: predicted
     less measured reading; of exact readings, which are missed by nothing, the closure at the pose
     that was measured (to first order), where it was.
     """
-    block, demand = problem.leg_block, linear.demands[index]
-    rows, sigma = block.leg_rows[index], block.sigma[:, block.reading_columns[index]]
-    count, k = demand.value.shape
+    block, count = problem.leg_block, len(linear.conditions)
+    rows, readings = block.leg_rows[index], block.reading_columns[index]
+    sigma, k, quantity = block.sigma[:, readings], block.widths[index], "closure"
     follows = np.zeros((count, k, linear.conditions.shape[1]))
     follows[:, :, rows] = np.eye(k)
-    quantity = "closure" if problem.weighted else "reading"
     if problem.latent and sigma.any() and k == 1:
         quantity = "reading"
         follows = np.repeat(follows, sigma.shape[1], axis=1)  # as many as there are readings
-        follows[:, :, rows] = -least_squares(demand.reading, np.ones((count, 1, 1)))
+        by_reading = linear.by_measured[:, rows, readings]
+        follows[:, :, rows] = -least_squares(by_reading, np.ones((count, 1, 1)))
     else:
         if problem.latent:
             B = linear.by_pose[:, block.n_rows :]
             whole = problem.observation.measured.sum(axis=1) >= problem.platform.dof
             by_measured = np.where(whole[:, None, None], np.linalg.pinv(B, rcond=1e-9), 0.0)
-            follows[:, :, block.n_rows :] = -demand.pose @ by_measured  # to the measured pose
+            follows[:, :, block.n_rows :] = -linear.by_pose[:, rows] @ by_measured  # to that pose
         sigma = np.linalg.norm(follows @ linear.noise_root, axis=2)
     units = " or ".join(dict.fromkeys(problem.legs[index].reading_units))
     value = (follows @ linear.conditions[:, :, None])[:, :, 0]
@@ -81,11 +81,10 @@ def remaining_variances(fit: Fit, follows: Array) -> Array:
     With what is left r − J δz, those of the noise as modelled, of the estimate, and of both. They
     follow the conditions by c, shape (N, q, k).
     """
-    system, linear, parts = fit.system, fit.last, []
-    by_free, rows = system.unknowns.map @ fit.root, system.rows(linear)
+    linear, parts, by_free = fit.last, [], fit.unknowns.map @ fit.root
     for poses in linear.parts():
-        J, W = system.derivatives(linear, poses) @ by_free, rows.by_noise[poses]
-        c = product(follows[poses], rows.back[poses])  # by the rows
+        J, W = linear.jacobian_of(poses) @ by_free, linear.white.by_noise[poses]
+        c = product(follows[poses], linear.white.back[poses])  # by the rows
         noise, taken = product(c, W), product(c, J)
         gained = product(product(noise, W.transpose(0, 2, 1)), J)
         mixed = fit.slopes[poses, None] * (taken * gained).sum(axis=2)
