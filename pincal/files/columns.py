@@ -6,7 +6,8 @@ import logging
 import re
 from collections.abc import Collection, Mapping
 from dataclasses import replace
-from itertools import combinations
+from itertools import permutations
+from math import prod
 from typing import Any
 
 from pincal.errors import MeasurementError
@@ -17,7 +18,7 @@ from pincal.model.units import COUNTS, UNITS
 from pincal.types import Array
 from pincal.words.wording import NAMED
 
-_SQUARE = re.compile(r"(.+?)\s*(?:\^|\*\*)?\s*[2²]")
+_SQUARE = re.compile(r"(.+?)\s*(?:\^|\*\*)?\s*[2²]$")
 _log = logging.getLogger(__name__)
 
 
@@ -82,16 +83,16 @@ def _headers_meant(table: TextTable, units: Mapping[str, str]) -> dict[str, tupl
         }
         if column in units or not behind:
             continue
-        name = next(iter(behind))
-        unit = bracketed or behind[name]
-        if not unit or len(behind) > 1 or name in dict(meant.values()):
+        names = list(behind)
+        unit = bracketed or behind[names[0]]
+        if not unit or len(names) > 1 or names[0] in dict(meant.values()):
             header = f"{column} [{bracketed}]" if bracketed else column
-            unit = unit or units[name]
+            unit = unit or units[names[0]]
             raise MeasurementError(
                 f"{table.path}: column {header!r} is not understood; write "
-                f"{f'{name} [{unit}]' if unit else name!r}"
+                f"{f'{names[0]} [{unit}]' if unit else names[0]!r}"
             )
-        meant[column] = name, unit
+        meant[column] = names[0], unit
     return meant
 
 
@@ -100,9 +101,9 @@ def _unit_behind(column: str, name: str, dimension: str) -> str | None:
 
     It is empty where there is nothing or another unit in brackets, None if the column is another.
     """
-    rest = column[len(name) :]
     if not column.lower().startswith(name.lower()):
         return None
+    rest = column[len(name) :]
     unit = rest.strip(" _/-(){}<>")
     if (unit == COUNTS or UNITS.get(unit, ("",))[0] == dimension) and unit != rest:
         return unit
@@ -111,8 +112,7 @@ def _unit_behind(column: str, name: str, dimension: str) -> str | None:
 
 def covariances_of(table: TextTable, units: Mapping[str, str]) -> dict[str, Array]:
     """Return the covariances that a table has of quantities, by pair such as ``"x,y"``, in SI."""
-    pairs = {f"cov_{a}_{b}": (a, b) for a, b in combinations(units, 2)}
-    pairs |= {f"cov_{b}_{a}": (a, b) for a, b in combinations(units, 2)}
+    pairs = {f"cov_{a}_{b}": (a, b) for a, b in permutations(units, 2)}
     covariances: dict[str, Array] = {}
     for header in (name for name in table.units if name.startswith("cov_")):
         if header not in pairs:
@@ -120,32 +120,25 @@ def covariances_of(table: TextTable, units: Mapping[str, str]) -> dict[str, Arra
                 f"{table.path}: column {header!r} is no covariance of two quantities measured of "
                 f"the platform ({', '.join(units)}); rename it, or leave it out"
             )
-        first, second = pairs[header]
+        first, second = sorted(pairs[header], key=list(units).index)
         if f"{first},{second}" in covariances:
             raise MeasurementError(
                 f"{table.path}: the covariance of {first} and {second} is said twice; leave one "
                 "of the columns"
             )
         unit, needed = table.units[header], (units[first], units[second])
-        factor = _product_factor(unit or "", needed)
-        if factor is None:
+        product = _SQUARE.sub(r"\1 \1", (unit or "").strip())
+        parts = [UNITS.get(part, (part, 1.0)) for part in re.split(r"\s*[·*⋅ ]\s*", product)]
+        if sorted(dimension for dimension, _ in parts) != sorted(needed):
             has = "no unit" if unit is None else f"unit [{unit}]"
             raise MeasurementError(
                 f"{table.path}: column {header!r} has {has}; expected "
                 f"'{header} [{product_unit(*needed)}]', the product of both, or [mm2], [mm mrad], "
                 "[mrad2]"
             )
+        factor = prod(factor for _, factor in parts)
         covariances[f"{first},{second}"] = table.plain(header, blank=True) * factor
     return covariances
-
-
-def _product_factor(unit: str, needed: tuple[str, str]) -> float | None:
-    """Return the factor to SI of a product of two units, None if it is another."""
-    square = _SQUARE.fullmatch(unit.strip())
-    parts = [square[1]] * 2 if square else re.split(r"\s*[·*⋅ ]\s*", unit.strip())
-    if sorted(UNITS.get(part, (part,))[0] for part in parts) != sorted(needed):
-        return None
-    return UNITS[parts[0]][1] * UNITS[parts[1]][1]
 
 
 def product_unit(first: str, second: str) -> str:

@@ -34,6 +34,7 @@ from pincal.types import Array
 from pincal.words.numbers import amount
 
 _log = logging.getLogger(__name__)
+_TURNS = {name for names, _ in WAYS.values() for name in names}
 _MATTERS = 1.0  # of what points miss their plane by: less that they are shortened is noise
 
 
@@ -128,7 +129,8 @@ def read_measurements(
     level = {"z": "m"} if platform.space == 2 and "z" not in further else {}
     known = known_columns(mechanism, further | level)
     table = table_of(source, mechanism, known, influences)
-    table = table.where_measured(_measured_columns(mechanism, further))
+    columns = (*platform.coordinates, *_TURNS, *further, *mechanism.reading_names)
+    table = table.where_measured(columns)
     _check_columns(table, mechanism, setup, further)
     way = _way(table, mechanism)
     if platform.turns == 3 and partial and way is None:
@@ -158,21 +160,15 @@ def read_measurements(
     )
 
 
-def _measured_columns(mechanism: Mechanism, further: Iterable[str]) -> set[str]:
-    """Return the columns that say what was measured or read, those of a setup too."""
-    turns = {name for names, _ in WAYS.values() for name in names}
-    return {*mechanism.platform.coordinates, *turns, *further, *mechanism.reading_names}
-
-
 def _further_columns(
     table: TextTable, units: Mapping[str, str], *, partial: bool
 ) -> tuple[dict[str, Array], dict[str, Array]]:
     """Return what was measured besides poses and readings, by column, and its uncertainties."""
     wanted = [name for name in units if name in table or not partial]
-    uncertain = {name: unit for name, unit in units.items() if f"sigma_{name}" in table}
+    uncertain = [name for name in units if f"sigma_{name}" in table]
     return (
         {name: table.numbers(name, units[name], blank=True) for name in wanted},
-        {name: _sigma(table, name, unit, blank=partial) for name, unit in uncertain.items()},
+        {name: _sigma(table, name, units[name], blank=partial) for name in uncertain},
     )
 
 

@@ -6,7 +6,7 @@ together.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -168,6 +168,26 @@ def read_mechanism(folder: Path) -> Mechanism:
     return mechanism
 
 
+def _joint_fault(
+    named: Iterable[str], home: Mapping[str, float], joints: Sequence[Joint], urdf: str
+) -> str:
+    """Return which joints a leg names that its URDF does not have, or not though they move."""
+    known = [joint.name for joint in joints]
+    for name in named:
+        if name not in known:
+            chain = ", ".join(known[:-1])
+            return (
+                f"unknown joint {name!r}; {urdf} has {chain}, the platform point is {known[-1]!r}"
+            )
+    moving = [joint.name for joint in joints if joint.kind != "fixed"]
+    if set(home) == set(moving):
+        return ""
+    return (
+        f"'home' gives {', '.join(home) or 'nothing'}; it needs the home position of each moving "
+        f"joint: {', '.join(moving)}"
+    )
+
+
 def _leg(entry: Entry, folder: Path, points: Mapping[str, Joint]) -> Leg:
     """Return a leg, of its keys and its URDF."""
     needed = ("name", "urdf", "tip", "platform_point", "home", "sensors", "parameters")
@@ -188,19 +208,9 @@ def _leg(entry: Entry, folder: Path, points: Mapping[str, Joint]) -> Leg:
             f"{', '.join(sorted(points)) or 'none'}"
         )
     point, placements = points[point_name], keys["placements"].pairs()
-    known = [joint.name for joint in (*chain, point)]
-    for joint_name in (*placements, *home, *(sensor.joint for sensor in sensors)):
-        if joint_name not in known:
-            raise MechanismError(
-                f"{name}: unknown joint {joint_name!r}; {path.name} has {', '.join(known[:-1])}, "
-                f"the platform point is {point.name!r}"
-            )
-    moving = [joint.name for joint in chain if joint.kind != "fixed"]
-    if set(home) != set(moving):
-        raise MechanismError(
-            f"{name}: 'home' gives {', '.join(home) or 'nothing'}; it needs the home position of "
-            f"each moving joint: {', '.join(moving)}"
-        )
+    named = (*placements, *home, *(sensor.joint for sensor in sensors))
+    if fault := _joint_fault(named, home, (*chain, point), path.name):
+        raise MechanismError(f"{name}: {fault}")
 
     def placed(joint: Joint) -> Joint:
         place = f"{name}, placement of {joint.name!r}"

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -26,6 +26,7 @@ from pincal.files.text import read_xml
 from pincal.files.urdf import numbers_text, xml_text
 from pincal.formats.tree import Edge, Tree, at_home, turns, with_ranges
 from pincal.kinematics.assembly import assembled
+from pincal.kinematics.closure import largest_size
 from pincal.model.checks import LARGEST
 from pincal.model.leg import Closing, Joint, JointKind, Leg
 from pincal.model.mechanism import Mechanism
@@ -256,45 +257,37 @@ def mjcf(mechanism: Mechanism) -> str:
     with suppress(MechanismError):
         legs, platform = assembled(mechanism.legs, mechanism.platform)
         mechanism = replace(mechanism, legs=legs, platform=platform)
-    first, placed = mechanism.legs[0], [leg.joints for leg in mechanism.legs]
+    first, placed = mechanism.legs[0], [joint for leg in mechanism.legs for joint in leg.joints]
     serial = len(mechanism.legs) == 1 and first.is_arm and first.point.placement == Placement()
-    names = [joint.name for joints in placed for joint in joints]
+    freedoms = [] if serial else _freedoms(mechanism.platform)
+    names = [joint.name for joint in placed]
     shared = len(set(names)) != len(names) or _PLATFORM in names
-    longest = max(float(np.linalg.norm(j.placement.xyz)) for joints in placed for j in joints)
-    thickness = 0.02 * (longest or 1.0)
+    thickness = 0.01 * largest_size(mechanism.legs)
     root = etree.Element("mujoco", model=mechanism.name)
     etree.SubElement(root, "compiler", angle="radian", autolimits="true")
     world = etree.SubElement(root, "worldbody")
     base = etree.SubElement(world, "body", name="base")
     equality, actuators = (etree.SubElement(root, tag) for tag in ("equality", "actuator"))
-    home: list[float] = []
-    end = base
-    freedoms = [] if serial else _freedoms(mechanism.platform)
-    for joint in freedoms:
-        end = _body(
-            end, _PLATFORM if joint is freedoms[-1] else f"on_{joint.name}", joint, thickness
-        )
-        home.append(joint.home)
-    carried = end
+    carried = _chain(base, "on_platform", freedoms, thickness)
     for leg in mechanism.legs:
-        stem, end = f"{leg.name}_" * shared, base
-        for index, joint in enumerate(leg.joints):
-            is_tip = serial and joint is leg.joints[-1]
-            name = _PLATFORM if is_tip else f"{leg.name}_link_{index + 1}"
-            end = _body(end, name, replace(joint, name=stem + joint.name), thickness)
-            home += [joint.home] * (joint.kind != "fixed")
+        stem = f"{leg.name}_" * shared
+        joints = [replace(joint, name=stem + joint.name) for joint in leg.joints]
+        end = _chain(base, f"{leg.name}_link", joints, thickness)
         for sensor in leg.sensors:
             name = stem + sensor.joint
             etree.SubElement(actuators, "position", name=name, joint=name)
-        if not serial:
-            sites = {"site1": f"{leg.name}_tip", "site2": f"{leg.name}_end"}
-            etree.SubElement(end, "site", name=sites["site1"])
-            point = _written_pose(_point(leg, mechanism.platform))
-            etree.SubElement(carried, "site", {"name": sites["site2"], **point})
-            tag = "connect" if leg.closes == "point" else "weld"
-            etree.SubElement(equality, tag, {"name": leg.name, **sites})
-    frames = etree.SubElement(root, "keyframe")
-    etree.SubElement(frames, "key", name="home", qpos=numbers_text(home))
+        if serial:
+            carried = end
+            continue
+        sites = {"site1": f"{leg.name}_tip", "site2": f"{leg.name}_end"}
+        etree.SubElement(end, "site", name=sites["site1"])
+        point = _written_pose(_point(leg, mechanism.platform))
+        etree.SubElement(carried, "site", {"name": sites["site2"], **point})
+        tag = {"point": "connect", "frame": "weld"}[leg.closes]
+        etree.SubElement(equality, tag, {"name": leg.name, **sites})
+    carried.set("name", _PLATFORM)
+    home = numbers_text(joint.home for joint in (*freedoms, *placed) if joint.kind != "fixed")
+    etree.SubElement(etree.SubElement(root, "keyframe"), "key", name="home", qpos=home)
     return xml_text(root)
 
 
@@ -316,20 +309,25 @@ def _point(leg: Leg, platform: Platform) -> Placement:
     return Placement((), (x, y, z), leg.point.placement.rpy)
 
 
-def _body(parent: etree._Element, name: str, joint: Joint, thickness: float) -> etree._Element:
-    """Add a body on another one by a joint, and a rod to it."""
-    body = etree.SubElement(parent, "body", {"name": name, **_written_pose(joint.placement)})
-    etree.SubElement(body, "inertial", pos="0 0 0", mass="0.1", diaginertia="0.001 0.001 0.001")
-    if joint.kind != "fixed":
-        kind = "slide" if joint.kind == "prismatic" else "hinge"
-        attributes = {"name": joint.name, "type": kind, "axis": numbers_text(joint.axis)}
-        if np.isfinite([joint.lower, joint.upper]).all():
-            attributes["range"] = numbers_text((joint.lower, joint.upper))
-        etree.SubElement(body, "joint", attributes)
-    if any(abs(value) > 1e-9 for value in joint.placement.xyz):
-        shape = {"fromto": f"0 0 0 {numbers_text(joint.placement.xyz)}", "size": f"{thickness:.6g}"}
-        looks = {"type": "capsule", "contype": "0", "conaffinity": "0", "mass": "0"}
-        etree.SubElement(parent, "geom", {**shape, **looks})
+def _chain(
+    body: etree._Element, name: str, joints: Iterable[Joint], thickness: float
+) -> etree._Element:
+    """Hang a body with each joint, and a rod to it, on the one before; return the last one."""
+    for index, joint in enumerate(joints):
+        parent, placement = body, joint.placement
+        pose = {"name": f"{name}_{index + 1}", **_written_pose(placement)}
+        body = etree.SubElement(parent, "body", pose)
+        etree.SubElement(body, "inertial", pos="0 0 0", mass="0.1", diaginertia="0.001 0.001 0.001")
+        if joint.kind != "fixed":
+            kind = "slide" if joint.kind == "prismatic" else "hinge"
+            attributes = {"name": joint.name, "type": kind, "axis": numbers_text(joint.axis)}
+            if np.isfinite([joint.lower, joint.upper]).all():
+                attributes["range"] = numbers_text((joint.lower, joint.upper))
+            etree.SubElement(body, "joint", attributes)
+        if any(abs(value) > 1e-9 for value in placement.xyz):
+            shape = {"fromto": f"0 0 0 {numbers_text(placement.xyz)}", "size": f"{thickness:.6g}"}
+            looks = {"type": "capsule", "contype": "0", "conaffinity": "0", "mass": "0"}
+            etree.SubElement(parent, "geom", {**shape, **looks})
     return body
 
 
