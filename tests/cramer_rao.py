@@ -146,68 +146,10 @@ def machine(kind: str, count: int = 40, size: float = 2e-3) -> Machine:
     return Machine(nominal, true, found.positions[ok], rotations[ok])
 
 
-@dataclass(frozen=True)
-class Statistics:
-    """What many data sets tell of an estimator."""
-
-    ratio: float
-    """Root mean square error of the parameters over the bound."""
-    ratio_error: float
-    """Its standard error, of so many data sets."""
-    paired: float
-    """The same over the efficient (linearised) estimate's on the same noise."""
-    paired_error: float
-    """Its standard error, which is far smaller."""
-    coverage: float
-    """Share of true values within the intervals of 95 %."""
-    coverage_error: float
-    promised: float
-    """Root mean square of the standard errors over the bound."""
-    chi2: float
-    """Mean reduced χ²."""
-    unconverged: int
-
-
 def values_of(result: pincal.CalibrationResult) -> Array:
     """Return identified values, standard errors and intervals' ends, shape (4, n)."""
-    if hasattr(result, "legs"):
-        found = [p for leg in result.legs for p in leg.parameters]
-    else:
-        legs = result.nominal.legs
-        found = [result[f"{leg.name}.{name}"] for leg in legs for name in leg.parameter_names]
+    found = [p for leg in result.legs for p in leg.parameters]
     return np.array([[p.identified, p.std, p.low, p.high] for p in found]).T
-
-
-def statistics(kind: str, sets: int = 300, **options: object) -> Statistics:
-    """Return statistics of ``pincal.calibrate`` with some options, the noise given.
-
-    Standard errors are those of a mean over data sets, whose parameters are correlated.
-    """
-    one = machine(kind)
-    squares, efficient, within, promised, chi2, lost = [], [], [], [], [], 0
-    for seed in range(sets):
-        data, error = one.measured(seed)
-        result = pincal.calibrate(one.nominal, data, **{"noise": NOISE, **options})  # type: ignore[arg-type]
-        values, std, low, high = values_of(result)
-        squares.append((((values - one.parameters) / one.bound) ** 2).mean())
-        efficient.append(((error / one.bound) ** 2).mean())
-        within.append(((low <= one.parameters) & (one.parameters <= high)).mean())
-        promised.append(((std / one.bound) ** 2).mean())
-        chi2.append(result.reduced_chi2)
-        lost += not result.converged
-    a, b, root = np.array(squares), np.array(efficient), np.sqrt(sets)
-    ratio, paired = np.sqrt(a.mean()), np.sqrt(a.mean() / b.mean())
-    return Statistics(
-        ratio=float(ratio),
-        ratio_error=float(a.std() / root / (2 * ratio)),
-        paired=float(paired),
-        paired_error=float((a - paired**2 * b).std() / root / (2 * paired * b.mean())),
-        coverage=float(np.mean(within)),
-        coverage_error=float(np.std(within) / root),
-        promised=float(np.sqrt(np.mean(promised))),
-        chi2=float(np.mean(chi2)),
-        unconverged=lost,
-    )
 
 
 def drawn(

@@ -19,7 +19,6 @@ from measured import (
     platform_accuracy,
     put,
     seen_from_elsewhere,
-    shaken,
     targets,
     workspace,
 )
@@ -382,24 +381,18 @@ def test_the_optimum_equals_that_of_another_solver() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["5R", "3RRR", "6UPS"])
 def test_each_leg_alone_is_less_accurate(kind: str) -> None:
-    """On the same 30 noisy data sets, errors over the bound of all legs together are larger."""
-    mechanism, truth, clean = machine(kind, 40, EXACT)
-    true = np.concatenate([leg.nominal for leg in truth.legs])
-    bound = pincal.forecast(truth, clean.poses, NOISE).std
-    off: dict[str, list[np.ndarray]] = {"all-legs": [], "per-leg": []}
-    for seed in range(30):
-        data = shaken(mechanism, clean, NOISE, seed)
-        for method, own in off.items():
-            result = pincal.calibrate(
-                mechanism,
-                data,
-                method=method,  # type: ignore[arg-type]
-                poses="all",
-                noise=NOISE,
-            )
-            own.append(np.concatenate([leg.identified for leg in result.legs]) - true)
-    together, alone = (((np.array(one) / bound) ** 2).mean() for one in off.values())
-    assert alone > together
+    """Of the same data no parameter is better known by its leg alone, and most are worse.
+
+    That standard errors are what they say: tests/test_statistics.py and tests/test_calibrate.py.
+    """
+    mechanism, _, data = machine(kind, 40)
+    options = {"poses": "all", "noise": NOISE}
+    together, alone = (
+        np.concatenate([leg.std for leg in pincal.calibrate(mechanism, data, **one).legs])  # type: ignore[arg-type]
+        for one in (options, {**options, "method": "per-leg"})
+    )
+    assert (alone > 0.99 * together).all()
+    assert np.median(alone / together) > 1.02
 
 
 @pytest.mark.slow

@@ -295,26 +295,6 @@ def test_clean_data_recover_all_48_parameters(
         assert found.rank == 8
 
 
-@pytest.mark.slow
-def test_standard_errors_equal_the_spread(
-    hexapod: pincal.Mechanism, selection: pincal.Selection
-) -> None:
-    """Over 60 noisy fits the mean standard error is within 10 % of the spread."""
-    noise, truth = pincal.Noise(1e-4, 1e-4, 2e-5), pincal.disturb(hexapod, 2e-3, seed=2)
-    true = np.concatenate([leg.nominal for leg in truth.legs])
-    errors, std, hits = [], [], []
-    for seed in range(60):
-        data = pincal.simulate(hexapod, truth, selection.plan, noise, seed).measurements
-        result = pincal.calibrate(hexapod, data, noise=noise)
-        parameters = [p for leg in result.legs for p in leg.parameters]
-        errors.append(np.array([p.identified for p in parameters]) - true)
-        std.append([p.std for p in parameters])
-        hits.append([p.low <= t <= p.high for p, t in zip(parameters, true, strict=True)])
-    ratio = np.mean(std, axis=0) / np.std(errors, axis=0)
-    assert abs(ratio.mean() - 1) < 0.10
-    assert 0.93 <= np.mean(hits) <= 0.97
-
-
 @pytest.mark.parametrize("name", ["yaw", "pitch", "roll", "azimuth", "tilt", "torsion"])
 def test_single_angles_and_their_derivatives(name: str) -> None:
     """As SciPy's Euler angles have them, tilt and torsion as Z-Y-Z; derivatives by differences.
