@@ -33,10 +33,9 @@ WHY = {
     "threadpoolctl": "one thread of BLAS while small matrices are computed: two take up to four "
     "times as long",
     "matplotlib": "plots, also those inside reports, as SVG",
-    "meshcat": "`pincal view`: draws scenes in the browser; its viewer (three.js, MIT) is one file "
+    "meshcat": "`pincal view` in the browser: its viewer (three.js, MIT) is one file "
     "that goes into the page; its server, and what that needs (tornado, pyzmq, pyngrok, ipython), "
     "are installed with it but not used",
-    "u-msgpack-python": "packs meshcat's commands as its viewer reads them; meshcat needs it too",
     "pandas": "extra `pandas`: tables in and out as DataFrames",
     "mujoco": "extra `mujoco`: reads MJCF, its own format: defaults, includes, frames, replicas, "
     "all notations of orientations; a reader by hand knew some of them, and lost joints in silence",

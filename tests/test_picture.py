@@ -196,7 +196,7 @@ def test_poses_sets_and_result_are_in_the_picture() -> None:
     poses = [[0.0, 0.0, 0.0], [0.1, 0.0, 0.1], [0.0, 0.1, 0.0]]
     plan = pincal.Plan(np.array(poses), ("leg_1", "leg_2", "leg_1"))
     true = pincal.disturb(mechanism, 1e-3, seed=0)
-    picture = pincal.picture(mechanism, plan, row=1, identified=true, magnify=20)
+    picture = pincal.picture(mechanism, plan, identified=true, magnify=20)
     texts, count = seen(picture)
     assert {"2 poses for leg_1", "1 pose for leg_2", "identified, errors × 20"} <= texts
     assert count > seen(pincal.picture(mechanism))[1]

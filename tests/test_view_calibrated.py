@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import pincal
-from pincal.show.view.calibrated import calibrated, frustum, misses_of, stations
+from pincal.show.view.calibrated import calibrated, misses_of, stations
 from pincal.show.view.scene import Scene, scene
 
 NOISE = pincal.Noise(1e-5, 1e-5)
@@ -87,7 +87,7 @@ def test_tracker_stands_where_the_frame_says() -> None:
     setup = pincal.Setup(unknown_frame=True, tracker=tracker)
     noise = pincal.Noise(orientation=1e-6)
     result = pincal.calibrate(mechanism, moved, noise=noise, setup=setup)
-    ((_name, T_base_station, _sees),) = stations(result)
+    ((_name, T_base_station),) = stations(result)
     expected = T.inv().apply([0.1, 0.2, 0.3])
     np.testing.assert_allclose(T_base_station[:3, 3], expected, atol=2e-2)
     page = pincal.view(mechanism, result.poses[:2]).with_result(result).html()
@@ -131,7 +131,6 @@ class Camera:
     """Sees the platform's origin as two tangents, from a place that is to be found."""
 
     name, columns = "camera", {"u": "m", "v": "m"}
-    sees = (0.5, 0.4)
 
     def __init__(self, at: np.ndarray) -> None:
         self.parameters = tuple(
@@ -181,16 +180,12 @@ def seen_by_a_camera() -> tuple[pincal.CalibrationResult, np.ndarray]:
 
 @pytest.mark.slow
 def test_a_camera_stands_where_it_was_found() -> None:
-    """An instrument that says where it stands is drawn there, with what it sees."""
+    """An instrument that says where it stands is drawn there."""
     result, at = seen_by_a_camera()
-    ((_name, T_base_station, sees),) = stations(result)
+    ((_name, T_base_station),) = stations(result)
     np.testing.assert_allclose(T_base_station[:3, 3], at, atol=1e-3)
-    assert sees == (0.5, 0.4)
     view = pincal.view(result.nominal, result.poses[:2]).with_result(result)
     assert "camera, 1.02 m from the base frame" in view.html()
-    edges = frustum(sees, 2.0)
-    np.testing.assert_allclose(np.abs(edges[4:8]).max(axis=(0, 1)), [1.0, 0.8, 2.0])
-    assert not edges[:4, 0].any()
 
 
 @pytest.mark.slow
@@ -203,9 +198,9 @@ def test_frame_of_the_measurements_is_where_it_was_found() -> None:
     data = pincal.simulate(mechanism, truth, plan, NOISE, 3).measurements
     moved = replace(data, poses=data.poses + np.array([0.3, -0.2]))
     result = pincal.calibrate(mechanism, moved, noise=NOISE, setup=pincal.Setup(unknown_frame=True))
-    ((name, T_base_station, sees),) = stations(result)
+    ((name, T_base_station),) = stations(result)
     np.testing.assert_allclose(T_base_station[:3, 3], [-0.3, 0.2, 0.0], atol=0.1)
-    assert (name, sees) == ("frame of the measurements", None)
+    assert name == "frame of the measurements"
     assert not stations(calibration())
     found, _ = seen_by_a_camera()
     camera = found.options.setup.instruments[0]

@@ -32,9 +32,7 @@ class Instrument(Protocol):
     """Anything that reads the platform's pose, in its own columns and with its own unknowns.
 
     One that says where it stands is drawn there by a view of the result: by a method
-    ``stand(values)`` that returns T_frame_instrument, shape (4, 4), at values of its parameters. A
-    camera, which looks along z, may have ``sees``: half width and half height of its picture at a
-    distance of 1.
+    ``stand(values)`` that returns T_frame_instrument, shape (4, 4), at values of its parameters.
 
     Example:
         >>> import numpy as np, pincal

@@ -79,7 +79,7 @@ function Jog({ data, viewer, element, doubles, halt, draw }) {
     if (event.button !== 0 || !data.sliders.some(({ axis }) => axis >= 0)) return;
     aim(event);
     const parts = machine.objects.filter((_, i) => machine.paths[i].includes("/platform/"));
-    const [hit] = ray.intersectObjects(parts.map(([object]) => object), true);
+    const [hit] = ray.intersectObjects(parts, true);
     if (!hit) return;
     plane.setFromNormalAndCoplanarPoint(viewer.camera.getWorldDirection(new THREE.Vector3()), hit.point);
     held = { from: hit.point.clone(), offset: [...offset] };

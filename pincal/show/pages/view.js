@@ -30,52 +30,58 @@
     viewer.set_dirty();
   };
 
-  // The scene
+  // The scene: shapes on parts that move, dots and lines that stand still
 
-  data.commands.forEach((command) => viewer.handle_command_bytearray(bytes(command)));
+  const corners = (text) => new THREE.BufferAttribute(new Float32Array(doubles(text)), 3);
+  const geometries = {
+    box: ({ size }) => new THREE.BoxGeometry(...size),
+    cylinder: ({ size: [radius, length] }) => new THREE.CylinderGeometry(radius, radius, length, 50).rotateX(Math.PI / 2), // along z
+    sphere: ({ size: [radius] }) => new THREE.SphereGeometry(radius, 20, 20),
+    mesh: ({ points, faces }) => new THREE.BufferGeometry().setAttribute("position", corners(points)).setIndex(faces).toNonIndexed(), // sharp edges
+  };
+  const look = (colour, opacity) => ({ color: colour, opacity, transparent: opacity < 1, side: THREE.DoubleSide });
+
   for (const body of data.bodies) {
     body.matrices = doubles(body.matrices);
-    body.objects = body.paths.map((path) => [node(path).object]); // and its shadow
     body.share = 1; // of what differs from the nominal machine that is drawn
+    body.objects = body.paths.map((path) => node(path).object);
+    body.shapes.forEach((shapes, part) => shapes.forEach((shape) => {
+      const geometry = geometries[shape.kind](shape);
+      if (shape.kind === "mesh") geometry.computeVertexNormals();
+      const solid = new THREE.Mesh(geometry, new THREE.MeshLambertMaterial(look(shape.colour, body.opacity)));
+      solid.applyMatrix4(new THREE.Matrix4().fromArray(shape.T));
+      body.objects[part].add(solid);
+    }));
   }
+  for (const { path, points, colour, pixels, opacity } of data.still) {
+    const geometry = new THREE.BufferGeometry().setAttribute("position", corners(points));
+    const dots = pixels && new THREE.PointsMaterial({ color: colour, size: pixels, sizeAttenuation: false });
+    const lines = new THREE.LineBasicMaterial(look(colour, opacity));
+    node(path).object.add(dots ? new THREE.Points(geometry, dots) : new THREE.LineSegments(geometry, lines));
+  }
+  ["Grid", "Axes"].forEach((path) => setVisible(path, false)); // meshcat's own
 
   function place(body, index) {
     // matrices hold columns of 3 for each part; NaN where it is not to be drawn
     const [nominal, own] = [drawn.matrices[0], drawn.matrices[index]];
     const mixed = body.share !== 1 && nominal.length === own.length;
-    body.objects.forEach((objects, part) => {
+    body.objects.forEach((object, part) => {
       if (body.paths[part].includes("/base/")) return; // stands still
       let m = own ? own.subarray(12 * part, 12 * part + 12) : [NaN];
       if (mixed) m = m.map((value, i) => value * body.share + (1 - body.share) * nominal[12 * part + i]);
-      for (const object of objects) {
-        object.visible = !Number.isNaN(m[0]);
-        object.matrixAutoUpdate = false; // sheared parts have no quaternion
-        if (object.visible) object.matrix.set(m[0], m[3], m[6], m[9], m[1], m[4], m[7], m[10], m[2], m[5], m[8], m[11], 0, 0, 0, 1);
-        object.matrixWorldNeedsUpdate = true;
-      }
+      object.visible = !Number.isNaN(m[0]);
+      object.matrixAutoUpdate = false; // sheared parts have no quaternion
+      if (object.visible) object.matrix.set(m[0], m[3], m[6], m[9], m[1], m[4], m[7], m[10], m[2], m[5], m[8], m[11], 0, 0, 0, 1);
+      object.matrixWorldNeedsUpdate = true;
     });
     viewer.set_dirty();
   }
 
-  // Beneath a mechanism in space, its shadow and the line down from its platform
+  // The line from the platform of a mechanism in space down to the ground
 
-  const [machine] = data.bodies;
-  const platform = machine.paths.indexOf("meshcat/mechanism/platform/body");
+  const platform = data.bodies[0].paths.indexOf("meshcat/mechanism/platform/body");
   const drop = new THREE.Line(new THREE.BufferGeometry(), new THREE.LineBasicMaterial({ color: 0x777777 }));
-  if (!data.planar) {
-    const dark = new THREE.MeshBasicMaterial({ color: 0xd9dce0, side: THREE.DoubleSide });
-    const flat = new THREE.Group();
-    flat.matrixAutoUpdate = false;
-    flat.matrix.set(1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1e-4, data.level + 5e-4 * size, 0, 0, 0, 1);
-    machine.objects.forEach((objects, part) => {
-      if (machine.paths[part].includes("/base/")) return;
-      const shadow = objects[0].clone();
-      shadow.traverse((one) => one.isMesh && (one.material = dark));
-      objects.push(shadow);
-      flat.add(shadow);
-    });
-    node("meshcat/shadow").object.add(flat, drop);
-  }
+  if (!data.planar) node("meshcat/drop").object.add(drop);
 
   // Colours on dark ground; materials keep their own where the palette has none
 
@@ -173,7 +179,7 @@
     checkbox(find("sets"), `${name}${count} ${count === 1 ? "pose" : "poses"}`, true, change, set.colour);
   });
   const boxes = {};
-  data.layers.forEach(({ path, name, shown, colour }) => {
+  data.panel.forEach(({ path, name, shown, colour }) => {
     boxes[path] = checkbox(find("layers"), name, shown, (on) => setVisible(path, on), colour);
   });
 
@@ -209,9 +215,6 @@
   }
 
   function fit() {
-    data.sets.forEach((_, index) => node(`meshcat/sets/${index + 1}`).object.traverse(({ isPoints, material }) => {
-      if (isPoints) material.size = Math.min(pane.clientWidth, pane.clientHeight) < 500 ? 4 : 7; // pixels
-    }));
     const aspect = (pane.clientWidth - 2 * labels.beside()) / pane.clientHeight;
     const half = 1.14 * Math.max(data.half[1], data.half[0] / aspect, 0.1 * size);
     Object.assign(camera, { top: half, bottom: -half, zoom: 1 });

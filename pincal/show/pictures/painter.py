@@ -42,7 +42,7 @@ def paint(axes: Axes, shapes: list[tuple[Shape, Array]], V: Array, colour: str =
     for shape, place in shapes:
         points = _points(shape, place @ shape.T_link_shape, V)
         if len(points):  # sorted by the nearest point, but of plates, on which others stand
-            depth = float(np.quantile(points @ V[2], 0.25 if shape.kind == "hull" else 1.0))
+            depth = float(np.quantile(points @ V[2], 0.25 if shape.kind == "mesh" else 1.0))
             polygons.append((round(depth, 9), _hull(points @ V[:2].T), colour or shape.colour))
     polygons.sort(key=lambda polygon: polygon[0])
     fills = np.array([to_rgb(fill) for *_, fill in polygons]).reshape(-1, 3)

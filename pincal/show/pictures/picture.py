@@ -19,7 +19,6 @@ from matplotlib.lines import Line2D
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
-from pincal.errors import MeasurementError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.configurations import home_of, joints_at
@@ -37,17 +36,15 @@ from pincal.words.wording import clean
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """A picture of a scene: the mechanism at one pose, all other poses as faint lines."""
+    """A picture of a scene: the mechanism at the first pose, all other poses as faint lines."""
 
     scene: Scene
-    row: int = 0
-    """Which pose the mechanism is drawn at."""
     dimensions: str = ""
     """Leg whose parameters are drawn as dimensions, if any."""
 
     def draw(self, axes: Axes) -> Axes:
         """Draw into axes, best inside ``pincal.show.pictures.files.drawing()``."""
-        scene, row, dimensions = self.scene, self.row, self._drawn
+        scene, dimensions = self.scene, self._drawn
         V, (low, high) = scene.axes, self._extent
         ground = scene.ground()
         lines = list(ground.points @ V[:2].T)
@@ -55,16 +52,16 @@ class Picture:
         legend = [Line2D([], [], color=ground.colour, lw=0.8, label=ground.name)]
         if len(scene.plan.poses) > 1:
             legend += _ghosts(axes, scene)
-        paint(axes, scene.body.shapes_at(row), V)
+        paint(axes, scene.body.shapes_at(0), V)
         if scene.magnified:
-            paint(axes, scene.magnified.shapes_at(row), V, IDENTIFIED)
+            paint(axes, scene.magnified.shapes_at(0), V, IDENTIFIED)
             legend.append(_dot(IDENTIFIED, f"identified, errors × {scene.magnify:g}"))
         legend.append(_dot(ACTIVE, "active joint"))
         if any(leg.passive for leg in scene.mechanism.legs):
             legend.append(_dot(PASSIVE, "passive joint"))
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
         axes.set_axis_off()
-        links = scene.body.skeletons()[row] @ V[:2].T
+        links = scene.body.skeletons()[0] @ V[:2].T
         names = Names(axes, links[np.isfinite(links).all(axis=(1, 2))])
         _name_axes_and_legs(names, scene)
         draw_dimensions(names, dimensions, V)
@@ -79,7 +76,7 @@ class Picture:
     @cached_property
     def _drawn(self) -> list[Dimension]:
         """Parameters of the leg that are not zero; none where it is not drawn."""
-        mechanism, poses = self.scene.mechanism, self.scene.plan.poses[[self.row]]
+        mechanism, poses = self.scene.mechanism, self.scene.plan.poses[:1]
         if not self.dimensions:
             return []
         joints = joints_at(mechanism, poses).joints[self.dimensions][0]
@@ -94,7 +91,7 @@ class Picture:
     def _extent(self) -> Array:
         """Least and largest of what is seen, right and up, shape (2, 2), [m]."""
         scene, lines = self.scene, [dimension.line for dimension in self._drawn]
-        tips = scene.body.platform[self.row] @ np.vstack((scene.body.axis * np.eye(3), np.ones(3)))
+        tips = scene.body.platform[0] @ np.vstack((scene.body.axis * np.eye(3), np.ones(3)))
         points = np.concatenate((scene.points(), tips[:3].T, *lines)) @ scene.axes[:2].T
         low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
         margin = 0.06 * float(np.max(high - low))
@@ -129,7 +126,6 @@ def picture(
     mechanism: GivenMechanism,
     poses: Plan | ArrayLike | RigidTransform | None = None,
     *,
-    row: int = 0,
     identified: GivenMechanism | None = None,
     magnify: float = MAGNIFY,
     dimensions: str = "",
@@ -141,8 +137,8 @@ def picture(
 
     Args:
         mechanism: The mechanism, at its nominal parameters.
-        poses: As for ``view``; home if not given.
-        row: Which of them the mechanism is drawn at; all others are faint lines, by set.
+        poses: As for ``view``; home if not given. The mechanism is drawn at the first of them, all
+            others are faint lines, by set.
         identified: The calibrated mechanism, drawn over the nominal one.
         magnify: Factor on what differs between its parameters and the nominal ones.
         dimensions: Name of a leg whose parameters are drawn as lengths and angles.
@@ -150,17 +146,12 @@ def picture(
     Raises:
         MechanismError: poses of a wrong shape, or not finite; an identified mechanism that
             is not one of this mechanism; no such leg.
-        MeasurementError: no poses, too many or not whole, no such row; a factor that is not
-            positive.
+        MeasurementError: no poses, too many or not whole; a factor that is not positive.
     """
     mechanism = as_mechanism(mechanism)
     plan = plan_of(mechanism, home_of(mechanism) if poses is None else poses)
-    if not 0 <= row < max(len(plan.poses), 1):
-        raise MeasurementError(
-            f"pose {row + 1} is not among the poses; expected 1 to {len(plan.poses)}"
-        )
     leg = mechanism.leg(dimensions).name if dimensions else ""
-    return Picture(scene(mechanism, plan, None, identified, magnify), row, leg)
+    return Picture(scene(mechanism, plan, None, identified, magnify), leg)
 
 
 _WIDTH, _HEIGHTS = 5.2, (1.8, 6.0)  # of a picture; least and most of what is drawn, [inch]

@@ -31,7 +31,7 @@ _FLAT = 1e-6  # of what is a plane's size
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """A box, cylinder (along z) or sphere on a link, the hull of points, or a mesh."""
+    """A box, cylinder (along z), sphere or mesh on a link."""
 
     kind: str
     size: tuple[float, ...]
@@ -41,7 +41,7 @@ class Shape:
     colour: str
     """``"#rrggbb"``."""
     points: Array | None = None
-    """Of a hull, or corners of a mesh, shape (n, 3), [m]."""
+    """Corners of a mesh, shape (n, 3), [m]."""
     faces: NDArray[np.int64] | None = None
     """Corners of a mesh's triangles, shape (m, 3)."""
 
@@ -71,7 +71,8 @@ def plate(points: Array, thickness: float) -> tuple[Shape, ...]:
         return ()
     shift = 0.5 * thickness * axes[2]
     corners = np.concatenate((points + shift, points - shift))
-    return (Shape("hull", (), np.eye(4), PALE, corners[ConvexHull(corners).vertices]),)
+    corners = corners[ConvexHull(corners).vertices]
+    return (Shape("mesh", (), np.eye(4), PALE, corners, ConvexHull(corners).simplices),)
 
 
 def frame(feet: Array, radius: float) -> tuple[Shape, ...]:

@@ -16,7 +16,6 @@ from pincal.types import Array, Mask
 
 _LONG, _LONGEST = 0.08, 0.5  # of the scene's size: a long arrow; where it is cut
 _HEAD = 0.2  # of an arrow's length
-_DEPTH = 0.3  # of what a camera sees, of the scene's size
 
 
 def calibrated(scene: Scene, result: CalibrationResult) -> Scene:
@@ -25,13 +24,11 @@ def calibrated(scene: Scene, result: CalibrationResult) -> Scene:
     Of one that did not converge, the places of instruments alone.
     """
     layers = _arrow_layers(result, scene) if result.converged else []
-    for number, (name, T, sees) in enumerate(stations(result), 1):
-        lines = scene.body.axis * np.stack((np.zeros((3, 3)), np.eye(3)), axis=1)
-        if sees:
-            lines = np.concatenate((lines, frustum(sees, _DEPTH * scene.size)))
+    for number, (name, T) in enumerate(stations(result), 1):
+        ends = T[:3, 3] + scene.body.axis * T[:3, :3].T
+        axes = np.stack((np.broadcast_to(T[:3, 3], (3, 3)), ends), axis=1)
         shown = f"{name}, {np.linalg.norm(T[:3, 3]):.3g} m from the base frame"
-        placed = lines @ T[:3, :3].T + T[:3, 3]
-        layers.append(Layer(f"stations/{number}", shown, placed, DIMENSION))
+        layers.append(Layer(f"stations/{number}", shown, axes, DIMENSION))
     return replace(scene, layers=(*scene.layers, *layers))
 
 
@@ -102,30 +99,27 @@ def misses_of(result: CalibrationResult) -> tuple[Array, Array, Mask]:
     return measured[rows], shifts[rows], outlying
 
 
-def stations(
-    result: CalibrationResult,
-) -> list[tuple[str, Array, tuple[float, float] | None]]:
+def stations(result: CalibrationResult) -> list[tuple[str, Array]]:
     """Return the tracker, or the frame of the measurements where it was unknown, and instruments.
 
     Those that say where they stand, by a method ``stand(values)`` that returns
-    T_frame_instrument, shape (4, 4); what a camera sees, by an attribute ``sees``.
+    T_frame_instrument, shape (4, 4).
 
     Returns:
-        Of each its name, ``T_base_station``, shape (4, 4), [m], and half width and half height of
-        what a camera sees along z at a distance of 1, None if it is none.
+        Of each its name and ``T_base_station``, shape (4, 4), [m].
 
     Raises:
         MeasurementError: an instrument that stands at no rigid transform.
     """
     setup, outside = result.options.setup, result.outside
     T_base_frame = np.eye(4) if outside is None else np.asarray(np.linalg.inv(outside.frame))
-    every: list[tuple[str, Array, tuple[float, float] | None]] = []
+    every: list[tuple[str, Array]] = []
     if setup.tracker is not None:
         T_frame_tracker = np.eye(4)
         T_frame_tracker[:3, 3] = setup.tracker.at
-        every.append(("tracker", T_base_frame @ T_frame_tracker, None))
+        every.append(("tracker", T_base_frame @ T_frame_tracker))
     elif setup.unknown_frame:
-        every.append(("frame of the measurements", T_base_frame, None))
+        every.append(("frame of the measurements", T_base_frame))
     for device in setup.instruments:
         if (stand := getattr(device, "stand", None)) is None:
             continue
@@ -137,18 +131,5 @@ def stations(
                 f"instrument {device.name!r} stands at an array of shape {T.shape}; expected "
                 "T_frame_instrument, a rigid transform of shape (4, 4)"
             )
-        every.append((device.name, T_base_frame @ T, getattr(device, "sees", None)))
+        every.append((device.name, T_base_frame @ T))
     return every
-
-
-def frustum(sees: tuple[float, float], depth: float) -> Array:
-    """Return what a camera sees up to a depth [m], as segments in its frame, (9, 2, 3), [m].
-
-    Four edges from where it stands, the rectangle of its picture there, and a mark on the side
-    of the picture's top, which is towards −y.
-    """
-    x, y = depth * np.array(sees)
-    corners = np.array([[-x, -y, depth], [x, -y, depth], [x, y, depth], [-x, y, depth]])
-    edges = [(np.zeros(3), corner) for corner in corners]
-    edges += [(corners[i], corners[i - 1]) for i in range(4)]
-    return np.array([*edges, ((0.0, -y, depth), (0.0, -1.4 * y, depth))])

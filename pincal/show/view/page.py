@@ -1,51 +1,43 @@
 """A scene as one HTML page that needs nothing else: meshcat's viewer, the scene, a panel.
 
-meshcat's own ``Visualizer`` draws; where it has its window, a recorder keeps what would be sent
-to a server, so that no process is started and the commands can be put into a page. All text that
-comes from people's files goes through JSON and becomes text nodes. The page's security policy
-bars requests to any host but the one that served it.
+``view.js`` builds what is drawn with the viewer's three.js. All text that comes from people's
+files goes through JSON and becomes text nodes. The page's security policy bars requests to any
+host but the one that served it.
 """
 
 from __future__ import annotations
 
 import base64
 import json
-import warnings
 from collections.abc import Sequence
+from importlib.metadata import distribution
 from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from pincal.design.simulate import platform_errors
 from pincal.errors import MechanismError
 from pincal.show.style import DARK, IDENTIFIED, PAPER
-from pincal.show.view.bodies import GREY, Body, Shape
+from pincal.show.view.bodies import GREY, Body
 from pincal.show.view.scene import Layer, Scene, moved
 from pincal.types import Array
 from pincal.words.numbers import POSES, SMALL, per_si
 from pincal.words.wording import clean, rendered
 
-with warnings.catch_warnings():
-    warnings.simplefilter("ignore", DeprecationWarning)  # of pyzmq, when meshcat asks for it
-    import meshcat
-    import meshcat.geometry as g
-import umsgpack
-
 #: How far sliders go: of the scene's size, and [rad].
 _SLIDER_RANGE = {"m": 0.25, "rad": 0.5}
-#: Links and shadows on dark ground.
-SOLIDS_DARK = {GREY: "#8b929b", "#d9dce0": "#0b0d10"}
-#: Turns three.js' cylinders, which lie along y, to lie along z.
-_UPRIGHT = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+_SEEN_THROUGH = 0.45  # opacity of the identified machine and of ghosts
 
 
 def page(
     scene: Scene, source: str = "", notices: Sequence[str] = (), *, served: bool = False
 ) -> str:
     """Return the page of a scene.
+
+    Below ``meshcat`` in the viewer's tree: ``mechanism`` and ``identified`` with their parts
+    (``Body.parts``); ``sets/1`` and ``ghosts/1`` for the first set and so on; those of layers.
 
     Args:
         scene: What to show.
@@ -56,6 +48,10 @@ def page(
     names = list(dict.fromkeys(scene.sets))
     bounds, ground = _bounds(scene), scene.ground()
     corners = np.array(list(product(*bounds.T)))
+    still = [_still(layer) for layer in (ground, *scene.layers)]
+    for number, (name, colour, positions, lines) in enumerate(scene.by_set(), 1):
+        still.append(_still(Layer(f"sets/{number}", name, positions, colour, 6)))
+        still.append(_still(Layer(f"ghosts/{number}", name, lines, colour), _SEEN_THROUGH))
     data = {
         "source": source,
         "notices": list(notices),
@@ -66,11 +62,13 @@ def page(
         "bounds": bounds.tolist(),
         "half": (np.ptp(corners @ scene.axes[:2].T, axis=0) / 2).tolist(),
         "grid": ground.name,
-        "commands": [base64.b64encode(command).decode() for command in _commands(scene)],
+        "still": still,
         "bodies": [
             {
                 "name": root,
                 "paths": [f"meshcat/{root}/{path}" for path in body.parts],
+                "shapes": _shapes(body, "" if root == "mechanism" else IDENTIFIED),
+                "opacity": 1.0 if root == "mechanism" else _SEEN_THROUGH,
                 "matrices": _columns(body),
                 "problems": list(body.problems),
             }
@@ -87,18 +85,19 @@ def page(
             }
             for leg in scene.mechanism.legs
         ],
-        "layers": _panel(scene),
+        "panel": _panel(scene),
         "sliders": _sliders(scene),
         "level": scene.level,
         "axis": scene.body.axis,
-        "dark": DARK | SOLIDS_DARK,
+        "dark": DARK | {GREY: "#8b929b"},
         "paper": PAPER,
     }
     text = json.dumps(data, ensure_ascii=False, separators=(",", ":"))
+    viewer = distribution("meshcat").locate_file("meshcat/viewer/dist/main.min.js")
     return rendered(
         "view.html",
         title=scene.mechanism.name,
-        meshcat=(Path(meshcat.viewer_assets_path()) / "dist" / "main.min.js").read_text("utf-8"),
+        meshcat=Path(str(viewer)).read_text("utf-8"),
         data=clean(text).replace("<", "\\u003c"),
         served=served,
     )
@@ -139,10 +138,44 @@ def _bounds(scene: Scene) -> Array:
     return np.stack((near.min(axis=0), near.max(axis=0)))
 
 
+def _packed(values: Array) -> str:
+    """Return numbers as doubles in base 64."""
+    return base64.b64encode(np.ascontiguousarray(values, dtype="<f8").tobytes()).decode()
+
+
 def _columns(body: Body) -> str:
-    """Return where parts are as columns of 3, N x n_parts x 4 x 3 doubles, in base 64."""
-    columns = np.ascontiguousarray(body.placements[:, :, :3].swapaxes(2, 3), dtype="<f8")
-    return base64.b64encode(columns.tobytes()).decode()
+    """Return where parts are as columns of 3, N x n_parts x 4 x 3 doubles."""
+    return _packed(body.placements[:, :, :3].swapaxes(2, 3))
+
+
+def _shapes(body: Body, colour: str) -> list[list[dict[str, Any]]]:
+    """Return the shapes of a body's parts, in their own colours or, but its base's, in one."""
+    return [
+        [
+            {
+                "kind": shape.kind,
+                "size": shape.size,
+                "T": shape.T_link_shape.T.ravel().tolist(),
+                "colour": colour or shape.colour,
+                "points": "" if shape.points is None else _packed(shape.points),
+                "faces": [] if shape.faces is None else shape.faces.ravel().tolist(),
+            }
+            for shape in shapes
+            if not (colour and path.startswith("base/"))
+        ]
+        for path, shapes in body.parts.items()
+    ]
+
+
+def _still(layer: Layer, opacity: float = 1.0) -> dict[str, Any]:
+    """Return dots, or lines."""
+    return {
+        "path": f"meshcat/{layer.path}",
+        "points": _packed(layer.points),
+        "colour": layer.colour,
+        "pixels": layer.pixels if layer.points.ndim == 2 else 0,
+        "opacity": opacity,
+    }
 
 
 def _sliders(scene: Scene) -> list[dict[str, Any]]:
@@ -208,79 +241,3 @@ def _panel(scene: Scene) -> list[dict[str, Any]]:
         {"path": f"meshcat/{path}", "name": name, "shown": shown, "colour": colour}
         for path, name, shown, colour in lines
     ]
-
-
-class _Recorder:
-    """Takes the place of meshcat's window; keeps commands, packed as for its viewer."""
-
-    def __init__(self) -> None:
-        self.commands: list[bytes] = []
-
-    def send(self, command: Any) -> None:
-        self.commands.append(umsgpack.packb(command.lower()))
-
-
-class _Dots(g.PointsMaterial):  # type: ignore[misc]
-    """Points of a size in pixels, near and far."""
-
-    def lower(self, object_data: Any) -> dict[str, Any]:
-        lowered = super().lower(object_data)
-        return {**lowered, "sizeAttenuation": False, "vertexColors": False}
-
-
-def _commands(scene: Scene) -> list[bytes]:
-    """Return what draws a scene in meshcat's viewer, at no pose yet.
-
-    Paths below ``/meshcat``: ``mechanism`` and ``identified`` with their parts (``Body.parts``);
-    ``sets/1`` and ``ghosts/1`` for the first set and so on; those of layers.
-    """
-    recorder = _Recorder()
-    draw = meshcat.Visualizer(window=recorder)
-    for path in ("/Grid", "/Axes"):
-        draw[path].set_property("visible", False)
-    _draw_body(draw["mechanism"], scene.body)
-    if scene.magnified:
-        _draw_body(draw["identified"], scene.magnified, IDENTIFIED, opacity=0.45)
-    for number, (name, colour, positions, lines) in enumerate(scene.by_set(), 1):
-        _draw_layer(draw, Layer(f"sets/{number}", name, positions, colour, 7))
-        _draw_layer(draw, Layer(f"ghosts/{number}", name, lines, colour), opacity=0.45)
-    for layer in (scene.ground(), *scene.layers):
-        _draw_layer(draw, layer)
-    return recorder.commands
-
-
-def _draw_layer(draw: Any, layer: Layer, opacity: float = 1.0) -> None:
-    """Draw dots or lines."""
-    geometry, colour = g.PointsGeometry(layer.points.reshape(-1, 3).T), int(layer.colour[1:], 16)
-    if layer.points.ndim == 2:
-        drawn = g.Points(geometry, _Dots(size=layer.pixels, color=colour))
-    else:
-        drawn = g.LineSegments(geometry, g.LineBasicMaterial(colour, opacity=opacity))
-    draw[layer.path].set_object(drawn)
-
-
-def _draw_body(draw: Any, body: Body, colour: str = "", opacity: float = 1.0) -> None:
-    """Draw the shapes of a body's parts, in their own colours or, but its base, in one."""
-    for path, shapes in body.parts.items():
-        if colour and path.startswith("base/"):
-            continue
-        for number, shape in enumerate(shapes, 1):
-            material = g.MeshLambertMaterial(int((colour or shape.colour)[1:], 16), opacity=opacity)
-            node = draw[f"{path}/shape {number}"]
-            node.set_object(_geometry(shape), material)
-            cylinder = shape.kind == "cylinder"
-            node.set_transform(shape.T_link_shape @ (_UPRIGHT if cylinder else np.eye(4)))
-
-
-def _geometry(shape: Shape) -> Any:
-    """Return a shape for meshcat; each triangle has corners of its own, so that edges are sharp."""
-    if shape.kind == "box":
-        return g.Box(shape.size)
-    if shape.kind == "cylinder":
-        radius, length = shape.size
-        return g.Cylinder(length, radius)
-    if shape.points is None:
-        return g.Sphere(*shape.size)
-    faces = ConvexHull(shape.points).simplices if shape.faces is None else shape.faces
-    corners = shape.points[faces].reshape(-1, 3)
-    return g.TriangularMeshGeometry(corners, np.arange(len(corners)).reshape(-1, 3))
