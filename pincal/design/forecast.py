@@ -16,8 +16,8 @@ from pincal.blas import one_thread
 from pincal.design.information import (
     apart_from_frames,
     information_rows,
+    null_directions,
     parameter_ids,
-    pseudo_inverse,
 )
 from pincal.design.platform_error import PlatformError, platform_error
 from pincal.errors import MeasurementError
@@ -27,6 +27,7 @@ from pincal.estimation.observability.indices import (
     Identifiability,
     identifiability,
     nearest_to_nominal,
+    scaled_axes,
 )
 from pincal.files.measurements import as_noise
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
@@ -86,13 +87,10 @@ class Forecast:
         return platform_error(self.mechanism, self.covariance, poses, self.lost, self.frames)
 
     def poses_for(self, accuracy: float, poses: Plan | Array) -> float:
-        """Return how many poses like the planned ones bring the position error to a value.
+        """Return how many poses like the planned ones bring the position error to an accuracy.
 
-        Errors fall with the root of the number of poses. Infinite if no number does.
-
-        Args:
-            accuracy: Wanted root mean square position error over ``poses``, [m].
-            poses: Where the platform is to be accurate, shape (N, dof).
+        That is its root mean square [m] over some poses, shape (N, dof). Errors fall with the root
+        of the number of poses. Infinite if no number does.
 
         Raises:
             MeasurementError: an accuracy that is not positive.
@@ -154,7 +152,9 @@ def forecast(
     rows, off, unknowns, names = information_rows(mechanism, legs, noise, measured, setup)
     flat, n = rows.reshape(-1, rows.shape[2]), legs.parameter.shape[2]
     rank = identifiability(flat, unknowns)
-    root, undetermined = pseudo_inverse(flat, rank.rank)
+    lengths, s, axes = scaled_axes(flat)
+    root = axes[: rank.rank] / lengths / s[: rank.rank, None]  # of the pseudo-inverse
+    undetermined = null_directions(lengths, axes, rank.rank)
     gauge, lost, frames = apart_from_frames(mechanism, legs, undetermined[:n])
     to_nominal = root[:, :n] @ nearest_to_nominal(mechanism, gauge).T
     # what is off in all rows comes on top, however many they are

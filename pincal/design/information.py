@@ -15,10 +15,7 @@ import numpy as np
 
 from pincal.errors import MeasurementError
 from pincal.estimation.observability.gauge import split_frames
-from pincal.estimation.observability.indices import (
-    GENERIC,
-    scaled_axes,
-)
+from pincal.estimation.observability.indices import GENERIC
 from pincal.estimation.observation import Observation
 from pincal.estimation.rows import NoNoiseError, white_rows
 from pincal.estimation.unknowns import ExternalUnknowns
@@ -160,24 +157,15 @@ def _planned(
     )
 
 
-def pseudo_inverse(rows: Array, rank: int) -> tuple[Array, Array]:
-    """Return a root R of the pseudo-inverse Rᵀ R of rows' information, and what it lacks."""
-    lengths, s, axes = scaled_axes(rows)
-    return axes[:rank] / lengths / s[:rank, None], null_directions(lengths, axes, rank)
-
-
 def null_directions(lengths: Array, axes: Array, rank: int) -> Array:
     """Return what rows do not determine, columns of shape (n, n_lost); see ``scaled_axes``."""
     return np.asarray(np.linalg.qr((axes[rank:] / lengths).T)[0])
 
 
 def apart_from_frames(mechanism: Mechanism, legs: Legs, lost: Array) -> tuple[Array, Array, Array]:
-    """Return freedoms of frames among directions that are lost, the others, and these motions.
+    """Return freedoms of frames among lost directions, (n, n_lost), the others, these motions.
 
-    Args:
-        mechanism: The mechanism.
-        legs: What its parameters do, at the poses to measure.
-        lost: Directions of the legs' parameters, columns of shape (n, n_lost).
+    Legs are at the poses to measure.
     """
     platform, size = mechanism.platform, largest_size(mechanism.legs)
     reached = Plan(legs.poses, readings=legs.readings)

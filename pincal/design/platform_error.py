@@ -189,7 +189,7 @@ def platform_error(
     held_moves = np.zeros((*std.shape, 0))
     if isinstance(lost, Unidentified):
         least = np.median(std[rows], axis=0) if len(rows) else np.zeros(len(units))
-        held_moves = motions_of_held(lost, planned, least, frames)
+        held_moves = _motions_of_held(lost, planned, least, frames)
         std = np.sqrt(std**2 + (held_moves**2).sum(axis=2))
     elif lost is not None and lost.shape[1]:
         std[rows] = np.where(_moving(gain, lost), np.inf, std[rows])
@@ -216,24 +216,23 @@ def platform_error(
     )
 
 
-def motions_of_held(
+def _motions_of_held(
     lost: Unidentified, planned: Plan | Array, least: Array, frames: Array | Seen | None
 ) -> Array:
     """Return what held directions may move at planned configurations, shape (N, r, k).
 
-    Infinite where that is not determined: more than a least motion, and than where all of it was
-    measured. Zero where it is less than a least motion; without directions that move nothing.
-
-    Args:
-        lost: What is not identified.
-        planned: Poses, coordinates of shape (N, dof), or a plan.
-        least: By how much each freedom is uncertain anyway, shape (r,), [m] and [rad].
-        frames: See ``platform_error``.
+    Infinite where that is more than a least motion, by which each freedom is uncertain anyway, (r,)
+    [m] and [rad], and than where all of it was measured; zero where it is less than a least motion.
+    Directions that move nothing are left out.
     """
-    reached, gain = _gain_at_nominal(lost, planned, frames)
-    largest = least
+
+    def seen_at(plan: Plan | Array) -> tuple[Mask, Array]:
+        legs = legs_at(lost.nominal, plan)
+        return legs.reached, seen_of(lost.nominal, legs.poses, legs.gain, frames)[0]
+
+    (reached, gain), largest = seen_at(planned), least
     if lost.measured is not None:
-        at_measured = np.abs(_gain_at_nominal(lost, lost.measured, frames)[1] @ lost.directions)
+        at_measured = np.abs(seen_at(lost.measured)[1] @ lost.directions)
         shown = at_measured.max(axis=(0, 2), where=np.isfinite(at_measured), initial=0.0)
         largest = np.maximum(least, shown * (1.0 + _ROUNDING))
     moving, undetermined = (_moving(gain, lost.directions, size) for size in (least, largest))
@@ -242,14 +241,6 @@ def motions_of_held(
     moves = np.zeros((len(reached), *moved.shape[1:]))
     moves[reached] = moved
     return moves[:, :, moves.any(axis=(0, 1))]
-
-
-def _gain_at_nominal(
-    lost: Unidentified, planned: Plan | Array, frames: Array | Seen | None
-) -> tuple[Mask, Array]:
-    """Return which plans the nominal mechanism reaches, and what is seen of its gain there."""
-    legs = legs_at(lost.nominal, planned)
-    return legs.reached, seen_of(lost.nominal, legs.poses, legs.gain, frames)[0]
 
 
 def seen_of(
@@ -271,13 +262,9 @@ def _moving(gain: Array, lost: Array, least: Array | float = 0.0) -> Mask:
 def without_frames(
     mechanism: Mechanism, poses: Array, twists: Array, frames: Array | None
 ) -> Array:
-    """Return twists of the platform less what motions of frames explain of them.
+    """Return twists of the platform, (N, dof, k), less what motions of frames explain of them.
 
-    Args:
-        mechanism: The mechanism.
-        poses: Coordinates, shape (N, dof).
-        twists: One column for each change, shape (N, dof, k).
-        frames: See ``frames_moved``, shape (m, n_moved).
+    Poses are coordinates, shape (N, dof); frames ``frames_moved``, shape (m, n_moved).
     """
     if frames is None or not frames.shape[1] or not len(poses):
         return twists
@@ -291,11 +278,7 @@ def closing_twists(mechanism: Mechanism, measured: Plan) -> Array:
     """Return how the platform misses measured poses: what closes all legs there, (N, dof).
 
     Twists in base axes, to first order, of least squares where legs are redundant; NaN where a
-    pose or a reading was not measured.
-
-    Args:
-        mechanism: The mechanism.
-        measured: Poses in the base frame, readings, and what terms depend on.
+    pose, which is in the base frame, or a reading was not measured.
     """
     readings = measured.readings
     twists = np.full(measured.poses.shape, np.nan)
@@ -318,11 +301,9 @@ def sizes(units: tuple[str, ...], twists: Array) -> Array:
 
 
 def root_mean_squares(sizes: Array, *, infinite: bool = False) -> tuple[float, float]:
-    """Return root mean squares of both columns over the rows that are finite; NaN without any.
+    """Return root mean squares of both columns, (N, 2), over finite rows; NaN without any.
 
-    Args:
-        sizes: Shape (N, 2).
-        infinite: Whether infinite rows count: with one, the root mean square is infinite.
+    Infinite rows may count: with one, the root mean square is infinite.
     """
     known = sizes[~np.isnan(sizes).any(axis=1) if infinite else np.isfinite(sizes).all(axis=1)]
     if not len(known):
