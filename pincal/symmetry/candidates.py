@@ -10,7 +10,7 @@ from scipy.optimize import linear_sum_assignment
 
 from pincal.model.checks import ALIKE
 from pincal.model.mechanism import Mechanism
-from pincal.symmetry.elements import Element, Isometry
+from pincal.symmetry.elements import IDENTITY, Element, Isometry
 from pincal.types import Array, Index
 
 NEARLY = 0.1
@@ -24,49 +24,26 @@ class Points:
     def __init__(self, mechanism: Mechanism, base: Array) -> None:
         """Take base points in the base frame, shape (n_legs, 3), [m]."""
         self.mechanism, self.base = mechanism, base
-
-    @cached_property
-    def platform(self) -> Array:
+        self.platform = np.array([leg.point.placement.xyz for leg in mechanism.legs])
         """Platform points in the platform frame, shape (n_legs, 3), [m]."""
-        return np.array([leg.point.placement.xyz for leg in self.mechanism.legs])
-
-    @cached_property
-    def home(self) -> Array:
-        """Home pose ``T_base_platform``, shape (4, 4)."""
-        return self.mechanism.platform.home_pose.as_matrix()[0]
-
-    @cached_property
-    def size(self) -> float:
-        """Scale of the mechanism, wherever its frames are, [m]."""
-        longest = float(np.linalg.norm(self.at_home - self.base, axis=1).max())
-        return max(_spread(self.base), longest) or 1.0
-
-    @cached_property
-    def at_home(self) -> Array:
+        self.home = mechanism.platform.home_pose.as_matrix()[0]
+        self.at_home = self.platform @ self.home[:3, :3].T + self.home[:3, 3]
         """Platform points in the base frame at home, shape (n_legs, 3), [m]."""
-        return self.platform @ self.home[:3, :3].T + self.home[:3, 3]
-
-    @cached_property
-    def spreads(self) -> tuple[float, float]:
+        bodies = base, self.platform
+        self.centres = bodies[0].mean(axis=0), bodies[1].mean(axis=0)
+        """Centres of base points and platform points, shape (3,) each, [m]."""
+        spreads = [float(np.linalg.norm(p - p.mean(axis=0), axis=1).max()) for p in bodies]
+        longest = float(np.linalg.norm(self.at_home - base, axis=1).max())
+        self.size = max(spreads[0], longest) or 1.0
+        """Scale of the mechanism, wherever its frames are, [m]."""
+        first, second = (spread if spread > ALIKE * self.size else 0.0 for spread in spreads)
+        self.spreads = first or self.size, second or first or self.size
         """Largest distance of base points from their centre, and of platform points, [m]."""
-        base, platform = (
-            spread if (spread := _spread(points)) > ALIKE * self.size else 0.0
-            for points in (self.base, self.platform)
-        )
-        return base or self.size, platform or base or self.size
-
-    @cached_property
-    def _free(self) -> tuple[Array, Array] | None:
-        """Points of base and platform if each fixes its own isometry; None if not."""
-        if not self.mechanism.platform.turns:
-            return None
-        bodies = (self.base, self.platform)
-        return bodies if all(self._rank(points) >= self._least_rank for points in bodies) else None
-
-    @property
-    def _least_rank(self) -> int:
-        """Independent directions that fix an isometry, given whether it reflects."""
-        return self.mechanism.platform.space - 1
+        apart = (np.linalg.norm(p[:, None] - p, axis=2) for p in bodies)
+        self._apart = [d / spread for d, spread in zip(apart, self.spreads, strict=True)]
+        self._least_rank = mechanism.platform.space - 1  # of points that fix an isometry
+        turning = bool(mechanism.platform.turns)
+        self._free = turning and all(self._rank(p) >= self._least_rank for p in bodies)
 
     @cached_property
     def _joined(self) -> tuple[Array, Index]:
@@ -77,36 +54,32 @@ class Points:
         """
         legs = np.arange(len(self.base))
         if not self.mechanism.platform.turns:
-            base, platform = (body - body.mean(axis=0) for body in (self.base, self.platform))
-            points = np.concatenate((base, platform, -base, -platform))  # about their centres
+            bodies = zip((self.base, self.platform), self.centres, strict=True)
+            base, platform = (body - centre for body, centre in bodies)
+            points = np.concatenate((base, platform, -base, -platform))
             owners = np.tile(legs, 4)
             if self._rank(points) >= self._least_rank:
                 return points, owners
         points, owners = np.concatenate((self.base, self.at_home)), np.concatenate((legs, legs))
-        for anchor in (self.home[:3, 3], self.base.mean(axis=0) + self.size * np.eye(3)[2]):
+        for anchor in (self.home[:3, 3], self.centres[0] + self.size * np.eye(3)[2]):
             if self._rank(points) < self._least_rank:
                 points, owners = np.vstack((points, anchor)), np.append(owners, -1)
         return points, owners
 
     def fitted(self, images: Sequence[int], legs: Sequence[int], sign: float) -> Element | None:
-        """Return the element that best carries some legs onto their images.
+        """Return the element that best carries some legs onto their images, given by index.
 
-        Args:
-            images: Indices of legs onto which they go.
-            legs: Indices of the legs.
-            sign: 1 of rotations, −1 of reflections.
-
-        Returns:
-            None if the points leave an axis open.
+        The sign is 1 of rotations, −1 of reflections. None if the points leave an axis open.
         """
-        space, to = self.mechanism.platform.space, dict(zip(legs, images, strict=True))
-        sources, targets = list(legs), list(images)
+        space, sources, targets = self.mechanism.platform.space, list(legs), list(images)
+        bodies = self.base, self.platform
         if self._free:
-            pairs = [(points[sources], points[targets]) for points in self._free]
-            if any(self._rank(first) < self._least_rank for first, _ in pairs):
+            if any(self._rank(points[sources]) < self._least_rank for points in bodies):
                 return None
+            pairs = ((points[sources], points[targets]) for points in bodies)
             return Element.of(*(_procrustes(a, b, sign, space) for a, b in pairs))
         points, owners = self._joined
+        to = dict(zip(sources, targets, strict=True))
         rows = [i for i, owner in enumerate(owners) if owner < 0 or owner in to]
         if self._rank(points[rows]) < self._least_rank:
             return None
@@ -115,7 +88,6 @@ class Points:
         if self.mechanism.platform.turns:
             home_inverse = np.linalg.inv(self.home)
             return Element.of(base, Isometry.of(home_inverse @ base.matrix @ self.home))
-        bodies = (self.base, self.platform)
         return Element.of(*(_shifted(base.Q, p[sources], p[targets]) for p in bodies))
 
     def _rank(self, points: Array) -> int:
@@ -125,23 +97,14 @@ class Points:
 
     def distances(self, element: Element) -> Array:
         """Return how far carried legs' points are from others, over the spreads, shape (n, n)."""
-        bodies = ((self.base, element.base), (self.platform, element.platform))
-        return np.maximum(
-            *(
-                np.linalg.norm(isometry(points)[:, None] - points, axis=2) / spread
-                for (points, isometry), spread in zip(bodies, self.spreads, strict=True)
-            )
-        )
-
-    @property
-    def centres(self) -> tuple[Array, Array]:
-        """Centres of base points and platform points, shape (3,) each, [m]."""
-        return self.base.mean(axis=0), self.platform.mean(axis=0)
+        bodies = (self.base, element.base), (self.platform, element.platform)
+        apart = (np.linalg.norm(move(points)[:, None] - points, axis=2) for points, move in bodies)
+        return np.maximum(*(d / spread for d, spread in zip(apart, self.spreads, strict=True)))
 
     @cached_property
     def candidates(self) -> list[Element]:
         """Elements that carry every leg's points near those of some leg, each once."""
-        legs, elements = self._references(), [Element(0.0)]
+        legs, elements = self._references(), [IDENTITY]
         for images in self._images(legs, []):
             for sign in (1.0, -1.0):
                 first = self.fitted(images, legs, sign)
@@ -150,9 +113,8 @@ class Points:
                 _, to = linear_sum_assignment(self.distances(first))
                 element = self.fitted(to.tolist(), range(len(to)), sign) or first
                 near = self.distances(element) <= NEARLY
-                turns = np.stack((element.base.Q, element.platform.Q))
-                distances = (np.linalg.norm(turns - (e.base.Q, e.platform.Q)) for e in elements)
-                if near.any(axis=0).all() and near.any(axis=1).all() and min(distances) > _FITTED:
+                fresh = min(np.linalg.norm(element.turns - e.turns) for e in elements) > _FITTED
+                if fresh and near.any(axis=0).all() and near.any(axis=1).all():
                     elements.append(element)
         return [element for element in elements if self._keeps_freedoms(element)]
 
@@ -177,12 +139,6 @@ class Points:
             if image not in images and np.max(changes, initial=0.0) <= 2.0 * NEARLY:
                 yield from self._images(legs, [*images, image])
 
-    @cached_property
-    def _apart(self) -> list[Array]:
-        """How far legs' points are from each other, over the spreads, shape (n, n) each."""
-        bodies = zip((self.base, self.platform), self.spreads, strict=True)
-        return [np.linalg.norm(p[:, None] - p, axis=2) / spread for p, spread in bodies]
-
     def _keeps_freedoms(self, element: Element) -> bool:
         """Return whether the platform's poses are carried to poses that it can have."""
         platform = self.mechanism.platform
@@ -193,11 +149,6 @@ class Points:
         deviation = platform.matrices(platform.from_matrices(carried)) - carried
         deviation[:, :3, 3] /= self.size
         return bool(np.abs(deviation).max() <= ALIKE)
-
-
-def _spread(points: Array) -> float:
-    """Return the largest distance of points from their centre, [m]."""
-    return float(np.linalg.norm(points - points.mean(axis=0), axis=1).max())
 
 
 def _procrustes(first: Array, second: Array, sign: float, space: int) -> Isometry:

@@ -18,8 +18,7 @@ from pincal.model.checks import EXACT, ROUNDING, count_of
 from pincal.model.platform import Platform, Poses
 from pincal.types import Array
 
-#: Angles, [rad], and positions relative to their extent that differ by rounding errors only.
-SAME = EXACT
+SAME = EXACT  # angles, [rad], and positions relative to their extent that differ by rounding only
 
 
 @dataclass(frozen=True)
@@ -61,7 +60,7 @@ class Isometry:
         return points @ self.Q.T + self.t
 
     def after(self, first: Isometry) -> Isometry:
-        """Return the composition: first ``other``, then this one."""
+        """Return the composition, this one last."""
         return Isometry.of(self.Q @ first.Q, self.Q @ first.t + self.t)
 
     def inverse(self) -> Isometry:
@@ -85,7 +84,7 @@ class Element:
     """
 
     angle: float
-    """[rad]; of an element about another axis the angle of its own turn."""
+    """About z, [rad]."""
     reflection: bool = False
     """Whether it reflects: rotations do not."""
     base: Isometry = Isometry()
@@ -118,8 +117,7 @@ class Element:
         plain = _about_z(angle, reflection)
         if all(plain.equals(isometry, ROUNDING) for isometry in (base, platform)):
             return cls(angle, reflection)
-        magnitude = Rotation.from_matrix(-base.Q if reflection else base.Q).magnitude()
-        return cls(float(magnitude), reflection, base, platform)
+        return cls(angle, reflection, base, platform)
 
     @staticmethod
     def mirror(azimuth: float) -> Element:
@@ -131,8 +129,13 @@ class Element:
         """Orthogonal matrix Q of the base's isometry, shape (3, 3)."""
         return self.base.Q
 
+    @property
+    def turns(self) -> Array:
+        """Orthogonal matrices of both isometries, shape (2, 3, 3)."""
+        return np.stack((self.base.Q, self.platform.Q))
+
     def after(self, first: Element) -> Element:
-        """Return the composition: first ``other``, then this one."""
+        """Return the composition, this one last."""
         return Element.of(self.base.after(first.base), self.platform.after(first.platform))
 
     def inverse(self) -> Element:
@@ -150,15 +153,9 @@ class Element:
 
     def matrices(self, matrices: Array) -> Array:
         """Return where poses ``T_base_platform``, shape (N, 4, 4), go: G_base T G_platform⁻¹."""
-        moved = (
-            self._entries_map @ matrices.reshape(-1, 16).T
-        )  # memory runs along the poses, see batches
-        return np.asarray(moved.T.reshape(matrices.shape))
-
-    @cached_property
-    def _entries_map(self) -> Array:
-        """The map of a pose's entries, row by row: one product for all, shape (16, 16)."""
-        return np.asarray(np.kron(self.base.matrix, self.platform.inverse().matrix.T), float)
+        # one product for all poses, along which memory runs (see batches)
+        entries = np.kron(self.base.matrix, self.platform.inverse().matrix.T)
+        return np.asarray((entries @ matrices.reshape(-1, 16).T).T.reshape(matrices.shape))
 
     def poses(self, platform: Platform, poses: Poses) -> Array:
         """Return where poses go, coordinates of shape (N, dof)."""
@@ -187,7 +184,8 @@ class Element:
         turn = Rotation.from_matrix(-Q if self.reflection else Q).as_rotvec()
         amount = float(np.linalg.norm(turn))
         axis = turn / amount if amount else turn
-        axis = axis * _sign(axis)
+        nonzero = axis[np.abs(axis) > SAME]
+        axis = axis * np.sign(nonzero[-1:].sum() or 1.0)  # its last component is positive
         triple = "(" + ", ".join(f"{v + 0.0:.4g}" for v in axis.round(9)) + ")"
         upright, level = abs(abs(axis[2]) - 1.0) <= SAME, abs(axis[2]) <= SAME
         if self.reflection and abs(amount - np.pi) <= SAME:  # the axis is the mirror's normal
@@ -210,12 +208,6 @@ def _about_z(angle: float, reflection: bool) -> Isometry:
     return Isometry.of(
         np.array([[cos, -side * sin, 0.0], [sin, side * cos, 0.0], [0.0, 0.0, 1.0]]), np.zeros(3)
     )
-
-
-def _sign(axis: Array) -> float:
-    """Return the sign of an axis' last component that is not zero: a way to write it."""
-    nonzero = axis[np.abs(axis) > SAME]
-    return float(np.sign(nonzero[-1])) if len(nonzero) else 1.0
 
 
 def _degrees(angle: float, period: float) -> str:

@@ -21,29 +21,21 @@ _ROUNDS = 8  # of averaging: each squares the error
 _NAMED = 1e-6  # within which mirrors go through the main axis
 
 
-def product_table(elements: Sequence[Element], labels: Sequence[object] | None = None) -> Table:
+def product_table(elements: Sequence[Element], labels: Sequence[Sequence[int]] = ()) -> Table:
     """Return the index of each product, first the column's element, then the row's; −1 if none.
 
-    Args:
-        elements: The elements, perhaps not exact.
-        labels: What tells elements apart that are near each other, such as where they carry legs:
-            ``labels[i]`` is a tuple of indices, and that of a product is known.
+    Elements are perhaps not exact. Labels tell those apart that are near each other: indices, such
+    as where they carry legs, of which those of a product are known.
     """
-    count = len(elements)
-    turns = np.array([np.stack((e.base.Q, e.platform.Q)) for e in elements])
-    table = np.full((count, count), -1, dtype=np.intp)
-    for a in range(count):
-        products = turns[a] @ turns
-        distances = np.linalg.norm(products[:, None] - turns, axis=(3, 4)).max(axis=2)
-        for b in range(count):
-            near = distances[b]
-            if labels is not None:
-                first, second = labels[b], labels[a]
-                composed = tuple(second[i] for i in first)  # type: ignore[index, attr-defined]
-                near = np.where([label == composed for label in labels], near, np.inf)
-            best = int(np.argmin(near))
-            table[a, b] = best if near[best] <= _NEAREST else -1
-    return table
+    turns = np.array([e.turns for e in elements])
+    products = turns[:, None] @ turns
+    distances = np.linalg.norm(products[:, :, None] - turns, axis=(4, 5)).max(axis=3)
+    if len(labels):
+        images = np.array(labels)
+        composed = images[:, images]
+        distances[(composed[:, :, None] != images).any(axis=3)] = np.inf
+    best = distances.argmin(axis=2)
+    return np.where(distances.min(axis=2) <= _NEAREST, best, -1)
 
 
 def distinct(elements: Sequence[Element], labels: Sequence[object]) -> list[int]:
@@ -51,11 +43,10 @@ def distinct(elements: Sequence[Element], labels: Sequence[object]) -> list[int]
 
     They need not be exact. Labels are as in ``product_table``.
     """
-    turns = np.array([np.stack((e.base.Q, e.platform.Q)) for e in elements])
-    chosen: list[int] = []
+    turns, chosen = np.array([e.turns for e in elements]), list[int]()
     for index, label in enumerate(labels):
-        alike_labels = [i for i in chosen if labels[i] == label]
-        distances = np.linalg.norm(turns[alike_labels] - turns[index], axis=(2, 3)).max(axis=1)
+        alike = turns[[i for i in chosen if labels[i] == label]]
+        distances = np.linalg.norm(alike - turns[index], axis=(2, 3)).max(axis=1)
         if not (distances <= _NEAREST).any():
             chosen.append(index)
     return chosen
@@ -101,10 +92,8 @@ def exact(elements: Sequence[Element], centres: tuple[Array, Array], size: float
         size: Scale of lengths, [m].
     """
     table = product_table(elements)
-    parts = [
-        _exact_part([getattr(e, part) for e in elements], table, centre, size)
-        for part, centre in zip(("base", "platform"), centres, strict=True)
-    ]
+    bodies = [e.base for e in elements], [e.platform for e in elements]
+    parts = (_exact_part(body, table, at, size) for body, at in zip(bodies, centres, strict=True))
     return [Element.of(base, platform) for base, platform in zip(*parts, strict=True)]
 
 
@@ -114,8 +103,7 @@ def _exact_part(
     """Return isometries of one body made exact: Q by averaging Q(gh) Q(h)ᵀ, t by a fixed point."""
     turns = np.array([isometry.Q for isometry in isometries])
     for _ in range(_ROUNDS):
-        mean = np.einsum("ghij,hkj->gik", turns[table], turns) / len(turns)
-        U, _, Vt = np.linalg.svd(mean)
+        U, _, Vt = np.linalg.svd(np.einsum("ghij,hkj->gik", turns[table], turns))
         turns = U @ Vt
     turns[0] = np.eye(3)
     for _ in range(2):
@@ -123,16 +111,11 @@ def _exact_part(
     centre = centre - (turns @ centre).mean(axis=0)  # less what no element moves
     if np.linalg.norm(centre) <= SAME * size:
         centre = np.zeros(3)
-    turns = _upright(turns)
-    return [Isometry.of(Q, centre - Q @ centre) for Q in turns]
-
-
-def _upright(turns: Array) -> Array:
-    """Return matrices without rounding errors if all of them keep the axis z."""
     if max(np.abs(turns[:, :2, 2]).max(), np.abs(turns[:, 2, :2]).max()) <= SAME:
+        # about z to rounding: z stays, or turns over, exactly
         turns[:, :2, 2] = turns[:, 2, :2] = 0.0
         turns[:, 2, 2] = np.sign(turns[:, 2, 2])
-    return turns
+    return [Isometry.of(Q, centre - Q @ centre) for Q in turns]
 
 
 def group_name(elements: Sequence[Element]) -> str:

@@ -53,13 +53,7 @@ class StandingLeg:
     """A leg closed at a pose, in the base frame."""
 
     def __init__(self, closure: LegClosure, matrix: Array, *, near_home: bool) -> None:
-        """Close a leg.
-
-        Args:
-            closure: The leg.
-            matrix: Pose ``T_base_platform``, shape (4, 4).
-            near_home: Whether it is near the home pose, and the leg stands as it does there.
-        """
+        """Close a leg at a pose, shape (4, 4); near the home pose as it stands there."""
         self.closure, leg = closure, closure.leg
         closed = close((closure,), matrix[None], near=leg.home[None] if near_home else None)
         self.reached = near_home or bool(closed.reached[0])
@@ -110,16 +104,19 @@ class StandingLeg:
 
 
 def differences(first: StandingLeg, element: Element, second: StandingLeg) -> Iterator[Difference]:
-    """Yield every quantity in which a leg, carried by an element, and another one differ.
+    """Yield every quantity in which a leg, carried by an element, and a second one differ.
 
-    Args:
-        first: The leg that is carried.
-        element: What carries it.
-        second: The other one, at the pose to which that of the first is carried.
+    The second one is at the pose to which that of the first is carried.
     """
     leg, other = first.closure.leg, second.closure.leg
-    if quantity := _unlike(first, second):
-        yield Difference(quantity, None)
+    alike = {
+        "sequence of joints": [j.kind for j in leg.moving] == [j.kind for j in other.moving],
+        "active joint": leg.active == other.active,
+        "end": leg.closes == other.closes,
+        "reach of the pose that home is carried to": second.reached,
+    }
+    if unlike := [quantity for quantity, same in alike.items() if not same]:
+        yield Difference(unlike[0], None)
         return
     space, Q = first.closure.platform.space, element.base.Q
     names = [*(joint.name for joint in other.moving), other.point.name]
@@ -145,18 +142,6 @@ def differences(first: StandingLeg, element: Element, second: StandingLeg) -> It
     yield from _readings_apart(first, second, signs[leg.active])
 
 
-def _unlike(first: StandingLeg, second: StandingLeg) -> str:
-    """Return in what two legs differ that is no number; empty if in nothing."""
-    leg, other = first.closure.leg, second.closure.leg
-    if [joint.kind for joint in leg.moving] != [joint.kind for joint in other.moving]:
-        return "sequence of joints"
-    if leg.active != other.active:
-        return "active joint"
-    if leg.closes != other.closes:
-        return "end"
-    return "" if second.reached else "reach of the pose that home is carried to"
-
-
 def _bars_apart(first: StandingLeg, Q: Array, second: StandingLeg) -> float | None:
     """Return how far apart normals that bound legs are; None if they are not as many."""
     if first.barred is None or second.barred is None:  # nothing is bounded
@@ -176,36 +161,32 @@ def _limits_apart(first: StandingLeg, second: StandingLeg, index: int, sign: flo
     carried = ends[0] if sign > 0.0 else -ends[0][::-1]
     with np.errstate(invalid="ignore"):
         shifts = np.where(carried == ends[1], 0.0, np.abs(carried - ends[1]))
-    if joint.turns and np.isfinite(shifts).all():
+    finite = bool(np.isfinite(shifts).all())
+    if joint.turns and finite:
         shifts = np.abs([wrapped(float(value)) for value in shifts])
-    deviation = float(shifts.max()) if np.isfinite(shifts).all() else None
+    deviation = float(shifts.max()) if finite else None
     return Difference(f"limits of joint {joint.name!r}", deviation, "rad" if joint.turns else "m")
 
 
 def _readings_apart(first: StandingLeg, second: StandingLeg, signs: Array) -> Iterator[Difference]:
     """Yield by how much active joints move otherwise where readings are the same."""
-    homed = [[s.homed for s in shape.closure.leg.sensors] for shape in (first, second)]
-    if homed[0] != homed[1]:
+    leg, other = first.closure.leg, second.closure.leg
+    if [sensor.homed for sensor in leg.sensors] != [sensor.homed for sensor in other.sensors]:
         yield Difference("zero of the sensor", None, of_sensor=True)
         return
-    readings: Array | None = None
-    moved = []
+    if len(leg.influences) != len(other.influences):
+        yield Difference("terms of the sensor", None, of_sensor=True)
+        return
+    here = sensor_law(first.closure).reading(first.joints[None, leg.active])
+    scales = [1.0 if unit == "rad" else leg.size for unit in leg.reading_units]
+    readings, moved = here + np.outer(_READINGS, scales), []
     for shape, sides in ((first, signs), (second, np.ones(len(signs)))):
-        leg, law = shape.closure.leg, sensor_law(shape.closure)
-        loads = {
-            f"{LOAD}_{name}": side for name, side in zip(leg.reading_names, sides, strict=True)
-        }
-        influences = np.array([[loads.get(name, 1.0) for name in leg.influences]])
-        if readings is None:
-            scales = [1.0 if unit == "rad" else leg.size for unit in leg.reading_units]
-            here = law.reading(shape.joints[None, leg.active])
-            readings = here + np.outer(_READINGS, scales)
-            columns = influences.shape[1]
-        if influences.shape[1] != columns:
-            yield Difference("terms of the sensor", None, of_sensor=True)
-            return
-        known = np.hstack((readings, np.repeat(influences, len(readings), axis=0)))
-        moved.append(sides * (law.position(known) - shape.joints[leg.active]))
+        names = shape.closure.leg.reading_names
+        loads = {f"{LOAD}_{name}": side for name, side in zip(names, sides, strict=True)}
+        influences = [loads.get(name, 1.0) for name in shape.closure.leg.influences]
+        known = np.hstack((readings, np.tile(influences, (len(readings), 1))))
+        position = sensor_law(shape.closure).position(known)
+        moved.append(sides * (position - shape.joints[leg.active]))
     for index, unit, shifts in zip(
         leg.active, leg.reading_units, (moved[0] - moved[1]).T, strict=True
     ):
@@ -219,9 +200,8 @@ class LegImages:
 
     def __init__(self, mechanism: Mechanism, readings: bool) -> None:
         self.mechanism, self.readings = mechanism, readings
-        self.home = mechanism.platform.home_pose.as_matrix()[0]
-        legs = nominal_legs(mechanism)
-        self.shapes = [StandingLeg(leg, self.home, near_home=True) for leg in legs]
+        home = mechanism.platform.home_pose.as_matrix()[0]
+        self.shapes = [StandingLeg(leg, home, near_home=True) for leg in nominal_legs(mechanism)]
         self.points = Points(mechanism, np.array([shape.base for shape in self.shapes]))
 
     def home_moves(self, element: Element) -> float:
@@ -233,7 +213,7 @@ class LegImages:
 
     def standing(self, element: Element) -> list[StandingLeg]:
         """Return the legs where they are if the platform is where home is carried to."""
-        moved, carried = self.home_moves(element), element.matrices(self.home[None])[0]
+        moved, carried = self.home_moves(element), element.matrices(self.points.home[None])[0]
         if moved <= ROUNDING * self.points.size:
             return self.shapes
         near = moved <= NEARLY * self.points.size
@@ -251,15 +231,15 @@ class LegImages:
         rows, to = linear_sum_assignment(np.where(fits, distances, 1e6))
         return tuple(to.tolist()) if fits[rows, to].all() else ()
 
-    def differences(self, index: int, element: Element, image: StandingLeg) -> Iterator[Difference]:
-        """Yield in what a leg, given by its index, differs from another one when it is carried."""
-        for difference in differences(self.shapes[index], element, image):
-            if self.readings or not difference.of_sensor:
-                yield difference
-
     def exceeding(
         self, index: int, element: Element, image: StandingLeg, tolerance: float
     ) -> Difference | None:
-        """Return the first difference that is more than a tolerance, or None."""
-        compared = self.differences(index, element, image)
-        return next((d for d in compared if d.exceeds(tolerance, self.points.size)), None)
+        """Return the first difference of a leg, given by its index, that is more than a tolerance.
+
+        It is that of the leg as it is carried from its image; None if there is none.
+        """
+        for difference in differences(self.shapes[index], element, image):
+            counts = self.readings or not difference.of_sensor
+            if counts and difference.exceeds(tolerance, self.points.size):
+                return difference
+        return None
