@@ -740,7 +740,7 @@ main()
 
 
 @pytest.mark.parametrize(
-    "name", some_slow(["pinocchio", "pincal.symmetry.breaks"], "pincal.symmetry.breaks")
+    "name", some_slow(["pinocchio", "pincal.symmetry.detect"], "pincal.symmetry.detect")
 )  # at the start, and in a command
 def test_ctrl_c_ends_without_a_traceback(name: str) -> None:
     """Ctrl-C while modules are loaded, or later, ends the command as shells expect, silently."""

@@ -17,8 +17,7 @@ from pincal.design.simulate import Accuracy
 from pincal.model.checks import counted
 from pincal.model.mechanism import Mechanism
 from pincal.show.misses import readings_exact
-from pincal.symmetry.breaks import no_symmetries
-from pincal.symmetry.detect import SymmetryGroup
+from pincal.symmetry.detect import SymmetryGroup, no_symmetries
 from pincal.words.numbers import SMALL, STORED, VALUES, chance, shown_in, uncertainty
 from pincal.words.table import Cell, Table, Value, quantity
 from pincal.words.wording import NAMED

@@ -30,42 +30,36 @@ from pincal.types import Array
 from pincal.words.numbers import listed
 
 LOCAL_MIRROR = np.diag([1.0, -1.0, 1.0])
-#: Signs of elementary coordinates under the local mirror.
-_SIGNS = {"x": 1, "y": -1, "z": 1, "rx": -1, "ry": 1, "rz": -1}
 #: Components of a point that a coordinate gives.
 _GIVES = {"x": "x", "y": "y", "z": "z", "polar": "xy", "spherical": "xyz"}
 
 
-def on_body(
+def _on_body(
     p: Placement,
     isometry: Isometry,
     constant: Array,
-    keeps_turn: bool,
-    values: tuple[dict[str, float], dict[str, float]],
+    old: dict[str, float],
+    new: dict[str, float],
     context: str,
-) -> Placement:
-    """Return a placement on base or platform, of constant part (4, 4), after the body's isometry.
+) -> tuple[Placement, Array]:
+    """Return a placement on base or platform after the body's isometry, and its constant part.
 
-    Its frame's orientation may stay as it is. Values are parameters before, and those after, which
-    are set; the context is said where it cannot be expressed.
+    The constant part, (4, 4), was another one before. Of parameters the old values are known, the
+    new ones are set. The context is said where coordinates cannot express it.
     """
-    old, new = values
+    result = Placement(_moved_coordinates(p.coordinates, isometry, old, new, context))
     moved = isometry.matrix @ p.displacement(old) @ constant
     if np.linalg.det(isometry.Q) < 0.0:
         moved[:3, :3] = moved[:3, :3] @ LOCAL_MIRROR
-    coordinates = _move_point(p.coordinates, isometry, old, new, context)
-    result = Placement(coordinates)
-    residual = np.linalg.inv(result.displacement(new)) @ moved
+    rest = np.linalg.inv(result.displacement(new)) @ moved
     if not p.turns:  # exact
-        residual[:3, :3] = moved[:3, :3]
-    if keeps_turn:
-        residual[:3, :3] = constant[:3, :3]
+        rest[:3, :3] = moved[:3, :3]
     if p.coordinates and not constant[:3, 3].any() and not result.corrects(new):
-        residual[:3, 3] = 0.0
-    return result.at(new, residual)
+        rest[:3, 3] = 0.0
+    return result, rest
 
 
-def _move_point(
+def _moved_coordinates(
     coordinates: tuple[Coordinate, ...],
     isometry: Isometry,
     old: dict[str, float],
@@ -76,21 +70,33 @@ def _move_point(
 
     Constants that come first, before turns or an azimuth, are the frame that the others are in.
     """
-    first = _frame_size(coordinates)
-    frame = Placement(coordinates[:first]).displacement(old)
-    G = np.linalg.inv(frame) @ isometry.matrix @ frame if first else isometry.matrix
-    moved = _moved_vector(coordinates[first:], G, old, context)
-    result, components = list(coordinates[:first]), set()
-    for c in coordinates[first:]:
-        before = [_number(value, old) for value in c.values]
-        after = _moved_values(c, before, moved, G, context)
-        components |= set(_GIVES.get(c.kind, ""))
-        result.append(
-            Coordinate(c.kind, tuple(_set(v, a, new) for v, a in zip(c.values, after, strict=True)))
+    named = [any(isinstance(v, str) for v in c.values) for c in coordinates]
+    first = named.index(True) if True in named else 0
+    frame, free = coordinates[:first], coordinates[first:]
+    if not any(c.turns for c in frame) and not any(c.kind in ("polar", "spherical") for c in free):
+        frame, free = (), coordinates
+    G = isometry.matrix
+    if frame:
+        to_base = Placement(frame).displacement(old)
+        G = np.linalg.inv(to_base) @ G @ to_base
+    if turned := [c.kind for c in free if c.turns and not (c.kind == "rz" and c is free[-1])]:
+        raise SymmetryError(
+            f"{context} cannot carry a placement on the base with a rotation ({turned[0]}); "
+            "give the point by polar, spherical or x, y, z, and a turn about z last, by rz"
         )
-    needed = {letter for letter, component in zip("xyz", moved, strict=True) if component != 0.0}
-    if coordinates[first:] and (missing := sorted(needed - components)):
+    point = sum((c.displacement(old)[:3, 3] for c in free), np.zeros(3))
+    size = float(np.abs(point).max())
+    moved = G[:3, :3] @ point + (G[:3, 3] if size else 0.0)  # corrections stay zero
+    moved[np.abs(moved) <= ROUNDING * (size + np.abs(G[:3, 3]).max())] = 0.0
+    needed = {letter for letter, component in zip("xyz", moved, strict=True) if component}
+    missing = sorted(needed.difference(*(_GIVES.get(c.kind, "") for c in free)))
+    if free and missing:
         raise SymmetryError(f"{context} needs a coordinate {missing[0]!r} there")
+    result = list(frame)
+    for c in free:
+        values = _moved_values(c, [_number(value, old) for value in c.values], moved, G, context)
+        after = zip(c.values, values, strict=True)
+        result.append(Coordinate(c.kind, tuple(_set(value, to, new) for value, to in after)))
     return tuple(result)
 
 
@@ -109,53 +115,12 @@ def _moved_values(
         return moved
     if c.turns:
         raise SymmetryError(f"{context} turns more than the coordinate {c.kind!r} can say")
-    return _polar(np.sign(values[0]) or 1.0, point, spherical=c.kind == "spherical")
-
-
-def _moved_vector(
-    coordinates: tuple[Coordinate, ...], G: Array, values: dict[str, float], context: str
-) -> Array:
-    """Return where the isometry G, shape (4, 4), takes the point that coordinates give, (3,)."""
-    vector = np.zeros(3)
-    for c in coordinates:
-        if c.turns and not (c.kind == "rz" and c is coordinates[-1]):
-            raise SymmetryError(
-                f"{context} cannot carry a placement on the base with a rotation ({c.kind}); "
-                "give the point by polar, spherical or x, y, z, and a turn about z last, by rz"
-            )
-        if not c.turns:
-            vector += Placement((c,)).displacement(values)[:3, 3]
-    size = float(np.abs(vector).max(initial=0.0))
-    moved = G[:3, :3] @ vector + (G[:3, 3] if size else 0.0)  # corrections stay zero
-    moved[np.abs(moved) <= ROUNDING * (size + np.abs(G[:3, 3]).max())] = 0.0
-    return moved
-
-
-def _polar(side: float, point: Array, spherical: bool) -> list[float]:
-    """Return radius, angle from z if spherical, and azimuth of a point; the radius has a sign."""
+    side = np.sign(values[0]) or 1.0  # of the radius
     x, y, z = side * point
-    azimuth = float(np.arctan2(y, x))
-    if not spherical:
-        return [float(side * np.hypot(x, y)), azimuth]
-    radius = float(side * np.linalg.norm(point))
-    return [radius, float(np.arctan2(np.hypot(x, y), z)), azimuth]
-
-
-def _frame_size(coordinates: tuple[Coordinate, ...]) -> int:
-    """Return how many coordinates that come first are a constant frame."""
-    named = [any(isinstance(v, str) for v in c.values) for c in coordinates]
-    first = named.index(True) if True in named else 0
-    after = coordinates[first:]
-    turned = any(c.turns for c in coordinates[:first])
-    return first if turned or any(c.kind in ("polar", "spherical") for c in after) else 0
-
-
-def mirror_coordinate(c: Coordinate, old: dict[str, float], new: dict[str, float]) -> Coordinate:
-    """Return a coordinate inside the leg after the local mirror."""
-    *leading, last = c.values
-    if _SIGNS.get(c.kind, -1) > 0:  # polar and spherical: the azimuth turns over
-        return c
-    return Coordinate(c.kind, (*leading, _set(last, -_number(last, old), new)))
+    level, azimuth = np.hypot(x, y), float(np.arctan2(y, x))
+    if c.kind == "polar":
+        return [float(side * level), azimuth]
+    return [float(side * np.linalg.norm(point)), float(np.arctan2(level, z)), azimuth]
 
 
 def _set(value: Value, target: float, new: dict[str, float]) -> Value:
@@ -191,21 +156,25 @@ def carry(leg: Leg, element: Element, name: str, point: str) -> Leg:
         constant = p.rest(old, context).copy()
         if index == 0 or joint is leg.point:
             isometry = element.platform if joint is leg.point else element.base
-            keeps_turn = joint is leg.point and leg.closes == "point"  # its frame has no meaning
-            placement = on_body(
-                p, isometry, constant, keeps_turn, (old, new), f"{context}: the {element}"
-            )
+            moved, rest = _on_body(p, isometry, constant, old, new, f"{context}: the {element}")
+            if joint is leg.point and leg.closes == "point":  # its frame has no meaning
+                rest[:3, :3] = constant[:3, :3]
         else:
             coordinates = p.coordinates
-            if element.reflection:
-                coordinates = tuple(mirror_coordinate(c, old, new) for c in coordinates)
-            constant[:3, :3] = local @ constant[:3, :3] @ local
-            constant[:3, 3] = local @ constant[:3, 3]
-            placement = Placement(coordinates).at(new, constant)
+            if element.reflection:  # of polar and spherical coordinates the azimuth turns over
+                coordinates = tuple(
+                    c
+                    if c.kind in ("x", "z", "ry")
+                    else Coordinate(c.kind, (*c.values[:-1], _negative(c.values[-1], old, new)))
+                    for c in coordinates
+                )
+            moved, rest = Placement(coordinates), constant
+            rest[:3, :3] = local @ constant[:3, :3] @ local
+            rest[:3, 3] = local @ constant[:3, 3]
         axis = local @ np.array(joint.axis)
         if joint.kind == "revolute" and element.reflection:
             axis = -axis
-        joints.append(replace(joint, placement=placement, axis=_triple(axis)))
+        joints.append(replace(joint, placement=moved.at(new, rest), axis=_triple(axis)))
     return canonical(
         replace(
             leg,
@@ -219,45 +188,56 @@ def carry(leg: Leg, element: Element, name: str, point: str) -> Leg:
 
 def canonical(leg: Leg) -> Leg:
     """Return the same leg with positive axes and no constant turn about a joint's own axis."""
-    for index, joint in enumerate(leg.joints):
+    parameters, joints = leg.nominal_by_name, []
+    sensors = {sensor.joint: sensor for sensor in leg.sensors}
+    for joint in leg.joints:
         if joint.kind != "fixed":
-            leg = _absorb_turn(_flip_axis(leg, index), index)
-    return leg
+            joint, sensor = _flip_axis(joint, sensors.get(joint.name), parameters)
+            joint, sensor = _absorb_turn(joint, sensor, parameters, leg.name)
+            if sensor is not None:
+                sensors[joint.name] = sensor
+        joints.append(joint)
+    return replace(
+        leg,
+        joints=tuple(joints),
+        sensors=tuple(sensors.values()),
+        parameters=tuple(parameters.items()),
+    )
 
 
-def _flip_axis(leg: Leg, index: int) -> Leg:
-    """Return the leg with a joint's axis to the positive side."""
-    joint = leg.joints[index]
+def _flip_axis(
+    joint: Joint, sensor: Sensor | None, parameters: dict[str, float]
+) -> tuple[Joint, Sensor | None]:
+    """Return a joint with its axis to the positive side, and its sensor."""
     axis = np.array(joint.axis)
     if axis[np.argmax(np.abs(axis))] > 0:
-        return leg
-    flipped = replace(
+        return joint, sensor
+    joint = replace(
         joint, axis=_triple(-axis), home=-joint.home, lower=-joint.upper, upper=-joint.lower
     )
-    parameters, sensor = leg.nominal_by_name, _sensor_of(leg, joint)
     if sensor is not None:
         offset, zero = sensor.offset, sensor.zero
         if sensor.form == "joint":
-            offset = _set(offset, -_number(offset, parameters), parameters)
+            offset = _negative(offset, parameters, parameters)
         for amplitude in {term.parameter for term in sensor.terms if term.of != LOAD}:
             parameters[amplitude] = 0.0 - parameters[amplitude]  # loads turn over themselves
         zero = zero if isinstance(zero, str) else 0.0 - zero
         sensor = replace(sensor, direction=-sensor.direction, zero=zero, offset=offset)
-    return _with(leg, flipped, sensor, parameters)
+    return joint, sensor
 
 
-def _absorb_turn(leg: Leg, index: int) -> Leg:
-    """Return the leg with a constant turn about a joint's own axis moved into its zero."""
-    joint, parameters = leg.joints[index], leg.nominal_by_name
-    constant = joint.placement.rest(parameters, leg.name).copy()
+def _absorb_turn(
+    joint: Joint, sensor: Sensor | None, parameters: dict[str, float], name: str
+) -> tuple[Joint, Sensor | None]:
+    """Return a joint, and its sensor, with a constant turn about its own axis in its zero."""
+    constant = joint.placement.rest(parameters, name).copy()
     axis = np.array(joint.axis)
     if joint.kind != "revolute" or not np.allclose(constant[:3, :3] @ axis, axis, atol=ROUNDING):
-        return leg
+        return joint, sensor
     turn = float(Rotation.from_matrix(constant[:3, :3]).as_rotvec() @ axis)
     if abs(turn) < 1e-15:
-        return leg
+        return joint, sensor
     constant[:3, :3] = np.eye(3)
-    sensor = _sensor_of(leg, joint)
     if sensor is None or isinstance(sensor.zero, str):  # home turns along
         turn = wrapped(joint.home + turn) - joint.home
     elif sensor.form == "joint":
@@ -276,27 +256,17 @@ def _absorb_turn(leg: Leg, index: int) -> Leg:
         lower=joint.lower + limits,
         upper=joint.upper + limits,
     )
-    return _with(leg, turned, sensor, parameters)
+    return turned, sensor
 
 
-def _with(leg: Leg, joint: Joint, sensor: Sensor | None, parameters: dict[str, float]) -> Leg:
-    """Return the leg with a joint, its sensor and parameters in place of those of their names."""
-    return replace(
-        leg,
-        joints=tuple(joint if old.name == joint.name else old for old in leg.joints),
-        sensors=tuple(sensor if sensor and old.joint == joint.name else old for old in leg.sensors),
-        parameters=tuple(parameters.items()),
-    )
+def _negative(value: Value, old: dict[str, float], new: dict[str, float]) -> Value:
+    """Return minus a constant, or a parameter's name after its nominal value is turned over."""
+    return _set(value, -_number(value, old), new)
 
 
 def _number(value: Value, parameters: dict[str, float]) -> float:
     """Return a constant, or a parameter's value."""
     return parameters[value] if isinstance(value, str) else value
-
-
-def _sensor_of(leg: Leg, joint: Joint) -> Sensor | None:
-    """Return the sensor that reads a joint, or None."""
-    return next((sensor for sensor in leg.sensors if sensor.joint == joint.name), None)
 
 
 def _triple(vector: Array) -> tuple[float, float, float]:

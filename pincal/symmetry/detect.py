@@ -3,25 +3,29 @@
 Elements that carry leg points onto leg points are candidates, wherever base and platform frames
 are. Those that carry every leg onto a leg within a tolerance are looked at together: the group is
 the largest closed subset of them, with isometries that are exact, and each of its elements
-is measured again with these.
+is measured again with these. What keeps others out of it is told by name.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
 from pincal.errors import SymmetryError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
+from pincal.kinematics.closing import home_mode
 from pincal.kinematics.inverse import inverse
-from pincal.model.checks import number_of
+from pincal.model.checks import ALIKE, EXACT, number_of
+from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
-from pincal.symmetry.breaks import Break, breaks_of, no_symmetries
-from pincal.symmetry.elements import Element
+from pincal.symmetry.candidates import NEARLY
+from pincal.symmetry.carry import canonical, carry
+from pincal.symmetry.elements import Element, Isometry, wrapped
 from pincal.symmetry.groups import (
     distinct,
     exact,
@@ -31,8 +35,47 @@ from pincal.symmetry.groups import (
     product_table,
     subgroups,
 )
-from pincal.symmetry.shapes import LegImages, Permutation
-from pincal.types import Array
+from pincal.symmetry.shapes import Difference, LegImages, Permutation
+from pincal.words.numbers import POSES, amount, listed
+
+HOME = "home pose"
+HOME_MOVES = "the home pose, from which sensors count, is carried elsewhere"
+
+
+@dataclass(frozen=True)
+class Break:
+    """What keeps an element out of the group: the first quantity that differs."""
+
+    element: Element
+    leg: str
+    """The leg onto which another one should have been carried."""
+    quantity: str
+    deviation: float | None = None
+    """By how much the quantity differs, in the unit; None where it is no number."""
+    unit: str = "1"
+    """m, rad or 1."""
+
+    def __str__(self) -> str:
+        """Return the break as a sentence."""
+        return no_symmetries([self])[0]
+
+
+def no_symmetries(breaks: Sequence[Break]) -> list[str]:
+    """Return sentences that say what keeps elements out of a group, one for each reason."""
+    by_reason: dict[str, list[Break]] = {}
+    for broken in breaks:
+        reason = broken.quantity
+        if broken.deviation is not None:
+            reason += f", by {amount(broken.deviation, broken.unit, 4, POSES)}"
+        by_reason.setdefault(reason, []).append(broken)
+    sentences = []
+    for reason, breaks_alike in by_reason.items():
+        elements = listed(dict.fromkeys(str(broken.element) for broken in breaks_alike))
+        legs = list(dict.fromkeys(broken.leg for broken in breaks_alike))
+        differ = f"differ{'s' * (len(legs) == 1)} from what is carried there in {reason}"
+        why = HOME_MOVES if breaks_alike[0].quantity == HOME else f"{listed(legs)} {differ}"
+        sentences.append(f"{elements}: {why}")
+    return sentences
 
 
 @dataclass(frozen=True, repr=False)
@@ -102,14 +145,6 @@ class SymmetryGroup:
             )
         return tuple(carriers[index] for index in sorted(carriers))
 
-    def orbit(self, poses: Poses) -> Array:
-        """Return the poses onto which each pose is carried, shape (n_elements, N, dof).
-
-        A pose that an element leaves where it is appears as often as that.
-        """
-        platform = self.mechanism.platform
-        return np.stack([element.poses(platform, poses) for element in self.elements])
-
     def equivariance(self, poses: Poses) -> float:
         """Return the largest |reading of a carried leg at carried poses − reading| (Eq. 5).
 
@@ -170,3 +205,99 @@ def _group(mechanism: Mechanism, tolerance: float, readings: bool) -> SymmetryGr
             break
     group = SymmetryGroup(mechanism, tuple(elements), tuple(permutations), tolerance, readings)
     return group.part(sorted(chosen, key=lambda i: place_of(elements[i])))
+
+
+def breaks_of(fits: LegImages, group: Sequence[Element], tolerance: float) -> tuple[Break, ...]:
+    """Return why elements that leg points suggest are not of a group, found within a tolerance."""
+    broken_elements = []
+    for element in sorted(_meant(fits), key=place_of):
+        if any(np.abs(element.matrix - member.matrix).max() < NEARLY for member in group):
+            continue
+        turned_over = fits.mechanism.platform.space == 3 and element.matrix[2, 2] < 0.0
+        if turned_over and fits.home_moves(element) > NEARLY * fits.points.size:
+            continue  # a machine upside down is not what was meant
+        if broken := _first_break(fits, element, tolerance):
+            broken_elements.append(broken)
+    return tuple(broken_elements)
+
+
+def _meant(fits: LegImages) -> list[Element]:
+    """Return a group that leg points suggest, with exact isometries.
+
+    About the base's z axis as it is drawn if that is nearly as good: a fit spreads what one leg is
+    off over all of them.
+    """
+    elements, points = fits.points.candidates, fits.points
+    labels = [tuple(linear_sum_assignment(points.distances(e))[1].tolist()) for e in elements]
+    closed = [elements[i] for i in largest_closed(product_table(elements, labels))]
+    fitted = exact(closed, points.centres, points.size)
+    drawn = [upright for element in fitted if (upright := _about_z(element))]
+    if len(drawn) == len(fitted):
+        off_drawn, off_fitted = (
+            max(points.distances(element).min(axis=1).max() for element in version)
+            for version in (drawn, fitted)
+        )
+        if off_drawn <= len(fits.shapes) * off_fitted + EXACT:
+            return drawn
+    return fitted
+
+
+def _about_z(element: Element) -> Element | None:
+    """Return the element about the base's z axis that is near one, or None if none is."""
+    Q = element.matrix
+    side = np.sign(np.linalg.det(Q[:2, :2]))
+    turn = Element(float(np.arctan2(Q[1, 0], Q[0, 0])), bool(side < 0.0)).matrix.copy()
+    turn[2, 2] = np.sign(Q[2, 2])
+    if max(np.linalg.norm(turn - by.Q) for by in (element.base, element.platform)) > NEARLY:
+        return None
+    near = Isometry.of(turn, np.zeros(3))
+    return Element.of(near, near)
+
+
+def _first_break(fits: LegImages, element: Element, tolerance: float) -> Break | None:
+    """Return what breaks an element first, by the names of parameters where they can say it."""
+    legs, size = fits.mechanism.legs, fits.points.size
+    moves = fits.home_moves(element) > tolerance * max(1.0, size)
+    standing = fits.standing(element)
+    for index, distances in enumerate(fits.points.distances(element)):
+        if moves and fits.readings and any(sensor.homed for sensor in legs[index].sensors):
+            return Break(element, legs[index].name, HOME)
+        order = np.argsort(distances)
+        near = order[distances[order] <= distances.min() + ALIKE].tolist()
+        differing = [fits.exceeding(index, element, standing[i], tolerance) for i in near]
+        if all(differing):
+            image = legs[near[0]]
+            named = _named(fits, legs[index], element, image)
+            differs = next((d for d in named if d.exceeds(tolerance, size)), differing[0])
+            if differs is not None:
+                return Break(element, image.name, differs.quantity, differs.deviation, differs.unit)
+    return None
+
+
+def _named(fits: LegImages, leg: Leg, element: Element, image: Leg) -> Iterator[Difference]:
+    """Yield in which parameters and constants a carried leg differs, as far as drawings say it."""
+    try:
+        carried, drawn = carry(leg, element, leg.name, leg.point.name), canonical(image)
+    except SymmetryError:  # its coordinates cannot say it
+        return
+    if carried.parameter_names != drawn.parameter_names or carried.active != drawn.active:
+        return
+    before, after = carried.nominal_by_name, drawn.nominal_by_name
+    for name, unit in drawn.units.items():
+        yield Difference(f"parameter {name!r}", _apart(before[name] - after[name], unit), unit)
+    platform = fits.mechanism.platform
+    if home_mode(carried, platform) != home_mode(drawn, platform):
+        yield Difference("working mode (the side on which the leg bends)", None)
+    for a, b, unit in zip(carried.sensors, drawn.sensors, drawn.reading_units, strict=True):
+        if not fits.readings or (a.form, a.direction) != (b.form, b.direction):
+            continue
+        gains, offsets = zip(a.constants(before), b.constants(after), strict=True)
+        yield Difference("gain of the sensor", abs(gains[0] - gains[1]))
+        yield Difference("offset of the sensor", _apart(offsets[0] - offsets[1], unit), unit)
+        if not (isinstance(a.zero, str) or isinstance(b.zero, str)):
+            yield Difference("zero of the sensor", _apart(a.zero - b.zero, unit), unit)
+
+
+def _apart(value: float, unit: str) -> float:
+    """Return how large a difference is, of angles without full turns."""
+    return abs(wrapped(value) if unit == "rad" else value)
