@@ -58,7 +58,7 @@ def pinocchio_columns(mechanism: pincal.Mechanism, count: int) -> Callable[[], N
     work = []
     for leg in mechanism.legs:
         chain = leg_chain(leg, spatial=False)
-        joints = chain.still.chain + chain.forest.chain
+        joints = (chain.still.chain if chain.still else ()) + chain.forest.chain
         tree = Forest(joints, (), spatial=False, copies=40 // len(joints))
         model, data = tree._model, tree._data
         q = np.random.default_rng(0).uniform(-1, 1, model.nq)

@@ -12,7 +12,7 @@ import pincal
 from pincal.design.criteria import Criterion
 from pincal.design.information import leg_rows as leg_rows_of
 from pincal.design.optimal import continuous_design, derivatives, exchange
-from pincal.kinematics.derivatives import leg_demand
+from pincal.kinematics.configurations import leg_demands
 
 
 def test_the_bound_is_that_of_an_optimiser_of_all_candidates() -> None:
@@ -55,9 +55,8 @@ def test_derivatives_by_weights_are_those_of_values(criterion: str, r: int) -> N
 def test_rows_of_a_leg_are_whitened(kind: str) -> None:
     """One row of a 3-RRR's leg, two of a 3-RPS's: as by the root of the noise that they carry."""
     mechanism, noise = pincal.load_mechanism(kind), pincal.Noise(1e-4, 2e-4, 5e-5)
-    demand = leg_demand(
-        mechanism, mechanism.leg_names[0], pincal.sample_workspace(kind, 40, seed=0)
-    )
+    plan = pincal.Plan(pincal.sample_workspace(kind, 40, seed=0))
+    demand = leg_demands(mechanism, plan)[0]
     found = leg_rows_of(demand, mechanism, noise)
     by = np.concatenate(
         (demand.pose * noise.of_poses(mechanism), demand.reading * noise.reading), axis=2

@@ -17,7 +17,7 @@ from pincal.kinematics.batches import left_null, product, solve
 from pincal.kinematics.closing import close, sensor_law
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.derivatives import demands
-from pincal.kinematics.forest import Elementary, forest, placements_in
+from pincal.kinematics.forest import Elementary, Forest, placements_in
 from pincal.kinematics.nearest_closure import nearest_closure
 
 Array = NDArray[np.float64]
@@ -85,7 +85,7 @@ def test_demand_derivatives(mechanism: pincal.Mechanism) -> None:
         closure = LegClosure(leg, platform)
         closed = close((closure,), platform.transforms(poses).as_matrix())
         psi = sensor_law(closure).reading(closed.joints[:, leg.active])
-        (rows,) = demands((closure,), closed.closure, psi)
+        (rows,) = demands((closure,), closed.closure, psi, closed.joints)
         np.testing.assert_allclose(rows.value, 0.0, atol=1e-14)
         by_pose = (
             -rows.pose[:, 0] / rows.reading[:, 0]
@@ -115,15 +115,14 @@ def test_forest_equals_one_chain_at_a_time(count: int) -> None:
     rng = np.random.default_rng(count)
     chain = _random_chain(rng, 7)
     end = pin.SE3.Random()
-    tree = forest(tuple(chain), tuple(end.homogeneous.ravel().tolist()), spatial=True)
+    tree = Forest(tuple(chain), tuple(end.homogeneous.ravel().tolist()))
     q = rng.uniform(-2, 2, (count, 7))
     motion = tree.motion(q[None], np.eye(7))
     tips, columns = motion.tips.T, motion.twists().transpose(0, 2, 1)
 
     model, parent = pin.Model(), 0
     for element in chain:
-        joint, placement = element.pinocchio_joint(), element.pinocchio_placement()
-        parent = model.addJoint(parent, joint, placement, f"j{parent}")
+        parent = element.added_to(model, parent)
     frame = model.addFrame(pin.Frame("tip", parent, end, pin.FrameType.OP_FRAME))
     data = model.createData()
     for n in range(count):
@@ -141,8 +140,7 @@ def test_placements_of_joints_lie_one_after_the_other(size: int) -> None:
     """
     model, parent = pin.Model(), 0
     for element in _random_chain(np.random.default_rng(size), size):
-        joint, placement = element.pinocchio_joint(), element.pinocchio_placement()
-        parent = model.addJoint(parent, joint, placement, f"j{parent}")
+        parent = element.added_to(model, parent)
     data = model.createData()
     lie = placements_in(data.oMi)
     for _ in range(3):

@@ -11,7 +11,7 @@ import pincal
 from pincal.design.information import leg_rows
 from pincal.design.optimal import continuous_design, exchange
 from pincal.estimation.observability.indices import identifiability, indices, r_diagonal
-from pincal.kinematics.derivatives import leg_demand
+from pincal.kinematics.configurations import leg_demands
 from pincal.workspace.criteria import in_workspace
 
 
@@ -165,7 +165,7 @@ def test_the_reported_efficiency_is_that_of_the_plan(
     plan = selections["3RRR"].plan
 
     def rows(poses: np.ndarray) -> np.ndarray:
-        demand = leg_demand(mechanism, "leg_1", poses)
+        demand = leg_demands(mechanism, pincal.Plan(poses))[0]
         return leg_rows(demand, mechanism, pincal.Noise())[:, 0]
 
     A, own = rows(candidates["3RRR"]), rows(plan.poses[plan.serves("leg_1")])
@@ -217,7 +217,7 @@ def test_mapped_poses_are_symmetrically_observable(
 
 def _information(mechanism: pincal.Mechanism, poses: np.ndarray) -> float:
     """Return det^(1/2n) of leg 1's information: one over the mean width of its ellipsoid."""
-    demand = leg_demand(mechanism, "leg_1", poses)
+    demand = leg_demands(mechanism, pincal.Plan(poses))[0]
     rows = leg_rows(demand, mechanism, pincal.Noise())[:, 0]
     return float(np.exp(np.linalg.slogdet(rows.T @ rows)[1] / (2 * rows.shape[1])))
 

@@ -25,7 +25,7 @@ def sagging(truth: pincal.Mechanism, poses: Array) -> Array:
     """
     readings = pincal.inverse(truth, poses).readings
     demands = leg_demands(truth, pincal.Plan(poses, readings=readings))
-    J = np.stack([-one.as_joint().pose[:, 0] for one in demands], axis=1)
+    J = np.stack([one.pose[:, 0] / one.reading[:, 0] for one in demands], axis=1)
     weight = np.tile([0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (len(poses), 1))[:, :, None]
     return np.asarray(SOFT * np.linalg.solve(J.transpose(0, 2, 1), weight)[:, :, 0])
 

@@ -24,7 +24,7 @@ from pincal.design.orbits import (
 )
 from pincal.design.select import Search, SelectionOptions
 from pincal.estimation.observability.indices import indices
-from pincal.kinematics.derivatives import leg_demand
+from pincal.kinematics.configurations import leg_demands
 
 
 def three_and_three() -> pincal.Mechanism:
@@ -59,7 +59,7 @@ def mixed_poses(mixed: pincal.Mechanism) -> np.ndarray:
 
 def log_det(mechanism: pincal.Mechanism, leg: str, poses: np.ndarray) -> float:
     """Return log det of a leg's information at poses."""
-    demand = leg_demand(mechanism, leg, poses)
+    demand = leg_demands(mechanism, pincal.Plan(poses))[mechanism.leg_names.index(leg)]
     rows = leg_rows(demand, mechanism, pincal.Noise())
     flat = rows.reshape(-1, rows.shape[2])
     return float(np.linalg.slogdet(flat.T @ flat)[1])

@@ -24,7 +24,7 @@ import pincal
 from pincal import Measurements, Mechanism, Noise, Placement, Platform
 from pincal.design.information import leg_rows
 from pincal.design.optimal import continuous_design, exchange
-from pincal.kinematics.derivatives import leg_demand
+from pincal.kinematics.configurations import leg_demands
 
 Array = NDArray[np.float64]
 Draw = Callable[[st.SearchStrategy[Any]], Any]
@@ -378,7 +378,7 @@ def chosen_poses_are_reached_and_told_apart(draw: Draw, folder: Path) -> None:
 
 
 def _log_det(mechanism: Mechanism, leg: str, poses: Array) -> float:
-    demand = leg_demand(mechanism, leg, poses)
+    demand = leg_demands(mechanism, pincal.Plan(poses))[mechanism.leg_names.index(leg)]
     rows = leg_rows(demand, mechanism, Noise())
     J = rows.reshape(-1, rows.shape[2])
     return float(np.linalg.slogdet(J.T @ J)[1])

@@ -20,7 +20,7 @@ from pincal.files.mechanism_folders import bundled, load_mechanism
 from pincal.files.output import refuse_existing, writing
 from pincal.files.table import write_table
 from pincal.kinematics.closure import LegClosure
-from pincal.kinematics.derivatives import leg_demand
+from pincal.kinematics.configurations import leg_demands
 from pincal.kinematics.forward import forward as solve_forward
 from pincal.kinematics.influences import own_influences
 from pincal.kinematics.inverse import inverse as solve_inverse
@@ -65,14 +65,10 @@ def check(mech: Mech, options: TableOptions) -> None:
         stdout.print(f"{leg.name}: {words}")
     with working("sampling the workspace"):
         plan = sample_configurations(mechanism, 500)
-    for index, leg in enumerate(mechanism.legs):
-        columns = mechanism.reading_columns[index]
-        readings = None if plan.readings is None else plan.readings[:, columns]
-        rows = leg_demand(mechanism.at_reference, leg.name, plan.poses, readings=readings)
-        if rows.value.shape[1] == len(leg.sensors):
-            rows = rows.as_joint()
+    for leg, demand in zip(mechanism.legs, leg_demands(mechanism.at_reference, plan), strict=True):
         names = leg.at_reference.parameter_names
-        jacobian = rows.parameter.reshape(-1, len(names))
+        by_reading = demand.value.shape[1] == len(leg.sensors)
+        jacobian = (demand.jacobian if by_reading else demand.parameter).reshape(-1, len(names))
         rank = identifiability(jacobian, [f"{leg.name}.{name}" for name in names])
         words = "" if rank.complete else f": {rank.describe()}"
         if influenced := [name for name in leg.parameter_names if name not in names]:

@@ -127,7 +127,7 @@ def carried_legs(
         by_reading, whitened = [], []
         for demand in leg_demands_at([nominal[name] for name in legs], placed):
             n = demand.parameter.shape[2]
-            by_reading.append(demand.as_joint().parameter.reshape(-1, n))
+            by_reading.append(demand.jacobian.reshape(-1, n))
             whitened.append(leg_rows(demand, mechanism, noise).reshape(-1, n))
         for place, (name, element) in enumerate(zip(legs, carriers, strict=True)):
             if not maps(by_reading[0], by_reading[place]):

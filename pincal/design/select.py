@@ -293,7 +293,7 @@ def select_poses(
     )
     designs = []
     for leg, demand, efficiency in zip(mechanism.legs, demands, efficiencies, strict=True):
-        C = demand.as_joint().parameter.reshape(-1, len(leg.parameters))
+        C = demand.jacobian.reshape(-1, len(leg.parameters))
         condition = identifiability(C, leg.parameter_ids).condition
         reference = carried[leg.name][0]
         designs.append(

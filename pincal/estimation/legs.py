@@ -15,11 +15,9 @@ from functools import cached_property
 import numpy as np
 
 from pincal.estimation.unknowns import BlockRows, State
-from pincal.kinematics.batches import block_diagonal, repeated, stacked
-from pincal.kinematics.closing import grouped
+from pincal.kinematics.batches import block_diagonal
 from pincal.kinematics.closure import LegClosure
-from pincal.kinematics.derivatives import Demand, demands
-from pincal.kinematics.nearest_closure import nearest_closure
+from pincal.kinematics.derivatives import leg_demands_at
 from pincal.model.leg import Leg
 from pincal.model.platform import Platform
 from pincal.types import Array, Index, Mask
@@ -136,18 +134,10 @@ class LegBlock:
         Raises:
             MechanismError: a homed sensor, and a home pose out of reach.
         """
-        matrices, n = state.matrices, range(len(self.legs))
         pairs = zip(self.legs, self.columns, strict=True)
         closures = [LegClosure(leg, self.platform, state.parameters[c]) for leg, c in pairs]
-        joints, demand_of = dict[int, Array](), dict[int, Demand]()
-        for places in self._alike:
-            legs, known = [closures[i] for i in places], stacked([self.known[i] for i in places])
-            near = stacked([state.joints[i] for i in places]) if state.joints else None
-            closed, nearest = nearest_closure(legs, repeated(matrices, len(legs)), known, near)
-            by_leg = nearest.reshape(len(legs), len(matrices), nearest.shape[1])
-            joints |= zip(places, by_leg, strict=True)
-            demand_of |= zip(places, demands(legs, closed, known), strict=True)
-        of_legs, serves = [demand_of[i] for i in n], self.active[:, :, None]
+        placed, serves = [state.matrices] * len(closures), self.active[:, :, None]
+        of_legs = leg_demands_at(closures, placed, self.known, near=state.joints)
         by_pose = np.where(serves, np.concatenate([d.pose for d in of_legs], axis=1), 0.0)
         by_reading = block_diagonal([d.reading for d in of_legs])
         noise_root = by_reading * self.sigma[:, None]
@@ -161,14 +151,8 @@ class LegBlock:
             np.where(serves, block_diagonal([d.parameter for d in of_legs]), 0.0),
             by_reading,
             np.where(serves, noise_root, 0.0),
-            tuple(joints[i] for i in n),
+            tuple(demand.joints for demand in of_legs),
         )
-
-    @cached_property
-    def _alike(self) -> list[list[int]]:
-        """Places of legs that are evaluated in one call."""
-        forms = [LegClosure(leg, self.platform).form for leg in self.legs]
-        return grouped(forms, len(self.used))
 
 
 def slices(sizes: Sequence[int]) -> list[slice]:

@@ -129,18 +129,18 @@ def block_diagonal(parts: Sequence[Array]) -> Array:
     return diagonal
 
 
-def applied(matrices: Array, vectors: Array) -> Array:
-    """Return T v of poses T, shape (N, 4, 4), and vectors (4, k, N or 1), shape (3, k, N).
+def turned(matrices: Array, vectors: Array) -> Array:
+    """Return R v of poses, shape (N, 4, 4), and vectors (3, k, N or 1), shape (3, k, N).
 
     Of vectors that are the same at all poses one product of matrices: the poses' entries, in a row,
     times what each vector takes of them.
     """
     if vectors.shape[2] != 1:
-        return np.einsum("nij,jkn->ikn", matrices[:, :3], vectors)
+        return np.einsum("nij,jkn->ikn", matrices[:, :3, :3], vectors)
     k = vectors.shape[1]
     takes = np.zeros((3, k, 3, 4))
     for row in range(3):
-        takes[row, :, row] = vectors[:, :, 0].T
+        takes[row, :, row, :3] = vectors[:, :, 0].T
     entries = matrices.reshape(-1, 16)[:, :12]
     return (takes.reshape(3 * k, 12) @ entries.T).reshape(3, k, -1)
 

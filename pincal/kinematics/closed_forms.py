@@ -194,7 +194,8 @@ def closed_form(closure: LegClosure) -> ClosedForm | None:
     rod = kinds[1:] == pointing
     if leg.closes == "frame" or not (rod or kinds == [*pointing, "prismatic"]):
         return None
-    tips, (zero, home) = closure.at_zero_and_home
+    joints = np.stack((np.zeros(len(kinds)), leg.home))
+    zero, home = closure.motion(joints).twists(slice(len(kinds))).transpose(2, 0, 1)
     driven = 0 if rod else len(kinds) - 1
     turning = np.delete(zero, driven, axis=1)
     start = _arm(turning)  # from where the axes cross to the tip
@@ -209,7 +210,7 @@ def closed_form(closure: LegClosure) -> ClosedForm | None:
     if space == 3:
         delta = float(np.arctan2(arm @ e1, arm @ axes[:, 2]))
         side = _sign(np.cos(leg.home[2 if rod else 1] + delta))
-    pointed = closure, driven, tips[0] - start, axes, delta, side
+    pointed = closure, driven, closure.tips(joints)[0] - start, axes, delta, side
     if not rod:
         shift = float(start @ arm)
         return ClosedForm(*pointed, shift, _sign(leg.home[-1] + shift))

@@ -242,7 +242,7 @@ def _search(
 def _newton_step(leg: LegClosure, closure: Closure) -> Array:
     """Return the Newton step of all joints, deformations staying, (N, n_joints + n_deformed)."""
     with np.errstate(all="ignore"):
-        active = closure.active_step()
+        active = -least_squares(closure.drive, closure.constraint[:, :, None])[:, :, 0]
         change = product(closure.active, active[:, :, None])[:, :, 0]
         passive = closure.passive_step(change)
         width = active.shape[1] + passive.shape[1] + len(leg.leg.deformed)

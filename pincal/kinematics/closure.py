@@ -12,32 +12,23 @@ one equation; one with fewer passive joints more, a serial arm six.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
 
 from pincal.kinematics.batches import (
-    applied,
     cross,
     inverse_left_jacobian,
-    least_squares,
     left_null,
     point_velocity,
     product,
     solve,
     turn_between,
+    turned,
 )
-from pincal.kinematics.chain import (
-    PlatformPoint,
-    alike_points,
-    deformed_point,
-    leg_chain,
-    motion,
-    platform_point,
-    point_chain,
-)
-from pincal.kinematics.forest import Motion, moments
+from pincal.kinematics.chain import Begun, PlatformPoint, leg_chain, motion, platform_point
+from pincal.kinematics.forest import Motion, wrench
 from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Platform
@@ -49,8 +40,8 @@ from pincal.types import Array
 class Closure:
     """Closure c of alike legs, and its derivatives, at N configurations; m rows are kept.
 
-    Each is worked out where it is asked for. A row of Nᵀc is a wrench on the tip, and what it
-    changes by along a motion is the wrench's power: of many parameters only that is worked out.
+    Each is worked out where it is asked for. A row of Nᵀc is a force on the tip, and what it
+    changes by along a motion is the force's power: of many parameters only that is worked out.
     """
 
     leg: LegClosure
@@ -62,20 +53,29 @@ class Closure:
     point: PlatformPoint
 
     @cached_property
-    def turn_error(self) -> Array | None:
-        """Rotation vectors from the platform's frame to the tip's, (N, 3), if it closes a frame."""
+    def arm(self) -> Array:
+        """R b, the platform point from the platform's origin, base axes, shape (3, N), [m]."""
+        return turned(self.matrices, self.point.arm)[:, 0]
+
+    @cached_property
+    def turning(self) -> tuple[Array, Array, Array] | None:
+        """Of a leg that closes a frame: the r rows of c for its turn, shape (N, r), [m].
+
+        And how turns of the tip and of the platform change them, shape (N, r, 3) each.
+        """
         if not self.leg.turns:
             return None
-        return turn_between(self.motion.turns, self.matrices[:, :3, :3] @ self.point.turn)
+        error = turn_between(self.motion.turns, self.matrices[:, :3, :3] @ self.point.turn)
+        by_turn, size, axes = inverse_left_jacobian(error), self.leg.size, self.leg.axes
+        by_platform = -by_turn.transpose(0, 2, 1)
+        return size * error[:, axes], size * by_turn[:, axes], size * by_platform[:, axes]
 
     @cached_property
     def gap(self) -> Array:
         """c, shape (N, m), base frame, [m]; rotation vectors are multiplied by the leg's size."""
         m = self.leg.platform.space
-        gap = (self.motion.tips[:m] - applied(self.matrices, self.point.place)[:m, 0]).T
-        if self.turn_error is None:
-            return gap
-        return np.concatenate((gap, self.leg.size * self.turn_error[:, self.leg.axes]), axis=1)
+        gap = self.motion.tips[:m].T - self.matrices[:, :m, 3] - self.arm[:m].T
+        return gap if self.turning is None else np.hstack((gap, self.turning[0]))
 
     @cached_property
     def by_joints(self) -> Array:
@@ -97,23 +97,22 @@ class Closure:
         """∂c/∂φ at fixed joints, shape (N, m, n_params)."""
         rows = self._rows(self.motion.twists_at_tip(slice(len(self.leg.leg.moving), None)))
         if len(placing := self.point.parameters):
-            m = self.leg.platform.space
-            rows[:, :m, placing] -= applied(self.matrices, self.point.speeds)[:m].transpose(2, 0, 1)
-            if self.turn_error is not None:
-                turned = self._by_platform_turn @ self.matrices[:, :3, :3] @ self.point.turning
-                rows[:, m:, placing] -= turned
+            m, twists = self.leg.platform.space, self.point.twists
+            rows[:, :m, placing] -= turned(self.matrices, twists[:3])[:m].transpose(2, 0, 1)
+            if self.turning is not None:
+                by_point = turned(self.matrices, twists[3:]).transpose(2, 0, 1)
+                rows[:, m:, placing] += self.turning[2] @ by_point
         return rows
 
     @cached_property
     def pose(self) -> Array:
         """∂c/∂x for the platform's freedoms as a twist at its origin, shape (N, m, dof)."""
-        arm = applied(self.matrices, self.point.arm)[:, 0].T
         twist_rows = self.leg.platform.twist_rows
-        pose = -point_velocity(arm, twist_rows)[:, : self.leg.platform.space]
-        if self.turn_error is None:
+        pose = -point_velocity(self.arm.T, twist_rows)[:, : self.leg.platform.space]
+        if self.turning is None:
             return pose
-        turned = np.equal.outer((3, 4, 5), twist_rows).astype(float)
-        return np.concatenate((pose, -(self._by_platform_turn @ turned)), axis=1)
+        turns = np.equal.outer((3, 4, 5), twist_rows).astype(float)
+        return np.concatenate((pose, self.turning[2] @ turns), axis=1)
 
     @cached_property
     def normal(self) -> Array:
@@ -137,39 +136,29 @@ class Closure:
         return self.project(self.active)
 
     @cached_property
-    def constraint_by_parameter(self) -> Array:
-        """Nᵀ ∂c/∂φ at fixed joints, shape (N, m - n_passive, n_params)."""
-        if not self.passive.shape[2]:
-            return self.parameter
-        m, n, placing = self.leg.platform.space, len(self.leg.leg.moving), self.point.parameters
-        shape = (self.normal.shape[2], len(self.leg.parameters), len(self.normal))
-        power = np.empty(shape)
-        for row, y in zip(power, self.normal.transpose(2, 1, 0), strict=True):
-            force, turning = np.zeros((len(self.motion.tips), len(self.normal))), y[m:].T[:, None]
-            force[:m] = y[:m]
-            moment = None if self.turn_error is None else (turning @ self._by_tip_turn)[:, 0].T
-            row[:] = self.motion.power(force, moment, n)
-            if len(placing):
-                row[placing] -= _power_in_platform(self.matrices, self.point.speeds, y[:m])
-                if self.turn_error is not None:
-                    turned = (turning @ self._by_platform_turn) @ self.matrices[:, :3, :3]
-                    row[placing] -= (turned @ self.point.turning)[:, 0].T
-        return power.transpose(2, 0, 1)
-
-    @cached_property
     def constraint_by_pose(self) -> Array:
         """Nᵀ ∂c/∂x, shape (N, m - n_passive, dof)."""
-        if not self.passive.shape[2]:
-            return self.pose
-        m, twist_rows = self.leg.platform.space, list(self.leg.platform.twist_rows)
-        arm = applied(self.matrices, self.point.arm)[:, 0]
-        wrench = np.zeros((self.normal.shape[2], 6, len(self.normal)))
-        for row, y in zip(wrench, self.normal.transpose(2, 1, 0), strict=True):
-            row[:m] = y[:m]
-            row[6 - (1 if m == 2 else 3) :] = moments(arm[:m], y[:m])
-            if self.turn_error is not None:
-                row[3:] += (y[m:].T[:, None] @ self._by_platform_turn)[:, 0].T
-        return -wrench[:, twist_rows].transpose(2, 0, 1)
+        if self.leg.turns or not self.passive.shape[2]:
+            return self.project(self.pose)
+        m = self.leg.platform.space
+        rows = [row if m == 3 else min(row, 2) for row in self.leg.platform.twist_rows]
+        forces = self.normal.transpose(2, 1, 0)
+        power = np.stack([wrench(self.arm[:m], force)[rows] for force in forces])
+        return -power.transpose(2, 0, 1)
+
+    @cached_property
+    def constraint_by_parameter(self) -> Array:
+        """Nᵀ ∂c/∂φ at fixed joints, shape (N, m - n_passive, n_params)."""
+        if self.leg.turns or not self.passive.shape[2]:
+            return self.project(self.parameter)
+        placing, forces = self.point.parameters, self.normal.transpose(2, 1, 0)
+        power = np.empty((len(forces), len(self.leg.parameters), len(self.normal)))
+        for row, force in zip(power, forces, strict=True):
+            row[:] = self.motion.power(force, len(self.leg.leg.moving))
+            if len(placing):
+                in_platform = np.einsum("nij,in->jn", self.matrices[:, : len(force), :3], force)
+                row[placing] -= np.einsum("jkn,jn->kn", self.point.twists[:3], in_platform)
+        return power.transpose(2, 0, 1)
 
     @cached_property
     def lever(self) -> Array:
@@ -187,13 +176,6 @@ class Closure:
         lever = np.linalg.norm(drive[:3].T + cross(drive[3:].T, arm), axis=1)
         return np.where(lever > 1e-9 * tip_speed, lever, tip_speed)
 
-    def active_step(self) -> Array:
-        """Return the Newton step of the active joints that closes the leg, shape (N, n_active).
-
-        Of least squares where the leg demands more than they can give, the shortest where less.
-        """
-        return -least_squares(self.drive, self.constraint[:, :, None])[:, :, 0]
-
     def passive_step(self, gap_change: Array | None = None) -> Array:
         """Return the Gauss-Newton step of the passive joints, shape (N, n_passive).
 
@@ -204,36 +186,13 @@ class Closure:
         normal = product(transposed, self.passive)
         return -solve(normal, product(transposed, gap[:, :, None]))[:, :, 0]
 
-    def passive_turning(self) -> Array:
-        """Return how passive joints turn the tip, (1 or 3, n_passive, N): across z, or all."""
-        return self.motion.twists_at_tip(list(self.leg.leg.passive))[len(self.motion.tips) :]
-
-    @cached_property
-    def _by_tip_turn(self) -> Array:
-        """How a turn of the tip changes the turn's rows, shape (N, 1 or 3, 3)."""
-        assert self.turn_error is not None
-        return self.leg.size * inverse_left_jacobian(self.turn_error)[:, self.leg.axes]
-
-    @cached_property
-    def _by_platform_turn(self) -> Array:
-        """How a turn of the platform changes them, but for the sign, shape (N, 1 or 3, 3)."""
-        assert self.turn_error is not None
-        by_turn = inverse_left_jacobian(self.turn_error).transpose(0, 2, 1)
-        return self.leg.size * by_turn[:, self.leg.axes]
-
     def _rows(self, twists: Array) -> Array:
         """Return rows of the closure by twists of the tip, (3 or 6, k, N), shape (N, m, k)."""
         rows = twists[: self.leg.platform.space].transpose(2, 0, 1)
-        if self.turn_error is None:
+        if self.turning is None:
             return rows
-        turned = self._by_tip_turn @ np.ascontiguousarray(twists[3:].transpose(2, 0, 1))
-        return np.concatenate((rows, turned), axis=1)
-
-
-def _power_in_platform(matrices: Array, vectors: Array, force: Array) -> Array:
-    """Return f · (R v) of vectors (4, k, N or 1) in the platform frame, f (2 or 3, N), (k, N)."""
-    in_platform = np.einsum("nij,in->jn", matrices[:, : len(force), :3], force)
-    return np.einsum("jkn,jn->kn", vectors[:3], in_platform)
+        turns = np.ascontiguousarray(twists[3:].transpose(2, 0, 1))
+        return np.concatenate((rows, self.turning[1] @ turns), axis=1)
 
 
 class LegClosure:
@@ -251,7 +210,6 @@ class LegClosure:
         self.chain = leg_chain(leg, platform.space == 3 or self.turns)
         self._key = (leg, platform, self.parameters.tobytes())
         self._hash = hash(self._key)
-        self._point = platform_point(leg, self.parameters)
 
     def __eq__(self, closure: object) -> bool:
         return isinstance(closure, LegClosure) and self._key == closure._key
@@ -265,18 +223,19 @@ class LegClosure:
         return self.leg.size
 
     @property
-    def reach(self) -> float:
-        """Largest distance of the platform's origin from the leg's base, [m]."""
-        return self.leg.reach
-
-    @property
     def by_name(self) -> dict[str, float]:
         """Parameter values by name."""
         return dict(zip(self.leg.parameter_names, self.parameters.tolist(), strict=True))
 
     def targets(self, matrices: Array) -> Array:
         """Return the platform point in the base frame at poses (N, 4, 4), shape (N, 3), [m]."""
-        return applied(matrices, self._point.place)[:, 0].T
+        arm = self.point_at(self.leg.home[None]).arm
+        return matrices[:, :3, 3] + turned(matrices, arm)[:, 0].T
+
+    @cached_property
+    def begun(self) -> Begun:
+        """What parameters put into the moving joints, and where these begin."""
+        return self.chain.begin(self.parameters)
 
     @cached_property
     def deformations(self) -> SensorLaw:
@@ -297,24 +256,16 @@ class LegClosure:
 
     def point_at(self, joints: Array) -> PlatformPoint:
         """Return the platform point at joint positions, with deformations or without."""
-        deformations = joints[:, len(self.leg.moving) :]
-        return (
-            self._point
-            if not deformations.shape[1]
-            else deformed_point(self.leg, self.parameters, deformations)
-        )
+        return platform_point(self.leg, self.parameters, joints[:, len(self.leg.moving) :])
+
+    def motion(self, joints: Array) -> Motion:
+        """Return where the leg's tip is, and how it moves: see ``evaluate``."""
+        return motion((self.chain,), (self.begun,), joints)
 
     def tips(self, joints: Array) -> Array:
         """Return the tips of the leg in the base frame, shape (N, 3), [m]."""
-        return _padded(self.chain.motion(self.parameters, joints).tips)
-
-    @cached_property
-    def at_zero_and_home(self) -> tuple[Array, Array]:
-        """Tips with joints at zero and at home, (2, 3), and their twists by joints, (2, 6, n)."""
-        joints = np.stack((np.zeros(len(self.leg.moving)), self.leg.home))
-        motion = self.chain.motion(self.parameters, joints)
-        twists = motion.twists(slice(joints.shape[1]))
-        return _padded(motion.tips), np.ascontiguousarray(twists.transpose(2, 0, 1))
+        tips = self.motion(joints).tips
+        return np.concatenate((tips, np.zeros((3 - len(tips), tips.shape[1])))).T
 
     def evaluate(self, joints: Array, matrices: Array) -> Closure:
         """Return closure and derivatives at joints, see ``deformed``, and poses (N, 4, 4)."""
@@ -326,7 +277,7 @@ class LegClosure:
 
         One that deforms, or closes a frame, is like no other: its rows are those of one leg.
         """
-        leg, placing = self.leg, point_chain(self.leg).moving
+        leg, placing = self.leg, self.point_at(self.leg.home[None]).parameters
         if leg.deformed or self.turns:
             return (object(),)
         sizes = (len(leg.parameters), len(leg.sensors), len(leg.influences), *placing.tolist())
@@ -337,11 +288,10 @@ class LegClosure:
 
         Joints are those of ``evaluate``.
         """
-        motion, point = self.chain.motion(self.parameters, joints), self.point_at(joints)
-        tips, turns = motion.tips.T, motion.turns
+        moved, point = self.motion(joints), self.point_at(joints)
         matrices = np.tile(np.eye(4), (len(joints), 1, 1))
-        matrices[:, :3, :3] = turns @ point.turn.transpose(0, 2, 1)
-        matrices[:, :3, 3] = tips - applied(matrices, point.arm)[:, 0].T
+        matrices[:, :3, :3] = moved.turns @ point.turn.transpose(0, 2, 1)
+        matrices[:, :3, 3] = moved.tips.T - turned(matrices, point.arm)[:, 0].T
         return matrices
 
 
@@ -350,10 +300,14 @@ def evaluate(legs: Sequence[LegClosure], joints: Array, matrices: Array) -> Clos
 
     Joints have shape (L N, n_joints …), poses (L N, 4, 4): see ``LegClosure.evaluate``.
     """
-    moved = motion([leg.chain for leg in legs], [leg.parameters for leg in legs], joints)
+    moved = motion([leg.chain for leg in legs], [leg.begun for leg in legs], joints)
     point = legs[0].point_at(joints)
-    if len(legs) > 1:
-        point = alike_points([leg.point_at(joints) for leg in legs], len(joints) // len(legs))
+    if len(legs) > 1:  # none of them deforms
+        points, count = [leg.point_at(joints) for leg in legs], len(joints) // len(legs)
+        arms = np.concatenate([each.arm for each in points], axis=2)
+        twists = np.concatenate([each.twists for each in points], axis=2)
+        rows = np.repeat(arms, count, axis=2), np.repeat(twists, count, axis=2)
+        point = replace(point, arm=rows[0], twists=rows[1])
     return Closure(legs[0], matrices, moved, point)
 
 
@@ -363,11 +317,6 @@ def each(function: Callable[..., Array], legs: Sequence[LegClosure], *columns: A
         return function(legs[0], *columns)
     parts = zip(legs, *(np.split(column, len(legs)) for column in columns), strict=True)
     return np.concatenate([function(leg, *rows) for leg, *rows in parts])
-
-
-def _padded(rows: Array) -> Array:
-    """Return points (2 or 3, N) as points in space, shape (N, 3)."""
-    return np.concatenate((rows, np.zeros((3 - len(rows), rows.shape[1])))).T
 
 
 def largest_size(legs: Iterable[Leg]) -> float:

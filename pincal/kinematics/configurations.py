@@ -141,15 +141,16 @@ def legs_at(mechanism: Mechanism, planned: Plan | Array) -> Legs:
 
 
 def leg_demands(mechanism: Mechanism, plan: Plan) -> list[Demand]:
-    """Return what each leg demands at configurations, poses in reach: see ``leg_demand``."""
+    """Return what each leg demands at configurations, poses in reach."""
     columns, legs = planned_influences(mechanism, plan), nominal_legs(mechanism)
-    readings = influences = None
+    placed, places = [mechanism.platform.matrices(plan.poses)] * len(legs), range(len(legs))
     if plan.readings is not None:
-        readings = [plan.readings[:, places] for places in mechanism.reading_columns]
-    if columns is not None:
-        influences = [mechanism.influences_at(index, columns) for index in range(len(legs))]
-    placed = mechanism.platform.matrices(plan.poses)
-    return leg_demands_at(legs, [placed] * len(legs), readings, influences)
+        known = [mechanism.known(place, plan.readings, columns) for place in places]
+        return leg_demands_at(legs, placed, known)
+    if columns is None:
+        return leg_demands_at(legs, placed)
+    influences = [mechanism.influences_at(place, columns) for place in places]
+    return leg_demands_at(legs, placed, influences=influences)
 
 
 def command(mechanism: Mechanism, planned: Plan | Array) -> tuple[Array, Array, list[str]]:

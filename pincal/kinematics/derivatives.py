@@ -1,8 +1,7 @@
 """What one leg demands of pose, reading and parameters, linearised: the rows of identification.
 
-A closed leg demands e = Nᵀ c(x, θ(ψ), p; φ) = 0. Its derivatives in parameters φ, pose x
-and reading ψ give both residuals in use: the closure residual e itself, and the joint
-residual (predicted less measured reading), whose rows are those of e over −∂e/∂ψ.
+A closed leg demands e = Nᵀ c(x, θ(ψ), p; φ) = 0. Its derivatives are by parameters φ, pose x and
+reading ψ; those of the predicted reading, the identification Jacobian, are −(∂e/∂ψ)⁻¹ ∂e/∂φ.
 """
 
 from __future__ import annotations
@@ -13,19 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
-from pincal.kinematics.batches import (
-    chunks,
-    least_squares,
-    matrix_chunks,
-    product,
-    stacked,
-)
-from pincal.kinematics.closing import close, grouped, sensor_law
+from pincal.kinematics.batches import chunks, least_squares, product, stacked
+from pincal.kinematics.closing import ClosedLegs, close, grouped, sensor_law
 from pincal.kinematics.closure import Closure, LegClosure, each
 from pincal.kinematics.nearest_closure import nearest_closure
-from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
-from pincal.types import Array, Mask
+from pincal.types import Array
 
 
 @dataclass(frozen=True)
@@ -34,141 +26,121 @@ class Demand:
 
     value: Array
     """e = Nᵀ c, shape (N, k), [m]."""
-    parameter: Array
-    """∂e/∂φ, shape (N, k, n_params), [m/unit]."""
     pose: Array
     """∂e/∂x for the platform's freedoms as a twist, shape (N, k, dof), [1] and [m/rad]."""
+    joints: Array
+    """Joint positions there, deformations behind, shape (N, n_joints [+ n_deformed])."""
+    parameter: Array
+    """∂e/∂φ, shape (N, k, n_params), [m/unit]."""
     reading: Array
     """∂e/∂ψ, shape (N, k, n_active), [m/rad] or [1]."""
 
-    def as_joint(self) -> Demand:
-        """Return the rows of the joint residual: predicted less measured readings.
+    @property
+    def jacobian(self) -> Array:
+        """∂(predicted reading)/∂φ, shape (N, n_active, n_params): −(∂e/∂ψ)⁻¹ ∂e/∂φ.
 
-        They are −(∂e/∂ψ)⁻¹ times those of e, of least squares where e has more rows than readings.
+        Of least squares where e has more rows than readings.
         """
-        rows = (self.value[:, :, None], self.parameter, self.pose)
-        value, parameter, pose = (-least_squares(self.reading, row) for row in rows)
-        identity = np.eye(self.reading.shape[2])
-        by_reading = np.broadcast_to(-identity, (len(value), *identity.shape))
-        return Demand(value[:, :, 0], parameter, pose, by_reading)
+        return -least_squares(self.reading, self.parameter)
 
 
-def demands(legs: Sequence[LegClosure], closure: Closure, known: Array) -> list[Demand]:
+def demands(
+    legs: Sequence[LegClosure], closure: Closure, known: Array, joints: Array
+) -> list[Demand]:
     """Return what each of L alike legs demands, from their closures at N configurations.
 
     Rows of each stand below those of the one before. Known are readings, then influences, shape
     (L N, n_active [+ n_influences]).
     """
-    drive, by_parameter = closure.drive, closure.constraint_by_parameter
-    reading = each(_by_reading, legs, drive, known)
-    parameter = each(_by_parameter, legs, by_parameter, drive, known)
-    columns = (closure.constraint, parameter, closure.constraint_by_pose, reading)
-    return [Demand(*rows) for rows in zip(*(np.split(c, len(legs)) for c in columns), strict=True)]
+    by_parameter, drive = closure.constraint_by_parameter, closure.drive
+    columns = (closure.constraint, closure.constraint_by_pose, joints, by_parameter, drive, known)
+    parts = (np.split(column, len(legs)) for column in columns)
+    return [
+        Demand(value, pose, positions, *_by_own(leg, *geometry))
+        for leg, value, pose, positions, *geometry in zip(legs, *parts, strict=True)
+    ]
 
 
-def _by_reading(leg: LegClosure, drive: Array, known: Array) -> Array:
-    """Return ∂e/∂ψ, shape (N, k, n_active)."""
-    return np.asarray(drive * sensor_law(leg).slopes(known)[..., None, :])
-
-
-def _by_parameter(leg: LegClosure, rows: Array, drive: Array, known: Array) -> Array:
-    """Return ∂e/∂φ, shape (N, k, n_params): of the geometry, of the sensors, and of deformations.
+def _by_own(leg: LegClosure, rows: Array, drive: Array, known: Array) -> tuple[Array, Array]:
+    """Return ∂e/∂φ, (N, k, n_params), and ∂e/∂ψ, (N, k, n_active), of ∂e/∂φ and ∂e/∂θ of geometry.
 
     A deformation is added to its parameter, so ∂e/∂a = ∂e/∂p · b.
     """
-    law, derivatives = sensor_law(leg), rows.copy("K")
-    derivatives[:, :, law.parameter_places] += product(drive, law.by_parameter(known))
+    law, parameter = sensor_law(leg), rows.copy("K")
+    parameter[:, :, law.parameter_places] += product(drive, law.by_parameter(known))
+    reading = drive * law.slopes(known)[..., None, :]
     if leg.leg.deformed:
         law, names = leg.deformations, leg.leg.parameter_names
         places = [names.index(name) for name in leg.leg.deformed]
         known = np.hstack((np.zeros((len(known), len(places))), known[:, len(leg.leg.sensors) :]))
-        derivatives[:, :, law.parameter_places] += rows[:, :, places] @ law.by_parameter(known)
-    return derivatives
-
-
-def _closed(
-    legs: Sequence[LegClosure], matrices: Array, influences: Array, readings: Array | None = None
-) -> tuple[Closure, Array, Mask]:
-    """Return closures of alike legs, readings and influences, and which rows are reached."""
-    if readings is not None:
-        known = np.hstack((readings, influences))
-        return nearest_closure(legs, matrices, known)[0], known, np.ones(len(known), dtype=bool)
-    closed = close(legs, matrices, influences)
-
-    def reading(leg: LegClosure, joints: Array, columns: Array) -> Array:
-        return sensor_law(leg).reading(joints[:, leg.leg.active], columns)
-
-    psi = each(reading, legs, closed.joints, influences)
-    return closed.closure, np.hstack((psi, influences)), closed.reached
+        parameter[:, :, law.parameter_places] += rows[:, :, places] @ law.by_parameter(known)
+    return parameter, reading
 
 
 def leg_demands_at(
     legs: Sequence[LegClosure],
     placed: Sequence[Array],
-    readings: Sequence[Array] | None = None,
+    known: Sequence[Array] | None = None,
     influences: Sequence[Array] | None = None,
+    near: Sequence[Array] = (),
 ) -> list[Demand]:
-    """Return what legs demand, each at poses of its own: see ``leg_demand``.
+    """Return what legs demand, each at poses of its own, alike ones evaluated in one call.
+
+    With readings of inverse kinematics values are zero, and all is NaN out of reach; with readings
+    that are known, passive joints are where the leg closes best.
 
     Args:
         legs: The legs at their parameter values.
         placed: Of each leg N poses, matrices (N, 4, 4).
-        readings: Of each leg, shape (N, n_active); those of inverse kinematics if not given.
-        influences: Of each leg, shape (N, n_influences); at their reference if not given.
+        known: Of each leg readings, then influences, shape (N, n_active [+ n_influences]); readings
+            are those of inverse kinematics if not given.
+        influences: Of each leg for inverse kinematics; at their reference if not given.
+        near: Of each leg joints from which the search starts at known readings.
     """
     forms = [(leg.form, len(poses)) for leg, poses in zip(legs, placed, strict=True)]
     influences = influences or [np.zeros((len(poses), 0)) for poses in placed]
-    demand_of: dict[int, Demand] = {}
+    parts: list[list[Demand]] = [[] for _ in legs]
     for places in grouped(forms, max(map(len, placed))):
-        group, parts = [legs[i] for i in places], []
+        group = [legs[i] for i in places]
         for rows in list(chunks(len(placed[places[0]]))) or [slice(0)]:
-            matrices, columns = (
-                stacked([values[i][rows] for i in places]) for values in (placed, influences)
-            )
-            psi = stacked([readings[i][rows] for i in places]) if readings else None
-            parts.append(_demands_in_reach(group, *_closed(group, matrices, columns, psi)))
-        demand_of |= zip(places, map(_joined, zip(*parts, strict=True)), strict=True)
-    return [demand_of[place] for place in range(len(legs))]
+            matrices = stacked([placed[i][rows] for i in places])
+            if known is not None:
+                columns = stacked([known[i][rows] for i in places])
+                start = stacked([near[i][rows] for i in places]) if near else None
+                closure, joints = nearest_closure(group, matrices, columns, start)
+                of_group = demands(group, closure, columns, joints)
+            else:
+                columns = stacked([influences[i][rows] for i in places])
+                of_group = _predicted(group, matrices, columns)
+            for place, demand in zip(places, of_group, strict=True):
+                parts[place].append(demand)
+    return [
+        Demand(*(stacked([vars(demand)[name] for demand in of_leg]) for name in vars(of_leg[0])))
+        for of_leg in parts
+    ]
 
 
-def _demands_in_reach(
-    legs: Sequence[LegClosure], closure: Closure, known: Array, reached: Mask
-) -> list[Demand]:
-    """Return what alike legs demand, NaN where they are not reached."""
-    parts = demands(legs, closure, known)
-    if not reached.all():
-        for part, at_rows in zip(parts, np.split(reached, len(legs)), strict=True):
-            for values in vars(part).values():
-                values[~at_rows] = np.nan
-    return parts
+def _predicted(legs: Sequence[LegClosure], matrices: Array, influences: Array) -> list[Demand]:
+    """Return what alike legs demand at readings of inverse kinematics, NaN out of reach."""
+    closed, known = _closed(legs, matrices, influences)
+    of_legs = demands(legs, closed.closure, known, closed.joints)
+    if not closed.reached.all():
+        for demand, reached in zip(of_legs, np.split(closed.reached, len(legs)), strict=True):
+            for values in vars(demand).values():
+                values[~reached] = np.nan
+    return of_legs
 
 
-def _joined(parts: Sequence[Demand]) -> Demand:
-    """Return demands of a leg below each other."""
-    columns = zip(*(vars(part).values() for part in parts), strict=True)
-    return parts[0] if len(parts) == 1 else Demand(*map(np.concatenate, columns))
+def _closed(
+    legs: Sequence[LegClosure], matrices: Array, influences: Array
+) -> tuple[ClosedLegs, Array]:
+    """Return alike legs closed at poses, and the readings and influences there."""
+    closed = close(legs, matrices, influences)
 
+    def reading(leg: LegClosure, joints: Array, columns: Array) -> Array:
+        return sensor_law(leg).reading(joints[:, leg.leg.active], columns)
 
-def leg_demand(
-    mechanism: Mechanism,
-    leg: str,
-    poses: Poses,
-    parameters: Array | None = None,
-    readings: Array | None = None,
-    influences: Array | None = None,
-) -> Demand:
-    """Return what a leg demands at N poses, nominal parameters unless others are given.
-
-    With readings of inverse kinematics its value is zero, and all is NaN out of reach; with
-    readings given, shape (N, n_active), passive joints are where the leg closes best. Influences
-    have shape (N, n_influences); they are at their reference if not given.
-
-    Raises:
-        MechanismError: unknown leg; poses of a wrong shape, or not finite.
-    """
-    closure = LegClosure(mechanism.leg(leg), mechanism.platform, parameters)
-    measured = (None if columns is None else [columns] for columns in (readings, influences))
-    return leg_demands_at((closure,), (mechanism.platform.matrices(poses),), *measured)[0]
+    return closed, np.hstack((each(reading, legs, closed.joints, influences), influences))
 
 
 def identification_jacobian(
@@ -198,15 +170,15 @@ def identification_jacobian(
         (2, 6)
     """
     mechanism = as_mechanism(mechanism)
-    placed = mechanism.platform.matrices(poses)
     closure = LegClosure(mechanism.leg(leg), mechanism.platform, parameters)
-    law = sensor_law(closure)
-    C = np.empty((len(law.slope), len(closure.parameters), len(placed))).transpose(2, 0, 1)
-    for rows, matrices in matrix_chunks(placed):
-        closed, psi, reached = _closed((closure,), matrices, np.zeros((len(matrices), 0)))
-        drive = _by_reading(closure, closed.drive, psi)
-        C[rows] = least_squares(
-            -drive, _by_parameter(closure, closed.constraint_by_parameter, closed.drive, psi)
-        )
-        C[rows][~reached] = np.nan
+    placed = mechanism.platform.matrices(poses)
+    C = np.empty((len(closure.leg.sensors), len(closure.parameters), len(placed))).transpose(
+        2, 0, 1
+    )
+    for rows in chunks(len(placed)):
+        closed, known = _closed((closure,), placed[rows], np.zeros((len(placed[rows]), 0)))
+        by_parameter = closed.closure.constraint_by_parameter
+        parameter, reading = _by_own(closure, by_parameter, closed.closure.drive, known)
+        C[rows] = -least_squares(reading, parameter)
+        C[rows][~closed.reached] = np.nan
     return C.reshape(-1, C.shape[2])

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from threading import Lock
 
 import numpy as np
@@ -27,9 +26,8 @@ _JOINTS = {
     "ry": pin.JointModelRY,
     "rz": pin.JointModelRZ,
 }
-_COLUMNS = (
-    40  # keep nv near this: calls cost what they do with 64, Pinocchio's data (nv³) a quarter
-)
+_COLUMNS = 40  # keep nv near this: calls cost what they do with 64, Pinocchio's data a quarter
+Vector = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -39,80 +37,59 @@ class Elementary:
     axis: str
     placement: tuple[float, ...] = ()
     """Homogeneous matrix, row by row; empty for the identity."""
-    vector: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    vector: Vector = (0.0, 0.0, 1.0)
 
-    def pinocchio_joint(self) -> pin.JointModel:
-        """Return Pinocchio's joint model."""
-        if self.axis == "t":
-            return pin.JointModelPrismaticUnaligned(np.array(self.vector))
-        if self.axis == "r":
-            return pin.JointModelRevoluteUnaligned(np.array(self.vector))
-        return _JOINTS[self.axis]()
-
-    def pinocchio_placement(self) -> pin.SE3:
-        """Return the constant placement before the joint."""
-        if not self.placement:
-            return pin.SE3.Identity()
-        return pin.SE3(np.array(self.placement).reshape(4, 4))
-
-
-@dataclass(frozen=True)
-class Base:
-    """Where a chain begins, and how k motions move that, whatever its joints do; base frame."""
-
-    placement: pin.SE3
-    twists: Array
-    """At the base's origin, linear first, shape (6, k)."""
+    def added_to(self, model: pin.Model, parent: int) -> int:
+        """Add the joint to a model of Pinocchio's behind another one; return its index."""
+        unaligned = {"t": pin.JointModelPrismaticUnaligned, "r": pin.JointModelRevoluteUnaligned}
+        if self.axis in unaligned:
+            joint = unaligned[self.axis](np.array(self.vector))
+        else:
+            joint = _JOINTS[self.axis]()
+        placement = np.reshape(self.placement, (4, 4)) if self.placement else np.eye(4)
+        return int(model.addJoint(parent, joint, pin.SE3(placement), f"joint {model.njoints}"))
 
 
 class Forest:
     """Copies of one chain of elementary joints, evaluated together."""
 
     def __init__(
-        self, chain: tuple[Elementary, ...], tip: tuple[float, ...], spatial: bool, copies: int
+        self,
+        chain: tuple[Elementary, ...],
+        tip: tuple[float, ...] = (),
+        spatial: bool = True,
+        copies: int | None = None,
     ) -> None:
-        self.chain = chain
-        self.spatial = spatial
-        self.copies = copies
+        """Make the forest of a chain of joints, base first.
+
+        Its tip is a constant placement after the last joint, row by row, wanted in space or in the
+        plane across z only. By default it has as many copies side by side as pay.
+        """
+        chain = chain or (Elementary("rz"),)  # one that nobody turns
+        self.chain, self.spatial = chain, spatial
+        self.copies = copies or max(1, _COLUMNS // len(chain))
         self.width = len(chain)
         self._tip = np.array(tip).reshape(4, 4) if tip else None
         self._model = pin.Model()
-        for copy in range(copies):
+        for _ in range(self.copies):
             parent = 0
-            for index, joint in enumerate(chain):
-                parent = self._model.addJoint(
-                    parent,
-                    joint.pinocchio_joint(),
-                    joint.pinocchio_placement(),
-                    f"{copy}_{index}",
-                )
+            for joint in chain:
+                parent = joint.added_to(self._model, parent)
         self._data = self._model.createData()
-        per_copy = max(self.width, 1)
         # Pinocchio's own memory: where copies begin, and what each call writes again
-        self._roots = placements_in(self._model.jointPlacements)[1::per_copy]
+        self._roots = placements_in(self._model.jointPlacements)[1 :: self.width]
+        self._origin = self._roots[0].copy()
         self._columns = _bytes(self._data.J.T)
-        self._ends = placements_in(self._data.oMi)[self.width :: per_copy]
+        self._ends = placements_in(self._data.oMi)[self.width :: self.width]
         self._turn = Lock()  # Pinocchio's data are one thread's at a time
-        self._first = chain[0].pinocchio_placement() if chain else pin.SE3.Identity()
-        self._base: Base | None = None  # where the copies begin now
-
-    def begin(self, configuration: Array, rates: Array) -> Base:
-        """Return where the first copy ends, and how it moves: where another chain may begin.
-
-        Of a configuration (n,), and rates of the chain's joints in k motions, shape (k, n).
-        """
-        with self._turn:
-            columns = pin.computeJointJacobians(self._model, self._data, configuration)
-            end = self._data.oMi[self.width].copy()
-        return Base(end, columns.reshape(6, self.width) @ rates.T)
 
     def motion(
-        self, configurations: Array, rates: Array, bases: Sequence[Base | None] = (None,)
+        self, configurations: Array, rates: Array, bases: Sequence[Motion | None] = (None,)
     ) -> Motion:
         """Return where the tips of L alike chains are and how they move.
 
-        Configurations have shape (L, N, n), rates of the chains' joints in k motions (k, n). Chains
-        begin at bases, if not at the base's origin.
+        Configurations have shape (L, N, n), rates of the chains' joints in k motions (k, n). Each
+        chain begins where another one ends that stands still, or at the base's origin.
         """
         legs, count, n = configurations.shape
         rows = [0, 1, 2, 3, 4, 5] if self.spatial else [0, 1, 5]  # across z the others are zero
@@ -123,13 +100,16 @@ class Forest:
             target[:] = columns[:, :, :n, row].transpose(2, 0, 1)
         tips, turns = self._tips(ends.reshape(legs * count, 12))
         begun = None
-        if any(base is not None and base.twists.any() for base in bases):
+        if any(base is not None and base.rates.any() for base in bases):
             still = np.zeros((6, len(rates)))
-            begun = np.stack([still if base is None else base.twists for base in bases])[:, rows]
+            moved = (
+                still if base is None else base.columns[:, :, 0] @ base.rates.T for base in bases
+            )
+            begun = np.stack(list(moved))[:, rows]
         return Motion(tips, turns, twists.reshape(len(rows), n, legs * count), rates, begun)
 
     def _evaluated(
-        self, configurations: Array, bases: Sequence[Base | None]
+        self, configurations: Array, bases: Sequence[Motion | None]
     ) -> tuple[Array, Array]:
         """Return joint columns at the base's origin, (L, N, width, 6), and ends, (L, N, 12)."""
         legs, count, n = configurations.shape
@@ -141,7 +121,7 @@ class Forest:
         evaluate, model, data = pin.computeJointJacobians, self._model, self._data
         to_columns, bytes_per_block = _bytes(columns), len(self._columns)
         for leg, base in enumerate(bases):
-            self._begin_at(base)
+            self._roots[:] = self._origin if base is None else np.append(base.turns[0].T, base.tips)
             for block, q in enumerate(padded[leg].reshape(blocks, size), leg * blocks):
                 evaluate(model, data, q)
                 to_columns[block * bytes_per_block : (block + 1) * bytes_per_block] = (
@@ -162,14 +142,6 @@ class Forest:
             tips += (turns[:, :m] @ self._tip[:3, 3]).T
             turns = turns @ self._tip[:3, :3]
         return tips, turns if self.spatial else np.empty((0, 3, 3))
-
-    def _begin_at(self, base: Base | None) -> None:
-        """Let all copies begin at a base."""
-        if base is self._base:
-            return
-        placement = self._first if base is None else base.placement * self._first
-        self._roots[:, :9], self._roots[:, 9:] = placement.rotation.T.ravel(), placement.translation
-        self._base = base
 
 
 @dataclass(frozen=True)
@@ -202,18 +174,17 @@ class Motion:
             by_chain += begun.transpose(1, 2, 0)[..., None]
         return _at_tips(self.tips, twists)
 
-    def power(self, force: Array, moment: Array | None, after: int) -> Array:
-        """Return the power of wrenches on the tip in all motions after so many, shape (k', N).
+    def power(self, force: Array, after: int) -> Array:
+        """Return the power of forces at the tip, (2 or 3, N), in all motions after so many.
 
-        Of forces (2 or 3, N), and moments about the tip, (1 or 3, N), if given. The power is the
-        same at every point: taken at the base's origin, no twist has to be carried on.
+        Shape (k', N). It is the same at every point: taken at the base's origin, no twist has to be
+        carried on.
         """
-        about = moments(self.tips, force)
-        wrench = np.concatenate((force, about if moment is None else about + moment))
-        power = self.rates[after:] @ np.einsum("rjn,rn->jn", self.columns, wrench)
+        at_origin = wrench(self.tips, force)
+        power = self.rates[after:] @ np.einsum("rjn,rn->jn", self.columns, at_origin)
         if self.begun is not None:
             legs = len(self.begun)
-            by_chain = wrench.reshape(len(wrench), legs, -1).swapaxes(0, 1)
+            by_chain = at_origin.reshape(len(at_origin), legs, -1).swapaxes(0, 1)
             begun = self.begun[:, :, after:].swapaxes(1, 2) @ by_chain
             by_leg = power.reshape(len(power), legs, -1)
             by_leg += begun.swapaxes(0, 1)
@@ -227,11 +198,11 @@ class Motion:
         return full
 
 
-def moments(arms: Array, force: Array) -> Array:
-    """Return arm × force, shape (1 or 3, N), of shapes (2 or 3, N): in the plane about z."""
-    if len(arms) == 2:
-        return (arms[0] * force[1] - arms[1] * force[0])[None]
-    return cross(arms.T, force.T).T
+def wrench(arm: Array, force: Array) -> Array:
+    """Return force and arm × force, (3 or 6, N), of shapes (2 or 3, N): in the plane x, y, rz."""
+    if len(force) == 2:
+        return np.concatenate((force, (arm[0] * force[1] - arm[1] * force[0])[None]))
+    return np.concatenate((force, cross(arm.T, force.T).T))
 
 
 def _at_tips(tips: Array, twists: Array) -> Array:
@@ -268,20 +239,3 @@ def placements_in(memory: pin.StdVec_SE3) -> Array:
 def _bytes(array: Array) -> memoryview:
     """Return a contiguous array's memory."""
     return array.reshape(-1).data.cast("B")
-
-
-@lru_cache(maxsize=64)
-def forest(
-    chain: tuple[Elementary, ...],
-    tip: tuple[float, ...] = (),
-    *,
-    spatial: bool,
-    copies: int | None = None,
-) -> Forest:
-    """Return the forest of a chain of joints, base first, made once.
-
-    Its tip is a constant placement after the last joint, row by row, wanted in space or in the
-    plane across z only. By default it has as many copies side by side as pay.
-    """
-    chain = chain or (Elementary("rz"),)  # one that nobody turns
-    return Forest(chain, tip, spatial, copies or max(1, _COLUMNS // len(chain)))

@@ -68,7 +68,9 @@ def _curved_step(closed: Closure, rows: Mask) -> Array:
     gap, J = closed.gap[rows], closed.passive[rows]
     n, m = len(gap), gap.shape[1]
     turning, space = np.zeros((3, J.shape[2], n)), np.zeros((n, 3, J.shape[2] + 1))
-    rates = closed.passive_turning()[:, :, rows]
+    rates = closed.motion.twists_at_tip(list(closed.leg.leg.passive))[
+        len(closed.motion.tips) :, :, rows
+    ]
     turning[3 - len(rates) :] = rates
     space[:, :m, :-1], space[:, :m, -1] = J, gap
     v, c = space[:, :, :-1], space[:, :, -1]
