@@ -173,7 +173,7 @@ def drift(_: np.random.Generator) -> Error:
     return Error(
         "an encoder drifts by 0.1 mrad",
         lambda _, __, time: np.outer(time, [0.0, 1e-4, 0.0]),
-        named="leg_2 (order|time)|drift of reading leg_2",
+        named="leg_2 time|drift of reading leg_2",
         terms=("leg_2=time",),
         columns=lambda time: {"time": time},
     )

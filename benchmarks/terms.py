@@ -43,7 +43,7 @@ from pincal.calibration.calibration import Calibration
 from pincal.calibration.fits import fitted
 from pincal.calibration.terms.candidates import tied_by, with_terms
 from pincal.calibration.terms.choice import LEVEL
-from pincal.calibration.terms.kinds import GROWTH, ORDER, Kind, every_pair, lengths
+from pincal.calibration.terms.kinds import GROWTH, Kind, every_pair, lengths
 from pincal.calibration.terms.screen import Candidate, screened, trials
 from pincal.estimation.observability.residuals import Residuals
 from pincal.model.terms import Load
@@ -226,7 +226,7 @@ def without(parts: Parts, first: Candidate) -> Parts:
 def named(parts: Parts, count: int) -> list[Seen]:
     """Return what is seen, each time after the first candidates before it were added."""
     seen = [Seen(parts)]
-    while len(seen) < count and seen[-1].first.kind.name != ORDER:  # no term
+    while len(seen) < count:
         seen.append(Seen(without(seen[-1].parts, seen[-1].first)))
     return seen
 

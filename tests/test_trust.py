@@ -280,11 +280,7 @@ def test_held_out_points_are_missed_in_mm(several: bool) -> None:
 
 @pytest.mark.parametrize("known", [True, False])
 def test_the_least_of_folds_is_as_probable_as_of_fits_to_noise(*, known: bool) -> None:
-    """Least squares of 20,000 draws, with each fold and without it: within three errors of both.
-
-    By F, folds share what they are compared with: the least is more probable than of independent
-    ones.
-    """
+    """Least squares of 20,000 draws, with each fold and without it: small chances to a tenth."""
     mechanism, _, data = machine("3RRR", 40)
     fits = fitted(Calibration(mechanism, data, Options(noise=NOISE))).fits
     one, groups = fits[0], folds_of(data, 5, "region")
@@ -303,8 +299,7 @@ def test_the_least_of_folds_is_as_probable_as_of_fits_to_noise(*, known: bool) -
         ratio = (total - seen) / count / (seen / dof)
         chances.append(chi2.sf(total - seen, count) if known else f.sf(ratio, count, dof))
     drawn = np.min(chances, axis=0)
-    for least in (0.01, 0.1, 0.3):
+    for least in (0.003, 0.01, 0.03):
         share = (drawn <= least).mean()
-        error = np.sqrt(share * (1.0 - share) * (1 / 20_000 + 1 / 9999))
-        found = least_of_folds(least, fits, groups, known=known)
-        assert found == pytest.approx(share, abs=3.0 * error)
+        error = np.sqrt(share * (1.0 - share) / 20_000)
+        assert least_of_folds([least] * 5) == pytest.approx(share, rel=0.1, abs=3.0 * error)

@@ -115,8 +115,8 @@ def prepared(
 @one_thread()
 def run(
     asked: Calibration, folds: int | None = None, by: By = "region"
-) -> tuple[CalibrationResult, list[str]]:
-    """Return the result of a calibration, and why no rows were held out, if any were to be.
+) -> tuple[CalibrationResult, Fits, list[str]]:
+    """Return the result of a calibration, its fits, and why no rows were held out if some were to.
 
     Args:
         asked: The calibration as it was read.
@@ -133,23 +133,22 @@ def run(
     except (PincalError, np.linalg.LinAlgError) as error:
         raise explained_error(calibration, error) from error
     result = assemble(sure_fits)
-    findings = (
-        *explain_result(result, fits.external),
-        *findings_of(result, sure_fits),
-        *chosen_terms(asked, calibration),
-    )
+    findings = (*explain_result(result, fits.external), *findings_of(result, sure_fits))
+    terms = sorted(calibration.mechanism.amplitudes - asked.mechanism.amplitudes)
+    if AUTO in asked.options.terms and terms:
+        findings = (*findings, finding("terms-chosen", parameters=terms))
     outliers = result.outliers
     if result.excess > 1.0 and result.loss == "none":
         findings, outliers = blame_wrong_rows(result, findings)
     result = replace(result, findings=findings, outliers=outliers)
     if folds is None or not result.converged:
-        return result, []
+        return result, fits, []
     if not folds:
-        return result, ["no rows were held out (--folds 0)"]
+        return result, fits, ["no rows were held out (--folds 0)"]
     try:
-        return with_validation(result, folds, by, fits), []
+        return with_validation(result, folds, by, fits), fits, []
     except (PincalError, ArithmeticError) as error:
-        return result, [f"no held-out validation: {error}"]
+        return result, fits, [f"no held-out validation: {error}"]
 
 
 #: Findings that follow from wrong rows.
@@ -223,8 +222,8 @@ def explained(calibration: Calibration) -> Explanation:
     named = parse_terms([term for term in tried if term != AUTO], plain.mechanism)
     every = every_pair(plain.mechanism, plain.measurements) if AUTO in tried else []
     pairs = list(dict.fromkeys((*named, *every)))
-    result, _ = run(plain)
-    return Explanation(result, *choose(started(plain), pairs))
+    result, fits, _ = run(plain)
+    return Explanation(result, *choose(fits.calibration, pairs, fits))
 
 
 def _with_terms(calibration: Calibration) -> Calibration:
@@ -285,14 +284,6 @@ def explain_result(result: CalibrationResult, frame: External) -> tuple[Finding,
     identified = np.concatenate([leg.identified for leg in result.legs])
     changes = identified - result.nominal.parameters.values - result.calibration.shift
     return misaligned(result.nominal, changes, result.poses, result.measurements.readings)
-
-
-def chosen_terms(asked: Calibration, calibration: Calibration) -> tuple[Finding, ...]:
-    """Return a finding if the measurements chose terms themselves."""
-    terms = sorted(calibration.mechanism.amplitudes - asked.mechanism.amplitudes)
-    if AUTO not in asked.options.terms or not terms:
-        return ()
-    return (finding("terms-chosen", parameters=terms),)
 
 
 def with_validation(

@@ -119,7 +119,7 @@ def fitted(calibration: Calibration, near: Fits | None = None, rows: Mask | None
     Args:
         calibration: What is to be identified.
         near: Fits of all legs at once near which the optimum is, from which the search begins.
-        rows: Which of their rows these are, shape (N,).
+        rows: Which of their rows these are, shape (N,), if they are of more rows, or fewer terms.
 
     Raises:
         ObservabilityError: too few poses, or poses that leave parameters undetermined.
@@ -267,7 +267,7 @@ def _beginning(
 ) -> tuple[State | None, Gauge | None, State | None]:
     """Return where a search starts, the gauge, and where it would have started; None if not known.
 
-    Of fits of more rows the gauge is the same where the same is measured.
+    Of fits of more rows the gauge is the same where the same is measured. Terms begin at zero.
     """
     if begin is None:
         return None, None, None
@@ -275,6 +275,13 @@ def _beginning(
     if rows is None:
         return fit.last.state, begin.gauge, fit.problem.first
     start = fit.last.state.rows(np.flatnonzero(rows))
+    legs, former = problem.legs, fit.problem.legs
+    if [leg.parameter_names for leg in legs] != [leg.parameter_names for leg in former]:
+        ids = [id_ for leg in former for id_ in leg.parameter_ids]
+        fitted_values = dict(zip(ids, start.parameters.tolist(), strict=True))
+        nominal = (zip(leg.parameter_ids, leg.nominal.tolist(), strict=True) for leg in legs)
+        values = [fitted_values.get(id_, value) for leg in nominal for id_, value in leg]
+        return State(np.array(values), start.matrices, external=start.external), None, None
     columns = (part.observation.measured.T for part in (fit.problem, problem))
     if any(a.any() != b.any() for a, b in zip(*columns, strict=True)):
         return start, None, None
@@ -295,7 +302,8 @@ def _fit_holding(
     while True:
         held = hold_unobservable(mechanism, problem, free, least)
         if former and held.directions.shape[1] > former.directions.shape[1]:
-            start = None  # at nominal values: there what is held besides is held
+            start = None
+        start = start and _within(held.unknowns, start)
         may_hold_more = held.weakest < _HELD_MORE * least and least < _HELD_MOST
         patience = _PATIENCE if may_hold_more else None
         system = replace(system, unknowns=held.unknowns, max_evaluations=patience)
@@ -307,6 +315,14 @@ def _fit_holding(
             if not may_hold_more:
                 raise
         least *= _HELD_MORE
+
+
+def _within(unknowns: Unknowns, state: State) -> State:
+    """Return a state with what is held of its parameters at nominal values."""
+    n = len(state.parameters)
+    T, nominal = unknowns.map[:n], unknowns.start[:n]
+    z = np.linalg.lstsq(T, state.parameters - nominal, rcond=None)[0]
+    return replace(state, parameters=nominal + T @ z)
 
 
 def _measured(calibration: Calibration) -> Fits:

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import bdtrc, betaincinv, chdtri
+from scipy.special import bdtrc
 
 from pincal.blas import one_thread
 from pincal.calibration.assemble import chi2_freedoms, noise_freedoms
@@ -31,7 +31,7 @@ from pincal.estimation.problem import Linear
 from pincal.estimation.robust import as_one
 from pincal.estimation.solver import solve_poses
 from pincal.estimation.start import placed, poses_at_rest
-from pincal.estimation.system import UNLIKELY, NormalEquations, suspected
+from pincal.estimation.system import UNLIKELY, suspected
 from pincal.kinematics.batches import CHUNK
 from pincal.kinematics.forward import forward
 from pincal.model.setup import ORIGIN
@@ -58,19 +58,19 @@ def held_out(
         fits_of_all: Its fits of all rows, if they are known; else they are made.
     """
     if fits_of_all is None:
-        fits_of_all = _converged(calibration, "the fit of all rows")
+        fits_of_all = converged(calibration, "the fit of all rows")
     robust = fits_of_all.calibration.options.loss != "none"
     calibration = fits_of_all.calibration.with_options(loss="none")
     fitting = np.ones(len(calibration.measurements), dtype=bool)
     fits, wrong = fits_of_all, list[Outlier]()
     if robust:
         fitting[[outlier.row for fit in fits_of_all.fits for outlier in fit.outliers]] = False
-        fits = _converged(calibration.rows(fitting), "the fit of the rows that fit")
+        fits = converged(calibration.rows(fitting), "the fit of the rows that fit")
     validation, strays = _validated(fits, folds, by)
     while strays:
         wrong += [replace(row, row=int(np.flatnonzero(fitting)[row.row])) for row in strays]
         fitting[[row.row for row in wrong]] = False
-        fits = _converged(calibration.rows(fitting), "the fit of the rows that fit")
+        fits = converged(calibration.rows(fitting), "the fit of the rows that fit")
         validation, strays = _validated(fits, folds, by)
     if wrong and not robust and not validation.findings:
         values = {name: getattr(wrong[0], name) for name in ("sigma", "quantity", "off")}
@@ -84,27 +84,29 @@ def _validated(fits_of_all: Fits, folds: int, by: By) -> tuple[Validation, list[
     """Return errors at held-out rows, and the few rows to verify with that alone contradict."""
     calibration = fits_of_all.calibration
     groups = folds_of(calibration.measurements, folds, by)
-    count, misses, chances, of_folds = int(groups.max()) + 1, [], [], np.zeros(4)
+    count, chances, of_folds = int(groups.max()) + 1, [], np.zeros(4)
+    at_fit = misses_of(calibration.rows(calibration.counts), fits_of_all)
+    misses = {target: np.full(len(groups), np.nan) for target in at_fit}
     dof = fits_of_all.degrees_of_freedom
     chi2 = sum(fit.chi2 for fit in fits_of_all.fits)
     total = chi2 if (groups >= 0).all() else None  # rows to verify with are in no fit
-    known = calibration.noise.known
-    unit = 1.0 if known else max(chi2 / max(dof, 1), 1e-300)  # noise that was estimated
+    unit = 1.0 if calibration.noise.known else max(chi2 / max(dof, 1), 1e-300)
     for fold in range(count):
         calibration.options.report(f"held-out rows, fold {fold + 1} of {count}")
         seen_rows, unseen = groups != fold, calibration.rows(groups == fold)
         fold_calibration = calibration.rows(seen_rows).at_this_noise()
-        fits = _converged(fold_calibration, f"fold {fold + 1} of {count}", fits_of_all, seen_rows)
+        fits = converged(fold_calibration, f"fold {fold + 1} of {count}", fits_of_all, seen_rows)
         predicted = predictions(fits, unseen)
         sums = _sums(predicted, len(unseen.measurements))
         chances.append(_chance(fits, sums, total))
-        misses.append((unseen, misses_of(unseen, fits)))
+        for target, values in misses_of(unseen, fits).items():
+            misses.setdefault(target, np.full(len(groups), np.nan))[groups == fold] = values
         of_folds += sums.sum(axis=0)
     _, squares, unknown, equations = of_folds
     fit = float(np.sqrt(chi2 / max(dof, 1) / unit))
     held = float(np.sqrt(squares / equations / unit))
     expected = float(fit * np.sqrt(1.0 + unknown / equations))
-    p_value = least_of_folds(min(chances), fits_of_all.fits, groups, known=known)
+    p_value = least_of_folds(chances)
     is_worse = p_value < UNLIKELY and fit <= MISSES and not rounding(fits_of_all)
     strays = list[Outlier]()
     if is_worse and total is None:
@@ -113,6 +115,7 @@ def _validated(fits_of_all: Fits, folds: int, by: By) -> tuple[Validation, list[
         if few and _chance(fits, sums[~wrong], total) >= UNLIKELY:
             strays = _strays(predicted, sums, wrong, unit, np.flatnonzero(groups == 0))
     worse = finding("held-out-worse", held_out=held, expected=expected, p_value=p_value)
+    places = np.array(clusters(calibration.measurements))
     validation = Validation(
         folds=count,
         rows=int((groups >= 0).sum()),
@@ -121,15 +124,24 @@ def _validated(fits_of_all: Fits, folds: int, by: By) -> tuple[Validation, list[
         expected=expected,
         p_value=p_value,
         findings=(worse,) if is_worse else (),
-        targets=missed(misses_of(calibration.rows(calibration.counts), fits_of_all), misses),
+        targets=tuple(
+            _missed(*target, values, misses[target], places)
+            for target, values in at_fit.items()
+            if np.isfinite(misses[target]).any()
+        ),
     )
     return validation, strays
 
 
-def _converged(
+def converged(
     calibration: Calibration, subject: str, near: Fits | None = None, rows: Mask | None = None
 ) -> Fits:
-    """Return fits that converge, the search begun near others of which these are some rows."""
+    """Return fits that converge, the search begun near others of which these are some rows.
+
+    Raises:
+        MeasurementError: the search for them does not converge.
+        ObservabilityError: rows that do not determine the parameters.
+    """
     fits = fitted(calibration, near, rows)
     if not fits.converged:
         raise MeasurementError(
@@ -225,65 +237,9 @@ def _chance(fits: Fits, sums: Array, total: float | None) -> float:
     return exceeded(ratio / own_ratio, share * equations, share * dof)
 
 
-_RANK = 1e-10  # least share of a direction in a fold
-
-
-def least_of_folds(least: float, fits: Sequence[Fit], groups: Index, *, known: bool) -> float:
-    """Return the probability that the least of all folds' probabilities is so small, or smaller.
-
-    By draws from what the model would make of noise; where none is as small, what independent folds
-    would give (Šidák 1967) if that is less.
-
-    Groups are the fold of each row of the measurements, shape (N,), below 0 in none. Where the
-    noise's scale is not known, folds are compared with the others.
-    """
-    count = int(groups.max()) + 1
-    bound = float(bdtrc(0, count, least))
-    if count < 2 or (groups < 0).any():
-        return bound
-    random = np.random.default_rng(0)
-    parts = [_drawn(fit, groups[fit.rows], count, random) for fit in fits]
-    inside, squares, equations = (np.sum(part, axis=0) for part in zip(*parts, strict=True))
-    dof = sum(fit.degrees_of_freedom for fit in fits)
-    if known:
-        unlikely = inside >= chdtri(equations, least)
-    else:  # of a share x of all, or more: the chance that 1 − x follows a beta distribution
-        outside = squares.sum(axis=1, keepdims=True) - inside
-        share = betaincinv(0.5 * (dof - equations), 0.5 * equations, least)
-        unlikely = (outside > 0.0) & (inside * share >= outside * (1.0 - share))
-    below = int(unlikely.any(axis=1).sum())
-    return (1 + below) / (1 + DRAWS) if below else min(bound, 1 / (1 + DRAWS))
-
-
-def _drawn(
-    fit: Fit, folds: Index, count: int, random: np.random.Generator
-) -> tuple[Array, Array, Array]:
-    """Return drawn statistics and squared residuals of folds, (draws, count), their equations."""
-    used = fit.weights > 0.0
-    J = np.where(used[:, None, None], fit.last.jacobian @ fit.unknowns.map, 0.0)
-    _, prior = fit.unknowns.prior_rows(fit.parameters)
-    normal = NormalEquations.of(fit.system.triangle(fit.last, used.astype(float)))
-    Q = normal.orthonormal(J).transpose(0, 2, 1)
-    roots, equations = [], []  # draws need no more than single precision
-    for fold in range(count):
-        part = Q[folds == fold]
-        share, V = np.linalg.eigh(np.einsum("nim,njm->ij", part, part))
-        has = share > _RANK
-        root = np.sqrt(share[has])[:, None] * V[:, has].T
-        roots.append((root.astype(np.float32), (1.0 - share[has]).astype(np.float32)))
-        equations.append(int(fit.last.equations[folds == fold][used[folds == fold]].sum()))
-    drawn = [random.standard_normal((DRAWS, len(unfitted)), np.float32) for _, unfitted in roots]
-    taken = sum(u @ root for u, (root, _) in zip(drawn, roots, strict=True))
-    if len(prior):
-        held = normal.orthonormal(prior).astype(np.float32)
-        taken = taken + random.standard_normal((DRAWS, len(prior)), np.float32) @ held
-    inside, squared = np.empty((DRAWS, count)), np.empty((DRAWS, count))
-    for fold, (u, (root, unfitted)) in enumerate(zip(drawn, roots, strict=True)):
-        squares = np.square(u - taken @ root.T)
-        remainder = random.chisquare(max(equations[fold] - len(unfitted), 1e-9), DRAWS)
-        inside[:, fold] = squares @ (1.0 / np.maximum(unfitted, _RANK)) + remainder
-        squared[:, fold] = squares.sum(axis=1) + remainder
-    return inside, squared, np.array(equations, dtype=float)
+def least_of_folds(chances: Sequence[float]) -> float:
+    """Return the probability that the least of folds' is so small, by chance (Šidák 1967)."""
+    return float(bdtrc(0, len(chances), min(chances)))
 
 
 Misses = dict[tuple[str, str], Array]
@@ -331,46 +287,22 @@ def misses_of(calibration: Calibration, fits: Fits) -> Misses:
     return misses
 
 
-def per_row(misses: Misses, count: int) -> Array:
-    """Return sizes of misses of position [m], of all targets, and orientation [rad], (N, 2)."""
-    sizes = np.full((count, 2), np.nan)
-    for column, unit in enumerate(("m", "rad")):
-        squares = [values**2 for (_, unit_missed), values in misses.items() if unit_missed == unit]
-        if squares:
-            known = np.isfinite(squares).any(axis=0)
-            sizes[known, column] = np.sqrt(np.nanmean(np.array(squares)[:, known], axis=0))
-    return sizes
-
-
-def missed(fitted: Misses, unseen: Sequence[tuple[Calibration, Misses]]) -> tuple[Missed, ...]:
-    """Return how far targets are missed at rows of the fit, and over all folds held out."""
-    answers = []
-    for (target, unit), at_fit in fitted.items():
-        parts = [
-            (misses[target, unit], clusters(rows.measurements))
-            for rows, misses in unseen
-            if (target, unit) in misses
-        ]
-        if not parts:
-            continue
-        values, places = (np.concatenate(column) for column in zip(*parts, strict=True))
-        known = np.isfinite(values)
-        values, (_, pose) = values[known], np.unique(places[known], return_inverse=True)
-        mean_ends, rms_ends = _ends(values, pose)
-        answers.append(
-            Missed(
-                target=target,
-                unit=unit,
-                poses=int(pose.max()) + 1,
-                fit=float(np.sqrt(np.nanmean(at_fit**2))),
-                mean=float(values.mean()),
-                rms=float(np.sqrt((values**2).mean())),
-                largest=float(values.max()),
-                mean_ends=mean_ends,
-                rms_ends=rms_ends,
-            )
-        )
-    return tuple(answers)
+def _missed(target: str, unit: str, fitted: Array, unseen: Array, places: Array) -> Missed:
+    """Return how far a target is missed, shape (N,), at rows of the fit and at those held out."""
+    known = np.isfinite(unseen)
+    values, (_, pose) = unseen[known], np.unique(places[known], return_inverse=True)
+    mean_ends, rms_ends = _ends(values, pose)
+    return Missed(
+        target=target,
+        unit=unit,
+        poses=int(pose.max()) + 1,
+        fit=float(np.sqrt(np.nanmean(fitted**2))),
+        mean=float(values.mean()),
+        rms=float(np.sqrt((values**2).mean())),
+        largest=float(values.max()),
+        mean_ends=mean_ends,
+        rms_ends=rms_ends,
+    )
 
 
 def _ends(values: Array, pose: Index) -> tuple[tuple[float, float], tuple[float, float]]:

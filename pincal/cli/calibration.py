@@ -136,7 +136,7 @@ def calibrate(
     with working("identifying parameters") as progress:
         calibration = replace(calibration, options=replace(calibration.options, progress=progress))
         try:
-            result, notes = run(calibration, options.folds, running.by)
+            result, _, notes = run(calibration, options.folds, running.by)
         except MisfitError:
             remark(f"{_again('doctor')} tries what may be wrong, and says what works")
             raise

@@ -8,7 +8,7 @@ import numpy as np
 
 from pincal.calibration.hypotheses.doctor import Remedy
 from pincal.calibration.terms.choice import LEVEL, Explanation
-from pincal.calibration.terms.kinds import GROWTH, ORDER, READINGS, loads_known, parts_of, term_text
+from pincal.calibration.terms.kinds import GROWTH, READINGS, loads_known, parts_of, term_text
 from pincal.calibration.terms.screen import Candidate
 from pincal.design.forecast import Forecast
 from pincal.design.platform_error import PlatformError
@@ -28,7 +28,6 @@ _CAUSES = {
     "polynomial": "the pitch of a screw or belt, a table of the drive that is off",
     "backlash": "play, or friction that winds the drive up: it follows the side of approach",
     "gravity": "something gives way under weight: a gear, a bearing, a link",
-    "order": "a drift in the order of rows: warming, or a frame or reflector that moves",
 }
 _KEEP = (
     "identified parameters predict rows that were held out no better; measure more poses, or better"
@@ -63,10 +62,6 @@ _MEND = (
     "mend that first: measure what came after a slip again, or name the parts in a column run; "
     "while it is there other terms may only follow it"
 )
-_NO_TERM = (
-    "a drift in the order of rows is no term that can be commanded: find what moves, measure "
-    "reference poses (pincal select --reference), or give what drifts as a column"
-)
 _NO_LOAD = (
     "gravity was not tried: mechanism.yaml does not say what weighs on the mechanism "
     "(load: {mass: …, centre: […]})"
@@ -79,7 +74,6 @@ def explanation_lines(explanation: Explanation) -> list[str]:
     """Return what is seen, and the verdict."""
     result, candidates = explanation.result, explanation.candidates
     nominal, visible = result.nominal, [c for c in candidates if c.corrected < LEVEL]
-    terms = [candidate for candidate in visible if candidate.kind != ORDER]
     loaded = loads_known(nominal, result.measurements)
     least = min((candidate.corrected for candidate in candidates), default=1.0)
     nothing = (
@@ -89,7 +83,6 @@ def explanation_lines(explanation: Explanation) -> list[str]:
     notes = (
         (_MEND, explanation.slips),
         (nothing, not visible),
-        (_NO_TERM, len(terms) < len(visible)),  # the order of rows is none
         (_NO_LOAD, nominal.platform.space == 3 and not loaded),
     )
     lines = [*map(_slip_line, explanation.slips), *_seen_lines(visible, nominal)]
@@ -100,10 +93,10 @@ def explanation_lines(explanation: Explanation) -> list[str]:
     ]
     sizes = {"held_out": explanation.model.held_out, "before": explanation.models[1].held_out}
     lines.append(_VERDICTS[explanation.verdict].format(**sizes))
-    if terms and explanation.verdict == "geometry" and not result.promises:
+    if visible and explanation.verdict == "geometry" and not result.promises:
         lines.append(
             "but no limit is promised while residuals follow something: with --terms "
-            f"{term_text(*terms[0].pair)} it is modelled"
+            f"{term_text(*visible[0].pair)} it is modelled"
         )
     return lines
 

@@ -110,7 +110,7 @@ def _mended(calibration: Calibration) -> Iterator[tuple[Finding, Calibration]]:
 @one_thread()
 def _attempt(findings: tuple[Finding, ...], calibration: Calibration) -> Remedy:
     try:
-        result, _ = run(calibration)
+        result, *_ = run(calibration)
     except PincalError as error:
         refused = isinstance(error, MeasurementError)
         return Remedy(findings, calibration, None, str(error), refused)

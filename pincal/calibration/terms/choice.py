@@ -20,12 +20,12 @@ from pincal.calibration.fits import Fits, fitted
 from pincal.calibration.options import FOLDS, clusters, folds_of
 from pincal.calibration.result import CalibrationResult
 from pincal.calibration.terms.candidates import extended, with_columns
-from pincal.calibration.terms.kinds import ORDER, Pair, term_text
+from pincal.calibration.terms.kinds import Pair, term_text
 from pincal.calibration.terms.screen import Candidate, screen
-from pincal.calibration.validation import misses_of, per_row, predictions
-from pincal.errors import MeasurementError, PincalError
+from pincal.calibration.validation import converged, misses_of, predictions
+from pincal.errors import PincalError
 from pincal.estimation.observability.courses import Slip, slips
-from pincal.types import Array
+from pincal.types import Array, Mask
 
 LEVEL = 0.01
 """Probability by chance, of all tests of a screen, below which a term is tried."""
@@ -66,14 +66,16 @@ class Model:
         )
 
     def errors(self, unseen: Calibration) -> Array:
-        """Return errors at rows not seen, shape (N, 4).
+        """Return squared white residuals at rows not seen, how many they are, and mean squares.
 
-        Squared white residuals and how many they are; by how much targets are missed, [m] and
-        [rad].
+        These are of what targets are missed by, [m²] and [rad²]; shape (N, 4).
         """
         unseen = replace(unseen, mechanism=self.fits.calibration.mechanism)
-        count = len(unseen.measurements)
-        errors = np.hstack((np.zeros((count, 2)), per_row(misses_of(unseen, self.fits), count)))
+        errors = np.tile([0.0, 0.0, np.nan, np.nan], (len(unseen.measurements), 1))
+        misses = misses_of(unseen, self.fits)
+        for column, unit in ((2, "m"), (3, "rad")):
+            if squares := [values**2 for (_, of), values in misses.items() if of == unit]:
+                errors[:, column] = _mean_of_known(squares)
         for _, rows, linear in predictions(self.fits, unseen):
             errors[rows, 0] += linear.squares
             errors[rows, 1] += linear.equations
@@ -139,7 +141,7 @@ class Explanation:
 
 
 def choose(
-    calibration: Calibration, pairs: Sequence[Pair]
+    calibration: Calibration, pairs: Sequence[Pair], fits: Fits | None = None
 ) -> tuple[list[Model], int, list[Candidate], list[Slip], list[tuple[int, str]]]:
     """Return which terms pay, of some kinds: the fields of an ``Explanation`` behind its result.
 
@@ -148,6 +150,7 @@ def choose(
     Args:
         calibration: Of the mechanism, its measurements looked at (see ``started``).
         pairs: Readings, lengths and angles, and kinds of term that they may lack.
+        fits: Its fits of all rows, if they are known.
 
     Raises:
         PincalError: the geometry itself cannot be identified by all rows; fewer poses than folds.
@@ -155,74 +158,72 @@ def choose(
     data = with_columns(calibration, [kind for _, kind in pairs])
     choosing_rows = np.flatnonzero(~data.verifying)
     calibration = replace(calibration, measurements=data)
-    if len(choosing_rows) < len(data):
-        calibration = calibration.rows(choosing_rows)
-    fits = fitted(calibration)
-    geometry = fits.calibration.at_this_noise()
-    parameters = calibration.mechanism.parameters
-    drawn = geometry.with_options(priors={parameter.id: _PINNED for parameter in parameters})
-    outside = bool(drawn.observation.external.names)
-    models = [Model("rigid alignment" if outside else "as drawn", fitted(drawn))]
-    models.append(Model("geometry", fits))
-    candidates = screen(fits, pairs)
-    models += _grown(geometry, candidates, pairs, _MOST_TERMS)
+    if fits is None or len(choosing_rows) < len(data):
+        fits = fitted(calibration.rows(choosing_rows))
+    data = data.rows(choosing_rows)
+    geometry = replace(fits.calibration, measurements=data).at_this_noise()
+    fits = replace(fits, calibration=geometry)
+    priors = {parameter.id: _PINNED for parameter in geometry.mechanism.parameters}
+    drawn = geometry.with_options(priors=priors)
+    name = "rigid alignment" if drawn.observation.external.names else "as drawn"
+    grown, candidates = _grown(fits, pairs, _MOST_TERMS)
+    models = [Model(name, fitted(drawn)), Model("geometry", fits), *grown]
     slipped = [replace(slip, row=int(choosing_rows[slip.row])) for slip in _slips(models[1:])]
-    groups = folds_of(calibration.measurements, calibration.options.folds or FOLDS, "turn")
+    groups = folds_of(data, calibration.options.folds or FOLDS, "turn")
     errors, lost = np.full((len(models), len(groups), 4), np.nan), []
     for fold in range(int(groups.max()) + 1):
         geometry.options.report(f"models on held-out rows, fold {fold + 1} of {groups.max() + 1}")
-        held, seen = groups == fold, [c.rows(groups != fold) for c in (drawn, geometry)]
+        held = groups == fold
         try:
-            parts = _errors_of_fold(geometry.rows(held), seen, pairs, len(models) - 2)
+            parts = _errors_of_fold(models, ~held, pairs)
         except _TROUBLE as error:
             lost.append((fold, str(error)))
             continue
         parts += parts[-1:] * (len(models) - len(parts))  # a path that ended stays where it is
         errors[:, held] = parts
-    models, chosen = _compared(models, errors, clusters(calibration.measurements))
+    models, chosen = _compared(models, errors, clusters(data))
     return models, chosen, candidates, slipped, lost
 
 
-def _grown(
-    geometry: Calibration, candidates: Sequence[Candidate], pairs: Sequence[Pair], most: int
-) -> list[Model]:
-    """Return models that grow by the likeliest term of a screen, until none is likely, or most."""
-    models: list[Model] = []
-    for _ in range(most):
-        likely = [term for term in candidates if term.corrected < LEVEL and term.kind != ORDER]
-        if not likely:
-            break
+def _grown(geometry: Fits, pairs: Sequence[Pair], most: int) -> tuple[list[Model], list[Candidate]]:
+    """Return models that grow by the likeliest term of a screen, and that of the geometry.
+
+    Until none is likely, or there are so many.
+    """
+    fits, models = geometry, list[Model]()
+    every = np.ones(len(fits.calibration.measurements), dtype=bool)
+    candidates = of_geometry = screen(fits, pairs)
+    while len(models) < most and (likely := [c for c in candidates if c.corrected < LEVEL]):
         added = (*(models[-1].added if models else ()), likely[0].pair)
+        longer = replace(extended(geometry.calibration, added), start=None)
         try:
-            fits = _identified(replace(extended(geometry, added), start=None))
+            fits = converged(longer, "the search", fits, every)
         except _TROUBLE:  # what the rows do not determine
             break
         models.append(Model("{} {}".format(*added[-1]), fits, added, likely[0].corrected))
         candidates = screen(fits, pairs)
-    return models
+    return models, of_geometry
 
 
-def _errors_of_fold(
-    unseen: Calibration, seen: Sequence[Calibration], pairs: Sequence[Pair], most: int
-) -> list[Array]:
-    """Return errors of rows held out, as drawn and by geometry first; raises if these fail."""
-    drawn, geometry = (calibration.at_this_noise() for calibration in seen)
-    models = [Model("", _identified(calibration)) for calibration in (drawn, geometry)]
-    errors = [model.errors(unseen) for model in models]
-    for model in _grown(geometry, screen(models[1].fits, pairs), pairs, most):
+def _errors_of_fold(models: Sequence[Model], seen: Mask, pairs: Sequence[Pair]) -> list[Array]:
+    """Return errors of rows held out, as drawn and by geometry first; raises if these fail.
+
+    Seen are rows of the models' fits, shape (N,), from which those of the fold begin.
+    """
+    drawn, geometry = (
+        converged(model.fits.calibration.rows(seen), "the search", model.fits, seen)
+        for model in models[:2]
+    )
+    grown, _ = _grown(geometry, pairs, len(models) - 2)
+    unseen, errors = models[1].fits.calibration.rows(~seen), list[Array]()
+    for model in (Model("", drawn), Model("", geometry), *grown):
         try:
             errors.append(model.errors(unseen))
         except _TROUBLE:
+            if len(errors) < 2:
+                raise
             break  # as a path that ended
     return errors
-
-
-def _identified(calibration: Calibration) -> Fits:
-    """Return fits; raises if rows do not determine the model, or the search has no end."""
-    fits = fitted(calibration)
-    if not fits.converged:
-        raise MeasurementError("the search does not converge")
-    return fits
 
 
 def _slips(models: Sequence[Model]) -> list[Slip]:
@@ -240,8 +241,8 @@ def _slips(models: Sequence[Model]) -> list[Slip]:
             for fit in model.fits.fits
             for slip in slips(fit)
         ]
-    noise_given = models[0].fits.calibration.options.noise is not None
-    return slipped if noise_given else slipped[:1]  # or estimated with slips in it
+    known = models[0].fits.calibration.noise.known
+    return slipped if known else slipped[:1]  # or estimated with slips in it
 
 
 def _compared(
@@ -262,14 +263,14 @@ def _compared(
     spread = (sums - sums[best]).std(axis=1, ddof=int(poses > 1)) * np.sqrt(poses) / count
     compared = []
     for model, mean, wide, of_model in zip(models, means, spread, errors, strict=True):
-        position, orientation = (_root_mean_square(column) for column in of_model.T[2:])
-        model = replace(model, held_out=float(np.sqrt(mean)))
-        model = replace(model, position=position, orientation=orientation)
-        relative = float(wide / (2.0 * np.sqrt(mean))) if mean > 0.0 else 0.0
-        compared.append(replace(model, spread=relative))
+        position, orientation = np.sqrt(_mean_of_known(of_model[:, 2:])).tolist()
+        held_out = float(np.sqrt(mean))
+        relative = float(wide) / (2.0 * held_out) if mean > 0.0 else 0.0
+        errors_of_model = {"position": position, "orientation": orientation, "spread": relative}
+        compared.append(replace(model, held_out=held_out, **errors_of_model))
     return compared, int(np.flatnonzero(means - means[best] <= spread)[0])
 
 
-def _root_mean_square(values: Array) -> float:
-    known = values[np.isfinite(values)]
-    return float(np.sqrt((known**2).mean())) if len(known) else float("nan")
+def _mean_of_known(values: Sequence[Array] | Array) -> Array:
+    """Return means along the first axis of what is known; NaN where nothing is."""
+    return np.ma.masked_invalid(values).mean(axis=0).filled(np.nan)

@@ -1,7 +1,7 @@
 """What a machine may lack, and where: kinds of term of readings, lengths and angles.
 
 Said as ``leg_1=harmonics:1,2``: a kind is ``harmonics:1,2``, ``polynomial:2,3``, ``backlash``,
-``gravity``, ``order``, or the name of a column of the measurements, such as ``temperature``. Its
+``gravity``, or the name of a column of the measurements, such as ``temperature``. Its
 place is a reading, a length or angle by its id (``leg_1.l``) or its name in all legs (``l``),
 ``growth`` for all lengths as one, or, if none is said, every reading.
 """
@@ -20,10 +20,8 @@ from pincal.model.mechanism import Mechanism
 from pincal.model.terms import APPROACH, LOAD
 
 HARMONICS, POLYNOMIAL, BACKLASH, GRAVITY = "harmonics", "polynomial", "backlash", "gravity"
-ORDER = "order"
-"""The order of rows, from -1 to 1: no term, since no command has it, but a sign of drift."""
 OF_ONES_OWN = {BACKLASH: APPROACH, GRAVITY: LOAD}
-_KINDS = (HARMONICS, POLYNOMIAL, BACKLASH, GRAVITY, ORDER)
+_KINDS = (HARMONICS, POLYNOMIAL, BACKLASH, GRAVITY)
 _NUMBERS = {HARMONICS: (1.0, 2.0), POLYNOMIAL: (2.0, 3.0)}
 _KNOWN: dict[str, Callable[[float], bool]] = {  # the finest gratings have 100,000 periods a turn
     HARMONICS: lambda order: 0.0 < order <= 1e5,
@@ -90,7 +88,7 @@ def every_pair(mechanism: Mechanism, measurements: Measurements) -> list[Pair]:
     lengths and angles between a leg's joints gravity, where loads are known. Each place alone, and
     what machines are built of several times together: all readings, and what has one name.
     """
-    names = [HARMONICS] * ("rad" in mechanism.reading_units) + [POLYNOMIAL, BACKLASH, ORDER]
+    names = [HARMONICS] * ("rad" in mechanism.reading_units) + [POLYNOMIAL, BACKLASH]
     names += [GRAVITY] * loads_known(mechanism, measurements)
     columns = measurements.influences
     names += [name for name in columns if name not in {*mechanism.followed, *_KINDS}]

@@ -16,7 +16,7 @@ import numpy as np
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.fits import Fits
 from pincal.calibration.terms.candidates import with_columns, with_terms
-from pincal.calibration.terms.kinds import GROWTH, ORDER, Kind, Pair
+from pincal.calibration.terms.kinds import GROWTH, Kind, Pair
 from pincal.estimation.fit import Fit
 from pincal.estimation.observability.residuals import Residuals
 from pincal.estimation.system import CLEAR, FALSE_ALARM
@@ -112,8 +112,6 @@ def trials(fits: Fits, pairs: Sequence[Pair]) -> list[tuple[Residuals, list[Cand
     """Return residuals of fits, and the terms that may be tried on them; see ``screen``."""
     calibration = fits.calibration
     data = with_columns(calibration, [kind for _, kind in pairs])
-    order = {ORDER: np.linspace(-1.0, 1.0, len(data))}
-    data = replace(data, influences={**order, **data.influences})
     mechanism, ids = with_terms(calibration.mechanism, data, pairs)
     extended = Calibration(mechanism, data, calibration.options, known_noise=calibration.noise)
     return [_trials_of(fit, extended, ids) for fit in fits.fits]
