@@ -97,14 +97,6 @@ def test_no_backup_is_ever_replaced(folder: bool, tmp_path: Path) -> None:
     assert texts == {"out": "four", "out.bak": "one", "out.bak2": "changed", "out.bak3": "three"}
 
 
-@pytest.mark.parametrize("folder", [False, True])
-def test_the_same_again_is_not_replaced(folder: bool, tmp_path: Path) -> None:
-    """What would not change needs no backup."""
-    for _ in range(2):
-        write(tmp_path / "out", "same", folder=folder)
-    assert [p.name for p in tmp_path.iterdir()] == ["out"]
-
-
 def test_modes_and_other_names_stay(tmp_path: Path) -> None:
     """A private file stays private; another name of a replaced file keeps what it was."""
     target = tmp_path / "out"

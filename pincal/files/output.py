@@ -8,7 +8,6 @@ folder only the files that pincal writes are replaced; all others stay.
 
 from __future__ import annotations
 
-import filecmp
 import logging
 import os
 import shutil
@@ -50,7 +49,9 @@ def refuse_existing(path: str | Path, *, force: bool, folder: Sequence[str] = ()
         has_parent = real.parent.is_dir()
         known = bool(folder) and (real / folder[0]).is_file()
         inside = is_folder and Path.cwd().is_relative_to(real)
-        read = _inputs_in(_made_in(real, folder) if known else [real])
+        places = _made_in(real, folder) if known else [real]
+        below = (file for place in places for file in (place, *place.rglob("*")))
+        read = [file for file in below if file.is_file() and is_input(file)]
     except (OSError, ValueError, RuntimeError) as error:
         raise FileError(f"cannot write {str(path)!r}: {error}") from error
     known_by = folder[0] if folder else ""
@@ -131,16 +132,12 @@ def writing_together(
                     made[-1].mkdir()
             yield made
             refuse_existing_of(outputs, force=force)  # another process may have been quicker
-            changed = []
             for new, target, (_, folder) in zip(made, targets, outputs, strict=True):
                 if target.exists():
-                    if _unchanged(new, target, folder):
-                        continue
                     if folder:
                         _carry(target, new, folder)
                     shutil.copymode(target, new)
-                changed.append((new, target))
-            _move_all(changed)
+            _move_all(list(zip(made, targets, strict=True)))
     except PincalError as error:
         for temporary, named in shown.items():
             error.args = tuple(str(part).replace(temporary, named) for part in error.args)
@@ -149,27 +146,9 @@ def writing_together(
         raise FileError(f"cannot write {names}: {error.strerror or error}") from error
 
 
-def _unchanged(made: Path, target: Path, folder: Sequence[str]) -> bool:
-    """Return whether a file, or all that pincal writes in a folder, is at its place already."""
-    places = _made_in(target, folder) if folder else [target]
-    old = {file.relative_to(target) for place in places for file in _files(place)}
-    new = {file.relative_to(made) for file in _files(made)}
-    return old == new and all(filecmp.cmp(made / n, target / n, shallow=False) for n in new)
-
-
 def _made_in(place: Path, folder: Sequence[str]) -> list[Path]:
     """Return the files and folders that pincal made in a folder."""
     return [path for pattern in folder for path in place.glob(pattern)]
-
-
-def _inputs_in(places: list[Path]) -> list[Path]:
-    """Return the files at and below places that the command at work has read."""
-    return [file for place in places for file in _files(place) if is_input(file)]
-
-
-def _files(place: Path) -> list[Path]:
-    """Return all files at and below a place."""
-    return [file for file in (place, *place.rglob("*")) if file.is_file()]
 
 
 def _carry(old: Path, new: Path, folder: Sequence[str]) -> None:
