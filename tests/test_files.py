@@ -22,7 +22,7 @@ import pincal
 from pincal.errors import FileError, MechanismError, PincalError
 from pincal.files import mechanism_folders
 from pincal.files.mechanism_folders import bundled
-from pincal.files.urdf import leg_links, leg_urdf
+from pincal.files.urdf_writing import leg_links, leg_urdf
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.readers import skeleton
 from pincal.model.consistency import home_gap
@@ -289,19 +289,15 @@ BAD: dict[str, tuple[list[Edit], list[str]]] = {
     # leg's URDF
     "urdf-not-xml": ([(LEG, "</robot>", "")], [LEG, "parse", "line"]),
     "urdf-empty-root": ([(LEG, "robot", "machine")], [LEG, "<robot>", "<machine>"]),
-    "urdf-branch": (
-        [more('<link name="twig"/>' + joint("twig", "leg_1_elbow_link", "twig"))],
-        [LEG, "line", "leg_1_elbow_link", "branches"],
-    ),
-    "urdf-loop": ([more(joint("back", "leg_1_tip", "leg_1_base"))], [LEG, "root", "serial"]),
+    "urdf-loop": ([more(joint("back", "leg_1_tip", "leg_1_base"))], [LEG, "0 root links"]),
     "urdf-two-parents": (
         [more('<link name="other"/>' + joint("again", "other", "leg_1_tip"))],
-        [LEG, "line", "loop"],
+        [LEG, "'leg_1_tip'", "two joints"],
     ),
     "urdf-two-roots": ([more('<link name="alone"/>')], [LEG, "2 root links", "alone"]),
     "joint-floating": (
         [(LEG, 'type="revolute"', 'type="floating"')],
-        [LEG, "line", "'shoulder'", "'floating'", "revolute"],
+        [YAML, "leg_1", "'shoulder'", "shoulder_px, shoulder_py"],
     ),
     "joint-planar": (
         [(LEG, 'type="revolute"', 'type="planar"')],
@@ -331,7 +327,6 @@ BAD: dict[str, tuple[list[Edit], list[str]]] = {
         [(LEG, LIMITS, 'lower="2" upper="1"')],
         [LEG, "line", "'shoulder'", "2 to 1", "lower"],
     ),
-    "limits-missing": ([(LEG, LIMIT, "")], [LEG, "line", "'shoulder'", "<limit>"]),
     "limits-nan": ([(LEG, LIMITS, 'lower="nan" upper="1"')], [LEG, "line", "'nan'", "finite"]),
     "origin-text": ([(LEG, "1.5 0.0 0.0", "1.5 zero 0.0")], [LEG, "line", "'zero'", "number"]),
     "origin-nan": ([(LEG, "1.5 0.0 0.0", "1.5 nan 0.0")], [LEG, "line", "'nan'", "finite"]),
@@ -439,6 +434,16 @@ def test_bad_mechanism_is_refused_by_name(case: str, folder: Path) -> None:
     assert isinstance(caught.value, PincalError)
     assert str(folder) in message
     assert unnamed(named, message) == [], message
+
+
+def test_a_leg_is_the_chain_to_its_tip(folder: Path) -> None:
+    """Links beside the chain, and limits that are not said, change nothing of where it reaches."""
+    poses = np.array([[0.1, 0.2, 0.1], [0.0, -0.1, 0.3]])
+    expected = pincal.inverse(pincal.load_mechanism(folder), poses).readings
+    edit(folder, more('<link name="twig"/>' + joint("twig", "leg_1_elbow_link", "twig")))
+    edit(folder, (LEG, LIMIT, ""))
+    readings = pincal.inverse(pincal.load_mechanism(folder), poses).readings
+    np.testing.assert_array_equal(readings, expected)
 
 
 @pytest.mark.parametrize("name", [YAML, LEG, PLATFORM])

@@ -20,9 +20,9 @@ from marks import quick
 import pincal
 from pincal.errors import MechanismError
 from pincal.files.mechanism_folders import load_mechanism, save_mechanism
+from pincal.files.urdf import read_urdf
 from pincal.formats.arm import serial_arm
 from pincal.formats.mjcf import read_mjcf
-from pincal.formats.urdf_tree import read_urdf
 
 NAMES = ("Revolute 1", "joint.{}", "arm-joint-{}", "gelenk_ä{}", "{}_joint", "x", "roll", "J{}/a")
 QUARTER_TURNS = (0.0, np.pi / 2, -np.pi / 2, np.pi)

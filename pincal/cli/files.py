@@ -34,16 +34,17 @@ from pincal.files.mechanism_folders import (
 from pincal.files.output import writing
 from pincal.files.table import write_table
 from pincal.files.text import LARGEST_FILE, read_bytes
-from pincal.files.urdf import leg_urdf
+from pincal.files.tree import Tree
+from pincal.files.urdf import XACRO, read_urdf
+from pincal.files.urdf_writing import leg_urdf
 from pincal.formats.arm import serial_arm
 from pincal.formats.calibrated_urdf import calibrated_urdf
 from pincal.formats.closed import closed_mechanism, closing_in_words, slack_of
 from pincal.formats.corrections import CORRECTION, correction_columns, corrections
 from pincal.formats.delta_printer import delta_printer
 from pincal.formats.firmware import read_klipper, read_reprap, write_klipper, write_reprap
+from pincal.formats.loops import loops_beside, read_loops
 from pincal.formats.mjcf import mjcf, read_mjcf, unwritten
-from pincal.formats.tree import Tree
-from pincal.formats.urdf_tree import XACRO, loops_beside, read_loops, read_urdf
 from pincal.kinematics.closure import largest_size
 from pincal.kinematics.influences import own_influences
 from pincal.kinematics.inverse import inverse

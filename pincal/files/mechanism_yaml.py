@@ -16,7 +16,8 @@ import yaml
 
 from pincal.errors import MechanismError
 from pincal.files.text import plain_number
-from pincal.files.urdf import leg_links, read_chain, read_points
+from pincal.files.urdf import read_chain, read_points
+from pincal.files.urdf_writing import leg_links
 from pincal.files.yaml import Entry, Readers, read_yaml
 from pincal.model.checks import LARGEST
 from pincal.model.consistency import check_home

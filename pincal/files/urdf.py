@@ -1,11 +1,12 @@
-"""URDF in: joints, of which every element is read or refused, and legs that are one chain.
+"""URDF in: a tree of links and joints, of which every element is read or refused.
 
-URDF out: a leg as a chain of joints with simple shapes, a platform as points on a link.
+What no leg could have is refused where a leg needs it. A leg is the chain from the root to its tip;
+a platform's points are fixed to its root.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,17 +16,15 @@ from scipy.spatial.transform import Rotation
 
 from pincal.errors import MechanismError
 from pincal.files.text import plain_number, read_xml, why_no_number
+from pincal.files.tree import Edge, Tree, root_of, route, turns, with_ranges
 from pincal.model.checks import LARGEST
-from pincal.model.leg import Joint, JointKind, Leg
+from pincal.model.leg import Joint, JointKind
 from pincal.model.placement import Placement, placement_of
 
 Triple = tuple[float, float, float]
-_COLOURS = {
-    "orange": "0.85 0.37 0.01 1",
-    "blue": "0.12 0.47 0.71 1",
-    "grey": "0.35 0.35 0.35 1",
-}
-
+XACRO = "python -m pip install xacro; xacro FILE.urdf.xacro > FILE.urdf"
+#: Elements of a <robot> that place nothing, or are read.
+_KNOWN = ("link", "joint", "material", "transmission", "gazebo", "sensor", "ros2_control")
 #: Elements of a joint, and their attributes that are read; others are refused.
 _PLACING = {
     "joint": {"name", "type", "dont_collapse"},
@@ -44,98 +43,136 @@ _KINDS: dict[str, JointKind] = {
 }
 
 
-def read_chain(path: Path, tip: str) -> tuple[Joint, ...]:
-    """Return the joints from a URDF's root link to its tip link, base first."""
+def read_urdf(path: Path, replaced: Mapping[str, str] | None = None) -> Tree:
+    """Return the tree of a URDF; joints that no leg can have are in ``Tree.refused``.
+
+    Some joints, by name, turn about other axes in place of their own, or are fixed by none.
+    """
     robot = read_xml(path, "robot")
-    ahead, children = _joints_ahead(robot, path)
-    links = sorted(str(link.get("name")) for link in robot.findall("link"))
-    roots = [link for link in dict.fromkeys(links) if link not in children]
-    if tip not in links:
-        raise MechanismError(
-            f"{path}: no link named {tip!r} for the tip; it has {', '.join(links) or 'no links'}"
-        )
-    if len(roots) != 1:
-        raise MechanismError(
-            f"{path}: {len(roots)} root links ({', '.join(roots) or 'loop'}); a leg must be one "
-            "serial chain with one root"
-        )
-    link, chain = roots[0], []
-    while link != tip:
-        if link not in ahead:
-            raise MechanismError(
-                f"{path}: the chain from the root ends at {link!r}, not at {tip!r}"
-            )
-        element = ahead[link]
-        link = link_of(element, "child", path)
-        if element.get("type") in ("revolute", "prismatic") and element.find("limit") is None:
-            raise MechanismError(
-                f"{path}, line {element.sourceline}: joint {element.get('name')!r} needs a <limit>"
-            )
-        chain.append(weighed(read_joint(element, path), robot, link, path))
-    if not any(joint.kind != "fixed" for joint in chain):
-        raise MechanismError(f"{path}: no joint moves between the root link and {tip!r}")
-    return tuple(chain)
-
-
-def _joints_ahead(robot: etree._Element, path: Path) -> tuple[dict[str, etree._Element], set[str]]:
-    """Return the joints by the links that carry them, one each, and the links that they carry."""
-    ahead: dict[str, etree._Element] = {}
-    children: set[str] = set()
+    remarks = _unknown_elements(robot, path)
+    links = {str(link.get("name")): link for link in robot.findall("link")}
+    refused: dict[str, str] = {}
+    edges: list[Edge] = []
     for element in robot.findall("joint"):
-        parent, child = link_of(element, "parent", path), link_of(element, "child", path)
-        if parent in ahead or child in children:
-            raise MechanismError(
-                f"{path}, line {element.sourceline}: link {parent!r} branches or closes a loop; a "
-                "leg must be a serial chain, one joint from each link to the next"
-            )
-        ahead[parent] = element
-        children.add(child)
-    return ahead, children
+        name, place = str(element.get("name")), f"{path}, line {element.sourceline}"
+        parent, child = (_link_of(element, end, place) for end in ("parent", "child"))
+        floating = "XYZxyz" if element.get("type") == "floating" else None
+        axes = (replaced or {}).get(name, floating)
+        try:
+            joint = _joint(element, place, element.get("type") if axes is None else "fixed")
+            joint = _weighed(joint, links.get(child), path)
+        except MechanismError as error:
+            refused[name] = str(error)
+            edges.append(Edge(Joint(name, "revolute"), parent, child))
+            continue
+        edges += turns(joint, parent, child, axes) if axes else _edges(joint, parent, child)
+        if remark := _remarks(element, edges[-1].joint, place):
+            remarks[name] = remark
+    tree = Tree(
+        name=str(robot.get("name") or path.stem),
+        source=str(path),
+        root=root_of(edges, list(links), str(path)),
+        edges=tuple(edges),
+        refused=refused,
+        remarks=remarks,
+    )
+    return with_ranges(tree)
 
 
-def weighed(joint: Joint, robot: etree._Element, link: str, path: Path) -> Joint:
-    """Return a joint with the mass of the link behind it, if its URDF says one."""
-    links = (element for element in robot.findall("link") if element.get("name") == link)
-    inertial = next((element.find("inertial") for element in links), None)
-    element = None if inertial is None else inertial.find("mass")
-    if inertial is None or element is None:
-        return joint
-    place = f"{path}, line {element.sourceline}"
-    mass = _number(element.get("value", "0"), place)
-    if mass < 0.0:
-        raise MechanismError(f"{place}: link {link!r} has the mass {mass:g}; expected 0 or more")
-    centre = _triple(inertial.find("origin"), "xyz", place, (0.0, 0.0, 0.0))
-    return replace(joint, mass=mass, centre=centre if mass else (0.0, 0.0, 0.0))
+def _unknown_elements(robot: etree._Element, path: Path) -> dict[str, str]:
+    """Return what to say of elements of a <robot> that are not URDF's."""
+    remarks: dict[str, str] = {}
+    for element in robot:
+        if not isinstance(element.tag, str) or element.tag in _KNOWN:
+            continue
+        prefix = f"{element.prefix}:" if element.prefix else ""
+        tag = f"{prefix}{etree.QName(element).localname}"
+        named = f"{path}, line {element.sourceline}: <{tag}>"
+        if prefix == "xacro:":
+            raise MechanismError(f"{named} is a macro, which xacro expands: {XACRO}")
+        if "include" in tag or "joint" in tag:
+            raise MechanismError(f"{named} may place links, and is not URDF; write URDF without it")
+        remarks[tag] = f"{named} is not read"
+    return remarks
+
+
+def _edges(joint: Joint, parent: str, child: str) -> tuple[Edge, ...]:
+    """Return the edges of a joint; one whose limits are equal is fixed there."""
+    if joint.kind == "fixed" or joint.lower < joint.upper:
+        return (Edge(joint, parent, child),)
+    held, middle = placement_of(joint.motion(np.array([joint.lower]))[0]), f"{child}_before"
+    place = Joint(joint.name, "fixed", joint.placement)
+    moved = Joint(f"{joint.name}_at", "fixed", held, mass=joint.mass, centre=joint.centre)
+    return Edge(place, parent, middle), Edge(moved, middle, child)
+
+
+def _remarks(element: etree._Element, joint: Joint, place: str) -> str:
+    """Return what to say of a joint that a leg has; nothing if it is an ordinary one."""
+    name, remarks = element.get("name"), []
+    if joint.kind == "fixed" and element.get("type") in ("revolute", "prismatic"):
+        remarks.append(f"joint {name!r} has equal limits: it is fixed there")
+    if element.find("calibration") is not None:
+        remarks.append(
+            f"<calibration> of joint {name!r} says where switches are, and is not read: readings "
+            "count from the zero of the URDF"
+        )
+    rpy = element.find("origin[@rpy]")
+    if rpy is not None and np.abs(joint.placement.rpy).max() > 2 * np.pi:
+        remarks.append(
+            f"rpy={rpy.get('rpy')!r} is more than a turn: radians are expected; is this degrees?"
+        )
+    return f"{place}: {'; '.join(remarks)}" if remarks else ""
+
+
+def read_chain(path: Path, tip: str) -> tuple[Joint, ...]:
+    """Return the joints of a URDF from its root link to its tip, base first."""
+    tree = read_urdf(path)
+    joints = tuple(
+        edge.joint for edge, _ in route(tree.edges, tree.root, tree.link(tip, "the tip"))
+    )
+    tree.check_joints(joint.name for joint in joints)
+    if all(joint.kind == "fixed" for joint in joints):
+        raise MechanismError(f"{path}: no joint moves between the root link and {tip!r}")
+    return joints
 
 
 def read_points(path: Path) -> dict[str, Joint]:
     """Return the fixed joints of a platform URDF by the names of joint and child link."""
+    tree = read_urdf(path)
+    tree.check_joints(tree.refused)
     points: dict[str, Joint] = {}
-    elements = read_xml(path, "robot").findall("joint")
-    children = {link_of(element, "child", path) for element in elements}
-    for element in elements:
-        joint = read_joint(element, path)
-        if joint.kind != "fixed":
-            continue
-        if link_of(element, "parent", path) in children:
+    for edge in (edge for edge in tree.edges if not edge.moves):
+        if edge.parent != tree.root:
             raise MechanismError(
-                f"{path}, line {element.sourceline}: joint {joint.name!r} sits on another "
-                "frame; fix each platform point to the platform's root link"
+                f"{path}: joint {edge.joint.name!r} sits on another frame; fix each platform "
+                "point to the platform's root link"
             )
-        for name in {joint.name, link_of(element, "child", path)}:
+        for name in {edge.joint.name, edge.child}:
             if name in points:
                 raise MechanismError(
-                    f"{path}, line {element.sourceline}: {name!r} names two points; give each "
-                    "joint and link a name of its own"
+                    f"{path}: {name!r} names two points; give each joint and link a name of its own"
                 )
-            points[name] = joint
+            points[name] = edge.joint
     return points
 
 
-def read_joint(element: etree._Element, path: Path, kind: str | None = None) -> Joint:
-    """Return a <joint> of a URDF, read as its type or another kind; limits may be equal."""
+def _weighed(joint: Joint, link: etree._Element | None, path: Path) -> Joint:
+    """Return a joint with the mass of the link behind it, if its URDF says one."""
+    element = None if link is None else link.find("inertial/mass")
+    if link is None or element is None:
+        return joint
     place = f"{path}, line {element.sourceline}"
-    name, kind = element.get("name"), kind or element.get("type")
+    mass = _number(element.get("value", "0"), place)
+    if mass < 0.0:
+        name = link.get("name")
+        raise MechanismError(f"{place}: link {name!r} has the mass {mass:g}; expected 0 or more")
+    centre = _triple(link.find("inertial/origin"), "xyz", place, (0.0, 0.0, 0.0))
+    return replace(joint, mass=mass, centre=centre if mass else (0.0, 0.0, 0.0))
+
+
+def _joint(element: etree._Element, place: str, kind: str | None) -> Joint:
+    """Return a <joint> of a URDF, read as one of a kind; limits may be equal."""
+    name = element.get("name")
     if not name:
         raise MechanismError(f"{place}: a joint without a name")
     _check_parts(element, f"{place}: joint {name!r}")
@@ -185,8 +222,7 @@ def _turn(element: etree._Element, place: str) -> Triple:
     text = None if origin is None else origin.get("quat_xyzw")
     if origin is None or text is None:
         return _triple(origin, "rpy", place, (0.0, 0.0, 0.0))
-    robot = element.getparent()
-    version = "1.0" if robot is None else robot.get("version", "1.0")
+    version = element.getroottree().getroot().get("version", "1.0")
     if origin.get("rpy") is not None or version in ("1", "1.0"):
         raise MechanismError(
             f'{place}: quat_xyzw is URDF\'s from <robot version="1.1"> on, and without rpy beside '
@@ -218,14 +254,12 @@ def _limits(element: etree._Element, name: str, place: str) -> tuple[float, floa
     return lower, upper
 
 
-def link_of(element: etree._Element, key: str, path: Path) -> str:
+def _link_of(element: etree._Element, end: str, place: str) -> str:
     """Return the parent or child link of a <joint>."""
-    child = element.find(key)
+    child = element.find(end)
     name = None if child is None else child.get("link")
     if not name:
-        raise MechanismError(
-            f"{path}, line {element.sourceline}: joint {element.get('name')!r} has no {key} link"
-        )
+        raise MechanismError(f"{place}: joint {element.get('name')!r} has no {end} link")
     return name
 
 
@@ -245,139 +279,3 @@ def _number(text: str, place: str) -> float:
     if not abs(value) <= LARGEST:
         raise MechanismError(f"{place}: {why_no_number(text)}")
     return value
-
-
-def leg_urdf(leg: Leg) -> str:
-    """Return a leg's URDF: its joints, a box at its foot, and rods from each joint to the next."""
-    robot = etree.Element("robot", name=leg.name)
-    size = _size(leg)
-    read = {sensor.joint for sensor in leg.sensors}
-    links = leg_links(leg)
-    link = etree.SubElement(robot, "link", name=links[0])
-    foot = leg.joints[0].placement.xyz
-    _visual(link, "grey", "box", size=(3 * size, 3 * size, size), xyz=foot)
-    for index, joint in enumerate(leg.joints):
-        if not np.allclose(joint.placement.xyz, 0.0) and index > 0:
-            _rod(link, joint.placement.xyz, size)
-        link = etree.SubElement(robot, "link", name=links[index + 1])
-        if joint.mass:
-            _inertial(link, joint)
-        colour, along = "orange" if joint.name in read else "blue", _axis_rpy(joint.axis)
-        if joint.kind == "revolute":
-            _visual(link, colour, "cylinder", radius=size, length=3 * size, rpy=along)
-        elif joint.kind == "prismatic":  # longer than what it carries is wide
-            _visual(link, colour, "box", size=(2 * size, 2 * size, 4 * size), rpy=along)
-        else:
-            _visual(link, "blue", "sphere", radius=size)
-        joint_element(robot, joint, links[index], links[index + 1])
-    return xml_text(robot)
-
-
-def leg_links(leg: Leg) -> list[str]:
-    """Return the names of a leg's links as written, base first, tip last; no joint has one."""
-    ends = [*(f"{joint.name}_link" for joint in leg.joints[:-1]), "tip"]
-    joints = {joint.name for joint in leg.joints}
-    names = [f"{leg.name}_{end}" for end in ("base", *ends)]
-    return [f"{name}_" if name in joints else name for name in names]
-
-
-def platform_urdf(name: str, legs: tuple[Leg, ...]) -> str:
-    """Return a platform's URDF: one fixed frame for each platform point."""
-    robot = etree.Element("robot", name=f"{name}_platform")
-    size = max(_size(leg) for leg in legs)
-    root = "platform"
-    while any(leg.point.name == root for leg in legs):
-        root += "_"
-    platform = etree.SubElement(robot, "link", name=root)
-    _visual(platform, "grey", "cylinder", radius=1.5 * size, length=size)
-    points = {leg.point.name: leg.point for leg in legs}
-    for point in points.values():
-        if not np.allclose(point.placement.xyz, 0.0):
-            _rod(platform, point.placement.xyz, size)
-    for point in points.values():
-        link = etree.SubElement(robot, "link", name=point.name)
-        _visual(link, "grey", "sphere", radius=1.2 * size)
-        joint_element(robot, point, root, point.name)
-    return xml_text(robot)
-
-
-def _size(leg: Leg) -> float:
-    """Return a radius for joints that suits the longest link (a stroke is two), two digits, [m]."""
-    lengths = [float(np.linalg.norm(joint.placement.xyz)) for joint in leg.joints[1:]]
-    lengths += [abs(joint.home) / 2 for joint in leg.joints if joint.kind == "prismatic"]
-    return float(f"{0.03 * (max(lengths) or 1.0):.1e}")
-
-
-def _inertial(link: etree._Element, joint: Joint) -> None:
-    """Add a link's mass and its centre; inertia does not count where nothing accelerates."""
-    inertial = etree.SubElement(link, "inertial")
-    etree.SubElement(inertial, "origin", xyz=numbers_text(joint.centre), rpy="0 0 0")
-    etree.SubElement(inertial, "mass", value=numbers_text([joint.mass]))
-    moments = dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), "0")
-    etree.SubElement(inertial, "inertia", moments)
-
-
-def joint_element(robot: etree._Element, joint: Joint, parent: str, child: str) -> None:
-    """Add a joint, all digits of its origin, axis and limits."""
-    continuous = joint.kind == "revolute" and not np.isfinite(joint.lower)
-    kind = "continuous" if continuous else joint.kind
-    element = etree.SubElement(robot, "joint", name=joint.name, type=kind)
-    etree.SubElement(element, "parent", link=parent)
-    etree.SubElement(element, "child", link=child)
-    origin = {"xyz": numbers_text(joint.placement.xyz), "rpy": numbers_text(joint.placement.rpy)}
-    etree.SubElement(element, "origin", origin)
-    if joint.kind == "fixed":
-        return
-    etree.SubElement(element, "axis", xyz=numbers_text(joint.axis))
-    if not continuous:
-        limits = {"lower": numbers_text([joint.lower]), "upper": numbers_text([joint.upper])}
-        etree.SubElement(element, "limit", {"effort": "0", "velocity": "0", **limits})
-
-
-def _rod(link: etree._Element, end: Triple, size: float) -> None:
-    """Add a cylinder from the link's origin to a point of it."""
-    x, y, z = end
-    length, rpy = float(np.linalg.norm(end)), _axis_rpy(end)
-    middle = (x / 2, y / 2, z / 2)
-    _visual(link, "grey", "cylinder", radius=size / 2, length=length, xyz=middle, rpy=rpy)
-
-
-def _axis_rpy(axis: Triple) -> Triple:
-    """Return the roll-pitch-yaw that turns z onto an axis."""
-    x, y, z = axis
-    return (0.0, float(np.arctan2(np.hypot(x, y), z)), float(np.arctan2(y, x)))
-
-
-def _visual(
-    link: etree._Element,
-    colour: str,
-    shape: str,
-    *,
-    xyz: Triple = Placement.xyz,
-    rpy: Triple = Placement.rpy,
-    **size: float | Triple,
-) -> None:
-    """Add a shape to a link; lengths in [m] and angles in [rad], rounded for reading."""
-    visual = etree.SubElement(link, "visual")
-    if any((*xyz, *rpy)):
-        etree.SubElement(visual, "origin", xyz=_rounded(xyz), rpy=_rounded(rpy))
-    texts = {key: _rounded(value) for key, value in size.items()}
-    etree.SubElement(etree.SubElement(visual, "geometry"), shape, texts)
-    material = etree.SubElement(visual, "material", name=colour)
-    etree.SubElement(material, "color", rgba=_COLOURS[colour])
-
-
-def _rounded(values: float | Triple) -> str:
-    """Return twelve digits: the same on every processor, whose arctangents differ."""
-    return " ".join(f"{np.round(v, 12) + 0.0:.12g}" for v in np.atleast_1d(values))
-
-
-def numbers_text(values: Iterable[float]) -> str:
-    """Return numbers with all their digits, none of them a negative zero."""
-    return " ".join(repr(float(value) + 0.0) for value in values)
-
-
-def xml_text(root: etree._Element) -> str:
-    """Return an XML file's text, indented."""
-    etree.indent(root, space="  ")
-    return str(etree.tostring(root, encoding="unicode")) + "\n"

@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from pincal.errors import MechanismError
-from pincal.formats.tree import FREE, Tree, joints_along, route
-from pincal.formats.urdf_tree import read_urdf
+from pincal.files.tree import FREE, Tree, joints_along, route
+from pincal.files.urdf import read_urdf
 from pincal.kinematics.closure import LegClosure
 from pincal.model.checks import must_be
 from pincal.model.consistency import identifiers

@@ -17,8 +17,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pincal.errors import MechanismError
-from pincal.formats.tree import Edge
-from pincal.formats.urdf_tree import read_urdf
+from pincal.files.tree import Edge
+from pincal.files.urdf import read_urdf
 from pincal.model.checks import ROUNDING, listed
 from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism

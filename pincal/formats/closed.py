@@ -15,9 +15,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pincal.errors import MechanismError
+from pincal.files.tree import Step, Tree
 from pincal.formats.arm import displaced, with_tip
 from pincal.formats.limbs import Limb, limb_along, paths_to_platform, point_platform
-from pincal.formats.tree import Step, Tree
 from pincal.kinematics.assembly import assembled, independent, opening
 from pincal.kinematics.closure import LegClosure, largest_size
 from pincal.model.checks import ALIKE, EXACT, ROUNDING, listed

@@ -23,8 +23,8 @@ from scipy.spatial.transform import Rotation
 
 from pincal.errors import MechanismError
 from pincal.files.text import read_xml
-from pincal.files.urdf import numbers_text, xml_text
-from pincal.formats.tree import Edge, Tree, at_home, turns, with_ranges
+from pincal.files.tree import Edge, Tree, at_home, turns, with_ranges
+from pincal.files.urdf_writing import numbers_text, xml_text
 from pincal.kinematics.assembly import assembled
 from pincal.kinematics.closure import largest_size
 from pincal.model.checks import LARGEST

@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from pincal.errors import FileError, MechanismError, ObservabilityError
-from pincal.files.urdf import leg_links, leg_urdf
+from pincal.files.urdf_writing import leg_links, leg_urdf
 from pincal.kinematics.closing import sensor_law
 from pincal.kinematics.closure import LegClosure
 from pincal.model.leg import Leg

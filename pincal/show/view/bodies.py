@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from pincal.files.urdf import leg_urdf, platform_urdf
+from pincal.files.urdf_writing import leg_urdf, platform_urdf
 from pincal.kinematics.configurations import as_plan, joints_at
 from pincal.model.leg import Leg
 from pincal.model.measurements import Plan

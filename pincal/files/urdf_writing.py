@@ -1,0 +1,154 @@
+"""URDF out: a leg as a chain of joints with simple shapes, a platform as points on a link."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from lxml import etree
+
+from pincal.model.leg import Joint, Leg
+from pincal.model.placement import Placement
+
+Triple = tuple[float, float, float]
+_COLOURS = {
+    "orange": "0.85 0.37 0.01 1",
+    "blue": "0.12 0.47 0.71 1",
+    "grey": "0.35 0.35 0.35 1",
+}
+
+
+def leg_urdf(leg: Leg) -> str:
+    """Return a leg's URDF: its joints, a box at its foot, and rods from each joint to the next."""
+    robot = etree.Element("robot", name=leg.name)
+    size = _size(leg)
+    read = {sensor.joint for sensor in leg.sensors}
+    links = leg_links(leg)
+    link = etree.SubElement(robot, "link", name=links[0])
+    foot = leg.joints[0].placement.xyz
+    _visual(link, "grey", "box", size=(3 * size, 3 * size, size), xyz=foot)
+    for index, joint in enumerate(leg.joints):
+        if not np.allclose(joint.placement.xyz, 0.0) and index > 0:
+            _rod(link, joint.placement.xyz, size)
+        link = etree.SubElement(robot, "link", name=links[index + 1])
+        if joint.mass:
+            _inertial(link, joint)
+        colour, along = "orange" if joint.name in read else "blue", _axis_rpy(joint.axis)
+        if joint.kind == "revolute":
+            _visual(link, colour, "cylinder", radius=size, length=3 * size, rpy=along)
+        elif joint.kind == "prismatic":  # longer than what it carries is wide
+            _visual(link, colour, "box", size=(2 * size, 2 * size, 4 * size), rpy=along)
+        else:
+            _visual(link, "blue", "sphere", radius=size)
+        joint_element(robot, joint, links[index], links[index + 1])
+    return xml_text(robot)
+
+
+def leg_links(leg: Leg) -> list[str]:
+    """Return the names of a leg's links as written, base first, tip last; no joint has one."""
+    ends = [*(f"{joint.name}_link" for joint in leg.joints[:-1]), "tip"]
+    joints = {joint.name for joint in leg.joints}
+    names = [f"{leg.name}_{end}" for end in ("base", *ends)]
+    return [f"{name}_" if name in joints else name for name in names]
+
+
+def platform_urdf(name: str, legs: tuple[Leg, ...]) -> str:
+    """Return a platform's URDF: one fixed frame for each platform point."""
+    robot = etree.Element("robot", name=f"{name}_platform")
+    size = max(_size(leg) for leg in legs)
+    root = "platform"
+    while any(leg.point.name == root for leg in legs):
+        root += "_"
+    platform = etree.SubElement(robot, "link", name=root)
+    _visual(platform, "grey", "cylinder", radius=1.5 * size, length=size)
+    points = {leg.point.name: leg.point for leg in legs}
+    for point in points.values():
+        if not np.allclose(point.placement.xyz, 0.0):
+            _rod(platform, point.placement.xyz, size)
+    for point in points.values():
+        link = etree.SubElement(robot, "link", name=point.name)
+        _visual(link, "grey", "sphere", radius=1.2 * size)
+        joint_element(robot, point, root, point.name)
+    return xml_text(robot)
+
+
+def _size(leg: Leg) -> float:
+    """Return a radius for joints that suits the longest link (a stroke is two), two digits, [m]."""
+    lengths = [float(np.linalg.norm(joint.placement.xyz)) for joint in leg.joints[1:]]
+    lengths += [abs(joint.home) / 2 for joint in leg.joints if joint.kind == "prismatic"]
+    return float(f"{0.03 * (max(lengths) or 1.0):.1e}")
+
+
+def _inertial(link: etree._Element, joint: Joint) -> None:
+    """Add a link's mass and its centre; inertia does not count where nothing accelerates."""
+    inertial = etree.SubElement(link, "inertial")
+    etree.SubElement(inertial, "origin", xyz=numbers_text(joint.centre), rpy="0 0 0")
+    etree.SubElement(inertial, "mass", value=numbers_text([joint.mass]))
+    moments = dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), "0")
+    etree.SubElement(inertial, "inertia", moments)
+
+
+def joint_element(robot: etree._Element, joint: Joint, parent: str, child: str) -> None:
+    """Add a joint, all digits of its origin, axis and limits."""
+    continuous = joint.kind == "revolute" and not np.isfinite(joint.lower)
+    kind = "continuous" if continuous else joint.kind
+    element = etree.SubElement(robot, "joint", name=joint.name, type=kind)
+    etree.SubElement(element, "parent", link=parent)
+    etree.SubElement(element, "child", link=child)
+    origin = {"xyz": numbers_text(joint.placement.xyz), "rpy": numbers_text(joint.placement.rpy)}
+    etree.SubElement(element, "origin", origin)
+    if joint.kind == "fixed":
+        return
+    etree.SubElement(element, "axis", xyz=numbers_text(joint.axis))
+    if not continuous:
+        limits = {"lower": numbers_text([joint.lower]), "upper": numbers_text([joint.upper])}
+        etree.SubElement(element, "limit", {"effort": "0", "velocity": "0", **limits})
+
+
+def _rod(link: etree._Element, end: Triple, size: float) -> None:
+    """Add a cylinder from the link's origin to a point of it."""
+    x, y, z = end
+    length, rpy = float(np.linalg.norm(end)), _axis_rpy(end)
+    middle = (x / 2, y / 2, z / 2)
+    _visual(link, "grey", "cylinder", radius=size / 2, length=length, xyz=middle, rpy=rpy)
+
+
+def _axis_rpy(axis: Triple) -> Triple:
+    """Return the roll-pitch-yaw that turns z onto an axis."""
+    x, y, z = axis
+    return (0.0, float(np.arctan2(np.hypot(x, y), z)), float(np.arctan2(y, x)))
+
+
+def _visual(
+    link: etree._Element,
+    colour: str,
+    shape: str,
+    *,
+    xyz: Triple = Placement.xyz,
+    rpy: Triple = Placement.rpy,
+    **size: float | Triple,
+) -> None:
+    """Add a shape to a link; lengths in [m] and angles in [rad], rounded for reading."""
+    visual = etree.SubElement(link, "visual")
+    if any((*xyz, *rpy)):
+        etree.SubElement(visual, "origin", xyz=_rounded(xyz), rpy=_rounded(rpy))
+    texts = {key: _rounded(value) for key, value in size.items()}
+    etree.SubElement(etree.SubElement(visual, "geometry"), shape, texts)
+    material = etree.SubElement(visual, "material", name=colour)
+    etree.SubElement(material, "color", rgba=_COLOURS[colour])
+
+
+def _rounded(values: float | Triple) -> str:
+    """Return twelve digits: the same on every processor, whose arctangents differ."""
+    return " ".join(f"{np.round(v, 12) + 0.0:.12g}" for v in np.atleast_1d(values))
+
+
+def numbers_text(values: Iterable[float]) -> str:
+    """Return numbers with all their digits, none of them a negative zero."""
+    return " ".join(repr(float(value) + 0.0) for value in values)
+
+
+def xml_text(root: etree._Element) -> str:
+    """Return an XML file's text, indented."""
+    etree.indent(root, space="  ")
+    return str(etree.tostring(root, encoding="unicode")) + "\n"
