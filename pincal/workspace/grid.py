@@ -188,20 +188,9 @@ def _match(axis: Axis, images: Array) -> Indices | None:
     return index if np.abs(values[index] - images).max() <= 4 * SAME * max(1.0, size) else None
 
 
-def representatives(grid: Grid, moves: tuple[Isometry, ...]) -> Carrier:
-    """Return what takes numbers of positions to the lowest numbers of their orbits.
-
-    Moves are a group of isometries that map the grid onto itself.
-    """
-    carriers = [carrier for move in moves if (carrier := grid.carrier(move))]
-
-    def lowest(index: Indices) -> Indices:
-        result = index
-        for carrier in carriers:
-            result = np.minimum(result, carrier(index))
-        return result
-
-    return lowest
+def lowest(carriers: Iterable[Carrier], index: Indices) -> Indices:
+    """Return the lowest numbers of positions' orbits: a group maps the grid onto itself."""
+    return np.min([index, *(carrier(index) for carrier in carriers)], axis=0)
 
 
 def at_edge(grid: Grid, inside: Mask) -> Array:
@@ -256,18 +245,6 @@ def part_around(grid: Grid, inside: Mask, home: Array) -> Mask:
     return inside & (numbers[labels] == numbers[around]).ravel()
 
 
-def reach_box(mechanism: Mechanism) -> tuple[Array, Array]:
-    """Return lower and upper corner, coordinates of the platform, of what all legs can reach.
-
-    Raises:
-        WorkspaceError: no pose is within reach of all legs.
-    """
-    low, high = np.array(mechanism.platform.bounds).T
-    lengths = mechanism.platform.lengths
-    low[:lengths], high[:lengths] = (ends[:lengths] for ends in _reach(mechanism))
-    return low, high
-
-
 def default_grid(mechanism: GivenMechanism, fixed: Iterable[str | Axis] = ()) -> Grid:
     """Return a grid of positions within reach; polar if the mechanism has rotations.
 
@@ -281,7 +258,7 @@ def default_grid(mechanism: GivenMechanism, fixed: Iterable[str | Axis] = ()) ->
     names = {axis.name for axis in axes}
     if "z" in names and n < 3:
         raise WorkspaceError(f"axis 'z': the platform of {mechanism.name!r} moves in a plane")
-    low, high = _reach(mechanism)
+    low, high = reach_box(mechanism)
     step = float((high - low)[:n].max()) / _ACROSS[n]
     defaults = [
         Axis(name, np.linspace(start, end, round((end - start) / step) + 1))
@@ -330,8 +307,12 @@ def closer_grid(grid: Grid, inside: Mask, fixed: Iterable[str]) -> Grid | None:
     return Grid(tuple(axes)) if closer else None
 
 
-def _reach(mechanism: Mechanism) -> tuple[Array, Array]:
-    """Return the corners of a box that holds what all legs reach, shape (3,) each, [m]."""
+def reach_box(mechanism: Mechanism) -> tuple[Array, Array]:
+    """Return the corners of a box that holds what all legs reach, shape (3,) each, [m].
+
+    Raises:
+        WorkspaceError: no position is within reach of all legs.
+    """
     low, high = np.full(3, -np.inf), np.full(3, np.inf)
     for leg in mechanism.legs:
         base = np.array(leg.joints[0].placement.xyz)

@@ -23,20 +23,21 @@ from pincal.kinematics.singularity import margins
 from pincal.model.checks import ROUNDING, described
 from pincal.model.mechanism import Mechanism
 from pincal.symmetry.detect import symmetry_group
-from pincal.symmetry.elements import IDENTITY, Element, Isometry
+from pincal.symmetry.elements import IDENTITY, Element
 from pincal.types import Array, Mask
 from pincal.words.numbers import measured
 from pincal.workspace.axes import Orientations
 from pincal.workspace.criteria import Margins, as_margins, criteria_of, refuse_readings
 from pincal.workspace.grid import (
     BLOCK,
+    Carrier,
     Grid,
     Indices,
     at_edge,
     blocks,
     edges,
+    lowest,
     part_around,
-    representatives,
 )
 
 KINDS = ("reachable", "constant-orientation", "total-orientation", "dexterous")
@@ -113,31 +114,27 @@ class PositionTest:
         return decided != self.every
 
 
-def usable(group: tuple[Element, ...], grid: Grid, test: PositionTest) -> tuple[Element, ...]:
+def usable(group: tuple[Element, ...], grid: Grid, test: PositionTest) -> dict[Element, Carrier]:
     """Return the elements of a group that map what is asked onto itself, positions that count too.
 
-    An element that permutes legs oddly turns the determinant's sign over, which the margin from
-    type-2 singularities looks at, unless home is where it was.
+    With what each does to the numbers of positions. An element that permutes legs oddly turns the
+    determinant's sign over, which the margin from type-2 singularities looks at, unless home is
+    where it was.
     """
     mechanism, turns = test.mechanism, test.orientations.rotations.as_matrix()
-    home, elements = np.array([mechanism.platform.home]), []
+    home, elements = np.array([mechanism.platform.home]), {}
     for element in group:
         move = element.positions(turns)
-        if move is None or not test.orientations.maps(element) or not grid.carrier(move):
+        carrier = None if move is None else grid.carrier(move)
+        if carrier is None or not test.orientations.maps(element):
             continue
         if test.least.least_type2(mechanism) > -np.inf:
             with np.errstate(invalid="ignore"):
                 image = margins(mechanism, element.poses(mechanism.platform, home))
                 if not image.type2[0] > 0.0:
                     continue
-        elements.append(element)
-    return tuple(elements)
-
-
-def moves_of(elements: tuple[Element, ...], orientations: Orientations) -> tuple[Isometry, ...]:
-    """Return what elements do to positions in all of some orientations."""
-    turns = orientations.rotations.as_matrix()
-    return tuple(move for element in elements if (move := element.positions(turns)) is not None)
+        elements[element] = carrier
+    return elements
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -158,8 +155,10 @@ class Workspace:
     """The positions asked, that ``inside`` is about."""
     inside: Mask
     """Which positions count, by number, shape (n_asked,); not writable."""
-    elements: tuple[Element, ...]
-    """Elements of the mechanism's group that were used, the identity first."""
+    elements: dict[Element, Carrier]
+    """Elements of the mechanism's group that were used, and what they do to numbers of positions.
+
+    The identity is first."""
     unused: tuple[Element, ...]
     """Elements that do not map positions or orientations onto themselves, or were not wanted."""
     computed: int
@@ -177,8 +176,7 @@ class Workspace:
 
     def representative(self, index: Indices) -> Mask:
         """Return which positions, by number, are of the fundamental domain that was computed."""
-        moves = moves_of(self.elements, self.test.orientations)
-        return representatives(self.asked, moves)(index) == index
+        return lowest(self.elements.values(), index) == index
 
     @cached_property
     def cut(self) -> bool:
@@ -213,19 +211,6 @@ class Workspace:
         along = self.asked.measures(edges(self.asked, self.inside).ravel()).sum() / 4
         cell = self.asked.measures(np.array([self.asked.size - 1]))[0]  # may have been missed
         return float(max(along, cell))
-
-    def poses(self) -> Array:
-        """Return the poses of a constant orientation workspace, coordinates of shape (count, dof).
-
-        Raises:
-            WorkspaceError: the workspace asked for more than one orientation.
-        """
-        rotations = self.test.orientations.rotations
-        if len(rotations) != 1:
-            raise WorkspaceError(f"positions in {len(rotations)} orientations are no poses")
-        matrices = np.broadcast_to(np.eye(4), (self.count, 4, 4)).copy()
-        matrices[:, :3, :3], matrices[:, :3, 3] = rotations.as_matrix()[0], self.positions
-        return self.test.mechanism.platform.from_matrices(matrices)
 
     def save(self, path: str | Path, *, force: bool = False) -> None:
         """Write the positions that count to a CSV file: x [m], y [m] and, in space, z [m].
@@ -310,17 +295,16 @@ def compute_workspace(
     least = as_margins(least)
     group = symmetry_group(mechanism, ROUNDING, readings=False).elements
     test = PositionTest(mechanism, orientations, kind != "reachable", least)
-    elements = usable(group, grid, test) if how.symmetry else (IDENTITY,)
+    elements = usable(group if how.symmetry else (IDENTITY,), grid, test)
     unused = tuple(e for e in group if e not in elements)
-    lowest_of = representatives(grid, moves_of(elements, orientations))
     size = max(1, min(BLOCK, (_CHUNK if test.in_closed_form else BLOCK) // len(orientations)))
     inside, computed = np.zeros(grid.size, dtype=bool), 0
     for begin, end in blocks(grid.size, size):
         index = np.arange(begin, end)
-        lowest = lowest_of(index)  # of each orbit: done with before, or now
-        now = index[lowest == index]
+        first = lowest(elements.values(), index)  # of each orbit: done with before, or now
+        now = index[first == index]
         inside[now] = test(grid.at(now))
-        inside[begin:end] = inside[lowest]
+        inside[begin:end] = inside[first]
         computed += len(now)
         if how.progress:
             how.progress(end)

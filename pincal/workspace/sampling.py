@@ -238,7 +238,9 @@ def _explore(
 ) -> tuple[Array, Array, HomeComponent]:
     """Return lower and upper corners of a box around the workspace, and its part around home."""
     platform, home = mechanism.platform, np.array([mechanism.platform.home])
-    lowest, highest = low, high = reach_box(mechanism)
+    (lowest, highest), n = np.array(platform.bounds).T, platform.lengths
+    lowest[:n], highest[:n] = (ends[:n] for ends in reach_box(mechanism))
+    low, high = lowest, highest
     size = np.where([unit == "m" for unit in platform.units], highest - lowest, 1.0)
     counts = partial(in_workspace, mechanism, least=least)
     if not counts(home)[0]:
