@@ -10,6 +10,8 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
+import pincal
+from pincal import FileError, MeasurementError, Mechanism, Noise, Plan, SymmetryError
 from pincal.cli.app import command, remark, stdout, working, wrote
 from pincal.cli.options import (
     FORCE,
@@ -21,29 +23,22 @@ from pincal.cli.options import (
     offered,
     output_option,
 )
-from pincal.design.forecast import forecast
 from pincal.design.orbits import selection_group
 from pincal.design.order import in_turns, with_reference, with_verification
-from pincal.design.select import Protocol, select_poses
-from pincal.design.select_configurations import Goal, select_configurations
-from pincal.design.simulate import disturb
-from pincal.design.simulate import simulate as simulate_measurements
-from pincal.errors import FileError, MeasurementError, SymmetryError
+from pincal.design.select import Protocol
+from pincal.design.select_configurations import Goal
 from pincal.files.measurement_writing import columns_of
 from pincal.files.measurements import read_poses
-from pincal.files.mechanism_folders import MECHANISM_FILES, load_mechanism, write_mechanism
+from pincal.files.mechanism_folders import MECHANISM_FILES, write_mechanism
 from pincal.files.output import refuse_existing, refuse_existing_of, writing_together
 from pincal.files.table import write_table
 from pincal.kinematics.configurations import check_reached
 from pincal.kinematics.readers import arm_free_of_collision
-from pincal.model.measurements import Noise, Plan
-from pincal.model.mechanism import Mechanism
 from pincal.model.option import Option, option
 from pincal.show.explanation import forecast_lines, poses_line
 from pincal.show.tables import choice_table, selection_table, standard_errors
 from pincal.words.numbers import reading_in
 from pincal.words.table import Table
-from pincal.workspace.sampling import sample_configurations
 
 _CONFIGURATIONS = 3000  # candidates, where all parameters are looked at together
 _POSES = 30_000  # candidates, where legs have poses of their own
@@ -107,7 +102,7 @@ def select(
     --reference N measures the pose in the middle again every N rows; in the column 'pose' its rows
     have one name, 'reference'.
     """
-    mechanism = load_mechanism(mech)
+    mechanism = pincal.load_mechanism(mech)
     if mechanism.influences:
         remark(
             f"planned with {', '.join(mechanism.influences)} at their reference: their terms need "
@@ -147,13 +142,13 @@ def _choose(
     if options.candidates is None:
         progress("sampling the workspace")
         count = _CONFIGURATIONS if together else _POSES
-        candidates = sample_configurations(mechanism, count, options.seed)
+        candidates = pincal.sample_configurations(mechanism, count, options.seed)
     else:
         candidates = read_poses(options.candidates, mechanism)
     search: dict[str, Any] = {"noise": noise, "seed": options.seed, "starts": options.starts}
     if not together:
         protocol = options.protocol or _protocol_of(mechanism)
-        chosen = select_poses(mechanism, candidates.poses, options.count, protocol, **search)
+        chosen = pincal.select_poses(mechanism, candidates.poses, options.count, protocol, **search)
         if chosen.unreachable:
             remark(f"{chosen.unreachable} candidate poses are out of reach and were left out")
         return chosen.plan, candidates, selection_table(chosen)
@@ -163,7 +158,7 @@ def _choose(
         total = len(candidates)
         candidates = arm_free_of_collision(mechanism, candidates, options.collision)
         remark(f"{total - len(candidates)} of {total} candidates collide and were left out")
-    choice = select_configurations(
+    choice = pincal.select_configurations(
         mechanism,
         candidates,
         options.count,
@@ -210,7 +205,7 @@ def identifiability(
     Positions are of the platform's origin in the robot's base frame, unless --unknown-frame,
     --unknown-target or --setup say otherwise.
     """
-    mechanism = load_mechanism(mech)
+    mechanism = pincal.load_mechanism(mech)
     units = options.written_in(mechanism)
     setup = options.read_setup()
     measured = options.measured(mechanism, setup)
@@ -218,10 +213,10 @@ def identifiability(
         poses = read_poses(plan, mechanism)
         check_reached(mechanism, poses, str(plan))
     with working("sampling the workspace"):
-        workspace = sample_configurations(mechanism, 1000, options.seed)
+        workspace = pincal.sample_configurations(mechanism, 1000, options.seed)
         if plan is None:
-            poses = sample_configurations(mechanism, _FORECAST, options.seed + 1)
-    expected = forecast(mechanism, poses, noise, measured, setup)
+            poses = pincal.sample_configurations(mechanism, _FORECAST, options.seed + 1)
+    expected = pincal.forecast(mechanism, poses, noise, measured, setup)
     error = expected.platform_error(workspace)
     with reading_in(units.printed):
         stdout.print(standard_errors(expected))
@@ -262,13 +257,13 @@ def simulate(
     it is taken to the poses themselves.
     Poses that the true mechanism cannot reach are left out and listed.
     """
-    mechanism = load_mechanism(mech)
+    mechanism = pincal.load_mechanism(mech)
     units = options.written_in(mechanism)
     truth = options.truth
     disturbed, measured = map(np.random.default_rng, np.random.SeedSequence(options.seed).spawn(2))
     outputs: list[tuple[Path, Sequence[str]]] = [(output, ())]
     if truth is not None and options.disturb is None and truth.is_dir():
-        true_mechanism = load_mechanism(truth)
+        true_mechanism = pincal.load_mechanism(truth)
         kinds = [(m.leg_names, m.platform.kind) for m in (true_mechanism, mechanism)]
         if kinds[0] != kinds[1]:
             raise FileError(
@@ -277,11 +272,11 @@ def simulate(
             )
     else:
         outputs = [(truth, MECHANISM_FILES), *outputs] if truth is not None else outputs
-        true_mechanism = disturb(mechanism, options.disturb, disturbed)
+        true_mechanism = pincal.disturb(mechanism, options.disturb, disturbed)
     refuse_existing_of(outputs, force=force)
     planned = read_poses(plan, true_mechanism)
     with working("simulating measurements"):
-        simulation = simulate_measurements(mechanism, true_mechanism, planned, noise, measured)
+        simulation = pincal.simulate(mechanism, true_mechanism, planned, noise, measured)
     if not len(simulation.measurements):
         reason = simulation.unreachable[0][1]
         raise MeasurementError(f"{plan}: no planned pose can be measured ({reason})")

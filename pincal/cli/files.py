@@ -11,6 +11,8 @@ from typing import Annotated, Literal
 import numpy as np
 import typer
 
+import pincal
+from pincal import Measurements, Mechanism, Plan
 from pincal.cli.app import command, remark, say, stdout, warn, working, wrote
 from pincal.cli.mechanisms import fail_if_lost, first_of, say_reference
 from pincal.cli.options import (
@@ -25,12 +27,7 @@ from pincal.cli.options import (
 from pincal.errors import FileError, MeasurementError, MechanismError, PincalError
 from pincal.files.measurement_writing import write_plan
 from pincal.files.measurements import read_poses
-from pincal.files.mechanism_folders import (
-    MECHANISM_FILES,
-    load_mechanism,
-    save_mechanism,
-    write_mechanism,
-)
+from pincal.files.mechanism_folders import MECHANISM_FILES, save_mechanism, write_mechanism
 from pincal.files.output import writing
 from pincal.files.table import write_table
 from pincal.files.text import LARGEST_FILE, read_bytes
@@ -40,17 +37,14 @@ from pincal.files.urdf_writing import leg_urdf
 from pincal.formats.arm import serial_arm
 from pincal.formats.calibrated_urdf import calibrated_urdf
 from pincal.formats.closed import closed_mechanism, closing_in_words, slack_of
-from pincal.formats.corrections import CORRECTION, correction_columns, corrections
+from pincal.formats.corrections import CORRECTION, correction_columns
 from pincal.formats.delta_printer import delta_printer
 from pincal.formats.firmware import read_klipper, read_reprap, write_klipper, write_reprap
 from pincal.formats.loops import loops_beside, read_loops
 from pincal.formats.mjcf import mjcf, read_mjcf, unwritten
 from pincal.kinematics.closure import largest_size
 from pincal.kinematics.influences import own_influences
-from pincal.kinematics.inverse import inverse
 from pincal.model.checks import counted
-from pincal.model.measurements import Measurements, Plan
-from pincal.model.mechanism import Mechanism
 from pincal.model.option import option
 from pincal.words.numbers import amount, listed, reading_in
 from pincal.workspace.sampling import grid_poses, has_grid
@@ -169,7 +163,7 @@ def _import_printer(
         printer, heights, readings = read_reprap(file, firmware), np.empty(0), np.empty((0, 3))
     mechanism = printer.mechanism(named_after(output), f"Linear delta of {file.name}.")
     if options.probed is not None:
-        solution = inverse(mechanism, read_poses(options.probed, mechanism).poses)
+        solution = pincal.inverse(mechanism, read_poses(options.probed, mechanism).poses)
         readings, heights = solution.readings, np.zeros(len(solution.readings))
         if lost := np.flatnonzero(~solution.reached.all(axis=1)).tolist():
             raise MeasurementError(
@@ -294,7 +288,7 @@ def export(
     for name, value, wanted in (("original", original, "urdf"), ("poses", poses, "table")):
         if value is not None and form != wanted:
             raise PincalError(f"leave out --{name}: not for {purpose}")
-    mechanism = load_mechanism(mech)
+    mechanism = pincal.load_mechanism(mech)
     if form == "table":
         _export_corrections(mechanism, output, options, poses, force=force)
         return
@@ -363,7 +357,7 @@ def _export_corrections(
     if plan is None:
         with working("sampling the workspace for a grid of poses"):
             plan = Plan(grid_poses(mechanism, _ROWS))
-    table = corrections(mechanism, plan)
+    table = pincal.corrections(mechanism, plan)
     written = correction_columns(mechanism, table, plan.written or "tilt-torsion")
     counts = {**units.counts, **{f"{CORRECTION}{k}": v for k, v in units.counts.items()}}
     write_table(output, written, units=replace(units, counts=counts), force=force)

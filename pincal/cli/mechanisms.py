@@ -10,35 +10,30 @@ from typing import Annotated
 import numpy as np
 import typer
 
+import pincal
+from pincal import FileError, Mechanism, Plan
 from pincal.cli.app import command, fail, remark, stdout, warn, working, wrote
 from pincal.cli.options import Force, Mech, Seed, TableOptions, output_option
-from pincal.errors import FileError
 from pincal.estimation.observability.indices import identifiability
 from pincal.files.measurement_writing import columns_of, reading_columns, reason_column
 from pincal.files.measurements import read_poses, read_readings
-from pincal.files.mechanism_folders import bundled, load_mechanism
+from pincal.files.mechanism_folders import bundled
 from pincal.files.output import refuse_existing, writing
 from pincal.files.table import write_table
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.configurations import leg_demands
-from pincal.kinematics.forward import forward as solve_forward
 from pincal.kinematics.influences import own_influences
-from pincal.kinematics.inverse import inverse as solve_inverse
 from pincal.kinematics.inverse import outside_limits
-from pincal.model.measurements import Plan
-from pincal.model.mechanism import Mechanism
 from pincal.show.tables import nominal_table, symmetry_table
-from pincal.symmetry.detect import symmetry_group
 from pincal.words.numbers import reading_in
 from pincal.words.wording import LISTED
-from pincal.workspace.sampling import sample_configurations, sample_workspace
 
 
 @command
 def mechanisms() -> None:
     """List the mechanisms that come with pincal."""
     for name, folder in bundled().items():
-        mechanism = load_mechanism(folder)
+        mechanism = pincal.load_mechanism(folder)
         coordinates = ", ".join(mechanism.platform.coordinates)
         stdout.print(f"{name:12s} {len(mechanism.legs)} legs, {coordinates}")
         stdout.print(f"{'':12s} {mechanism.description}")
@@ -50,7 +45,7 @@ def check(mech: Mech, options: TableOptions) -> None:
 
     Loops closed at home, parameters observable, symmetry.
     """
-    mechanism = load_mechanism(mech)
+    mechanism = pincal.load_mechanism(mech)
     with reading_in(options.written_in(mechanism).printed):
         stdout.print(nominal_table(mechanism))
     home = mechanism.platform.home_pose.as_matrix()
@@ -64,7 +59,7 @@ def check(mech: Mech, options: TableOptions) -> None:
             )
         stdout.print(f"{leg.name}: {words}")
     with working("sampling the workspace"):
-        plan = sample_configurations(mechanism, 500)
+        plan = pincal.sample_configurations(mechanism, 500)
     for leg, demand in zip(mechanism.legs, leg_demands(mechanism.at_reference, plan), strict=True):
         names = leg.at_reference.parameter_names
         by_reading = demand.value.shape[1] == len(leg.sensors)
@@ -78,7 +73,7 @@ def check(mech: Mech, options: TableOptions) -> None:
             f"(condition {rank.condition:.3g}){words}"
         )
     if len(mechanism.legs) > 1:
-        stdout.print(f"symmetry: {symmetry_group(mechanism)}")
+        stdout.print(f"symmetry: {pincal.symmetry_group(mechanism)}")
 
 
 @command
@@ -93,10 +88,10 @@ def symmetry(
     Prints where each element carries the legs, how well readings follow (equivariance, on
     sampled poses), and what breaks the elements that fail.
     """
-    mechanism = load_mechanism(mech)
-    detected = symmetry_group(mechanism, tolerance)
+    mechanism = pincal.load_mechanism(mech)
+    detected = pincal.symmetry_group(mechanism, tolerance)
     with working("checking readings on sampled poses"):
-        deviation = detected.equivariance(sample_workspace(mechanism, 300))
+        deviation = detected.equivariance(pincal.sample_workspace(mechanism, 300))
     stdout.print(symmetry_table(detected, deviation))
 
 
@@ -113,12 +108,12 @@ def inverse(
     Rows of poses that are out of reach stay empty, with the reason in the column 'reason'; the exit
     code is then 1. Of poses outside the limits of joints readings are written, with a warning.
     """
-    mechanism = load_mechanism(mech)
+    mechanism = pincal.load_mechanism(mech)
     units = options.written_in(mechanism)
     plan = read_poses(poses, mechanism)
     refuse_existing(output, force=force)
     influences = own_influences(mechanism, plan.influences)
-    solution = solve_inverse(mechanism, plan.poses, influences)
+    solution = pincal.inverse(mechanism, plan.poses, influences)
     reasons = list(map(solution.reason, range(len(plan))))
     values = np.where(solution.reached.all(axis=1, keepdims=True), solution.readings, np.nan)
     columns = reading_columns(mechanism, values) | dict(influences) | reason_column(reasons)
@@ -150,12 +145,12 @@ def forward(
     Rows of readings that have no pose stay empty, with the reason in the column 'reason'; the exit
     code is then 1.
     """
-    mechanism = load_mechanism(mech)
+    mechanism = pincal.load_mechanism(mech)
     units = options.written_in(mechanism)
     values, influences = read_readings(readings, mechanism)
     refuse_existing(output, force=force)
     influences = own_influences(mechanism, influences)
-    solution = solve_forward(mechanism, values, influences=influences)
+    solution = pincal.forward(mechanism, values, influences=influences)
     say_reference(mechanism, influences)
     columns = columns_of(mechanism, Plan(solution.poses)) | reason_column(solution.reasons)
     write_table(output, columns, units=units, force=force)

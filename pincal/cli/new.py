@@ -11,29 +11,23 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
+import pincal
+from pincal import FileError, Mechanism, Noise, Plan
 from pincal.architectures.dimension import Architecture, Values, sized
-from pincal.architectures.new import ARCHITECTURES, architecture_of, new_mechanism
+from pincal.architectures.new import ARCHITECTURES, architecture_of
 from pincal.cli.app import app, command, remark, run_step, say, stdout, working, wrote
 from pincal.cli.options import Force, Seed, named_after, output_option
 from pincal.design.order import in_turns, with_verification
-from pincal.design.select_configurations import select_configurations
-from pincal.design.simulate import accuracy
-from pincal.errors import FileError
 from pincal.files.measurement_writing import columns_of, write_sheet
 from pincal.files.measurements import read_poses
-from pincal.files.mechanism_folders import MECHANISM_FILES, load_mechanism, write_mechanism
+from pincal.files.mechanism_folders import MECHANISM_FILES, write_mechanism
 from pincal.files.output import refuse_existing, writing
 from pincal.files.table import write_table
 from pincal.kinematics.closure import largest_size
-from pincal.kinematics.inverse import inverse
-from pincal.model.measurements import Noise, Plan
-from pincal.model.mechanism import Mechanism
 from pincal.model.option import Option, option
 from pincal.model.units import WRITTEN
-from pincal.show.pictures.picture import picture
 from pincal.show.tables import accuracy_table, choice_table
 from pincal.workspace.criteria import in_workspace
-from pincal.workspace.sampling import sample_configurations
 
 #: Files in the folder beside the mechanism, and what they are.
 DESCRIPTIONS = {
@@ -93,21 +87,21 @@ def new(
     design = architecture_of(architecture)
     given = {name: value for name, value in asdict(dimensions).items() if value is not None}
     values = design.complete(given)
-    mechanism = new_mechanism(design.name, name=named_after(output), **values)
+    mechanism = pincal.new_mechanism(design.name, name=named_after(output), **values)
     noise = Noise(reading=_READ if mechanism.redundant else 0.0)
     with working("choosing poses"):
         candidates = _candidates(design, values, mechanism)
-        chosen = select_configurations(mechanism, candidates, count, noise=noise, seed=_SEED)
+        chosen = pincal.select_configurations(mechanism, candidates, count, noise=noise, seed=_SEED)
         plan = with_verification(mechanism, chosen.plan, candidates, _VERIFY, _SEED)
         plan = in_turns(plan, _SEED)
     with writing(output, force=force, folder=FOLDER) as scratch:
         write_mechanism(mechanism, scratch)
         drawn = any(parameter.nominal for parameter in mechanism.parameters)
-        image = picture(mechanism, dimensions=mechanism.leg_names[0] if drawn else "")
+        image = pincal.picture(mechanism, dimensions=mechanism.leg_names[0] if drawn else "")
         image.save(scratch / "picture.svg")
         write_table(scratch / "plan.csv", columns_of(mechanism, plan), units=WRITTEN)
         if plan.readings is None:
-            plan = replace(plan, readings=inverse(mechanism, plan.poses).readings)
+            plan = replace(plan, readings=pincal.inverse(mechanism, plan.poses).readings)
         write_sheet(scratch / "sheet.csv", mechanism, plan)
     stdout.print(mechanism.description)
     stdout.print(choice_table(mechanism, chosen))
@@ -127,7 +121,7 @@ def new(
 def _candidates(design: Architecture, values: Values, mechanism: Mechanism) -> Plan:
     """Return poses to choose from: where the machine works, or all that its readings reach."""
     if design.region is None:
-        return sample_configurations(mechanism, _CANDIDATES, _SEED)
+        return pincal.sample_configurations(mechanism, _CANDIDATES, _SEED)
     low, high = design.region(values)
     poses = np.random.default_rng(_SEED).uniform(low, high, (4 * _CANDIDATES, len(low)))
     return Plan(poses[in_workspace(mechanism, poses)][:_CANDIDATES])
@@ -151,7 +145,7 @@ def demo(
     a disturbed mechanism, calibrates each leg alone, as the papers do, and all together, and
     compares the platform's errors before and after.
     """
-    mechanism = load_mechanism(mech)
+    mechanism = pincal.load_mechanism(mech)
     if output is None:
         output = Path(tempfile.mkdtemp(prefix="pincal-demo-"))
     elif not output.is_dir():
@@ -175,10 +169,12 @@ def demo(
     stdout.print(
         "\nThe true machine, driven by the nominal and by the calibrated models:", style="bold"
     )
-    poses, true_mechanism = read_poses(candidates, mechanism).poses, load_mechanism(truth)
+    poses, true_mechanism = read_poses(candidates, mechanism).poses, pincal.load_mechanism(truth)
     models = {"nominal": mechanism}
-    models |= {name: load_mechanism(folder) for name, folder in results.items()}
+    models |= {name: pincal.load_mechanism(folder) for name, folder in results.items()}
     with working("driving the true machine over the workspace"):
-        errors = {name: accuracy(model, true_mechanism, poses) for name, model in models.items()}
+        errors = {
+            name: pincal.accuracy(model, true_mechanism, poses) for name, model in models.items()
+        }
     stdout.print(accuracy_table(errors, "rad" in mechanism.platform.units))
     say(f"All files are in {output}; open {output / 'result' / 'report.html'}")

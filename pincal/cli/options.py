@@ -11,12 +11,11 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import typer
 
-from pincal.errors import MeasurementError, PincalError
+from pincal import MeasurementError, Mechanism, PincalError, Setup, Target
 from pincal.files.text import in_si
 from pincal.files.yaml import read_setup
-from pincal.model.mechanism import Mechanism
 from pincal.model.option import Option, option, option_of
-from pincal.model.setup import ORIGIN, Setup, Target
+from pincal.model.setup import ORIGIN
 from pincal.model.units import Units
 
 FORCE = Option("Replace the output if it exists.")

@@ -14,25 +14,19 @@ import numpy as np
 import typer
 from matplotlib.figure import Figure
 
-from pincal.calibration.result import CalibrationResult
-from pincal.calibration.result_files import load_result
+import pincal
+from pincal import CalibrationResult, FileError, MeasurementError, Mechanism, MechanismError, Plan
 from pincal.cli.app import command, say, stderr, warn, working, wrote
 from pincal.cli.options import FORCE, Force, Mech, output_option
-from pincal.errors import FileError, MeasurementError, MechanismError
 from pincal.files.measurements import read_measurements, read_poses
-from pincal.files.mechanism_folders import is_folder, load_mechanism
+from pincal.files.mechanism_folders import is_folder
 from pincal.files.output import refuse_existing
 from pincal.files.table import read_table
-from pincal.kinematics.forward import forward
-from pincal.model.measurements import Plan
-from pincal.model.mechanism import Mechanism
 from pincal.model.option import option
 from pincal.show.charts import Plots
 from pincal.show.pictures.files import drawing, picture_path, save_figure
-from pincal.show.pictures.picture import picture as draw_picture
 from pincal.show.style import PAGE_WIDTH
 from pincal.show.view.scene import MAGNIFY, Scene
-from pincal.show.view.view import view as make_view
 from pincal.types import Mask
 
 Shown = Annotated[
@@ -57,7 +51,7 @@ def _read(
         BadParameter: a factor without a result.
         PincalError: a file that cannot be read, or does not belong to the mechanism.
     """
-    mechanism = load_mechanism(mech)
+    mechanism = pincal.load_mechanism(mech)
     if shown is None or not is_folder(shown):
         if magnify is not None:
             raise typer.BadParameter("--magnify is for the errors of a RESULT, and none is given")
@@ -65,7 +59,7 @@ def _read(
         return {"mechanism": mechanism, **poses}, None
     if not (shown / "result.json").is_file():
         raise FileError(f"{shown} is no folder of 'pincal calibrate': it has no result.json")
-    result = load_result(shown)
+    result = pincal.load_result(shown)
     if not result.converged:
         raise MeasurementError(
             f"{shown}: the fit did not converge, so there is no calibrated mechanism to show"
@@ -91,7 +85,7 @@ def _plan(table: Path, mechanism: Mechanism) -> Plan:
         plan = read_measurements(table, mechanism, partial=True)
     if mechanism.by_readings and plan.readings is not None:
         # they say where the mechanism is, in its own base frame
-        solution = forward(mechanism, plan.readings)
+        solution = pincal.forward(mechanism, plan.readings)
         if not solution.converged.any():
             raise MeasurementError(
                 f"{table}: {solution.reasons[0]} at {plan.place(0)}, and at all others"
@@ -151,7 +145,7 @@ def view(mech: Mech, options: PageOptions, shown: Shown = None, magnify: Magnify
         axes = platform.coordinates[: platform.units.count("m")]
         arguments["workspace"] = np.column_stack([cloud.numbers(name, "m") for name in axes])
     with working("placing the legs"):
-        page = make_view(**arguments, source=shown.name if shown else "")
+        page = pincal.view(**arguments, source=shown.name if shown else "")
         if result is not None:
             page = page.with_result(result)
         if options.meshes is not None:
@@ -193,7 +187,7 @@ def picture(
     arguments, _ = _read(mech, shown, magnify)
     refuse_existing(picture_path(output), force=force)
     with working("drawing"):
-        image = draw_picture(**arguments, dimensions=dimensions)
+        image = pincal.picture(**arguments, dimensions=dimensions)
         image.save(output, force=force)
     _say_unreached(image.scene)
     wrote(output)
@@ -229,7 +223,7 @@ def plot(
     parameters: what their changes move the platform by; error_map: expected error over x and y;
     bed: z over a printer's bed.
     """
-    calibrated = load_result(result)
+    calibrated = pincal.load_result(result)
     refuse_existing(picture_path(output), force=force)
     width = PAGE_WIDTH / 25.4
     height = max(0.62 * width, 3.6 if kind == "parameters" else 2.4)

@@ -9,25 +9,22 @@ from typing import Annotated
 
 import typer
 
+import pincal
+from pincal import Grid, Margins, Mechanism, Orientations, Workspace, WorkspaceError
 from pincal.cli.app import command, counting, remark, stdout, working, wrote
 from pincal.cli.options import FORCE, SEED, Mech, output_option, refuse_options
-from pincal.errors import WorkspaceError
 from pincal.files.measurement_writing import columns_of
-from pincal.files.mechanism_folders import load_mechanism
 from pincal.files.output import refuse_existing_of, writing_together
 from pincal.files.table import write_table
-from pincal.model.mechanism import Mechanism
 from pincal.model.option import option
 from pincal.model.units import WRITTEN
 from pincal.show.pictures.files import picture_path, save_figure
 from pincal.show.tables import workspace_table
 from pincal.show.workspaces import workspace_figure
-from pincal.workspace.axes import Axis, Orientations
-from pincal.workspace.criteria import Margins, refuse_readings
-from pincal.workspace.grid import POSITION_AXES, Grid, closer_grid, default_grid
-from pincal.workspace.inscribed import largest_inscribed
-from pincal.workspace.region import KINDS, Workspace, compute_workspace
-from pincal.workspace.sampling import sample_configurations
+from pincal.workspace.axes import Axis
+from pincal.workspace.criteria import refuse_readings
+from pincal.workspace.grid import POSITION_AXES, closer_grid, default_grid
+from pincal.workspace.region import KINDS
 
 #: Options that samples of poses do not have; of regions that is the number of poses.
 _OF_REGIONS = ("axis", "symmetry", "connected", "inscribed", "picture")
@@ -84,13 +81,13 @@ def workspace(
     outputs = [output] if options.picture is None else [output, picture_path(options.picture)]
     refuse_existing_of([(path, ()) for path in outputs], force=options.force)
     least = margins if options.margins else Margins.none()
-    mechanism = load_mechanism(mech)
+    mechanism = pincal.load_mechanism(mech)
     if options.kind != "poses":
         refuse_readings(mechanism)
         _region(mechanism, outputs, options, least)
         return
     with counting("sampling the workspace", options.count) as done:
-        plan = sample_configurations(mechanism, options.count, options.seed, least, done)
+        plan = pincal.sample_configurations(mechanism, options.count, options.seed, least, done)
     write_table(output, columns_of(mechanism, plan), units=WRITTEN, force=options.force)
     ends = zip(plan.poses.min(axis=0), plan.poses.max(axis=0), strict=True)
     coordinates = zip(mechanism.platform.coordinates, ends, mechanism.platform.units, strict=True)
@@ -110,7 +107,7 @@ def _region(
 
     def compute(grid: Grid, text: str) -> Workspace:
         with counting(text, grid.size) as done:
-            return compute_workspace(
+            return pincal.compute_workspace(
                 mechanism,
                 options.kind,
                 grid,
@@ -128,7 +125,7 @@ def _region(
     circle = None
     if options.inscribed and region.count:
         with working("looking for the largest circle or ball inside"):
-            circle = largest_inscribed(region)
+            circle = pincal.largest_inscribed(region)
     files = [(path, ()) for path in outputs]
     with writing_together(files, force=options.force) as (table, *pictures):
         region.save(table)
