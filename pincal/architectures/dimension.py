@@ -41,10 +41,6 @@ class SheetDimension:
     choices: tuple[str, ...] = ()
     """What a text may be; anything if there are none."""
 
-    def usual(self, before: Values) -> float | str:
-        """Return the default, where those before it are what they are."""
-        return float(self.default) * before[self.of] if self.of else self.default
-
     def checked(self, value: Any, before: Values) -> float | str:
         """Return a value that the dimension may have, where those before it are what they are."""
         title = f"the {self.label} ({self.name})"
@@ -72,10 +68,9 @@ class SheetDimension:
         return sized(float(value), self.unit) if self.unit else str(value)
 
 
-def sized(value: float, unit: str, digits: str = ".6g", blank: str = " ") -> str:
+def sized(value: float, unit: str) -> str:
     """Return a length [m] in mm, or an angle [rad] in degrees."""
-    number, shown = (1e3 * value, "mm") if unit == "m" else (degrees(value), "deg")
-    return f"{number:{digits}}{blank}{shown}"
+    return f"{1e3 * value:.6g} mm" if unit == "m" else f"{degrees(value):.6g} deg"
 
 
 def length(name: str, label: str, default: float, of: str = "", **limits: Any) -> SheetDimension:
@@ -117,7 +112,9 @@ class Architecture:
         values: dict[str, Any] = {}
         for dimension in self.dimensions:
             value = dimensions.get(dimension.name)
-            value = dimension.usual(values) if value is None else value
+            if value is None:
+                value = dimension.default
+                value = float(value) * values[dimension.of] if dimension.of else value
             values[dimension.name] = dimension.checked(value, values)
         return values
 

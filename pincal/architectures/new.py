@@ -5,19 +5,19 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from difflib import get_close_matches
-from math import isfinite
 from typing import Any
 
-from pincal.architectures.built import ARM, CABLES
+import numpy as np
+
+from pincal.architectures.catalogue import ARCHITECTURES
 from pincal.architectures.dimension import Architecture, Values, sized
-from pincal.architectures.resized import RESIZED
 from pincal.errors import MechanismError
+from pincal.kinematics.inverse import beyond_limits
 from pincal.kinematics.singularity import home_determinant
-from pincal.model.checks import ROUNDING, must_be
+from pincal.model.checks import must_be
 from pincal.model.mechanism import Mechanism
 from pincal.symmetry.carry import at_home
 
-ARCHITECTURES = {kind.name: kind for kind in (*RESIZED, *CABLES, ARM)}
 _FLAT = 1e-3  # of what the legs' lines span at home
 
 
@@ -71,19 +71,16 @@ def _at_home(made: Mechanism, kind: Architecture, values: Values) -> Mechanism:
             raise MechanismError(
                 f"{kind.name}: {leg.name} is too short or too long for the home pose; {change}"
             ) from error
-        for joint in (j for j in legs[-1].moving if j.limited):
-            slack = ROUNDING * max(abs(joint.lower), abs(joint.upper))
-            if not joint.lower - slack <= joint.home <= joint.upper + slack:
-                unit = "rad" if joint.turns else "m"
-                ends = (joint.home, joint.lower, joint.upper)
-                position, lower, upper = (sized(end, unit) for end in ends)
-                raise MechanismError(
-                    f"{kind.name}: at home joint {joint.name!r} of {leg.name} is at {position}, "
-                    f"outside its limits {lower} to {upper}; {change}"
-                )
+        for place in np.flatnonzero(beyond_limits(legs[-1], legs[-1].home[None])[0]):
+            joint = legs[-1].moving[place]
+            ends = (joint.home, joint.lower, joint.upper)
+            position, lower, upper = (sized(end, "rad" if joint.turns else "m") for end in ends)
+            raise MechanismError(
+                f"{kind.name}: at home joint {joint.name!r} of {leg.name} is at {position}, "
+                f"outside its limits {lower} to {upper}; {change}"
+            )
     made = replace(made, legs=tuple(legs))
-    span = home_determinant(made)
-    if not isfinite(span) or abs(span) < _FLAT:
+    if not abs(home_determinant(made)) >= _FLAT:  # it is NaN where a leg misses home
         raise MechanismError(
             f"{kind.name}: the legs do not hold the platform at home, a singular pose; {change}"
         )

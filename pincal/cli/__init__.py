@@ -12,13 +12,5 @@ from pincal.cli.app import main
 
 __all__ = ["main"]
 
-for module in (
-    "mechanisms",
-    "new",
-    "view",
-    "workspace",
-    "design",
-    "calibration",
-    "files",
-):
+for module in ("mechanisms", "new", "view", "workspace", "design", "calibration", "files"):
     import_module(f"{__name__}.{module}")

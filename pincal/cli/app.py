@@ -102,19 +102,13 @@ app = typer.Typer(
 )
 
 
-def _version(requested: bool) -> None:
-    if requested:
+@app.callback(invoke_without_command=True)
+def _main(
+    version: Annotated[bool, typer.Option("--version", help="Show the version.")] = False,
+) -> None:
+    if version:
         stdout.print(f"pincal {__version__}")
         raise typer.Exit
-
-
-@app.callback()
-def _main(
-    version: Annotated[
-        bool, typer.Option("--version", is_eager=True, callback=_version, help="Show the version.")
-    ] = False,
-) -> None:
-    pass
 
 
 _Quiet = Annotated[bool, typer.Option("--quiet", help="Say nothing but warnings and errors.")]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import shlex
-from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated
@@ -38,17 +37,9 @@ from pincal.model.mechanism import Mechanism
 from pincal.model.option import option, option_of
 from pincal.model.orientation import SINGLE_ANGLES
 from pincal.model.setup import ORIGIN, Setup
-from pincal.show.answers import (
-    accuracy_table,
-    next_steps,
-    remarks,
-    supporting_lines,
-    verdict,
-    warnings,
-)
+from pincal.show import answers, tables
 from pincal.show.explanation import advice, explanation_lines, remedy_table, tried
 from pincal.show.report import report
-from pincal.show.tables import calibration_tables, models_table, screen_table
 from pincal.words.numbers import reading_in
 
 
@@ -71,32 +62,28 @@ class InputOptions(SetupOptions):
         return replace(calibration, options=replace(options, noise=noise))
 
     def noise_of(self, mechanism: Mechanism, data: Measurements, setup: Setup) -> Noise | None:
-        """Return the noise given, or None if none was."""
-        needed: dict[str, float | None] = {}
-        measured = _units_measured(mechanism, data, setup)
-        if "m" in measured:
-            needed["--noise-position"] = self.noise_position
-        if "rad" in measured:
-            needed["--noise-orientation"] = self.noise_orientation
-        deviations = (self.noise_position, self.noise_orientation, self.noise_reading)
-        if all(deviation is None for deviation in deviations):
+        """Return the noise given, or None if none was; a tracker says itself how well it measures.
+
+        Raises:
+            MeasurementError: it is given of some of what was measured.
+        """
+        sigmas = {"m": self.noise_position, "rad": self.noise_orientation, "": self.noise_reading}
+        if all(sigma is None for sigma in sigmas.values()):
             return None
-        if None in needed.values():
+        platform = mechanism.platform
+        columns = zip(platform.coordinates, platform.units, data.poses.T, strict=True)
+        units = {name: unit for name, unit, values in columns if np.isfinite(values).any()}
+        units |= {name: "rad" if name in SINGLE_ANGLES else "m" for name in data.extra}
+        tracked = {*platform.coordinates[: platform.lengths], *setup.points(platform)}
+        measured = {u for name, u in units.items() if setup.tracker is None or name not in tracked}
+        if any(sigmas[unit] is None for unit in measured):
+            names = {"m": "--noise-position", "rad": "--noise-orientation"}
+            needed = " and ".join(name for unit, name in names.items() if unit in measured)
             raise MeasurementError(
-                f"give {' and '.join(needed)} with the other noise options, or none of them (the "
-                "scale is then estimated)"
+                f"give {needed} with the other noise options, or none of them (the scale is then "
+                "estimated)"
             )
-        return Noise(*(deviation or 0.0 for deviation in deviations))
-
-
-def _units_measured(mechanism: Mechanism, data: Measurements, setup: Setup) -> set[str]:
-    """Return the units of what was measured, but for what a tracker says itself how well."""
-    platform = mechanism.platform
-    columns = zip(platform.coordinates, platform.units, data.poses.T, strict=True)
-    units = {name: unit for name, unit, values in columns if np.isfinite(values).any()}
-    units |= {name: "rad" if name in SINGLE_ANGLES else "m" for name in data.extra}
-    known = {*platform.coordinates[: platform.lengths], *setup.points(platform)}
-    return {unit for name, unit in units.items() if setup.tracker is None or name not in known}
+        return Noise(*(sigma or 0.0 for sigma in sigmas.values()))
 
 
 @dataclass(frozen=True)
@@ -141,8 +128,7 @@ def calibrate(
             remark(f"{_again('doctor')} tries what may be wrong, and says what works")
             raise
         result.save(output, force=running.force)
-        files = [*mechanism_files(mech), measurements]
-        files += [known.setup_file] if known.setup_file else []
+        files = [*mechanism_files(mech), measurements, *filter(None, [known.setup_file])]
         errors, undrawn = None, ""
         try:
             progress("sampling the workspace for the platform's errors")
@@ -156,17 +142,17 @@ def calibrate(
         except Exception as error:  # whatever it is, the result is written and stays
             undrawn = f"{type(error).__name__}: {error}"
     with reading_in(units.printed):
-        warn(*warnings(result))
-        line, style = verdict(result, errors)
+        warn(*answers.warnings(result))
+        line, style = answers.verdict(result, errors)
         stdout.print(line, style=style)
         if errors is not None:
-            stdout.print(accuracy_table(result, errors))
-            notes = [*remarks(result, errors), *notes]
-        details = [*calibration_tables(result), *supporting_lines(result, errors)]
+            stdout.print(answers.accuracy_table(result, errors))
+            notes = [*answers.remarks(result, errors), *notes]
+        details = [*tables.calibration_tables(result), *answers.supporting_lines(result, errors)]
         for part in (*details, *notes) if running.verbose else notes:
             stdout.print(part)
     wrote(output)
-    say(f"next: {'; '.join(next_steps(result, _again, str(output)))}")
+    say(f"next: {'; '.join(answers.next_steps(result, _again, str(output)))}")
     if undrawn:
         fail(
             3,
@@ -201,9 +187,9 @@ def explain(mech: Mech, measurements: Measured, options: Options, known: InputOp
         options = replace(options, terms=terms, progress=progress)
         explanation = explained(known.calibration(mech, measurements, options))
     with reading_in(known.written_in(explanation.result.nominal).printed):
-        warn(*warnings(explanation.result))
-        stdout.print(screen_table(explanation))
-        stdout.print(models_table(explanation))
+        warn(*answers.warnings(explanation.result))
+        stdout.print(tables.screen_table(explanation))
+        stdout.print(tables.models_table(explanation))
         say(*explanation_lines(explanation))
     if explanation.terms:
         added = (word for term in explanation.terms for word in ("--terms", term))
@@ -274,8 +260,14 @@ def doctor(
             f"{len(cures)} of these work alike, and the measurements do not say which "
             "is true: look at the machine, and mend the source"
         )
-    else:
-        _say_what_converged(known, tries)
+        fail(1)
+    stdout.print("nothing of this makes the measurements fit the mechanism")
+    converged = [remedy for remedy in tries if remedy.result and remedy.result.converged]
+    if converged:
+        stdout.print(f"the mechanism may lack a term: {_again('explain')} looks for it")
+    near = next((remedy for remedy in converged if not remedy.mends), None)
+    if near and near.result and near.result.excess == 1.0:
+        say("this converges, and promises nothing:", f"  {_cured(near, known)}")
     fail(1)
 
 
@@ -296,27 +288,15 @@ def _say_cure(
             wrote(output)
     elif output:
         remark(f"options are enough: {output} is not written, take {measurements}")
-    lines.append(_again("calibrate", *_cure_options(cure, known), measured=mended))
-    say("this works:", *(f"  {line}" for line in lines))
+    say("this works:", *(f"  {line}" for line in [*lines, _cured(cure, known, mended)]))
 
 
-def _say_what_converged(known: InputOptions, tries: Sequence[Remedy]) -> None:
-    """Say that no remedy makes the measurements fit, and what to try if a fit converged."""
-    stdout.print("nothing of this makes the measurements fit the mechanism")
-    converged = [remedy for remedy in tries if remedy.result and remedy.result.converged]
-    if converged:
-        stdout.print(f"the mechanism may lack a term: {_again('explain')} looks for it")
-    near = next((remedy for remedy in converged if not remedy.mends), None)
-    if near and near.result and near.result.excess == 1.0:
-        line = _again("calibrate", *_cure_options(near, known))
-        say("this converges, and promises nothing:", f"  {line}")
-
-
-def _cure_options(remedy: Remedy, known: InputOptions) -> list[str]:
-    """Return the options of ``calibrate`` that a remedy adds to those that were typed."""
+def _cured(remedy: Remedy, known: InputOptions, mended: tuple[Path, Path] | None = None) -> str:
+    """Return the command of a remedy: what was typed, with the options that it adds."""
     options, as_typed = remedy.calibration.options, known.read_setup()
     words = ["--unknown-frame"] * (options.setup.unknown_frame and not known.unknown_frame)
     unknown_target = options.setup.targets[ORIGIN].unknown
     words += ["--unknown-target"] * (unknown_target and not as_typed.targets[ORIGIN].unknown)
     words += ["--rough"] * options.rough
-    return [*words, "--loss", str(options.loss)] if options.loss != "none" else words
+    words += ["--loss", str(options.loss)] if options.loss != "none" else []
+    return _again("calibrate", *words, measured=mended)

@@ -35,8 +35,7 @@ from pincal.files.table import write_table
 from pincal.kinematics.configurations import check_reached
 from pincal.kinematics.readers import arm_free_of_collision
 from pincal.model.option import Option, option
-from pincal.show.explanation import forecast_lines, poses_line
-from pincal.show.tables import choice_table, selection_table, standard_errors
+from pincal.show import explanation, tables
 from pincal.words.numbers import reading_in
 from pincal.words.table import Table
 
@@ -151,7 +150,7 @@ def _choose(
         chosen = pincal.select_poses(mechanism, candidates.poses, options.count, protocol, **search)
         if chosen.unreachable:
             remark(f"{chosen.unreachable} candidate poses are out of reach and were left out")
-        return chosen.plan, candidates, selection_table(chosen)
+        return chosen.plan, candidates, tables.selection_table(chosen)
     if options.candidates is not None:
         check_reached(mechanism, candidates, str(options.candidates))
     if options.collision is not None:
@@ -167,7 +166,7 @@ def _choose(
         goal=options.goal,
         **search,
     )
-    return choice.plan, candidates, choice_table(mechanism, choice)
+    return choice.plan, candidates, tables.choice_table(mechanism, choice)
 
 
 def _protocol_of(mechanism: Mechanism) -> Protocol:
@@ -219,10 +218,10 @@ def identifiability(
     expected = pincal.forecast(mechanism, poses, noise, measured, setup)
     error = expected.platform_error(workspace)
     with reading_in(units.printed):
-        stdout.print(standard_errors(expected))
-        stdout.print(*forecast_lines(expected, error), sep="\n")
+        stdout.print(tables.standard_errors(expected))
+        stdout.print(*explanation.forecast_lines(expected, error), sep="\n")
         if accuracy is not None:
-            stdout.print(poses_line(accuracy, expected.poses_for(accuracy, workspace)))
+            stdout.print(explanation.poses_line(accuracy, expected.poses_for(accuracy, workspace)))
 
 
 @dataclass(frozen=True)

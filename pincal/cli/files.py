@@ -17,31 +17,25 @@ from pincal.cli.app import command, remark, say, stdout, warn, working, wrote
 from pincal.cli.mechanisms import fail_if_lost, first_of, say_reference
 from pincal.cli.options import (
     FORCE,
-    Force,
     Mech,
     TableOptions,
     named_after,
     output_option,
     refuse_options,
 )
-from pincal.errors import FileError, MeasurementError, MechanismError, PincalError
+from pincal.errors import FileError, MeasurementError, MechanismError
 from pincal.files.measurement_writing import write_plan
 from pincal.files.measurements import read_poses
 from pincal.files.mechanism_folders import MECHANISM_FILES, save_mechanism, write_mechanism
 from pincal.files.output import writing
 from pincal.files.table import write_table
 from pincal.files.text import LARGEST_FILE, read_bytes
-from pincal.files.tree import Tree
 from pincal.files.urdf import XACRO, read_urdf
 from pincal.files.urdf_writing import leg_urdf
-from pincal.formats.arm import serial_arm
+from pincal.formats import arm, closed, firmware, loops, mjcf
 from pincal.formats.calibrated_urdf import calibrated_urdf
-from pincal.formats.closed import closed_mechanism, closing_in_words, slack_of
 from pincal.formats.corrections import CORRECTION, correction_columns
 from pincal.formats.delta_printer import delta_printer
-from pincal.formats.firmware import read_klipper, read_reprap, write_klipper, write_reprap
-from pincal.formats.loops import loops_beside, read_loops
-from pincal.formats.mjcf import mjcf, read_mjcf, unwritten
 from pincal.kinematics.closure import largest_size
 from pincal.kinematics.influences import own_influences
 from pincal.model.checks import counted
@@ -76,6 +70,9 @@ _ONLY = {
     "tip": ("urdf", "mjcf"),
     "base": ("urdf", "mjcf"),
     "probed": ("klipper", "reprap", "marlin"),
+    "original": ("urdf",),
+    "poses": ("table",),
+    "units": ("table",),
 }
 _ROWS = 1000  # of a grid over the workspace, about
 
@@ -147,8 +144,7 @@ def import_(
         )
     refuse_options(options, [name for name in _ONLY if form not in _ONLY[name]], str(file))
     read = _import_tree if form in _ONLY["tip"] else _import_printer
-    remarks = read(file, output, form, options)
-    warn(*remarks)
+    warn(*read(file, output, form, options))
     wrote(output)
 
 
@@ -156,11 +152,12 @@ def _import_printer(
     file: Path, output: Path, form: InputFormat, options: ImportOptions
 ) -> Sequence[str]:
     """Write the mechanism of a delta printer to a folder, with the points that it probed."""
+    heights, readings = np.empty(0), np.empty((0, 3))
     if form == "klipper":
-        printer, heights, readings = read_klipper(file)
+        printer, heights, readings = firmware.read_klipper(file)
     else:
-        firmware = form if options.format and (form == "reprap" or form == "marlin") else None
-        printer, heights, readings = read_reprap(file, firmware), np.empty(0), np.empty((0, 3))
+        named = form if options.format and (form == "reprap" or form == "marlin") else None
+        printer = firmware.read_reprap(file, named)
     mechanism = printer.mechanism(named_after(output), f"Linear delta of {file.name}.")
     if options.probed is not None:
         solution = pincal.inverse(mechanism, read_poses(options.probed, mechanism).poses)
@@ -189,10 +186,16 @@ def _import_tree(
     if options.tip is not None and (options.platform or options.loops):
         raise MechanismError("--tip is for serial arms, --platform and --loops for closed loops")
     if options.tip is not None:
-        tree = read_urdf(file) if form == "urdf" else read_mjcf(file)
-        mechanism, remarks = serial_arm(tree, options.tip, options.base), list[str]()
+        tree = read_urdf(file) if form == "urdf" else mjcf.read_mjcf(file)
+        mechanism, remarks = arm.serial_arm(tree, options.tip, options.base), list[str]()
     else:
-        tree, mechanism, remarks = _closed(file, form, options)
+        yaml = None if form == "mjcf" else options.loops or loops.loops_beside(file)
+        tree = mjcf.read_mjcf(file) if yaml is None else loops.read_loops(file, yaml)
+        tree = replace(tree, slack=closed.slack_of(file.read_text("utf-8")))
+        mechanism, notes = closed.closed_mechanism(tree, options.platform, options.base)
+        closing, moved = closed.closing_in_words(tree, mechanism)
+        remarks = [closing, *notes] if moved else [*notes]
+        say(*([] if yaml is None else [f"loops closed by {yaml}"]), *([] if moved else [closing]))
     drawn = {edge.joint.name for edge in tree.edges}
     unused = drawn - {joint.name for leg in mechanism.legs for joint in leg.joints}
     remarks += [text for name, text in tree.remarks.items() if name not in unused]
@@ -204,22 +207,6 @@ def _import_tree(
     save_mechanism(replace(mechanism, name=named_after(output)), output, force=options.force)
     _say_what_it_is(mechanism)
     return remarks
-
-
-def _closed(
-    file: Path, form: InputFormat, options: ImportOptions
-) -> tuple[Tree, Mechanism, list[str]]:
-    """Return tree and mechanism of a file with loops, and remarks; say how loops are closed."""
-    yaml = None if form == "mjcf" else options.loops or loops_beside(file)
-    tree = read_mjcf(file) if yaml is None else read_loops(file, yaml)
-    tree = replace(tree, slack=slack_of(file.read_text("utf-8")))
-    mechanism, remarks = closed_mechanism(tree, options.platform, options.base)
-    if yaml is not None:
-        say(f"loops closed by {yaml}")
-    closing, moved = closing_in_words(tree, mechanism)
-    if not moved:
-        say(closing)
-    return tree, mechanism, [closing, *remarks] if moved else [*remarks]
 
 
 def _say_what_it_is(mechanism: Mechanism) -> None:
@@ -235,6 +222,24 @@ def _say_what_it_is(mechanism: Mechanism) -> None:
     stdout.print("* driven: its position is read")
 
 
+@dataclass(frozen=True)
+class ExportOptions(TableOptions):
+    """What is written, and where a table corrects."""
+
+    original: Path | None = option(
+        None,
+        "Your own URDF: its joints get the calibrated origins, all else stays.",
+        metavar="URDF",
+    )
+    poses: Path | None = option(
+        None,
+        "Where a table corrects, with the columns that terms depend on. A grid over the workspace "
+        "if not given.",
+        metavar="POSES.csv",
+    )
+    force: bool = option(False, FORCE)
+
+
 @command
 def export(
     mech: Mech,
@@ -246,23 +251,7 @@ def export(
             "(corrections).",
         ),
     ],
-    options: TableOptions,
-    original: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="URDF",
-            help="Your own URDF: its joints get the calibrated origins, all else stays.",
-        ),
-    ] = None,
-    poses: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="POSES.csv",
-            help="Where a table corrects, with the columns that terms depend on. A grid over the "
-            "workspace if not given.",
-        ),
-    ] = None,
-    force: Force = False,
+    options: ExportOptions,
 ) -> None:
     """Write URDF, MJCF, printer configurations, or corrections.
 
@@ -282,29 +271,23 @@ def export(
             f"{output.name!r} does not say what to write; give it the ending .urdf, .xml (MJCF), "
             ".cfg (Klipper), .g (RepRapFirmware) or .csv (table of corrections)"
         )
-    purpose = f"the format {form}"
-    if form != "table":
-        refuse_options(options, ("units",), purpose)
-    for name, value, wanted in (("original", original, "urdf"), ("poses", poses, "table")):
-        if value is not None and form != wanted:
-            raise PincalError(f"leave out --{name}: not for {purpose}")
+    foreign = [name for name in _ONLY if form not in _ONLY[name]]
+    refuse_options(options, foreign, f"the format {form}")
     mechanism = pincal.load_mechanism(mech)
     if form == "table":
-        _export_corrections(mechanism, output, options, poses, force=force)
+        _export_corrections(mechanism, output, options)
         return
-    data, remarks = _exported(mechanism, form, original)
-    with writing(output, force=force) as scratch:
+    data, remarks = _exported(mechanism, form, options.original)
+    with writing(output, force=options.force) as scratch:
         scratch.write_bytes(data)
     warn(*remarks)
     wrote(output)
     if mechanism.amplitudes:
-        named = _columns(mechanism)
-        units = " --units mm" * (form not in _ONLY["tip"])
-        given = " --poses POSES.csv" * bool(named or not has_grid(mechanism))
-        columns = f" (with what terms follow: {first_of(named, ', ')})" if named else ""
+        needed = bool(_columns(mechanism) or not has_grid(mechanism))
         remark(
             "to correct for terms pose by pose (what to add to readings, or which pose to command "
-            f"instead): pincal export {quote(mech)} -o corrections.csv{units}{given}{columns}"
+            f"instead): pincal export {quote(mech)} -o corrections.csv --units mm"
+            f"{' --poses POSES.csv' * needed}"
         )
 
 
@@ -317,17 +300,17 @@ def _exported(
         lines = set(read_bytes(original, LARGEST_FILE["XML"], MechanismError).splitlines())
         changed = sum(line not in lines for line in data.splitlines())
         remark(f"{changed} lines are other than in {original}")
-        return data, unwritten(mechanism)
+        return data, mjcf.unwritten(mechanism)
     if form == "urdf" and not (len(mechanism.legs) == 1 and mechanism.legs[0].is_arm):
         raise MechanismError(
             f"{mechanism.name!r} has loops, which a URDF has no place for: write MJCF (.xml), or "
             "give your own URDF (--original); each leg's URDF is in its folder"
         )
     if form in _ONLY["tip"]:
-        text = mjcf(mechanism) if form == "mjcf" else leg_urdf(mechanism.legs[0])
-        return text.encode(), unwritten(mechanism)
+        text = mjcf.mjcf(mechanism) if form == "mjcf" else leg_urdf(mechanism.legs[0])
+        return text.encode(), mjcf.unwritten(mechanism)
     printer = delta_printer(mechanism)
-    text = write_klipper(printer) if form == "klipper" else write_reprap(printer)
+    text = firmware.write_klipper(printer) if form == "klipper" else firmware.write_reprap(printer)
     say(text.rstrip())
     return text.encode(), printer.remarks
 
@@ -337,16 +320,14 @@ def _columns(mechanism: Mechanism) -> list[str]:
     return [name for name in mechanism.influences if name not in mechanism.loaded]
 
 
-def _export_corrections(
-    mechanism: Mechanism, output: Path, options: TableOptions, poses: Path | None, *, force: bool
-) -> None:
+def _export_corrections(mechanism: Mechanism, output: Path, options: ExportOptions) -> None:
     """Write corrections over poses."""
     if not mechanism.amplitudes:
         raise MechanismError(
             f"{mechanism.name!r} has no terms: a controller with its geometry, gains and offsets "
             "needs no correction"
         )
-    units = options.written_in(mechanism)
+    units, poses = options.written_in(mechanism), options.poses
     plan = None if poses is None else read_poses(poses, mechanism)
     influences = {} if plan is None else own_influences(mechanism, plan.influences)
     if not (influences or mechanism.loaded or mechanism.at_reference.amplitudes):
@@ -360,7 +341,7 @@ def _export_corrections(
     table = pincal.corrections(mechanism, plan)
     written = correction_columns(mechanism, table, plan.written or "tilt-torsion")
     counts = {**units.counts, **{f"{CORRECTION}{k}": v for k, v in units.counts.items()}}
-    write_table(output, written, units=replace(units, counts=counts), force=force)
+    write_table(output, written, units=replace(units, counts=counts), force=options.force)
     say_reference(mechanism, influences)
     reached = np.abs(table.readings[np.isfinite(table.readings).all(axis=1)])
     largest: dict[str, float] = {}

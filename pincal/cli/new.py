@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 import tempfile
 from dataclasses import asdict, make_dataclass, replace
 from pathlib import Path
@@ -13,8 +12,9 @@ import typer
 
 import pincal
 from pincal import FileError, Mechanism, Noise, Plan
-from pincal.architectures.dimension import Architecture, Values, sized
-from pincal.architectures.new import ARCHITECTURES, architecture_of
+from pincal.architectures.catalogue import ARCHITECTURES
+from pincal.architectures.dimension import Architecture, Values
+from pincal.architectures.new import architecture_of
 from pincal.cli.app import app, command, remark, run_step, say, stdout, working, wrote
 from pincal.cli.options import Force, Seed, named_after, output_option
 from pincal.design.order import in_turns, with_verification
@@ -78,8 +78,7 @@ def new(
 
     Writes a mechanism folder, and into it a picture with dimensions (picture.svg), poses to
     measure (plan.csv; six more to check the calibration), and a sheet to fill in (sheet.csv).
-    Dimensions that are not given are in proportion to those that are; the line that is printed says
-    all of them.
+    Dimensions that are not given are in proportion to those that are; all of them are printed.
 
     Then measure, fill in the sheet, and type 'pincal calibrate MECH MECH/sheet.csv -o RESULT'.
     """
@@ -105,13 +104,6 @@ def new(
         write_sheet(scratch / "sheet.csv", mechanism, plan)
     stdout.print(mechanism.description)
     stdout.print(choice_table(mechanism, chosen))
-    if len(given) < len(values):
-        words = ["pincal", "new", design.name]
-        for dimension in design.dimensions:
-            value, unit = values[dimension.name], dimension.unit
-            if text := sized(float(value), unit, ".12g", "") if unit else str(value):
-                words += [f"--{dimension.name.replace('_', '-')}", text]
-        remark(f"some dimensions are in proportion; all of them: {shlex.join(words)} -o {output}")
     wrote(output)
     for file, description in DESCRIPTIONS.items():
         remark(f"  {file}: {description}")

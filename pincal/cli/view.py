@@ -66,10 +66,9 @@ def _read(
         )
     if result.nominal.leg_names != mechanism.leg_names:
         raise MechanismError(f"{shown} is of {result.nominal.name!r}, which has other legs")
-    magnified = {} if magnify is None else {"magnify": magnify}
     plan = replace(result.measurements, poses=result.poses)
     arguments = {"mechanism": mechanism, "identified": result.identified, "poses": plan}
-    return arguments | magnified, result
+    return arguments | ({} if magnify is None else {"magnify": magnify}), result
 
 
 def _plan(table: Path, mechanism: Mechanism) -> Plan:
@@ -92,21 +91,19 @@ def _plan(table: Path, mechanism: Mechanism) -> Plan:
             )
         return replace(plan, poses=solution.poses).rows(solution.converged)
     complete: Mask = np.isfinite(plan.poses).all(axis=1).astype(bool)
-    if complete.all():
-        return plan
-    advice = (
-        "What was not measured, 'pincal calibrate -o RESULT' estimates for all rows; RESULT in "
-        "place of the measurements shows it"
-    )
-    if not complete.any():
+    if not complete.all():
+        advice = (
+            "What was not measured, 'pincal calibrate -o RESULT' estimates for all rows; RESULT in "
+            "place of the measurements shows it"
+        )
         try:
-            read_poses(table, mechanism)
+            read_poses(table, mechanism, partial=bool(complete.any()))
         except MeasurementError as error:
             raise MeasurementError(f"{error}. {advice}") from error
-    warn(
-        f"{table}: {np.sum(~complete)} of {len(complete)} rows hold no whole pose, the first "
-        f"is in {plan.place(int(np.argmin(complete)))}; only the others are drawn. {advice}"
-    )
+        warn(
+            f"{table}: {np.sum(~complete)} of {len(complete)} rows hold no whole pose, the first "
+            f"is in {plan.place(int(np.argmin(complete)))}; only the others are drawn. {advice}"
+        )
     return plan.rows(complete)
 
 

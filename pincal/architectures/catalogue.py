@@ -1,23 +1,159 @@
-"""Architectures built from numbers: cable robots, and serial arms of a table."""
+"""The architectures: which dimensions each has, and how a mechanism is made of them.
+
+Hexapods, deltas, five-bars and 3-RRRs are the bundled mechanisms with other dimensions: what the
+parameters of their legs are, where home is, and how far joints go; joints, placements, sensors and
+labels are the bundled ones. Cable robots and arms are built from numbers.
+"""
 
 from __future__ import annotations
 
-from itertools import product
-from math import atan2, pi
+from collections.abc import Mapping
+from dataclasses import replace
+from itertools import cycle, product
+from math import atan2, pi, radians
 from typing import Any
 
 import numpy as np
 
-from pincal.architectures.dimension import Architecture, Values, length, text
+from pincal.architectures.dimension import Architecture, Corner, Values, angle, length, text
 from pincal.errors import MechanismError
+from pincal.files.mechanism_folders import load_mechanism
 from pincal.files.table import is_dataframe, read_table
 from pincal.formats.arm import arm
+from pincal.formats.delta_printer import ANGLES, DeltaPrinter
 from pincal.model.leg import Joint, Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.placement import Placement, placement_of
 from pincal.model.platform import Platform
 from pincal.model.sensor import Sensor
+from pincal.symmetry.elements import wrapped
 from pincal.types import Array
+
+Limits = Mapping[str, tuple[float, float]]
+
+
+def _resized(
+    bundled: str, legs: list[dict[str, float]], home: tuple[float, ...], *limits: Limits
+) -> Mechanism:
+    """Return a bundled mechanism with other parameters by leg, home pose and limits of joints.
+
+    Limits are by name of a joint, [rad] or [m], once for all legs or for each.
+    """
+    template = load_mechanism(bundled)
+    made = template.with_parameters(dict(zip(template.leg_names, legs, strict=True)))
+    pairs = zip(made.legs, cycle(limits or ({},)), strict=False)
+    limited = tuple(leg.with_limits(ends) for leg, ends in pairs)
+    platform = replace(made.platform, home=home)
+    return replace(made, platform=platform, legs=limited, description="")
+
+
+def _hexapod(d: Values) -> Mechanism:
+    """Pairs of base joints at azimuths 0°, 120°, 240°, pairs of platform joints halfway."""
+    legs = []
+    for k in range(6):
+        side = 1 - 2 * (k % 2)
+        base = 2 * pi / 3 * ((k + 1) // 2) + side * d["base_half_angle"]
+        platform = pi / 3 + 2 * pi / 3 * (k // 2) - side * d["platform_half_angle"]
+        radii = {"OA": d["base_radius"], "ob": d["platform_radius"], "gamma": d["zero_length"]}
+        legs.append(radii | {"beta": wrapped(base), "beta_b": wrapped(platform)})
+    stroke = {"leg": (d["shortest"], d["longest"])}
+    return _resized("6UPS", legs, (0.0, 0.0, d["height"], 0.0, 0.0, 0.0), stroke)
+
+
+def _delta(d: Values) -> Mechanism:
+    """Drives at azimuths 0°, 120°, 240°; the platform hangs below them."""
+    sizes = {"OA": d["base_radius"], "l": d["arm"], "L": d["rod"]}
+    limits = {"drive": (d["arm_up"], d["arm_down"])}
+    made = _resized("delta", [sizes] * 3, (0.0, 0.0, -d["height"]), limits)
+    legs = []
+    for leg in made.legs:
+        _, azimuth = leg.point.placement.coordinates[0].values
+        placement = Placement.of({}, polar=(d["platform_radius"], azimuth))
+        legs.append(replace(leg, point=replace(leg.point, placement=placement)))
+    return replace(made, legs=tuple(legs))
+
+
+def _linear_delta(d: Values) -> Mechanism:
+    """Towers at azimuths −150°, −30°, 90°; home is the nozzle on the middle of the bed."""
+    radius, rod, reach = d["delta_radius"], d["rod"], d["delta_radius"] + d["print_radius"]
+    if rod <= reach:
+        raise MechanismError(
+            f"a rod of {1e3 * rod:.6g} mm does not reach from a tower to the far side of the bed, "
+            f"{1e3 * reach:.6g} mm away; it must be longer than delta_radius + print_radius"
+        )
+    ends, angles = [d["endstop_height"]] * 3, [radians(angle) for angle in ANGLES]
+    printer = DeltaPrinter(radius, angles, [rod] * 3, ends, d["print_radius"])
+    return printer.mechanism("linear_delta", legs=("leg_1", "leg_2", "leg_3"))
+
+
+def _five_bar(d: Values) -> Mechanism:
+    """Motors on x beside the origin, elbows outward; the right leg is the left one's mirror."""
+    links = {"l": d["driving_link"], "L": d["conducted_link"]}
+    x = d["motor_distance"] / 2
+    least, most = d["motor_least"], d["motor_most"]
+    sides = {"shoulder": (least, most)}, {"shoulder": (pi - most, pi - least)}
+    return _resized("5R", [links | {"A_x": -x}, links | {"A_x": x}], (0.0, d["height"]), *sides)
+
+
+def _3rrr(d: Values) -> Mechanism:
+    """Motors at azimuths −150°, −30°, 90°, platform joints before them at home."""
+    names = {"OA": "base_radius", "ob": "platform_radius", "l": "proximal", "L": "distal"}
+    return _resized("3RRR", [{key: d[name] for key, name in names.items()}] * 3, (0.0,) * 3)
+
+
+_SIXTH = radians(60)
+_HEXAPOD = (
+    length("base_radius", "radius of the base joints", 0.25),
+    length("platform_radius", "radius of the platform joints", 0.6, "base_radius"),
+    angle("base_half_angle", "half the angle between paired base joints", 15, 0.0, _SIXTH),
+    angle("platform_half_angle", "half the angle between paired platform joints", 15, 0.0, _SIXTH),
+    length("height", "height of the platform joints at home", 1.5, "base_radius"),
+    length("shortest", "length of a leg drawn in", 0.9, "height"),
+    length("longest", "length of a leg drawn out", 1.5, "shortest", above="shortest"),
+    length("zero_length", "length of a leg where it reads zero", 0.0, least=0.0),
+)
+_DELTA = (
+    length("base_radius", "radius of the drives' axes", 0.2),
+    length("platform_radius", "radius of the rods' ends", 0.3, "base_radius"),
+    length("arm", "length of the arms", 1.25, "base_radius"),
+    length("rod", "length of the rods", 2.2, "arm"),
+    length("height", "depth of the platform below the drives at home", 0.9, "rod"),
+    angle("arm_up", "angle of an arm below the horizontal, least", -35, -pi),
+    angle("arm_down", "angle of an arm below the horizontal, most", 80, -pi, pi, above="arm_up"),
+)
+_LINEAR_DELTA = (
+    length("delta_radius", "radius of the towers less the offsets of carriage and effector", 0.175),
+    length("rod", "length of the rods", 1.9, "delta_radius"),
+    length("endstop_height", "height of the nozzle at the endstops", 1.7, "delta_radius"),
+    length("print_radius", "radius of the bed that is reached", 0.65, "delta_radius"),
+)
+_FIVE_BAR = (
+    length("motor_distance", "distance between the motors", 0.2),
+    length("driving_link", "length of the driving links", 0.75, "motor_distance"),
+    length("conducted_link", "length of the conducted links", 1.1, "motor_distance"),
+    length("height", "distance of the end from the motors at home", 1.0, "conducted_link"),
+    angle("motor_least", "least angle of a motor, 0 towards the other one", 30, -2 * pi),
+    angle("motor_most", "largest angle of a motor", 225, most=2 * pi, above="motor_least"),
+)
+_3RRR = (
+    length("base_radius", "radius of the motors", 0.3),
+    length("platform_radius", "radius of the platform joints", 0.25, "base_radius"),
+    length("proximal", "length of the proximal links", 0.45, "base_radius"),
+    length("distal", "length of the distal links", 1.0, "proximal"),
+)
+
+
+def _printable(d: Values) -> tuple[Corner, Corner]:
+    """Return the room over the bed."""
+    radius = d["print_radius"]
+    return (-radius, -radius, 0.0), (radius, radius, d["endstop_height"])
+
+
+_GOUGH = "Hexapod (Gough-Stewart platform), six legs with linear drives"
+_TOWERS = "Linear delta, three carriages on upright towers"
+
+
+# Cable robots
 
 _LABELS = {
     f"{letter}_{axis}": f"{label}, {axis}"
@@ -96,20 +232,16 @@ def _spatial(d: Values) -> Mechanism:
 
 def _in_plane(d: Values) -> tuple[Array, Array]:
     """Return where a platform is well inside its frame, turned by 20° at most."""
-    half = _free(d, "width", "height")
-    high = np.array([*half, _TURN])
+    high = np.array([*_free(d, "width", "height"), _TURN])
     return -high, high
 
 
 def _in_space(d: Values) -> tuple[Array, Array]:
     """Return where a platform is well inside its frame, tilted and turned by 20° at most."""
-    height = d["upper"] - d["lower"]
-    half = _free({**d, "frame_height": height}, "length", "width", "height")
+    half = _free({**d, "frame_height": d["upper"] - d["lower"]}, "length", "width", "height")
     middle = np.array([0.0, 0.0, (d["upper"] + d["lower"]) / 2])
-    return (
-        np.array([*(middle - half), -np.pi, 0.0, -_TURN]),
-        np.array([*(middle + half), np.pi, _TURN, _TURN]),
-    )
+    low, high = (*(middle - half), -pi, 0.0, -_TURN), (*(middle + half), pi, _TURN, _TURN)
+    return np.array(low), np.array(high)
 
 
 def _free(d: Values, *sides: str) -> Array:
@@ -135,10 +267,6 @@ _EIGHT = (
     length("platform_height", "height of the platform", 1.0, "platform_width"),
     length("height", "height of the platform's middle at home", 0.5, "upper"),
     text("cables", "way of the cables", "turned", "crossed", "straight"),
-)
-CABLES = (
-    Architecture("cable-4", "Planar cable robot, four cables", _FOUR, _planar, _in_plane),
-    Architecture("cable-8", "Cable robot in space, eight cables", _EIGHT, _spatial, _in_space),
 )
 
 
@@ -183,12 +311,23 @@ def _arm(d: Values) -> Mechanism:
             "'pincal import --tip LINK', or Mechanism.from_urdf"
         )
     convention = d["convention"]
-    description = f"Serial arm of a table of Denavit and Hartenberg, {convention} convention."
-    return arm("arm", dh_joints(d["dh"], convention), description)
+    described = f"Serial arm of a table of Denavit and Hartenberg, {convention} convention."
+    return arm("arm", dh_joints(d["dh"], convention), described)
 
 
 _ARM = (
     text("dh", "CSV table of Denavit and Hartenberg"),
     text("convention", "of the table", "standard", "modified"),
 )
-ARM = Architecture("arm", "Serial arm", _ARM, _arm)
+
+_MADE = (
+    Architecture("hexapod", _GOUGH, _HEXAPOD, _hexapod),
+    Architecture("delta", "Delta robot, three rotary drives", _DELTA, _delta),
+    Architecture("linear-delta", _TOWERS, _LINEAR_DELTA, _linear_delta, _printable),
+    Architecture("five-bar", "Planar five-bar, two motors, elbows outward", _FIVE_BAR, _five_bar),
+    Architecture("3-RRR", "Planar 3-RRR, three motors", _3RRR, _3rrr),
+    Architecture("cable-4", "Planar cable robot, four cables", _FOUR, _planar, _in_plane),
+    Architecture("cable-8", "Cable robot in space, eight cables", _EIGHT, _spatial, _in_space),
+    Architecture("arm", "Serial arm", _ARM, _arm),
+)
+ARCHITECTURES = {kind.name: kind for kind in _MADE}
