@@ -74,12 +74,35 @@ def slopes(one: cramer_rao.Machine) -> tuple[Array, Array]:
     return A, np.stack([slope(np.zeros(n), step) for step in h * np.eye(dof)], axis=2)
 
 
-def bound(one: cramer_rao.Machine, covariance: Array, sigma: float) -> Array:
-    """Return the least standard errors, poses eliminated pose by pose, by differences."""
+def estimate(one: cramer_rao.Machine, covariance: Array, sigma: float) -> tuple[Array, Array]:
+    """Return the efficient estimate's maps of readings and of twists, poses eliminated, (n, N, ·).
+
+    By differences: what errors of readings (n, N, m) and of poses (n, N, dof) make of parameters.
+    """
     A, B = slopes(one)
     V = sigma**2 * np.eye(A.shape[1]) + B @ covariance @ B.transpose(0, 2, 1)
-    F = (A.transpose(0, 2, 1) @ np.linalg.solve(V, A)).sum(axis=0)
-    return np.sqrt(np.diagonal(np.linalg.inv(F)))
+    weighted = np.linalg.solve(V, A)
+    F = (A.transpose(0, 2, 1) @ weighted).sum(axis=0)
+    of_readings = np.einsum("pq,nmq->pnm", np.linalg.inv(F), weighted)
+    return of_readings, -np.einsum("pnm,nmd->pnd", of_readings, B)
+
+
+def bound(one: cramer_rao.Machine, covariance: Array, sigma: float) -> Array:
+    """Return the least standard errors."""
+    of_readings, of_poses = estimate(one, covariance, sigma)
+    noise = sigma**2 * (of_readings**2).sum(axis=(1, 2))
+    return np.sqrt(noise + np.einsum("pnd,nde,pne->p", of_poses, covariance, of_poses))
+
+
+def error(
+    one: cramer_rao.Machine, data: pincal.Measurements, covariance: Array, sigma: float
+) -> Array:
+    """Return the efficient estimate's error by the noise of some data, shape (n,)."""
+    still = np.zeros((len(covariance), one.dof))
+    readings = data.readings - one.readings(one.parameters, still)
+    twists = one.nominal.platform.twists_between(one.coordinates(still), data.poses)
+    of_readings, of_poses = estimate(one, covariance, sigma)
+    return np.einsum("pnm,nm->p", of_readings, readings) + np.einsum("pnd,nd->p", of_poses, twists)
 
 
 def scaled(data: pincal.Measurements, by: float) -> pincal.Measurements:

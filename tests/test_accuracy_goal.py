@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import done
-from marks import slow_or_fuzz
 from measured import workspace
 
 import pincal
@@ -101,28 +100,35 @@ def test_forecasts_of_the_platform_are_better(kind: str) -> None:
         pincal.select_configurations(mechanism, offered, 24, goal="looks")  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("machines", slow_or_fuzz([200], [400]))
-def test_calibrated_hexapods_are_at_least_as_accurate(machines: int) -> None:
-    """Machines measured at 24 poses of each kind, all legs together: true errors."""
+@pytest.mark.slow
+def test_calibrated_hexapods_are_more_accurate() -> None:
+    """At twelve true machines forecasts are lower for the platform, and errors are as forecast.
+
+    Errors² over forecast² spread by 0.25 from machine to machine: an error 18 % off what is
+    forecast is seen with 95 %, a sound one is blamed once in a thousand.
+    """
     mechanism, offered, over = (
         pincal.load_mechanism("6UPS"),
         workspace("6UPS", 2000),
         workspace("6UPS", 200, 9),
     )
-    means = {}
+    forecasts = {}
     for goal in ("parameters", "platform"):
         plan = pincal.select_configurations(
             mechanism, offered, 24, noise=NOISE, goal=goal, starts=5
         ).plan
-        squares = []
-        for seed in range(machines):
+        forecasts[goal], ratios = [], []
+        for seed in range(12):
             truth = pincal.disturb(mechanism, 1e-3, seed)
             data = pincal.simulate(mechanism, truth, plan, NOISE, seed).measurements
             result = pincal.calibrate(mechanism, data, noise=NOISE)
-            squares.append(pincal.accuracy(result.identified, truth, over).position ** 2)
-        means[goal] = float(np.sqrt(np.mean(squares)))
-    print({goal: f"{1e6 * mean:.1f} um" for goal, mean in means.items()})
-    assert means["platform"] <= 1.01 * means["parameters"]
+            expected = pincal.forecast(truth, plan, NOISE).platform_error(over).position
+            forecasts[goal].append(expected)
+            ratios.append(
+                (pincal.accuracy(result.identified, truth, over).position / expected) ** 2
+            )
+        assert np.mean(ratios) == pytest.approx(1.0, abs=3.3 * 0.25 / np.sqrt(12))
+    assert max(forecasts["platform"]) < 0.97 * min(forecasts["parameters"])
 
 
 def test_the_command_says_what_poses_are_best_for(tmp_path: Path) -> None:

@@ -8,7 +8,17 @@ from pathlib import Path
 import cramer_rao
 import numpy as np
 import pytest
-from correlated import TRACKER, bound, correlated, pairs, polar_covariance, scaled, slopes
+from correlated import (
+    TRACKER,
+    bound,
+    correlated,
+    error,
+    estimate,
+    pairs,
+    polar_covariance,
+    scaled,
+    slopes,
+)
 from marks import quick
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
@@ -295,54 +305,63 @@ def test_a_result_keeps_them(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_tracker_s_covariances_reach_the_bound() -> None:
-    """Over 60 data sets of a hexapod, and they cover; taken for independent (20), errors grow."""
+    """Errors of a hexapod are the efficient estimate's with the same noise, to 3 % of the bound.
+
+    Standard errors are the bound. So intervals cover, and errors 0.1 % above the bound are seen.
+    """
     one = cramer_rao.machine("6UPS", 40)
     covariance = np.zeros((len(one.positions), 6, 6))
     covariance[:, :3, :3] = polar_covariance(one.positions, TRACKER)
     covariance[:, 3:, 3:] = 1e-8 * np.eye(3)
-    least, known, plain, within = bound(one, covariance, 1e-6), [], [], []
-    for seed in range(60):
+    least = bound(one, covariance, 1e-6)
+    pair = pairs(one.nominal.platform.freedoms, covariance)
+    for seed in range(4):
         data = correlated(one, covariance, 1e-6, seed)
-        pair = pairs(one.nominal.platform.freedoms, covariance)
-        values, _, low, high = cramer_rao.values_of(
-            pincal.calibrate(one.nominal, replace(data, covariances=pair))
-        )
-        known.append((((values - one.parameters) / least) ** 2).mean())
-        if seed < 20:
-            alone = cramer_rao.values_of(pincal.calibrate(one.nominal, data))[0]
-            plain.append((((alone - one.parameters) / least) ** 2).mean())
-        within.append(((low <= one.parameters) & (one.parameters <= high)).mean())
-    ratio, without = np.sqrt(np.mean(known)), np.sqrt(np.mean(plain))
-    print(f"over the bound: {ratio:.3f}, independent {without:.3f}; cover {np.mean(within):.3f}")
-    assert ratio < 1.02 + 2.0 * np.std(known) / 15.0
-    assert without > 1.1
-    assert 0.935 < np.mean(within) < 0.965
+        result = pincal.calibrate(one.nominal, replace(data, covariances=pair))
+        values, std, low, high = cramer_rao.values_of(result)
+        off = values - one.parameters - error(one, data, covariance, 1e-6)
+        assert (np.abs(off) < 0.03 * least).all()
+        np.testing.assert_allclose(std, least, rtol=0.02)
+        np.testing.assert_allclose(high - low, 2.0 * 1.96 * least, rtol=0.02)
 
 
 @pytest.mark.slow
 def test_limits_are_kept_when_each_instrument_has_its_own_scale() -> None:
-    """Scales drawn anew for each of 120 data sets: 95 of 100 platforms stay below; else few.
+    """Of 20,000 platforms 95 % stay below the limit; where nothing is said of the scale, few.
 
-    What is not said of the scale is tried with the first 30.
+    They are drawn by the efficient estimate's maps of noise and scale, which the fits follow.
+    Limits go with χ², which is independent of the estimate: means over six sets of each case.
     """
-    one = cramer_rao.machine("3RRR", 40)
+    one, noise = cramer_rao.machine("3RRR", 40), cramer_rao.NOISE
+    poses = one.coordinates(np.zeros((len(one.positions), 3)))
     A, B = slopes(one)
-    gain, poses = np.linalg.solve(B, A), one.coordinates(np.zeros((len(one.positions), 3)))
-    setup = pincal.Setup(systematic=pincal.Systematic(scale=3e-4))
-    kept, without = [], []
-    for seed in range(120):
+    gain, sigma = np.linalg.solve(B, A), noise.of_poses(one.nominal)
+    covariance = np.tile(np.diag(sigma**2), (len(poses), 1, 1))
+    maps = estimate(one, covariance, noise.reading)
+    n = len(one.parameters)
+    root = np.column_stack(
+        ((noise.reading * maps[0]).reshape(n, -1), (sigma * maps[1]).reshape(n, -1))
+    )
+    shift = np.einsum("pnd,nd->p", maps[1][:, :, :2], 3e-4 * poses[:, :2])
+    rng = np.random.default_rng(0)
+    errors = rng.standard_normal((20_000, n)) @ np.linalg.cholesky(root @ root.T).T
+    errors += rng.standard_normal((20_000, 1)) * shift
+    kept: dict[float, list[float]] = {0.0: [], 3e-4: []}
+    for seed in range(6):
         by = 3e-4 * np.random.default_rng([seed, 1]).standard_normal()
-        data = scaled(cramer_rao.drawn(one, cramer_rao.NOISE, seed), by)
-        for said, found in ((setup, kept), (pincal.Setup(), without))[: 1 + (seed < 30)]:
-            result = pincal.calibrate(one.nominal, data, noise=cramer_rao.NOISE, setup=said)
-            values, *_ = cramer_rao.values_of(result)
+        data = scaled(cramer_rao.drawn(one, noise, seed), by)
+        for scale, shares in kept.items():
+            setup = pincal.Setup(systematic=pincal.Systematic(scale=scale))
+            result = pincal.calibrate(one.nominal, data, noise=noise, setup=setup)
+            values, std, *_ = cramer_rao.values_of(result)
+            off = values - one.parameters - error(one, data, covariance, noise.reading)
+            assert (np.abs(off) < 0.05 * std).all()
             inside = result.expected_error(poses).within  # the measured region, where a limit is
-            off = (gain @ (values - one.parameters))[inside, :2]
-            missed = np.sqrt((off**2).sum(axis=1).mean())
-            found.append(missed <= result.expected_error(poses[inside]).limit[0])
-    print(f"kept {np.mean(kept):.3f}, without {np.mean(without):.3f}")
-    assert np.mean(kept) >= 0.93
-    assert np.mean(without) < 0.75
+            missed = np.einsum("nmp,sp->snm", gain[inside, :2], errors)
+            limit = result.expected_error(poses[inside]).limit[0]
+            shares.append((np.sqrt((missed**2).sum(axis=2).mean(axis=1)) <= limit).mean())
+    assert 0.94 <= np.mean(kept[3e-4]) < 0.985
+    assert np.mean(kept[0.0]) < 0.6
 
 
 def test_a_tracker_says_nothing_of_other_noise() -> None:

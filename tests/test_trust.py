@@ -163,29 +163,25 @@ def joined(parts: list[pincal.Measurements]) -> pincal.Measurements:
 
 @pytest.mark.slow
 def test_standard_errors_in_an_unknown_frame() -> None:
-    """Parameters, frame and platform over 40 data sets: errors are as large as is said."""
-    mechanism, truth, clean = machine("3RRR", 40, EXACT)
-    noise, found, said, outer, errors = pincal.Noise(1e-4, 1e-4), [], [], [], []
-    options = {"noise": noise}
+    """Parameters and frame over 40 data sets: their spread is as large as is said.
+
+    A single spread is known to 11 %, the mean of all to 3 %. Errors of the platform are told from
+    the covariance (tests/test_calibrate.py), which is that of the bound (tests/test_statistics.py).
+    """
+    mechanism, _, clean = machine("3RRR", 40, EXACT)
+    found, said = [], []
     for seed in range(40):
         rng = np.random.default_rng(seed)
         shake = 1e-4 * rng.standard_normal(clean.poses.shape)
         data = replace(clean, poses=mechanism.platform.moved(clean.poses, shake))
         moved = seen_from_elsewhere(mechanism, data)
-        result = pincal.calibrate(mechanism, moved, setup=FRAME, **options)  # type: ignore[arg-type]
-        found.append(np.concatenate([leg.identified for leg in result.legs]))
-        said.append(np.concatenate([leg.std for leg in result.legs]))
-        outer.append([(p.identified, p.std) for p in result.external])
-        known = pincal.calibrate(mechanism, data, **options)  # type: ignore[arg-type]
-        expected = known.expected_error(clean.poses).position
-        errors.append((pincal.accuracy(known.identified, truth, clean.poses).position, expected))
+        result = pincal.calibrate(mechanism, moved, setup=FRAME, noise=pincal.Noise(1e-4, 1e-4))
+        parameters = [*(p for leg in result.legs for p in leg.parameters), *result.external]
+        found.append([p.identified for p in parameters])
+        said.append([p.std for p in parameters])
     ratios = np.mean(said, axis=0) / np.std(found, axis=0)
     assert abs(ratios.mean() - 1) < 0.1
     assert (np.abs(ratios - 1) < 0.4).all()
-    frames = np.array(outer)
-    np.testing.assert_allclose(frames[:, :, 1].mean(axis=0), frames[:, :, 0].std(axis=0), rtol=0.4)
-    actual, expected = np.sqrt((np.array(errors) ** 2).mean(axis=0))
-    assert actual == pytest.approx(expected, rel=0.15)
 
 
 @pytest.mark.slow
