@@ -291,7 +291,7 @@ def test_a_served_page_moves_off_its_poses(name: str, opened: Any) -> None:
     plan = pincal.Plan(np.concatenate((view.scene.plan.poses, pose)))
     if view.scene.plan.readings is not None:
         plan = replace(plan, readings=np.concatenate((view.scene.plan.readings, readings)))
-    there = scene(mechanism, plan, None, true, 3.0)
+    there = scene(mechanism, plan, true, 3.0)
     assert there.magnified is not None
     for own, root in ((there.body, "mechanism"), (there.magnified, "identified")):
         assert np.allclose(window.matrices(view, root), own.placements[-1], atol=1e-6)
@@ -348,8 +348,7 @@ def test_layers_and_sets_can_be_hidden(opened: Any) -> None:
     """Check boxes hide what they name; ghosts are there on demand; sets have their legs' names."""
     mechanism, poses = plan("3RRR")
     true = pincal.disturb(mechanism, 1e-3, seed=1)
-    cloud = pincal.sample_workspace(mechanism, 100)
-    view = pincal.view(mechanism, poses, workspace=cloud, identified=true, magnify=30)
+    view = pincal.view(mechanism, poses, identified=true, magnify=30)
     window = opened(view)
 
     def visible(path: str) -> bool:
@@ -359,7 +358,6 @@ def test_layers_and_sets_can_be_hidden(opened: Any) -> None:
         ("poses, as ghosts", "ghosts", False),
         ("poses, as dots", "sets", True),
         ("identified, errors × 30", "identified", True),
-        ("workspace, 100 positions", "cloud", True),
         ("leg_1, 3 poses", "sets/1", True),
     ):
         box = window.page.get_by_label(label)
@@ -425,13 +423,12 @@ def test_policy_bars_requests(opened: Any) -> None:
 
 
 def test_large_views_stay_small_and_quick(opened: Any, record_property: Any) -> None:
-    """30,000 positions and 100 poses of a hexapod: under 5 MB, drawn and stepped in seconds."""
+    """100 poses of a hexapod: under 5 MB, drawn and stepped in seconds."""
     mechanism = pincal.load_mechanism("6UPS")
     rng = np.random.default_rng(0)
-    cloud = rng.uniform([-1, -1, 1.5], [1, 1, 2.2], (30_000, 3))
     poses = np.tile(mechanism.platform.home, (100, 1))
     poses[:, :3] += rng.uniform(-0.1, 0.1, (100, 3))
-    view = pincal.view(mechanism, poses, workspace=cloud)
+    view = pincal.view(mechanism, poses)
     size = len(view.html().encode())
     window = opened(view)
     begin = perf_counter()

@@ -111,9 +111,6 @@ def _plan(table: Path, mechanism: Mechanism) -> Plan:
 class PageOptions:
     """What the page holds, and where it goes."""
 
-    workspace: Path | None = option(
-        None, "Cloud of positions, from 'pincal workspace'.", metavar="CSV"
-    )
     html: Path | None = option(None, "Write one file that opens anywhere, offline.", metavar="FILE")
     meshes: Path | None = option(
         None, "Your URDF: an arm's links as its meshes show them.", metavar="URDF"
@@ -136,11 +133,6 @@ def view(mech: Mech, options: PageOptions, shown: Shown = None, magnify: Magnify
     arguments, result = _read(mech, shown, magnify)
     if options.html is not None:
         refuse_existing(options.html, force=options.force)
-    if options.workspace is not None:
-        platform = arguments["mechanism"].platform
-        cloud = read_table(options.workspace)
-        axes = platform.coordinates[: platform.units.count("m")]
-        arguments["workspace"] = np.column_stack([cloud.numbers(name, "m") for name in axes])
     with working("placing the legs"):
         page = pincal.view(**arguments, source=shown.name if shown else "")
         if result is not None:

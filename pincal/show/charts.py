@@ -35,8 +35,7 @@ from pincal.words.wording import clean
 from pincal.workspace.sampling import sample_configurations
 
 _SAMPLES = 300  # of the workspace
-_BAR = 0.125  # height of a bar with its name, [inch]
-_LEGEND = 0.35  # height of a legend of two lines, [inch]
+_MOST_BARS, _LEGEND = 28, 0.13  # their number; height of their legend, of all of them
 _NORMAL = 1.96  # standard deviations within which 95 of 100 normal numbers lie
 _NAMED = 6  # outliers that are named
 _GAP = 0.08  # between images, of the widest
@@ -186,7 +185,7 @@ class Plots:
         ]
         if not sizes:
             raise MeasurementError("no parameter's change is determined")
-        bars = sorted(sizes)[-int((_height(ax) - _LEGEND) / _BAR) :]
+        bars = sorted(sizes)[-_MOST_BARS:]
         changes, halves = np.array([bar[:2] for bar in bars]).T
         places = np.arange(len(bars))
         colours = np.where(changes > halves, IDENTIFIED, NOMINAL).tolist()
@@ -198,8 +197,7 @@ class Plots:
         changed = Patch(color=IDENTIFIED, label="changed by more than its ±")
         ax.legend(handles=[changed, Patch(color=NOMINAL, label="by less")], loc="lower right")
         ax.set_xlim(left=0.0)
-        legend = _LEGEND * (len(bars) + 1.0) / (_height(ax) - _LEGEND)  # in bars
-        ax.set_ylim(-0.7 - legend, len(bars) - 0.4)
+        ax.set_ylim(-0.7 - _LEGEND * (len(bars) + 1.0), len(bars) - 0.4)
         if len(sizes) > len(bars):
             ax.set_title(f"the {len(bars)} largest of {len(sizes)}", fontsize=8)
         return ax
@@ -330,12 +328,6 @@ def _name_undrawn(axes: Axes, result: CalibrationResult) -> None:
     )
     if unchecked:
         axes.set_title(f"{unchecked} not drawn: the fit follows them", fontsize=8)
-
-
-def _height(axes: Axes) -> float:
-    """Return about how high axes will be beside their labels, [inch]."""
-    figure: Any = axes.get_figure(root=True)
-    return float(figure.get_size_inches()[1] * axes.get_position().height)
 
 
 def _label(name: str) -> str:

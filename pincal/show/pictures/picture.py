@@ -52,9 +52,9 @@ class Picture:
         legend = [Line2D([], [], color=ground.colour, lw=0.8, label=ground.name)]
         if len(scene.plan.poses) > 1:
             legend += _ghosts(axes, scene)
-        paint(axes, scene.body.shapes_at(0), V)
+        paint(axes, scene.body.shapes, V)
         if scene.magnified:
-            paint(axes, scene.magnified.shapes_at(0), V, IDENTIFIED)
+            paint(axes, scene.magnified.shapes, V, IDENTIFIED)
             legend.append(_dot(IDENTIFIED, f"identified, errors × {scene.magnify:g}"))
         legend.append(_dot(ACTIVE, "active joint"))
         if any(leg.passive for leg in scene.mechanism.legs):
@@ -151,7 +151,7 @@ def picture(
     mechanism = as_mechanism(mechanism)
     plan = plan_of(mechanism, home_of(mechanism) if poses is None else poses)
     leg = mechanism.leg(dimensions).name if dimensions else ""
-    return Picture(scene(mechanism, plan, None, identified, magnify), leg)
+    return Picture(scene(mechanism, plan, identified, magnify), leg)
 
 
 _WIDTH, _HEIGHTS = 5.2, (1.8, 6.0)  # of a picture; least and most of what is drawn, [inch]

@@ -59,11 +59,6 @@ def rod(begin: Array, end: Array, radius: float, colour: str) -> Shape:
     return Shape("cylinder", (radius, length), T, colour)
 
 
-def axes_shapes(length: float) -> tuple[Shape, ...]:
-    """Return the axes x, y and z of a frame."""
-    return tuple(rod(np.zeros(3), end, 0.02 * length, DIMENSION) for end in length * np.eye(3))
-
-
 def plate(points: Array, thickness: float) -> tuple[Shape, ...]:
     """Return a plate through points (n, 3), or a body if they are in no plane; none of a line."""
     sizes, axes = _principal(points)
@@ -92,27 +87,24 @@ def _principal(points: Array) -> tuple[Array, Array]:
     return np.concatenate((sizes, np.zeros(3)))[:3], axes
 
 
-def urdf_shapes(text: str) -> list[tuple[Shape, ...]]:
+def _urdf_shapes(text: str) -> list[tuple[Shape, ...]]:
     """Return the visuals of a URDF that pincal wrote, link by link in the URDF's order."""
     robot: Any = etree.fromstring(text.encode())
-    return [tuple(map(_shape, link.iter("visual"))) for link in robot.iter("link")]
-
-
-def _shape(visual: Any) -> Shape:
-    """Return a visual element: a box, a cylinder or a sphere."""
-    (geometry,) = visual.find("geometry")
-    size = [value for text in geometry.attrib.values() for value in _numbers(text)]
-    origin = np.eye(4)
-    if (placed := visual.find("origin")) is not None:
-        origin[:3, :3] = Rotation.from_euler("xyz", _numbers(placed.get("rpy"))).as_matrix()
-        origin[:3, 3] = _numbers(placed.get("xyz"))
-    rgb = _numbers(visual.find("material/color").get("rgba"))[:3]
-    colour = "#" + "".join(f"{round(255 * part):02x}" for part in rgb)
-    return Shape(geometry.tag, tuple(size), origin, colour)
-
-
-def _numbers(text: str) -> list[float]:
-    return [float(word) for word in text.split()]
+    links = []
+    for link in robot.iter("link"):
+        shapes = []
+        for visual in link.iter("visual"):
+            (geometry,) = visual.find("geometry")
+            size = [float(word) for value in geometry.attrib.values() for word in value.split()]
+            T, origin = np.eye(4), visual.find("origin")
+            if origin is not None:
+                xyz, rpy = ([float(v) for v in origin.get(key).split()] for key in ("xyz", "rpy"))
+                T[:3, :3], T[:3, 3] = Rotation.from_euler("xyz", rpy).as_matrix(), xyz
+            rgb = visual.find("material/color").get("rgba").split()[:3]
+            colour = "#" + "".join(f"{round(255 * float(part)):02x}" for part in rgb)
+            shapes.append(Shape(geometry.tag, tuple(size), T, colour))
+        links.append(tuple(shapes))
+    return links
 
 
 PISTON = "#b9bec5"
@@ -157,11 +149,12 @@ class Body:
         pairs = [pair for c in self.chains for pair in zip(c, (*c[1:], platform), strict=True)]
         return self.placements[:, :, :3, 3][:, np.array(pairs)]
 
-    def shapes_at(self, row: int) -> list[tuple[Shape, Array]]:
-        """Return the shapes that are drawn at a pose, each with ``T_base_part``."""
+    @property
+    def shapes(self) -> list[tuple[Shape, Array]]:
+        """The shapes that are drawn at the first pose, each with ``T_base_part``."""
         return [
             (shape, place)
-            for shapes, place in zip(self.parts.values(), self.placements[row], strict=True)
+            for shapes, place in zip(self.parts.values(), self.placements[0], strict=True)
             for shape in shapes
             if np.isfinite(place).all()
         ]
@@ -189,7 +182,7 @@ def body(mechanism: Mechanism, planned: Plan | Array) -> Body:
 
     for number, leg in enumerate(mechanism.legs, 1):
         joints = solution.joints[leg.name]
-        foot, *shapes = urdf_shapes(leg_urdf(leg))
+        foot, *shapes = _urdf_shapes(leg_urdf(leg))
         radius = foot[0].size[2]
         add(f"leg {number}/base", foot, np.eye(4))
         links = leg.link_placements(joints)
@@ -198,11 +191,12 @@ def body(mechanism: Mechanism, planned: Plan | Array) -> Body:
             add(f"leg {number}/link {place + 1}", link_shapes, links[:, place])
         for path, shape, placement in _pistons(leg, joints, links, radius):
             add(f"leg {number}/{path}", (shape,), placement)
-    (hub, *arms), *balls = urdf_shapes(platform_urdf(mechanism.name, mechanism.legs))
+    (hub, *arms), *balls = _urdf_shapes(platform_urdf(mechanism.name, mechanism.legs))
     points = {leg.point.name: leg.point.placement for leg in mechanism.legs}
     radius, size = hub.size
     solid = plate(np.array([placement.xyz for placement in points.values()]), 0.7 * size)
-    axes = axes_shapes(5.0 * radius)
+    ends = 5.0 * radius * np.eye(3)
+    axes = tuple(rod(np.zeros(3), end, 0.1 * radius, DIMENSION) for end in ends)
     add("platform/body", (hub, *(solid or arms), *axes), T_base_platform)
     for number, (point, ball) in enumerate(zip(points.values(), balls, strict=True), 1):
         add(f"platform/point {number}", ball, T_base_platform @ point.origin())

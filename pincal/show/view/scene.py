@@ -18,12 +18,11 @@ from pincal.kinematics.forward import forward
 from pincal.model.checks import numbers_of
 from pincal.model.measurements import EVERY_LEG, Plan
 from pincal.model.mechanism import Mechanism
-from pincal.show.style import CARRIED, EVERY, GROUND, TOWARDS_VIEWER, look
+from pincal.show.style import EVERY, GROUND, TOWARDS_VIEWER, look
 from pincal.show.view.bodies import Body, body
 from pincal.types import Array
 
 MOST_POSES = 2000
-MOST_POINTS = 100_000
 MAGNIFY = 10.0
 
 
@@ -55,7 +54,7 @@ class Scene:
     magnified: Body | None = None
     """The machine of these parameters where the nominal model's readings drive it."""
     layers: tuple[Layer, ...] = ()
-    """Beside the ground and the poses: a workspace, what a calibration found."""
+    """Beside the ground and the poses: what a calibration found."""
 
     @property
     def sets(self) -> tuple[str, ...]:
@@ -98,11 +97,10 @@ class Scene:
         bodies = filter(None, (self.body, self.magnified))
         parts = [shown.placements[:, :, :3, 3].reshape(-1, 3) for shown in bodies]
         feet = [leg.joints[0].placement.xyz for leg in self.mechanism.legs]
-        clouds = [layer.points for layer in self.layers if layer.path == "cloud"]
-        return np.concatenate((feet, *parts, *clouds))
+        return np.concatenate((feet, *parts))
 
     def bounds(self) -> Array:
-        """Return least and largest coordinates of bodies and workspace, shape (2, 3), [m]."""
+        """Return least and largest coordinates of what ``points`` returns, shape (2, 3), [m]."""
         points = self.points()
         return np.stack((np.nanmin(points, axis=0), np.nanmax(points, axis=0)))
 
@@ -140,7 +138,6 @@ def rounded_down(value: float) -> float:
 def scene(
     mechanism: Mechanism,
     plan: Plan,
-    workspace: ArrayLike | None = None,
     identified: GivenMechanism | None = None,
     magnify: float = MAGNIFY,
 ) -> Scene:
@@ -148,7 +145,7 @@ def scene(
     if not 0 < len(plan.poses) <= MOST_POSES:
         raise MeasurementError(
             f"{len(plan.poses)} poses to step through; expected 1 to {MOST_POSES}. Many positions "
-            "are better seen as a workspace cloud (--workspace)"
+            "are better seen in a picture of the workspace (pincal workspace --picture)"
         )
     if not np.isfinite(plan.poses).all():
         raise MeasurementError(
@@ -156,13 +153,12 @@ def scene(
             "not whole; those that a calibration estimated can be drawn: "
             "result.estimated_poses, or poses.csv in the folder of the result"
         )
-    layers = () if workspace is None else (_cloud(mechanism, workspace),)
     drawn = body(mechanism, plan)
     if identified is None:
-        return Scene(mechanism, plan, drawn, layers=layers)
+        return Scene(mechanism, plan, drawn)
     machine = as_mechanism(identified)
     magnified = _driven(mechanism, plan, drawn.readings, machine, magnify)
-    return Scene(mechanism, plan, drawn, machine, magnify, magnified, layers)
+    return Scene(mechanism, plan, drawn, machine, magnify, magnified)
 
 
 def plan_of(mechanism: Mechanism, poses: Plan | ArrayLike | RigidTransform) -> Plan:
@@ -176,23 +172,6 @@ def plan_of(mechanism: Mechanism, poses: Plan | ArrayLike | RigidTransform) -> P
     if not isinstance(poses, RigidTransform):
         poses = numbers_of(poses, "poses", MeasurementError)
     return Plan(mechanism.platform.coordinates_of(poses))
-
-
-def _cloud(mechanism: Mechanism, workspace: ArrayLike) -> Layer:
-    """Return the positions of a workspace, at most ``MOST_POINTS``, evenly drawn from all."""
-    lengths = mechanism.platform.units.count("m")
-    points = numbers_of(workspace, "workspace", MeasurementError)
-    if points.ndim != 2 or points.shape[1] < lengths or not np.isfinite(points).all():
-        raise MeasurementError(
-            f"a workspace has shape (M, {lengths}) or more, finite positions first; got "
-            f"{points.shape}"
-        )
-    count = min(len(points), MOST_POINTS)
-    rows = np.sort(np.random.default_rng(0).choice(len(points), count, replace=False))
-    positions = np.zeros((count, 3))
-    positions[:, :lengths] = points[rows, :lengths]
-    total = f" of {len(points):,}" if count < len(points) else ""
-    return Layer("cloud", f"workspace, {count:,}{total} positions", positions, CARRIED)
 
 
 def _driven(
@@ -254,7 +233,7 @@ def moved(shown: Scene, row: int, shift: Array) -> Scene:
         matrices = platform.displaced(platform.matrices(pose), shift[None])
         measured = None if shown.plan.readings is None else np.full_like(readings, np.nan)
         plan = Plan(platform.from_matrices(matrices), readings=measured)
-    moved_scene = scene(mechanism, plan, None, shown.identified, shown.magnify)
+    moved_scene = scene(mechanism, plan, shown.identified, shown.magnify)
     if problem := moved_scene.body.problems[0]:
         raise MechanismError(problem)
     return moved_scene

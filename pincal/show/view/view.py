@@ -96,7 +96,6 @@ def view(
     mechanism: GivenMechanism,
     poses: Plan | ArrayLike | RigidTransform | None = None,
     *,
-    workspace: ArrayLike | None = None,
     identified: GivenMechanism | None = None,
     magnify: float = MAGNIFY,
     source: str = "",
@@ -107,8 +106,6 @@ def view(
         mechanism: The mechanism, at its nominal parameters.
         poses: A plan or measurements, coordinates of shape (N, dof), [m] and [rad], or
             transforms; home and some of the workspace if not given. At most 2000.
-        workspace: Positions or poses of a workspace, shape (M, n), x, y and, in space, z first,
-            [m].
         identified: The calibrated mechanism, shown where it goes when the nominal one's
             readings drive it.
         magnify: Factor on what differs between its parameters and the nominal ones.
@@ -117,8 +114,7 @@ def view(
     Raises:
         MechanismError: poses of a wrong shape, or not finite; an identified mechanism that
             is not one of this mechanism.
-        MeasurementError: no poses, too many or not whole; a workspace of a wrong
-            shape; a factor that is not positive.
+        MeasurementError: no poses, too many or not whole; a factor that is not positive.
 
     Example:
         >>> import pincal
@@ -128,7 +124,7 @@ def view(
     """
     mechanism = as_mechanism(mechanism)
     plan = plan_of(mechanism, _some_poses(mechanism) if poses is None else poses)
-    return View(scene(mechanism, plan, workspace, identified, magnify), source)
+    return View(scene(mechanism, plan, identified, magnify), source)
 
 
 def _some_poses(mechanism: Mechanism) -> Plan:
