@@ -5,6 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
+
+import pincal
+from pincal.files.urdf_writing import leg_links, leg_urdf
 
 LIMIT = '<limit effort="1" velocity="20"/>'
 
@@ -165,3 +169,16 @@ MJCF = """\
   </worldbody>
 </mujoco>
 """
+
+
+def skeleton(leg: pincal.Leg, joints: np.ndarray) -> np.ndarray:
+    """Return where Pinocchio has the moving joints of a leg's URDF and its tip, (n + 1, 3), [m]."""
+    model = pin.buildModelFromXML(leg_urdf(leg))
+    data, indices = model.createData(), [model.getJointId(joint.name) for joint in leg.moving]
+    q = np.zeros(model.nq)
+    for index, value in zip(indices, joints, strict=True):
+        begin, width = model.joints[index].idx_q, model.joints[index].nq
+        q[begin : begin + width] = value if width == 1 else (np.cos(value), np.sin(value))
+    pin.framesForwardKinematics(model, data, q)
+    tip = data.oMf[model.getFrameId(leg_links(leg)[-1])].translation
+    return np.array([*(data.oMi[index].translation for index in indices), tip])

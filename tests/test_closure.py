@@ -16,9 +16,8 @@ import pincal
 from pincal.kinematics.batches import left_null, product, solve
 from pincal.kinematics.closing import close, sensor_law
 from pincal.kinematics.closure import LegClosure
-from pincal.kinematics.derivatives import demands
+from pincal.kinematics.derivatives import demands, nearest_closure
 from pincal.kinematics.forest import Elementary, Forest, placements_in
-from pincal.kinematics.nearest_closure import nearest_closure
 
 Array = NDArray[np.float64]
 

@@ -15,8 +15,8 @@ from measured import put
 import pincal
 from pincal.design.information import information_rows
 from pincal.kinematics.closure import LegClosure
+from pincal.kinematics.collision import free_of_collision
 from pincal.kinematics.configurations import joints_at, legs_at
-from pincal.kinematics.readers import free_of_collision
 
 NOISE = pincal.Noise(1e-4, 1e-4, 0.0)
 POINT = pincal.Setup(unknown_frame=True, targets={"platform": pincal.Target((0.05, 0.1, 0.02))})

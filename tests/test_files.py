@@ -17,6 +17,7 @@ import pinocchio as pin
 import pytest
 import yourdfpy
 from measured import workspace
+from neighbours import skeleton
 
 import pincal
 from pincal.errors import FileError, MechanismError, PincalError
@@ -24,7 +25,6 @@ from pincal.files import mechanism_folders
 from pincal.files.mechanism_folders import bundled
 from pincal.files.urdf_writing import leg_links, leg_urdf
 from pincal.kinematics.closure import LegClosure
-from pincal.kinematics.readers import skeleton
 from pincal.model.consistency import home_gap
 from pincal.workspace.criteria import in_workspace
 

@@ -23,10 +23,10 @@ from urllib.request import urlopen
 import numpy as np
 import pytest
 from command_line import contents, done, run
+from neighbours import skeleton
 
 import pincal
 from pincal.design.simulate import platform_errors
-from pincal.kinematics.readers import skeleton
 from pincal.show.view.bodies import Body, body
 from pincal.show.view.scene import scene
 

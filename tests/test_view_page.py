@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from neighbours import skeleton
 
 import pincal
 from pincal.files.mechanism_folders import bundled
-from pincal.kinematics.readers import skeleton
 from pincal.show.style import DARK, LEGS
 from pincal.show.view.scene import scene
 from pincal.show.view.view import View

@@ -32,8 +32,8 @@ from pincal.files.measurements import read_poses
 from pincal.files.mechanism_folders import MECHANISM_FILES, write_mechanism
 from pincal.files.output import refuse_existing, refuse_existing_of, writing_together
 from pincal.files.table import write_table
+from pincal.kinematics.collision import arm_free_of_collision
 from pincal.kinematics.configurations import check_reached
-from pincal.kinematics.readers import arm_free_of_collision
 from pincal.model.option import Option, option
 from pincal.show import explanation, tables
 from pincal.words.numbers import reading_in

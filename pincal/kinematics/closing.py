@@ -30,6 +30,7 @@ from pincal.kinematics.closed_forms import closed_form
 from pincal.kinematics.closure import (
     Closure,
     LegClosure,
+    each,
     evaluate,
     joint_range,
     nominal_legs,
@@ -272,15 +273,28 @@ def sensor_law(leg: LegClosure) -> SensorLaw:
     return law_of_sensors(leg.leg, leg.by_name, zeros, slopes)
 
 
-def driven(leg: LegClosure, joints: Array, known: Array) -> Array:
-    """Return joint positions with those that rows say: active joints, and deformations behind.
+def started(
+    legs: Sequence[LegClosure], matrices: Array, known: Array, near: Array | None = None
+) -> Array:
+    """Return joints of L alike legs as rows say, passive ones where a search begins.
 
-    Shape (N, n_joints + n_deformed), [rad] or [m], of joints (N, n_joints), which may be
-    overwritten, and readings, then influences, shape (N, n_active [+ n_influences]).
+    Those, N rows of each leg below those of the one before, are near such that close the legs at
+    poses (L N, 4, 4), or as they are given, (L N, n_joints …). Deformations stand behind, shape
+    (L N, n_joints + n_deformed), [rad] or [m]. Known are readings, then influences, shape
+    (L N, n_active [+ n_influences]).
     """
-    joints = leg.deformed(joints, known[:, len(leg.leg.sensors) :])
-    joints[:, leg.leg.active] = sensor_law(leg).position(known)
-    return joints
+    if near is None and legs[0].leg.passive:
+        near = each(lambda leg, poses: start_joints(leg, poses)[0], legs, matrices)
+    start = np.zeros((len(matrices), len(legs[0].leg.moving))) if near is None else near
+
+    def driven(leg: LegClosure, joints: Array, rows: Array) -> Array:
+        joints = leg.deformed(
+            joints[:, : len(leg.leg.moving)].copy(), rows[:, len(leg.leg.sensors) :]
+        )
+        joints[:, leg.leg.active] = sensor_law(leg).position(rows)
+        return joints
+
+    return each(driven, legs, start, known)
 
 
 def _at_home(leg: LegClosure) -> tuple[Array, Array]:

@@ -15,11 +15,10 @@ from pincal.errors import MeasurementError, MechanismError
 from pincal.kinematics.batches import block_diagonal, least_squares
 from pincal.kinematics.closing import sensor_law
 from pincal.kinematics.closure import nominal_legs
-from pincal.kinematics.derivatives import Demand, leg_demands_at
+from pincal.kinematics.derivatives import Demand, leg_demands_at, nearest_closure
 from pincal.kinematics.forward import forward, with_loads
 from pincal.kinematics.influences import influences_of
 from pincal.kinematics.inverse import InverseSolution, inverse
-from pincal.kinematics.nearest_closure import nearest_closure
 from pincal.model.checks import numbers_of
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism

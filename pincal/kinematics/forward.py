@@ -15,7 +15,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
 
 from pincal.blas import one_thread
 from pincal.errors import MechanismError
@@ -24,24 +23,21 @@ from pincal.kinematics.batches import chunks, least_squares, lengths, product, r
 from pincal.kinematics.closed_forms import is_line
 from pincal.kinematics.closing import (
     by_leg,
-    close,
-    driven,
     grouped,
     in_home_modes,
     sensor_law,
     start_joints,
+    started,
 )
 from pincal.kinematics.closure import (
     Closure,
     LegClosure,
-    each,
     evaluate,
     joint_range,
     largest_size,
     nominal_legs,
 )
 from pincal.kinematics.influences import Influences, gravity_loads, influence_columns
-from pincal.kinematics.nearest_closure import arm_poses
 from pincal.kinematics.singularity import platform_margin
 from pincal.model.checks import ROUNDING, numbers_of
 from pincal.model.consistency import ROUGH
@@ -57,8 +53,22 @@ class MovingLegs:
     Joints have shape (L, N, n_joints [+ n_deformed]) and are changed in place.
     """
 
-    def __init__(self, places: list[int], legs: list[LegClosure], joints: Array) -> None:
-        self.places, self.legs, self.joints = places, legs, joints
+    def __init__(
+        self,
+        places: list[int],
+        every: Sequence[LegClosure],
+        known: Sequence[Array],
+        matrices: Array,
+    ) -> None:
+        """Take some legs of all, as readings say, passive joints near those that close them.
+
+        Known are of each leg readings, then influences, shape (N, n_active [+ n_influences]); poses
+        have shape (N, 4, 4).
+        """
+        self.places, self.legs = places, [every[place] for place in places]
+        rows = stacked([known[place] for place in places])
+        joints = started(self.legs, repeated(matrices, len(places)), rows)
+        self.joints = joints.reshape(len(places), len(matrices), -1)
 
     def closed(self, matrices: Array, joints: Array) -> Closure:
         """Return their closures at poses, rows of each leg below those of the one before."""
@@ -98,36 +108,6 @@ class MovingLegs:
         contradiction = product(closure.normal, closure.constraint[:, :, None] + moved)[:, :, 0]
         gaps = np.abs(closure.gap - contradiction).max(axis=1).reshape(count, -1)
         return np.asarray((gaps / np.array([[leg.size] for leg in self.legs])).max(axis=0))
-
-
-def moving_legs(
-    legs: Sequence[LegClosure], known: Sequence[Array], matrices: Array
-) -> list[MovingLegs]:
-    """Return legs with joints as readings say, passive ones near those that close them at poses.
-
-    Known are of each leg readings, then influences, shape (N, n_active [+ n_influences]).
-    """
-    groups = []
-    for places in grouped([leg.form for leg in legs], len(matrices)):
-        group = [legs[place] for place in places]
-        near = _joints_near(group, repeated(matrices, len(group)))
-        joints = each(driven, group, near, stacked([known[place] for place in places]))
-        groups.append(MovingLegs(places, group, joints.reshape(len(group), len(matrices), -1)))
-    return groups
-
-
-def _joints_near(legs: Sequence[LegClosure], matrices: Array) -> Array:
-    """Return joints that close alike legs at poses, or starts out of reach, (L N, n_joints)."""
-    leg = legs[0]
-    if not leg.leg.passive:  # all are read
-        return np.empty((len(matrices), len(leg.leg.moving)))
-    if len(leg.leg.moving) < len(leg.platform.closing(leg.leg.closes)):  # few poses close it
-        return each(lambda leg, poses: start_joints(leg, poses)[0], legs, matrices)
-    closed = close(legs, matrices)
-    if closed.reached.all():
-        return closed.joints
-    starts = each(lambda leg, poses: start_joints(leg, poses)[0], legs, matrices)
-    return np.where(closed.reached[:, None], closed.joints, starts)
 
 
 _WAY = 8  # steps on the way from home
@@ -202,25 +182,24 @@ def forward(
     if not np.isfinite(readings).all():
         row = int(np.argmin(np.isfinite(readings).all(axis=1)))
         raise MechanismError(f"reading {row + 1} is not a finite number")
-    platform = mechanism.platform
-    home = np.tile(platform.home, (len(readings), 1))
-    transforms = platform.transforms(home if guess is None else guess)
-    if len(transforms) != len(readings):
-        raise MechanismError(f"{len(readings)} readings, but {len(transforms)} guesses")
+    platform, tolerance = mechanism.platform, ROUNDING * max(1.0, largest_size(mechanism.legs))
+    start = platform.matrices(
+        np.tile(platform.home, (len(readings), 1)) if guess is None else guess
+    )
+    if len(start) != len(readings):
+        raise MechanismError(f"{len(readings)} readings, but {len(start)} guesses")
     columns = influence_columns(mechanism, influences, len(readings))
-    solution = _forward(mechanism, readings, transforms, columns)
+    solution = _forward(mechanism, readings, start, columns)
     if guess is None:
         solution = _on_the_way(mechanism, readings, columns, solution)
-    if columns is None or not needs_loads(mechanism, columns):
-        return solution
-    start = platform.from_matrices(transforms.as_matrix())
     for _ in range(LOADS):  # loads follow from the pose, and move it little
-        ok, before = solution.converged, solution.poses
-        loaded, near = columns.copy(), np.where(ok[:, None], before, start)
-        loaded[ok] = with_loads(mechanism, columns[ok], readings[ok], before[ok])
-        solution = _forward(mechanism, readings, platform.transforms(near), loaded)
-        change = np.abs(solution.poses - before)[ok & solution.converged].max(initial=0.0)
-        if change <= ROUNDING * max(1.0, largest_size(mechanism.legs)):
+        ok, before = solution.converged[:, None], solution.poses
+        loaded = with_loads(mechanism, columns, np.where(ok, readings, np.nan), before)
+        if loaded is columns:
+            break
+        near = np.where(ok, before, platform.from_matrices(start))
+        solution = _forward(mechanism, readings, platform.matrices(near), loaded)
+        if not (np.abs(solution.poses - before) > tolerance).any():
             break
     return solution
 
@@ -235,7 +214,7 @@ def _on_the_way(
     home, near = reading_range(mechanism)[2], np.tile(mechanism.platform.home, (len(lost), 1))
     influences = None if columns is None else columns[lost]
     for share in np.linspace(0.0, 1.0, _WAY + 1)[1:]:
-        stage, guess = home + share * (readings[lost] - home), mechanism.platform.transforms(near)
+        stage, guess = home + share * (readings[lost] - home), mechanism.platform.matrices(near)
         reached = _forward(mechanism, stage, guess, influences)
         near = np.where(reached.converged[:, None], reached.poses, near)
     reasons = np.array(solution.reasons, dtype=object)
@@ -256,7 +235,7 @@ def reading_range(mechanism: Mechanism) -> tuple[Array, Array, Array]:
 
 
 def _forward(
-    mechanism: Mechanism, readings: Array, guess: RigidTransform, columns: Array | None
+    mechanism: Mechanism, readings: Array, guess: Array, columns: Array | None
 ) -> ForwardSolution:
     """Return forward kinematics at given influences, shape (N, n_influences)."""
     legs, platform = nominal_legs(mechanism), mechanism.platform
@@ -289,7 +268,10 @@ def with_loads(
         readings: Shape (N, n_readings), [rad] or [m].
         poses: Coordinates in the base frame, shape (N, dof); NaN where they are not known.
     """
-    if influences is None or not needs_loads(mechanism, influences):
+    if influences is None or not mechanism.weighs:
+        return influences
+    places = [mechanism.influences.index(name) for name in mechanism.loaded]
+    if not np.isnan(influences[:, places]).any():
         return influences
     drawing, known = mechanism.drawing, np.isfinite(readings).all(axis=1)
     legs = nominal_legs(drawing)
@@ -305,28 +287,20 @@ def with_loads(
         matrices = drawing.platform.matrices(coordinates[known])
     loads = gravity_loads(drawing, readings[known], matrices)
     completed = influences.copy()
-    for name in mechanism.loaded:
-        cells = known, mechanism.influences.index(name)
-        load = loads[name.removeprefix(f"{LOAD}_")]
-        completed[cells] = np.where(np.isnan(completed[cells]), load, completed[cells])
+    for name, place in zip(mechanism.loaded, places, strict=True):
+        column, load = completed[known, place], loads[name.removeprefix(f"{LOAD}_")]
+        completed[known, place] = np.where(np.isnan(column), load, column)
     return completed
 
 
-def needs_loads(mechanism: Mechanism, influences: Array) -> bool:
-    """Return whether terms depend on loads of joints that are not given but can be worked out."""
-    if not mechanism.weighs:
-        return False
-    places = [mechanism.influences.index(name) for name in mechanism.loaded]
-    return bool(np.isnan(influences[:, places]).any())
-
-
 def _solve(
-    mechanism: Mechanism, legs: Sequence[LegClosure], known: Sequence[Array], guess: RigidTransform
+    mechanism: Mechanism, legs: Sequence[LegClosure], known: Sequence[Array], guess: Array
 ) -> tuple[Array, list[str], Array]:
     """Return matrices, reasons and gaps for one chunk."""
     matrices = placed_by_arm(legs, known)
-    matrices = guess.as_matrix().copy() if matrices is None else matrices
-    groups, size = moving_legs(legs, known, matrices), max(leg.size for leg in legs)
+    matrices = guess.copy() if matrices is None else matrices
+    alike, size = grouped([leg.form for leg in legs], len(matrices)), max(leg.size for leg in legs)
+    groups = [MovingLegs(places, legs, known, matrices) for places in alike]
     platform, moving = mechanism.platform, np.ones(len(matrices), dtype=bool)
     turns = np.array([unit == "rad" for unit in platform.units], dtype=bool)
     for _ in range(_STEPS):
@@ -353,8 +327,11 @@ def placed_by_arm(legs: Sequence[LegClosure], known: Sequence[Array]) -> Array |
 
     None if there is no such leg. Known are, leg by leg, readings and influences.
     """
-    arms = (pair for pair in zip(legs, known, strict=True) if pair[0].leg.is_arm)
-    return next((arm_poses(*pair) for pair in arms), None)
+    for leg, rows in zip(legs, known, strict=True):
+        if leg.leg.is_arm:
+            home = np.broadcast_to(leg.platform.home_pose.as_matrix(), (len(rows), 4, 4))
+            return leg.frame(started((leg,), home, rows))
+    return None
 
 
 def _platform_step(groups: Sequence[MovingLegs], closures: Sequence[Closure]) -> Array:

@@ -14,7 +14,7 @@ from pincal.errors import MeasurementError
 from pincal.kinematics.batches import block_diagonal, least_squares, left_null, product
 from pincal.kinematics.chain import body_chain
 from pincal.kinematics.closure import LegClosure, nominal_legs
-from pincal.kinematics.nearest_closure import nearest_closure
+from pincal.kinematics.derivatives import nearest_closure
 from pincal.model.checks import array_of
 from pincal.model.measurements import Measurements, Plan
 from pincal.model.mechanism import Mechanism

@@ -15,7 +15,7 @@ from pincal.errors import MechanismError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.closing import by_leg, close_chunks, sensor_law
 from pincal.kinematics.closure import largest_size, nominal_legs
-from pincal.kinematics.forward import LOADS, needs_loads, with_loads
+from pincal.kinematics.forward import LOADS, with_loads
 from pincal.kinematics.influences import Influences, influence_columns
 from pincal.model.checks import ROUNDING, ROWS, array_of
 from pincal.model.leg import Leg
@@ -86,16 +86,16 @@ def inverse(
             for name, n in ((leg.name, len(leg.moving)) for leg in mechanism.legs)
         }
     solution = _inverse(mechanism, placed, columns, near)
-    if columns is None or not needs_loads(mechanism, columns):
+    if columns is None:
         return solution
-    reached = np.asarray(solution.reached.all(axis=1))
-    poses = mechanism.platform.from_matrices(placed[reached])
+    coordinates = mechanism.platform.from_matrices(placed)
+    tolerance = ROUNDING * max(1.0, largest_size(mechanism.legs))
     for _ in range(LOADS):  # loads follow from joints, and bend them little
-        loaded, before = columns.copy(), solution.readings[reached]
-        loaded[reached] = with_loads(mechanism, columns[reached], before, poses)
+        loaded, before = with_loads(mechanism, columns, solution.readings, coordinates), solution
+        if loaded is columns:
+            break
         solution = _inverse(mechanism, placed, loaded, near)
-        change = np.abs(solution.readings[reached] - before).max(initial=0.0)
-        if change <= ROUNDING * max(1.0, largest_size(mechanism.legs)):
+        if not (np.abs(solution.readings - before.readings) > tolerance).any():
             break
     return solution
 

@@ -20,7 +20,7 @@ from pincal.kinematics.batches import point_velocity
 from pincal.kinematics.closed_forms import closed_form
 from pincal.kinematics.closing import ClosedLegs, by_leg, close, close_chunks, sensor_law
 from pincal.kinematics.closure import Closure, nominal_legs
-from pincal.kinematics.nearest_closure import nearest_closure
+from pincal.kinematics.derivatives import nearest_closure
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
 from pincal.types import Array

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pincal.errors import FileError
 from pincal.files.text import read_xml
-from pincal.kinematics.readers import check_mesh
+from pincal.kinematics.collision import check_mesh
 from pincal.model.mechanism import Mechanism
 from pincal.show.view.bodies import Body, Shape
 from pincal.types import Array

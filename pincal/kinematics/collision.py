@@ -1,4 +1,4 @@
-"""What Pinocchio reads in a URDF: joints in space, bodies that collide."""
+"""Configurations at which the bodies of a robot do not collide, by the geometry of its URDF."""
 
 from __future__ import annotations
 
@@ -10,38 +10,13 @@ import numpy as np
 import pinocchio as pin
 
 from pincal.errors import FileError, MechanismError, ObservabilityError
-from pincal.files.urdf_writing import leg_links, leg_urdf
 from pincal.kinematics.closing import sensor_law
 from pincal.kinematics.closure import LegClosure
-from pincal.model.leg import Leg
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.types import Array, Mask
 
 _CLOSE = 2  # joints: bodies nearer than that along the chain touch by design
-
-
-def skeleton(leg: Leg, joints: Array) -> Array:
-    """Return the positions of a leg's moving joints and its tip, shape (n_joints + 1, 3), [m].
-
-    Read by Pinocchio from the leg's URDF, at positions of shape (n_joints,), [rad] or [m].
-    """
-    model = pin.buildModelFromXML(leg_urdf(leg))
-    data, indices = model.createData(), [model.getJointId(joint.name) for joint in leg.moving]
-    q = _configuration(model, np.zeros(model.nq), indices, joints)
-    pin.framesForwardKinematics(model, data, q)
-    frame = model.getFrameId(leg_links(leg)[-1])
-    points = [data.oMi[index].translation for index in indices]
-    return np.array([*points, data.oMf[frame].translation])
-
-
-def _configuration(model: pin.Model, q: Array, indices: Sequence[int], positions: Array) -> Array:
-    """Return a configuration with some joints elsewhere; a continuous one is (cos, sin)."""
-    q = q.copy()
-    for index, value in zip(indices, positions, strict=True):
-        begin, width = model.joints[index].idx_q, model.joints[index].nq
-        q[begin : begin + width] = value if width == 1 else (np.cos(value), np.sin(value))
-    return q
 
 
 def arm_free_of_collision(mechanism: Mechanism, offered: Plan, path: str | Path) -> Plan:
@@ -98,7 +73,10 @@ def free_of_collision(path: str | Path, joints: Sequence[str], positions: Array)
     collisions, indices = shapes.createData(), [model.getJointId(name) for name in joints]
     free = np.empty(len(positions), dtype=bool)
     for row, values in enumerate(np.asarray(positions, dtype=np.float64)):
-        at_row = _configuration(model, q, indices, values)
+        at_row = q.copy()
+        for index, value in zip(indices, values, strict=True):
+            begin, width = model.joints[index].idx_q, model.joints[index].nq  # continuous: cos, sin
+            at_row[begin : begin + width] = value if width == 1 else (np.cos(value), np.sin(value))
         free[row] = not pin.computeCollisions(model, data, shapes, collisions, at_row, True)
     return free
 
