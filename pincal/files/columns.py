@@ -39,7 +39,9 @@ def table_of(
     if meant := _headers_meant(table, known):
         read_as = [f"{column!r} as '{name} [{unit}]'" for column, (name, unit) in meant.items()]
         _log.info("%s: columns read: %s", table.path, ", ".join(read_as))
-        table = table.renamed(meant)
+        names = {column: meant.get(column, (column, unit)) for column, unit in table.units.items()}
+        text = {names[column][0]: cells for column, cells in table.text.items()}
+        table = replace(table, units=dict(names.values()), text=text)
     if wanted_influences is not None:
         unused = [name for name in unknown_columns(table, known) if name not in wanted_influences]
         if unused:

@@ -11,7 +11,7 @@ import numpy as np
 from pincal.errors import MeasurementError
 from pincal.files.columns import product_unit
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
-from pincal.files.table import dataframe, write_table
+from pincal.files.table import write_table
 from pincal.model.checks import array_of, must_be
 from pincal.model.measurements import Measurements, Plan
 from pincal.model.mechanism import Mechanism
@@ -45,7 +45,14 @@ def dataframe_of(
     setup: Setup | None = None,
 ) -> Any:
     """Return a plan, or measurements, as a pandas DataFrame: see ``Plan.to_dataframe``."""
-    return dataframe(columns_of(mechanism, plan, orientation, setup))
+    try:
+        import pandas
+    except ImportError as error:
+        raise MeasurementError(
+            "a DataFrame needs the package pandas: python -m pip install 'pincal[pandas]'"
+        ) from error
+    columns = columns_of(mechanism, plan, orientation, setup)
+    return pandas.DataFrame({name: list(values) for name, values in columns.items()})
 
 
 def reason_column(reasons: Sequence[str]) -> Columns:

@@ -62,30 +62,27 @@ def mechanism_files(name_or_path: str | Path) -> list[Path]:
 
 def _folder(name_or_path: str | Path) -> Path:
     """Return the folder of a mechanism."""
-    folder = Path(
-        must_be(name_or_path, (str, Path), "a mechanism's name or folder", MechanismError)
-    )
-    if str(name_or_path) in bundled():
-        if not is_folder(folder):
-            folder = bundled()[str(name_or_path)]
-        elif not folder.samefile(bundled()[str(name_or_path)]):
-            _log.info("%s: the folder here, not the bundled mechanism of that name", name_or_path)
-    name = str(name_or_path)
+    expected = "a mechanism's name or folder"
+    folder = Path(must_be(name_or_path, (str, Path), expected, MechanismError))
+    name, others = str(name_or_path), bundled()
     if not is_folder(folder):
-        known = {mechanism.lower(): mechanism for mechanism in bundled()}
+        if name in others:
+            return others[name]
+        known = {mechanism.lower(): mechanism for mechanism in others}
         nearest = get_close_matches(name.lower(), known, 1)
         question = f"; did you mean {known[nearest[0]]!r}?" if nearest else ""
         raise FileError(
             f"no mechanism {name!r}: neither a folder nor one of the bundled "
-            f"ones ({', '.join(bundled()) or 'none found'}){question}"
+            f"ones ({', '.join(others) or 'none found'}){question}"
         )
+    if name in others and not folder.samefile(others[name]):
+        _log.info("%s: the folder here, not the bundled mechanism of that name", name)
     if (folder / "result.json").is_file() and (folder / "mechanism").is_dir():
         return folder / "mechanism"  # a result of 'pincal calibrate'
     if not (folder / YAML).is_symlink() and not (folder / YAML).exists():
         result = (folder / "result.json").is_file()
         kind = "a result whose fit did not converge" if result else "no mechanism folder"
-        hides = "; it hides the bundled mechanism of that name" if name in bundled() else ""
-        raise FileError(f"{name!r} is {kind}: it has no {'mechanism' if result else YAML}{hides}")
+        raise FileError(f"{name!r} is {kind}: it has no {'mechanism' if result else YAML}")
     return folder
 
 

@@ -49,9 +49,7 @@ def refuse_existing(path: str | Path, *, force: bool, folder: Sequence[str] = ()
         has_parent = real.parent.is_dir()
         known = bool(folder) and (real / folder[0]).is_file()
         inside = is_folder and Path.cwd().is_relative_to(real)
-        places = _made_in(real, folder) if known else [real]
-        below = (file for place in places for file in (place, *place.rglob("*")))
-        read = [file for file in below if file.is_file() and is_input(file)]
+        read = _inputs_in(_made_in(real, folder) if known else [real])
     except (OSError, ValueError, RuntimeError) as error:
         raise FileError(f"cannot write {str(path)!r}: {error}") from error
     known_by = folder[0] if folder else ""
@@ -149,6 +147,12 @@ def writing_together(
 def _made_in(place: Path, folder: Sequence[str]) -> list[Path]:
     """Return the files and folders that pincal made in a folder."""
     return [path for pattern in folder for path in place.glob(pattern)]
+
+
+def _inputs_in(places: list[Path]) -> list[Path]:
+    """Return the files at and below places that the command at work has read."""
+    below = (file for place in places for file in (place, *place.rglob("*")))
+    return [file for file in below if file.is_file() and is_input(file)]
 
 
 def _carry(old: Path, new: Path, folder: Sequence[str]) -> None:

@@ -85,12 +85,6 @@ class TextTable:
         text = {name: [column[row] for row in filled] for name, column in self.text.items()}
         return replace(self, text=text, lines=[self.lines[row] for row in filled])
 
-    def renamed(self, columns: Mapping[str, tuple[str, str]]) -> TextTable:
-        """Return the table with other names and units of some columns."""
-        names = {column: columns.get(column, (column, unit)) for column, unit in self.units.items()}
-        text = {names[column][0]: cells for column, cells in self.text.items()}
-        return replace(self, units=dict(names.values()), text=text)
-
     def array(
         self, units: Mapping[str, str], *, blank: bool = False, optional: bool = False
     ) -> Array:
@@ -159,17 +153,6 @@ def is_dataframe(value: object) -> bool:
     """Return whether something is a pandas DataFrame; pandas is not imported for it."""
     pandas = sys.modules.get("pandas")
     return pandas is not None and isinstance(value, pandas.DataFrame)
-
-
-def dataframe(columns: Mapping[str, Iterable[float] | Iterable[str]]) -> Any:
-    """Return columns (header to values, SI) as a pandas DataFrame."""
-    try:
-        import pandas
-    except ImportError as error:
-        raise MeasurementError(
-            "a DataFrame needs the package pandas: python -m pip install 'pincal[pandas]'"
-        ) from error
-    return pandas.DataFrame({name: list(values) for name, values in columns.items()})
 
 
 def write_table(
@@ -338,9 +321,7 @@ def _sheet_cells(
 def _separator(text: str) -> str:
     """Return what separates cells: commas, unless the header has none but semicolons or tabs."""
     header = next((line for line in text.splitlines() if line.strip()), "")
-    if "," in header:
-        return ","
-    return next((separator for separator in _SEPARATORS if separator in header), ",")
+    return next((separator for separator in (",", *_SEPARATORS) if separator in header), ",")
 
 
 def _with_points(rows: list[list[str]]) -> bool:

@@ -32,7 +32,11 @@ def leg_urdf(leg: Leg) -> str:
             _rod(link, joint.placement.xyz, size)
         link = etree.SubElement(robot, "link", name=links[index + 1])
         if joint.mass:
-            _inertial(link, joint)
+            inertial = etree.SubElement(link, "inertial")
+            etree.SubElement(inertial, "origin", xyz=numbers_text(joint.centre), rpy="0 0 0")
+            etree.SubElement(inertial, "mass", value=numbers_text([joint.mass]))
+            moments = dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), "0")
+            etree.SubElement(inertial, "inertia", moments)  # nothing accelerates
         colour, along = "orange" if joint.name in read else "blue", _axis_rpy(joint.axis)
         if joint.kind == "revolute":
             _visual(link, colour, "cylinder", radius=size, length=3 * size, rpy=along)
@@ -77,15 +81,6 @@ def _size(leg: Leg) -> float:
     lengths = [float(np.linalg.norm(joint.placement.xyz)) for joint in leg.joints[1:]]
     lengths += [abs(joint.home) / 2 for joint in leg.joints if joint.kind == "prismatic"]
     return float(f"{0.03 * (max(lengths) or 1.0):.1e}")
-
-
-def _inertial(link: etree._Element, joint: Joint) -> None:
-    """Add a link's mass and its centre; inertia does not count where nothing accelerates."""
-    inertial = etree.SubElement(link, "inertial")
-    etree.SubElement(inertial, "origin", xyz=numbers_text(joint.centre), rpy="0 0 0")
-    etree.SubElement(inertial, "mass", value=numbers_text([joint.mass]))
-    moments = dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), "0")
-    etree.SubElement(inertial, "inertia", moments)
 
 
 def joint_element(robot: etree._Element, joint: Joint, parent: str, child: str) -> None:

@@ -12,8 +12,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from pincal.errors import MechanismError
 from pincal.files.tree import FREE, Tree, joints_along, route
 from pincal.files.urdf import read_urdf
@@ -70,9 +68,13 @@ def arm(name: str, joints: tuple[Joint, ...], description: str = "") -> Mechanis
     if len({_TOOL, *bare}) > len(bare):
         stems = bare
     point = identifiers((*(joint.name for joint in joints), "tip", _TOOL))[-1]
+    at_home = (  # the middle of limits that bar zero
+        replace(j, home=0.0 if j.lower <= 0.0 <= j.upper else (j.lower + j.upper) / 2.0)
+        for j in joints
+    )
     leg = Leg(
         name="arm",
-        joints=with_tip(replace(joint, home=_home(joint)) for joint in joints),
+        joints=with_tip(at_home),
         sensors=tuple(map(Sensor, moving)),
         parameters=(),
         point=Joint(point, "fixed"),
@@ -115,10 +117,3 @@ def displaced(leg: Leg, stems: Sequence[str], axes: Sequence[str], end: str = "t
     if leg.closes == "point":
         point = moved(point, "point", [axis for axis in axes if axis in "xyz"])
     return replace(leg, joints=joints, point=point, parameters=tuple(parameters))
-
-
-def _home(joint: Joint) -> float:
-    """Return a joint's position at home: zero, or the middle of limits that bar it."""
-    if joint.kind == "fixed" or joint.lower <= 0.0 <= joint.upper:
-        return 0.0
-    return float(np.mean([joint.lower, joint.upper]))

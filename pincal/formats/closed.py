@@ -7,7 +7,7 @@ these displacements each leg keeps those that its closure can distinguish (``ind
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from os.path import commonprefix
 
@@ -114,13 +114,12 @@ def closed_mechanism(
     return Mechanism(name, placed, reduced, f"From {tree.source}."), tuple(remarks)
 
 
-def _outside_limits(leg: Leg) -> list[str]:
-    """Return which joints of a leg close the loops outside their limits, as sentences."""
-    return [
-        f"{leg.name}: {joint.name!r} closes the loops at {joint.home:.6g}, outside its limits"
-        for joint in leg.moving
-        if joint.limited and not joint.lower <= joint.home <= joint.upper
-    ]
+def _outside_limits(leg: Leg) -> Iterator[str]:
+    """Yield which joints of a leg close the loops outside their limits, as sentences."""
+    for joint in leg.moving:
+        if joint.limited and not joint.lower <= joint.home <= joint.upper:
+            at = f"{joint.home:.6g}, outside its limits"
+            yield f"{leg.name}: {joint.name!r} closes the loops at {at}"
 
 
 def _closed(tree: Tree, legs: list[Leg], platform: Platform) -> tuple[tuple[Leg, ...], Platform]:
@@ -281,7 +280,7 @@ def _leg(tree: Tree, name: str, limb: Limb, points: Sequence[Joint | None]) -> L
     return Leg(name, with_tip(joints), tuple(map(Sensor, driven)), (), point, closes)
 
 
-def _idle(leg: Leg, platform: Platform) -> str | None:
+def _idle(leg: Leg, platform: Platform) -> Joint | None:
     """Return a passive joint of a freedom that does not move a leg's end, as of a rod that spins.
 
     Freedoms are ranked, not counted, at random configurations.
@@ -294,25 +293,18 @@ def _idle(leg: Leg, platform: Platform) -> str | None:
     if np.linalg.matrix_rank(by_passive, tol=_IDLE).max() == len(leg.passive):
         return None
     null = np.linalg.svd(by_passive[0])[2][-1]
-    return leg.moving[leg.passive[int(np.argmax(np.abs(null)))]].name
+    return leg.moving[leg.passive[int(np.argmax(np.abs(null)))]]
 
 
 def _without_idle(leg: Leg, platform: Platform, remarks: list[str]) -> Leg:
-    """Return a leg without parameters whose idle joints are held; remarks say so."""
+    """Return a leg without parameters whose idle joints are fixed at home; remarks say so."""
     while (idle := _idle(leg, platform)) is not None:
-        remarks.append(f"{leg.name}: {idle!r} moves no end of it: held")
-        leg = _holding(leg, idle)
+        remarks.append(f"{leg.name}: {idle.name!r} moves no end of it: held")
+        held = idle.placement.origin() @ idle.motion(np.array([idle.home]))[0]
+        fixed = Joint(idle.name, "fixed", placement_of(held))
+        joints = (fixed if joint is idle else joint for joint in leg.joints)
+        leg = replace(leg, joints=tuple(joints))
     return leg
-
-
-def _holding(leg: Leg, name: str) -> Leg:
-    """Return a leg without parameters, a joint of it fixed where it is at home."""
-    joints = list(leg.joints)
-    for i, joint in enumerate(joints):
-        if joint.name == name:
-            held = joint.placement.origin() @ joint.motion(np.array([joint.home]))[0]
-            joints[i] = Joint(joint.name, "fixed", placement_of(held))
-    return replace(leg, joints=tuple(joints))
 
 
 def _leg_names(limbs: Sequence[Limb]) -> list[str]:

@@ -26,16 +26,7 @@ CORRECTION, COMMAND = "correction_", "command_"
 
 @dataclass(frozen=True, repr=False)
 class Corrections:
-    """What takes the whole machine to N poses by a controller that knows the plain one.
-
-    Example:
-        >>> import pincal
-        >>> found = pincal.corrections("5R", [[0.0, 1.1], [0.2, 1.2]])
-        >>> found.readings.shape  # of a machine without terms there is nothing to add
-        (2, 2)
-        >>> abs(found.readings).max() < 1e-9
-        np.True_
-    """
+    """What takes the whole machine to N poses by a controller that knows the plain one."""
 
     plan: Plan
     """The poses; and the readings of the plain machine, where poses do not determine them."""
