@@ -18,7 +18,7 @@ from pincal.estimation.observability.gauge import split_frames
 from pincal.estimation.observability.indices import GENERIC
 from pincal.estimation.observation import Observation
 from pincal.estimation.rows import NoNoiseError, white_rows
-from pincal.estimation.unknowns import ExternalUnknowns
+from pincal.kinematics.batches import block_diagonal
 from pincal.kinematics.closure import largest_size
 from pincal.kinematics.configurations import Legs, legs_at, nearby
 from pincal.kinematics.derivatives import Demand
@@ -64,64 +64,13 @@ def information_rows(
 
     Rows free of the poses and whitened, shape (N, k, n): their Gram matrix is the information.
     Errors of these by what is off in all rows, one standard uncertainty each, shape (N, k, q). Ids
-    of the unknowns. Names of what is measured.
-
-    Args:
-        mechanism: The mechanism.
-        legs: What all legs demand there.
-        noise: Standard deviations of what is measured.
-        measured: See ``forecast``.
-        setup: What measured numbers will mean.
+    of the unknowns. Names of what is measured (see ``forecast``).
 
     Raises:
         MeasurementError: unknown freedoms, or measurements without noise or equations.
     """
-    platform = mechanism.platform
-    matrices = platform.matrices(legs.poses)
-    by_pose, by_external, systematic, scatter, names = _planned(
-        mechanism, matrices, noise, measured, setup
-    )
-    (count, n_rows, n_legs), n_readings = legs.parameter.shape, legs.reading.shape[2]
-    # ┌ A          0        ┐  legs           ┌ B ┐   ┌ σ ∂e/∂ψ    ┐
-    # └ 0  by external      ┘  what is seen   └ B ┘   └          σ ┘
-    width, kinds = scatter.shape[1:]
-    parameter = np.zeros((count, n_rows + width, n_legs + by_external.shape[2]))
-    parameter[:, :n_rows, :n_legs] = legs.parameter
-    parameter[:, n_rows:, n_legs:] = by_external
-    errors = np.zeros((count, n_rows + width, systematic.shape[2]))
-    errors[:, n_rows:] = systematic
-    root = np.zeros((count, n_rows + width, n_readings + kinds))
-    root[:, :n_rows, :n_readings] = noise.reading * legs.reading
-    root[:, n_rows:, n_readings:] = scatter
-    try:
-        white = white_rows(np.concatenate((legs.pose, by_pose), axis=1), root)
-    except NoNoiseError as error:
-        raise MeasurementError(
-            "some measurements carry no noise at all; give standard deviations above zero for what "
-            "is measured, and for readings (--noise-reading) where there are more of them than "
-            "freedoms, or positions are measured in part"
-        ) from error
-    rows = white(parameter)
-    if not rows.size:
-        raise MeasurementError(
-            f"{', '.join(names) or 'nothing'} measured leaves no equation: {mechanism.name!r} has "
-            f"{n_rows} equations for {platform.dof} freedoms. Measure more of the platform"
-        )
-    oriented = bool(set(names) & set(platform.freedoms[platform.units.count("m") :]))
-    external = ExternalUnknowns(platform, setup, oriented).names
-    unknowns = (*parameter_ids(mechanism), *external)
-    return rows, white(errors), unknowns, names
-
-
-def _planned(
-    mechanism: Mechanism,
-    matrices: Array,
-    noise: Noise,
-    measured: Sequence[str] | None,
-    setup: Setup,
-) -> tuple[Array, Array, Array, Array, tuple[str, ...]]:
-    """Return derivatives by pose and externals, what is off, roots of the noise, and names."""
-    platform, count = mechanism.platform, len(matrices)
+    platform, count = mechanism.platform, len(legs.poses)
+    matrices, turning = platform.matrices(legs.poses), platform.freedoms[platform.lengths :]
     columns = dict.fromkeys(setup.columns(mechanism), np.zeros(count))
     offered = (*platform.freedoms, *columns)
     if measured is not None and not isinstance(measured, Iterable):
@@ -135,26 +84,38 @@ def _planned(
             f"{', '.join(offered)}"
         )
     coordinates = platform.from_matrices(matrices)
-    turning = platform.freedoms[platform.units.count("m") :]
     if not set(names) & set(turning):
-        coordinates[:, platform.units.count("m") :] = np.nan
-    data = Measurements(
-        poses=coordinates, readings=np.zeros((count, len(mechanism.reading_names))), extra=columns
-    )
+        coordinates[:, platform.lengths :] = np.nan
+    readings = np.zeros((count, legs.reading.shape[2]))
+    data = Measurements(poses=coordinates, readings=readings, extra=columns)
     observation = Observation(mechanism, data, setup)
-    value, *slopes = observation.residuals(matrices, observation.external.start)
-    chosen = [observation.names.index(name) for name in names]
+    start, chosen = observation.external.start, [observation.names.index(name) for name in names]
+    value, *slopes = observation.residuals(matrices, start)
+    by_pose, by_external = (rows[:, chosen] for rows in slopes)
     predicted = {name: value[:, observation.names.index(name)] for name in columns}
     planned = replace(data, extra=predicted)  # less what was measured: zero
-    by_pose, by_external = (rows[:, chosen] for rows in slopes)
-    systematic = observation.systematic(matrices, observation.external.start)
-    return (
-        by_pose,
-        by_external,
-        systematic[:, chosen],
-        observation.row_noise(planned, noise).roots[:, chosen],
-        names,
-    )
+    scatter = observation.row_noise(planned, noise).roots[:, chosen]
+    # ┌ A          0        ┐  legs           ┌ B ┐   ┌ σ ∂e/∂ψ    ┐
+    # └ 0  by external      ┘  what is seen   └ B ┘   └          σ ┘
+    pose = np.concatenate((legs.pose, by_pose), axis=1)
+    n_rows = legs.parameter.shape[1]
+    try:
+        white = white_rows(pose, block_diagonal((noise.reading * legs.reading, scatter)))
+    except NoNoiseError as error:
+        raise MeasurementError(
+            "some measurements carry no noise at all; give standard deviations above zero for what "
+            "is measured, and for readings (--noise-reading) where there are more of them than "
+            "freedoms, or positions are measured in part"
+        ) from error
+    rows = white(block_diagonal((legs.parameter, by_external)))
+    if not rows.size:
+        raise MeasurementError(
+            f"{', '.join(names) or 'nothing'} measured leaves no equation: {mechanism.name!r} has "
+            f"{n_rows} equations for {platform.dof} freedoms. Measure more of the platform"
+        )
+    off = observation.systematic(matrices, start)[:, chosen]
+    errors = white(np.pad(off, ((0, 0), (n_rows, 0), (0, 0))))
+    return rows, errors, (*parameter_ids(mechanism), *observation.external.names), names
 
 
 def null_directions(lengths: Array, axes: Array, rank: int) -> Array:
