@@ -256,29 +256,22 @@ def default_grid(mechanism: GivenMechanism, fixed: Iterable[str | Axis] = ()) ->
     mechanism = as_mechanism(mechanism)
     axes, n = [Axis.parse(axis) for axis in fixed], mechanism.platform.lengths
     names = {axis.name for axis in axes}
-    if "z" in names and n < 3:
-        raise WorkspaceError(f"axis 'z': the platform of {mechanism.name!r} moves in a plane")
     low, high = reach_box(mechanism)
     step = float((high - low)[:n].max()) / _ACROSS[n]
     defaults = [
         Axis(name, np.linspace(start, end, round((end - start) / step) + 1))
         for name, start, end in zip("xyz"[:n], low, high, strict=False)
     ]
-    turns = _turns(mechanism)
+    turns = sum(  # rotations about the base's z axis
+        not element.reflection and not element.base.t.any() and element.matrix[2, 2] > 1.0 - SAME
+        for element in symmetry_group(mechanism, readings=False).elements
+    )
     if names & {"radius", "bearing"} or (turns > 1 and not names & {"x", "y"}):
         around = 2 * turns * -(-_AROUND[n] // (2 * turns))
         ends = [np.hypot(*leg.joints[0].placement.xyz[:2]) + leg.reach for leg in mechanism.legs]
         rings = Axis("radius", np.arange(step / 2, min(ends), step))
         defaults[:2] = rings, Axis.spaced("bearing", -np.pi, np.pi, 2 * np.pi / around)
     return Grid.of(*axes, *(axis for axis in defaults if axis.name not in names))
-
-
-def _turns(mechanism: Mechanism) -> int:
-    """Return how many rotations about the base's z axis a mechanism has."""
-    return sum(
-        not element.reflection and not element.base.t.any() and element.matrix[2, 2] > 1.0 - SAME
-        for element in symmetry_group(mechanism, readings=False).elements
-    )
 
 
 def closer_grid(grid: Grid, inside: Mask, fixed: Iterable[str]) -> Grid | None:
@@ -288,21 +281,18 @@ def closer_grid(grid: Grid, inside: Mask, fixed: Iterable[str]) -> Grid | None:
     """
     if not inside.any():
         return None
-    stay, cells = set(fixed), inside.reshape(grid.shape)
-    axes, closer = [], False
+    stay, cells, axes, closer = set(fixed), inside.reshape(grid.shape), list(grid.axes), False
     for place, axis in enumerate(grid.axes):
+        if axis.name in stay or axis.full_turn or len(axis.values) < 2:
+            continue
         across = tuple(dimension for dimension in range(cells.ndim) if dimension != place)
         occupied = axis.values[cells.any(axis=across)]
-        if axis.name in stay or axis.full_turn or len(axis.values) < 2:
-            axes.append(axis)
-            continue
         low, high = float(occupied[0]) - 2 * axis.step, float(occupied[-1]) + 2 * axis.step
         if axis.name == "radius" and low <= axis.step:
             step = high / len(axis.values)
-            rings = np.arange(len(axis.values), dtype=np.float64) + 0.5
-            axes.append(Axis("radius", step * rings))
+            axes[place] = Axis("radius", step * (np.arange(len(axis.values)) + 0.5))
         else:
-            axes.append(Axis(axis.name, np.linspace(low, high, len(axis.values))))
+            axes[place] = Axis(axis.name, np.linspace(low, high, len(axis.values)))
         closer |= high - low < _CLOSER * float(np.ptp(axis.values))
     return Grid(tuple(axes)) if closer else None
 

@@ -23,7 +23,7 @@ from pincal.workspace.region import Workspace
 
 _ROUNDS = 60
 _NEAR = 1e-4  # of the radius, how near to the bound is enough; of a step, on the boundary
-_RIM_POSITIONS = {2: 500, 3: 2000}
+_RIM = {2: 500, 3: 2000}  # positions on a circle, on a ball
 
 
 @dataclass(frozen=True, repr=False)
@@ -71,7 +71,7 @@ def largest_inscribed(workspace: Workspace) -> Inscribed:
     axes = [place for place, varies in enumerate(several) if varies]  # of x, y, z
     pairs = edges(grid, workspace.inside)
     pairs = np.where(workspace.inside[pairs[:, :1]], pairs, pairs[:, ::-1])
-    inner, points = grid.at(pairs[:, 0]), grid.at(pairs[:, 1])
+    inner, points = (grid.at(index) for index in pairs.T)
     edge = at_edge(grid, workspace.inside)
     moved = np.zeros(len(points), dtype=bool)
     best, bound = None, np.inf
@@ -85,7 +85,9 @@ def largest_inscribed(workspace: Workspace) -> Inscribed:
         near = np.flatnonzero(~moved & (distance - step <= radius))
         points[near] = _bisected(workspace, inner[near], points[near])
         moved[near] = True
-        rim = _rim(centre, radius, axes)
+        directions = np.random.default_rng(0).normal(size=(_RIM[len(axes)], len(axes)))
+        rim = np.repeat(centre[None], len(directions), axis=0)
+        rim[:, axes] += radius * directions / np.linalg.norm(directions, axis=1)[:, None]
         bad = rim[~workspace.test(rim)]
         within = np.broadcast_to(centre, bad.shape)
         points = np.concatenate((points, _bisected(workspace, within, bad)))
@@ -126,11 +128,3 @@ def _emptiest(points: Array, axes: list[int], workspace: Workspace) -> tuple[Arr
         if cells.query(vertices[index])[0] <= radii[index] and workspace.test(centre[None])[0]:
             return centre, float(radii[index])
     raise WorkspaceError("no circle fits between the cells that count; take smaller steps")
-
-
-def _rim(centre: Array, radius: float, axes: list[int]) -> Array:
-    """Return positions on a circle or sphere, shape (N, 3), [m]."""
-    directions = np.random.default_rng(0).normal(size=(_RIM_POSITIONS[len(axes)], len(axes)))
-    positions = np.repeat(centre[None], len(directions), axis=0)
-    positions[:, axes] += radius * directions / np.linalg.norm(directions, axis=1)[:, None]
-    return positions
