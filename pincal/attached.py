@@ -23,6 +23,7 @@ DONE_BY = {
     "CalibrationResult.save": "pincal.calibration.result_files.save_result",
     "CalibrationResult.validated": "pincal.calibration.calibrate.with_validation",
     "Explanation.__str__": "pincal.show.explanation.explanation_page",
+    "Forecast.__str__": "pincal.show.tables.forecast_text",
     "Measurements.from_csv": "pincal.files.measurements.read_measurements",
     "Mechanism.__str__": "pincal.show.report.mechanism_text",
     "Mechanism._repr_html_": "pincal.show.report.mechanism_html",
@@ -31,6 +32,7 @@ DONE_BY = {
     "Plan.from_csv": "pincal.files.measurements.read_poses",
     "Plan.to_csv": "pincal.files.measurement_writing.write_plan",
     "Plan.to_dataframe": "pincal.files.measurement_writing.dataframe_of",
+    "Selection.__str__": "pincal.show.tables.selection_text",
     "Setup.from_yaml": "pincal.files.yaml.read_setup",
 }
 """Function or class that is called with what a method is called with, its object first."""

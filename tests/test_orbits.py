@@ -70,6 +70,12 @@ def no_pose_twice(mechanism: pincal.Mechanism, plan: pincal.Plan) -> bool:
     return len(distinct(mechanism.platform, plan.poses)) == len(plan.poses)
 
 
+def diagonals_differ(found: pincal.Selection) -> float:
+    """Return the largest part by which |R_ii| of a leg differ from those of its reference leg."""
+    diagonals = {leg.leg: leg.r_diagonal for leg in found.legs}
+    return max(np.abs(leg.r_diagonal / diagonals[leg.reference] - 1).max() for leg in found.legs)
+
+
 def distinct_orbits(
     mechanism: pincal.Mechanism, elements: tuple[pincal.Element, ...], poses: np.ndarray
 ) -> np.ndarray:
@@ -110,8 +116,7 @@ def test_a_leg_on_the_axis_is_an_orbit(protocol: pincal.design.select.Protocol) 
     assert [leg.reference for leg in found.legs] == ["line_A"] * 3 + ["line_D"]
     if protocol == "symmetric":
         assert [leg.poses for leg in found.legs] == [10] * 4
-        assert found.diagonals_differ > 1e-3  # Cartesian parameters turn into each other
-        assert "(Eq. 10)" in str(found)
+        assert diagonals_differ(found) > 1e-3  # Cartesian parameters turn into each other
 
 
 def test_candidates_on_a_mirror() -> None:
@@ -181,7 +186,7 @@ def test_offsets_and_gains_do_not_matter() -> None:
     np.testing.assert_allclose(
         [leg.indices.O1 for leg in two.legs], one.legs[0].indices.O1, rtol=1e-9
     )
-    assert one.diagonals_differ < 1e-9 < two.diagonals_differ
+    assert diagonals_differ(one) < 1e-9 < diagonals_differ(two)
     assert two.efficiency == pytest.approx(one.efficiency, rel=1e-9)
     geared = mechanism.with_parameters({"leg_2": {"k": 1.5}})
     noise = pincal.Noise(1e-4, 1e-4, 1e-4)

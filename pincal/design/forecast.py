@@ -12,6 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
+from pincal.attached import attached
 from pincal.blas import one_thread
 from pincal.design.information import (
     apart_from_frames,
@@ -33,12 +34,10 @@ from pincal.files.measurements import as_noise
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.files.yaml import read_setup
 from pincal.kinematics.configurations import as_plan, check_reached, legs_at
-from pincal.model.checks import ROWS
 from pincal.model.measurements import Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.setup import Setup
 from pincal.types import Array
-from pincal.words.numbers import amount
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -105,19 +104,9 @@ class Forecast:
         name = self.mechanism.name
         return f"Forecast({name!r}, {self.poses} poses, {rank})"
 
+    @attached
     def __str__(self) -> str:
-        legs = self.mechanism.legs
-        units = [leg.units[name] for leg in legs for name in leg.parameter_names]
-        rows = [
-            f"  {name:<24} {amount(std, unit, 4)}"
-            if std < np.inf
-            else f"  {name:<24} not determined"
-            for name, std, unit in zip(parameter_ids(self.mechanism), self.std, units, strict=True)
-        ]
-        if hidden := len(rows) - ROWS:
-            rows[ROWS:] = [f"  and {hidden} more"] if hidden > 0 else []
-        words = [] if self.rank.complete else [f"not determined apart: {self.rank.describe()}"]
-        return "\n".join([repr(self), "standard errors (1 σ):", *rows, *words])
+        """Return the table of standard errors, and what is not determined."""
 
 
 @one_thread()

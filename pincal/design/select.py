@@ -18,6 +18,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
+from pincal.attached import attached
 from pincal.blas import one_thread
 from pincal.design.criteria import Criterion, Parts, triangles
 from pincal.design.information import leg_rows
@@ -38,12 +39,11 @@ from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.closure import LegClosure, nominal_legs
 from pincal.kinematics.derivatives import leg_demands_at
 from pincal.kinematics.inverse import inverse
-from pincal.model.checks import ALIKE, count_of, described, generator_of
+from pincal.model.checks import count_of, described, generator_of
 from pincal.model.measurements import EVERY_LEG, Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.symmetry.elements import IDENTITY, Element
 from pincal.types import Array, Mask
-from pincal.words.numbers import percent
 
 _SAMPLE = 64  # candidates on which it is looked at whether rows map
 Protocol = Literal["independent", "symmetric", "orbits", "common"]
@@ -109,39 +109,13 @@ class Selection:
         """Smallest efficiency of all legs."""
         return min(leg.efficiency for leg in self.legs)
 
-    @property
-    def diagonals_differ(self) -> float:
-        """Largest part by which |R_ii| of a leg differ from those of its reference leg.
-
-        Mapped poses make them equal (3-RRR paper, Eq. 10) if one leg's parameters become the
-        other's one by one: with equal offsets and gains, of radii and angles, but not of Cartesian
-        coordinates, which the element turns into each other. Their product is equal even then.
-        """
-        diagonals = {leg.leg: leg.r_diagonal for leg in self.legs}
-        return max(
-            float(np.abs(leg.r_diagonal / diagonals[leg.reference] - 1.0).max())
-            for leg in self.legs
-        )
-
-    @property
-    def mapped(self) -> bool:
-        """Whether poses of a leg were mapped to others, whose |R_ii| can be compared with its."""
-        return self.protocol == "symmetric" and len(self.legs) > 1
-
     def __repr__(self) -> str:
         size = f"{len(self.plan.poses)} poses of {self.candidates}"
         return f"Selection({self.protocol}, {size}, efficiency {self.efficiency:.3f})"
 
+    @attached
     def __str__(self) -> str:
-        rows = [
-            f"  {leg.leg:<12} {leg.poses:5d} {leg.efficiency:11.4f} {leg.condition:10.3g}"
-            for leg in self.legs
-        ]
-        lines = [repr(self), "  leg          poses  efficiency  condition", *rows]
-        if self.mapped and self.diagonals_differ >= ALIKE:
-            differ = f"reference legs by {percent(self.diagonals_differ)} (Eq. 10)"
-            lines.append(f"  |R_ii| of mapped legs differ from those of their {differ}")
-        return "\n".join(lines)
+        """Return the table of what it gives each leg."""
 
 
 class Search:

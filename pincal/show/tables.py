@@ -81,6 +81,11 @@ def selection_table(selection: Selection) -> Table:
     )
 
 
+def selection_text(selection: Selection) -> str:
+    """Return the table of a selection as text."""
+    return str(selection_table(selection))
+
+
 _GOALS = {
     "parameters": "all parameters together",
     "platform": "the platform's accuracy over the candidates",
@@ -143,6 +148,12 @@ def standard_errors(forecast: Forecast) -> Table:
             for name, unit in units.items()
         ],
     )
+
+
+def forecast_text(forecast: Forecast) -> str:
+    """Return the standard errors of a forecast as text, and what is not determined."""
+    lost = "" if forecast.rank.complete else f"not determined apart: {forecast.rank.describe()}"
+    return f"{standard_errors(forecast)}\n{lost}"
 
 
 # Workspaces

@@ -290,7 +290,7 @@ def closer_grid(grid: Grid, inside: Mask, fixed: Iterable[str]) -> Grid | None:
         low, high = float(occupied[0]) - 2 * axis.step, float(occupied[-1]) + 2 * axis.step
         if axis.name == "radius" and low <= axis.step:
             step = high / len(axis.values)
-            axes[place] = Axis("radius", step * (np.arange(len(axis.values)) + 0.5))
+            axes[place] = Axis("radius", step * np.arange(0.5, len(axis.values)))
         else:
             axes[place] = Axis(axis.name, np.linspace(low, high, len(axis.values)))
         closer |= high - low < _CLOSER * float(np.ptp(axis.values))
