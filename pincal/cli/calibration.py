@@ -10,10 +10,11 @@ from typing import Annotated
 
 import numpy as np
 
+from pincal import MeasurementError, Measurements, Mechanism, Noise, Options, Setup, load_mechanism
 from pincal.calibration.calibrate import explained, prepared, run
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.hypotheses.doctor import Remedy, remedies
-from pincal.calibration.options import AUTO, FOLDS, By, Options
+from pincal.calibration.options import AUTO, FOLDS, By
 from pincal.calibration.result import CalibrationResult
 from pincal.calibration.result_files import REPORT, RESULT_FILES
 from pincal.cli.app import command, fail, remark, say, stdout, typed, warn, working, wrote
@@ -26,17 +27,15 @@ from pincal.cli.options import (
     output_option,
     typed_name,
 )
-from pincal.errors import MeasurementError, MisfitError
+from pincal.errors import MisfitError
 from pincal.files.measurement_writing import columns_of
 from pincal.files.measurements import read_measurements
-from pincal.files.mechanism_folders import load_mechanism, mechanism_files
+from pincal.files.mechanism_folders import mechanism_files
 from pincal.files.output import refuse_existing
 from pincal.files.table import write_table
-from pincal.model.measurements import Measurements, Noise
-from pincal.model.mechanism import Mechanism
 from pincal.model.option import option, option_of
 from pincal.model.orientation import SINGLE_ANGLES
-from pincal.model.setup import ORIGIN, Setup
+from pincal.model.setup import ORIGIN
 from pincal.show import answers, tables
 from pincal.show.explanation import advice, explanation_lines, remedy_table, tried
 from pincal.show.report import report
@@ -68,20 +67,19 @@ class InputOptions(SetupOptions):
             MeasurementError: it is given of some of what was measured.
         """
         sigmas = {"m": self.noise_position, "rad": self.noise_orientation, "": self.noise_reading}
-        if all(sigma is None for sigma in sigmas.values()):
+        if set(sigmas.values()) == {None}:
             return None
         platform = mechanism.platform
         columns = zip(platform.coordinates, platform.units, data.poses.T, strict=True)
         units = {name: unit for name, unit, values in columns if np.isfinite(values).any()}
         units |= {name: "rad" if name in SINGLE_ANGLES else "m" for name in data.extra}
         tracked = {*platform.coordinates[: platform.lengths], *setup.points(platform)}
-        measured = {u for name, u in units.items() if setup.tracker is None or name not in tracked}
+        measured = {units[name] for name in units if setup.tracker is None or name not in tracked}
         if any(sigmas[unit] is None for unit in measured):
             names = {"m": "--noise-position", "rad": "--noise-orientation"}
-            needed = " and ".join(name for unit, name in names.items() if unit in measured)
             raise MeasurementError(
-                f"give {needed} with the other noise options, or none of them (the scale is then "
-                "estimated)"
+                f"give {' and '.join(names[unit] for unit in sorted(measured))} with the other "
+                "noise options, or none of them (the scale is then estimated)"
             )
         return Noise(*(sigma or 0.0 for sigma in sigmas.values()))
 
@@ -260,14 +258,10 @@ def doctor(
             f"{len(cures)} of these work alike, and the measurements do not say which "
             "is true: look at the machine, and mend the source"
         )
-        fail(1)
-    stdout.print("nothing of this makes the measurements fit the mechanism")
-    converged = [remedy for remedy in tries if remedy.result and remedy.result.converged]
-    if converged:
-        stdout.print(f"the mechanism may lack a term: {_again('explain')} looks for it")
-    near = next((remedy for remedy in converged if not remedy.mends), None)
-    if near and near.result and near.result.excess == 1.0:
-        say("this converges, and promises nothing:", f"  {_cured(near, known)}")
+    else:
+        stdout.print("nothing of this makes the measurements fit the mechanism")
+        if any(remedy.result and remedy.result.converged for remedy in tries):
+            stdout.print(f"the mechanism may lack a term: {_again('explain')} looks for it")
     fail(1)
 
 

@@ -146,7 +146,14 @@ def _choose(
         candidates = read_poses(options.candidates, mechanism)
     search: dict[str, Any] = {"noise": noise, "seed": options.seed, "starts": options.starts}
     if not together:
-        protocol = options.protocol or _protocol_of(mechanism)
+        protocol = options.protocol
+        if protocol is None:
+            try:
+                selection_group(mechanism)
+                protocol = "symmetric"
+            except SymmetryError as error:
+                remark(f"independent selection: {error}")
+                protocol = "independent"
         chosen = pincal.select_poses(mechanism, candidates.poses, options.count, protocol, **search)
         if chosen.unreachable:
             remark(f"{chosen.unreachable} candidate poses are out of reach and were left out")
@@ -167,16 +174,6 @@ def _choose(
         **search,
     )
     return choice.plan, candidates, tables.choice_table(mechanism, choice)
-
-
-def _protocol_of(mechanism: Mechanism) -> Protocol:
-    """Return the protocol that the mechanism's symmetry allows."""
-    try:
-        selection_group(mechanism)
-    except SymmetryError as error:
-        remark(f"independent selection: {error}")
-        return "independent"
-    return "symmetric"
 
 
 @command

@@ -30,6 +30,7 @@ from pincal.files.mechanism_folders import MECHANISM_FILES, save_mechanism, writ
 from pincal.files.output import writing
 from pincal.files.table import write_table
 from pincal.files.text import LARGEST_FILE, read_bytes
+from pincal.files.tree import Tree
 from pincal.files.urdf import XACRO, read_urdf
 from pincal.files.urdf_writing import leg_urdf
 from pincal.formats import arm, closed, firmware, loops, mjcf
@@ -143,6 +144,8 @@ def import_(
             "--format (a table of measurements needs no import: see 'pincal calibrate')"
         )
     refuse_options(options, [name for name in _ONLY if form not in _ONLY[name]], str(file))
+    if options.tip is not None:
+        refuse_options(options, ("platform", "loops"), "a serial arm (--tip)")
     read = _import_tree if form in _ONLY["tip"] else _import_printer
     warn(*read(file, output, form, options))
     wrote(output)
@@ -183,30 +186,38 @@ def _import_tree(
     file: Path, output: Path, form: InputFormat, options: ImportOptions
 ) -> Sequence[str]:
     """Write the mechanism of a URDF or MJCF file to a folder, and say what it is."""
-    if options.tip is not None and (options.platform or options.loops):
-        raise MechanismError("--tip is for serial arms, --platform and --loops for closed loops")
+    remarks: Sequence[str] = ()
     if options.tip is not None:
         tree = read_urdf(file) if form == "urdf" else mjcf.read_mjcf(file)
-        mechanism, remarks = arm.serial_arm(tree, options.tip, options.base), list[str]()
+        mechanism = arm.serial_arm(tree, options.tip, options.base)
     else:
-        yaml = None if form == "mjcf" else options.loops or loops.loops_beside(file)
-        tree = mjcf.read_mjcf(file) if yaml is None else loops.read_loops(file, yaml)
-        tree = replace(tree, slack=closed.slack_of(file.read_text("utf-8")))
-        mechanism, notes = closed.closed_mechanism(tree, options.platform, options.base)
-        closing, moved = closed.closing_in_words(tree, mechanism)
-        remarks = [closing, *notes] if moved else [*notes]
-        say(*([] if yaml is None else [f"loops closed by {yaml}"]), *([] if moved else [closing]))
+        tree, mechanism, remarks = _closed(file, form, options)
     drawn = {edge.joint.name for edge in tree.edges}
     unused = drawn - {joint.name for leg in mechanism.legs for joint in leg.joints}
-    remarks += [text for name, text in tree.remarks.items() if name not in unused]
+    remarks = [*remarks, *(text for name, text in tree.remarks.items() if name not in unused)]
     size = largest_size(mechanism.legs)
     if size > _LARGE:
-        remarks.append(
-            f"the longest leg is {size:.4g} m: metres are expected; is this millimetres?"
-        )
+        remarks += [f"the longest leg is {size:.4g} m: metres are expected; is this millimetres?"]
     save_mechanism(replace(mechanism, name=named_after(output)), output, force=options.force)
     _say_what_it_is(mechanism)
     return remarks
+
+
+def _closed(
+    file: Path, form: InputFormat, options: ImportOptions
+) -> tuple[Tree, Mechanism, Sequence[str]]:
+    """Return tree and mechanism of a file with loops, and remarks; say how loops are closed."""
+    yaml = None if form == "mjcf" else options.loops or loops.loops_beside(file)
+    tree = mjcf.read_mjcf(file) if yaml is None else loops.read_loops(file, yaml)
+    tree = replace(tree, slack=closed.slack_of(file.read_text("utf-8")))
+    mechanism, remarks = closed.closed_mechanism(tree, options.platform, options.base)
+    if yaml is not None:
+        say(f"loops closed by {yaml}")
+    closing, moved = closed.closing_in_words(tree, mechanism)
+    if moved:
+        return tree, mechanism, (closing, *remarks)
+    say(closing)
+    return tree, mechanism, remarks
 
 
 def _say_what_it_is(mechanism: Mechanism) -> None:

@@ -20,10 +20,10 @@ from pincal.files.measurements import read_poses, read_readings
 from pincal.files.mechanism_folders import bundled
 from pincal.files.output import refuse_existing, writing
 from pincal.files.table import write_table
-from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.configurations import leg_demands
 from pincal.kinematics.influences import own_influences
 from pincal.kinematics.inverse import outside_limits
+from pincal.model.consistency import home_gap
 from pincal.show.tables import nominal_table, symmetry_table
 from pincal.words.numbers import reading_in
 from pincal.words.wording import LISTED
@@ -48,12 +48,10 @@ def check(mech: Mech, options: TableOptions) -> None:
     mechanism = pincal.load_mechanism(mech)
     with reading_in(options.written_in(mechanism).printed):
         stdout.print(nominal_table(mechanism))
-    home = mechanism.platform.home_pose.as_matrix()
     for leg in mechanism.legs:
-        closure = LegClosure(leg, mechanism.platform)
-        gap = float(np.abs(closure.evaluate(leg.home[None], home).gap).max())
+        gap = home_gap(leg, mechanism.platform)
         words = f"closes at home within {gap:.2g} m"
-        if gap > 1e-2 * closure.size:
+        if gap > 1e-2 * leg.size:
             words = (
                 f"home is rough, it closes within {gap:.2g} m only and fixes the side of bending"
             )

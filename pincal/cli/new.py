@@ -19,7 +19,6 @@ from pincal.cli.app import app, command, remark, run_step, say, stdout, working,
 from pincal.cli.options import Force, Seed, named_after, output_option
 from pincal.design.order import in_turns, with_verification
 from pincal.files.measurement_writing import columns_of, write_sheet
-from pincal.files.measurements import read_poses
 from pincal.files.mechanism_folders import MECHANISM_FILES, write_mechanism
 from pincal.files.output import refuse_existing, writing
 from pincal.files.table import write_table
@@ -42,23 +41,18 @@ _READ = 1e-4  # standard deviation of readings, where there are more than freedo
 
 def _dimension_options() -> type[Any]:
     """Return all dimensions of all architectures as a group of options."""
-    offered: dict[str, Option] = {}
+    meanings: dict[tuple[str, str], list[str]] = {}
     for architecture in ARCHITECTURES.values():
         for dimension in architecture.dimensions:
-            name, choices = dimension.name, " or ".join(dimension.choices)
-            meaning = f"{architecture.name}: {dimension.label}{f' ({choices})' * bool(choices)}."
-            if name in offered:
-                meaning = f"{offered[name].help.removesuffix('.')}; {meaning}"
-            metavar = None if dimension.unit else "TEXT"
-            offered[name] = Option(meaning, metavar, dimension.unit, needs_unit=True)
-    return make_dataclass(
-        "DimensionOptions",
-        [
-            (name, (float if declared.unit else str) | None, option(None, declared))
-            for name, declared in offered.items()
-        ],
-        frozen=True,
-    )
+            choices = f" ({' or '.join(dimension.choices)})" * bool(dimension.choices)
+            meanings.setdefault((dimension.name, dimension.unit), []).append(
+                f"{architecture.name}: {dimension.label}{choices}"
+            )
+    fields = []
+    for (name, unit), texts in meanings.items():
+        declared = Option(f"{'; '.join(texts)}.", None if unit else "TEXT", unit, needs_unit=True)
+        fields.append((name, (float if unit else str) | None, option(None, declared)))
+    return make_dataclass("DimensionOptions", fields, frozen=True)
 
 
 DimensionOptions = _dimension_options()
@@ -161,12 +155,9 @@ def demo(
     stdout.print(
         "\nThe true machine, driven by the nominal and by the calibrated models:", style="bold"
     )
-    poses, true_mechanism = read_poses(candidates, mechanism).poses, pincal.load_mechanism(truth)
-    models = {"nominal": mechanism}
-    models |= {name: pincal.load_mechanism(folder) for name, folder in results.items()}
+    models: dict[str, str | Path] = {"nominal": mech, **results}
+    poses = pincal.Plan.from_csv(candidates, mechanism)
     with working("driving the true machine over the workspace"):
-        errors = {
-            name: pincal.accuracy(model, true_mechanism, poses) for name, model in models.items()
-        }
+        errors = {name: pincal.accuracy(model, truth, poses) for name, model in models.items()}
     stdout.print(accuracy_table(errors, "rad" in mechanism.platform.units))
     say(f"All files are in {output}; open {output / 'result' / 'report.html'}")
