@@ -51,14 +51,14 @@ def test_steps_that_are_too_long_are_shortened(seed: int) -> None:
 
 @pytest.mark.slow
 def test_gains_are_not_too_small() -> None:
-    """Of 48 legs: mean error within three of its own standard deviations, in standard errors.
+    """Of 30 legs: mean error within three of its own standard deviations, in standard errors.
 
-    At readings as measured gains come out 0.9 standard errors too small.
+    At readings as measured gains come out 0.9 standard errors too small: seen with 97 %.
     """
     noise = pincal.Noise(1e-3, 1e-3, 5e-4)
     mechanism, errors = pincal.load_mechanism("6UPS"), []
     plan = pincal.Plan(workspace("6UPS", 1200))
-    for seed in range(8):
+    for seed in range(5):
         truth = pincal.disturb(mechanism, 1e-3, seed)
         data = pincal.simulate(mechanism, truth, plan, noise, seed).measurements
         result = pincal.calibrate(mechanism, data, noise=noise)

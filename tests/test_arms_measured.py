@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from arms import Reference, loaded, robot, urdf
+from arms import Reference, loaded, reference, robot, urdf
 from command_line import done
-from marks import quick, slow_or_fuzz, some_slow
+from differences import differentiated
+from marks import quick
 
 import pincal
 from pincal.show.misses import workspace_errors
@@ -56,41 +57,43 @@ def test_noise_of_poses_and_encoders(noise: pincal.Noise) -> None:
     assert np.sqrt((twists(result.identified, truth, unseen) ** 2).mean()) < 1e-4
 
 
-@pytest.mark.parametrize("points", slow_or_fuzz([True], [False]))
-def test_errors_are_those_of_many_calibrations(points: bool) -> None:
-    """Over 120 fits, spreads equal the standard errors; the tool's error the forecast's.
+@pytest.mark.slow
+@pytest.mark.parametrize("points", [True, False])
+def test_errors_are_those_of_the_noise(points: bool) -> None:
+    """They are what least squares makes of it, to 0.3 %; the covariance is the propagated one.
 
-    Of parameters 8 % is four standard errors of the mean ratio over thirty spreads; of the tool,
-    root mean squares over unseen configurations.
+    Over poses, or a target's positions, by Pinocchio alone, as far as these are moved: redundant
+    parameters stay where the fit of clean data has them.
     """
     mechanism, truth, _ = simulated()
     plan = pincal.sample_configurations(mechanism, 60, 0)
-    unseen = pincal.sample_configurations(mechanism, 50, 9)
     setup = pincal.Setup(targets=POINT.targets) if points else pincal.Setup()
-    found, std, off = [], [], []
-    for seed in range(120):
+    exact = pincal.simulate(mechanism, truth, plan, EXACT).measurements
+
+    def off(data: pincal.Measurements) -> np.ndarray:
+        if points:
+            return (as_points(mechanism, data).poses - as_points(mechanism, exact).poses)[:, :3]
+        return mechanism.platform.twists_between(exact.poses, data.poses)
+
+    def fit(data: pincal.Measurements) -> pincal.CalibrationResult:
+        given = as_points(mechanism, data) if points else data
+        return pincal.calibrate(mechanism, given, noise=NOISE, setup=setup)
+
+    def moved(by: np.ndarray) -> np.ndarray:
+        matrices = reference("ur10").poses(clean + by, exact.readings)
+        return off(replace(exact, poses=mechanism.platform.from_matrices(matrices))).ravel()
+
+    clean = fit(exact).legs[0].identified
+    J = differentiated(moved, len(clean))
+    U = np.linalg.svd(J, full_matrices=False)[0][:, : np.linalg.matrix_rank(J, rtol=1e-6)]
+    for seed in range(3):
         data = pincal.simulate(mechanism, truth, plan, NOISE, seed).measurements
-        if points:
-            data = as_points(mechanism, data)
-        result = pincal.calibrate(mechanism, data, noise=NOISE, setup=setup)
-        found.append(result.legs[0].identified)
-        std.append(result.legs[0].std)
-        one, two = (pincal.forward(m, unseen.readings).poses for m in (result.identified, truth))
-        if points:
-            ends = [
-                as_points(mechanism, pincal.Measurements(poses, readings=unseen.readings))
-                for poses in (one, two)
-            ]
-            off.append(ends[0].poses[:, :3] - ends[1].poses[:, :3])
-        else:
-            off.append(mechanism.platform.twists_between(one, two)[:, :3])
-    ratio = np.std(found, axis=0) / np.mean(std, axis=0)
-    assert abs(ratio.mean() - 1.0) < 0.08
-    assert np.abs(ratio - 1.0).max() < 0.25
-    if not points:
-        wanted = pincal.forecast(mechanism, plan, NOISE).platform_error(unseen).position
-        spread = np.sqrt((np.array(off) ** 2).sum(axis=2).mean())
-        assert abs(spread / wanted - 1.0) < 0.05
+        result = fit(data)
+        error = J @ (result.legs[0].identified - clean)
+        assert (np.abs(error - U @ (U.T @ off(data).ravel())) < 0.003 * NOISE.position).all()
+        said = J @ result.covariance @ J.T / NOISE.position**2
+        np.testing.assert_allclose(said, U @ U.T, atol=1e-3)
+        np.testing.assert_allclose(result.legs[0].std ** 2, np.diagonal(result.covariance))
 
 
 def test_outliers_are_listed_and_left_out() -> None:
@@ -316,7 +319,7 @@ def test_expected_error_is_what_was_forecast() -> None:
         assert all(p.identified == p.nominal for p in fixed)
 
 
-@pytest.mark.parametrize("jitter", some_slow([0.0, 1e-5, 1e-4], 1e-5))
+@pytest.mark.parametrize("jitter", [0.0, 1e-4])
 def test_what_was_held_is_not_promised_elsewhere(jitter: float) -> None:
     """A joint that stood still, or nearly: errors are told where it stood, and nowhere else."""
     arm = loaded("ur10")
@@ -326,9 +329,8 @@ def test_what_was_held_is_not_promised_elsewhere(jitter: float) -> None:
     still[:, 3] = 0.3 + jitter * np.random.default_rng(6).standard_normal(len(still))
     plan = pincal.Plan(pincal.forward(arm, still).poses, readings=still)
     data = pincal.simulate(arm, truth, plan, noise, seed=5).measurements
-    if jitter < 1e-4:
-        said = "weakly determined by .*--strict" if jitter else "undetermined: .*--strict"
-        with pytest.raises(pincal.ObservabilityError, match=said):
+    if not jitter:
+        with pytest.raises(pincal.ObservabilityError, match=r"undetermined: .*--strict"):
             pincal.calibrate(arm, data, noise=noise, strict=True)
     else:
         (said, *_) = pincal.calibrate(arm, data, noise=noise, strict=True).warnings
