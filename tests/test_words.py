@@ -209,7 +209,6 @@ SAID: dict[str, tuple[dict[str, Any], tuple[int, ...], tuple[str, ...], str]] = 
     "undetermined-held": ({"groups": (("leg_1.l", "leg_1.L"), ("leg_2.k",)), "weak": ("leg_3.l", "leg_3.k")}, (), (), "leg_1.l and leg_1.L move together; leg_2.k has no effect; leg_3.l and leg_3.k are weakly determined"),
     "far-from-nominal": ({"parameter": "leg_1.gamma", "change": 0.123, "unit": "rad", "options": ("unknown-target",)}, (), ("leg_1.gamma",), "leg_1.gamma moved by +0.123 rad, farther than a machine differs from its drawing"),
     "zeros-found": ({"changes": (("leg_1.gamma", 0.7, "rad"),)}, (), ("leg_1.gamma",), "zeros of readings are far from the drawing's: leg_1.gamma by 0.7 rad. Nothing to do if"),
-    "sign-changed": ({"lengths": (("leg_1.l", 0.05, -0.0478),)}, (), ("leg_1.l",), "lengths changed their sign: leg_1.l from 0.05 to -0.0478 m"),
     "held-out-worse": ({"held_out": 3.0, "expected": 1.1, "p_value": 1e-6}, (), (), "the model follows its rows more closely than the machine. Measure more poses"),
     "wrong-held-out": ({"total": 6, "sigma": 190.2, "quantity": "measured phi", "off": 199.0}, (32,), (), "1 of 6 held-out rows does not fit, data row 33 by 190 standard deviations (measured phi off by 199 σ); the other held-out rows fit. Mend or remove it"),
     "bad-rows": ({"worst": 7, "times": 123.4}, (7, 8), (), "data row 8 misses the nominal mechanism 123 times as far as rows usually do, and 1 more row so. Look for a slip"),

@@ -191,7 +191,7 @@ def noise_freedoms(fits: Fits) -> tuple[Array, float]:
     elif model.known and model.source != "repeats":
         of_fits = [np.full(len(fit.covariance), np.inf) for fit in fits.fits]
     else:
-        moments, spread = fits.moments, fits.variances
+        moments, spread = fits.moments(), fits.variances
         if spread is None:
             freedom = np.array(model.freedoms)
             spread = np.diag(2.0 / freedom)
@@ -237,18 +237,10 @@ def _identified(
     parameter: Parameter, value: float, std: float, quantile: float, beforehand: str
 ) -> IdentifiedParameter:
     """Return a parameter with its 95 % interval, half of which is so many standard errors."""
-    return IdentifiedParameter(
-        owner=parameter.owner,
-        name=parameter.name,
-        unit=parameter.unit,
-        nominal=parameter.nominal,
-        identified=float(value),
-        std=float(std),
-        low=float(value - quantile * std),
-        high=float(value + quantile * std),
-        given=beforehand,
-        label=parameter.label,
-    )
+    half = quantile * std
+    ends = {"low": float(value - half), "high": float(value + half)}
+    identified = {"identified": float(value), "std": float(std), **ends, "given": beforehand}
+    return IdentifiedParameter(**vars(parameter), **identified)
 
 
 def _beforehand(calibration: Calibration, parameter: Parameter, std: float) -> str:

@@ -26,7 +26,7 @@ from pincal.calibration.hypotheses.plausibility import (
     said,
 )
 from pincal.calibration.options import AUTO, FOLDS, By, Options
-from pincal.calibration.result import CalibrationResult
+from pincal.calibration.result import CONTRADICTING, CalibrationResult
 from pincal.calibration.terms.candidates import extended
 from pincal.calibration.terms.choice import Explanation, choose
 from pincal.calibration.terms.kinds import columns_of_terms, every_pair, parse_terms
@@ -152,19 +152,7 @@ def run(
 
 
 #: Findings that follow from wrong rows.
-_FOLLOW = frozenset(
-    {
-        "chi2-too-large",
-        "outliers",
-        "many-outliers",
-        "model-lacks",
-        "step",
-        "reference-moved",
-        "noise-in-other-proportion",
-        "bad-rows",
-        "curved",
-    }
-)
+_FOLLOW = CONTRADICTING - {"terms-chosen"} | {"bad-rows", "outliers"}
 
 
 def blame_wrong_rows(
@@ -205,8 +193,7 @@ def started(calibration: Calibration) -> Calibration:
         MeasurementError: noise, copies of rows, or faults that bar a calibration.
     """
     options = calibration.options
-    if options.noise is not None:
-        check_noise(calibration.mechanism, options.noise)
+    check_noise(calibration.mechanism, options.noise)
     check_copies(calibration.measurements, every_pose=options.every_pose)
     calibration = _with_terms(calibration)
     if options.setup.plain:
@@ -270,9 +257,10 @@ def explain_failure(calibration: Calibration, frame: External | None) -> tuple[F
     """Return what would explain that measurements do not fit."""
     setup = calibration.options.setup
     faults = explain_misfit(calibration.mechanism, calibration.measurements, setup, frame)
+    if calibration.start is None:
+        return faults
     # where motors' zeros were found the search started where the offsets are right
-    zeros_known = calibration.start is not None
-    return tuple(fault for fault in faults if not (zeros_known and fault.code == "reading-offset"))
+    return tuple(fault for fault in faults if fault.code != "reading-offset")
 
 
 def explain_result(result: CalibrationResult, frame: External) -> tuple[Finding, ...]:

@@ -11,14 +11,14 @@ from pincal.calibration.fits import Fits
 from pincal.calibration.promise import UNEXPLAINED
 from pincal.estimation.fit import Fit, curvature
 from pincal.estimation.observability.courses import Score, scores
-from pincal.estimation.observability.indices import DIFFER, plausible_changes
+from pincal.estimation.observability.indices import plausible_changes
 from pincal.estimation.observability.residuals import together
 from pincal.estimation.system import FALSE_ALARM
 from pincal.finding import Finding
 from pincal.kinematics.closure import largest_size
 from pincal.model.checks import ROUNDING
 from pincal.model.measurements import Measurements
-from pincal.model.setup import ORIGIN, Setup
+from pincal.model.setup import ORIGIN
 from pincal.types import Index
 from pincal.words.findings import finding
 
@@ -35,18 +35,20 @@ _SPREAD = 0.5  # share of the run over which these must lie
 
 def findings_of(result: CalibrationResult, fits: Fits) -> tuple[Finding, ...]:
     """Return what to know first of a result, by it and by the residuals of its fits."""
-    held, lacks, curved = fits.held, [], []
+    held, lacks, curved = fits.held, list[Finding](), list[Finding]()
     first = [finding("tolerance-found", **vars(size)) for size in result.calibration.tolerances]
     first = [*_zeros(result), *first]
     if held is not None and (held.groups or held.weak):
         first.insert(0, finding("undetermined-held", groups=held.groups, weak=held.weak))
-    noise, far = _noise(result), [*_far(result), *_signs(result)]
+    noise, far = _noise(result), _far(result)
     if rounding(fits):
         noise = [finding("no-noise")] if result.noise_source == "estimated" else noise
         return (*first, *noise, *far, *_few(result))
     if result.converged:
         noise = noise or _proportion(fits)
-        lacks, curved = lacking(fits), _curved(fits)
+        lacks = lacking(fits)
+        bend = max((curvature(fit) for fit in fits.fits), default=0.0)
+        curved = [finding("curved", curvature=bend)] if bend > _CURVED else []
     rows = _rows(result, lacking=bool(lacks))
     return (*first, *noise, *lacks, *far, *curved, *rows, *_few(result))
 
@@ -70,21 +72,6 @@ def _zeros(result: CalibrationResult) -> list[Finding]:
 
 def _of_legs(result: CalibrationResult) -> list[IdentifiedParameter]:
     return [parameter for leg in result.legs for parameter in leg.parameters]
-
-
-def _signs(result: CalibrationResult) -> list[Finding]:
-    """Return that lengths changed their sign: a mirror image fits, or the drawing does not."""
-    least = DIFFER * largest_size(result.nominal.legs)
-    flipped = [
-        p
-        for p in _of_legs(result)
-        if p.unit == "m" and p.nominal * p.identified < 0.0
-        if min(abs(p.nominal), abs(p.change) - 2.0 * p.std) > least
-    ]
-    if not flipped:
-        return []
-    values = tuple((p.id, p.nominal, p.identified) for p in flipped)
-    return [finding("sign-changed", parameters=[p.id for p in flipped], lengths=values)]
 
 
 def _noise(result: CalibrationResult) -> list[Finding]:
@@ -117,7 +104,7 @@ def _proportion(fits: Fits) -> list[Finding]:
     noise = fits.calibration.noise
     if not noise.known or any(fit.system.loss is not None for fit in fits.fits):
         return []
-    moments = fits.moments
+    moments = fits.moments()
     readings = any(fit.problem.leg_block.sigma.any() for fit in fits.fits)
     testable = np.array([True, True, readings and noise.source != "rows"])
     groups = np.flatnonzero(testable & (np.diagonal(moments.F) > 0.0))
@@ -181,12 +168,6 @@ def _repeated_poses(data: Measurements, rows: Index) -> dict[str, Index]:
     }
 
 
-def _curved(fits: Fits) -> list[Finding]:
-    """Return a finding if intervals of a linearised problem mean little."""
-    largest = max(curvature(fit) for fit in fits.fits)
-    return [finding("curved", curvature=largest)] if largest > _CURVED else []
-
-
 def _far(result: CalibrationResult) -> list[Finding]:
     """Return findings if parameters moved farther than those of one machine differ, or might."""
     options = result.options
@@ -213,17 +194,9 @@ def _far(result: CalibrationResult) -> list[Finding]:
     if surely.max() <= 1.0 or options.rough:
         return []
     values: dict[str, Any] = {"parameter": far.id, "change": far.change, "unit": far.unit}
-    unused = unused_options(options.setup)
-    return [finding("far-from-nominal", parameters=[far.id], options=unused, **values)]
-
-
-def unused_options(setup: Setup) -> tuple[str, ...]:
-    """Return which options that free frame and target a setup leaves out."""
-    used = {
-        "unknown-frame": setup.unknown_frame,
-        "unknown-target": setup.targets[ORIGIN].unknown,
-    }
-    return tuple(name for name, is_used in used.items() if not is_used)
+    unused = ["unknown-frame"] * (not options.setup.unknown_frame)
+    unused += ["unknown-target"] * (not options.setup.targets[ORIGIN].unknown)
+    return [finding("far-from-nominal", parameters=[far.id], options=tuple(unused), **values)]
 
 
 def _rows(result: CalibrationResult, *, lacking: bool) -> list[Finding]:

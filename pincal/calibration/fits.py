@@ -83,15 +83,35 @@ class Fits:
         return all(fit.converged for fit in self.fits)
 
     @property
+    def sound(self) -> bool:
+        """Whether the residuals say something about the noise."""
+        return self.converged and all(fit.degrees_of_freedom > 0 for fit in self.fits)
+
+    @property
+    def noise(self) -> Noise:
+        """Standard deviations of all rows, given or estimated."""
+        return self.calibration.noise.noise
+
+    @property
     def reading_unit(self) -> float:
         """Standard deviation of readings, [m or rad]; an assumed one if they are exact."""
         assumed = assumed_noise(self.calibration.mechanism, exact=False).reading
-        return self.calibration.noise.noise.reading or assumed
+        return self.noise.reading or assumed
 
-    @property
-    def moments(self) -> Moments:
-        """What the residuals say of the variances of groups at the noise of the fits."""
-        return Moments.of([(fit, fit.problem) for fit in self.fits], self.reading_unit)
+    def moments(self, noise: Noise | None = None) -> Moments:
+        """Return what the residuals say of the variances of groups at some noise, or the fits'."""
+        problems = [fit.problem for fit in self.fits]
+        if noise is not None:
+            calibration = self.calibration.with_noise(noise)
+            names = calibration.mechanism.leg_names
+            groups = [[names.index(leg.name) for leg in problem.legs] for problem in problems]
+            problems = (
+                [calibration.latent_problem]
+                if self.latent
+                else [calibration.measured_problem(group)[0] for group in groups]
+            )
+        reading = (noise or self.noise).reading or self.reading_unit
+        return Moments.of(list(zip(self.fits, problems, strict=True)), reading)
 
     @property
     def places(self) -> list[Index]:
@@ -129,25 +149,33 @@ def fitted(calibration: Calibration, near: Fits | None = None, rows: Mask | None
         fits = _all_legs(calibration, near, rows)
     else:
         fits = _measured(calibration)
-    noise = calibration.noise.noise
     if calibration.fixed_noise or calibration.noise.known:
         return fits
-    unit, tie = fits.reading_unit, None
+    assumed, tie = assumed_noise(calibration.mechanism, exact=False), None
+    complete = bool(np.isfinite(calibration.measurements.poses).all())
+    exact = complete and not calibration.mechanism.redundant
     for _ in range(_REFITS):
-        if not _sound(fits):
+        if not fits.sound:
+            return fits
+        estimate = _noise_of(fits, assumed, tie, exact=exact)
+        if tie is None and (tie := fits.moments(estimate).tie(estimate)):
+            estimate = _noise_of(fits, assumed, tie, exact=exact)
+        if _agree(fits.noise, estimate):
             break
-        estimate = _noise_of(fits, noise, unit, tie)
-        if tie is None and (tie := _moments(fits, estimate, unit).tie(estimate)):
-            estimate = _noise_of(fits, noise, unit, tie)
-        if _agree(noise, estimate):
-            break
-        noise, unit = estimate, estimate.reading or unit
-        fits = _again(fits, noise)
+        fits = _again(fits, estimate)
     scale = float(np.mean([fit.noise_scale for fit in fits.fits]))
-    if _sound(fits) and abs(scale - 1.0) > SCALE_OFF and scale > 0.0:  # a group is at its floor
-        noise = Noise(*(scale * value for value in vars(noise).values()))
-        fits = _again(fits, noise)
-    return _with_variances(fits, noise, unit, tie)
+    if fits.sound and abs(scale - 1.0) > SCALE_OFF and scale > 0.0:  # a group is at its floor
+        fits = _again(fits, Noise(*(scale * value for value in vars(fits.noise).values())))
+    moments = fits.moments()
+    if not fits.sound or moments.rounding:
+        return fits
+    information = assumed_information(fits.noise, assumed, moments.scale, exact=exact, tie=tie)
+    variances: Array = np.asarray(np.linalg.inv(moments.information(information)))
+    widened = [
+        replace(fit, widening=fit.widening + fit.noise_scale**2 * widening)
+        for fit, widening in zip(fits.fits, moments.widenings(variances), strict=True)
+    ]
+    return replace(fits, fits=widened, variances=variances)
 
 
 def _again(fits: Fits, noise: Noise) -> Fits:
@@ -156,44 +184,14 @@ def _again(fits: Fits, noise: Noise) -> Fits:
     return _all_legs(calibration, fits) if fits.latent else _measured(calibration)
 
 
-def _sound(fits: Fits) -> bool:
-    """Return whether the residuals of fits say something about the noise."""
-    return fits.converged and all(fit.degrees_of_freedom > 0 for fit in fits.fits)
-
-
-def _with_variances(fits_of_all: Fits, noise: Noise, reading: float, tie: Tie | None) -> Fits:
-    """Return fits at noise that was estimated, with what that adds to their covariances."""
-    if not _sound(fits_of_all):
-        return fits_of_all
-    pairs = [(fit, fit.problem) for fit in fits_of_all.fits]
-    moments = Moments.of(pairs, noise.reading or reading)
-    if moments.rounding:
-        return fits_of_all
-    unit, exact = _assumed(fits_of_all.calibration)
-    assumed = assumed_information(noise, unit, moments.scale, exact=exact, tie=tie)
-    variances: Array = np.asarray(np.linalg.inv(moments.information(assumed)))
-    fits = [
-        replace(fit, widening=fit.widening + fit.noise_scale**2 * widening)
-        for fit, widening in zip(fits_of_all.fits, moments.widenings(variances), strict=True)
-    ]
-    return replace(fits_of_all, fits=fits, variances=variances)
-
-
-def _assumed(calibration: Calibration) -> tuple[Noise, bool]:
-    """Return noise that is assumed to be alike, and whether readings may be exact."""
-    mechanism, data = calibration.mechanism, calibration.measurements
-    exact = assumed_noise(mechanism, exact=bool(np.isfinite(data.poses).all())).reading == 0.0
-    return assumed_noise(mechanism, exact=False), exact
-
-
-def _noise_of(fits_of_all: Fits, noise: Noise, unit: float, tie: Tie | None) -> Noise:
-    """Return the noise that the residuals of fits at some noise show; see ``fitted``."""
-    assumed, exact = _assumed(fits_of_all.calibration)
+def _noise_of(fits: Fits, assumed: Noise, tie: Tie | None, *, exact: bool) -> Noise:
+    """Return the noise that the residuals of fits show, of which some is assumed to be alike."""
+    noise = fits.noise
     for _ in range(ROUNDS):
-        reading = noise.reading or unit
-        moments = _moments(fits_of_all, noise, reading)
+        moments = fits.moments(noise)
         if moments.rounding:
             return noise
+        reading = noise.reading or fits.reading_unit
         estimate = estimated_noise(moments, noise, reading, assumed, exact=exact, tie=tie)
         if _agree(noise, estimate):
             break
@@ -204,18 +202,6 @@ def _noise_of(fits_of_all: Fits, noise: Noise, unit: float, tie: Tie | None) -> 
 def _agree(noise: Noise, estimate: Noise) -> bool:
     changes = zip(vars(noise).values(), vars(estimate).values(), strict=True)
     return all(abs(a - b) <= SETTLED * max(a, b) for a, b in changes)
-
-
-def _moments(fits_of_all: Fits, noise: Noise, unit: float) -> Moments:
-    """Return the moments of fits at some noise; of readings over a unit."""
-    fits, calibration = fits_of_all.fits, fits_of_all.calibration.with_noise(noise)
-    if fits_of_all.latent:
-        problems = [calibration.latent_problem]
-    else:
-        names = calibration.mechanism.leg_names
-        groups = [[names.index(leg.name) for leg in fit.problem.legs] for fit in fits]
-        problems = [calibration.measured_problem(group)[0] for group in groups]
-    return Moments.of(list(zip(fits, problems, strict=True)), unit)
 
 
 def _system(calibration: Calibration, problem: Problem, unknowns: Unknowns, counts: Mask) -> System:
@@ -301,8 +287,6 @@ def _fit_holding(
         problem = problem.at(np.flatnonzero(system.kept))
     while True:
         held = hold_unobservable(mechanism, problem, free, least)
-        if former and held.directions.shape[1] > former.directions.shape[1]:
-            start = None
         start = start and _within(held.unknowns, start)
         may_hold_more = held.weakest < _HELD_MORE * least and least < _HELD_MOST
         patience = _PATIENCE if may_hold_more else None
@@ -331,21 +315,15 @@ def _measured(calibration: Calibration) -> Fits:
     calibration.check_complete()
     calibration.check_counts()
     unknowns, fits = calibration.unknowns, []
-    for group in _groups(calibration):
+    legs, ties = list(enumerate(mechanism.legs)), set(options.tied)
+    tied = [i for i, leg in legs if ties & set(leg.parameter_names)]  # identified at once
+    for group in [tied] * bool(tied) + [[i] for i, _ in legs if i not in tied]:
         names = [mechanism.leg_names[i] for i in group]
         options.report(f"identifying {', '.join(names)}")
         problem, rows = calibration.measured_problem(group)
         system = _system(calibration, problem, unknowns.part(names), calibration.counts[rows])
         fits.append(robust_fit(mechanism, system, loss_of(options.loss)))
     return Fits(calibration, fits)
-
-
-def _groups(calibration: Calibration) -> list[list[int]]:
-    """Return the legs that are identified at once: those that share a tie."""
-    legs, options = calibration.mechanism.legs, calibration.options
-    tied = [i for i, leg in enumerate(legs) if set(options.tied) & set(leg.parameter_names)]
-    alone = [[i] for i in range(len(legs)) if i not in tied]
-    return [tied, *alone] if tied else alone
 
 
 def with_found_tolerance(calibration: Calibration) -> Calibration:

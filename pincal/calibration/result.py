@@ -45,20 +45,20 @@ _PROMISED = 3.0  # times the noise given, up to which residuals may be noise tha
 _MISSED = 0.01  # standard deviations, below which a leg misses nothing
 _FELL = 0.5  # share of the residuals that may be left if anything was corrected
 #: Findings that contradict the model or its noise.
-_CONTRADICT = frozenset(
+CONTRADICTING = frozenset(
     {
         "chi2-too-large",
-        "wrong-rows",
         "curved",
-        "noise-in-other-proportion",
+        "held-out-worse",
+        "many-outliers",
         "model-lacks",
         "no-noise",
-        "many-outliers",
-        "held-out-worse",
-        "wrong-held-out",
-        "step",
+        "noise-in-other-proportion",
         "reference-moved",
+        "step",
         "terms-chosen",
+        "wrong-held-out",
+        "wrong-rows",
     }
 )
 
@@ -232,7 +232,7 @@ class CalibrationResult:
         the platform's error, anywhere.
         """
         held = self.undetermined_directions
-        codes = set(_CONTRADICT)
+        codes = set(CONTRADICTING)
         if held is not None and self.degrees_of_freedom < held.shape[1]:
             codes.add("few-poses")
         if self.validation is not None:

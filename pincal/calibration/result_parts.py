@@ -9,9 +9,7 @@ import numpy as np
 from pincal.finding import Finding
 from pincal.model.parameter import Parameter
 from pincal.types import Array, Index
-from pincal.words.findings import sentences
-from pincal.words.numbers import SMALL, chance, measured, shown_in
-from pincal.words.wording import missed_line
+from pincal.words.numbers import SMALL, measured, shown_in
 
 HELD = "held nearest to nominal"
 _CONTROLLED = (
@@ -215,12 +213,3 @@ class Validation:
             f"Validation({self.folds} folds of {self.rows} rows, fit {self.fit:.2f} σ, held-out "
             f"{self.held_out:.2f} σ, expected {self.expected:.2f} σ)"
         )
-
-    def __str__(self) -> str:
-        lines = [
-            f"{self.rows} rows, held out in {self.folds} folds",
-            f"rows of the fit miss by {self.fit:.2f} σ, held-out rows by {self.held_out:.2f} σ, "
-            f"{self.expected:.2f} σ are expected ({chance(self.p_value)})",
-        ]
-        lines += [missed_line(**vars(target)) for target in self.targets]
-        return "\n".join([*lines, *(f"warning: {text}" for text in sentences(self.findings))])

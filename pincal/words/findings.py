@@ -182,11 +182,6 @@ FINDINGS: dict[str, Wording] = {
         "{loop|joint}{id} by {change|g}{unit|si or ' '}{% endfor %}",
         "Nothing to do if the motors were zeroed anew; else look at the columns of these readings",
     ),
-    "sign-changed": Wording(
-        "lengths changed their sign: {% for id, nominal, length in lengths %}{loop|joint}{id} from "
-        "{nominal|g(4)} to {length|g(4)} m{% endfor %}",
-        "Correct the nominal values (zeros of motors first), or fix these lengths (--fixed)",
-    ),
     "gauge-base-frame": Wording(
         "the base frame: {freedoms|counted('freedom')}, since "
         "{% if unknown_frame %}the frame of the measurements is unknown{% else %}what was measured "

@@ -115,8 +115,7 @@ def _attempt(findings: tuple[Finding, ...], calibration: Calibration) -> Remedy:
         refused = isinstance(error, MeasurementError)
         return Remedy(findings, calibration, None, str(error), refused)
     try:
-        if result.noise is not None:  # an estimate may be as large as what went wrong
-            check_noise(calibration.mechanism, result.noise)
+        check_noise(calibration.mechanism, result.noise)  # an estimate may be what went wrong
     except MeasurementError:
         return Remedy(findings, calibration, None, "residuals are too large for noise")
     remedy = Remedy(findings, calibration, result, "")

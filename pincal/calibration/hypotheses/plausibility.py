@@ -360,13 +360,14 @@ def check_copies(data: Measurements, *, every_pose: bool = False) -> None:
         raise MeasurementError(sentence(copied))
 
 
-def check_noise(mechanism: Mechanism, noise: Noise) -> None:
+def check_noise(mechanism: Mechanism, noise: Noise | None) -> None:
     """Raise if the noise given is so large that a unit must be wrong.
 
     Raises:
         MeasurementError: position noise above 2 % of a leg's size, or 0.02 rad of orientation.
     """
     size = largest_size(mechanism.legs)
+    noise = noise or Noise(0.0, 0.0)
     turns = "rad" in mechanism.platform.units
     for what, given, unit, most in (
         ("position", noise.position, "m", QUESTIONED * size),
