@@ -9,7 +9,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import pincal
+from pincal.calibration.calibration import Calibration
 from pincal.calibration.hypotheses.plausibility import implausible, said
+from pincal.calibration.options import Options
 from pincal.calibration.validation import Validation
 from pincal.design.simulate import platform_errors
 
@@ -30,7 +32,8 @@ def check_plausible(
     mechanism: pincal.Mechanism, data: pincal.Measurements, setup: pincal.Setup | None = None
 ) -> None:
     """Raise if measurements cannot come from a mechanism like the nominal one."""
-    if faults := implausible(mechanism, data, setup or pincal.Setup()):
+    options = Options(setup=setup or pincal.Setup())
+    if faults := implausible(Calibration(mechanism, data, options)):
         raise pincal.MeasurementError(said(faults))
 
 

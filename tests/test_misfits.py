@@ -12,14 +12,24 @@ from marks import quick
 from measured import check_plausible, machine, put, seen_from_elsewhere
 
 import pincal
-from pincal.calibration.hypotheses.parameters import misaligned
+from pincal.calibration.calibration import Calibration
+from pincal.calibration.findings import misaligned
 from pincal.calibration.hypotheses.plausibility import explain_misfit, said
+from pincal.calibration.options import Options
 from pincal.estimation.observability.indices import DIFFER, plausible_changes
 from pincal.show.misses import errors_at
 
 FRAME = pincal.Setup(unknown_frame=True)
+PLAIN = pincal.Setup()
 KINDS = ["5R", "3RRR", "6UPS"]
 Change = Callable[[pincal.Mechanism, pincal.Measurements], pincal.Measurements]
+
+
+def misfit(
+    mechanism: pincal.Mechanism, data: pincal.Measurements, setup: pincal.Setup = PLAIN
+) -> tuple[pincal.Finding, ...]:
+    """Return what would explain that measurements do not fit."""
+    return explain_misfit(Calibration(mechanism, data, Options(setup=setup)))
 
 
 def scaled(poses: float, readings: float) -> Change:
@@ -113,8 +123,8 @@ def test_faults_are_named_in_known_and_unknown_frames(
     mechanism, _, data = machine(kind, 36)
     data = seen_from_elsewhere(mechanism, data) if free else data
     setup = FRAME if free else pincal.Setup()
-    assert explain_misfit(mechanism, data, setup) == ()
-    found = explain_misfit(mechanism, change(mechanism, data), setup)
+    assert misfit(mechanism, data, setup) == ()
+    found = misfit(mechanism, change(mechanism, data), setup)
     assert code in [one.code for one in found]
     assert words in said(found)
     assert len(found) <= 2
@@ -135,7 +145,7 @@ def test_poses_in_another_frame_are_recognised(kind: str) -> None:
         pincal.MeasurementError, match=r"another frame than the base's.*--unknown-f"
     ):
         check_plausible(mechanism, moved)
-    (one,) = explain_misfit(mechanism, rolled(1)(mechanism, moved))
+    (one,) = misfit(mechanism, rolled(1)(mechanism, moved))
     assert one.code == "rows-shifted"
     assert "--unknown-frame" in said((one,))
 
@@ -149,8 +159,8 @@ def test_positions_alone_are_explained_after_a_fit(kind: str, free: bool) -> Non
     setup = FRAME if free else pincal.Setup()
     data = put(data, "poses", np.s_[:, mechanism.platform.space :], np.nan)
     for right, code in ((rolled(1), "rows-shifted"), (scaled(1e3, 1.0), "unit")):
-        assert explain_misfit(mechanism, data, setup) == ()
-        assert code in [o.code for o in explain_misfit(mechanism, right(mechanism, data), setup)]
+        assert misfit(mechanism, data, setup) == ()
+        assert code in [o.code for o in misfit(mechanism, right(mechanism, data), setup)]
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -160,14 +170,14 @@ def test_healthy_measurements_in_unknown_frames_pass(kind: str, seed: int) -> No
     mechanism, _, data = machine(kind, 36, seed=seed, sigma=(2e-3, 5e-3)[seed % 2])
     data = seen_from_elsewhere(mechanism, data)
     check_plausible(mechanism, data, FRAME)
-    assert explain_misfit(mechanism, data, FRAME) == ()
+    assert misfit(mechanism, data, FRAME) == ()
 
 
 def test_zeros_of_all_motors_are_found() -> None:
     """Zeros 0.7, 0.2 and -1.6 rad off: each leg's, within what the drawing is off by."""
     mechanism, _, data = machine("3RRR", 36)
     off = np.array([0.7, 0.2, -1.6])
-    (one,) = explain_misfit(mechanism, replace(data, readings=data.readings + off))
+    (one,) = misfit(mechanism, replace(data, readings=data.readings + off))
     assert one.code == "reading-offset"
     np.testing.assert_allclose([value for _, value, _ in one.values["offsets"]], off, atol=0.02)
 
@@ -212,9 +222,9 @@ def test_one_bad_row_is_found(kind: str) -> None:
     """3 mm at 20 µm, of a machine whose drawing is off by as much: the row, and no other."""
     noise = pincal.Noise(2e-5, 5e-5)
     mechanism, _, data = machine(kind, 72, noise)
-    assert explain_misfit(mechanism, data) == ()
+    assert misfit(mechanism, data) == ()
     data = put(data, "poses", (10, 0), data.poses[10, 0] + 3e-3)
-    (one,) = explain_misfit(mechanism, data)
+    (one,) = misfit(mechanism, data)
     assert (one.code, one.rows) == ("bad-rows", (10,))
     assert said((one,)).startswith("data row 11 misses the nominal mechanism")
 
@@ -240,8 +250,7 @@ def test_a_leg_fits_whatever_the_order_of_its_parameters(kind: str) -> None:
     legs = tuple(replace(leg, parameters=leg.parameters[::-1]) for leg in mechanism.legs)
     wrong = zero(0, 0.3)(mechanism, data)
     first, second = (
-        explain_misfit(one, wrong)[0].values["left"]
-        for one in (mechanism, replace(mechanism, legs=legs))
+        misfit(one, wrong)[0].values["left"] for one in (mechanism, replace(mechanism, legs=legs))
     )
     assert first == pytest.approx(second, rel=1e-6)
 

@@ -237,10 +237,9 @@ def _identified(
     parameter: Parameter, value: float, std: float, quantile: float, beforehand: str
 ) -> IdentifiedParameter:
     """Return a parameter with its 95 % interval, half of which is so many standard errors."""
-    half = quantile * std
-    ends = {"low": float(value - half), "high": float(value + half)}
-    identified = {"identified": float(value), "std": float(std), **ends, "given": beforehand}
-    return IdentifiedParameter(**vars(parameter), **identified)
+    low, high = float(value - quantile * std), float(value + quantile * std)
+    fields: dict[str, Any] = {**vars(parameter), "low": low, "high": high, "given": beforehand}
+    return IdentifiedParameter(**fields, identified=float(value), std=float(std))
 
 
 def _beforehand(calibration: Calibration, parameter: Parameter, std: float) -> str:

@@ -15,9 +15,9 @@ from scipy.special import ndtri
 from pincal.blas import one_thread
 from pincal.calibration.assemble import assemble, with_unsure_tolerances
 from pincal.calibration.calibration import Calibration, with_followed_influences
-from pincal.calibration.findings import MANY_ROWS, findings_of
+from pincal.calibration.findings import MANY_ROWS, findings_of, misaligned
 from pincal.calibration.fits import Fits, fitted, with_found_tolerance
-from pincal.calibration.hypotheses.parameters import misaligned, zeros_found, zeros_measured
+from pincal.calibration.hypotheses.faults import zeros_found, zeros_measured
 from pincal.calibration.hypotheses.plausibility import (
     check_copies,
     check_noise,
@@ -231,7 +231,7 @@ def _start(calibration: Calibration) -> Array | None:
     """Return where the search starts if motors' zeros are far from the drawing's."""
     if calibration.options.rough:
         return zeros_measured(calibration)
-    faults = implausible(calibration.mechanism, calibration.measurements)
+    faults = implausible(calibration)
     start = zeros_found(calibration, faults)
     if faults and start is None:
         raise MisfitError(said(faults))
@@ -240,7 +240,7 @@ def _start(calibration: Calibration) -> Array | None:
 
 def explained_error(calibration: Calibration, error: Exception) -> Exception:
     """Return what to raise of a fit that failed: the fault that explains it, if there is one."""
-    faults = explain_failure(calibration, None)
+    faults = explain_misfit(calibration)
     if isinstance(error, ObservabilityError):  # a few strange rows are no reason for that
         faults = tuple(fault for fault in faults if fault.severity == "error")
     if faults:
@@ -253,20 +253,10 @@ def explained_error(calibration: Calibration, error: Exception) -> Exception:
     return error
 
 
-def explain_failure(calibration: Calibration, frame: External | None) -> tuple[Finding, ...]:
-    """Return what would explain that measurements do not fit."""
-    setup = calibration.options.setup
-    faults = explain_misfit(calibration.mechanism, calibration.measurements, setup, frame)
-    if calibration.start is None:
-        return faults
-    # where motors' zeros were found the search started where the offsets are right
-    return tuple(fault for fault in faults if fault.code != "reading-offset")
-
-
 def explain_result(result: CalibrationResult, frame: External) -> tuple[Finding, ...]:
     """Return what would explain residuals or changes of parameters that are too large."""
     if not result.explained:
-        return explain_failure(result.calibration, frame)
+        return explain_misfit(result.calibration, frame)
     if not result.converged or not result.options.setup.plain or result.options.tied:
         return ()
     identified = np.concatenate([leg.identified for leg in result.legs])

@@ -5,21 +5,24 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.special import chdtrc
+from scipy.special import chdtrc, fdtrc
 
 from pincal.calibration.fits import Fits
 from pincal.calibration.promise import UNEXPLAINED
 from pincal.estimation.fit import Fit, curvature
 from pincal.estimation.observability.courses import Score, scores
-from pincal.estimation.observability.indices import plausible_changes
+from pincal.estimation.observability.gauge import frame_motions
+from pincal.estimation.observability.indices import NEGLIGIBLE, plausible_changes
 from pincal.estimation.observability.residuals import together
 from pincal.estimation.system import FALSE_ALARM
 from pincal.finding import Finding
 from pincal.kinematics.closure import largest_size
+from pincal.kinematics.configurations import legs_at
 from pincal.model.checks import ROUNDING
-from pincal.model.measurements import Measurements
+from pincal.model.measurements import Measurements, Plan
+from pincal.model.mechanism import Mechanism
 from pincal.model.setup import ORIGIN
-from pincal.types import Index
+from pincal.types import Array, Index
 from pincal.words.findings import finding
 
 if TYPE_CHECKING:
@@ -31,6 +34,9 @@ _CURVED = 0.5  # curved part over the straight one, at one standard error (Bates
 _FEW_RESIDUALS = 1.5  # residuals a parameter, below which more poses are advised
 _REPEATS = 4  # times that a pose was measured, from which one asks whether it moved
 _SPREAD = 0.5  # share of the run over which these must lie
+_CHANCE = 1e-5  # probability of so much motion as one body by chance, above which it is none
+_MATTERS = 0.25  # of the platform's error: a motion of less is not worth a warning
+_ROWS_MOVED = 200  # enough, where the motion of a body is looked for
 
 
 def findings_of(result: CalibrationResult, fits: Fits) -> tuple[Finding, ...]:
@@ -219,3 +225,72 @@ def _few(result: CalibrationResult) -> list[Finding]:
         for leg in result.legs
         if leg.n_residuals < _FEW_RESIDUALS * len(leg.parameters)
     ]
+
+
+def misaligned(
+    mechanism: Mechanism, changes: Array, poses: Array, readings: Array
+) -> tuple[Finding, ...]:
+    """Return a finding if parameters moved as one body, of fits in known frames, without ties.
+
+    The share of the changes' squares, over what is plausible, in the directions that move a frame
+    has the F distribution if all directions are alike.
+
+    Args:
+        mechanism: The nominal mechanism.
+        changes: Identified less nominal parameters of all legs, shape (n_params,).
+        poses: Measured or estimated, shape (N, dof), [m] and [rad].
+        readings: Measured, shape (N, n_readings), [rad] or [m].
+    """
+    rows = np.linspace(0, len(poses) - 1, min(_ROWS_MOVED, len(poses))).astype(int)
+    plan = Plan(poses[rows], readings=readings[rows] if mechanism.by_readings else None)
+    if not np.isfinite(plan.poses).all() or (
+        mechanism.by_readings and np.isnan(readings[rows]).any()
+    ):
+        return ()
+    legs = legs_at(mechanism, plan)
+    if not len(legs.gain) or not np.isfinite(legs.gain).all() or not changes.all():
+        return ()  # out of reach, or parameters are held
+    platform, scale = mechanism.platform, plausible_changes(mechanism)
+    size, own, space = largest_size(mechanism.legs), changes / scale, platform.space
+    lengths = np.where(np.array(platform.units) == "m", 1.0, size)[:, None]
+    A = (legs.gain * lengths).reshape(-1, len(own)) * scale
+    motions = frame_motions(platform, platform.matrices(legs.poses)) * lengths
+    of_base, of_platform = np.split(
+        motions.reshape(len(A), -1), [motions.shape[2] - platform.dof], axis=1
+    )
+    for frame, of_frame in (("base", of_base), ("platform", of_platform)):
+        p_value, share, amounts = _as_one(A, of_frame, own)
+        if p_value > _CHANCE or share < _MATTERS:
+            continue
+        shift, turn = (float(np.linalg.norm(part)) for part in np.split(amounts, [space]))
+        motion = finding(
+            "frame-misaligned",
+            frame=frame,
+            remedy=frame if "rad" in platform.units else "base",
+            share=share,
+            p_value=p_value,
+            shift=shift,
+            turn=turn if len(amounts) > space else None,
+        )
+        return (motion,)
+    return ()
+
+
+def _as_one(A: Array, b: Array, own: Array) -> tuple[float, float, Array]:
+    """Return the chance of changes (n,) as one body, its share of what they move, and its motion.
+
+    A, shape (m, n), is what parameters move, b, shape (m, k), what a frame does. The chance is 1 if
+    parameters cannot move so.
+    """
+    D = np.linalg.lstsq(A, b, rcond=1e-9)[0]
+    k, free = D.shape[1], len(own) - D.shape[1]
+    misfit, sizes = np.linalg.norm(A @ D - b, axis=0), np.linalg.norm(b, axis=0)
+    if free <= 0 or (misfit > NEGLIGIBLE * sizes).any():
+        return 1.0, 0.0, np.zeros(k)
+    Q, R = np.linalg.qr(D)
+    along, moved = Q.T @ own, A @ own
+    inside = along @ along
+    p_value = float(fdtrc(k, free, inside / k / ((own @ own - inside) / free)))
+    left = moved - b @ np.linalg.lstsq(b, moved, rcond=None)[0]
+    share = float(1.0 - left @ left / (moved @ moved))
+    return p_value, share, np.linalg.lstsq(R, along, rcond=None)[0]

@@ -75,7 +75,12 @@ def _stages(calibration: Calibration) -> Iterator[list[Remedy]]:
         in_setup = calibration.with_options(setup=known)
         first = _attempt((), in_setup)
         yield [first]
-        explained = [_attempt((fault,), mended) for fault, mended in _mended(in_setup)]
+        explained = []
+        for fault, judged in hypotheses_of(in_setup):
+            data = judged.hypothesis.right(calibration.measurements)
+            frame = replace(known, unknown_frame=known.unknown_frame or judged.free)
+            mended = replace(in_setup, measurements=data).with_options(setup=frame)
+            explained.append(_attempt((fault,), mended))
         yield explained
         yield _rejecting([first, *explained])
     if not calibration.options.rough:
@@ -96,15 +101,6 @@ def _rejecting(remedies: Sequence[Remedy]) -> list[Remedy]:
             left_out = sum(outlier.weight == 0.0 for outlier in fewer.result.outliers)
             few += [fewer] * (left_out <= _FEW * len(fewer.result.measurements))
     return few
-
-
-def _mended(calibration: Calibration) -> Iterator[tuple[Finding, Calibration]]:
-    """Yield faults that explain the misfit, each with the calibration that has it put right."""
-    setup = calibration.options.setup
-    for fault, judged in hypotheses_of(calibration.mechanism, calibration.measurements, setup):
-        data = judged.hypothesis.right(calibration.measurements)
-        framed = replace(setup, unknown_frame=setup.unknown_frame or judged.free)
-        yield fault, replace(calibration, measurements=data).with_options(setup=framed)
 
 
 @one_thread()

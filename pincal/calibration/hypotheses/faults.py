@@ -16,7 +16,16 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.transform import Rotation
 
-from pincal.calibration.hypotheses.judging import QUESTIONED, Case, Hypothesis, judge
+from pincal.calibration.calibration import Calibration
+from pincal.calibration.hypotheses.judging import (
+    QUESTIONED,
+    Case,
+    Hypothesis,
+    case_of,
+    judge,
+    judge_as_measured,
+)
+from pincal.finding import Finding
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import WAYS, columns_of, rotation_of
@@ -38,6 +47,7 @@ REFLECTIONS = {
     "yz": np.eye(3)[[0, 2, 1]],
 }
 _SHIFTS = (1, -1, 2, -2)  # rows by which logs of poses and readings are out of step
+_ZEROS = ("reading-offset", False)  # the fault that a search may start from
 _ROUND = 0.03  # share by which readings may miss a whole multiple of what they should be
 
 
@@ -229,8 +239,8 @@ def _columns_of_a_leg(mechanism: Mechanism) -> Iterator[Hypothesis]:
 def _angles(case: Case) -> Iterator[Hypothesis]:
     """Yield signs and orders of the columns by which a spatial platform's orientation was given."""
     platform = case.mechanism.platform
-    written = (case.data.written,) if case.data.written else tuple(WAYS)
-    for way in written if platform.turns == 3 else ():
+    written = case.calibration.measurements.written
+    for way in ((written,) if written else WAYS) if platform.turns == 3 else ():
         names, unit = WAYS[way]
         n = len(names)
         for i in range(n) if unit == "rad" else ():
@@ -279,3 +289,56 @@ def _best_order(case: Case, turned: Sequence[list[int]]) -> list[int]:
         least = np.where(judged.rows > 1, QUESTIONED * judged.stroke, 0.0)
         costs[every, order] += np.clip(np.nan_to_num(near, nan=1.0), least, 1.0)
     return linear_sum_assignment(costs)[1].tolist()
+
+
+def zeros_found(calibration: Calibration, faults: Sequence[Finding]) -> Array | None:
+    """Return where the search starts, (n_params,), if zeros alone explain what does not fit.
+
+    None if a fault among those found is another, or a zero is not identified.
+    """
+    names = calibration.mechanism.reading_names
+    offsets = np.zeros(len(names))
+    if [(fault.code, fault.values.get("unknown_frame")) for fault in faults] != [_ZEROS]:
+        return None
+    for name, off, _ in faults[0].values["offsets"]:
+        offsets[names.index(name)] = off
+    start, identified = _moved_zeros(calibration, offsets)
+    return start if identified[offsets != 0.0].all() else None
+
+
+def zeros_measured(calibration: Calibration) -> Array | None:
+    """Return where the search starts with the zeros that full poses show, shape (n_params,).
+
+    None without full poses, or if no zero is identified.
+    """
+    case = case_of(calibration)
+    nominal = judge_as_measured(case).nominal_readings if case and case.alone else None
+    if case is None or nominal is None:
+        return None
+    offsets = zeros_by_poses(case, nominal)
+    start, identified = _moved_zeros(calibration, offsets)
+    return start if offsets[identified].any() else None
+
+
+def _moved_zeros(calibration: Calibration, offsets: Array) -> tuple[Array, Array]:
+    """Return nominal parameters (n_params,) with zeros moved by offsets (n_readings,), and which.
+
+    ψ = d k q + γ grows with γ; q = d k ψ + γ falls by d k of it. Zeros with priors, ties or terms,
+    or of several sensors, start at nominal.
+    """
+    unknowns, legs = calibration.unknowns, calibration.mechanism.legs
+    free = unknowns.map != 0.0
+    alone = free[:, free.sum(axis=0) == 1].sum(axis=1) == 1
+    start, first = np.concatenate([leg.nominal for leg in legs]), 0
+    identified = np.zeros(len(offsets), dtype=bool)
+    for leg, columns in zip(legs, calibration.mechanism.reading_columns, strict=True):
+        zeros = [sensor.offset for sensor in leg.sensors]
+        for i, (sensor, name) in enumerate(zip(leg.sensors, zeros, strict=True), columns.start):
+            if isinstance(name, str) and zeros.count(name) == 1 and not sensor.terms:
+                place = first + leg.parameter_names.index(name)
+                gain, _ = sensor.constants(leg.nominal_by_name)
+                if alone[place] and np.isinf(unknowns.priors[place]):
+                    start[place] += offsets[i] * (1.0 if sensor.form == "reading" else -gain)
+                    identified[i] = True
+        first += len(leg.parameters)
+    return start, identified

@@ -24,7 +24,7 @@ from pincal.estimation.observation import Observation
 from pincal.estimation.problem import Problem
 from pincal.estimation.start import aligned
 from pincal.estimation.system import LOSSES, NormalEquations, System
-from pincal.estimation.unknowns import State, unknowns
+from pincal.estimation.unknowns import External, State, unknowns
 from pincal.kinematics.closing import home_mode, mode_sign
 from pincal.kinematics.closure import LegClosure, largest_size
 from pincal.kinematics.forward import forward
@@ -65,66 +65,74 @@ AS_MEASURED = Hypothesis("nothing", lambda data: data)
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """Measurements that are judged, and the rows by which this is done."""
+    """Measurements that are judged, as nearly exact, and the rows by which this is done."""
 
-    mechanism: Mechanism
-    data: Measurements
-    """All measurements."""
-    free: bool
-    """Whether the base is at an unknown place in the frame of the measurements."""
-    target: Target
-    """The target whose poses were measured."""
+    calibration: Calibration
+    """All measurements, the base in their frame or at an unknown place; without orientations if
+    these were not measured."""
     rows: Index
-    """Rows by which the measurements are judged."""
-    oriented: bool
-    """Whether orientations were measured there."""
 
     @staticmethod
     @lru_cache(maxsize=4)
     def of(mechanism: Mechanism, data: Measurements, free: bool, target: Target) -> Case | None:
         """Return a case; None without rows, or if only the target's place is unknown.
 
-        Its rows are those with complete poses, or else those with positions and all readings.
-        Who asks again gets the same case: what explains it is found once.
+        Free is a base at an unknown place. Rows are those with complete poses, or else those with
+        positions and all readings. Who asks again gets the same case: what explains it is found
+        once.
         """
-        known = np.isfinite(data.poses)
+        known, poses = np.isfinite(data.poses), data.poses.copy()
         rows, oriented = np.flatnonzero(known.all(axis=1)), True
         if len(rows) < 2:
+            lengths, oriented = mechanism.platform.lengths, False
             known_rows = np.isfinite(data.readings).all(axis=1)
-            rows = np.flatnonzero(known[:, : mechanism.platform.lengths].all(axis=1) & known_rows)
-            oriented = False
+            rows = np.flatnonzero(known[:, :lengths].all(axis=1) & known_rows)
+            poses[:, lengths:] = np.nan
         if len(rows) < 2 or (target.unknown and np.any(target.offset) and not free):
             return None
         target = replace(target, unknown=target.unknown and free)
         most = _ROWS if oriented and not free else _ROWS_FORWARD
-        rows = rows[:: -(-len(rows) // most)]
-        return Case(mechanism, data, free, target, rows, oriented)
+        setup = Setup(unknown_frame=free, targets={ORIGIN: target})
+        noise = Noise(PRECISE * largest_size(mechanism.legs), PRECISE)
+        bare = Measurements(
+            poses, readings=data.readings, influences=data.influences, written=data.written
+        )
+        calibration = Calibration(mechanism, bare, Options(noise=noise, setup=setup))
+        return Case(calibration, rows[:: -(-len(rows) // most)])
+
+    @property
+    def mechanism(self) -> Mechanism:
+        """The nominal mechanism."""
+        return self.calibration.mechanism
+
+    @property
+    def oriented(self) -> bool:
+        """Whether orientations were measured."""
+        return bool(np.isfinite(self.calibration.measurements.poses[self.rows]).all())
 
     @property
     def alone(self) -> bool:
         """Whether each leg can be judged without the others."""
-        return self.oriented and not self.free
+        return self.oriented and not self.calibration.options.setup.unknown_frame
 
     @property
     def readings(self) -> Array:
         """Readings of the rows, shape (N, n_readings), [rad] or [m]; NaN where not measured."""
-        return self.data.readings[self.rows]
+        return self.calibration.measurements.readings[self.rows]
 
     def few(self, count: int) -> Case:
         """Return the case judged by some of its rows, evenly spaced."""
         places = np.linspace(0, len(self.rows) - 1, min(count, len(self.rows)))
         return replace(self, rows=self.rows[places.astype(int)])
 
-    def put_right(self, hypothesis: Hypothesis) -> Calibration:
-        """Return the calibration of the rows put right: nearly exact poses and readings."""
-        mechanism = self.mechanism
-        right = hypothesis.right(self.data).rows(self.rows)
-        poses = right.poses.copy()
-        poses[:, mechanism.platform.lengths :] *= 1.0 if self.oriented else np.nan
-        data = Measurements(poses, readings=right.readings, influences=right.influences)
-        noise = Noise(PRECISE * largest_size(mechanism.legs), PRECISE)
-        setup = Setup(unknown_frame=self.free, targets={ORIGIN: self.target})
-        return Calibration(mechanism, data, Options(noise=noise, setup=setup))
+
+def case_of(calibration: Calibration, frame: External | None = None) -> Case | None:
+    """Return the case of a calibration; by frame and targets as they were estimated, if given."""
+    setup, target = calibration.options.setup, calibration.options.setup.targets[ORIGIN]
+    if frame is not None and target.unknown:
+        x, y, z = frame.offsets[0].tolist()
+        target = Target((x, y, z))
+    return Case.of(calibration.mechanism, calibration.measurements, setup.unknown_frame, target)
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,9 +231,18 @@ class Judged:
 
 def judge(case: Case, hypotheses: Sequence[Hypothesis] = (AS_MEASURED,)) -> list[Judged]:
     """Return how measurements fit all legs if a hypothesis is true, of each hypothesis."""
-    calibrations = [case.put_right(hypothesis) for hypothesis in hypotheses]
+    calibration, rows = case.calibration, case.rows
+    data = [hypothesis.right(calibration.measurements).rows(rows) for hypothesis in hypotheses]
+    calibrations = [replace(calibration, measurements=right) for right in data]
     placed = _placed(case, calibrations)
     return [_fit(*each) for each in zip(hypotheses, calibrations, placed, strict=True)]
+
+
+@lru_cache(maxsize=4)
+def judge_as_measured(case: Case) -> Judged:
+    """Return how measurements fit as they were given, and on which side of singularities."""
+    (judged,) = judge(case)
+    return replace(judged, elsewhere=other_side(case.mechanism, judged.matrices))
 
 
 def other_side(mechanism: Mechanism, matrices: Array) -> float:

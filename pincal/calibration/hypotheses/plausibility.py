@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from pincal.calibration.calibration import Calibration
 from pincal.calibration.hypotheses.faults import faults, of_legs, scale, zeros, zeros_by_poses
 from pincal.calibration.hypotheses.judging import (
     AS_MEASURED,
@@ -24,7 +25,9 @@ from pincal.calibration.hypotheses.judging import (
     Case,
     Hypothesis,
     Judged,
+    case_of,
     judge,
+    judge_as_measured,
     other_side,
 )
 from pincal.errors import MeasurementError
@@ -36,59 +39,43 @@ from pincal.kinematics.closure import largest_size, nominal_legs
 from pincal.model.checks import ROUNDING
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
-from pincal.model.setup import ORIGIN, Setup, Target
 from pincal.words.findings import finding, sentence, sentences
 
 _STILL = 1e-3  # readings that differ by less hardly move, of a leg's size and [rad]
 _FOLLOWS = 0.5  # of the stroke: what is left of readings that follow the nominal ones
 _PAST = 0.1  # [rad] past half a turn from home that a joint may be read: readings have a cut there
 _SLIP = 10.0  # times the median that a row misses by, if fewer than one row in so many does
-_PLAIN = Setup()
 _EACH = 3.0  # by which each fault that is put right divides the misfit
 _ROWS_FRAMED, _ROWS_FEW = 40, 12  # enough where another frame is tried; to see what is likely
 _CELLS = 12  # zeros of a motor tried at a time, over a turn,
 _TIMES = 3  # then over a cell of the last
 
 
-def implausible(
-    mechanism: Mechanism, data: Measurements, setup: Setup = _PLAIN
-) -> tuple[Finding, ...]:
+def implausible(calibration: Calibration) -> tuple[Finding, ...]:
     """Return why a mechanism like the nominal one cannot have made measurements, by full poses."""
-    case = Case.of(mechanism, data, setup.unknown_frame, setup.targets[ORIGIN])
+    case = case_of(calibration)
     return () if case is None or not case.oriented else _faults(case, _strange)
 
 
-def explain_misfit(
-    mechanism: Mechanism,
-    data: Measurements,
-    setup: Setup = _PLAIN,
-    frame: External | None = None,
-) -> tuple[Finding, ...]:
+def explain_misfit(calibration: Calibration, frame: External | None = None) -> tuple[Finding, ...]:
     """Return what would explain that measurements do not fit; empty if nothing does.
 
-    Args:
-        mechanism: The nominal mechanism.
-        data: What was measured.
-        setup: What the numbers mean.
-        frame: Frames and targets as they were estimated, if they were.
+    By frame and targets as they were estimated, if they were; not by zeros of motors where the
+    search started at those that measurements show.
     """
-    target = setup.targets[ORIGIN]
-    if frame is not None and target.unknown:
-        x, y, z = frame.offsets[0].tolist()
-        target = Target((x, y, z))
-    case = Case.of(mechanism, data, setup.unknown_frame, target)
-    return () if case is None else _faults(case, _slips)
+    case = case_of(calibration, frame)
+    explaining = () if case is None else _faults(case, _slips)
+    if calibration.start is None:
+        return explaining
+    return tuple(fault for fault in explaining if fault.code != "reading-offset")
 
 
-def hypotheses_of(
-    mechanism: Mechanism, data: Measurements, setup: Setup
-) -> list[tuple[Finding, Judged]]:
+def hypotheses_of(calibration: Calibration) -> list[tuple[Finding, Judged]]:
     """Return hypotheses that explain measurements that do not fit, each with what it says."""
-    case = Case.of(mechanism, data, setup.unknown_frame, setup.targets[ORIGIN])
-    if case is None:
+    if (case := case_of(calibration)) is None:
         return []
     explaining = _explaining(case)
-    findings = as_findings(mechanism, judge_as_measured(case), explaining)
+    findings = as_findings(case.mechanism, judge_as_measured(case), explaining)
     return list(zip(findings, explaining, strict=True))
 
 
@@ -107,13 +94,6 @@ def _faults(
     return as_findings(case.mechanism, as_measured, _explaining(case)) or unexplained(
         case, as_measured
     )
-
-
-@lru_cache(maxsize=4)
-def judge_as_measured(case: Case) -> Judged:
-    """Return how measurements fit as they were given, and on which side of singularities."""
-    (judged,) = judge(case)
-    return replace(judged, elsewhere=other_side(case.mechanism, judged.matrices))
 
 
 @lru_cache(maxsize=4)
@@ -145,7 +125,9 @@ def explanations(case: Case, as_measured: Judged) -> list[Judged]:
 
 def _stages(case: Case, as_measured: Judged) -> Iterator[list[Judged]]:
     """Yield hypotheses with their fits, the simplest first; a base nearly in place is none."""
-    every, framed = list(faults(case)), replace(case.few(_ROWS_FRAMED), free=True)
+    every, framed = list(faults(case)), case.few(_ROWS_FRAMED)
+    setup = replace(case.calibration.options.setup, unknown_frame=True)
+    framed = replace(framed, calibration=case.calibration.with_options(setup=setup))
     single = [hypothesis for hypothesis in every if hypothesis.faults == 1]
     if case.alone and (nominal := as_measured.nominal_readings) is not None:
         single += [scale(case, nominal), zeros(zeros_by_poses(case, nominal))]
@@ -283,7 +265,7 @@ def _still(case: Case, as_measured: Judged) -> tuple[Finding, ...]:
     """Return which readings are the same in all rows though the poses move their sensors."""
     mechanism, readings = case.mechanism, case.readings
     still = np.ptp(readings, axis=0) == 0.0
-    if case.free or not still.any() or as_measured.nominal_readings is None:
+    if as_measured.free or not still.any() or as_measured.nominal_readings is None:
         return ()
     named = []
     for i, (leg, name) in enumerate(zip(mechanism.legs, mechanism.reading_names, strict=True)):
