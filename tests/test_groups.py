@@ -18,8 +18,15 @@ import pincal
 from pincal.estimation.observability.indices import indices
 from pincal.model.placement import placement_of
 from pincal.symmetry.carry import carry
-from pincal.symmetry.elements import Element, Isometry
-from pincal.symmetry.groups import exact, group_name, largest_closed, product_table, subgroups
+from pincal.symmetry.elements import (
+    Element,
+    Isometry,
+    exact,
+    group_name,
+    largest_closed,
+    product_table,
+    subgroups,
+)
 
 NONE = pincal.Margins.none()
 #: Grids that are coarse, and hold part of the workspace.

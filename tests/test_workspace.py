@@ -12,7 +12,7 @@ from marks import quick, some_slow
 import pincal
 from pincal.kinematics.singularity import rods_margin
 from pincal.workspace.criteria import in_workspace
-from pincal.workspace.sampling import HomeComponent
+from pincal.workspace.sampling import home_component
 
 BENDS = {"3RRR": [-1, -1, -1], "5R": [-1, 1]}
 
@@ -112,7 +112,7 @@ def test_component_of_home_stops_at_a_gap() -> None:
 
     inside = points[counts(points)]
     platform = pincal.Platform("point", home=(1.0, 0.0))
-    connected = HomeComponent(platform, inside, counts)(inside)
+    connected = home_component(platform, inside, counts)(inside)
     np.testing.assert_array_equal(connected, inside[:, 0] > 0)
 
 

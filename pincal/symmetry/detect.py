@@ -25,8 +25,9 @@ from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
 from pincal.symmetry.candidates import NEARLY
 from pincal.symmetry.carry import canonical, carry
-from pincal.symmetry.elements import Element, Isometry, wrapped
-from pincal.symmetry.groups import (
+from pincal.symmetry.elements import (
+    Element,
+    Isometry,
     distinct,
     exact,
     group_name,
@@ -34,6 +35,7 @@ from pincal.symmetry.groups import (
     place_of,
     product_table,
     subgroups,
+    wrapped,
 )
 from pincal.symmetry.shapes import Difference, LegImages, Permutation
 from pincal.words.numbers import POSES, amount, listed

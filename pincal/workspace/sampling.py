@@ -43,40 +43,38 @@ _FAR, _HITS = 64, 8  # batches without so many hits after which poses are drawn 
 _ROUNDS = 6  # the nearest neighbours first: poses that hang together already are not joined again
 
 
-class HomeComponent:
-    """Decides which poses are connected to home, whose pose counts."""
+def home_component(
+    platform: Platform, samples: Array, counts: Callable[[Array], Mask]
+) -> Callable[[Array], Mask]:
+    """Return what tells which poses, shape (N, dof), are connected to home, whose pose counts.
 
-    def __init__(self, platform: Platform, poses: Array, counts: Callable[[Array], Mask]) -> None:
-        """Join sampled poses that count, shape (M, dof), where the test lets the way count too."""
-        self._platform = platform
-        self._home = np.array([platform.home])
-        poses = np.concatenate((self._home, poses))
-        points = self._points(poses)
-        self._scale = np.ptp(points, axis=0)
-        self._scale[self._scale == 0.0] = 1.0
-        self._tree = KDTree(points / self._scale)
-        neighbours = min(len(poses), 4 * poses.shape[1] + 1)
-        near = np.asarray(self._tree.query(points / self._scale, neighbours)[1])
-        near = near.reshape(len(poses), -1)
-        labels, joined = np.arange(len(poses)), np.empty((2, 0), dtype=near.dtype)
-        for columns in np.array_split(near, _ROUNDS, axis=1):
-            pairs = np.stack((np.repeat(np.arange(len(poses)), columns.shape[1]), columns.ravel()))
-            pairs = pairs[:, (pairs[0] < pairs[1]) & (labels[pairs[0]] != labels[pairs[1]])]
-            first, second = pairs
-            halfway = platform.twists_between(poses[first], poses[second]) / 2
-            joined = np.hstack((joined, pairs[:, counts(platform.moved(poses[first], halfway))]))
-            graph = coo_array((np.ones(joined.shape[1]), tuple(joined)), [len(poses)] * 2)
-            _, labels = connected_components(graph, directed=False)
-        self._connected = labels == labels[0]
+    Sampled poses that count, shape (M, dof), are joined where the test lets the way count too;
+    others belong to the part of the nearest one.
+    """
+    home = np.array([platform.home])
 
-    def __call__(self, poses: Array) -> Mask:
-        """Return which poses, shape (N, dof), belong to the part connected to home."""
-        nearest = self._tree.query(self._points(poses) / self._scale)[1]
-        return np.asarray(self._connected[nearest])
-
-    def _points(self, poses: Array) -> Array:
+    def twists(poses: Array) -> Array:
         """Return poses as twists from home, in which near poses are near, shape (N, dof)."""
-        return self._platform.twists_between(np.repeat(self._home, len(poses), axis=0), poses)
+        return platform.twists_between(np.repeat(home, len(poses), axis=0), poses)
+
+    samples = np.concatenate((home, samples))
+    points = twists(samples)
+    scale = np.ptp(points, axis=0)
+    scale[scale == 0.0] = 1.0
+    tree = KDTree(points / scale)
+    neighbours = min(len(samples), 4 * samples.shape[1] + 1)
+    near = np.asarray(tree.query(points / scale, neighbours)[1]).reshape(len(samples), -1)
+    labels, joined = np.arange(len(samples)), np.empty((2, 0), dtype=near.dtype)
+    for columns in np.array_split(near, _ROUNDS, axis=1):
+        pairs = np.stack((np.repeat(np.arange(len(samples)), columns.shape[1]), columns.ravel()))
+        pairs = pairs[:, (pairs[0] < pairs[1]) & (labels[pairs[0]] != labels[pairs[1]])]
+        first, second = samples[pairs]
+        halfway = platform.moved(first, platform.twists_between(first, second) / 2)
+        joined = np.hstack((joined, pairs[:, counts(halfway)]))
+        graph = coo_array((np.ones(joined.shape[1]), tuple(joined)), [len(samples)] * 2)
+        _, labels = connected_components(graph, directed=False)
+    connected = labels == labels[0]
+    return lambda poses: connected[tree.query(twists(poses) / scale)[1]]
 
 
 @one_thread()
@@ -147,12 +145,7 @@ def sample_workspace(
 ) -> Array:
     """Return poses spread evenly over the workspace, coordinates of shape (count, dof).
 
-    Args:
-        mechanism: The mechanism.
-        count: Number of poses.
-        seed: Seed or generator; the same seed gives the same poses.
-        least: Margins from singularities.
-        progress: Called with the number of poses found so far.
+    The same seed gives the same poses. See ``sample_configurations``.
 
     Raises:
         WorkspaceError: no or too few poses count.
@@ -227,7 +220,7 @@ def _check_count(count: int) -> None:
 @lru_cache(maxsize=128)
 def _explored(
     mechanism: Mechanism, seed: int, least: Margins | None
-) -> tuple[tuple[Array, Array, HomeComponent], Any]:
+) -> tuple[tuple[Array, Array, Callable[[Array], Mask]], Any]:
     """Return what is explored from a seed, and the state of its generator then."""
     rng = np.random.default_rng(seed)
     return _explore(mechanism, rng, least), rng.bit_generator.state
@@ -235,7 +228,7 @@ def _explored(
 
 def _explore(
     mechanism: Mechanism, rng: np.random.Generator, least: Margins | None
-) -> tuple[Array, Array, HomeComponent]:
+) -> tuple[Array, Array, Callable[[Array], Mask]]:
     """Return lower and upper corners of a box around the workspace, and its part around home."""
     platform, home = mechanism.platform, np.array([mechanism.platform.home])
     (lowest, highest), n = np.array(platform.bounds).T, platform.lengths
@@ -265,12 +258,12 @@ def _explore(
             break
         if len(accepted) > _HITS:  # few: look closer to where they are
             low, high = around(accepted, 0.5)
-    connected = HomeComponent(platform, accepted, counts)
+    connected = home_component(platform, accepted, counts)
     for _ in range(2):  # tighten to the part around home, and widen where the box cut
         low, high = around(accepted[connected(accepted)], _WIDEN)
         poses = rng.uniform(low, high, (2 * _BATCH, len(low)))
         accepted = np.concatenate((accepted, poses[counts(poses)]))
-        connected = HomeComponent(platform, accepted[-2 * _PILOT :], counts)
+        connected = home_component(platform, accepted[-2 * _PILOT :], counts)
     return *around(accepted[connected(accepted)], _WIDEN / 4), connected
 
 
