@@ -25,25 +25,13 @@ Columns = dict[str, Array | tuple[str, ...]]
 
 
 def write_plan(
-    plan: Plan,
-    path: str | Path,
-    mechanism: GivenMechanism,
-    *,
-    orientation: str = "tilt-torsion",
-    setup: Setup | None = None,
-    force: bool = False,
+    plan: Plan, path: str | Path, mechanism: GivenMechanism, *, force: bool = False, **ways: Any
 ) -> None:
     """Write a plan, or measurements, to a CSV file: see ``Plan.to_csv``."""
-    write_table(path, columns_of(mechanism, plan, orientation, setup), force=force)
+    write_table(path, columns_of(mechanism, plan, **ways), force=force)
 
 
-def dataframe_of(
-    plan: Plan,
-    mechanism: GivenMechanism,
-    *,
-    orientation: str = "tilt-torsion",
-    setup: Setup | None = None,
-) -> Any:
+def dataframe_of(plan: Plan, mechanism: GivenMechanism, **ways: Any) -> Any:
     """Return a plan, or measurements, as a pandas DataFrame: see ``Plan.to_dataframe``."""
     try:
         import pandas
@@ -51,7 +39,7 @@ def dataframe_of(
         raise MeasurementError(
             "a DataFrame needs the package pandas: python -m pip install 'pincal[pandas]'"
         ) from error
-    columns = columns_of(mechanism, plan, orientation, setup)
+    columns = columns_of(mechanism, plan, **ways)
     return pandas.DataFrame({name: list(values) for name, values in columns.items()})
 
 

@@ -46,17 +46,9 @@ def as_noise(noise: Noise | None) -> Noise:
 
 
 def read_poses(source: Any, mechanism: GivenMechanism, *, partial: bool = False) -> Plan:
-    """Return a plan that is given as such, as poses, by a CSV file, or as a DataFrame.
+    """Return a plan that is given as such, as poses, or by a table: see ``Plan.from_csv``.
 
-    Args:
-        source: A ``Plan``; poses, coordinates of shape (N, dof) or a ``RigidTransform``; a path;
-            or a pandas DataFrame: see ``Plan.from_csv``.
-        mechanism: The mechanism.
-        partial: Whether columns or cells of the pose may be missing in a table.
-
-    Raises:
-        FileError: the file is missing or cannot be read.
-        MeasurementError: something else, or a column or cell that is wrong.
+    Poses are coordinates of shape (N, dof), or a ``RigidTransform``.
     """
     mechanism = as_mechanism(mechanism)
     platform = mechanism.platform
@@ -81,12 +73,7 @@ def read_poses(source: Any, mechanism: GivenMechanism, *, partial: bool = False)
 
 
 def read_readings(source: Any, mechanism: GivenMechanism) -> tuple[Array, dict[str, Array]]:
-    """Return the readings of a CSV file, shape (N, n_readings), and columns that terms depend on.
-
-    Raises:
-        FileError: the file is missing or cannot be read.
-        MeasurementError: a column or cell that is missing or wrong; the message says where.
-    """
+    """Return the readings of a table, shape (N, n_readings), and columns that terms depend on."""
     mechanism = as_mechanism(mechanism)
     table = table_of(source, mechanism, known_columns(mechanism, {}))
     return table.array(reading_units(mechanism)), _influences(table, mechanism)
@@ -100,20 +87,10 @@ def read_measurements(
     partial: bool = False,
     influences: Collection[str] | None = (),
 ) -> Measurements:
-    """Return measurements that are given as such, by a CSV file, or as a DataFrame.
+    """Return measurements that are given as such or by a table: see ``Measurements.from_csv``.
 
-    Args:
-        source: ``Measurements``, a path, or a pandas DataFrame: see ``Measurements.from_csv``.
-        mechanism: The mechanism.
-        setup: What else was measured than the platform's pose.
-        partial: Whether columns or cells of the pose may be missing.
-        influences: Further columns to read, on which no term depends yet; None for all columns of
-            numbers that differ.
-
-    Raises:
-        FileError: the file is missing or cannot be read.
-        MeasurementError: something else, numbers of another mechanism, or a column or cell that
-            is wrong.
+    ``influences`` are further columns to read, on which no term depends yet; None for all columns
+    of numbers that differ.
     """
     mechanism, setup = as_mechanism(mechanism), read_setup(setup or Setup())
     platform = mechanism.platform
@@ -241,11 +218,10 @@ def _poses(table: TextTable, mechanism: Mechanism, *, partial: bool) -> Array:
 
 
 def _levelled(table: TextTable, setup: Setup, poses: Array) -> Array:
-    """Return poses whose positions lie in the x-y plane, as a tracker that is level sees them.
+    """Return poses of a planar machine, (N, dof), whose plane is turned into x-y the shortest way.
 
     A tracker that is not level sees a plane that is tilted: x and y alone would be too short across
-    the tilt, and no residual would show it. The plane is turned into x-y the shortest way, where
-    that is more than noise. Poses are those of a planar machine, (N, dof); the table has z.
+    the tilt, and no residual would show it. It is turned where that is more than noise.
     """
     z = table.numbers("z", "m", blank=True)
     points = np.column_stack((poses[:, :2], z))
@@ -266,19 +242,21 @@ def _levelled(table: TextTable, setup: Setup, poses: Array) -> Array:
         f"it by {amount(across, 'm', 2)}): x and y alone are too short by up to "
         f"{amount(shortened, 'm', 2)}"
     )
+    fault, lacking = "", ~known & np.isfinite(poses[:, :2]).any(axis=1)
     if not setup.unknown_frame:
-        raise MeasurementError(
-            f"{tilted}. Say that the base is elsewhere in their frame (--unknown-frame), and they "
-            "are turned into their plane; or give them in the base frame"
+        fault = (
+            "Say that the base is elsewhere in their frame (--unknown-frame), and they are turned "
+            "into their plane; or give them in the base frame"
         )
-    if np.isfinite(poses[:, 2:]).any() or len(setup.targets) > 1 or setup.distances:
-        raise MeasurementError(
-            f"{tilted}. Of orientations, further targets and distances it is not known how they "
-            "lie in that plane: turn all of them into it, or leave them out"
+    elif np.isfinite(poses[:, 2:]).any() or len(setup.targets) > 1 or setup.distances:
+        fault = (
+            "Of orientations, further targets and distances it is not known how they lie in that "
+            "plane: turn all of them into it, or leave them out"
         )
-    if not known.all() and np.isfinite(poses[~known, :2]).any():
-        row = int(np.flatnonzero(~known & np.isfinite(poses[:, :2]).any(axis=1))[0])
-        raise MeasurementError(f"{tilted}. {table.where(row)}: no z; all positions need it")
+    elif lacking.any():
+        fault = f"{table.where(int(np.argmax(lacking)))}: no z; all positions need it"
+    if fault:
+        raise MeasurementError(f"{tilted}. {fault}")
     _log.info("%s; they were turned into their plane", tilted)
     half = np.array([-normal[1], normal[0], 0.0])  # z × normal, sin of the tilt long
     K = np.cross(np.eye(3), half)

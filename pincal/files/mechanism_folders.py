@@ -104,12 +104,7 @@ def write_mechanism(mechanism: Mechanism, folder: Path) -> None:
 
 
 def save_mechanism(mechanism: Mechanism, folder: str | Path, *, force: bool = False) -> Path:
-    """Write a mechanism to a folder, whole or not at all, and return the folder.
-
-    Raises:
-        FileError: the folder exists and ``force`` is not set, or cannot be written.
-    """
-    must_be(mechanism, Mechanism, "a mechanism to write", MechanismError)
+    """Write a mechanism to a new folder, whole or not at all: see ``Mechanism.save``."""
     with writing(folder, force=force, folder=MECHANISM_FILES) as scratch:
         write_mechanism(mechanism, scratch)
     return Path(folder)

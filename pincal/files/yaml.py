@@ -246,12 +246,7 @@ def _unparsed(error: yaml.MarkedYAMLError, text: str) -> str:
 
 
 def read_setup(source: Setup | str | Path) -> Setup:
-    """Return a setup that is given as such or by its YAML file.
-
-    Raises:
-        FileError: the file is missing or cannot be read.
-        MeasurementError: something else, or a file that does not say what it should.
-    """
+    """Return a setup that is given as such or by its YAML file: see ``Setup.from_yaml``."""
     if isinstance(source, Setup):
         return source
     path = Path(must_be(source, (Setup, str, Path), "a setup or its file", MeasurementError))

@@ -89,7 +89,7 @@ def corrections(mechanism: GivenMechanism, planned: Plan | Array) -> Corrections
 def correction_columns(
     mechanism: Mechanism, lacking: Corrections, orientation: str = "tilt-torsion"
 ) -> Columns:
-    """Return a table of corrections: poses, ``correction_leg_1 [rad]``, ``command_x [m]``, reasons.
+    """Return a table: poses, ``correction_leg_1 [rad]``, ``command_x [m]``, reasons.
 
     Orientations are written in a way of ``WAYS``.
     """

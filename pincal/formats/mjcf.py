@@ -214,36 +214,25 @@ def _loops(model: mujoco.MjModel, links: list[str]) -> Iterator[Edge]:
 
 
 def _coupled(model: mujoco.MjModel, joints: list[str], path: Path) -> dict[str, str]:
-    """Return why joints cannot move on their own, by name: equalities of joints and tendons."""
+    """Return why joints cannot move on their own, by name: equalities of joints and tendons.
+
+    A tendon through space is taken to couple all joints.
+    """
     coupled: list[int] = []
-    for i, kind in enumerate(model.eq_type):
-        if model.eq_active0[i] and kind == mujoco.mjtEq.mjEQ_JOINT:
+    for i in np.flatnonzero(model.eq_active0):
+        if model.eq_type[i] == mujoco.mjtEq.mjEQ_JOINT:
             coupled.append(model.eq_obj1id[i])
-        elif model.eq_active0[i] and kind == mujoco.mjtEq.mjEQ_TENDON:
+        elif model.eq_type[i] == mujoco.mjtEq.mjEQ_TENDON:
             for tendon in {model.eq_obj1id[i], model.eq_obj2id[i]} - {-1}:
-                coupled += _joints_of_tendon(model, tendon)
+                first = model.tendon_adr[tendon]
+                along = slice(first, first + model.tendon_num[tendon])
+                fixed = (model.wrap_type[along] == mujoco.mjtWrap.mjWRAP_JOINT).all()
+                coupled += model.wrap_objid[along].tolist() if fixed else range(model.njnt)
     return {
         joints[i]: f"{path}: an <equality> couples joint {joints[i]!r} to others, and joints of "
         "a leg move on their own"
         for i in coupled
     }
-
-
-def _joints_of_tendon(model: mujoco.MjModel, tendon: int) -> list[int]:
-    """Return the joints that change the length of a tendon."""
-    first, count = model.tendon_adr[tendon], model.tendon_num[tendon]
-    moving: list[int] = []
-    for place in range(first, first + count):
-        kind, i = model.wrap_type[place], model.wrap_objid[place]
-        if kind == mujoco.mjtWrap.mjWRAP_JOINT:
-            moving.append(i)
-        elif kind != mujoco.mjtWrap.mjWRAP_PULLEY:
-            site = kind == mujoco.mjtWrap.mjWRAP_SITE
-            body = (model.site_bodyid if site else model.geom_bodyid)[i]
-            while body:
-                moving += np.flatnonzero(model.jnt_bodyid == body).tolist()
-                body = model.body_parentid[body]
-    return moving
 
 
 def mjcf(mechanism: Mechanism) -> str:
