@@ -32,9 +32,6 @@ def bundled() -> dict[str, Path]:
 def load_mechanism(name_or_path: str | Path) -> Mechanism:
     """Return a mechanism from a bundled name (``"3RRR"``), its folder, or a result folder.
 
-    Args:
-        name_or_path: Name of a bundled mechanism, or a folder.
-
     Raises:
         FileError: no such folder, or a file in it is missing.
         MechanismError: a file that does not say what it should; the message names the place.
@@ -127,13 +124,7 @@ GivenMechanism = Mechanism | str | Path | Calibrated
 
 
 def as_mechanism(source: GivenMechanism) -> Mechanism:
-    """Return a mechanism that is given as such, by its bundled name, folder, or calibration.
-
-    Raises:
-        FileError: no such folder, or a file in it is missing.
-        MechanismError: something else, a file that does not say what it should, or a calibration
-            that did not converge.
-    """
+    """Return a mechanism that is given as such, by its bundled name, folder, or calibration."""
     if isinstance(source, Mechanism):
         return source
     if isinstance(identified := getattr(source, "identified", None), Mechanism):

@@ -28,16 +28,9 @@ _log = logging.getLogger(__name__)
 def refuse_existing(path: str | Path, *, force: bool, folder: Sequence[str] = ()) -> Path:
     """Return the path, links followed, if a file or a folder may be written there.
 
-    Args:
-        path: Where to write.
-        force: Whether what is there may be replaced.
-        folder: Of a folder: patterns of the files and folders in it that pincal writes, first the
-            file by which it is known that pincal wrote the folder.
-
-    Raises:
-        FileError: it exists and ``force`` is not set; the command reads it; a folder is in a
-            file's place, or something not written by pincal in a folder's; links that lead
-            nowhere; its parent does not exist.
+    Of a folder, ``folder`` are patterns of what pincal writes in it, first that of the file by
+    which it is known. ``force`` says that what is there may be replaced, but for what the command
+    reads, a folder in a file's place, and what pincal did not write in a folder's.
     """
     path = Path(must_be(path, (str, Path), "where to write", FileError))
     if path == Path("-"):
@@ -88,14 +81,10 @@ def refuse_existing_of(
 
 @contextmanager
 def writing(path: str | Path, *, force: bool = False, folder: Sequence[str] = ()) -> Iterator[Path]:
-    """Yield a temporary path beside ``path``; what is there at the end takes its place.
+    """Yield a temporary path beside ``path``, of an empty folder if ``folder`` is given.
 
-    On an error it is removed and ``path`` stays as it was. Arguments are those of
-    ``refuse_existing``; the temporary path is an empty folder if ``folder`` is given, else it does
-    not exist yet.
-
-    Raises:
-        FileError: ``path`` must not be replaced (see ``refuse_existing``), or writing fails.
+    What is there at the end takes its place; on an error ``path`` stays as it was. Arguments are
+    those of ``refuse_existing``.
     """
     with writing_together([(path, folder)], force=force) as (made,):
         yield made
@@ -107,13 +96,8 @@ def writing_together(
 ) -> Iterator[list[Path]]:
     """Yield temporary paths for outputs that belong together: all take their places, or none.
 
-    Args:
-        outputs: Path of each, with the ``folder`` of ``refuse_existing``, empty for a file. The
-            first appears last: where it is, the others are.
-        force: Whether to replace what is there.
-
-    Raises:
-        FileError: an output must not be replaced, lies in another, or writing fails.
+    Each is a path with the ``folder`` of ``refuse_existing``, empty for a file. The first appears
+    last: where it is, the others are.
     """
     names = ", ".join(str(path) for path, _ in outputs)
     shown: dict[str, str] = {}  # what messages call temporary paths

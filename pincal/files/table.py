@@ -88,12 +88,9 @@ class TextTable:
     def array(
         self, units: Mapping[str, str], *, blank: bool = False, optional: bool = False
     ) -> Array:
-        """Return columns side by side in SI units, shape (N, n).
+        """Return columns, by name with their dimensions, side by side in SI units, shape (N, n).
 
-        Args:
-            units: Dimension of each column, by its name: see ``numbers``.
-            blank: Whether cells may be empty; they are NaN.
-            optional: Whether columns may be missing; they are NaN.
+        NaN where cells may be blank or columns are optional.
         """
         array = np.full((len(self.lines), len(units)), np.nan)
         for place, (name, unit) in enumerate(units.items()):
@@ -102,13 +99,7 @@ class TextTable:
         return array
 
     def numbers(self, column: str, dimension: str, *, blank: bool = False) -> Array:
-        """Return a column in SI units, shape (N,).
-
-        Args:
-            column: Name without unit.
-            dimension: ``"m"`` or ``"rad"``.
-            blank: Whether cells may be empty; they are NaN.
-        """
+        """Return a column of a dimension ("m", "rad") in SI units, (N,), NaN where it is blank."""
         if column not in self:
             raise MeasurementError(
                 f"{self.path}: no column {column!r}; expected '{column} [{dimension}]'. The file "
@@ -162,11 +153,7 @@ def write_table(
     units: Units = SI,
     force: bool = False,
 ) -> None:
-    """Write columns (header with SI unit, ``x [m]``, to values) to a CSV file, whole or not at all.
-
-    Raises:
-        FileError: the file exists and ``force`` is not set, or cannot be written.
-    """
+    """Write columns (header with SI unit, ``x [m]``, to values) to a CSV file: see ``writing``."""
     with (
         writing(path, force=force) as scratch,
         scratch.open("w", newline="", encoding="utf-8") as file,
@@ -187,12 +174,7 @@ def _cell_text(value: object) -> str:
 
 
 def read_table(source: Any) -> TextTable:
-    """Return the columns of a CSV or .xlsx file, or of a pandas DataFrame, as text.
-
-    Raises:
-        FileError: the file is missing or cannot be read.
-        MeasurementError: no header, no rows, repeated columns, or rows of uneven length.
-    """
+    """Return the columns of a CSV or .xlsx file, or of a pandas DataFrame, as text."""
     if isinstance(source, TextTable):
         return source
     if is_dataframe(source):

@@ -62,9 +62,8 @@ def read_bytes(
 ) -> bytes:
     """Return what a file holds, of which no more than ``largest`` bytes are ever read.
 
-    Raises:
-        FileError: the file is missing or cannot be read; a device or a pipe where none may be.
-        PincalError: of the given type: it is too large.
+    An error of the given type says that it is too large, FileError that it cannot be read, or is a
+    device or a pipe where none may be.
     """
     try:
         status = path.stat()
@@ -98,9 +97,6 @@ def read_text(
     """Return a file's text without its byte order mark; line ends stay: see ``read_bytes``.
 
     Where nothing outside ASCII is UTF-8, ``otherwise`` is the encoding, and it is said.
-
-    Raises:
-        PincalError: of the given type: too large, not UTF-8, or no text.
     """
     data = read_bytes(path, largest, error_type, pipe=pipe)
     excel = " (in Excel: CSV UTF-8)" if path.suffix.lower() == ".csv" else ""
@@ -144,10 +140,8 @@ def plain_number(text: str) -> float:
 def in_si(text: str, dimensions: str, bare: str | None = "") -> float:
     """Return a number that may have a unit, in SI: 2e-5, 20um, '20 µm', 5mrad.
 
-    Args:
-        text: What was typed.
-        dimensions: Those of the units that it may have: ``"m"``, ``"rad"``, or both with a blank.
-        bare: Unit of a number without one: SI if empty; None if it must have one.
+    Its unit is of one of the dimensions: "m", "rad", or both with a blank. ``bare`` is the unit of
+    a number without one: SI if empty; None if it must have one.
     """
     match = _NUMBER_WITH_UNIT.fullmatch(text)
     number, unit = match.groups() if match else (text, "")

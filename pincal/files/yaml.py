@@ -203,12 +203,7 @@ _BY_TYPE = {bool: Entry.flag, float: Entry.number, Vector: Entry.vector}
 
 
 def read_yaml(path: Path, error_type: type[PincalError]) -> Entry:
-    """Return what a YAML file says, a mapping, whose entries raise errors of a type.
-
-    Raises:
-        FileError: the file is missing or cannot be read.
-        PincalError: of the given type: it does not parse, or is no mapping.
-    """
+    """Return what a YAML file says, a mapping, whose entries raise errors of a type."""
     text = read_text(path, LARGEST_FILE["YAML"], error_type)
     try:
         loader = _Loader(text)
