@@ -13,7 +13,6 @@ from command_line import done, run
 from lxml import etree
 from marks import quick
 from matplotlib.axes import Axes
-from matplotlib.contour import QuadContourSet
 from matplotlib.figure import Figure
 
 import pincal
@@ -43,15 +42,6 @@ def test_residuals_in_standard_deviations(result: pincal.CalibrationResult) -> N
     assert axes.get_xlabel() == "data row"
 
 
-def _lines_are_where_they_say(axes: Axes) -> None:
-    """Check that contours lie at the values that their numbers name, at most four."""
-    (lines,) = (one for one in axes.collections if isinstance(one, QuadContourSet))
-    named = {float(text.get_text().replace("−", "-")) for text in lines.labelTexts}
-    assert 0 < len(lines.levels) <= 4
-    assert named <= {float(level) for level in lines.levels}
-    assert named
-
-
 def test_expected_errors_over_the_workspace(
     result: pincal.CalibrationResult, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -64,7 +54,6 @@ def test_expected_errors_over_the_workspace(
     y = low + (high - low) * (place[0] + 0.5) / values.shape[0]
     expected = result.expected_error(np.array([[x, y]]))
     assert values[place] == pytest.approx(1e3 * expected.position, rel=1e-6)
-    _lines_are_where_they_say(axes)
 
     def fail(*_: object) -> None:
         raise pincal.WorkspaceError("no workspace")
@@ -179,7 +168,6 @@ def test_a_bed_shows_how_far_the_nozzle_is_off() -> None:
     result = pincal.calibrate(mechanism, data, noise=noise)
     image = result.plot.bed().images[0]
     values, (left, right, low, high) = image.get_array(), image.get_extent()
-    _lines_are_where_they_say(result.plot.bed())
     row, column = np.argwhere(np.isfinite(values.filled(np.nan)))[100]
     x = left + (right - left) * (column + 0.5) / values.shape[1]
     y = low + (high - low) * (row + 0.5) / values.shape[0]

@@ -10,13 +10,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from matplotlib import colormaps
 from matplotlib.axes import Axes
-from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
-from matplotlib.image import AxesImage
 from matplotlib.patches import Patch, Rectangle
-from matplotlib.ticker import MaxNLocator
 
 from pincal.calibration.result import CalibrationResult
 from pincal.calibration.result_parts import LegResult
@@ -30,21 +26,17 @@ from pincal.show.pictures.picture import shortened
 from pincal.show.style import EVERY, IDENTIFIED, INK, NOMINAL, OUTLIER, look
 from pincal.show.view.scene import rounded_down
 from pincal.types import Array
-from pincal.words.numbers import SMALL, STORED, amount, minus, per_si
+from pincal.words.numbers import SMALL, STORED, amount, per_si
 from pincal.words.wording import clean
 from pincal.workspace.sampling import sample_configurations
 
 _SAMPLES = 300  # of the workspace
-_MOST_BARS, _LEGEND = 28, 0.13  # their number; height of their legend, of all of them
+_MOST_BARS, _LEGEND = 30, 0.13  # their number; height of their legend, of all of them
 _NORMAL = 1.96  # standard deviations within which 95 of 100 normal numbers lie
 _NAMED = 6  # outliers that are named
 _GAP = 0.08  # between images, of the widest
 _ARROW = 0.07  # length of a typical large arrow, of the widest image
 _LARGE = 0.9  # share of arrows that are shorter
-#: Light enough for black lines; brighter is more, in black and white too.
-_LIGHT = ListedColormap(colormaps["cividis"](np.linspace(0.35, 1.0, 128)))
-#: Behind numbers of lines: dark letters are read on it wherever a map is dark.
-_PLATE = {"boxstyle": "square,pad=0.1", "facecolor": "#EFEFEF", "edgecolor": "none", "alpha": 0.75}
 #: By the names of charts: what a report says below one, and its height there, [inch].
 CAPTIONS = {
     "residuals": (
@@ -223,9 +215,11 @@ class Plots:
         errors[np.isinf(errors)] = np.nan
         if np.isnan(errors).all():
             raise MeasurementError("no map: the platform's position is not determined anywhere")
-        _draw_map(ax, x, y, errors, f"expected error of position [{SMALL['m']}]")
+        errors *= per_si("m")
+        most = float(np.nanquantile(errors, 0.95))  # few cells at the edge hide no others
+        _draw_map(ax, x, y, errors, "expected error of position", cmap="cividis", vmax=most)
         if height is not None:
-            ax.set_title(minus(f"z = {amount(height, 'm', 3, STORED)}"))
+            ax.set_title(f"z = {amount(height, 'm', 3, STORED)}".replace("-", "−"))
         return ax
 
     def bed(self, ax: Axes | None = None) -> Axes:
@@ -243,9 +237,9 @@ class Plots:
         x, y, _, poses, inside = level_poses(self.result, at_home=True)
         heights = np.full(inside.shape, np.nan)
         heights[inside] = apart(self.result, Plan(poses[inside]))[0][:, 2]
-        image = _draw_map(ax, x, y, heights, f"z, true less commanded [{SMALL['m']}]")
-        largest = per_si("m") * float(np.nanmax(np.abs(heights)))
-        image.set(cmap="RdBu_r", clim=(-largest, largest))
+        heights *= per_si("m")
+        most = float(np.nanmax(np.abs(heights)))
+        _draw_map(ax, x, y, heights, "z, true less commanded", cmap="RdBu_r", vmin=-most, vmax=most)
         return ax
 
 
@@ -254,26 +248,15 @@ def _axes(width: float, height: float) -> Axes:
     return Figure((width, height), layout="compressed").subplots()
 
 
-def _draw_map(axes: Axes, x: Array, y: Array, values: Array, name: str) -> AxesImage:
-    """Draw values [m] over x and y, shape (n_y, n_x), with lines of equal value."""
-    x, y, values = per_si("m", STORED) * x, per_si("m", STORED) * y, per_si("m") * values
+def _draw_map(axes: Axes, x: Array, y: Array, values: Array, name: str, **colours: Any) -> None:
+    """Draw values as they are read over x and y [m], shape (n_y, n_x)."""
+    x, y = per_si("m", STORED) * x, per_si("m", STORED) * y
     half_x, half_y = (x[1] - x[0]) / 2, (y[1] - y[0]) / 2
     extent = (x[0] - half_x, x[-1] + half_x, y[0] - half_y, y[-1] + half_y)
-    image = axes.imshow(values, origin="lower", extent=extent, cmap=_LIGHT)
-    low, high = np.nanquantile(values, (0.05, 0.95))
-    ticks = MaxNLocator(3, steps=[1, 2, 5, 10]).tick_values(low, high)
-    digits = max(0, int(np.ceil(-np.log10(ticks[1] - ticks[0]) - 1e-9)))
-    levels = ticks[(ticks > low) & (ticks < high)].round(digits) + 0.0  # no -0
-    if levels.size:
-        style: dict[str, Any] = {"colors": "#101010", "linewidths": 0.7}
-        masked = np.ma.masked_invalid(values)
-        lines = axes.contour(x, y, masked, levels, negative_linestyles="solid", **style)
-        numbers = {level: minus(f"{level:.{digits}f}") for level in levels}
-        for text in axes.clabel(lines, fmt=numbers, fontsize=7):
-            text.set_bbox(_PLATE)
-    axes.figure.colorbar(image, ax=axes, label=name)
+    image = axes.imshow(values, origin="lower", extent=extent, **colours)
+    extend = "neither" if "vmin" in colours else "max"
+    axes.figure.colorbar(image, ax=axes, label=f"{name} [{SMALL['m']}]", extend=extend)
     axes.set(xlabel=f"x [{STORED['m']}]", ylabel=f"y [{STORED['m']}]")
-    return image
 
 
 def _mark_outliers(axes: Axes, result: CalibrationResult) -> None:

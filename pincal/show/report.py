@@ -30,8 +30,8 @@ from pincal.show import answers, tables
 from pincal.show.charts import CAPTIONS
 from pincal.show.misses import WorkspaceErrors, workspace_errors
 from pincal.show.pictures.files import page_figure
-from pincal.show.pictures.picture import Picture, picture
-from pincal.show.view.scene import MOST_POSES, scene
+from pincal.show.pictures.picture import picture
+from pincal.show.view.scene import MOST_POSES
 from pincal.words.numbers import capital, reading_in
 from pincal.words.table import Table
 from pincal.words.wording import clean, rendered
@@ -212,9 +212,8 @@ def _poses(result: CalibrationResult) -> Markup | None:
     if not len(rows):
         return None
     plan = Plan(poses, data.sets, data.readings).rows(rows[:: -(-len(rows) // MOST_POSES)])
-    drawn = Picture(scene(result.nominal, plan))
     caption = f"The {len(rows)} measured poses of the platform, and the mechanism at the first."
-    return page_figure("poses", drawn.draw, caption)
+    return page_figure("poses", picture(result.nominal, plan).draw, caption)
 
 
 def _dimensions(result: CalibrationResult) -> Markup:
@@ -230,17 +229,20 @@ def _measured(result: CalibrationResult) -> dict[str, str]:
     """Return what was measured, and how it was used, as facts."""
     nominal, data = result.nominal, result.measurements
     readings = zip(nominal.reading_names, nominal.reading_units, strict=True)
+    columns = dict(zip(nominal.platform.coordinates, data.poses.T, strict=True)) | dict(data.extra)
+    counts = {name: int(np.isfinite(values).sum()) for name, values in columns.items()}
+    often = {name: f" ({n} rows)" if n < len(data) else "" for name, n in counts.items() if n}
     facts = {
         "rows": str(len(data)),
-        "of the platform": _columns(result),
+        "of the platform": ", ".join(map("".join, often.items())) or "nothing",
         "readings": ", ".join(f"{name} [{unit}]" for name, unit in readings),
         "noise": answers.noise_line(result),
         "identified": answers.method_line(result),
     }
     for name, values in (("sets", data.sets), ("runs", data.runs)):
         if values is not None:
-            counts = Counter("every leg" if value in ("", EVERY_LEG) else value for value in values)
-            facts[name] = ", ".join(f"{value} {count}" for value, count in counts.items())
+            named = Counter("every leg" if value in ("", EVERY_LEG) else value for value in values)
+            facts[name] = ", ".join(f"{value} {count}" for value, count in named.items())
     if result.loss != "none":
         facts["robust loss"] = result.loss
     if result.options.setup.plain:
@@ -251,32 +253,19 @@ def _measured(result: CalibrationResult) -> dict[str, str]:
     return facts
 
 
-def _columns(result: CalibrationResult) -> str:
-    """Return which quantities of the platform were measured, and how often if not always."""
-    data, platform = result.measurements, result.nominal.platform
-    measured = dict(zip(platform.coordinates, data.poses.T, strict=True)) | dict(data.extra)
-    counts = {name: int(np.isfinite(values).sum()) for name, values in measured.items()}
-    often = {name: "" if n == len(data) else f" ({n} rows)" for name, n in counts.items() if n}
-    return ", ".join(map("".join, often.items())) or "nothing"
-
-
 # What mechanisms and results show in print and in notebooks
 
 
 def mechanism_text(mechanism: Mechanism) -> str:
     """Return a mechanism as a page of text: platform, legs, nominal parameters."""
     platform = mechanism.platform
-    home = zip(platform.coordinates, platform.home, platform.units, strict=True)
-    lines = [
-        f"{mechanism.name}{': ' * bool(mechanism.description)}{mechanism.description}",
-        f"platform {platform.kind}, at home "
-        + ", ".join(f"{name} = {value:.6g} {unit}" for name, value, unit in home),
-    ]
-    lines += [
-        f"{leg.name}: {leg.joint_letters}, reads {', '.join(leg.reading_names)}, closes a "
-        f"{leg.closes}"
-        for leg in mechanism.legs
-    ]
+    columns = zip(platform.coordinates, platform.home, platform.units, strict=True)
+    home = ", ".join(f"{name} = {value:.6g} {unit}" for name, value, unit in columns)
+    lines = [": ".join(filter(None, (mechanism.name, mechanism.description)))]
+    lines.append(f"platform {platform.kind}, at home {home}")
+    for leg in mechanism.legs:
+        read = ", ".join(leg.reading_names)
+        lines.append(f"{leg.name}: {leg.joint_letters}, reads {read}, closes a {leg.closes}")
     return "\n".join([*lines, "", str(tables.nominal_table(mechanism))])
 
 

@@ -113,22 +113,20 @@ def choice_table(mechanism: Mechanism, chosen: ConfigurationChoice) -> Table:
 
 def accuracy_table(errors: Mapping[str, Accuracy], turns: bool) -> Table:
     """Return platform errors by model, the nominal one first, and by what the others are better."""
+    heads = ["position rms [m]:.4f", "worst [m]:.4f", "orientation rms [rad]:.4f"][: 2 + turns]
     sizes = {
-        name: [accuracy.position, accuracy.worst_position, accuracy.orientation][: 2 + turns]
-        for name, accuracy in errors.items()
+        name: np.array([found.position, found.worst_position, found.orientation])[: 2 + turns]
+        for name, found in errors.items()
     }
     nominal, *others = sizes
-    rows: list[list[Value]] = [[name, *sizes[name], errors[name].unreachable] for name in sizes]
+    rows: list[list[Value]] = [
+        [name, *sizes[name].tolist(), errors[name].unreachable] for name in errors
+    ]
     for name in others:
-        ratios = np.divide(sizes[nominal], sizes[name]).tolist()
-        times = (Cell(ratio, f"{ratio:.1f} times") for ratio in ratios)
-        rows.append([f"{name}: better by", *times, None])
-    heads = ("position rms [m]:.4f", "worst [m]:.4f", "orientation rms [rad]:.4f")[: 2 + turns]
-    return Table(
-        f"platform error over the workspace, {errors[nominal].poses} poses",
-        ["model", *heads, "not reached"],
-        rows,
-    )
+        ratios = (sizes[nominal] / sizes[name]).tolist()
+        rows.append([f"{name}: better by", *(Cell(r, f"{r:.1f} times") for r in ratios), None])
+    title = f"platform error over the workspace, {errors[nominal].poses} poses"
+    return Table(title, ["model", *heads, "not reached"], rows)
 
 
 def standard_errors(forecast: Forecast) -> Table:
@@ -214,32 +212,31 @@ def calibration_tables(result: CalibrationResult) -> list[Table]:
 
 def parameters_table(result: CalibrationResult) -> Table:
     """Return identified parameters with 95 % intervals and changes."""
-    rows = [
-        (leg.name, p.name, *_values(p), *_change(p), p.given.replace("fixed", ""))
-        for leg in result.legs
-        for p in leg.parameters
-    ]
+    rows: list[tuple[Value, ...]] = []
+    for leg in result.legs:
+        for p in leg.parameters:
+            change = quantity(p.change, p.unit, p.half, VALUES, "+")
+            moved = Cell(p.change, "") if p.given == "fixed" else change
+            sigmas = p.change / p.std if 0.0 < p.std < np.inf else np.nan
+            shown = "> 1e6" if abs(sigmas) >= _MOST_SIGMAS else f"{sigmas:+.1f}"
+            changed = moved, None if np.isnan(sigmas) else Cell(sigmas, shown)
+            rows.append((leg.name, p.name, *_values(p), *changed, p.given.replace("fixed", "")))
     heads = ["leg", "parameter", *_HEADS, "change", "change [σ]", "given"]
     if not any(row[-1] for row in rows):
         rows, heads = [row[:-1] for row in rows], heads[:-1]
     caption = "change [σ]: by how many standard errors the parameter moved" + _chosen(result)
-    return Table(
-        f"{result.nominal.name}: parameters, nominal and identified",
-        heads,
-        rows,
-        "; ".join(filter(None, (caption, result.nominal.labelled))),
-        grouped=True,
-    )
+    caption = "; ".join(filter(None, (caption, result.nominal.labelled)))
+    title = f"{result.nominal.name}: parameters, nominal and identified"
+    return Table(title, heads, rows, caption, grouped=True)
 
 
 def _chosen(result: CalibrationResult) -> str:
     """Return what values and ± depend on, where freedoms were fixed by choice."""
-    if not result.gauge:
-        return ""
-    return (
+    chosen = (
         ". Values and ± depend on what was fixed by choice, of equal parameters those nearest to "
         "nominal; errors of the platform do not"
     )
+    return chosen if result.gauge else ""
 
 
 def _values(p: IdentifiedParameter) -> tuple[Value, ...]:
@@ -249,16 +246,6 @@ def _values(p: IdentifiedParameter) -> tuple[Value, ...]:
         interval = Cell(p.half, uncertainty(p.half, p.unit))
     values = (quantity(value, p.unit, p.half, VALUES) for value in (p.nominal, p.identified))
     return (*values, interval, VALUES[p.unit])
-
-
-def _change(p: IdentifiedParameter) -> tuple[Value, Value]:
-    """Return how far a parameter moved, in its unit and in standard errors."""
-    moved = quantity(p.change, p.unit, p.half, VALUES, "+")
-    moved = Cell(p.change, "") if p.given == "fixed" else moved
-    if not 0.0 < p.std < np.inf:
-        return moved, None
-    sigmas = p.change / p.std
-    return moved, Cell(sigmas, f"{sigmas:+.1f}" if abs(sigmas) < _MOST_SIGMAS else "> 1e6")
 
 
 def outside_table(result: CalibrationResult) -> Table:

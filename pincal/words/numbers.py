@@ -55,22 +55,10 @@ def per_si(unit: str, units: Mapping[str, str] = SMALL) -> float:
     return shown_in(1.0, unit, units)
 
 
-def _digits(read: str, last: float) -> int:
-    """Return how many digits behind the point show what is as small in SI units."""
-    return max(round(log10(UNITS[read or "1"][1] / last)), 0)
-
-
-def _finest(read: str) -> int:
-    """Return how many digits behind the point anybody measures."""
-    return _digits(read, _FINEST[UNITS[read or "1"][0]])
-
-
-def decimals(half: float, unit: str = "") -> int:
-    """Return how many digits behind the point leave an uncertainty two digits of its own.
-
-    No more than anybody measures: to 0.1 µm or µrad, or nine.
-    """
-    return min(max(1 - floor(log10(half)), 0), _finest(unit))
+def _digits(read: str, last: float | None = None) -> int:
+    """Return how many digits behind the point show a last one in SI, or what anybody measures."""
+    unit, factor = UNITS[read or "1"]
+    return max(round(log10(factor / (last or _FINEST[unit]))), 0)
 
 
 def amount(value: float, unit: str, digits: int = 3, units: Mapping[str, str] = SMALL) -> str:
@@ -86,12 +74,12 @@ def number(value: float, unit: str, digits: int = 3, units: Mapping[str, str] = 
         return bound
     shown = shown_in(value, unit, units)
     finest = digits - 1 - floor(log10(abs(shown))) if shown and isfinite(shown) else 0
-    return rounded(round(shown, min(_finest(read), finest)), digits)  # rounded once
+    return rounded(round(shown, min(_digits(read), finest)), digits)  # rounded once
 
 
 def _bound(value: float, unit: str, units: Mapping[str, str]) -> str:
     """Return ``< 0.0001`` of a size above zero that nobody measures, else an empty string."""
-    least = 10.0 ** -(digits := _finest(units[unit]))
+    least = 10.0 ** -(digits := _digits(units[unit]))
     return f"< {least:.{digits}f}" if 0.0 < shown_in(value, unit, units) < 0.5 * least else ""
 
 
@@ -116,9 +104,9 @@ def chance(p_value: float) -> str:
     return f"p = {p_value:.2g}" if p_value >= 1e-15 else "p < 1e-15"
 
 
-def percent(share: float, digits: int = 2) -> str:
+def percent(share: float) -> str:
     """Return a share in percent."""
-    return f"{rounded(100 * share, digits)} %"
+    return f"{rounded(100 * share)} %"
 
 
 def listed(words: Iterable[object], last: str = "and") -> str:
@@ -143,11 +131,6 @@ def measured(value: float, half: float, unit: str = "1", units: Mapping[str, str
     return f"{fixed(value, half, unit, units)}{sure} {units[unit]}".strip()
 
 
-def minus(text: str) -> str:
-    """Return numbers with signs as they are printed: a minus, not a hyphen."""
-    return text.replace("-", "−")
-
-
 def uncertainty(half: float, unit: str, units: Mapping[str, str] = VALUES) -> str:
     """Return an uncertainty to two digits; less than anybody measures is a bound."""
     return _bound(half, unit, units) or fixed(half, half, unit, units)
@@ -158,8 +141,10 @@ def fixed(
 ) -> str:
     """Return a value, as it is read, to two digits of an uncertainty, both in SI.
 
-    Uncertainties of 0 or infinity are none. The sign ``"+"`` is also that of what is positive.
+    No more digits than anybody measures: to 0.1 µm or µrad, or nine. Uncertainties of 0 or infinity
+    are none. The sign ``"+"`` is also that of what is positive.
     """
-    read, known = units[unit], half > 0.0 and isfinite(half)
-    digits = decimals(shown_in(half, unit, units), read) if known else _digits(read, _LAST)
+    read, digits = units[unit], _digits(units[unit], _LAST)
+    if half > 0.0 and isfinite(half):
+        digits = min(max(1 - floor(log10(shown_in(half, unit, units))), 0), _digits(read))
     return f"{shown_in(value, unit, units):{sign}.{digits}f}"

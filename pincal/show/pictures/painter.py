@@ -87,7 +87,6 @@ _NAME_HEIGHT = 8.5  # of a parameter's name, [point]
 _LETTER = 0.58  # width of a letter of such a name, of its height
 _ALONG = (0.5, 0.35, 0.65, 0.2, 0.8, 0.05, 0.95)  # where a name is tried, by a dimension's length
 _NAME_DISTANCES = (1.0, -1.0, 1.8, -1.8, 2.8, -2.8, 4.0, -4.0)  # from it, in heights of the name
-_LEG_DISTANCES = (11.0, 18.0, 26.0, 34.0)  # of a leg's name from its foot, [point]
 #: What a name over another costs, and one that leaves the axes, in hidden points of lines.
 _OVERLAP, _OUTSIDE = 300.0, 100.0
 _RANK = 0.4  # what the next place costs
@@ -141,13 +140,6 @@ class Names:
         self._boxes = np.concatenate((boxes, [[low[best] - room, high[best] + room]]))
         x, y = places[best].tolist()
         self.axes.text(x, y, text, size=size, ha="center", va="center", zorder=9, **style)
-
-    def write_beside(self, text: str, point: Array, directions: Array, size: float = 8.0) -> None:
-        """Write a name away from a point, in one of some directions, shape (n, 2)."""
-        reach = np.abs(directions) @ self.half(text, size)
-        steps = self.point * np.array(_LEG_DISTANCES)
-        places = point + (steps[:, None] + reach)[..., None] * directions
-        self.write(text, places.reshape(-1, 2), size)
 
 
 def draw_dimensions(names: Names, dimensions: Sequence[Dimension], V: Array) -> None:

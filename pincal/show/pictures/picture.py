@@ -30,7 +30,7 @@ from pincal.show.pictures.painter import Names, draw_dimensions, paint
 from pincal.show.style import ACTIVE, IDENTIFIED, MARKERS, PASSIVE, RASTER_FROM
 from pincal.show.view.scene import MAGNIFY, Scene, plan_of, scene
 from pincal.types import Array
-from pincal.words.numbers import amount, minus
+from pincal.words.numbers import amount
 from pincal.words.wording import clean
 
 
@@ -157,6 +157,7 @@ def picture(
 _WIDTH, _HEIGHTS = 5.2, (1.8, 6.0)  # of a picture; least and most of what is drawn, [inch]
 _LEGEND = 0.5  # height for the legend below, [inch]
 _LETTERS = 28  # of the longest name
+_LEG_NAME, _LEG_DISTANCES = 8.0, (11.0, 18.0, 26.0, 34.0)  # its size and places, [point]
 _LINE = 75  # letters of a legend's line
 _ARC = 0.055  # radius of the smallest angle drawn, of the scene's diagonal
 _VALUES = 6  # of parameters, in a line, at most
@@ -201,7 +202,10 @@ def _name_axes_and_legs(names: Names, scene: Scene) -> None:
         outward = np.arctan2(*(foot - feet.mean(axis=0))[::-1])
         turns = outward + np.radians([0.0, 30.0, -30.0, 65.0, -65.0, 100.0, -100.0])
         directions = np.stack((np.cos(turns), np.sin(turns)), axis=1)
-        names.write_beside(shortened(leg.name), foot, directions)
+        text, steps = shortened(leg.name), names.point * np.array(_LEG_DISTANCES)
+        reach = np.abs(directions) @ names.half(text, _LEG_NAME)
+        places = foot + (steps[:, None] + reach)[..., None] * directions
+        names.write(text, places.reshape(-1, 2), _LEG_NAME)
 
 
 def _write_values(axes: Axes, scene: Scene, name: str) -> None:
@@ -211,7 +215,7 @@ def _write_values(axes: Axes, scene: Scene, name: str) -> None:
         unit = leg.units[key]
         text = f"{np.degrees(value):.5g}°" if unit == "rad" else amount(value, unit, 6)
         label = clean(scene.mechanism.label(name, key)).replace("$", r"\$")
-        text = f" = {minus(text)}" + f" ({label})" * bool(label)
+        text = f" = {text.replace('-', '−')}" + f" ({label})" * bool(label)
         values.append(symbol(key) + text)
         longest = max(longest, len(key + text))
     columns = int(np.clip(_TITLE / longest, 1, _VALUES))

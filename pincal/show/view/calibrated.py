@@ -21,7 +21,8 @@ _HEAD = 0.2  # of an arrow's length
 def calibrated(scene: Scene, result: CalibrationResult) -> Scene:
     """Return a scene with what a calibration of its mechanism found.
 
-    Of one that did not converge, the places of instruments alone.
+    Arrows of rows that fit, and of outliers, magnified alike. Of a calibration that did not
+    converge, the places of instruments alone.
     """
     layers = _arrow_layers(result, scene) if result.converged else []
     for number, (name, T) in enumerate(stations(result), 1):
@@ -33,37 +34,32 @@ def calibrated(scene: Scene, result: CalibrationResult) -> Scene:
 
 
 def _arrow_layers(result: CalibrationResult, scene: Scene) -> list[Layer]:
-    """Return arrows of rows that fit, and of outliers, magnified alike."""
+    """Return arrows, cut at a length, as three segments each, shafts first."""
     measured, shifts, outlying = misses_of(result)
     if not len(measured):
         return []
     size, lengths = scene.size, np.linalg.norm(shifts, axis=1)
     usual = lengths if outlying.all() else lengths[~outlying]
     magnify = rounded_down(_LONG * size / max(float(np.quantile(usual, 0.95)), 1e-12 * size))
+    cut = magnify * lengths > _LONGEST * size
+    lifted = 0.1 * size * scene.planar * np.eye(3)[2]  # over a platform that is seen from above
+    begin = measured + lifted
+    along = shifts * np.where(cut, _LONGEST * size / np.maximum(lengths, 1e-300), magnify)[:, None]
+    upright = np.abs(along[:, [2]]) > 0.9 * np.linalg.norm(along, axis=1, keepdims=True)
+    across = np.cross(along, np.where(upright, [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]))
+    tips = begin + along
+    ends = (begin, *(tips - _HEAD * (along + side * across) for side in (-0.5, 0.5)))
     layers = []
     for path, name, rows, colour in (
         ("misses", "measured → predicted", ~outlying, IDENTIFIED),
         ("outlying", "outliers", outlying, OUTLIER),
     ):
         if rows.any():
-            lines = _arrows(measured[rows], magnify * shifts[rows], _LONGEST * size)
-            lines[..., 2] += 0.1 * size * scene.planar  # over a platform that is seen from above
-            shortened = int((magnify * lengths[rows] > _LONGEST * size).sum())
+            lines = np.concatenate([np.stack((tips[rows], end[rows]), axis=1) for end in ends])
             text = f"{name}, errors × {magnify:,.12g}"
-            text += f", {shortened} longer than drawn" if shortened else ""
+            text += f", {cut[rows].sum()} longer than drawn" if cut[rows].any() else ""
             layers.append(Layer(path, text, lines, colour))
     return layers
-
-
-def _arrows(begin: Array, shifts: Array, longest: float) -> Array:
-    """Return arrows, cut at a length, as three segments each, shafts first, (3n, 2, 3), [m]."""
-    lengths = np.linalg.norm(shifts, axis=1, keepdims=True)
-    drawn = shifts * np.minimum(1.0, longest / np.maximum(lengths, 1e-300))
-    tips = begin + drawn
-    upright = np.abs(drawn[:, [2]]) > 0.9 * np.linalg.norm(drawn, axis=1, keepdims=True)
-    across = np.cross(drawn, np.where(upright, [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]))
-    heads = [tips - _HEAD * drawn + side * _HEAD * across for side in (-0.5, 0.5)]
-    return np.concatenate([np.stack((tips, end), axis=1) for end in (begin, *heads)])
 
 
 def misses_of(result: CalibrationResult) -> tuple[Array, Array, Mask]:
