@@ -17,7 +17,6 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.linalg import block_diag
-from scipy.spatial.transform import Rotation
 
 from pincal.errors import MechanismError
 from pincal.kinematics.closure import LegClosure, joint_range, largest_size
@@ -187,15 +186,9 @@ def independent(
 
 def _turned_at_random(closure: LegClosure, joints: Array, rng: np.random.Generator) -> Array:
     """Return poses in which the platform is where the leg puts it, turned at random."""
-    platform = closure.platform
     if closure.leg.closes == "frame":
         return closure.frame(joints)
-    matrices = np.tile(np.eye(4), (len(joints), 1, 1))
-    if platform.turns == 3:
-        matrices[:, :3, :3] = Rotation.random(len(joints), rng=rng).as_matrix()
-    elif platform.turns == 1:
-        axis = np.eye(3)[platform.twist_rows[-1] - 3]
-        turns = np.outer(rng.uniform(-np.pi, np.pi, len(joints)), axis)
-        matrices[:, :3, :3] = Rotation.from_rotvec(turns).as_matrix()
+    twists = rng.uniform(-np.pi, np.pi, (len(joints), closure.platform.dof))
+    matrices = closure.platform.displaced(np.tile(np.eye(4), (len(joints), 1, 1)), twists)
     matrices[:, :3, 3] = closure.tips(joints) - closure.targets(matrices)
     return matrices

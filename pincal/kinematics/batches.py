@@ -25,12 +25,6 @@ def chunks(count: int, size: int = CHUNK) -> Iterator[slice]:
         yield slice(begin, min(begin + size, count))
 
 
-def matrix_chunks(placed: Array) -> Iterator[tuple[slice, Array]]:
-    """Yield rows of poses and their matrices, shape (n, 4, 4), so many as memory holds well."""
-    for rows in chunks(len(placed)):
-        yield rows, placed[rows]
-
-
 def stacked(parts: Sequence[Any]) -> Any:
     """Return arrays below each other; a single one as it is."""
     return parts[0] if len(parts) == 1 else np.concatenate(parts)

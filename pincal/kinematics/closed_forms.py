@@ -285,25 +285,12 @@ class Reach:
 
         Arms are the platform point turned by each orientation, R b, shape (3, O), [m].
         """
-        squared = self._squared(positions, arms)
-        inside = (squared >= self.bounds[0]) & (squared <= self.bounds[1])
-        for normal in self.normals:
-            height = ((positions - self.centre) @ normal)[:, None]
-            inside &= height + normal @ arms >= -self.slack
-        return inside
-
-    def holds_all(self, positions: Array, arms: Array) -> Mask:
-        """Return which positions the leg reaches in all orientations, shape (P,)."""
-        squared = self._squared(positions, arms)
-        inside = squared.min(axis=1) >= self.bounds[0]
-        inside &= squared.max(axis=1) <= self.bounds[1]
-        for normal in self.normals:
-            inside &= (positions - self.centre) @ normal + (normal @ arms).min() >= -self.slack
-        return inside
-
-    def _squared(self, positions: Array, arms: Array) -> Array:
-        """Return |r + R b − c|² = |r − c|² + |b|² + 2 (r − c) · R b, shape (P, O)."""
+        # |r + R b − c|² = |r − c|² + |b|² + 2 (r − c) · R b
         offset = positions - self.centre
         constant = np.einsum("ni,ni->n", offset, offset) + self.point @ self.point
         factor = np.vstack((2.0 * arms, np.ones(arms.shape[1])))
-        return np.column_stack((offset, constant)) @ factor
+        squared = np.column_stack((offset, constant)) @ factor
+        inside = (squared >= self.bounds[0]) & (squared <= self.bounds[1])
+        for normal in self.normals:
+            inside &= (offset @ normal)[:, None] + normal @ arms >= -self.slack
+        return inside

@@ -19,9 +19,9 @@ from scipy.spatial import KDTree
 
 from pincal.errors import MechanismError
 from pincal.kinematics.batches import (
+    chunks,
     cross,
     least_squares,
-    matrix_chunks,
     product,
     repeated,
     stacked,
@@ -367,10 +367,10 @@ def close_chunks(
     near those that close a leg are given by its name, or found.
     """
     legs = nominal_legs(mechanism)
-    for rows, matrices in matrix_chunks(placed):
+    for rows in chunks(len(placed)):
         deforming = start = None
         if influences is not None:
             deforming = [mechanism.influences_at(i, influences[rows]) for i in range(len(legs))]
         if near is not None:
             start = [near[leg.leg.name][rows] for leg in legs]
-        yield rows, close_legs(legs, matrices, deforming, start)
+        yield rows, close_legs(legs, placed[rows], deforming, start)

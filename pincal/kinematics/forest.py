@@ -98,7 +98,12 @@ class Forest:
         twists = np.empty((len(rows), n, legs, count))
         for target, row in zip(twists, rows, strict=True):
             target[:] = columns[:, :, :n, row].transpose(2, 0, 1)
-        tips, turns = self._tips(ends.reshape(legs * count, 12))
+        ends, m = ends.reshape(legs * count, 12), 3 if self.spatial else 2
+        turns, tips = ends[:, :9].reshape(-1, 3, 3).swapaxes(1, 2), ends[:, 9 : 9 + m].T.copy()
+        if self._tip is not None:
+            tips += (turns[:, :m] @ self._tip[:3, 3]).T
+            turns = turns @ self._tip[:3, :3]
+        turns = turns if self.spatial else np.empty((0, 3, 3))
         begun = None
         if any(base is not None and base.rates.any() for base in bases):
             still = np.zeros((6, len(rates)))
@@ -133,15 +138,6 @@ class Forest:
             columns.reshape(legs, every, self.width, 6)[:, :count],
             ends.reshape(legs, every, 12)[:, :count],
         )
-
-    def _tips(self, ends: Array) -> tuple[Array, Array]:
-        """Return tips (2 or 3, N) and turns, in space only, of where the last joints are."""
-        turns, m = ends[:, :9].reshape(-1, 3, 3).swapaxes(1, 2), 3 if self.spatial else 2
-        tips = np.ascontiguousarray(ends[:, 9 : 9 + m].T)
-        if self._tip is not None:
-            tips += (turns[:, :m] @ self._tip[:3, 3]).T
-            turns = turns @ self._tip[:3, :3]
-        return tips, turns if self.spatial else np.empty((0, 3, 3))
 
 
 @dataclass(frozen=True)

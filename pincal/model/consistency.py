@@ -26,7 +26,6 @@ RESERVED = {"x", "y", "z", "phi", "set", "run", "pose", *SINGLE_ANGLES} | {
     name for names, _ in WAYS.values() for name in names
 }
 
-
 ROUGH = 0.1
 """Of the size: what is drawn and misses by more is wrong, not rough."""
 
@@ -49,7 +48,7 @@ def identifiers(names: Iterable[str]) -> tuple[str, ...]:
 
 def check_leg(leg: Leg) -> None:
     """Raise MechanismError if joints, sensors, parameters and terms do not go together."""
-    topics = (_joint_faults, _sensor_faults, _term_faults, _parameter_faults)
+    topics = (_joint_faults, _term_faults, _parameter_faults)
     for fault in chain.from_iterable(faults(leg) for faults in topics):
         raise MechanismError(f"{leg.name}: {fault}")
     for joint in (*leg.joints, leg.point):
@@ -57,7 +56,7 @@ def check_leg(leg: Leg) -> None:
 
 
 def _joint_faults(leg: Leg) -> Iterator[str]:
-    """Yield what is wrong with joints: their limits and names."""
+    """Yield what is wrong with joints, their limits and names, and with which have sensors."""
     for joint in leg.moving:
         ends = (joint.lower, joint.upper)
         limits = np.isfinite(ends).all() or (joint.turns and np.isinf(ends).all())
@@ -66,14 +65,10 @@ def _joint_faults(leg: Leg) -> Iterator[str]:
                 f"joint {joint.name!r} has limits {joint.lower:g} to {joint.upper:g}; expected "
                 "finite ones, lower below upper"
             )
-    names = [joint.name for joint in leg.joints]
+    names, moving = ([joint.name for joint in joints] for joints in (leg.joints, leg.moving))
     if len(set(names)) != len(names):
         yield f"joint names repeat: {names}"
-
-
-def _sensor_faults(leg: Leg) -> Iterator[str]:
-    """Yield with which joints the sensors cannot be."""
-    moving, read = [joint.name for joint in leg.moving], [sensor.joint for sensor in leg.sensors]
+    read = [sensor.joint for sensor in leg.sensors]
     if still := [name for name in read if name not in moving]:
         yield (
             f"active joint {still[0]!r} is not a moving joint of the leg; it has "
@@ -161,14 +156,14 @@ def check_mechanism(mechanism: Mechanism) -> None:
     title = mechanism.name
     if not (title and title.isprintable() and len(title) <= 100):
         raise MechanismError(f"{title!r} is no name for a mechanism")
-    for fault in chain(_name_faults(mechanism), _load_faults(mechanism)):
+    for fault in _name_faults(mechanism):
         raise MechanismError(f"mechanism {title!r}: {fault}")
     for fault in _leg_faults(mechanism):
         raise MechanismError(fault)
 
 
 def _name_faults(mechanism: Mechanism) -> Iterator[str]:
-    """Yield what is wrong with names of legs, and of readings and influences, columns of tables."""
+    """Yield what is wrong with names: of legs, of columns of tables, of parameters of loads."""
     names, readings = mechanism.leg_names, mechanism.reading_names
     if not names:
         yield "it has no legs"
@@ -198,13 +193,8 @@ def _name_faults(mechanism: Mechanism) -> Iterator[str]:
         )
     if "platform" in names:
         yield "'platform' names the platform's file; name the leg otherwise"
-
-
-def _load_faults(mechanism: Mechanism) -> Iterator[str]:
-    """Yield what is wrong with what weighs on the mechanism."""
-    ids = mechanism.parameters.ids
-    for name, _ in () if mechanism.load is None else mechanism.load.drawn:
-        if name not in ids:
+    for name, _ in mechanism.load.drawn if mechanism.load else ():
+        if name not in mechanism.parameters.ids:
             yield f"the load's drawing has {name!r}, which is no parameter"
 
 
@@ -244,14 +234,14 @@ def check_home(leg: Leg, platform: Platform) -> None:
     Such a home does not fix the side on which the leg bends. Of an angle of more than a full turn
     it asks whether it is degrees.
     """
-    gap, turn = _gap_and_turn(leg, platform)
-    if max(gap, leg.size * turn) <= ROUGH * leg.size:
+    gap, turn = home_gap(leg, platform)
+    if max(gap, turn) <= ROUGH * leg.size:
         return
     gap_shown = (
         f"its tip is {gap:.2g} m from the platform's point {leg.point.name!r}, the leg is "
         f"{leg.size:.2g} m long; expected a tenth of that at most"
-        if gap >= leg.size * turn
-        else f"its tip is turned by {turn:.2g} rad against the platform's frame "
+        if gap >= turn
+        else f"its tip is turned by {turn / leg.size:.2g} rad against the platform's frame "
         f"{leg.point.name!r}; expected {ROUGH:g} rad at most"
     )
     angles = {f"{joint.name} of {leg.name}": joint.home for joint in leg.moving if joint.turns}
@@ -269,17 +259,15 @@ def check_home(leg: Leg, platform: Platform) -> None:
     )
 
 
-def home_gap(leg: Leg, platform: Platform) -> float:
-    """Return by how much a leg is open at home, [m]; a turn of its frame counts times its size."""
-    gap, turn = _gap_and_turn(leg, platform)
-    return max(gap, leg.size * turn)
+def home_gap(leg: Leg, platform: Platform) -> tuple[float, float]:
+    """Return by how much a leg is open at home, and turned if it closes a frame, times its size.
 
-
-def _gap_and_turn(leg: Leg, platform: Platform) -> tuple[float, float]:
-    """Return by how much a leg is open at home, [m], and turned, [rad], if it closes a frame."""
+    Both in [m].
+    """
     tip = leg.link_placements(leg.home[None])[0, -1]
     point = platform.home_pose.as_matrix()[0] @ leg.point.placement.origin()
     gap = float(np.linalg.norm((tip - point)[: platform.space, 3]))
     if leg.closes == "point":
         return gap, 0.0
-    return gap, float(Rotation.from_matrix(point[:3, :3].T @ tip[:3, :3]).magnitude())
+    turn = Rotation.from_matrix(point[:3, :3].T @ tip[:3, :3]).magnitude()
+    return gap, leg.size * float(turn)

@@ -82,8 +82,13 @@ def columns_of(way: str, rotation: Rotation) -> Array:
     orientation back everywhere; at a pole itself the azimuth (tilt 0), the torsion (tilt π) or
     the roll (pitch ±π/2) is 0. Quaternions have a scalar part of 0 or more.
     """
-    if way == "tilt-torsion":
-        return _tilt_and_torsion(rotation.as_quat())
+    if way == "tilt-torsion":  # the inverse of _quaternions
+        x, y, z, w = rotation.as_quat().T
+        across, along = np.hypot(x, y), np.hypot(z, w)
+        half = np.where(along > _POLE, np.arctan2(z, w), 0.0)
+        azimuth = np.where(across > _POLE, half - np.arctan2(x, y), 0.0)
+        angles = -wrapped(-azimuth), 2.0 * np.arctan2(across, along), -wrapped(-2.0 * half)
+        return np.stack(angles, axis=1) + 0.0
     if way == "rotation-vector":
         return rotation.as_rotvec()
     if way == "quaternion":
@@ -107,17 +112,3 @@ def turns_in_series(R: Array) -> Array:
     R = Rx(a) Ry(b) Rz(c), the inverse of Z-Y-X angles of the inverse: shape (N, 3, 3) to (N, 3).
     """
     return -yaw_pitch_roll(R.transpose(0, 2, 1))[:, ::-1] + 0.0
-
-
-def _tilt_and_torsion(quaternions: Array) -> Array:
-    """Return azimuth, tilt and torsion, [rad], of unit quaternions, scalar last, (N, 4) to (N, 3).
-
-    The inverse of ``_quaternions``: z and w say the tilt's cosine and the torsion, x and y its
-    sine and how far the azimuth is from half the torsion.
-    """
-    x, y, z, w = quaternions.T
-    across, along = np.hypot(x, y), np.hypot(z, w)
-    half = np.where(along > _POLE, np.arctan2(z, w), 0.0)
-    azimuth = np.where(across > _POLE, half - np.arctan2(x, y), 0.0)
-    tilt = 2.0 * np.arctan2(across, along)
-    return np.stack((-wrapped(-azimuth), tilt, -wrapped(-2.0 * half)), axis=1) + 0.0

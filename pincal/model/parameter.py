@@ -71,9 +71,12 @@ class Parameters(tuple[Parameter, ...]):
             MechanismError: no parameter has this id; the message names those alike.
         """
         if isinstance(key, str):
-            if key not in self._by_id:
-                raise MechanismError(unknown_id(key, self.ids))
-            return self._by_id[key]
+            if key in self._by_id:
+                return self._by_id[key]
+            alike = [i for i in self.ids if i.partition(".")[2] == key][:3]
+            near = " or ".join(map(repr, get_close_matches(key, self.ids, 3) or alike))
+            meant = f"did you mean {near}?" if near else f"ids are {listed(self.ids)}"
+            raise MechanismError(f"no parameter {key!r}; {meant}")
         selected = super().__getitem__(key)
         return Parameters(selected) if isinstance(key, slice) else selected
 
@@ -106,10 +109,3 @@ def labels_of(labels: object, name: str) -> tuple[tuple[str, str], ...]:
                 f"words, {LONGEST_LABEL} letters at most"
             )
     return tuple((str(key), str(text)) for key, text in texts.items())
-
-
-def unknown_id(key: str, ids: tuple[str, ...]) -> str:
-    """Return one sentence on an id that no parameter has, with those that may be meant."""
-    near = get_close_matches(key, ids, 3) or [i for i in ids if i.partition(".")[2] == key][:3]
-    meant = f"did you mean {' or '.join(map(repr, near))}?" if near else f"ids are {listed(ids)}"
-    return f"no parameter {key!r}; {meant}"

@@ -134,18 +134,13 @@ def law_of_sensors(
     )
     homed = np.array([sensor.homed for sensor in leg.sensors])
     zeros = np.array([0.0 if sensor.homed else sensor.zero for sensor in leg.sensors], np.float64)
-    columns = (*leg.reading_names, *leg.influences)
-    terms = [
-        (term, index, columns.index(term.column(columns[index])) if term.of else index)
-        for index, sensor in enumerate(leg.sensors)
-        for term in sensor.terms
-    ]
+    terms = [(index, term) for index, sensor in enumerate(leg.sensors) for term in sensor.terms]
     return SensorLaw(
         slope,
         start + np.where(homed, home, zeros),
         slopes,
         starts + np.where(homed[:, None], home_by_parameter, 0.0),
-        _placed(terms, parameters),
+        _placed(terms, leg.reading_names, leg.influences, parameters),
     )
 
 
@@ -154,23 +149,32 @@ def law_of_deformations(leg: Leg, parameters: Mapping[str, float]) -> SensorLaw:
 
     What is known of rows are zeros in place of readings, n_deformed, then the leg's influences.
     """
-    columns = (*leg.deformed, *leg.influences)
-    terms = [
-        (term, leg.deformed.index(name), columns.index(term.column(f"{leg.name}.{name}")))
-        for name, term in leg.terms
-    ]
-    none = np.zeros((len(leg.deformed), len(parameters)))
-    return SensorLaw(none[:, 0], none[:, 0], none, none, _placed(terms, parameters))
+    terms = [(leg.deformed.index(name), term) for name, term in leg.terms]
+    owners = [f"{leg.name}.{name}" for name in leg.deformed]
+    none, placed = (
+        np.zeros((len(owners), len(parameters))),
+        _placed(terms, owners, leg.influences, parameters),
+    )
+    return SensorLaw(none[:, 0], none[:, 0], none, none, placed)
 
 
 def _placed(
-    terms: Sequence[tuple[Term, int, int]], parameters: Mapping[str, float]
+    terms: Sequence[tuple[int, Term]],
+    owners: Sequence[str],
+    influences: Sequence[str],
+    parameters: Mapping[str, float],
 ) -> tuple[PlacedTerm, ...]:
-    """Return terms with their targets and columns at parameter values."""
-    place = {name: index for index, name in enumerate(parameters)}
+    """Return terms of some of the owners, of which columns stand first, at parameter values."""
+    columns, names = [*owners, *influences], list(parameters)
     return tuple(
-        PlacedTerm(term, target, column, place[term.parameter], parameters[term.parameter])
-        for term, target, column in terms
+        PlacedTerm(
+            term,
+            target,
+            columns.index(term.column(owners[target]) or owners[target]),
+            names.index(term.parameter),
+            parameters[term.parameter],
+        )
+        for target, term in terms
     )
 
 

@@ -79,24 +79,23 @@ class Units:
 
     def written(self, columns: Columns) -> Columns:
         """Return columns (header to values, SI) in these units, which their headers say."""
-        return dict(self._column(*column) for column in columns.items())
-
-    def _column(
-        self, header: str, column: Iterable[float] | Iterable[str]
-    ) -> tuple[str, Iterable[float] | Iterable[str]]:
-        name, bracket, bracketed = header.partition(" [")
-        unit = bracketed.removesuffix("]")
-        shown, scale = self.names.get(unit, unit), self.counts.get(name.removeprefix("sigma_"))
-        if not bracket or (shown == unit and scale is None and not self.last):
-            return header, column
-        if scale is None:
-            scale = 1.0 / UNITS.get(shown, ("", 1.0))[1]
-        else:
-            shown = COUNTS
-        values = np.asarray(column, dtype=np.float64) * scale
-        if self.last and not name.startswith(("sigma_", "cov_")):  # these may be as small
-            values = values.round(max(0, round(-np.log10(self.last * scale)))) + 0.0  # no -0.0
-        return f"{name} [{shown}]", values
+        written: dict[str, Iterable[float] | Iterable[str]] = {}
+        for header, column in columns.items():
+            name, bracket, bracketed = header.partition(" [")
+            unit = bracketed.removesuffix("]")
+            shown, scale = self.names.get(unit, unit), self.counts.get(name.removeprefix("sigma_"))
+            if not bracket or (shown == unit and scale is None and not self.last):
+                written[header] = column
+                continue
+            if scale is None:
+                scale = 1.0 / UNITS.get(shown, ("", 1.0))[1]
+            else:
+                shown = COUNTS
+            values = np.asarray(column, dtype=np.float64) * scale
+            if self.last and not name.startswith(("sigma_", "cov_")):  # these may be as small
+                values = values.round(max(0, round(-np.log10(self.last * scale)))) + 0.0  # no -0.0
+            written[f"{name} [{shown}]"] = values
+        return written
 
     @property
     def printed(self) -> dict[str, str]:

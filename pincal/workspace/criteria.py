@@ -14,7 +14,7 @@ import numpy as np
 
 from pincal.errors import WorkspaceError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
-from pincal.kinematics.batches import chunks, matrix_chunks
+from pincal.kinematics.batches import chunks
 from pincal.kinematics.closed_forms import closed_form
 from pincal.kinematics.closing import ClosedLegs, by_leg, close_legs, in_home_modes
 from pincal.kinematics.closure import nominal_legs
@@ -126,7 +126,7 @@ class Criteria:
         for place, leg in enumerate(self._legs):
             known = self.mechanism.known(place, readings, None)
             closure, joints = nearest_closure((leg,), matrices, known)
-            apart = 10.0 * home_gap(leg.leg, platform) + EXACT * leg.size
+            apart = 10.0 * max(home_gap(leg.leg, platform)) + EXACT * leg.size
             near = (np.abs(closure.gap).max(axis=1) <= apart) & in_home_modes((leg,), closure)
             closed.append(([place], ClosedLegs(joints[:, : len(leg.leg.moving)], near, closure)))
         return self._counted(closed)
@@ -178,6 +178,6 @@ def in_workspace(mechanism: GivenMechanism, poses: Poses, least: Margins | None 
     placed = mechanism.platform.matrices(poses)
     criteria = criteria_of(mechanism, as_margins(least))
     inside = np.empty(len(placed), dtype=bool)
-    for rows, matrices in matrix_chunks(placed):
-        inside[rows] = criteria(matrices)
+    for rows in chunks(len(placed)):
+        inside[rows] = criteria(placed[rows])
     return inside

@@ -84,11 +84,8 @@ class PositionTest:
         R, arms = self._turns
         alive, possible = np.arange(len(positions)), np.ones((len(positions), len(R)), dtype=bool)
         for reach, arm in zip(self._criteria.reaches, arms, strict=True):
-            if self.every:
-                held = reach.holds_all(positions[alive], arm)
-            else:
-                possible = possible & reach.holds_each(positions[alive], arm)
-                held = np.asarray(possible.any(axis=1))
+            possible = possible & reach.holds_each(positions[alive], arm)
+            held = np.asarray(possible.all(axis=1) if self.every else possible.any(axis=1))
             alive, possible = alive[held], possible[held]
         if not self.in_closed_form:
             alive = alive[self._by_closing(positions[alive], possible)]
