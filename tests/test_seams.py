@@ -239,7 +239,7 @@ def test_terms_of_sensors_are_differentiated(name: str) -> None:
     def demand(step: Array, readings: Array) -> BlockRows:
         row = np.arange(1)
         used, sigma = np.ones((1, 1), dtype=bool), np.zeros((1, 1))
-        block = LegBlock((leg,), robot.platform, (readings,), row, used, sigma)
+        block = LegBlock((leg,), robot.platform, readings, {}, row, used, sigma)
         return block.evaluate(State(leg.nominal + step, matrices))
 
     n = len(leg.nominal)

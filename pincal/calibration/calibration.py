@@ -170,26 +170,19 @@ class Calibration:
         Used says which row serves which leg, (N, n_legs), all if None; roots of the poses'
         covariance that these are taken as measured.
         """
-        mechanism, known = self.mechanism, []
-        for place in places:
-            readings = self.measurements.readings[rows][:, mechanism.reading_columns[place]]
-            measured = np.isfinite(readings)
-            usual = [
-                np.median(column[present]) if present.any() else 0.0
-                for column, present in zip(readings.T, measured.T, strict=True)
-            ]
-            readings = np.where(measured, readings, usual)  # not used where not measured
-            if self.influences is not None:
-                influences = mechanism.influences_at(place, self.influences[rows])
-                readings = np.hstack((readings, influences))
-            known.append(readings)
-        columns = np.concatenate(
-            [np.arange(len(mechanism.reading_names))[mechanism.reading_columns[i]] for i in places]
-        )
+        mechanism = self.mechanism
+        every = np.arange(len(mechanism.reading_names))
+        columns = np.concatenate([every[mechanism.reading_columns[place]] for place in places])
+        readings = self.measurements.readings[np.ix_(rows, columns)]
+        measured = np.isfinite(readings)
+        pairs = zip(readings.T, measured.T, strict=True)
+        usual = [np.median(column[has]) if has.any() else 0.0 for column, has in pairs]
+        influences = np.empty((0, 0)) if self.influences is None else self.influences[rows].T
         return LegBlock(
             tuple(mechanism.legs[place] for place in places),
             mechanism.platform,
-            tuple(known),
+            np.where(measured, readings, usual),  # not used where not measured
+            dict(zip(mechanism.influences, influences, strict=True)),
             rows,
             np.ones((len(rows), len(places)), dtype=bool) if used is None else used,
             self.noise.readings[np.ix_(rows, columns)],

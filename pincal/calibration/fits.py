@@ -32,7 +32,7 @@ from pincal.estimation.observability.indices import DIFFER
 from pincal.estimation.problem import Problem
 from pincal.estimation.robust import robust_fit
 from pincal.estimation.system import System, loss_of
-from pincal.estimation.unknowns import External, State, Unknowns
+from pincal.estimation.unknowns import External, State
 from pincal.kinematics.closure import largest_size
 from pincal.model.checks import ALIKE
 from pincal.model.measurements import Noise
@@ -204,17 +204,6 @@ def _agree(noise: Noise, estimate: Noise) -> bool:
     return all(abs(a - b) <= SETTLED * max(a, b) for a, b in changes)
 
 
-def _system(calibration: Calibration, problem: Problem, unknowns: Unknowns, counts: Mask) -> System:
-    """Return the system of a problem whose fit follows the rows that count, shape (N,)."""
-    return System(
-        problem,
-        unknowns,
-        calibration.noise.known,
-        kept=None if counts.all() else counts,
-        progress=calibration.options.progress,
-    )
-
-
 def _all_legs(
     calibration: Calibration, begin: Fits | None = None, rows: Mask | None = None
 ) -> Fits:
@@ -236,7 +225,8 @@ def _all_legs(
         gauge = find_gauge(mechanism, problem, unknowns, strict=not options.holds)
     free = unknowns.held(gauge.constraints) if gauge.found else unknowns
     options.report("identifying all legs and poses")
-    system = _system(calibration, problem, free, calibration.counts)
+    known, progress = calibration.noise.known, options.progress
+    system = System(problem, free, calibration.counts, known, progress=progress)
     held = None
     if options.holds:
         former = begin.held if begin is not None and rows is None else None
@@ -282,9 +272,7 @@ def _fit_holding(
     """Return a fit with weak directions held, and what was: more of them until it converges."""
     least = former.least if former else 1.0
     mechanism, options, free = calibration.mechanism, calibration.options, system.unknowns
-    problem = system.problem
-    if system.kept is not None:
-        problem = problem.at(np.flatnonzero(system.kept))
+    problem = system.problem.at(np.flatnonzero(system.kept))
     while True:
         held = hold_unobservable(mechanism, problem, free, least)
         start = start and _within(held.unknowns, start)
@@ -321,7 +309,9 @@ def _measured(calibration: Calibration) -> Fits:
         names = [mechanism.leg_names[i] for i in group]
         options.report(f"identifying {', '.join(names)}")
         problem, rows = calibration.measured_problem(group)
-        system = _system(calibration, problem, unknowns.part(names), calibration.counts[rows])
+        free, counts = unknowns.part(names), calibration.counts[rows]
+        known, progress = calibration.noise.known, options.progress
+        system = System(problem, free, counts, known, progress=progress)
         fits.append(robust_fit(mechanism, system, loss_of(options.loss)))
     return Fits(calibration, fits)
 

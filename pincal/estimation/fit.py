@@ -141,7 +141,7 @@ class Fit(SolverResult):
         squares, equations = self.last.squares / self.scale**2, self.last.equations
         unit = max(self.chi2 / max(self.degrees_of_freedom, 1), 1e-300)
         far = squares > chdtri(np.maximum(equations, 1), FALSE_ALARM)
-        good, far = system.in_use(self.last) & ~far, system.in_use(self.last) & far
+        good, far = system.kept & ~far, system.kept & far
         n = system.unknowns.n_free
         slope, square, factor = system.loss.moments(squares[good], equations[good], n)
         return (
@@ -283,8 +283,7 @@ def _near_start(system: System, first: Linear) -> tuple[Linear, int]:
     if easier is None:
         return first, 0
     begin, solved = solve_poses(easier, easier.evaluate(problem.start(first.state.parameters)))
-    taking_part = sound if system.kept is None else system.kept & sound
-    easy = replace(system, problem=easier, kept=taking_part, loss=None)
+    easy = replace(system, problem=easier, kept=system.kept & sound, loss=None)
     end = search(replace(easy, max_evaluations=_EASY_EVALUATIONS), begin, enough=_EASY_NEAR)
     state, evaluations = end.last.state, solved + end.evaluations
     if problem.latent and not sound.all():  # what was measured may lead to another assembly mode:

@@ -8,7 +8,7 @@ call costs more than the kinematics of some hundred rows.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -30,8 +30,10 @@ class LegBlock:
     legs: tuple[Leg, ...]
     """The nominal legs."""
     platform: Platform
-    known: tuple[Array, ...]
-    """Readings [rad] or [m] of each leg, then its influences, (N, n_active [+ n_influences])."""
+    readings: Array
+    """Of all legs, shape (N, n_readings), [rad] or [m]."""
+    influences: Mapping[str, Array]
+    """Influence quantities on which terms of the legs depend, each of shape (N,)."""
     data_rows: Index
     """Rows of the measurements, counted from 0, shape (N,)."""
     used: Mask
@@ -82,20 +84,15 @@ class LegBlock:
         """Equations that rows serve, shape (N, n_rows)."""
         return np.repeat(self.used, self.widths, axis=1)
 
-    @property
-    def readings(self) -> Array:
-        """Readings of all legs, shape (N, n_readings), [rad] or [m]."""
-        pairs = zip(self.legs, self.known, strict=True)
-        return np.concatenate([known[:, : len(leg.sensors)] for leg, known in pairs], axis=1)
-
-    @property
-    def influences(self) -> dict[str, Array]:
-        """Influence quantities of all legs by column, each of shape (N,)."""
-        return {
-            name: values
-            for leg, known in zip(self.legs, self.known, strict=True)
-            for name, values in zip(leg.influences, known[:, len(leg.sensors) :].T, strict=False)
-        }
+    @cached_property
+    def known(self) -> list[Array]:
+        """Readings of each leg, then its influences, shape (N, n_active [+ n_influences])."""
+        return [
+            np.column_stack([self.readings[:, columns], *(self.influences[name] for name in names)])
+            for columns, names in zip(
+                self.reading_columns, (leg.influences for leg in self.legs), strict=True
+            )
+        ]
 
     @cached_property
     def quantities(self) -> dict[str, str]:
@@ -114,19 +111,13 @@ class LegBlock:
         """Return the block at some of its rows."""
         return replace(
             self,
-            known=tuple(known[rows] for known in self.known),
+            readings=self.readings[rows],
+            influences={name: values[rows] for name, values in self.influences.items()},
             data_rows=self.data_rows[rows],
             used=self.used[rows],
             sigma=self.sigma[rows],
             pose_roots=None if self.pose_roots is None else self.pose_roots[rows],
         )
-
-    def corrected(self, shift: Array) -> LegBlock:
-        """Return the block at other readings, by a shift of shape (N, n_readings)."""
-        corrected = [known.copy() for known in self.known]
-        for known, columns in zip(corrected, self.reading_columns, strict=True):
-            known[:, : columns.stop - columns.start] += shift[:, columns]
-        return replace(self, known=tuple(corrected))
 
     def evaluate(self, state: State) -> BlockRows:
         """Return the residuals of the legs where they close best; zero in rows that serve none.

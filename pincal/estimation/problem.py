@@ -114,7 +114,7 @@ class Linear:
     @cached_property
     def noise(self) -> Array:
         """The least noise that explains the conditions, standard deviations, shape (N, s)."""
-        return self.white.least_noise(self.conditions)
+        return -(self.white.by_noise.transpose(0, 2, 1) @ self.residuals[:, :, None])[:, :, 0]
 
     @cached_property
     def noise_by_parameter(self) -> Array:

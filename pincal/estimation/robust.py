@@ -9,14 +9,15 @@ from scipy.special import chdtrc, ndtri
 
 from pincal.errors import ObservabilityError
 from pincal.estimation.fit import Fit, Outlier, fit
-from pincal.estimation.observability.identifiable import check_covariance, check_weakly_determined
-from pincal.estimation.problem import Linear, Problem
+from pincal.estimation.observability.indices import DIFFER, plausible_changes
 from pincal.estimation.solver import solve_poses, unsolved
 from pincal.estimation.system import LOSSES, Loss, System, outlying, robust_scale, suspected
 from pincal.estimation.unknowns import State
 from pincal.kinematics.closure import largest_size
 from pincal.model.mechanism import Mechanism
 from pincal.types import Mask
+from pincal.words.numbers import listed
+from pincal.words.wording import NAMED
 
 _LEAST = float(np.finfo(float).tiny)  # of probabilities that can be held
 _ROUNDS = 10  # rounds of leaving rows out
@@ -36,19 +37,19 @@ def robust_fit(
             that ran away.
         MeasurementError: residuals that do not exist, or have no noise.
     """
-    try:
-        if loss is None:
-            optimum = fit(system, start)
-            scale, judged = optimum.noise_scale, _seen_scale(optimum)
-        else:
-            optimum, scale = _under_loss(system, loss, start)
-            judged = scale
-    except ObservabilityError as error:
-        check_weakly_determined(mechanism, system.problem, system.unknowns, error)
-        raise
+    if loss is None:
+        optimum = fit(system, start)
+        scale = judged = optimum.noise_scale
+        squares, equations = optimum.last.squares, optimum.last.equations
+        share = optimum.degrees_of_freedom / max(int(equations.sum()), 1)
+        if share > 0.0:  # where every row misses by more, the noise given is wrong, and no row
+            judged = max(scale, robust_scale(squares, equations, share))
+    else:
+        optimum, scale = _under_loss(system, loss, start)
+        judged = scale
     fit_is_good = optimum.chi2 <= _GOOD * max(optimum.degrees_of_freedom, 1)
     if fit_is_good or not system.known:
-        check_covariance(mechanism, system.problem, optimum, optimum.covariance)
+        _check_covariance(mechanism, optimum)
     return replace(optimum, outliers=_outliers(optimum, scale, judged, system.kept))
 
 
@@ -58,16 +59,23 @@ def _under_loss(system: System, loss: Loss, start: State | None) -> tuple[Fit, f
     From nominal parameters by Cauchy's loss, which forgets no row, then, if rows are rejected, by
     Tukey's. A start is an optimum under the same loss, at other noise: it says the scale.
     """
-    problem, coarse = system.problem, None
+    problem, first = system.problem, None
     if start is None:
         coarse = fit(replace(system, loss=LOSSES["cauchy"]))
-        linear, scale = coarse.last, coarse.scale
+        linear, scale, first = coarse.last, coarse.scale, coarse.first
     else:
         linear, _ = solve_poses(problem, problem.evaluate(start))
         _, scale = replace(system, loss=loss).weights(linear)
-    near = _near(problem, linear) & system.in_use(linear)
+    # Rows whose pose was not found, or that move the machine by a good part of its size, have no
+    # derivatives that say anything, and no loss bounds what they weigh.
+    moved = (linear.white.noise @ linear.noise[:, :, None])[:, :, 0]
+    largest = {"m": _LINEAR * largest_size(problem.legs), "rad": _LINEAR}
+    observed_units = problem.observation.units if problem.latent else ()
+    units = [*["m"] * problem.leg_block.n_rows, *observed_units]
+    near = (np.abs(moved) <= [largest.get(unit, np.inf) for unit in units]).all(axis=1)
+    near &= system.kept & ~unsolved(problem, linear)
     system = replace(system, held_scale=scale, kept=near)
-    if loss.name != "reject" or coarse is not None:
+    if first is not None or loss.name != "reject":
         fine = LOSSES["tukey"] if loss.name == "reject" else loss
         optimum = fit(replace(system, loss=fine), linear.state)
         linear = optimum.last
@@ -79,39 +87,40 @@ def _under_loss(system: System, loss: Loss, start: State | None) -> tuple[Fit, f
                 break
             rows, optimum = inliers, fit(replace(system, kept=inliers), linear.state)
             linear = optimum.last
-    return (replace(optimum, first=coarse.first) if coarse else optimum), scale
+    return replace(optimum, first=first or optimum.first), scale
 
 
-def _seen_scale(fit: Fit) -> float:
-    """Return the scale of the noise by which rows are judged: that given, or most rows' if larger.
+def _check_covariance(mechanism: Mechanism, optimum: Fit) -> None:
+    """Raise if a search was lost among parameters, or found values that could be any.
 
-    Where every row misses by more than the noise given explains, that noise is wrong, and no row.
+    Lost where noise moves parameters farther than machines differ from their drawings; any where
+    it has done so, and two standard errors are longer than the machine, or more than a radian: no
+    linear covariance holds so far.
     """
-    share = fit.degrees_of_freedom / max(int(fit.last.equations.sum()), 1)
-    if not share > 0.0:
-        return fit.noise_scale
-    return max(fit.noise_scale, robust_scale(fit.last.squares, fit.last.equations, share))
+    legs = optimum.problem.legs
+    limit = plausible_changes(mechanism, legs)
+    std = np.sqrt(np.diagonal(optimum.covariance))[: len(limit)]
+    nominal = np.concatenate([leg.nominal for leg in legs])
+    moved, far = np.abs(optimum.parameters - nominal) > limit, std > limit
+    if not ((moved & (2.0 * std > limit / DIFFER)).any() if optimum.converged else far.any()):
+        return
+    ids = np.array([name for leg in legs for name in leg.parameter_ids])[far].tolist()
+    single, hidden = len(ids) == 1, len(ids) - NAMED
+    named = listed([*ids[:NAMED], f"{hidden} more parameters"] if hidden > 1 else ids)
+    them = "it" if single else "them"
+    raise ObservabilityError(
+        f"{named} {'is' if single else 'are'} weakly determined by the measured poses: noise moves "
+        f"{them} farther than machines differ from their drawings. Measure poses that differ more "
+        f"(in orientation above all), hold {them} as near to nominal as can be "
+        "(leave out --strict), or say how well nominal values are known (--priors)"
+    )
 
 
-def _near(problem: Problem, linear: Linear) -> Mask:
-    """Return which rows are near enough for their noise to act linearly, shape (N,).
-
-    Of the others a pose was not found, or what explains them moves the machine by a good part of
-    its size; neither has derivatives that say anything, and no loss bounds what they weigh.
-    """
-    moved = (linear.white.noise @ linear.noise[:, :, None])[:, :, 0]
-    far = {"m": _LINEAR * largest_size(problem.legs), "rad": _LINEAR}
-    observed_units = problem.observation.units if problem.latent else ()
-    units = [*["m"] * problem.leg_block.n_rows, *observed_units]
-    near = np.abs(moved) <= [far.get(unit, np.inf) for unit in units]
-    return ~unsolved(problem, linear) & near.all(axis=1)
-
-
-def _outliers(fit: Fit, scale: float, judged: float, counts: Mask | None) -> tuple[Outlier, ...]:
+def _outliers(fit: Fit, scale: float, judged: float, counted: Mask) -> tuple[Outlier, ...]:
     """Return the rows that do not fit at a scale of the noise, the worst first.
 
-    Rows in use are judged by another scale if that is larger. Rows that no fit may follow, such as
-    those for verification, are judged elsewhere.
+    Rows in use are judged by another scale if that is larger. Rows that do not count, such as those
+    for verification, are judged elsewhere.
     """
     linear = fit.last
     if not (fit.converged and scale > 0.0):
@@ -120,7 +129,7 @@ def _outliers(fit: Fit, scale: float, judged: float, counts: Mask | None) -> tup
     relative = linear.squares / scale**2
     left_out = outlying(relative, equations) & (fit.weights == 0.0)
     far = np.where(linear.equations > 0, linear.squares / max(scale, judged) ** 2, 0.0)
-    listed = (left_out | suspected(far, equations)) & (linear.equations > 0)
+    listed_rows = (left_out | suspected(far, equations)) & (linear.equations > 0) & counted
     quantities = tuple(fit.problem.quantities)
     noise = np.abs(linear.noise[:, : len(quantities)]) / scale
     worst = noise.argmax(axis=1)
@@ -133,7 +142,7 @@ def _outliers(fit: Fit, scale: float, judged: float, counts: Mask | None) -> tup
             quantity=quantities[worst[i]],
             off=float(noise[i, worst[i]]),
         )
-        for i in np.flatnonzero(listed if counts is None else listed & counts)
+        for i in np.flatnonzero(listed_rows)
     ]
     return tuple(sorted(outliers, key=lambda outlier: -outlier.sigma))
 

@@ -66,11 +66,6 @@ class WhiteRows:
         by_rows = np.linalg.solve(W @ W.transpose(0, 2, 1), W @ self.noise.transpose(0, 2, 1))
         return np.asarray(by_rows.transpose(0, 2, 1))
 
-    def least_noise(self, rows: Array) -> Array:
-        """Return the least noise ν that explains rows e of shape (N, k), shape (N, s)."""
-        white = self(rows[:, :, None])
-        return -(self.by_noise.transpose(0, 2, 1) @ white)[:, :, 0]
-
     def pose_step(self, rows: Array) -> Array:
         """Return the step of the poses that explains rows (N, k) with the least noise, (N, dof)."""
         return self.poses_by(rows[:, :, None])[:, :, 0]
@@ -106,7 +101,7 @@ def white_rows(pose: Array, noise: Array) -> WhiteRows:
         reduced, scale, basis, triangle = (_spread(part, finite) for part in parts)
         return WhiteRows(reduced, scale, basis, triangle, noise)
     dof = pose.shape[2]
-    Q, R = _complete(pose)
+    Q, R = np.linalg.qr(pose, mode="complete")  # B = Q R, Q square
     N = Q[:, :, dof:].transpose(0, 2, 1)
     free = product(N, noise)
     L = _root(free)
@@ -135,12 +130,3 @@ def _spread(values: Array, places: Mask) -> Array:
     spread = np.full((len(places), *values.shape[1:]), np.nan)
     spread[places] = values
     return spread
-
-
-def _complete(pose: Array) -> tuple[Array, Array]:
-    """Return B = Q R with Q square, shapes (N, k, k) and (N, k, dof)."""
-    count, k, dof = pose.shape
-    if count and dof:
-        Q, R = np.linalg.qr(pose, mode="complete")
-        return np.asarray(Q), np.asarray(R)
-    return np.broadcast_to(np.eye(k), (count, k, k)), pose

@@ -117,12 +117,14 @@ def search(
     """
     current, damping, growth = Iterate.of(system, start), 0.0, 10.0
     evaluations, highest = 1, max(current.cost, highest)
-    unused = ~system.in_use(start)
+    unused = ~system.kept
     fixed_poses, cost_when_fixed = unused, np.inf
     while current.normal.decrement > _tolerance(system, current, enough):
         if evaluations >= current.limit(system.max_evaluations) or damping > _DAMPING[1]:
             break
-        _report(system, current, evaluations)
+        if system.progress and evaluations % 5 == 0:
+            deviation = np.sqrt(current.cost / len(current.weights))
+            system.progress(f"step {evaluations}: {deviation:.3g} σ a pose")
         # 1. A damped step of all unknowns; then each pose alone.
         step = current.normal.step(damping)
         trial, count = _reached(system, current, step, fixed_poses)
@@ -131,8 +133,9 @@ def search(
             # 2. Taken: less damping where the fall is as predicted.
             damping, growth = damping * _change(system, current, trial, step), 10.0
             damping = damping if damping > _DAMPING[0] else 0.0
-            at_end = current.blind and _at_end(current, trial)
-            current = trial
+            before, after = current.normal.decrement, trial.normal.decrement
+            stays = after > (1.0 - _STAYS) * before or (after > 0.5 * before and after <= SLOW)
+            at_end, current = current.blind and stays, trial  # nothing but rounding is left
             if current.cost < 0.5 * cost_when_fixed:
                 fixed_poses, cost_when_fixed = unused, np.inf
             if at_end:
@@ -144,7 +147,11 @@ def search(
             break
         else:
             damping, growth = max(damping, _DAMPING[0]) * growth, 2.0 * growth
-    distance = current.normal.decrement / _unit(system, current)
+    distance = current.normal.decrement
+    if not system.known:  # over the standard deviation of residuals
+        equations = int(current.linear.equations[current.weights > 0.0].sum())
+        freedoms = max(equations - system.unknowns.n_free, 1)
+        distance /= max(float(np.sqrt(current.cost / freedoms)), 1e-300)
     exact = current.normal.decrement <= max(NO_STEP, 10.0 * rounding(system, current.linear))
     return SolverResult(
         current.linear,
@@ -193,19 +200,12 @@ def adjusted(problem: Problem, linear: Linear) -> Linear:
         noise = np.where(np.isfinite(noise), noise, 0.0)
         if np.abs(noise - before).max(initial=0.0) <= _UNCHANGED:
             break
-        legs = block.corrected(block.sigma * noise)
+        legs = replace(block, readings=block.readings + block.sigma * noise)
         corrected = replace(problem, leg_block=legs).evaluate(linear.state)
         by_reading = corrected.noise_root[:, :, : block.n_readings]
         back = (by_reading @ noise[:, :, None])[:, :, 0]
         at_adjusted = replace(corrected, conditions=corrected.conditions - back)
     return at_adjusted
-
-
-def _report(system: System, current: Iterate, evaluations: int) -> None:
-    """Say how far a search is, now and then."""
-    if system.progress and evaluations % 5 == 0:
-        deviation = np.sqrt(current.cost / len(current.weights))
-        system.progress(f"step {evaluations}: {deviation:.3g} σ a pose")
 
 
 def _tolerance(system: System, current: Iterate, enough: float) -> float:
@@ -214,13 +214,6 @@ def _tolerance(system: System, current: Iterate, enough: float) -> float:
         return NEGLIGIBLE
     deviation = np.sqrt(max(current.cost / current.linear.residuals.size, 1.0))
     return max(NO_STEP, rounding(system, current.linear), enough * float(deviation))
-
-
-def _unit(system: System, current: Iterate) -> float:
-    """Return the standard deviation of residuals in which distances are said."""
-    equations = int(current.linear.equations[current.weights > 0.0].sum())
-    freedoms = max(equations - system.unknowns.n_free, 1)
-    return 1.0 if system.known else max(float(np.sqrt(current.cost / freedoms)), 1e-300)
 
 
 def _better(system: System, current: Iterate, trial: Iterate, highest: float) -> bool:
@@ -236,12 +229,6 @@ def _change(system: System, current: Iterate, trial: Iterate, step: Array) -> fl
     cost = min(system.cost(trial.judged, current.weights, current.judged), trial.cost)
     gain = (current.cost - cost) / max(current.normal.fall(step), 1e-300)
     return 0.1 if gain > 0.75 else 1.0 if gain > 0.25 else 4.0
-
-
-def _at_end(current: Iterate, trial: Iterate) -> bool:
-    """Return whether nothing but rounding is left to gain by steps that the cost is blind to."""
-    before, after = current.normal.decrement, trial.normal.decrement
-    return after > (1.0 - _STAYS) * before or (after > 0.5 * before and after <= SLOW)
 
 
 def _reached(

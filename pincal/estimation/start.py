@@ -67,7 +67,7 @@ def align_start(
     if arm_matrices is None:
         block, readings = problem.leg_block, inverse(mechanism, np.array([platform.home])).readings
         for share in np.linspace(0.0, 1.0, _DRIVE_STEPS + 1)[1:]:
-            driven = block.corrected((1.0 - share) * (readings[0] - block.readings))
+            driven = replace(block, readings=readings + share * (block.readings - readings))
             way = replace(problem, leg_block=driven, observation=observation.only(()))
             state = poses_at_rest(way, state)
     good, agrees = _well(mechanism, problem, state), np.ones(len(data), dtype=bool)

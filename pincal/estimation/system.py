@@ -142,13 +142,13 @@ class System:
 
     problem: Problem
     unknowns: Unknowns
+    kept: Mask
+    """Rows that take part, shape (N,)."""
     known: bool
     """Whether the scale of the noise is known."""
     loss: Loss | None = None
     max_evaluations: int | None = None
     """Evaluations of the conditions after which a search stops; a usual number if None."""
-    kept: Mask | None = None
-    """Rows that take part, shape (N,); all if not given."""
     held_scale: float | None = None
     """Scale of the noise that a loss goes by; by the rows in the middle if not given."""
     adjusted: bool = False
@@ -160,13 +160,9 @@ class System:
         """Return the system with other standard deviations of nominal values, shape (n,)."""
         return replace(self, unknowns=replace(self.unknowns, priors=priors))
 
-    def in_use(self, linear: Linear) -> Mask:
-        """Return which rows take part, shape (N,)."""
-        return np.ones(len(linear.conditions), dtype=bool) if self.kept is None else self.kept
-
     def weights(self, linear: Linear) -> tuple[Array, float]:
         """Return the weight of each row, shape (N,), and the scale of the noise."""
-        weights = self.in_use(linear).astype(float)
+        weights = self.kept.astype(float)
         if self.loss is None:
             return weights, 1.0
         scale = self.held_scale or max(self.scale(linear), 1.0 if self.known else 1e-300)
@@ -174,10 +170,9 @@ class System:
 
     def scale(self, linear: Linear) -> float:
         """Return the scale of the noise by the rows in the middle."""
-        rows = self.in_use(linear)
-        equations = linear.equations[rows]
+        equations = linear.equations[self.kept]
         share = 1.0 - self.unknowns.n_free / max(int(equations.sum()), 1)
-        return robust_scale(linear.squares[rows], equations, max(share, 0.1))
+        return robust_scale(linear.squares[self.kept], equations, max(share, 0.1))
 
     def triangle(self, linear: Linear, weights: Array, bend: Array | None = None) -> Array:
         """Return R of the Jacobian in the free unknowns beside the residuals, with priors.

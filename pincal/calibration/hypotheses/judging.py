@@ -343,7 +343,8 @@ def _nearest(calibration: Calibration, matrices: Array, used: Mask, place: int) 
     problem = Problem(calibration.leg_block([place], rows, None, roots), observation)
     differ, left = changes_of(leg, leg.size), np.full(len(used), np.nan)
     free = replace(unknowns([leg]), priors=differ)
-    system = System(problem, free, known=True, loss=LOSSES["huber"])
+    every = np.ones(len(rows), dtype=bool)
+    system = System(problem, free, every, known=True, loss=LOSSES["huber"])
     with np.errstate(all="ignore"):
         nominal = best = problem.evaluate(State(leg.nominal, matrices[rows]))
         for _ in range(_STEPS):

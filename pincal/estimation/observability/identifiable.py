@@ -16,7 +16,6 @@ import numpy as np
 
 from pincal.errors import MeasurementError, ObservabilityError
 from pincal.estimation.observability.indices import (
-    DIFFER,
     NEGLIGIBLE,
     RANK_TOLERANCE,
     identifiability,
@@ -25,14 +24,11 @@ from pincal.estimation.observability.indices import (
     plausible_changes,
 )
 from pincal.estimation.problem import Linear, Problem
-from pincal.estimation.solver import SolverResult
 from pincal.estimation.start import poses_at_rest
 from pincal.estimation.unknowns import Unknowns
 from pincal.kinematics.closure import largest_size
 from pincal.model.mechanism import Mechanism
 from pincal.types import Array
-from pincal.words.numbers import listed
-from pincal.words.wording import NAMED
 
 _CLEARLY = 3.0  # times what noise makes of information: less is none
 _TAKES_PART = 0.1  # share of a direction's largest entry, from which a parameter is named
@@ -199,55 +195,6 @@ def _determined(
     rows = unknowns.free_rows(problem.evaluate(state).jacobian) * scale
     _, information, axes = np.linalg.svd(np.linalg.qr(rows, mode="r"), full_matrices=True)
     return axes, information, scale, plausible
-
-
-def check_weakly_determined(
-    mechanism: Mechanism, problem: Problem, unknowns: Unknowns, cause: ObservabilityError
-) -> None:
-    """Raise if the measurements determine something weakly, though nothing is unobservable.
-
-    Raises:
-        ObservabilityError: that is so; the message names what.
-    """
-    if not len(lost_directions(_at_start(mechanism, problem, unknowns))[0]):
-        axes, information, *_ = _determined(mechanism, problem, unknowns)
-        if (information <= 1.0).any():
-            weak = axes[: len(information)][information <= 1.0]
-            raise _weak(taking_part(unknowns.free_labels, weak)) from cause
-
-
-def check_covariance(
-    mechanism: Mechanism, problem: Problem, optimum: SolverResult, covariance: Array
-) -> None:
-    """Raise if a search was lost among parameters, or found values that could be any.
-
-    Lost where noise moves parameters farther than machines differ from their drawings; any where
-    it has done so, and two standard errors are longer than the machine, or more than a radian: no
-    linear covariance holds so far.
-
-    Raises:
-        ObservabilityError: that is so; the message names the parameters.
-    """
-    limit = plausible_changes(mechanism, problem.legs)
-    std = np.sqrt(np.diagonal(covariance))[: len(limit)]
-    nominal = np.concatenate([leg.nominal for leg in problem.legs])
-    moved = np.abs(optimum.last.state.parameters - nominal) > limit
-    far = std > limit
-    if (moved & (2.0 * std > limit / DIFFER)).any() if optimum.converged else far.any():
-        ids = [name for leg in problem.legs for name in leg.parameter_ids]
-        raise _weak([parameter for parameter, weak in zip(ids, far, strict=True) if weak])
-
-
-def _weak(ids: Sequence[str]) -> ObservabilityError:
-    single, hidden = len(ids) == 1, len(ids) - NAMED
-    named = listed([*ids[:NAMED], f"{hidden} more parameters"] if hidden > 1 else ids)
-    them = "it" if single else "them"
-    return ObservabilityError(
-        f"{named} {'is' if single else 'are'} weakly determined by the measured poses: noise moves "
-        f"{them} farther than machines differ from their drawings. Measure poses that differ more "
-        f"(in orientation above all), hold {them} as near to nominal as can be "
-        "(leave out --strict), or say how well nominal values are known (--priors)"
-    )
 
 
 @dataclass(frozen=True)
