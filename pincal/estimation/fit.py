@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.spatial import KDTree
 from scipy.special import chdtri
 
 from pincal.errors import MeasurementError, ObservabilityError
@@ -286,12 +285,6 @@ def _near_start(system: System, first: Linear) -> tuple[Linear, int]:
     easy = replace(system, problem=easier, kept=system.kept & sound, loss=None)
     end = search(replace(easy, max_evaluations=_EASY_EVALUATIONS), begin, enough=_EASY_NEAR)
     state, evaluations = end.last.state, solved + end.evaluations
-    if problem.latent and not sound.all():  # what was measured may lead to another assembly mode:
-        readings = problem.leg_block.readings  # those rows start where readings are most alike
-        readings = readings / np.maximum(np.ptp(readings, axis=0), 1e-300)
-        rows, sound_rows = np.arange(len(sound)), np.flatnonzero(sound)
-        rows[~sound] = sound_rows[KDTree(readings[sound_rows]).query(readings[~sound])[1]]
-        state = state.rows(rows)
     try:
         with np.errstate(all="ignore"):
             near, solved = solve_poses(problem, problem.evaluate(state))

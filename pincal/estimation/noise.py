@@ -284,9 +284,22 @@ def row_noise(
     place = {name: column for column, name in enumerate(names)}
     covariance = sigma[:, :, None] ** 2 * np.eye(len(names))
     if setup.tracker is not None:
-        for columns, points in _targets(place, data, setup, platform):
+        for target in setup.targets:
+            axes = "xyz"[: platform.space]
+            parts = [axis if target == ORIGIN else f"{target}_{axis}" for axis in axes]
+            if not set(parts) <= set(place):
+                continue
+            points = target_positions(platform, data, target)
+            columns = np.array([place[name] for name in parts])
+            measured = np.isfinite(points)[:, : len(axes)]
+            if (part := measured.any(axis=1) & ~measured.all(axis=1)).any():
+                raise MeasurementError(
+                    f"data row {int(np.argmax(part)) + 1}: of {', '.join(parts)} some are "
+                    "measured, some not; a tracker measures all of them (or give 'sigma_x' and the "
+                    "like instead of the tracker)"
+                )
             block = _of_tracker(setup.tracker, points)[:, : len(columns), : len(columns)]
-            rows = np.flatnonzero(np.isfinite(block).all(axis=(1, 2)))
+            rows = np.flatnonzero(measured.all(axis=1))
             covariance[np.ix_(rows, columns, columns)] = block[rows]
     for pair, values in data.covariances.items():
         first, second = pair.split(",")
@@ -313,28 +326,13 @@ def _sigmas_by_name(
     return dict.fromkeys((*turns, *SINGLE_ANGLES), middle) | sigmas | by_freedom
 
 
-def _targets(
-    place: dict[str, int], data: Measurements, setup: Setup, platform: Platform
-) -> list[tuple[Index, Array]]:
-    """Return columns of targets' positions and the points, (N, 3), z zero in the plane."""
-    targets = []
-    for target in setup.targets:
-        axes = "xyz"[: platform.space]
-        names = [axis if target == ORIGIN else f"{target}_{axis}" for axis in axes]
-        if not all(name in place for name in names):
-            continue
-        points = np.zeros((len(data), 3))
-        for axis, name in enumerate(names):
-            points[:, axis] = data.poses[:, axis] if target == ORIGIN else data.extra[name]
-        measured = np.isfinite(points[:, : len(axes)])
-        if (part := measured.any(axis=1) & ~measured.all(axis=1)).any():
-            raise MeasurementError(
-                f"data row {int(np.argmax(part)) + 1}: of {', '.join(names)} some are measured, "
-                "some not; a tracker measures all of them (or give 'sigma_x' and the like instead "
-                "of the tracker)"
-            )
-        targets.append((np.array([place[name] for name in names]), points))
-    return targets
+def target_positions(platform: Platform, data: Measurements, target: str) -> Array:
+    """Return measured positions of a target, shape (N, 3); NaN where not measured, z 0 in plane."""
+    measured, none = np.zeros((3, len(data))), np.full(len(data), np.nan)
+    columns = [data.extra.get(f"{target}_{axis}", none) for axis in "xyz"[: platform.space]]
+    columns = [*data.poses.T[: platform.lengths]] if target == ORIGIN else columns
+    measured[: len(columns)] = columns
+    return measured.T
 
 
 def _of_tracker(tracker: Tracker, points: Array) -> Array:

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pincal.errors import MeasurementError
+from pincal.estimation.noise import target_positions
 from pincal.estimation.problem import Problem
 from pincal.estimation.unknowns import External, State
 from pincal.kinematics.closing import home_mode, mode_sign
@@ -87,30 +88,23 @@ def _instruments_started(problem: Problem, state: State) -> State:
     """Return the state with the instruments' own parameters at least squares, if poses fix them."""
     from scipy.optimize import least_squares  # slow to load: when needed
 
-    observation, external = problem.observation, state.external
+    observation, external, n = problem.observation, state.external, len(state.external.instruments)
     columns = [name for instrument in observation.setup.instruments for name in instrument.columns]
     others = observation.only([name for name in observation.names if name not in columns])
     without_instruments = replace(problem, observation=others)
-    if not len(external.instruments) or (without_instruments.equations < 0).any():
+    if not n or (without_instruments.equations < 0).any():
         return state
-    matrices = poses_at_rest(without_instruments, state).matrices
-    instruments, sigma = observation.only(columns), observation.sigma
-    sigma = np.where(instruments.measured & (sigma > 0.0), sigma, 1.0)
+    matrices, seen = poses_at_rest(without_instruments, state).matrices, observation.only(columns)
 
-    def rows(values: Array) -> tuple[Array, Array]:
-        value, _, by_external = instruments.residuals(
-            matrices, replace(external, instruments=values)
-        )
-        by_values = by_external[:, :, -len(values) :] / sigma[:, :, None]
-        return (value / sigma).ravel(), by_values.reshape(-1, len(values))
+    def missed(values: Array) -> Array:
+        return seen.residuals(matrices, replace(external, instruments=values))[0].ravel()
 
-    solution = least_squares(
-        lambda values: rows(values)[0],
-        external.instruments,
-        jac=lambda values: rows(values)[1],
-        x_scale="jac",
-    )
-    return replace(state, external=replace(external, instruments=solution.x))
+    def slopes(values: Array) -> Array:
+        by_external = seen.residuals(matrices, replace(external, instruments=values))[2]
+        return by_external[:, :, -n:].reshape(-1, n)
+
+    values = least_squares(missed, external.instruments, slopes, x_scale="jac").x
+    return replace(state, external=replace(external, instruments=values))
 
 
 def _well(mechanism: Mechanism, problem: Problem, state: State) -> Mask:
@@ -165,15 +159,14 @@ def poses_at_rest(problem: Problem, state: State) -> State:
     """
     platform, size = problem.platform, largest_size(problem.legs)
     scale = np.array([size if unit == "m" else 1.0 for unit in platform.units])
-    angles = np.array([unit == "rad" for unit in problem.observation.units], dtype=bool)
+    units = [*["m"] * problem.leg_block.n_rows, *problem.observation.units]
+    arms = np.array([size if unit == "rad" else 1.0 for unit in units])
 
     def lengths_at(state: State) -> tuple[State, Array, Array, Array]:
         """Return the state with joints, conditions as lengths, by the pose, and their squares."""
         linear = problem.evaluate(state)
-        per = np.ones(linear.conditions.shape[1])
-        per[len(per) - len(angles) :] = np.where(angles, size, 1.0)
-        value = linear.conditions * per
-        by_pose = linear.by_pose * per[:, None] * scale
+        value = linear.conditions * arms
+        by_pose = linear.by_pose * arms[:, None] * scale
         return linear.state, value, by_pose, np.einsum("nk,nk->n", value, value)
 
     state, value, B, cost = lengths_at(state)
@@ -215,9 +208,8 @@ def check_start(problem: Problem, state: State) -> None:
     """
     linear = problem.evaluate(poses_at_rest(problem, state))
     size, setup = largest_size(problem.legs), problem.observation.setup
-    lengths = [*[True] * problem.leg_block.n_rows, *(u == "m" for u in problem.observation.units)]
-    missed = np.linalg.norm(linear.conditions[:, np.array(lengths)], axis=1)
-    worst = float(np.median(missed))
+    units = np.array([*["m"] * problem.leg_block.n_rows, *problem.observation.units])
+    worst = float(np.median(np.linalg.norm(linear.conditions[:, units == "m"], axis=1)))
     if worst > _CONTRADICTS * size:
         options = {
             "if the base is elsewhere in it: --unknown-frame": setup.unknown_frame,
@@ -246,7 +238,7 @@ def aligned(
     """Return the external unknowns that take the targets to where they were measured.
 
     Frame and unknown offsets in turn, each by least squares with the others as they are, of the
-    rows that agree: see ``_agreeing``.
+    rows that agree with most others on frame and offsets.
 
     Args:
         problem: The problem.
@@ -262,9 +254,16 @@ def aligned(
         MeasurementError: frames that cannot be aligned, or only mirrored.
     """
     observation, platform = problem.observation, problem.platform
-    measured = np.stack([_positions(platform, data, name) for name in observation.setup.targets])
-    known = reached & np.isfinite(measured).all(axis=2)
-    agreeing = known & _agreeing(problem, state, measured, known)
+    targets = observation.setup.targets
+    measured = np.stack([target_positions(platform, data, name) for name in targets])
+    known = agreeing = reached & np.isfinite(measured).all(axis=2)
+    if known.any():  # those that miss the alignment of least absolute values by no gross multiple
+        far = np.linalg.norm(measured - np.median(measured[known], axis=0), axis=2)
+        extent = max(float(np.median(far[known])), 1e-300)
+        weights = np.where(known, extent / np.maximum(far, extent), 0.0)  # none more than most
+        missed = _in_turn(problem, state, measured, weights, absolute=True)[-1]
+        usual = float(np.median(missed[known]))
+        agreeing = known & (missed <= max(_GROSS * usual, _MISFIT * extent))
     frame, offsets, points, _ = _in_turn(problem, state, measured, agreeing.astype(float))
     if observation.setup.unknown_frame and not however_far:
         _check_frame(points[agreeing], measured[agreeing], frame, platform)
@@ -280,38 +279,13 @@ def aligned(
     return replace(state.external, frame=frame, offsets=offsets, turn=turn), agrees
 
 
-def _positions(platform: Platform, data: Measurements, target: str) -> Array:
-    """Return measured positions of a target, shape (N, 3); NaN where not measured."""
-    measured, none = np.zeros((3, len(data))), np.full(len(data), np.nan)
-    columns = [data.extra.get(f"{target}_{axis}", none) for axis in "xyz"[: platform.space]]
-    columns = [*data.poses.T[: platform.lengths]] if target == ORIGIN else columns
-    measured[: len(columns)] = columns
-    return measured.T
-
-
-def _agreeing(problem: Problem, state: State, measured: Array, known: Mask) -> Mask:
-    """Return which positions agree with most others on frame and offsets, shape (n_targets, N).
-
-    They miss the alignment of least absolute values by no gross multiple of the usual. Where that
-    alignment begins, a position far from the others weighs no more than they do.
-    """
-    if not known.any():
-        return known
-    far = np.linalg.norm(measured - np.median(measured[known], axis=0), axis=2)
-    extent = max(float(np.median(far[known])), 1e-300)
-    weights = np.where(known, extent / np.maximum(far, extent), 0.0)
-    missed = _in_turn(problem, state, measured, weights, absolute=True)[-1]
-    usual = float(np.median(missed[known]))
-    return known & (missed <= max(_GROSS * usual, _MISFIT * extent))
-
-
 def _in_turn(
     problem: Problem, state: State, measured: Array, weights: Array, *, absolute: bool = False
 ) -> tuple[Array, Array, Array, Array]:
     """Return frame (4, 4), offsets (n_targets, 3), targets' places and misses (n_targets, N) [m].
 
-    Weights are those of squares, 0 where a target was not measured, shape (n_targets, N); or, if
-    distances are summed as absolute values, those with which that begins.
+    Weights are of squares, 0 where a target was not measured, shape (n_targets, N); or, where
+    absolute distances are summed, those with which that begins.
     """
     setup, platform = problem.observation.setup, problem.platform
     R, r = state.matrices[:, :3, :3], state.matrices[:, :3, 3]
