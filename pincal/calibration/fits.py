@@ -32,7 +32,7 @@ from pincal.estimation.observability.indices import DIFFER
 from pincal.estimation.problem import Problem
 from pincal.estimation.robust import robust_fit
 from pincal.estimation.system import System, loss_of
-from pincal.estimation.unknowns import External, State
+from pincal.estimation.unknowns import External, State, Unknowns
 from pincal.kinematics.closure import largest_size
 from pincal.model.checks import ALIKE
 from pincal.model.measurements import Noise
