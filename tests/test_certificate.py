@@ -10,7 +10,7 @@ from measured import workspace
 
 import pincal
 from pincal.design.criteria import Criterion
-from pincal.design.information import leg_rows as leg_rows_of
+from pincal.design.forecast import leg_rows as leg_rows_of
 from pincal.design.optimal import continuous_design, derivatives, exchange
 from pincal.kinematics.configurations import leg_demands
 

@@ -13,7 +13,7 @@ from command_line import run
 from measured import put
 
 import pincal
-from pincal.design.information import information_rows
+from pincal.design.forecast import information_rows
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.collision import free_of_collision
 from pincal.kinematics.configurations import joints_at, legs_at

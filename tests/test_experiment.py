@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import pincal
-from pincal.design.information import leg_rows
+from pincal.design.forecast import leg_rows
 from pincal.design.optimal import continuous_design, exchange
 from pincal.estimation.observability.indices import identifiability, indices, r_diagonal
 from pincal.kinematics.configurations import leg_demands

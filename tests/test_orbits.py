@@ -11,7 +11,7 @@ from measured import workspace
 from moved import moved, random_motion
 
 import pincal
-from pincal.design.information import leg_rows
+from pincal.design.forecast import leg_rows
 from pincal.design.orbits import (
     carried_legs,
     distinct,

@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 
 import pincal
 from pincal import Measurements, Mechanism, Noise, Placement, Platform
-from pincal.design.information import leg_rows
+from pincal.design.forecast import leg_rows
 from pincal.design.optimal import continuous_design, exchange
 from pincal.kinematics.configurations import leg_demands
 

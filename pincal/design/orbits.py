@@ -12,7 +12,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from pincal.design.information import leg_rows
+from pincal.design.forecast import leg_rows
 from pincal.errors import SymmetryError
 from pincal.files.measurements import as_noise
 from pincal.kinematics.closure import nominal_legs

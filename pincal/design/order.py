@@ -32,15 +32,10 @@ def in_turns(plan: Plan, seed: int = 0) -> Plan:
 
 
 def with_reference(mechanism: Mechanism, plan: Plan, every: int) -> Plan:
-    """Return a plan in which one pose is measured again every so many rows, and at its end.
+    """Return a plan in which one pose is measured again every so many rows, and at both ends.
 
     The pose in the middle: with the least sum of squared twists to the others. Its rows have the
     name ``reference``, and differ by noise and by what drifts.
-
-    Args:
-        mechanism: The mechanism.
-        plan: The poses, in their order.
-        every: How many rows lie between.
 
     Raises:
         MeasurementError: no rows between.
@@ -55,17 +50,16 @@ def with_reference(mechanism: Mechanism, plan: Plan, every: int) -> Plan:
         for row in fitted
     )
     middle = int(fitted[np.argmin([((per * twist) ** 2).sum() for twist in twists])])
-    order: list[int] = []
-    for begin in range(0, count, every):
-        order += [middle, *range(begin, min(begin + every, count))]
-    order.append(middle)
-    ordered = plan.rows(np.array(order))
-    sets = list(ordered.serving)
-    for row in (*range(0, len(order) - 1, every + 1), -1):
-        sets[row] = EVERY_LEG
-    names = ordered.places or ("",) * len(order)
-    places = tuple(REFERENCE if row == middle else names[i] for i, row in enumerate(order))
-    return replace(ordered, sets=tuple(sets), places=places)
+    places = [*range(0, count, every), count]  # before which it is measured
+    again = np.insert(np.zeros(count, dtype=bool), places, True)
+    order = np.insert(np.arange(count), places, middle)
+    ordered = plan.rows(order)
+    names = np.array(ordered.places or ("",) * len(order), dtype=object)
+    return replace(
+        ordered,
+        sets=tuple(np.where(again, EVERY_LEG, ordered.serving).tolist()),
+        places=tuple(np.where(order == middle, REFERENCE, names).tolist()),
+    )
 
 
 def with_verification(
@@ -73,12 +67,7 @@ def with_verification(
 ) -> Plan:
     """Return a plan with poses beside it that no fit follows: those of the set ``verify``.
 
-    Args:
-        mechanism: The mechanism.
-        plan: Poses that were chosen.
-        offered: Poses from which to take the others at random: spread over the workspace.
-        count: How many.
-        seed: Seed.
+    So many are taken at random from those offered, which are spread over the workspace.
 
     Raises:
         ObservabilityError: fewer are in reach.

@@ -1,6 +1,6 @@
 """Configurations chosen for all parameters together.
 
-Rows are those of the best estimator (see ``information``), whatever part of the platform is
+Rows are those of the best estimator (see ``forecast``), whatever part of the platform is
 measured and wherever the tracker is. Directions that no candidate determines are left out. The
 choice is D-optimal in what can be identified, or makes the calibrated platform most accurate over
 the candidates; its efficiency is against the bound that no choice exceeds.
@@ -16,7 +16,7 @@ import numpy as np
 
 from pincal.blas import one_thread
 from pincal.design.criteria import Criterion
-from pincal.design.information import apart_from_frames, information_rows, null_directions
+from pincal.design.forecast import apart_from_frames, information_rows, null_directions
 from pincal.design.optimal import continuous_design, exchange
 from pincal.design.orbits import distinct
 from pincal.design.platform_error import without_frames
