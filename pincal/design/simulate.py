@@ -89,12 +89,9 @@ def simulate(
 ) -> Simulation:
     """Return what a measurement of the true mechanism at planned poses would give.
 
-    With more legs than freedoms, no true mechanism can obey all nominal readings;
-    it is then moved to the planned poses themselves, and its own readings are taken there.
-
     Args:
         mechanism: The nominal mechanism, which commands the poses.
-        truth: The true mechanism, which goes elsewhere.
+        truth: The true mechanism, which goes elsewhere; with more legs than freedoms to the poses.
         plan: Poses to command.
         noise: Standard deviations of what is measured.
         seed: Seed or generator.
@@ -103,8 +100,7 @@ def simulate(
         MechanismError: poses of a wrong shape, or not finite; a homed sensor and a home pose
             out of its leg's reach.
     """
-    mechanism = as_mechanism(mechanism)
-    truth = as_mechanism(truth)
+    mechanism, truth = as_mechanism(mechanism), as_mechanism(truth)
     plan, noise = read_poses(plan, mechanism), as_noise(noise)
     rng = generator_of(seed, MeasurementError)
     count, platform = len(plan.poses), mechanism.platform
@@ -192,28 +188,16 @@ def platform_errors(model: Mechanism, truth: Mechanism, poses: Plan | Poses) -> 
 
 
 def accuracy(model: GivenMechanism, truth: GivenMechanism, poses: Plan | Poses) -> Accuracy:
-    """Return the errors of the true mechanism when a model commands its poses.
+    """Return the errors of the true mechanism when a nominal or calibrated model commands it.
 
-    The root mean squares are the papers' RMSE of commanded against measured pose, without
-    measuring noise.
-
-    Args:
-        model: The model that commands, as nominal or calibrated.
-        truth: The machine that moves.
-        poses: N poses that are commanded, shape (N, dof), [m] and [rad].
+    Poses have shape (N, dof), [m] and [rad]. Root mean squares are the papers' RMSE of commanded
+    against measured pose, without measuring noise.
 
     Raises:
         MechanismError: poses of a wrong shape, or not finite.
     """
-    model = as_mechanism(model)
-    truth = as_mechanism(truth)
+    model, truth = as_mechanism(model), as_mechanism(truth)
     errors = sizes(model.platform.units, platform_errors(model, truth, poses))
     reached = np.isfinite(errors).all(axis=1)
-    position, orientation = root_mean_squares(errors)
-    return Accuracy(
-        position=position,
-        orientation=orientation,
-        worst_position=float(errors[reached, 0].max(initial=0.0)),
-        poses=len(errors),
-        unreachable=int((~reached).sum()),
-    )
+    worst, lost = float(errors[reached, 0].max(initial=0.0)), int((~reached).sum())
+    return Accuracy(*root_mean_squares(errors), worst, len(errors), lost)
