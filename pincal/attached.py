@@ -30,8 +30,8 @@ DONE_BY = {
     "Mechanism.from_urdf": "pincal.formats.arm.load_arm",
     "Mechanism.save": "pincal.files.mechanism_folders.save_mechanism",
     "Plan.from_csv": "pincal.files.measurements.read_poses",
-    "Plan.to_csv": "pincal.files.measurement_writing.write_plan",
-    "Plan.to_dataframe": "pincal.files.measurement_writing.dataframe_of",
+    "Plan.to_csv": "pincal.files.columns.write_plan",
+    "Plan.to_dataframe": "pincal.files.columns.dataframe_of",
     "Selection.__str__": "pincal.show.tables.selection_text",
     "Setup.from_yaml": "pincal.files.yaml.read_setup",
 }

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 import pincal
-from pincal.files.measurement_writing import reading_columns
+from pincal.files.columns import reading_columns
 from pincal.files.table import write_table
 from pincal.workspace.criteria import in_workspace
 

@@ -25,7 +25,7 @@ import pincal
 from pincal.calibration import result_files
 from pincal.errors import PincalError
 from pincal.files import measurements
-from pincal.files.measurement_writing import reading_columns
+from pincal.files.columns import reading_columns
 from pincal.files.mechanism_folders import bundled
 from pincal.files.table import write_table
 from pincal.formats.arm import serial_arm

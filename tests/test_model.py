@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 import pincal
 from pincal.errors import MeasurementError, MechanismError
-from pincal.files.measurement_writing import reading_columns, write_plan
+from pincal.files.columns import reading_columns, write_plan
 from pincal.files.measurements import read_measurements, read_poses, read_readings
 from pincal.files.mechanism_folders import as_mechanism, bundled
 from pincal.files.yaml import read_setup

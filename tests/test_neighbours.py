@@ -30,10 +30,9 @@ from scipy.spatial.transform import Rotation
 
 import pincal
 from pincal.formats.arm import serial_arm
-from pincal.formats.calibrated_urdf import calibrated_urdf
 from pincal.formats.closed import closed_mechanism
-from pincal.formats.loops import read_loops
 from pincal.formats.mjcf import mjcf, read_mjcf, unwritten
+from pincal.formats.users_urdf import calibrated_urdf, read_loops
 from pincal.kinematics.assembly import independent
 from pincal.kinematics.batches import cross
 from pincal.kinematics.closed_forms import closed_form

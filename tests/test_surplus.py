@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 import pincal
 from pincal.design.forecast import forecast
-from pincal.files.measurement_writing import write_plan
+from pincal.files.columns import write_plan
 from pincal.files.measurements import read_poses
 
 Array = NDArray[np.float64]

@@ -17,7 +17,7 @@ from sheets import sheet
 
 import pincal
 from pincal.errors import FileError, MeasurementError, PincalError
-from pincal.files.measurement_writing import reading_columns
+from pincal.files.columns import reading_columns
 from pincal.files.measurements import read_readings
 from pincal.files.table import read_table, write_table
 from pincal.files.text import LARGEST

@@ -27,7 +27,7 @@ from pincal.calibration.result_parts import IdentifiedParameter, LegResult, Vali
 from pincal.errors import FileError, MeasurementError, PincalError
 from pincal.estimation.system import LOSSES, Loss, LossName
 from pincal.estimation.unknowns import State
-from pincal.files.measurement_writing import write_plan
+from pincal.files.columns import write_plan
 from pincal.files.mechanism_folders import load_mechanism, write_mechanism
 from pincal.files.table import write_table
 from pincal.files.text import LARGEST_FILE, json_text, plain, read_text

@@ -28,7 +28,7 @@ from pincal.cli.options import (
     typed_name,
 )
 from pincal.errors import MisfitError
-from pincal.files.measurement_writing import columns_of
+from pincal.files.columns import columns_of
 from pincal.files.measurements import read_measurements
 from pincal.files.mechanism_folders import mechanism_files
 from pincal.files.output import refuse_existing

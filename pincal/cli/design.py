@@ -27,7 +27,7 @@ from pincal.design.orbits import selection_group
 from pincal.design.order import in_turns, with_reference, with_verification
 from pincal.design.select import Protocol
 from pincal.design.select_configurations import Goal
-from pincal.files.measurement_writing import columns_of
+from pincal.files.columns import columns_of
 from pincal.files.measurements import read_poses
 from pincal.files.mechanism_folders import MECHANISM_FILES, write_mechanism
 from pincal.files.output import refuse_existing, refuse_existing_of, writing_together

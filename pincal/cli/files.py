@@ -24,7 +24,7 @@ from pincal.cli.options import (
     refuse_options,
 )
 from pincal.errors import FileError, MeasurementError, MechanismError
-from pincal.files.measurement_writing import write_plan
+from pincal.files.columns import write_plan
 from pincal.files.measurements import read_poses
 from pincal.files.mechanism_folders import MECHANISM_FILES, save_mechanism, write_mechanism
 from pincal.files.output import writing
@@ -33,8 +33,7 @@ from pincal.files.text import LARGEST_FILE, read_bytes
 from pincal.files.tree import Tree
 from pincal.files.urdf import XACRO, read_urdf
 from pincal.files.urdf_writing import leg_urdf
-from pincal.formats import arm, closed, firmware, loops, mjcf
-from pincal.formats.calibrated_urdf import calibrated_urdf
+from pincal.formats import arm, closed, firmware, mjcf, users_urdf
 from pincal.formats.corrections import CORRECTION, correction_columns
 from pincal.formats.delta_printer import delta_printer
 from pincal.kinematics.closure import largest_size
@@ -207,8 +206,8 @@ def _closed(
     file: Path, form: InputFormat, options: ImportOptions
 ) -> tuple[Tree, Mechanism, Sequence[str]]:
     """Return tree and mechanism of a file with loops, and remarks; say how loops are closed."""
-    yaml = None if form == "mjcf" else options.loops or loops.loops_beside(file)
-    tree = mjcf.read_mjcf(file) if yaml is None else loops.read_loops(file, yaml)
+    yaml = None if form == "mjcf" else options.loops or users_urdf.loops_beside(file)
+    tree = mjcf.read_mjcf(file) if yaml is None else users_urdf.read_loops(file, yaml)
     tree = replace(tree, slack=closed.slack_of(file.read_text("utf-8")))
     mechanism, remarks = closed.closed_mechanism(tree, options.platform, options.base)
     if yaml is not None:
@@ -307,7 +306,7 @@ def _exported(
 ) -> tuple[bytes, Sequence[str]]:
     """Return the file of a mechanism in another form, and what to know of it."""
     if original is not None:
-        data = calibrated_urdf(original, mechanism)
+        data = users_urdf.calibrated_urdf(original, mechanism)
         lines = set(read_bytes(original, LARGEST_FILE["XML"], MechanismError).splitlines())
         changed = sum(line not in lines for line in data.splitlines())
         remark(f"{changed} lines are other than in {original}")

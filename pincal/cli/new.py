@@ -18,7 +18,7 @@ from pincal.architectures.new import architecture_of
 from pincal.cli.app import app, command, remark, run_step, say, stdout, working, wrote
 from pincal.cli.options import Force, Seed, named_after, output_option
 from pincal.design.order import in_turns, with_verification
-from pincal.files.measurement_writing import columns_of, write_sheet
+from pincal.files.columns import columns_of, write_sheet
 from pincal.files.mechanism_folders import MECHANISM_FILES, write_mechanism
 from pincal.files.output import refuse_existing, writing
 from pincal.files.table import write_table

@@ -13,7 +13,7 @@ import pincal
 from pincal import Grid, Margins, Mechanism, Orientations, Workspace, WorkspaceError
 from pincal.cli.app import command, counting, remark, stdout, working, wrote
 from pincal.cli.options import FORCE, SEED, Mech, output_option, refuse_options
-from pincal.files.measurement_writing import columns_of
+from pincal.files.columns import columns_of
 from pincal.files.output import refuse_existing_of, writing_together
 from pincal.files.table import write_table
 from pincal.model.option import option

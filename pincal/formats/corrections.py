@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pincal.files.measurement_writing import Columns, columns_of, reason_column
+from pincal.files.columns import Columns, columns_of, reason_column
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.configurations import as_plan, joints_at
 from pincal.kinematics.forward import forward
