@@ -11,6 +11,7 @@ import pytest
 from command_line import done
 from marks import some_slow
 from measured import EXACT, NOISE, machine, put, seen_from_elsewhere, targets, validated
+from scipy.signal import lfilter
 from scipy.stats import chi2, f
 
 import pincal
@@ -122,6 +123,29 @@ def test_drift_is_found() -> None:
     assert not found[0]
     (drifts,) = found[1]
     assert drifts.code == "step" or drifts.values["term"] == "order"
+
+
+@pytest.mark.parametrize("kind", some_slow(["5R", "6UPS"], "6UPS"))
+def test_rows_off_as_those_before_are_no_step(kind: str) -> None:
+    """Positions with a correlation of 0.8 from row to row: a step is named once in ten at most.
+
+    Steps of three standard deviations in white noise are named in nine of ten.
+    """
+    noise, named = pincal.Noise(1e-4, 1e-4), {"alike": 0, "step": 0}
+    mechanism, _, exact = machine(kind, 36, pincal.Noise(1e-9, 1e-9), sigma=1e-3)
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        white = 1e-4 * rng.standard_normal(exact.poses.shape)
+        alike = lfilter([0.6], [1.0, -0.8], white, axis=0)
+        stepped = white.copy()
+        stepped[rng.integers(6, 30) :, 0] += 3e-4
+        for name, errors in (("alike", alike), ("step", stepped)):
+            data = put(exact, "poses", np.s_[:], exact.poses + errors)
+            findings = pincal.calibrate(mechanism, data, noise=noise).findings
+            timed = [f.code == "step" or f.values.get("term") == "order" for f in findings]
+            named[name] += any(timed)
+    assert named["alike"] <= 1
+    assert named["step"] >= 9
 
 
 def test_folds_keep_repeats_together_and_deal_sets_alike() -> None:

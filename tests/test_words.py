@@ -195,6 +195,7 @@ SAID: dict[str, tuple[dict[str, Any], tuple[int, ...], tuple[str, ...], str]] = 
     "reference-moved": ({"pose": "reference", "quantity": "x", "size": 1.2e-4, "unit": "m", "p_value": 1e-5}, (0, 5, 11), (), "the pose 'reference', measured 3 times: x moved by 0.12 mm from data row 1 to 12 (p = 1e-05)"),
     "model-lacks": ({"quantity": "reading of leg_1", "term": "angle", "p_value": 1e-5}, (), (), "reading of leg_1: residuals follow its own value (p = 1e-05)"),
     "curved": ({"curvature": 2.1}, (), (), "the curved part of the residuals' change is 2.1 of the straight one"),
+    "rows-alike": ({"quantity": "measured x", "correlation": 0.62, "p_value": 1e-5}, (), (), "measured x: what one row is off by, the next is, too (correlation 0.62, p = 1e-05), and neither a step"),
     "step": ({"quantity": "reading of leg_2", "size": 1e-3, "unit": "rad", "p_value": 1e-5}, (29,), (), "reading of leg_2 is off by 1 mrad from data row 30 on (p = 1e-05)"),
     "outliers": ({"total": 60, "sigma": 7.0, "quantity": "x", "off": 6.5, "lacking": False}, (4,), (), "1 of 60 rows does not fit the others, data row 5 by 7.0 standard deviations (x off by 6.5 σ). Look at it"),
     "wrong-rows": ({"total": 72, "chi2": 217.0, "without": 1.02, "sigma": 152.0, "quantity": "measured x", "off": 150.0}, (7,), (), "data row 8 does not fit the others, by 152 standard deviations (measured x off by 150 σ): reduced χ² is 217 with it, 1.02 without, and what follows is with. Mend or remove it"),

@@ -55,6 +55,7 @@ CONTRADICTING = frozenset(
         "no-noise",
         "noise-in-other-proportion",
         "reference-moved",
+        "rows-alike",
         "step",
         "terms-chosen",
         "wrong-held-out",

@@ -100,6 +100,13 @@ FINDINGS: dict[str, Wording] = {
         "or a target that was hit, and leave the shorter part out",
         title="a step",
     ),
+    "rows-alike": Wording(
+        "{quantity}: what one row is off by, the next is, too (correlation {correlation|f(2)}, "
+        "{p_value|chance}), and neither a step nor a steady drift explains that",
+        "Look for what moves slowly (air, warming, a base that settles); wait longer between rows, "
+        "and measure in a mixed order",
+        title="rows are off as those before",
+    ),
     "reference-moved": Wording(
         "the pose '{pose}', measured {rows|length} times: {quantity} moved by {size|amount(unit)} "
         "from data row {row} to {rows[-1]} ({p_value|chance})",

@@ -48,6 +48,8 @@ class Score:
     measured again: by how much it moved from the first time to the last."""
     place: str = ""
     """Of a pose that was measured again: its name."""
+    alike: float = 0.0
+    """Of a step, or an order: how what it leaves is correlated from row to row, if it is."""
 
     @property
     def common(self) -> bool:
@@ -99,11 +101,20 @@ def scores(fit: Fit, repeated: Mapping[str, Index] | None = None) -> list[Score]
     if len(axes) > 1:
         tests.append((FRAME, "order", moved * time[:, None]))
     chances = residuals.chances([rows for *_, rows in tests]).tolist()
-    pairs = zip(tests, chances, strict=True)
-    results = [Score(quantity, term, chance) for (quantity, term, _), chance in pairs]
+    results, kinds = [], _of_kinds(fit, errors)
+    for (quantity, term, course), chance in zip(tests, chances, strict=True):
+        alike = 0.0
+        if term == "order" and chance < FALSE_ALARM:
+            of_kind = kinds[_kind(fit, quantity)] if quantity in errors else course
+            alike = residuals.without(course).alike(of_kind)
+        results.append(Score(quantity, term, chance, alike=alike))
     for name, error in errors.items():
         row, step = residuals.step(error)
-        results.append(Score(name, "step", step.p_value, row, -float(step.values[0])))
+        alike, size = 0.0, -float(step.values[0])
+        if step.p_value < FALSE_ALARM:
+            rest = residuals.without(error * (used >= row)[:, None, None])
+            alike = rest.alike(kinds[_kind(fit, name)])
+        results.append(Score(name, "step", step.p_value, row, size, alike=alike))
         for place, rows in (repeated or {}).items():
             at_place, since = np.isin(used, rows), np.zeros((len(used), 1, 1))
             if at_place.sum() > 1:  # the time about its mean, 1 from first to last
@@ -113,6 +124,21 @@ def scores(fit: Fit, repeated: Mapping[str, Index] | None = None) -> list[Score]
             size = -float(drift.values[0])
             results.append(Score(name, "again", drift.p_value, size=size, place=place))
     return results
+
+
+def _of_kinds(fit: Fit, errors: Mapping[str, Array]) -> dict[tuple[bool, str], Array]:
+    """Return white rows of readings and of what was measured, by unit: (n_used, m, f)."""
+    kinds: dict[tuple[bool, str], list[Array]] = {}
+    for name, error in errors.items():
+        kinds.setdefault(_kind(fit, name), []).append(error)
+    return {kind: np.concatenate(rows, axis=2) for kind, rows in kinds.items()}
+
+
+def _kind(fit: Fit, name: str) -> tuple[bool, str]:
+    """Return whether a quantity is a reading, and its unit."""
+    quantities = fit.problem.quantities
+    is_reading = name in list(quantities)[: fit.problem.leg_block.n_readings]
+    return is_reading, quantities[name]
 
 
 def _course_tests(
@@ -211,7 +237,8 @@ def slips(fit: Fit) -> list[Slip]:
     if not _testable(fit):
         return []
     residuals, clearest = Residuals.of(fit), list[Slip]()
-    candidates = list(_candidates(fit, residuals.used))
+    errors = errors_of(fit, residuals.used)
+    candidates, kinds = list(_candidates(fit, errors, residuals.used)), _of_kinds(fit, errors)
     while len(clearest) < _MAX_SLIPS:
         tried = [trial for slip, W in candidates for trial in _tried(residuals, slip, W)]
         tried.sort(key=lambda trial: (trial[0].p_value, -trial[1]))
@@ -227,8 +254,10 @@ def slips(fit: Fit) -> list[Slip]:
             if slip.unit == first.unit and len(slip.size) == len(first.size)
         )
         chance = first.p_value * len(tried)
-        clearest.append(replace(first, p_value=chance, or_else=indistinct))
         residuals = residuals.without(white)
+        if residuals.alike(kinds[first.what == "reading", first.unit]):  # neither slip nor drift
+            break
+        clearest.append(replace(first, p_value=chance, or_else=indistinct))
     return clearest
 
 
@@ -248,9 +277,9 @@ def _tried(residuals: Residuals, slip: Slip, W: Array) -> Iterator[tuple[Slip, f
         yield name, drift.inside, steady
 
 
-def _candidates(fit: Fit, used: Index) -> Iterator[tuple[Slip, Array]]:
+def _candidates(fit: Fit, errors: Mapping[str, Array], used: Index) -> Iterator[tuple[Slip, Array]]:
     """Yield what may slip, and the white rows of its unit errors, shape (n_used, m, f)."""
-    problem, platform, errors = fit.problem, fit.problem.platform, errors_of(fit, used)
+    problem, platform = fit.problem, fit.problem.platform
     readings = [name for leg in problem.legs for name in leg.reading_names]
     quantities = zip(readings, errors.values(), problem.quantities.values(), strict=False)
     for name, error, unit in quantities:

@@ -29,6 +29,8 @@ from pincal.kinematics.batches import least_squares, over_rows, product
 from pincal.model.checks import ROUNDING
 from pincal.types import Array, Index
 
+_ALIKE = 1.75  # standard errors of a correlation from row to row, above which it is one
+
 
 @dataclass(frozen=True)
 class LegResiduals:
@@ -181,6 +183,16 @@ class Residuals:
             self.chi2 - float(along @ along),
             self.degrees_of_freedom - len(along),
         )
+
+    def alike(self, W: Array) -> float:
+        """Return how errors of white rows W are correlated from row to row; 0 if not clearly.
+
+        Of what is left along them, scaled to unit errors, shape (n_used, m, f).
+        """
+        lengths = np.sqrt((W**2).sum(axis=1))
+        along = np.einsum("nmf,nm->nf", W, self.left) / np.where(lengths > 0.0, lengths, np.inf)
+        correlation = (along[1:] * along[:-1]).sum() / max((along**2).sum(), 1e-300)
+        return float(correlation) if correlation * np.sqrt(along.size) > _ALIKE else 0.0
 
     def _resolved(self, W: Array) -> tuple[Array, Array, Array]:
         """Return combinations C of errors, and what residuals say of them.
