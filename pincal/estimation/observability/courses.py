@@ -106,14 +106,14 @@ def scores(fit: Fit, repeated: Mapping[str, Index] | None = None) -> list[Score]
         alike = 0.0
         if term == "order" and chance < FALSE_ALARM:
             of_kind = kinds[_kind(fit, quantity)] if quantity in errors else course
-            alike = residuals.without(course).alike(of_kind)
+            alike = residuals.alike_after(course, of_kind)
         results.append(Score(quantity, term, chance, alike=alike))
     for name, error in errors.items():
         row, step = residuals.step(error)
         alike, size = 0.0, -float(step.values[0])
         if step.p_value < FALSE_ALARM:
-            rest = residuals.without(error * (used >= row)[:, None, None])
-            alike = rest.alike(kinds[_kind(fit, name)])
+            after = error * (used >= row)[:, None, None]
+            alike = residuals.alike_after(after, kinds[_kind(fit, name)])
         results.append(Score(name, "step", step.p_value, row, size, alike=alike))
         for place, rows in (repeated or {}).items():
             at_place, since = np.isin(used, rows), np.zeros((len(used), 1, 1))
@@ -254,10 +254,10 @@ def slips(fit: Fit) -> list[Slip]:
             if slip.unit == first.unit and len(slip.size) == len(first.size)
         )
         chance = first.p_value * len(tried)
-        residuals = residuals.without(white)
-        if residuals.alike(kinds[first.what == "reading", first.unit]):  # neither slip nor drift
-            break
+        if residuals.alike_after(white, kinds[first.what == "reading", first.unit]):
+            break  # neither a slip nor a drift
         clearest.append(replace(first, p_value=chance, or_else=indistinct))
+        residuals = residuals.without(white)
     return clearest
 
 

@@ -29,6 +29,7 @@ from pincal.kinematics.batches import least_squares, over_rows, product
 from pincal.model.checks import ROUNDING
 from pincal.types import Array, Index
 
+_MUCH = 0.25  # of what a step takes up, that is left correlated from row to row
 _ALIKE = 1.75  # standard errors of a correlation from row to row, above which it is one
 
 
@@ -184,15 +185,18 @@ class Residuals:
             self.degrees_of_freedom - len(along),
         )
 
-    def alike(self, W: Array) -> float:
-        """Return how errors of white rows W are correlated from row to row; 0 if not clearly.
+    def alike_after(self, W: Array, errors: Array) -> float:
+        """Return how errors are correlated from row to row once others, W, are taken up.
 
-        Of what is left along them, scaled to unit errors, shape (n_used, m, f).
+        Both are white rows, (n_used, m, f). 0 if that is not clear, or little of what W took.
         """
-        lengths = np.sqrt((W**2).sum(axis=1))
-        along = np.einsum("nmf,nm->nf", W, self.left) / np.where(lengths > 0.0, lengths, np.inf)
-        correlation = (along[1:] * along[:-1]).sum() / max((along**2).sum(), 1e-300)
-        return float(correlation) if correlation * np.sqrt(along.size) > _ALIKE else 0.0
+        rest, lengths = self.without(W), np.sqrt((errors**2).sum(axis=1))
+        along = np.einsum("nmf,nm->nf", errors, rest.left)
+        along /= np.where(lengths > 0.0, lengths, np.inf)
+        lagged = float((along[1:] * along[:-1]).sum())
+        correlation = lagged / max(float((along**2).sum()), 1e-300)
+        clear = correlation * np.sqrt(along.size) > _ALIKE
+        return correlation if clear and lagged > _MUCH * (self.chi2 - rest.chi2) else 0.0
 
     def _resolved(self, W: Array) -> tuple[Array, Array, Array]:
         """Return combinations C of errors, and what residuals say of them.
