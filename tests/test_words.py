@@ -15,7 +15,7 @@ from lxml import html as lxml_html
 from rich.console import Console
 
 from pincal import load_mechanism
-from pincal.calibration.result import _CONTRADICT
+from pincal.calibration.result import CONTRADICTING
 from pincal.estimation.observability.identifiable import WeakPair
 from pincal.show.answers import weak_lines
 from pincal.words.faults import HYPOTHESES
@@ -248,7 +248,7 @@ def test_every_code_is_tried() -> None:
     assert set(SAID) | set(CLAUSES) == set(WORDINGS)
     assert set(CLAUSES) == set(HYPOTHESES)
     assert all(code == code.lower().replace("_", "-") for code in WORDINGS)
-    assert {code for code, one in WORDINGS.items() if one.title} == {*_CONTRADICT, "few-poses"}
+    assert {code for code, one in WORDINGS.items() if one.title} == {*CONTRADICTING, "few-poses"}
 
 
 @pytest.mark.parametrize("code", SAID)
