@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
-from types import SimpleNamespace
-from typing import Any
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -14,49 +12,39 @@ from measured import validated, workspace
 import pincal
 from pincal.calibration.calibrate import prepared, run
 from pincal.calibration.calibration import Calibration
+from pincal.calibration.result_parts import Missed
 from pincal.calibration.terms.candidates import with_terms
 from pincal.calibration.terms.kinds import parse_terms
-from pincal.calibration.validation import _times, missed
+from pincal.calibration.validation import missed
 from pincal.design.platform_error import closing_twists
 
-ORIGIN = ("platform", "m")
 
-
-@dataclass
-class Rows:
-    """Stands for a calibration, of which poses alone are asked."""
-
-    measurements: Any
-
-
-def rows(places: list[str]) -> Any:
-    """Return rows of named poses."""
-    return Rows(SimpleNamespace(places=tuple(places)))
+def missed_by(values: np.ndarray, places: list[str]) -> Missed:
+    """Return how far a target is missed, by as much in the fit as held out, at named poses."""
+    return missed("platform", "m", values, values, np.array(places))
 
 
 def test_intervals_are_of_poses_not_rows() -> None:
     """Each pose repeated ten times: no narrower than once."""
     values = np.abs(np.random.default_rng(0).standard_normal(40))
-    once = missed({ORIGIN: values}, [(rows([str(i) for i in range(40)]), {ORIGIN: values})])
-    places = [str(i) for i in range(40) for _ in range(10)]
-    often = missed({ORIGIN: values}, [(rows(places), {ORIGIN: np.repeat(values, 10)})])
-    assert once[0].poses == often[0].poses == 40
-    assert often[0].rms_ends == pytest.approx(once[0].rms_ends)
-    assert often[0].mean_ends == pytest.approx(once[0].mean_ends)
-    apart = [str(i) for i in range(400)]
-    (narrow,) = missed({ORIGIN: values}, [(rows(apart), {ORIGIN: np.repeat(values, 10)})])
-    widths = [np.ptp(one.rms_ends) for one in (narrow, often[0])]
+    once, repeated = missed_by(values, [str(i) for i in range(40)]), np.repeat(values, 10)
+    often = missed_by(repeated, [str(i) for i in range(40) for _ in range(10)])
+    assert once.poses == often.poses == 40
+    assert often.rms_ends == pytest.approx(once.rms_ends)
+    assert often.mean_ends == pytest.approx(once.mean_ends)
+    narrow = missed_by(repeated, [str(i) for i in range(400)])
+    widths = [np.ptp(one.rms_ends) for one in (narrow, often)]
     assert widths[0] == pytest.approx(widths[1] / np.sqrt(10), rel=0.1)
 
 
 @pytest.mark.slow
 def test_intervals_cover_the_true_root_mean_square() -> None:
     """Of 40 poses, 400 draws: 90 to 97 %, as percentile intervals of so few do."""
-    draw, places = np.random.default_rng(1), rows([str(i) for i in range(40)])
+    draw, places = np.random.default_rng(1), [str(i) for i in range(40)]
     covered = 0
     for _ in range(400):
         values = np.linalg.norm(draw.standard_normal((40, 3)), axis=1)
-        (one,) = missed({ORIGIN: values}, [(places, {ORIGIN: values})])
+        one = missed_by(values, places)
         covered += one.rms_ends[0] <= np.sqrt(3.0) <= one.rms_ends[1]
     assert 0.90 <= covered / 400 <= 0.97
 
@@ -121,10 +109,3 @@ def test_held_out_rows_go_on_from_the_fit() -> None:
     ]
     np.testing.assert_allclose(*numbers, rtol=1e-9)
     np.testing.assert_allclose(again.targets[0].rms_ends, on.targets[0].rms_ends, rtol=1e-9)
-
-
-def test_draws_are_counted() -> None:
-    """Sums over what was drawn are products with how often it was."""
-    random = np.random.default_rng(0)
-    drawn, values = random.integers(7, size=(50, 7)), random.normal(size=(3, 7))
-    np.testing.assert_allclose(values @ _times(drawn).T, values[:, drawn].sum(axis=2), atol=1e-13)

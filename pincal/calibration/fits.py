@@ -6,6 +6,7 @@ drawing (``--tolerance auto``), are variance components: fits and these follow e
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -35,6 +36,7 @@ from pincal.estimation.system import System, loss_of
 from pincal.estimation.unknowns import External, State, Unknowns
 from pincal.kinematics.closure import largest_size
 from pincal.model.checks import ALIKE
+from pincal.model.leg import Leg
 from pincal.model.measurements import Noise
 from pincal.types import Array, Index, Mask
 
@@ -149,8 +151,13 @@ def fitted(calibration: Calibration, near: Fits | None = None, rows: Mask | None
         fits = _all_legs(calibration, near, rows)
     else:
         fits = _measured(calibration)
-    if calibration.fixed_noise or calibration.noise.known:
-        return fits
+    known = calibration.fixed_noise or calibration.noise.known
+    return fits if known else _with_estimated_noise(fits)
+
+
+def _with_estimated_noise(fits: Fits) -> Fits:
+    """Return fits at the noise that their residuals show, by group, with what that widens."""
+    calibration = fits.calibration
     assumed, tie = assumed_noise(calibration.mechanism, exact=False), None
     complete = bool(np.isfinite(calibration.measurements.poses).all())
     exact = complete and not calibration.mechanism.redundant
@@ -251,19 +258,23 @@ def _beginning(
     if rows is None:
         return fit.last.state, begin.gauge, fit.problem.first
     start = fit.last.state.rows(np.flatnonzero(rows))
-    legs, former = problem.legs, fit.problem.legs
-    if [leg.parameter_names for leg in legs] != [leg.parameter_names for leg in former]:
-        ids = [id_ for leg in former for id_ in leg.parameter_ids]
-        fitted_values = dict(zip(ids, start.parameters.tolist(), strict=True))
-        nominal = (zip(leg.parameter_ids, leg.nominal.tolist(), strict=True) for leg in legs)
-        values = [fitted_values.get(id_, value) for leg in nominal for id_, value in leg]
-        return State(np.array(values), start.matrices, external=start.external), None, None
+    if problem.leg_block.n_parameters != fit.problem.leg_block.n_parameters:
+        nominal, values = _values(problem.legs), _values(fit.problem.legs, start.parameters)
+        parameters = np.array([values.get(id_, value) for id_, value in nominal.items()])
+        return State(parameters, start.matrices, external=start.external), None, None
     columns = (part.observation.measured.T for part in (fit.problem, problem))
     if any(a.any() != b.any() for a, b in zip(*columns, strict=True)):
         return start, None, None
     # what is held follows where the search would have started
     holds = begin.held is not None and begin.held.directions.size > 0
     return start, begin.gauge, None if holds else start
+
+
+def _values(legs: Sequence[Leg], parameters: Array | None = None) -> dict[str, float]:
+    """Return values of the parameters of legs by their ids, shape (n_params,); nominal if None."""
+    nominal = np.concatenate([leg.nominal for leg in legs])
+    ids = [id_ for leg in legs for id_ in leg.parameter_ids]
+    return dict(zip(ids, nominal if parameters is None else parameters, strict=True))
 
 
 def _fit_holding(

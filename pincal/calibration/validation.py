@@ -110,10 +110,7 @@ def _validated(fits_of_all: Fits, folds: int, by: By) -> tuple[Validation, list[
     is_worse = p_value < UNLIKELY and fit <= MISSES and not rounding(fits_of_all)
     strays = list[Outlier]()
     if is_worse and total is None:
-        wrong = suspected(sums[:, 0] / unit, sums[:, 3].astype(np.intp))
-        few = 0 < wrong.sum() <= max(1.0, MANY_ROWS * len(wrong))
-        if few and _chance(fits, sums[~wrong], total) >= UNLIKELY:
-            strays = _strays(predicted, sums, wrong, unit, np.flatnonzero(groups == 0))
+        strays = _strays(fits, predicted, sums, unit, np.flatnonzero(groups == 0))
     worse = finding("held-out-worse", held_out=held, expected=expected, p_value=p_value)
     places = np.array(clusters(calibration.measurements))
     validation = Validation(
@@ -125,7 +122,7 @@ def _validated(fits_of_all: Fits, folds: int, by: By) -> tuple[Validation, list[
         p_value=p_value,
         findings=(worse,) if is_worse else (),
         targets=tuple(
-            _missed(*target, values, misses[target], places)
+            missed(*target, values, misses[target], places)
             for target, values in at_fit.items()
             if np.isfinite(misses[target]).any()
         ),
@@ -183,14 +180,17 @@ def _sums(predicted: Sequence[tuple[Fit, Index, Linear]], count: int) -> Array:
 
 
 def _strays(
+    fits: Fits,
     predicted: Sequence[tuple[Fit, Index, Linear]],
     sums: Array,
-    wrong: Mask,
     unit: float,
     rows: Index,
 ) -> list[Outlier]:
-    """Return held-out rows that are wrong, the worst first, and by which quantity most."""
-    strays = []
+    """Return the few held-out rows that alone contradict, the worst first; none if others do."""
+    wrong, strays = suspected(sums[:, 0] / unit, sums[:, 3].astype(np.intp)), []
+    few = 0 < wrong.sum() <= max(1.0, MANY_ROWS * len(wrong))
+    if not few or _chance(fits, sums[~wrong], None) < UNLIKELY:
+        return []
     for place in np.flatnonzero(wrong).tolist():
         largest = (0.0, "")
         for fit, served, linear in predicted:
@@ -287,7 +287,7 @@ def misses_of(calibration: Calibration, fits: Fits) -> Misses:
     return misses
 
 
-def _missed(target: str, unit: str, fitted: Array, unseen: Array, places: Array) -> Missed:
+def missed(target: str, unit: str, fitted: Array, unseen: Array, places: Array) -> Missed:
     """Return how far a target is missed, shape (N,), at rows of the fit and at those held out."""
     known = np.isfinite(unseen)
     values, (_, pose) = unseen[known], np.unique(places[known], return_inverse=True)
@@ -314,8 +314,9 @@ def _ends(values: Array, pose: Index) -> tuple[tuple[float, float], tuple[float,
     if poses < 2:
         return (0.0, np.inf), (0.0, np.inf)
     random = np.random.default_rng(0)
+    alike = np.full(poses, 1.0 / poses)
     drawn = [
-        sums @ _times(random.integers(poses, size=(len(part), poses))).T
+        sums @ random.multinomial(poses, alike, len(part)).T
         for part in np.array_split(np.empty(DRAWS), min(DRAWS, 1 + DRAWS * poses // CHUNK))
     ]
     totals = np.concatenate(drawn, axis=1)
@@ -323,10 +324,3 @@ def _ends(values: Array, pose: Index) -> tuple[tuple[float, float], tuple[float,
     low, high = np.quantile(means, (0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2), axis=1)
     (mean_low, square_low), (mean_high, square_high) = low.tolist(), high.tolist()
     return (mean_low, mean_high), (square_low**0.5, square_high**0.5)
-
-
-def _times(drawn: Index) -> Array:
-    """Return how often each of n poses was drawn, by draws of n: shape (draws, n) both."""
-    draws, n = drawn.shape
-    places = drawn + n * np.arange(draws)[:, None]
-    return np.bincount(places.ravel(), minlength=draws * n).reshape(draws, n).astype(float)
