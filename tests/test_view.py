@@ -155,12 +155,12 @@ def test_names_cannot_leave_the_page_data() -> None:
     """Names become JSON without any '<'; the title is escaped; the data reads back."""
     mechanism = evil(pincal.load_mechanism("5R"))
     plan = pincal.Plan(some_poses(mechanism), tuple(mechanism.leg_names[i % 2] for i in range(6)))
-    page = pincal.view(mechanism, plan, source=EVIL).html()
+    page = pincal.view(mechanism, plan).html()
     block = re.search(r'<script type="application/json" id="data">(.*?)</script>', page, re.S)
     assert block
     assert "<" not in block[1]
     data = json.loads(block[1])
-    assert data["name"] == data["source"] == EVIL
+    assert data["name"] == EVIL
     assert [one["name"] for one in data["sets"]] == list(mechanism.leg_names)
     outside = page.replace(block[0], "")
     title = re.search("<title>(.*?)</title>", outside)
@@ -238,12 +238,12 @@ def test_clients_that_say_nothing_or_hang_up_are_nothing_to_the_others(
     assert capfd.readouterr().err == ""
 
 
-def test_names_that_are_no_text_are_shown_all_the_same(tmp_path: Path) -> None:
-    """A file whose name no text can hold is named with a replacement, in a file and served."""
-    view = pincal.view("5R", [[0.0, 1.1]], source="p\udcff.csv")
-    assert "p\ufffd.csv" in view.save(tmp_path / "view.html").read_text("utf-8")
+def test_text_that_no_page_holds_is_shown_all_the_same(tmp_path: Path) -> None:
+    """What no text can hold is shown with a replacement, in a file and served."""
+    view = pincal.view(replace(pincal.load_mechanism("5R"), description="p\udcff"), [[0.0, 1.1]])
+    assert "p\ufffd" in view.save(tmp_path / "view.html").read_text("utf-8")
     with urlopen(view.url) as answer:
-        assert "p\ufffd.csv" in answer.read().decode()
+        assert "p\ufffd" in answer.read().decode()
     view.close()
 
 
@@ -304,7 +304,7 @@ def test_html_holds_plan_and_result(work: Path, tmp_path: Path) -> None:
     done("view", "3RRR", work / "plan.csv", "--html", tmp_path / "plan.html")
     done("view", "3RRR", work / "result", "--magnify", 50, "--html", tmp_path / "view.html")
     for name, texts in (
-        ("plan.html", ('"leg_3"', "plan.csv")),
+        ("plan.html", ('"leg_3"',)),
         ("view.html", ("errors × 50",)),
     ):
         page = (tmp_path / name).read_text("utf-8")

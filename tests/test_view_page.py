@@ -378,11 +378,11 @@ def test_names_are_text(opened: Any) -> None:
     legs = tuple(replace(leg, name=f"{EVIL}{i}") for i, leg in enumerate(mechanism.legs))
     mechanism = replace(mechanism, name=EVIL, legs=legs, description=EVIL)
     poses = [[0.0, 1.1], [0.0, 3.0]]
-    view = pincal.view(mechanism, pincal.Plan(np.array(poses), mechanism.leg_names), source=EVIL)
+    view = pincal.view(mechanism, pincal.Plan(np.array(poses), mechanism.leg_names))
     window = opened(view)
     window.slide(1)
     assert window.page.title() == EVIL
-    for place in ("#name", "#description", "#source"):
+    for place in ("#name", "#description"):
         assert window.page.locator(place).text_content() == EVIL
     assert window.page.locator(".tag").all_text_contents() == list(mechanism.leg_names)
     assert mechanism.leg_names[1] in window.page.locator("#set").text_content()

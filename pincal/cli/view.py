@@ -134,7 +134,7 @@ def view(mech: Mech, options: PageOptions, shown: Shown = None, magnify: Magnify
     if options.html is not None:
         refuse_existing(options.html, force=options.force)
     with working("placing the legs"):
-        page = pincal.view(**arguments, source=shown.name if shown else "")
+        page = pincal.view(**arguments)
         if result is not None:
             page = page.with_result(result)
         if options.meshes is not None:

@@ -16,7 +16,7 @@ from pincal.model.mechanism import Mechanism
 from pincal.model.setup import ORIGIN
 from pincal.show.misses import WorkspaceErrors, workspace_errors
 from pincal.show.tables import calibration_tables
-from pincal.words.findings import WORDINGS, finding, sentence
+from pincal.words.findings import WORDINGS, sentence
 from pincal.words.numbers import amount, capital, listed, number, percent, rounded
 from pincal.words.table import Table
 from pincal.words.wording import NAMED, UNCOVERED, missed_line, noise_in_words
@@ -322,15 +322,12 @@ def noise_line(result: CalibrationResult) -> str:
 
 
 def region_lines(result: CalibrationResult, errors: WorkspaceErrors) -> list[str]:
-    """Return what is to be expected outside the measured region, and what limits leave out."""
+    """Return what is to be expected outside the measured region, and what is compared."""
     if not result.explained:
         return []
-    lines = [sentence(errors.beyond)] if errors.beyond is not None else []
-    if result.begun is not result.nominal:
-        lines.insert(0, "the nominal model is taken with the zeros of motors as found")
-    if result.promises and errors.inside.uncovered:
-        lines.append(sentence(finding("promise-leaves-out", what=errors.inside.uncovered)))
-    return lines
+    begun = "the nominal model is taken with the zeros of motors as found"
+    lines = [begun] if result.begun is not result.nominal else []
+    return [*lines, *([sentence(errors.beyond)] if errors.beyond is not None else [])]
 
 
 def check_lines(result: CalibrationResult) -> list[str]:

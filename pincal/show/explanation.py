@@ -71,7 +71,7 @@ _BEST = "the best that any calibration can reach; 'pincal calibrate' does"
 
 
 def explanation_lines(explanation: Explanation) -> list[str]:
-    """Return what is seen, and the verdict."""
+    """Return what is seen, the likeliest first, and the verdict."""
     result, candidates = explanation.result, explanation.candidates
     nominal, visible = result.nominal, [c for c in candidates if c.corrected < LEVEL]
     loaded = loads_known(nominal, result.measurements)
@@ -85,7 +85,12 @@ def explanation_lines(explanation: Explanation) -> list[str]:
         (nothing, not visible),
         (_NO_LOAD, nominal.platform.space == 3 and not loaded),
     )
-    lines = [*map(_slip_line, explanation.slips), *_seen_lines(visible, nominal)]
+    lines, remaining = list(map(_slip_line, explanation.slips)), visible
+    for _ in range(NAMED):
+        if remaining:
+            first, *others = remaining
+            lines.append(_seen_line(first, nominal))
+            remaining = [rival for rival in others if rival.pair not in first.or_else]
     lines += [text for text, holds in notes if holds]
     lines += [
         f"fold {fold + 1} is left out of the comparison, the other rows do not determine it: {why}"
@@ -101,49 +106,37 @@ def explanation_lines(explanation: Explanation) -> list[str]:
     return lines
 
 
-def _seen_lines(candidates: Sequence[Candidate], mechanism: Mechanism) -> list[str]:
-    """Return what residuals follow, the likeliest first, without what is not separate from it."""
-    lines, remaining = list[str](), list(candidates)
-    while remaining and len(lines) < NAMED:
-        first = remaining.pop(0)
-        remaining = [rival for rival in remaining if rival.pair not in first.or_else]
-        lines.append(_seen_line(first, mechanism))
-    return lines
-
-
 def _seen_line(candidate: Candidate, mechanism: Mechanism) -> str:
     """Return what residuals follow, its likely cause, and what these rows do not separate."""
-    kind, parameters = candidate.kind, mechanism.parameters
-    lengths = {parameter.id for parameter in parameters if parameter.unit == "m"}
+    lengths = {parameter.id for parameter in mechanism.parameters if parameter.unit == "m"}
     cause = "warming, a load or a setting that is in this column"
     if candidate.reading == GROWTH or lengths.issuperset(parts_of(candidate.reading, mechanism)):
         cause = "lengths that grow with this column"
+    cause = _CAUSES.get(candidate.kind.name, cause)
+
+    def called(place: str) -> str:
+        name = {GROWTH: "every length", READINGS: "each reading"}.get(place, f"{place} of each leg")
+        return place if place in mechanism.load_names else name
+
     alternatives = [
-        _place(place, mechanism) if rival == kind else f"{rival} of the same reading"
+        called(place) if rival == candidate.kind else f"{rival} of the same reading"
         for place, rival in candidate.or_else
     ]
     return (
-        f"{_place(candidate.reading, mechanism)} follows {kind}: {_CAUSES.get(kind.name, cause)}; "
-        f"{candidate.share:.0%} of χ²{_or_else(listed(alternatives, 'or') if alternatives else '')}"
-        f" ({chance(candidate.corrected)})"
+        f"{called(candidate.reading)} follows {candidate.kind}: {cause}; {candidate.share:.0%} of "
+        f"χ²{_or_else(alternatives)} ({chance(candidate.corrected)})"
     )
 
 
-def _or_else(words: str) -> str:
+def _or_else(alternatives: Sequence[str]) -> str:
+    words = listed(alternatives, "or") if alternatives else ""
     return f"; or it is {words}, which these rows cannot separate" if words else ""
-
-
-def _place(place: str, mechanism: Mechanism) -> str:
-    """Return what a place is called."""
-    if place in mechanism.load_names:
-        return place
-    return {GROWTH: "every length", READINGS: "each reading"}.get(place, f"{place} of each leg")
 
 
 def _slip_line(slip: Slip) -> str:
     """Return what slipped or drifted, in which direction, and what to do."""
     subject, look = _SLIPPED[slip.what]
-    alternatives = " or ".join(_SLIPPED[kind][0].format(name=name) for kind, name in slip.or_else)
+    alternatives = [_SLIPPED[kind][0].format(name=name).rstrip(",") for kind, name in slip.or_else]
     size, *others = slip.size.tolist()
     shown = amount(float(np.hypot.reduce(slip.size)) if others else size, slip.unit)
     if others:
@@ -155,7 +148,7 @@ def _slip_line(slip: Slip) -> str:
     course = f"from data row {slip.row + 1} on {what} is off by {shown}"
     if slip.steady:
         course = f"{what} drifts, by {shown} from the first row to the last"
-    return f"{course}: {look}{_or_else(alternatives.rstrip(','))} ({chance(slip.p_value)})"
+    return f"{course}: {look}{_or_else(alternatives)} ({chance(slip.p_value)})"
 
 
 def explanation_page(explanation: Explanation) -> str:
@@ -180,23 +173,20 @@ def tried(remedy: Remedy) -> str:
 
 def remedy_table(remedies: Sequence[Remedy]) -> Table:
     """Return the table of what was tried."""
-    rows = [
-        (tried(remedy), remedy.result.reduced_chi2 if remedy.result else None, _outcome(remedy))
-        for remedy in remedies
-    ]
+    rows = []
+    for remedy in remedies:
+        result, outcome = remedy.result, "refused"
+        if remedy.works:
+            outcome = "works"
+        elif result and not result.converged:
+            outcome = "does not converge"
+        elif result and result.promises:
+            outcome = "rows do not fit the others"
+        elif result:
+            why = unpromised(result) or "residuals are larger than the noise"
+            outcome = f"contradicted: {why}"
+        rows.append((tried(remedy), result.reduced_chi2 if result else None, outcome))
     return Table("What was tried", ["if", "χ²/dof:.3g", "calibration"], rows)
-
-
-def _outcome(remedy: Remedy) -> str:
-    if remedy.result is None:
-        return "refused"
-    if remedy.works:
-        return "works"
-    if not remedy.result.converged:
-        return "does not converge"
-    if remedy.result.promises:
-        return "rows do not fit the others"
-    return f"contradicted: {unpromised(remedy.result) or 'residuals are larger than the noise'}"
 
 
 def advice(remedies: Sequence[Remedy]) -> list[str]:

@@ -83,10 +83,6 @@ FINDINGS: dict[str, Wording] = {
         severity="info",
         title="terms were chosen by the same measurements",
     ),
-    "promise-leaves-out": Wording(
-        "the promise leaves out {what|of(UNCOVERED)|listed}: nothing was said of that",
-        severity="info",
-    ),
     "model-lacks": Wording(
         "{quantity}: residuals follow {TERMS[term][0]} ({p_value|chance}), and the model has "
         "nothing for that: {TERMS[term][1]}",

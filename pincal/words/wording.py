@@ -115,7 +115,6 @@ _FILTERS = {
     "listed": listed,
     "joint": lambda loop: "" if loop.first else " and " if loop.last else ", ",
     "number": number,
-    "of": lambda codes, names: [names[code] for code in codes],
     "percent": percent,
     "rounded": rounded,
     "si": lambda unit: "" if unit == "1" else f" {unit}",
@@ -133,7 +132,6 @@ UNCOVERED = {
 }
 #: Words for codes in values of findings.
 _NAMES = {
-    "UNCOVERED": UNCOVERED,
     "TERMS": {
         "angle": (
             "its own value",

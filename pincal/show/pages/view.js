@@ -169,7 +169,7 @@
     return box;
   }
 
-  for (const name of ["name", "description", "source", "grid"]) find(name).textContent = data[name];
+  for (const name of ["name", "description", "grid"]) find(name).textContent = data[name];
   data.notices.forEach((text) => element("li", text, find("notices")));
   find("notices").hidden = !data.notices.length;
   data.sets.forEach((set, index) => {

@@ -28,7 +28,7 @@ from pincal.show.pictures.dimensions import Dimension, dimensions_of, symbol
 from pincal.show.pictures.files import drawing, figure_bytes, save_figure
 from pincal.show.pictures.painter import Names, draw_dimensions, paint
 from pincal.show.style import ACTIVE, IDENTIFIED, MARKERS, PASSIVE, RASTER_FROM
-from pincal.show.view.scene import MAGNIFY, Scene, plan_of, scene
+from pincal.show.view.scene import MAGNIFY, Scene, scene
 from pincal.types import Array
 from pincal.words.numbers import amount
 from pincal.words.wording import clean
@@ -149,9 +149,9 @@ def picture(
         MeasurementError: no poses, too many or not whole; a factor that is not positive.
     """
     mechanism = as_mechanism(mechanism)
-    plan = plan_of(mechanism, home_of(mechanism) if poses is None else poses)
     leg = mechanism.leg(dimensions).name if dimensions else ""
-    return Picture(scene(mechanism, plan, identified, magnify), leg)
+    poses = home_of(mechanism) if poses is None else poses
+    return Picture(scene(mechanism, poses, identified, magnify), leg)
 
 
 _WIDTH, _HEIGHTS = 5.2, (1.8, 6.0)  # of a picture; least and most of what is drawn, [inch]

@@ -31,9 +31,7 @@ _SLIDER_RANGE = {"m": 0.25, "rad": 0.5}
 _SEEN_THROUGH = 0.45  # opacity of the identified machine and of ghosts
 
 
-def page(
-    scene: Scene, source: str = "", notices: Sequence[str] = (), *, served: bool = False
-) -> str:
+def page(scene: Scene, notices: Sequence[str] = (), *, served: bool = False) -> str:
     """Return the page of a scene.
 
     Below ``meshcat`` in the viewer's tree: ``mechanism`` and ``identified`` with their parts
@@ -41,7 +39,6 @@ def page(
 
     Args:
         scene: What to show.
-        source: Where it comes from.
         notices: What to know first.
         served: Whether the page can ask for the scene off its poses (``answer``).
     """
@@ -53,7 +50,6 @@ def page(
         still.append(_still(Layer(f"sets/{number}", name, positions, colour, 6)))
         still.append(_still(Layer(f"ghosts/{number}", name, lines, colour), _SEEN_THROUGH))
     data = {
-        "source": source,
         "notices": list(notices),
         "name": scene.mechanism.name,
         "description": scene.mechanism.description,

@@ -15,7 +15,6 @@ from scipy.spatial.transform import RigidTransform
 from pincal.errors import MeasurementError, MechanismError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.forward import forward
-from pincal.model.checks import numbers_of
 from pincal.model.measurements import EVERY_LEG, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.show.style import EVERY, GROUND, TOWARDS_VIEWER, look
@@ -137,11 +136,13 @@ def rounded_down(value: float) -> float:
 
 def scene(
     mechanism: Mechanism,
-    plan: Plan,
+    poses: Plan | ArrayLike | RigidTransform,
     identified: GivenMechanism | None = None,
     magnify: float = MAGNIFY,
 ) -> Scene:
-    """Return the scene of a mechanism at the poses of a plan; all else as of ``view``."""
+    """Return the scene of a mechanism at poses; all as of ``view``."""
+    coordinates_of = mechanism.platform.coordinates_of
+    plan = poses if isinstance(poses, Plan) else Plan(coordinates_of(poses))
     if not 0 < len(plan.poses) <= MOST_POSES:
         raise MeasurementError(
             f"{len(plan.poses)} poses to step through; expected 1 to {MOST_POSES}. Many positions "
@@ -159,19 +160,6 @@ def scene(
     machine = as_mechanism(identified)
     magnified = _driven(mechanism, plan, drawn.readings, machine, magnify)
     return Scene(mechanism, plan, drawn, machine, magnify, magnified)
-
-
-def plan_of(mechanism: Mechanism, poses: Plan | ArrayLike | RigidTransform) -> Plan:
-    """Return poses in any form as a plan.
-
-    Raises:
-        MechanismError: poses of a wrong shape.
-    """
-    if isinstance(poses, Plan):
-        return poses
-    if not isinstance(poses, RigidTransform):
-        poses = numbers_of(poses, "poses", MeasurementError)
-    return Plan(mechanism.platform.coordinates_of(poses))
 
 
 def _driven(

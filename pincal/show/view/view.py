@@ -30,7 +30,7 @@ from pincal.show.report import Page
 from pincal.show.view.calibrated import calibrated
 from pincal.show.view.meshes import with_meshes
 from pincal.show.view.page import answer, page
-from pincal.show.view.scene import MAGNIFY, Scene, plan_of, scene
+from pincal.show.view.scene import MAGNIFY, Scene, scene
 from pincal.workspace.sampling import sample_configurations
 
 PATIENCE = 10.0  # seconds in which a client must say what it asks for, and take the answer
@@ -44,10 +44,8 @@ class View(Page):
 
     sandbox, height = "allow-scripts allow-downloads", "600px"
 
-    def __init__(self, scene: Scene, source: str = "", notices: Sequence[str] = ()) -> None:
-        self.scene = scene
-        self._source = source
-        self._notices = tuple(notices)
+    def __init__(self, scene: Scene, notices: Sequence[str] = ()) -> None:
+        self.scene, self._notices = scene, tuple(notices)
 
     def with_meshes(self, urdf: str | Path) -> View:
         """Return the view with an arm's links as the meshes of the URDF that it was read from.
@@ -59,18 +57,18 @@ class View(Page):
         scene, mechanism = self.scene, self.scene.mechanism
         body = with_meshes(scene.body, mechanism, urdf)
         magnified = scene.magnified and with_meshes(scene.magnified, mechanism, urdf)
-        return View(replace(scene, body=body, magnified=magnified), self._source, self._notices)
+        return View(replace(scene, body=body, magnified=magnified), self._notices)
 
     def with_result(self, result: CalibrationResult) -> View:
         """Return the view with what a calibration of this mechanism found.
 
         Arrows from measured to predicted points, where instruments stand, its warnings.
         """
-        return View(calibrated(self.scene, result), self._source, warnings(result))
+        return View(calibrated(self.scene, result), warnings(result))
 
     @cached_property
     def _page(self) -> str:
-        return page(self.scene, self._source, self._notices)
+        return page(self.scene, self._notices)
 
     @cached_property
     def url(self) -> str:
@@ -81,7 +79,7 @@ class View(Page):
             row = range(len(scene.plan.poses)).index(int(query["row"][0]))  # or a ValueError
             return answer(scene, row, np.array(query["by"][0].split(","), dtype=np.float64))
 
-        text = page(scene, self._source, self._notices, served=True)
+        text = page(scene, self._notices, served=True)
         server = PageServer(text, moved_answer)
         self._close = finalize(self, server.close)
         return server.url
@@ -98,7 +96,6 @@ def view(
     *,
     identified: GivenMechanism | None = None,
     magnify: float = MAGNIFY,
-    source: str = "",
 ) -> View:
     """Return a view of a mechanism at poses: ``url``, ``save(path)``, or shown by a notebook.
 
@@ -109,7 +106,6 @@ def view(
         identified: The calibrated mechanism, shown where it goes when the nominal one's
             readings drive it.
         magnify: Factor on what differs between its parameters and the nominal ones.
-        source: Where it comes from, for the page.
 
     Raises:
         MechanismError: poses of a wrong shape, or not finite; an identified mechanism that
@@ -123,8 +119,8 @@ def view(
         True
     """
     mechanism = as_mechanism(mechanism)
-    plan = plan_of(mechanism, _some_poses(mechanism) if poses is None else poses)
-    return View(scene(mechanism, plan, identified, magnify), source)
+    poses = _some_poses(mechanism) if poses is None else poses
+    return View(scene(mechanism, poses, identified, magnify))
 
 
 def _some_poses(mechanism: Mechanism) -> Plan:
