@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import ast
-import subprocess
-import sys
+import runpy
 from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib import rc_context, rcdefaults
 from matplotlib.image import imread
 
 import pincal
@@ -18,15 +18,15 @@ EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("*.py"))
 
 @pytest.mark.slow
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
-def test_example_runs(path: Path, tmp_path: Path) -> None:
+def test_example_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It ends without error or warning and leaves a picture; it is under 60 lines.
 
     What the second one draws is the first picture of the README, but for a few pixels.
     """
-    run = subprocess.run(
-        [sys.executable, "-W", "error", str(path)], cwd=tmp_path, capture_output=True, text=True
-    )
-    assert run.returncode == 0, run.stderr
+    monkeypatch.chdir(tmp_path)
+    with rc_context():
+        rcdefaults()
+        runpy.run_path(str(path), run_name="__main__")
     assert list(tmp_path.glob("*.png"))
     assert len(path.read_text().splitlines()) < 60
     if path.stem.startswith("02"):
@@ -50,12 +50,13 @@ def test_example_uses_the_public_api_alone(path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_readme_example_prints_what_the_readme_says(tmp_path: Path) -> None:
+def test_readme_example_prints_what_the_readme_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     """The Python block of the README gives the output printed below it."""
     blocks = (Path(__file__).parents[1] / "README.md").read_text().split("```")
     code = next(b.removeprefix("python\n") for b in blocks if b.startswith("python\n"))
     expected = blocks[blocks.index("python\n" + code) + 2].strip()
-    run = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True
-    )
-    assert run.stdout.strip() == expected
+    monkeypatch.chdir(tmp_path)
+    exec(compile(code, "README.md", "exec"), {"__name__": "__main__"})
+    assert capsys.readouterr().out.strip() == expected

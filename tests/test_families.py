@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 ROBOTS = Path(__file__).parents[1] / "robots"
 NAMES = [family.name for family in FAMILIES]
 EXACT = pincal.Noise(0.0, 0.0, 0.0)
-GEOMETRIES = 50
+GEOMETRIES = 20
 
 
 @cache

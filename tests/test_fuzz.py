@@ -235,7 +235,7 @@ READERS: dict[str, tuple[str, bytes, Callable[[Path], None]]] = {
 _LONGEST = timedelta(seconds=10)  # of one file, on a machine that others use too
 _QUIET = [HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.function_scoped_fixture]
 SHORT = settings(
-    max_examples=30,
+    max_examples=15,
     deadline=_LONGEST,
     derandomize=True,
     database=None,
@@ -278,7 +278,7 @@ def test_sound_files_are_read(reader: str, folder: Path) -> None:
 def test_any_bytes_are_read_whole_or_refused_by_name(
     reader: str, folder: Path, data: st.DataObject
 ) -> None:
-    """Thirty files a reader, the same ones in every run."""
+    """Fifteen files a reader, the same ones in every run."""
     answers(reader, data.draw(mangled(READERS[reader][1])), folder)
 
 

@@ -562,30 +562,26 @@ def test_a_single_tilt_is_a_measurement() -> None:
     assert orientation < 1e-8
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
-    ("left_out", "most", "sets"),
+    ("left_out", "most"),
     [
-        ("tilt", np.pi, 6),
-        *(
-            pytest.param(left_out, most, 20, marks=pytest.mark.slow)
-            for left_out in ("tilt", "torsion", "azimuth", "azimuth tilt", "tilt torsion")
-            for most in (np.pi, 0.05)
-        ),
+        ("torsion", np.pi),
+        ("azimuth tilt", np.pi),
+        *((left_out, 0.05) for left_out in ("tilt", "azimuth", "tilt torsion")),
     ],
 )
-def test_parts_of_an_orientation_have_the_noise_of_a_turn(
-    left_out: str, most: float, sets: int
-) -> None:
+def test_parts_of_an_orientation_have_the_noise_of_a_turn(left_out: str, most: float) -> None:
     """A 3-RPS with angles left out, at any tilt or near upright: mean reduced χ² is 1 ± 0.1.
 
-    Over 20 noisy sets of other machines, each known to 0.15; of 6, ± 0.2. An azimuth alone is off
-    by σ / sin(tilt).
+    Over 20 noisy sets of other machines, each known to 0.15: three standard errors. An azimuth
+    alone is off by σ / sin(tilt).
     """
     mechanism, noise = pincal.load_mechanism("3RPS"), pincal.Noise(5e-5, 1e-4, 1e-5)
     columns = [mechanism.platform.coordinates.index(name) for name in left_out.split()]
     pool = pincal.sample_workspace(mechanism, 4000, 1)
     pool, chi2 = pool[pool[:, 4] < most], []
-    for seed in range(sets):
+    for seed in range(20):
         rows = np.random.default_rng(seed).choice(len(pool), 40, replace=False)
         truth = pincal.disturb(mechanism, 1e-3, seed)
         data = pincal.simulate(mechanism, truth, pincal.Plan(pool[rows]), noise, seed).measurements
@@ -595,8 +591,8 @@ def test_parts_of_an_orientation_have_the_noise_of_a_turn(
         except pincal.ObservabilityError:
             continue  # near upright a few sets do not determine a reading's zero
         chi2.append(result.reduced_chi2)
-    assert len(chi2) >= 0.75 * sets
-    assert np.mean(chi2) == pytest.approx(1.0, abs=0.1 if sets == 20 else 0.2)
+    assert len(chi2) >= 15
+    assert np.mean(chi2) == pytest.approx(1.0, abs=0.1)
 
 
 def test_an_angle_at_its_pole_says_nothing() -> None:

@@ -802,7 +802,8 @@ def test_from_cad_urdf_to_calibrated_urdf(tmp_path: Path) -> None:
     rows = tmp_path / "rows.csv"
     noise = ("--noise-position", "0", "--disturb", "1e-3")
     done("simulate", folder, plan, *noise, "--truth", truth, "-o", rows)
-    done("calibrate", folder, rows, "--noise-position", "1e-6", "-o", tmp_path / "result")
+    noise = ("--noise-position", "1e-6", "--no-report")
+    done("calibrate", folder, rows, *noise, "-o", tmp_path / "result")
     out = tmp_path / "out.urdf"
     done("export", tmp_path / "result", "--original", file, "-o", out)
     again, _ = closed_mechanism(read_loops(out, file.with_name("robot.yaml")))

@@ -209,7 +209,7 @@ def test_errors_are_as_large_on_maps_as_on_cards(planar: Any) -> None:
     assert f"{2e3 * report.errors.mean_after()[0]:.3g}" in shown
 
 
-@pytest.mark.parametrize("frame", [False, True])
+@pytest.mark.parametrize("frame", some_slow([False, True], True))
 def test_residuals_before_of_noisy_readings(frame: bool) -> None:
     """Readings and platform share what the nominal model misses, however exact the readings are."""
     noise = pincal.Noise(1e-4, 1e-4, 1e-6)

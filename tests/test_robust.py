@@ -178,7 +178,8 @@ def test_losses_cost_little_on_good_data(name: str, equations: int) -> None:
     assert ((w * x[:, 0]) ** 2).mean() / slope**2 == pytest.approx(inflation, rel=0.05)
 
 
-@pytest.mark.parametrize("loss", slow_or_fuzz(["reject"], ["huber", "cauchy", "tukey"]))
+@pytest.mark.fuzz
+@pytest.mark.parametrize("loss", ["reject", "huber", "cauchy", "tukey"])
 def test_standard_errors_of_robust_fits_equal_the_spread(loss: str) -> None:
     """Over 100 data sets with a tenth of outliers (none for Huber), within 10 %."""
     mechanism, _truth, clean = machine("5R", 60, EXACT)
@@ -416,8 +417,7 @@ def test_groups_of_noise_that_differ_cost_degrees_of_freedom() -> None:
     assert max(freedoms) < 0.8
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("loss", ["huber", "cauchy"])
+@pytest.mark.parametrize("loss", slow_or_fuzz(["cauchy"], ["huber"]))
 def test_intervals_hold_with_a_fifth_of_gross_errors(loss: str) -> None:
     """100 sets of the 5R, errors of 30 σ: within 10 % the spread, coverage 95 % to 2.5 %."""
     one, covered, squares = cramer_rao.machine("5R", 60), [], []
@@ -462,17 +462,14 @@ def test_wrong_rows_hide_nothing_that_is_found_without_them() -> None:
 
 SLIPS = [
     ("3RRR", "readings", 2, True, False),
-    ("3RRR", "poses", 0, False, False),
     ("3RRR", "poses", 1, False, True),
     ("delta", "poses", 0, False, False),
-    ("delta", "readings", 1, True, False),
-    ("6UPS", "poses", 2, False, False),
-    ("6UPS", "readings", 4, True, False),
-    ("6UPS", "poses", 0, True, True),
+    ("6UPS", "readings", 4, False, True),
 ]
 
 
-@pytest.mark.parametrize(("kind", "field", "column", "full", "target"), quick(1, SLIPS))
+@pytest.mark.slow
+@pytest.mark.parametrize(("kind", "field", "column", "full", "target"), SLIPS)
 def test_one_slip_of_the_decimal_in_an_unknown_frame_is_named(
     kind: str, field: str, column: int, full: bool, target: bool
 ) -> None:

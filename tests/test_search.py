@@ -157,11 +157,11 @@ def test_never_above_the_start(kind: str, name: str) -> None:
     check(kind, range(2), OPTIONS[name])
 
 
-@pytest.mark.parametrize("seeds", slow_or_fuzz([range(2, 9)], [range(2, 42)]))
+@pytest.mark.parametrize("seeds", slow_or_fuzz([range(2, 6)], [range(2, 42)]))
 @pytest.mark.parametrize("name", OPTIONS)
 @pytest.mark.parametrize("kind", KINDS)
 def test_never_above_the_start_of_many(kind: str, name: str, seeds: range) -> None:
-    """The same over 7, or 40, mechanisms of each kind of platform."""
+    """The same over 4, or 40, mechanisms of each kind of platform."""
     check(kind, seeds, OPTIONS[name])
 
 
@@ -257,7 +257,8 @@ GROSS = ("5R", "3RRR", "6UPS")
 
 
 @pytest.mark.parametrize(
-    ("kind", "count"), slow_or_fuzz([(kind, 4) for kind in GROSS], [(kind, 20) for kind in GROSS])
+    ("kind", "count"),
+    slow_or_fuzz([(kind, 4) for kind in GROSS[:2]], [(kind, 20) for kind in GROSS]),
 )
 def test_gross_errors_do_not_break_the_search(kind: str, count: int) -> None:
     """A fifth of the rows off by 10 mm to 3 m, losses in turn: all sets converge but one of 20."""

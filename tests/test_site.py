@@ -111,7 +111,7 @@ def test_page_answers_what_it_says(
 ) -> None:
     """``python docs/answers.py`` makes the page that is there, but for digits; so do its files.
 
-    Its commands are run in this process.
+    Its commands are run in this process, and draw no reports: these are tests/test_report.py's.
     """
 
     def answer(line: list[str], folder: Path) -> str:
@@ -122,6 +122,7 @@ def test_page_answers_what_it_says(
 
     monkeypatch.setitem(ANSWERS["filled"].__globals__, "run", answer)
     monkeypatch.setenv("NO_COLOR", "1")
+    monkeypatch.setattr("pincal.show.report.Report.html", lambda _: "<html></html>\n")
     text = page.read_text(encoding="utf-8")
     again = ANSWERS["filled"](text, tmp_path)
 

@@ -286,6 +286,7 @@ def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
     plan = ["--count", 8, "--candidates", folder / "workspace.csv", "-o", folder / "plan.csv"]
     done("select", "3RRR", *plan)
     done("simulate", "3RRR", folder / "plan.csv", *noise, "-o", folder / "measured.csv")
+    noise.append("--no-report")
     done("calibrate", "3RRR", folder / "measured.csv", *noise, "-o", folder / "result")
     (folder / "empty").mkdir()
     shutil.copytree(folder / "result", folder / "failed")
@@ -361,7 +362,7 @@ def test_poses_in_part_are_shown_as_far_as_they_are_known(work: Path, tmp_path: 
     assert "no column 'phi'" in refused.err
     assert "RESULT in place of the measurements" in refused.err
 
-    fit = ["--noise-position", 1e-5, "--folds", 0]
+    fit = ["--noise-position", 1e-5, "--folds", 0, "--no-report"]
     done("calibrate", "3RRR", tmp_path / "gone.csv", *fit, "-o", tmp_path / "latent")
     estimated = pincal.Plan.from_csv(
         tmp_path / "latent" / "poses.csv", pincal.load_mechanism("3RRR")
