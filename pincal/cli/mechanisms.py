@@ -49,7 +49,7 @@ def check(mech: Mech, options: TableOptions) -> None:
     with reading_in(options.written_in(mechanism).printed):
         stdout.print(nominal_table(mechanism))
     for leg in mechanism.legs:
-        gap = home_gap(leg, mechanism.platform)
+        gap = max(home_gap(leg, mechanism.platform))
         words = f"closes at home within {gap:.2g} m"
         if gap > 1e-2 * leg.size:
             words = (
