@@ -4,6 +4,7 @@ On a page that says ``<!-- run by answers.py -->`` all blocks are run from top t
 folder that is empty at first:
 
 - ``console``: lines that begin with ``$ pincal`` are commands; what they print stands below them.
+  A command must end well, or as the comment behind it says: ``# exit code 1``.
 - ``python``: all of a page are one program. What a block prints is the ``text`` block after it.
 - a block after ``<!-- file: NAME -->`` is written to that file.
 - ``<!-- keep: PATTERN -->`` before a block keeps the messages of its answers in which the pattern
@@ -20,6 +21,8 @@ import shlex
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import closing
 from itertools import groupby
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -54,11 +57,11 @@ def environment() -> dict[str, str]:
     return {**os.environ, **own, "PYTHONIOENCODING": "utf-8"}
 
 
-def run(line: list[str], folder: Path) -> str:
-    """Return what a command prints, without colours, whatever its exit code."""
+def run(line: list[str], folder: Path) -> tuple[int, str]:
+    """Return the exit code of a command, and what it prints, without colours."""
     out, err = subprocess.PIPE, subprocess.STDOUT
     done = subprocess.run(line, cwd=folder, env=environment(), stdout=out, stderr=err, check=False)
-    return done.stdout.decode("utf-8")
+    return done.returncode, done.stdout.decode("utf-8")
 
 
 def kept(text: str, pattern: str | None) -> str:
@@ -108,25 +111,37 @@ class Program:
             said += line
         raise SystemExit(said)
 
-    def end(self) -> None:
+    def close(self) -> None:
         """Let the process end."""
         self._run.communicate()
 
 
 def answered(commands: list[str], folder: Path, pattern: str | None) -> str:
-    """Return a console block: commands and what they print."""
+    """Return a console block: commands and what they print.
+
+    Raises:
+        SystemExit: a command ended with another exit code than it should.
+    """
     parts = []
     for one in commands:
         typed = shlex.split(one.removeprefix("$ ").replace("\\\n", " "), comments=True)
-        said = kept(run([sys.executable, "-m", *typed], folder), pattern)
+        code, said = run([sys.executable, "-m", *typed], folder)
+        expected = re.search(r"# .*exit code (\d+)", one)
+        if code != int(expected[1] if expected else 0):
+            raise SystemExit(f"{one}\n{said}\nexit code {code} was not expected")
+        said = kept(said, pattern)
         parts.append(f"{one}\n{said}\n" if said else f"{one}\n")
     return "\n".join(parts).replace("\n\n$ ", "\n$ ") if pattern else "\n".join(parts)
 
 
 def filled(text: str, folder: Path) -> str:
     """Return a page with what its blocks answer, run in a folder."""
-    program = Program(folder)
-    made: list[str] = []
+    with closing(Program(folder)) as program:
+        return "".join(_filled(text, folder, program))
+
+
+def _filled(text: str, folder: Path, program: Program) -> Iterator[str]:
+    """Yield the parts of a page, from top to bottom."""
     at, said = 0, ""
     for one in _BLOCK.finditer(text):
         pattern = one["what"] if one["how"] == "keep" else None
@@ -140,10 +155,9 @@ def filled(text: str, folder: Path) -> str:
             said = program.answer(body)
         elif one["kind"] == "text" and said:
             body, said = kept(said, pattern) + "\n", ""
-        made += [text[at : one.start("body")], body]
+        yield text[at : one.start("body")] + body
         at = one.end("body")
-    program.end()
-    return "".join([*made, text[at:]])
+    yield text[at:]
 
 
 def main(chosen: list[str]) -> None:

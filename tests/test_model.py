@@ -57,7 +57,7 @@ def test_parameters_are_set_by_id() -> None:
         ({"leg_9": [1.0]}, r"has no leg 'leg_9'"),
         ({"leg_1": {"q": 1.0}}, r"leg_1 has no parameter 'q'"),
         ({"leg_1": [1.0]}, r"leg_1 has 8 parameters, got 1 values"),
-        ({"leg_1": 1.0}, r"parameters of leg_1: expected a Sequence or a ndarray; got 1.0"),
+        ({"leg_1": 1.0}, r"parameters of leg_1: expected a Sequence or an array; got 1.0"),
         ({"leg_1.l": "long"}, r"leg_1.l: expected a number; got 'long'"),
         ({"leg_1.l": float("nan")}, r"leg_1: a nominal parameter is not a finite number"),
         ([1.0, 2.0], r"parameters: expected a Mapping; got a list"),

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
+import shlex
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import run
+from command_line import Outcome, done, run
 from measured import machine
 from scipy.spatial.transform import Rotation
 
@@ -124,3 +125,84 @@ def test_many_weakly_determined_parameters_are_not_all_listed() -> None:
     named = str(caught.value).partition(" weakly determined")[0]
     assert re.search(r"and [0-9]+ more parameters are$", named)
     assert named.count("leg_") == 12
+
+
+@pytest.fixture(scope="module")
+def tables(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Measurements of a 3-RRR: without phi, and six rows; readings alone of cables."""
+    folder = tmp_path_factory.mktemp("tables")
+    mechanism, _, data = machine("3RRR", 24, NOISE)
+    unturned = data.poses.copy()
+    unturned[:, 2] = np.nan
+    replace(data, poses=unturned).to_csv(folder / "no_phi.csv", mechanism)
+    data.rows(np.arange(6)).to_csv(folder / "six.csv", mechanism)
+    cables, _, lines = machine("4cable", 40, NOISE)
+    unseen = replace(lines, poses=np.full_like(lines.poses, np.nan))
+    unseen.to_csv(folder / "lines.csv", cables)
+    return folder
+
+
+def calibrated(*words: object) -> Outcome:
+    """Run a calibration that draws no report."""
+    return run("calibrate", *words, "--no-report", "--folds", "0")
+
+
+def test_a_coordinate_that_is_not_measured_is_said_in_a_line(tables: Path) -> None:
+    """A column phi that is missing is named, with what that means; not so where it is there."""
+    given = ("--noise-position", "0.1mm", "--noise-reading", "1e-5")
+    outcome = calibrated("3RRR", tables / "no_phi.csv", *given, "-o", tables / "no_phi")
+    assert outcome.code == 0
+    said = "not measured: phi, which follows from the readings at each pose and is checked by no"
+    assert said in " ".join(outcome.out.split())
+    whole = calibrated(
+        "3RRR", tables / "six.csv", *given, "--noise-orientation", "0.1mrad", "-o", tables / "six"
+    )
+    assert "not measured" not in whole.out
+
+
+def test_what_is_not_determined_is_measured_next(tables: Path) -> None:
+    """Cables without positions: what comes next names what to measure, and works as it stands."""
+    outcome = calibrated(
+        "4cable", tables / "lines.csv", "--noise-reading", "0.1mm", "-o", tables / "cables"
+    )
+    assert "Not determined" in outcome.out
+    assert "not measured: x, y and z" in outcome.out
+    (line,) = re.findall(r"next: (pincal .*)", outcome.out)
+    _, command, *words = shlex.split(line)
+    assert command == "select"
+    assert words[words.index("--measure") + 1] == "x,y,z"
+    words[words.index("-o") + 1] = str(tables / "plan.csv")
+    assert re.search(r"x, y, z", done(command, *words, "--count", 8, "--starts", 1).out)
+
+
+@pytest.mark.parametrize(
+    "noise", [(), ("--noise-position", "0.1mm", "--noise-orientation", "1e-4")]
+)
+def test_too_few_rows_are_too_few_for_the_doctor(tables: Path, noise: tuple[str, ...]) -> None:
+    """He counts what is missing, and tries neither frames nor terms; with noise and without."""
+    outcome = run("doctor", "3RRR", tables / "six.csv", *noise)
+    assert outcome.code == 1
+    assert "too few rows: measure 2 more at least, better 10" in outcome.out
+    assert "pincal select 3RRR -o PLAN.csv" in outcome.out
+    assert not re.search("explain|elsewhere|frame", outcome.out)
+
+
+def test_few_rows_without_noise_are_refused_with_the_reason(tables: Path) -> None:
+    """With noise given they are accepted, and few; without, it says that the noise is why."""
+    noise = ("--noise-position", "0.1mm", "--noise-orientation", "1e-4")
+    accepted = calibrated("3RRR", tables / "six.csv", *noise, "-o", tables / "accepted")
+    assert "6 poses for 8 parameters" in accepted.err
+    refused = calibrated("3RRR", tables / "six.csv", "-o", tables / "refused")
+    assert refused.code == 2
+    assert "The noise was not given, and so few rows do not show it; give it" in refused.trouble
+
+
+def test_wrong_kinds_are_named_as_the_documentation_names_them() -> None:
+    """Articles, None, and all that is taken: also a DataFrame."""
+    with pytest.raises(pincal.MeasurementError, match="noise: expected a Noise or None; got 3"):
+        pincal.calibrate("3RRR", "none.csv", noise=3)
+    with pytest.raises(
+        pincal.MeasurementError,
+        match="measurements: expected Measurements, a CSV file or a DataFrame; got 3",
+    ):
+        pincal.calibrate("3RRR", 3)

@@ -162,7 +162,7 @@ def test_instruments_that_are_wrong_are_refused() -> None:
     """Each with what was expected."""
     robot, _, data = _measured("3RRR", count=6)
     with pytest.raises(
-        pincal.MeasurementError, match="an instrument: expected a Instrument; got 3"
+        pincal.MeasurementError, match="an instrument: expected an Instrument; got 3"
     ):
         pincal.Setup(instruments=(3,))  # type: ignore[arg-type]
     with pytest.raises(pincal.MeasurementError, match="no other instrument has"):

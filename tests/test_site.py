@@ -8,7 +8,7 @@ import inspect
 import io
 import re
 import runpy
-from contextlib import chdir, redirect_stderr, redirect_stdout, suppress
+from contextlib import chdir, redirect_stderr, redirect_stdout
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -114,11 +114,16 @@ def test_page_answers_what_it_says(
     Its commands are run in this process, and draw no reports: these are tests/test_report.py's.
     """
 
-    def answer(line: list[str], folder: Path) -> str:
+    def answer(line: list[str], folder: Path) -> tuple[int, str]:
         said = io.StringIO()
-        with chdir(folder), redirect_stdout(said), redirect_stderr(said), suppress(SystemExit):
+        with (
+            chdir(folder),
+            redirect_stdout(said),
+            redirect_stderr(said),
+            pytest.raises(SystemExit) as left,
+        ):
             main(line[line.index("pincal") + 1 :])
-        return said.getvalue()
+        return int(left.value.code or 0), said.getvalue()
 
     monkeypatch.setitem(ANSWERS["filled"].__globals__, "run", answer)
     monkeypatch.setenv("NO_COLOR", "1")
@@ -133,6 +138,15 @@ def test_page_answers_what_it_says(
     for shown in re.findall(r"images/((?:start|concept)_[\w.]+)\)", text):
         assert (tmp_path / shown).exists()
         assert (DOCS / "images" / shown).exists()
+
+
+def test_a_page_whose_command_fails_is_not_written(tmp_path: Path) -> None:
+    """Its exit code must be 0, or what the comment behind the command says."""
+    page = "```console\n$ pincal check 9RRR{}\n```\n"
+    with pytest.raises(SystemExit, match="exit code 2 was not expected"):
+        ANSWERS["filled"](page.format(""), tmp_path)
+    again = ANSWERS["filled"](page.format("  # exit code 2"), tmp_path)
+    assert "no mechanism '9RRR'" in again
 
 
 def test_programs_of_other_pages_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

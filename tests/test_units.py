@@ -137,7 +137,11 @@ def test_what_is_written_in_other_units_is_read_again(units: str, tmp_path: Path
 
 
 @pytest.mark.parametrize(
-    ("units", "why"), [("parsec", "'parsec' is unknown"), ("mm,cm", "'cm' is a second unit")]
+    ("units", "why"),
+    [
+        ("parsec", "'parsec' is not a known unit; give"),
+        ("mm,cm", "'cm' is a second unit of length"),
+    ],
 )
 def test_units_that_are_none_are_refused(units: str, why: str, tmp_path: Path) -> None:
     """An unknown unit, or two of lengths: nothing is written."""

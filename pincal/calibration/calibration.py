@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -264,24 +264,32 @@ class Calibration:
                     "something is missing need all legs at once: leave out --method per-leg"
                 )
 
-    def check_counts(self) -> None:
-        """Raise if there are too few poses for a leg."""
+    def short_legs(self) -> Iterator[tuple[str, int, int, int]]:
+        """Yield legs that have too few poses: name, poses, unknowns, and how many are needed."""
         free, served = self.unknowns, self.used[self.counts].sum(axis=0)
-        for leg, count in zip(self.mechanism.legs, served, strict=True):
+        for leg, count in zip(self.mechanism.legs, served.tolist(), strict=True):
             of_leg = free.part([leg.name])
             n = of_leg.map.shape[1] - int(np.isfinite(of_leg.priors).sum())
-            equations = self.mechanism.platform.equations(leg)
             scale = not (self.noise.known or self.options.latent)
-            least = -(-(n + scale) // equations)
+            least = -(-(n + scale) // self.mechanism.platform.equations(leg))
             if count < least:
-                added = " and the scale of the noise" if scale else ""
-                remedy = ". --poses all uses every pose for every leg"
-                raise ObservabilityError(
-                    f"{leg.name}: {count} measured poses for {n} parameters{added}; at least "
-                    f"{least} are needed, {2 * least} or more advised"
-                    + remedy
-                    * (not self.options.every_pose)
+                yield leg.name, count, n, least
+
+    def check_counts(self) -> None:
+        """Raise if there are too few poses for a leg."""
+        for name, count, n, least in self.short_legs():
+            added = " and the scale of the noise" * (not (self.noise.known or self.options.latent))
+            remedy = ". --poses all uses every pose for every leg" * (not self.options.every_pose)
+            if self.options.holds:  # only what the noise is cannot be found
+                remedy = (
+                    ". The noise was not given, and so few rows do not show it; give it "
+                    "(--noise-position, --noise-orientation, --noise-reading) to identify what "
+                    "they determine, the rest held at nominal"
                 )
+            raise ObservabilityError(
+                f"{name}: {count} measured poses for {n} parameters{added}; at least {least} are "
+                f"needed, {2 * least} or more advised{remedy}"
+            )
 
 
 def with_followed_influences(calibration: Calibration) -> Calibration:

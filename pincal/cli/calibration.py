@@ -150,7 +150,7 @@ def calibrate(
         for part in (*details, *notes) if running.verbose else notes:
             stdout.print(part)
     wrote(output)
-    say(f"next: {'; '.join(answers.next_steps(result, _again, str(output)))}")
+    say(f"next: {'; '.join(answers.next_steps(result, errors, _again, str(output)))}")
     if undrawn:
         fail(
             3,
@@ -253,6 +253,14 @@ def doctor(
     if len(cures) == 1:
         _say_cure(cures[0], known, measurements, output, force=force)
         return
+    if not cures and (short := list(tries[0].calibration.short_legs())):
+        lacking = max(least - count for _, count, _, least in short)
+        advised = max(2 * least - count for _, count, _, least in short)
+        say(
+            f"too few rows: measure {lacking} more at least, better {advised}",
+            f"next: pincal select {shlex.quote(mech)} -o PLAN.csv",
+        )
+        fail(1)
     if cures:
         stdout.print(
             f"{len(cures)} of these work alike, and the measurements do not say which "

@@ -100,8 +100,8 @@ def read_measurements(
             array_of(getattr(source, name), ("N", count), purpose, MeasurementError)
         return source
     if not (is_dataframe(source) or isinstance(source, TextTable)):
-        kinds = (Measurements, str, Path)
-        must_be(source, kinds, "measurements, their CSV file or DataFrame", MeasurementError)
+        expected = "Measurements, a CSV file or a DataFrame"
+        must_be(source, (str, Path), "measurements", MeasurementError, expected)
     further = setup.columns(mechanism)
     level = {"z": "m"} if platform.space == 2 and "z" not in further else {}
     known = known_columns(mechanism, further | level)

@@ -182,7 +182,8 @@ def read_table(source: Any) -> TextTable:
         rows = ([_cell_text(value) for value in row] for row in zip(*columns, strict=True))
         header = [str(name) for name in source.columns]
         return _of_rows(Path("DataFrame"), enumerate(chain([header], rows)), "row", None)
-    path = Path(must_be(source, (str, Path), "a CSV file or DataFrame", MeasurementError))
+    kinds = "a CSV file or a DataFrame"
+    path = Path(must_be(source, (str, Path), "a table", MeasurementError, kinds))
     suffix = path.suffix.lower()
     if suffix == ".xlsx":
         return _of_rows(path, _sheet_rows(path), "row", "")

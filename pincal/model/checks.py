@@ -135,12 +135,23 @@ def generator_of(seed: Any, error_type: type[PincalError]) -> np.random.Generato
 
 
 def must_be(
-    value: Any, kind: type | tuple[type, ...], name: str, error_type: type[PincalError]
+    value: Any,
+    kind: type | tuple[type, ...],
+    name: str,
+    error_type: type[PincalError],
+    expected: str = "",
 ) -> Any:
-    """Return a value that is of a kind; or raise an error of the given type."""
+    """Return a value that is of a kind; or raise an error of the given type.
+
+    It says what was expected: the types, if nothing else is given.
+    """
     if not isinstance(value, kind):
-        kinds = kind if isinstance(kind, tuple) else (kind,)
-        expected = " or ".join(f"a {accepted.__name__}" for accepted in kinds)
+        special = {type(None): "None", np.ndarray: "an array"}
+        named = [
+            special.get(each, f"a{'n' * (each.__name__[0] in 'AEIOU')} {each.__name__}")
+            for each in (kind if isinstance(kind, tuple) else (kind,))
+        ]
+        expected = expected or " or ".join(named)
         raise error_type(f"{name}: expected {expected}; got {described(value)}")
     return value
 

@@ -64,7 +64,7 @@ def answers(
         errors: The platform's over the workspace; None if the fit did not converge.
         notes: Sentences on what was not done, and why.
     """
-    steps = next_steps(result)
+    steps = next_steps(result, errors)
     following = Answer("What next?", "Use it" if steps[1:] else "Look into it", "", [steps])
     if errors is None:
         return [Answer("Is it better?", "There is no result", "bad", [_NO_RESULT]), following]
@@ -161,6 +161,7 @@ def accuracy_table(result: CalibrationResult, errors: WorkspaceErrors) -> Table:
 def _reliable(result: CalibrationResult, notes: Sequence[str]) -> Answer:
     """Return whether the result can be relied on: warnings, χ², held-out rows, outliers."""
     lines = [*_noise_lines(result), *_tolerances(result), *check_lines(result)[:1]]
+    lines += _unmeasured_lines(result)
     if result.outliers:
         lines.append(f"{counted(len(result.outliers), 'row does', 'rows do')} not fit the others")
     shown, tone = "No problems found", "good"
@@ -181,12 +182,16 @@ def _again(command: str, *added: str) -> str:
 
 
 def next_steps(
-    result: CalibrationResult, again: Callable[..., str] = _again, folder: str = "RESULT"
+    result: CalibrationResult,
+    errors: WorkspaceErrors | None,
+    again: Callable[..., str] = _again,
+    folder: str = "RESULT",
 ) -> list[str]:
     """Return the commands that come next.
 
     Args:
         result: What was found.
+        errors: The platform's over the workspace; None if they are not known.
         again: Returns a command line of the same measurements, of its command and further words.
         folder: Where the result is.
     """
@@ -195,6 +200,12 @@ def next_steps(
         return [again("doctor")]
     if codes & {"wrong-rows", "wrong-held-out", "outliers"} and result.loss == "none":
         return [again("calibrate", "--loss", "reject")]
+    if errors is not None and not errors.determined:
+        platform, noise = result.nominal.platform, ""
+        if result.nominal.redundant and result.noise is not None:  # readings cannot be exact
+            noise = f" --noise-reading {result.noise.reading:.2g}"
+        measure = "pose" if platform.turns == 3 else ",".join(platform.freedoms)
+        return [f"pincal select {folder} --measure {measure}{noise} -o PLAN.csv"]
     if not result.promises:
         return [f"pincal select {folder} -o PLAN.csv" if "few-poses" in codes else again("explain")]
     return [f"pincal view {folder}", f"pincal inverse {folder} POSES.csv -o READINGS.csv"]
@@ -235,7 +246,24 @@ def _tolerances(result: CalibrationResult) -> list[str]:
 
 def remarks(result: CalibrationResult, errors: WorkspaceErrors) -> list[str]:
     """Return what a terminal shows below the platform's errors."""
-    return [*rejected_lines(result), *_limit_lines(result, errors), *_tolerances(result)]
+    lines = [*rejected_lines(result), *_limit_lines(result, errors), *_tolerances(result)]
+    return [*lines, *_unmeasured_lines(result)]
+
+
+def _unmeasured_lines(result: CalibrationResult) -> list[str]:
+    """Return which coordinates of the platform no row measures, and what that means, in a line."""
+    data, platform, setup = result.measurements, result.nominal.platform, result.options.setup
+    missing = [bool(np.isnan(values).all()) for values in data.poses.T]
+    if not any(missing) or data.extra or setup.distances or setup.instruments:
+        return []
+    names = [name for name, lacks in zip(platform.coordinates, missing, strict=True) if lacks]
+    if platform.turns == 3 and all(missing[platform.lengths :]):
+        names[-3:] = ["the orientation"]
+    follows = "follow" if len(names) > 1 else "follows"
+    return [
+        f"not measured: {listed(names)}, which {follows} from the readings at each pose and "
+        f"{'are' if len(names) > 1 else 'is'} checked by no measurement"
+    ]
 
 
 def rejected_lines(result: CalibrationResult) -> list[str]:
