@@ -6,6 +6,8 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 _LONG_VALUE = re.compile(r"(?<!\w)(['\"])(?:(?!\1).){200,}\1|\S{300,}", re.DOTALL)
 _LONGEST = 1500  # characters of a message
@@ -48,3 +50,15 @@ class SymmetryError(PincalError, ValueError):
 
 class FileError(PincalError, OSError):
     """A file or folder that cannot be read, or must not be overwritten."""
+
+
+@contextmanager
+def located(place: object, kind: type[PincalError], within: object = None) -> Iterator[None]:
+    """Put a place in front of errors of a kind, unless they name it, or what it is within."""
+    try:
+        yield
+    except kind as error:
+        text = str(error)
+        if str(within or place) in text:
+            raise
+        raise kind(f"{place}{'' if text.startswith(',') else ': '}{text}") from error

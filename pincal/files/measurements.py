@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from pincal.errors import MeasurementError
+from pincal.errors import MeasurementError, located
 from pincal.files.columns import (
     covariances_of,
     known_columns,
@@ -210,10 +210,8 @@ def _poses(table: TextTable, mechanism: Mechanism, *, partial: bool) -> Array:
     values = table.array(dict.fromkeys(names, unit), blank=partial)
     known = np.isfinite(values).all(axis=1)
     turns = np.full((len(values), 3), np.nan)
-    try:
+    with located(table.path, MeasurementError):
         turns[known] = columns_of("tilt-torsion", rotation_of(str(way), values[known]))
-    except MeasurementError as error:
-        raise MeasurementError(f"{table.path}: {error}") from error
     return np.hstack((poses, turns))
 
 

@@ -8,7 +8,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Protocol
 
-from pincal.errors import FileError, MechanismError
+from pincal.errors import FileError, MechanismError, located
 from pincal.files.mechanism_yaml import YAML, mechanism_yaml, read_mechanism
 from pincal.files.output import writing
 from pincal.files.urdf_writing import leg_urdf, platform_urdf
@@ -41,11 +41,8 @@ def load_mechanism(name_or_path: str | Path) -> Mechanism:
 
 
 def _read(folder: Path) -> Mechanism:
-    try:
+    with located(folder / YAML, MechanismError, within=folder):
         return read_mechanism(folder)
-    except MechanismError as error:
-        place = "" if str(folder) in str(error) else f"{folder / YAML}: "
-        raise MechanismError(f"{place}{error}") from error
 
 
 _read_once = lru_cache(maxsize=64)(_read)

@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 import yaml
 
-from pincal.errors import MechanismError
+from pincal.errors import MechanismError, located
 from pincal.files.text import plain_number
 from pincal.files.urdf import read_chain, read_points
 from pincal.files.urdf_writing import leg_links
@@ -50,7 +50,7 @@ def _term(entry: Entry, amplitude: str, place: str) -> Term:
     form = " and ".join(forms) or "none"
     further = _FORM_KEYS.get(form, ())
     odd = [key for key in values if key not in (form, *further)]
-    try:
+    with located(f"{place}, term {amplitude!r}", MechanismError):
         if len(forms) != 1:
             raise MechanismError(
                 f"expected one of {', '.join(_FORM_KEYS)}, or of alone; got {form}"
@@ -64,8 +64,6 @@ def _term(entry: Entry, amplitude: str, place: str) -> Term:
         if form in ("sine", "cosine"):
             values |= {"order": values.pop(form), "phase": form}
         return Term(amplitude, _FORMS[form](**values), of=influence)
-    except MechanismError as error:
-        raise MechanismError(f"{place}, term {amplitude!r}: {error}") from error
 
 
 def _terms(entry: Entry, place: str) -> tuple[Term, ...]:
@@ -114,10 +112,8 @@ def _coordinates(entry: Entry | None, place: str) -> tuple[Coordinate, ...]:
             )
         ((kind, values),) = pairs.items()
         parts = values.items() if isinstance(values.value, list) else [values]
-        try:
+        with located(place, MechanismError):
             coordinates.append(Coordinate(kind, tuple(map(_value, parts))))
-        except MechanismError as error:
-            raise MechanismError(f"{place}: {error}") from error
     return tuple(coordinates)
 
 

@@ -12,7 +12,7 @@ from typing import Any, NoReturn, TypeAlias, TypeVar, get_type_hints
 import yaml
 from yaml.composer import Composer
 
-from pincal.errors import MeasurementError, PincalError
+from pincal.errors import MeasurementError, PincalError, located
 from pincal.files.text import LARGEST_FILE, plain_number, read_text, why_no_number
 from pincal.model.checks import LARGEST, must_be
 from pincal.model.setup import Distance, Setup, Systematic, Target, Tracker
@@ -253,14 +253,11 @@ def read_setup(source: Setup | str | Path) -> Setup:
         "tracker": lambda part: part.built(Tracker),
         "systematic": lambda part: part.built(Systematic),
     }
-    try:
+    with located(path, MeasurementError):
         values = read_yaml(path, MeasurementError).values(readers, ("pincal_setup",))
         unknown = values.pop("frame", "base") == "unknown"
         del values["pincal_setup"]
         return Setup(**values, unknown_frame=unknown)
-    except MeasurementError as error:
-        place = "" if str(path) in str(error) else f"{path}: "
-        raise MeasurementError(f"{place}{error}") from error
 
 
 def _distance(entry: Entry) -> Distance:

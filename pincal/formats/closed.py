@@ -14,7 +14,7 @@ from os.path import commonprefix
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pincal.errors import MechanismError
+from pincal.errors import MechanismError, located
 from pincal.files.tree import Step, Tree
 from pincal.formats.arm import displaced, with_tip
 from pincal.formats.limbs import Limb, limb_along, paths_to_platform, point_platform
@@ -89,29 +89,30 @@ def closed_mechanism(
     Its platform is a link, that in which the legs meet if not given; its base another one, or the
     root.
     """
-    if base is not None:
-        tree = replace(tree, root=tree.link(base, "the base"))
-    platform = platform or tree.platform
-    if platform is not None:
-        platform = tree.link(platform, "the platform")
-    paths, platform, loose = paths_to_platform(tree, platform)
-    driven = " (driven)" if set(tree.active) & set(loose) else ""
-    remarks = [f"{listed(loose)}: in no loop, left out{driven}"] * bool(loose)
-    normal = _normal(tree, paths)
-    kind, limbs = _limbs(tree, paths, platform, normal)
-    if normal is not None and abs(normal[2]) < 1.0 - EXACT:
-        remarks.append("planar, but not across z: the base frame was turned to have z across")
-    bare, free = [], Platform.at_origin(kind)
-    for name, limb in zip(_leg_names(limbs), limbs, strict=True):
-        leg = _leg(tree, name, limb, [point for _, point in limbs])
-        bare.append(_without_idle(leg, free, remarks))
-    axes = _PLANAR if kind in ("point", "planar") else _SPATIAL
-    legs = [displaced(leg, stems, axes) for leg, stems in zip(bare, _stems(bare), strict=True)]
-    closed, placed = _closed(tree, legs, free)
-    remarks += [text for leg in closed for text in _outside_limits(leg)]
-    name = re.sub(r"\W+", "_", tree.name)[:100] or "mechanism"
-    reduced = tuple(_reduced(leg, placed, tree.slack) for leg in closed)
-    return Mechanism(name, placed, reduced, f"From {tree.source}."), tuple(remarks)
+    with located(tree.source, MechanismError):
+        if base is not None:
+            tree = replace(tree, root=tree.link(base, "the base"))
+        platform = platform or tree.platform
+        if platform is not None:
+            platform = tree.link(platform, "the platform")
+        paths, platform, loose = paths_to_platform(tree, platform)
+        driven = " (driven)" if set(tree.active) & set(loose) else ""
+        remarks = [f"{listed(loose)}: in no loop, left out{driven}"] * bool(loose)
+        normal = _normal(tree, paths)
+        kind, limbs = _limbs(tree, paths, platform, normal)
+        if normal is not None and abs(normal[2]) < 1.0 - EXACT:
+            remarks.append("planar, but not across z: the base frame was turned to have z across")
+        bare, free = [], Platform.at_origin(kind)
+        for name, limb in zip(_leg_names(limbs), limbs, strict=True):
+            leg = _leg(tree, name, limb, [point for _, point in limbs])
+            bare.append(_without_idle(leg, free, remarks))
+        axes = _PLANAR if kind in ("point", "planar") else _SPATIAL
+        legs = [displaced(leg, stems, axes) for leg, stems in zip(bare, _stems(bare), strict=True)]
+        closed, placed = _closed(tree, legs, free)
+        remarks += [text for leg in closed for text in _outside_limits(leg)]
+        name = re.sub(r"\W+", "_", tree.name)[:100] or "mechanism"
+        reduced = tuple(_reduced(leg, placed, tree.slack) for leg in closed)
+        return Mechanism(name, placed, reduced, f"From {tree.source}."), tuple(remarks)
 
 
 def _outside_limits(leg: Leg) -> Iterator[str]:
@@ -127,15 +128,12 @@ def _closed(tree: Tree, legs: list[Leg], platform: Platform) -> tuple[tuple[Leg,
     gap, size = opening(legs, platform), largest_size(legs)
     if gap > ROUGH * size and not tree.homed:
         raise MechanismError(
-            f"{tree.source}: the loops do not close near the joint positions that the file draws: "
-            f"ends that should meet are {gap:.3g} m apart, and the longest leg is {size:.3g} m. "
-            "Say positions near which they close (keyframe of MJCF, 'home' of the YAML file), or "
-            "look at the frames of the loops and at units (metres, radians)"
+            "the loops do not close near the joint positions that the file draws: ends that should "
+            f"meet are {gap:.3g} m apart, and the longest leg is {size:.3g} m. Say positions near "
+            "which they close (keyframe of MJCF, 'home' of the YAML file), or look at the frames "
+            "of the loops and at units (metres, radians)"
         )
-    try:
-        return assembled(legs, platform, tree.slack)
-    except MechanismError as error:
-        raise MechanismError(f"{tree.source}: {error}") from error
+    return assembled(legs, platform, tree.slack)
 
 
 def _limbs(
@@ -177,8 +175,8 @@ def _with_drives(tree: Tree, paths: list[list[Step]], kind: str) -> tuple[list[l
     if unclear:
         names = ", ".join(edge.joint.name for edge, _ in unclear[0])
         raise MechanismError(
-            f"{tree.source}: no driven joint in the leg {names}; each leg needs one whose position "
-            "is read: name it under name_mot (YAML) or give it an actuator (MJCF)"
+            f"no driven joint in the leg {names}; each leg needs one whose position is read: name "
+            "it under name_mot (YAML) or give it an actuator (MJCF)"
         )
     return legs, next((of_path for of_path in kinds if of_path), kind)
 
@@ -271,7 +269,7 @@ def _leg(tree: Tree, name: str, limb: Limb, points: Sequence[Joint | None]) -> L
     joints, point = limb
     driven = [joint.name for joint in joints if joint.name in tree.active]
     if not driven:
-        raise MechanismError(f"{tree.source}: {name} has no driven joint")
+        raise MechanismError(f"{name} has no driven joint")
     closes: Closing = "frame" if point is None else "point"
     point = point or Joint("point", "fixed")
     shared = [p.name for p in points if p is not None].count(point.name) > 1

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import configparser
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from math import inf, isfinite
 from pathlib import Path
@@ -26,7 +26,7 @@ from typing import Literal
 
 import numpy as np
 
-from pincal.errors import MechanismError
+from pincal.errors import MechanismError, located
 from pincal.files.text import LARGEST_FILE, lines_of, plain_number, read_text
 from pincal.formats.delta_printer import ANGLES, DeltaPrinter
 from pincal.model.checks import LARGEST
@@ -36,6 +36,7 @@ from pincal.types import Array
 _MM = UNITS["mm"][1]
 _SAVED = "#*# "  # begins the lines of SAVE_CONFIG
 _STEPPERS = ("stepper_a", "stepper_b", "stepper_c")
+_OF_TOWERS = ("angle", "arm_length", "position_endstop")
 _COMMENT = re.compile(r";.*|\([^)]*(?:\)|$)")
 _COMMAND = re.compile(r"^\s*(?:N\d+\s+)?M0*(665|666)(?![\d.])(.*)$", re.I | re.A)
 Firmware = Literal["reprap", "marlin"]
@@ -52,24 +53,22 @@ def read_klipper(path: str | Path) -> tuple[DeltaPrinter, Array, Array]:
     Probed and manual heights of the nozzle over the bed have shape (N,), [m]; ways of the carriages
     down from their endstops, (N, 3), [m].
     """
-    config = _KlipperOptions(Path(path))
-    kinematics = config.text("printer", "kinematics", "")
-    if kinematics != "delta":
-        raise MechanismError(
-            f"{path}: [printer] kinematics is {kinematics or 'not given'!r}; expected 'delta'"
+    with located(path, MechanismError):
+        config = _Options(read_text(Path(path), LARGEST_FILE["printer"], MechanismError, pipe=True))
+        kinematics = config.text("printer", "kinematics", "not given")
+        if kinematics != "delta":
+            raise MechanismError(f"[printer] kinematics is {kinematics!r}; expected 'delta'")
+        usual = [config.number(_STEPPERS[0], option) for option in _OF_TOWERS[1:]]
+        angles, arms, endstops = np.transpose(
+            [
+                [config.number(name, *pair) for pair in zip(_OF_TOWERS, (u, *usual), strict=True)]
+                for name, u in zip(_STEPPERS, ANGLES, strict=True)
+            ]
         )
-
-    def towers(option: str, usual: Sequence[float]) -> Array:
-        pairs = zip(_STEPPERS, usual, strict=True)
-        return np.array([config.number(name, option, default) for name, default in pairs])
-
-    arm = config.number(_STEPPERS[0], "arm_length")
-    endstop = config.number(_STEPPERS[0], "position_endstop")
-    printed = config.number("printer", "print_radius", np.nan)
-    radius, angles = config.number("printer", "delta_radius"), towers("angle", ANGLES)
-    arms, endstops = towers("arm_length", [arm] * 3), towers("position_endstop", [endstop] * 3)
-    printer = _printer(path, radius, angles, arms, endstops, printed if isfinite(printed) else None)
-    return replace(printer, remarks=tuple(config.remarks())), *config.heights()
+        radius = config.number("printer", "delta_radius")
+        printed = config.number("printer", "print_radius", np.nan)
+        printer = _printer(radius, angles, arms, endstops, printed)
+        return replace(printer, remarks=tuple(config.remarks())), *config.heights()
 
 
 def read_reprap(path: str | Path, firmware: Firmware | None = None) -> DeltaPrinter:
@@ -77,34 +76,35 @@ def read_reprap(path: str | Path, firmware: Firmware | None = None) -> DeltaPrin
 
     Whose file it is must be said where firmwares mean different things by it.
     """
-    text = read_text(Path(path), LARGEST_FILE["printer"], MechanismError, pipe=True)
-    numbers = _commands(text, _KNOWN[firmware or "reprap"], path)
+    with located(path, MechanismError):
+        text = read_text(Path(path), LARGEST_FILE["printer"], MechanismError, pipe=True)
+        numbers = _commands(text, _KNOWN[firmware or "reprap"])
 
-    def values(command: str, letters: str) -> Array:
-        return np.array([numbers.get(command + letter, [0.0])[0] for letter in letters])
+        def values(command: str, letters: str) -> Array:
+            return np.array([numbers.get(command + letter, [0.0])[0] for letter in letters])
 
-    tilt, corrections = values("666", "AB"), values("666", "XYZ")
-    if tilt.any():
-        raise MechanismError(
-            f"{path}: M666 tilts the bed by {tilt[tilt != 0.0][0]:g} %, which a linear delta has "
-            "no parameter for. Calibrate without tilt (factors 6 or 7 of G30 S), or set A0 B0 and "
-            "measure anew"
-        )
-    if corrections.any() and firmware is None:
-        raise MechanismError(
-            f"{path}: M666 corrects endstops, which RepRapFirmware adds to the height and Marlin "
-            "takes off; say whose file it is: --format reprap or --format marlin"
-        )
-    is_marlin = firmware == "marlin"
-    has_trims = is_marlin and not {"665A", "665C"}.isdisjoint(numbers)
-    arms = np.array((numbers["665L"] * 3)[:3]) + (values("665", "ABC") if has_trims else 0.0)
-    radius, height, printed = values("665", "RHB").tolist()
-    endstops = height + (-corrections if is_marlin else corrections)
-    bed = None if has_trims else printed or None
-    return _printer(path, radius, ANGLES + values("665", "XYZ"), arms, endstops, bed)
+        tilt, corrections = values("666", "AB"), values("666", "XYZ")
+        if tilt.any():
+            raise MechanismError(
+                f"M666 tilts the bed by {tilt[tilt != 0.0][0]:g} %, which a linear delta has no "
+                "parameter for. Calibrate without tilt (factors 6 or 7 of G30 S), or set A0 B0 and "
+                "measure anew"
+            )
+        if corrections.any() and firmware is None:
+            raise MechanismError(
+                "M666 corrects endstops, which RepRapFirmware adds to the height and Marlin takes "
+                "off; say whose file it is: --format reprap or --format marlin"
+            )
+        sign = -1.0 if firmware == "marlin" else 1.0
+        trimmed = firmware == "marlin" and not {"665A", "665C"}.isdisjoint(numbers)
+        arms = np.array((numbers["665L"] * 3)[:3]) + (values("665", "ABC") if trimmed else 0.0)
+        radius, height, printed = values("665", "RHB").tolist()
+        bed = np.nan if trimmed else printed or np.nan
+        angles = ANGLES + values("665", "XYZ")
+        return _printer(radius, angles, arms, height + sign * corrections, bed)
 
 
-def _commands(text: str, known: Mapping[str, str], path: str | Path) -> dict[str, list[float]]:
+def _commands(text: str, known: Mapping[str, str]) -> dict[str, list[float]]:
     """Return the numbers behind each letter of M665 and M666, by ``665L`` and so on."""
     numbers: dict[str, list[float]] = {}
     for number, line in enumerate(lines_of(text), start=1):
@@ -112,7 +112,7 @@ def _commands(text: str, known: Mapping[str, str], path: str | Path) -> dict[str
         words = re.split(r"(?=[A-Za-z])", command[2].strip()) if command else []
         for word in filter(None, words):
             code, letter = command[1] if command else "", word[0].upper()
-            place = f"{path}, line {number}: {word.strip()[:40]!r}"
+            place = f", line {number}: {word.strip()[:40]!r}"
             if letter not in known[code]:
                 raise MechanismError(
                     f"{place} is nothing that M{code} takes; expected {', '.join(known[code])} "
@@ -127,31 +127,21 @@ def _commands(text: str, known: Mapping[str, str], path: str | Path) -> dict[str
             numbers[code + letter] = behind
     if missing := [letter for letter in "LRH" if f"665{letter}" not in numbers]:
         raise MechanismError(
-            f"{path}: no M665 with {', '.join(missing)}; expected a line such as "
-            "'M665 L333.0 R174.7 H297.1'"
+            f"no M665 with {', '.join(missing)}; expected such as 'M665 L333.0 R174.7 H297.1'"
         )
     if len(numbers["665L"]) not in (1, 3):
-        raise MechanismError(
-            f"{path}: M665 L has {len(numbers['665L'])} lengths; expected 1 or 3, by colons"
-        )
+        count = len(numbers["665L"])
+        raise MechanismError(f"M665 L has {count} lengths; expected 1 or 3, by colons")
     return numbers
 
 
 def _printer(
-    path: str | Path,
-    radius: float,
-    angles: Array,
-    arms: Array,
-    endstops: Array,
-    print_radius: float | None,
+    radius: float, angles: Array, arms: Array, endstops: Array, printed: float
 ) -> DeltaPrinter:
-    """Return a printer of numbers in mm and degrees, or raise with the file's name."""
+    """Return a printer of numbers in mm and degrees; of a bed's radius NaN if it is not known."""
     lengths = (_MM * arms).tolist(), (_MM * endstops).tolist()
-    printed = None if print_radius is None else _MM * print_radius
-    try:
-        return DeltaPrinter(_MM * radius, np.radians(angles).tolist(), *lengths, printed)
-    except MechanismError as error:
-        raise MechanismError(f"{path}: {error}") from error
+    bed = _MM * printed if isfinite(printed) else None
+    return DeltaPrinter(_MM * radius, np.radians(angles).tolist(), *lengths, bed)
 
 
 def write_klipper(printer: DeltaPrinter) -> str:
@@ -207,36 +197,31 @@ def _notes(printer: DeltaPrinter, mark: str) -> list[str]:
     ]
 
 
-class _KlipperOptions:
+class _Options(configparser.RawConfigParser):
     """Options of a ``printer.cfg``; those above the SAVE_CONFIG block win over those in it."""
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        lines = lines_of(read_text(path, LARGEST_FILE["printer"], MechanismError, pipe=True))
+    def __init__(self, text: str) -> None:
+        super().__init__(strict=False, inline_comment_prefixes=(";", "#"))
+        lines = lines_of(text)
         saved = [line[len(_SAVED) :] for line in lines if line.startswith(_SAVED.rstrip())]
         heading = next((i for i, line in enumerate(saved) if line.startswith("[")), len(saved))
         regular = [line.split("#")[0] for line in lines if not line.startswith(_SAVED.rstrip())]
-        self._parser = configparser.RawConfigParser(
-            strict=False, inline_comment_prefixes=(";", "#")
-        )
         try:
             for part in (saved[heading:], regular):
-                self._parser.read_string("\n".join(part), str(path))
+                self.read_string("\n".join(part))
         except configparser.Error as error:
             fault = str(error).splitlines()[0]
-            raise MechanismError(f"{path}: not a configuration of Klipper: {fault}") from error
+            raise MechanismError(f"not a configuration of Klipper: {fault}") from error
 
     def remarks(self) -> list[str]:
         """Return what the file says and is not read, as sentences."""
         remarks = [
             f"{name[:100]!r} is not read: options of the delta that are there do not count"
-            for name in self._parser.sections()
+            for name in self.sections()
             if name.startswith("include ")
         ]
-        section = "delta_calibrate"
-        probed = self._parser.options(section) if self._parser.has_section(section) else []
-        distances = [option for option in probed if option.startswith("distance")]
-        if count := sum(not option.endswith(("_pos1", "_pos2")) for option in distances):
+        probed = self["delta_calibrate"] if self.has_section("delta_calibrate") else ()
+        if count := sum(re.fullmatch(r"distance\d+", option) is not None for option in probed):
             remarks.append(
                 f"{count} distance{'s' * (count > 1)} of DELTA_ANALYZE left out: distances between "
                 "two measured poses are not read. They show how long the arms are; say what you "
@@ -246,14 +231,14 @@ class _KlipperOptions:
 
     def text(self, section: str, option: str, default: str | None = None) -> str:
         """Return an option; one without a default must be there."""
-        text: str | None = self._parser.get(section, option, fallback=default)
+        text: str | None = self.get(section, option, fallback=default)
         if text is None:
-            raise MechanismError(f"{self.path}: no option {option!r} in section [{section}]")
+            raise MechanismError(f"no option {option!r} in section [{section}]")
         return text.strip()
 
     def number(self, section: str, option: str, default: float | None = None) -> float:
         """Return an option as a number: see ``numbers``."""
-        if default is not None and not self._parser.has_option(section, option):
+        if default is not None and not self.has_option(section, option):
             return default
         return self.numbers(section, option, 1)[0]
 
@@ -263,47 +248,40 @@ class _KlipperOptions:
         values = [plain_number(part) for part in text.split(",")]
         if len(values) != count or not np.isfinite(values).all():
             expected = "a finite number" if count == 1 else f"{count} finite numbers"
-            raise MechanismError(
-                f"{self.path}: [{section}] {option} is {text!r}; expected {expected}"
-            )
+            raise MechanismError(f"[{section}] {option} is {text!r}; expected {expected}")
         return values
 
     def heights(self) -> tuple[Array, Array]:
         """Return the heights, shape (N,), [m], and the readings there, shape (N, 3), [m]."""
-        heights, steps = [], []
+        heights: list[float] = []
+        steps, section = [], "delta_calibrate"
         for kind in ("manual_height", "height"):
-            for number in range(1000):
-                height = self.number("delta_calibrate", f"{kind}{number}", np.nan)
-                if not isfinite(height):
-                    break
-                heights.append(_MM * height)
-                steps.append(self.numbers("delta_calibrate", f"{kind}{number}_pos", 3))
+            first = len(heights)
+            while self.has_option(section, name := f"{kind}{len(heights) - first}"):
+                heights.append(_MM * self.number(section, name))
+                steps.append(self.numbers(section, f"{name}_pos", 3))
         if not heights:
             return np.empty(0), np.empty((0, 3))
         readings = np.array(steps) * [_MM * self._way_per_step(name) for name in _STEPPERS]
         if not np.abs(np.column_stack((heights, readings))).max() <= LARGEST:
             raise MechanismError(
-                f"{self.path}: a height of [delta_calibrate], or its steps times their way, is no "
-                f"number up to {LARGEST:g} m"
+                "a height of [delta_calibrate], or its steps times their way, is no number up to "
+                f"{LARGEST:g} m"
             )
         return np.array(heights), readings
 
     def _way_per_step(self, stepper: str) -> float:
         """Return the way of a carriage for a step, [mm] (``klippy/stepper.py``)."""
-        gearing = 1.0
-        for pair in self.text(stepper, "gear_ratio", "").split(","):
-            if pair.strip():
-                try:
-                    driven, driving = (plain_number(part) for part in pair.split(":"))
-                    gearing *= driven / driving
-                except (ValueError, ZeroDivisionError):
-                    raise MechanismError(
-                        f"{self.path}: [{stepper}] gear_ratio is {pair.strip()!r}; expected "
-                        "two numbers, such as 3:1"
-                    ) from None
         steps = self.number(stepper, "full_steps_per_rotation", 200.0)
-        per_turn = steps * self.number(stepper, "microsteps") * gearing
+        per_turn = steps * self.number(stepper, "microsteps")
+        for pair in filter(str.strip, self.text(stepper, "gear_ratio", "").split(",")):
+            driven, _, driving = map(plain_number, pair.partition(":"))
+            if not isfinite(driven) or not isfinite(driving) or not driving:
+                raise MechanismError(
+                    f"[{stepper}] gear_ratio is {pair.strip()!r}; expected two numbers, such as 3:1"
+                )
+            per_turn *= driven / driving
         way = self.number(stepper, "rotation_distance") / per_turn if per_turn else np.nan
         if not 0.0 < way < inf:
-            raise MechanismError(f"{self.path}: [{stepper}] has no way per step above zero")
+            raise MechanismError(f"[{stepper}] has no way per step above zero")
         return way

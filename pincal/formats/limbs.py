@@ -37,8 +37,8 @@ def paths_to_platform(
     loose = graph.prune({base} | ({graph.body[platform]} if platform else set()))
     if not graph.bonds:
         raise MechanismError(
-            f"{tree.source}: its joints form no loop; list what closes the loops (closed_loop of a "
-            "YAML file, <equality> of MJCF), or import a serial arm with --tip LINK"
+            "its joints form no loop; list what closes the loops (closed_loop of a YAML file, "
+            "<equality> of MJCF), or import a serial arm with --tip LINK"
         )
     goal = graph.platform(base, platform)
     paths = graph.paths(base, goal)
@@ -46,9 +46,9 @@ def paths_to_platform(
     tree.check_joints(sorted(edge.joint.name for edge in passed))
     if lost := [bond.joint.name for bond in graph.bonds if bond not in passed]:
         raise MechanismError(
-            f"{tree.source}: {listed(lost)} lie on no way from the base {tree.root!r} to the "
-            f"platform {graph.named(goal)}; expected serial legs between these two. Is "
-            "another link the base or the platform (--base, --platform)?"
+            f"{listed(lost)} lie on no way from the base {tree.root!r} to the platform "
+            f"{graph.named(goal)}; expected serial legs between these two. Is another link the "
+            "base or the platform (--base, --platform)?"
         )
     return paths, platform or (None if goal == base else goal), loose
 
@@ -70,9 +70,8 @@ class _Graph:
         for bond in self.bonds:
             if self.body[bond.parent] == self.body[bond.child]:
                 raise MechanismError(
-                    f"{tree.source}: {bond.joint.name!r} joins {bond.parent!r} and "
-                    f"{bond.child!r}, which are fixed to each other; look at the loops that close "
-                    "whole frames"
+                    f"{bond.joint.name!r} joins {bond.parent!r} and {bond.child!r}, which are "
+                    "fixed to each other; look at the loops that close whole frames"
                 )
 
     def ends(self, bond: Edge) -> tuple[str, str]:
@@ -103,18 +102,16 @@ class _Graph:
             body = self.body[link]
             if body == base or not degrees[body]:
                 fault = "it is fixed to the base" if body == base else "no loop moves it"
-                raise MechanismError(
-                    f"{self.tree.source}: {link!r} cannot be the platform: {fault}"
-                )
+                raise MechanismError(f"{link!r} cannot be the platform: {fault}")
             return body
         meeting = [name for name, count in degrees.items() if count > 2 and name != base]
         if len(meeting) > 1:
             places = listed(self.named(name) for name in meeting)
             raise MechanismError(
-                f"{self.tree.source}: ways meet in {len(meeting)} bodies ({places}); "
-                "expected one, the platform, and legs that are serial chains from the base to it. "
-                "Is another link the base (--base)? Mechanisms with loops within a leg, or two "
-                "platforms, cannot be calibrated"
+                f"ways meet in {len(meeting)} bodies ({places}); expected one, the platform, and "
+                "legs that are serial chains from the base to it. Is another link the base "
+                "(--base)? Mechanisms with loops within a leg, or two platforms, cannot be "
+                "calibrated"
             )
         return meeting[0] if meeting else base
 
@@ -131,9 +128,9 @@ class _Graph:
                 if len(onward) != 1:
                     names = ", ".join(edge.joint.name for edge, _ in path)
                     raise MechanismError(
-                        f"{self.tree.source}: the way {names} from the base leads to "
-                        f"{self.named(body)}, where {len(onward)} ways go on; expected a serial "
-                        f"chain to the platform {self.named(goal)}"
+                        f"the way {names} from the base leads to {self.named(body)}, where "
+                        f"{len(onward)} ways go on; expected a serial chain to the platform "
+                        f"{self.named(goal)}"
                     )
                 edge = onward[0]
                 unused.remove(edge)
@@ -230,27 +227,23 @@ def point_platform(
     """
     if normal is None:
         raise MechanismError(
-            f"{tree.source}: one loop, which leaves open what the platform is; name it with "
-            "--platform LINK"
+            "one loop, which leaves open what the platform is; name it with --platform LINK"
         )
     limbs: list[Limb] = []
-    names = [edge.joint.name for edge, _ in path]
-    sides = (set(names[:2]), set(names[3:]))
-    if len(path) != 5 or names[2] in driven or any(len(side & driven) != 1 for side in sides):
+    names, middle = [edge.joint.name for edge, _ in path], path[len(path) // 2][0]
+    drives = [name for name in names if name in driven]
+    turns = middle.closes == "point" or middle.joint.kind == "revolute"
+    one_each = len(drives) == 2 and drives[0] in names[:2] and drives[1] in names[3:]
+    if not (len(path) == 5 and turns and one_each):
         raise MechanismError(
-            f"{tree.source}: one loop of {len(path)} joints ({', '.join(names)}; driven: "
-            f"{', '.join(n for n in names if n in driven) or 'none'}) has no platform that can be "
-            "recognised; name it with --platform LINK (of a five-bar with a drive in either leg it "
-            "is the point of the middle joint)"
+            f"one loop of {len(path)} joints ({', '.join(names)}; driven: "
+            f"{', '.join(drives) or 'none'}) has no platform that can be recognised; name it with "
+            "--platform LINK (of a five-bar with a drive in either leg it is the point of the "
+            "middle joint)"
         )
     for side in (path, [(edge, not forward) for edge, forward in reversed(path)]):
         joints = _joints_to(tree, side[:3], None, normal)
         last = max(i for i, joint in enumerate(joints) if joint.kind != "fixed")
-        if joints[last].kind != "revolute":
-            raise MechanismError(
-                f"{tree.source}: the two legs meet in {joints[last].name!r}, which slides; name "
-                "the platform with --platform LINK"
-            )
         centre = np.array(joints[last].placement.xyz)
         reached = _to_point(joints[:last], joints[last], centre)
         limbs.append((reached, Joint("point", "fixed")))
