@@ -10,8 +10,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 import pincal
-from pincal.show.view.calibrated import calibrated, misses_of, stations
-from pincal.show.view.scene import Scene, scene
+from pincal.show.view.scene import Scene, calibrated, misses_of, scene, stations
 
 NOISE = pincal.Noise(1e-5, 1e-5)
 OFF = np.array([2e-3, -1e-3])

@@ -221,11 +221,14 @@ def _rows(result: CalibrationResult, *, lacking: bool) -> list[Finding]:
 
 
 def _few(result: CalibrationResult) -> list[Finding]:
-    """Return which legs have few poses for their parameters."""
+    """Return which legs have few poses for their parameters, legs alike together."""
+    few: dict[tuple[int, int], list[str]] = {}
+    for leg in result.legs:
+        if leg.n_residuals < _FEW_RESIDUALS * len(leg.parameters):
+            few.setdefault((leg.n_poses, len(leg.parameters)), []).append(leg.name)
     return [
-        finding("few-poses", legs=(leg.name,), poses=leg.n_poses, unknowns=len(leg.parameters))
-        for leg in result.legs
-        if leg.n_residuals < _FEW_RESIDUALS * len(leg.parameters)
+        finding("few-poses", legs=tuple(legs), poses=poses, unknowns=unknowns)
+        for (poses, unknowns), legs in few.items()
     ]
 
 

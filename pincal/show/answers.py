@@ -215,14 +215,8 @@ def next_steps(
 
 
 def warnings(result: CalibrationResult) -> list[str]:
-    """Return what to know first; what several legs share is said once, with their names."""
-    legs: dict[str, list[str]] = {}
-    for text in result.warnings:
-        name, colon, text_of_leg = text.partition(": ")
-        of_leg = bool(colon) and name in result.nominal.leg_names
-        legs.setdefault(text_of_leg if of_leg else text, []).extend([name] if of_leg else [])
-    lines = [f"{', '.join(names)}: {text}" if names else text for text, names in legs.items()]
-    return lines if result.converged else [f"The fit {result.message}", *lines]
+    """Return what to know first."""
+    return [*([] if result.converged else [f"The fit {result.message}"]), *result.warnings]
 
 
 def unpromised(result: CalibrationResult) -> str:

@@ -1,8 +1,8 @@
 """Charts of a calibration: what a metrologist asks, each question drawn into axes once.
 
-``Plots`` is the registry, and ``result.plot``: the command ``pincal plot`` draws these by name, a
-report those that have a caption. Residuals after the fit are drawn over their standard deviations
-there, σ√(1−h) of leverage h.
+``Plots`` is the registry, and ``result.plot``: ``pincal plot`` and the report draw these by name,
+their docstrings are captions. Residuals after the fit are drawn over their standard deviations,
+σ√(1−h) of leverage h.
 """
 
 from __future__ import annotations
@@ -37,37 +37,6 @@ _NAMED = 6  # outliers that are named
 _GAP = 0.08  # between images, of the widest
 _ARROW = 0.07  # length of a typical large arrow, of the widest image
 _LARGE = 0.9  # share of arrows that are shorter
-#: By the names of charts: what a report says below one, and its height there, [inch].
-CAPTIONS = {
-    "residuals": (
-        3.4,
-        "Residuals after the calibration against the row of the measurements, each over its "
-        "standard deviation: the noise less what the fit takes up of it, σ√(1−h). Between the "
-        "dashed lines 95 of 100 are expected. Rings: rows that do not fit the others; crosses at "
-        "the upper edge: rows that were rejected.",
-    ),
-    "images": (
-        3.4,
-        "What cameras saw: arrows from each point as seen towards where it is predicted, magnified "
-        "alike in all images. Where arrows of a region point one way, the lens is other than its "
-        "model.",
-    ),
-    "parameters": (
-        4.6,
-        "By how much the change of each parameter moves the platform, root mean square over the "
-        "workspace, and its 95 % interval. Grey: the measurements do not distinguish the nominal "
-        "value from the identified one.",
-    ),
-    "error_map": (
-        4.2,
-        "Error of the platform's position to expect after the calibration over the workspace "
-        "(standard error); the other coordinates are as at home. White: not in the workspace.",
-    ),
-    "bed": (
-        4.2,
-        "Bed map: by how much z is off over the bed with the nominal model, at the height of home.",
-    ),
-}
 
 
 class Plots:
@@ -77,10 +46,11 @@ class Plots:
         self.result = result
 
     def residuals(self, ax: Axes | None = None) -> Axes:
-        """Draw residuals after the calibration in standard deviations, against the row.
+        """Draw residuals after the calibration against the row of the measurements.
 
-        Those of the legs or, if their readings are exact, of the platform as measured; dashed
-        lines: between which 95 % are. Outliers are ringed; rows that were rejected are named.
+        Each over its standard deviation: the noise less what the fit takes up of it, σ√(1−h).
+        Between the dashed lines 95 of 100 are expected. Rings: rows that do not fit the others;
+        crosses at the upper edge: rows that were rejected.
         """
         ax = ax or _axes(6.4, 3.6)
         for index, group in enumerate(noisy_residuals(self.result)):
@@ -106,13 +76,13 @@ class Plots:
         return ax
 
     def images(self, ax: Axes | None = None) -> Axes:
-        """Draw residuals as arrows over the images of cameras, magnified, with their scale.
+        """Draw what cameras saw: arrows from each point as seen towards where it is predicted.
 
-        Of instruments with an ``image`` (``pincal.Image``), side by side: from each point as seen
-        towards where it is predicted, coloured by the residual over its standard deviation.
+        Magnified alike in all images. Where arrows of a region point one way, the lens is other
+        than its model.
 
         Raises:
-            MeasurementError: no camera measured.
+            MeasurementError: no instrument that measured has a ``pincal.Image`` as its ``image``.
         """
         ax = ax or _axes(6.4, 3.6)
         if not (cameras := _seen_by_cameras(self.result)):
@@ -156,9 +126,10 @@ class Plots:
         return ax
 
     def parameters(self, ax: Axes | None = None) -> Axes:
-        """Draw what each parameter's change moves the platform by, over the workspace, and its ±.
+        """Draw by how much the change of each parameter moves the platform, and its ± (95 %).
 
-        Root mean square of the position; bars end where the change does, thin lines are its 95 %.
+        Root mean square of the position over the workspace. Grey: the measurements do not
+        distinguish the nominal value from the identified one.
 
         Raises:
             WorkspaceError: no workspace was found.
@@ -195,9 +166,10 @@ class Plots:
         return ax
 
     def error_map(self, ax: Axes | None = None) -> Axes:
-        """Draw the expected error of the calibrated platform's position over x and y.
+        """Draw the error of the platform's position to expect after the calibration.
 
-        The other coordinates are as at home; in space, z is in the middle of the workspace.
+        Standard error over the workspace, in space in the middle of its height; the other
+        coordinates are as at home. White: not in the workspace.
 
         Raises:
             MeasurementError: residuals are so large that no accuracy can be promised, or what the
@@ -223,10 +195,9 @@ class Plots:
         return ax
 
     def bed(self, ax: Axes | None = None) -> Axes:
-        """Draw by how much the nominal model misses z over the bed of a printer.
+        """Draw a bed map: by how much z is off over the bed with the nominal model, as probed.
 
-        At home's height, at which printers probe. Where frames were fixed by choice, less what
-        motions of these explain.
+        At the height of home, less what motions of frames explain that were fixed by choice.
 
         Raises:
             WorkspaceError: a machine without x, y and z, or no workspace at that height.

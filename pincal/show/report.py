@@ -10,6 +10,7 @@ from datetime import datetime
 from functools import cached_property
 from hashlib import sha256
 from importlib.metadata import version
+from inspect import getdoc
 from pathlib import Path
 from platform import python_version
 from typing import Any, ClassVar
@@ -27,7 +28,6 @@ from pincal.model.mechanism import Mechanism
 from pincal.model.setup import image_of
 from pincal.model.units import SI, Units
 from pincal.show import answers, tables
-from pincal.show.charts import CAPTIONS
 from pincal.show.misses import WorkspaceErrors, workspace_errors
 from pincal.show.pictures.files import page_figure
 from pincal.show.pictures.picture import picture
@@ -37,6 +37,7 @@ from pincal.words.table import Table
 from pincal.words.wording import clean, rendered
 
 _MOST_OUTLIERS = 50  # that are listed
+_HEIGHTS = {"residuals": 3.4, "images": 3.4, "parameters": 4.6}  # of charts, [inch]
 _FILES = "Files read, and their SHA-256"
 
 
@@ -197,10 +198,11 @@ def _sections(report: Report) -> list[tuple[Any, ...]]:
 
 
 def _chart(result: CalibrationResult, name: str) -> str:
-    """Return a chart with its caption, or why there is none."""
+    """Return a chart with its docstring as a caption, or why there is none."""
+    draw, height = getattr(result.plot, name), _HEIGHTS.get(name, 4.2)
+    text, _, _ = str(getdoc(draw)).partition("\n\nRaises:")
     try:
-        height, caption = CAPTIONS[name]
-        return page_figure(name, getattr(result.plot, name), caption, height)
+        return page_figure(name, draw, capital(" ".join(text.split()[1:])), height)
     except (MeasurementError, WorkspaceError) as error:
         return f"{capital(str(error))}."
 

@@ -27,10 +27,9 @@ from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.show.answers import warnings
 from pincal.show.report import Page
-from pincal.show.view.calibrated import calibrated
 from pincal.show.view.meshes import with_meshes
 from pincal.show.view.page import answer, page
-from pincal.show.view.scene import MAGNIFY, Scene, scene
+from pincal.show.view.scene import MAGNIFY, Scene, calibrated, scene
 from pincal.workspace.sampling import sample_configurations
 
 PATIENCE = 10.0  # seconds in which a client must say what it asks for, and take the answer
