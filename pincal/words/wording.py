@@ -68,7 +68,7 @@ def _template(words: str) -> Template:
 
 def group_in_words(group: tuple[str, ...]) -> str:
     """Return which parameters move together, by ids; one that is alone has no effect."""
-    *first, last = group
+    *first, last = group if len(group) <= NAMED else (*group[:NAMED], f"{len(group) - NAMED} more")
     return f"{', '.join(first)} and {last} move together" if first else f"{last} has no effect"
 
 
