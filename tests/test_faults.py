@@ -61,7 +61,7 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("inverse 5R {plan} -o {}/new.csv", 100),
         ("picture 5R -o {}/new.png", 1000),
         ("simulate 5R {plan} -o {0}/new.csv --truth {0}/new --disturb 0.001", 1800),
-        ("export 3RRR -o {}/new.urdf", 2000),  # the URDF is larger than what closes its loops
+        ("export 3RRR -o {}/new.xml", 2000),
         ("view 5R --html {}/new.html", 100_000),
     ],
 )
@@ -99,7 +99,12 @@ def test_who_comes_second_does_not_replace(folder: bool, tmp_path: Path) -> None
             assert "new exists" in str(error)  # noqa: PT017
         found = (path / "result.json" if folder else path).read_text()
         assert found == ("second" if force else "first")
-    assert sorted(tmp_path.iterdir()) == [path, tmp_path / "new.bak"]
+    backups = [
+        tmp_path / name for name in ("new.bak", "new.bak2")
+    ]  # the first, and the first again
+    assert sorted(tmp_path.iterdir()) == [path, *backups]
+    for backup in backups:
+        assert (backup / "result.json" if folder else backup).read_text() == "first"
 
 
 SAVE = """
