@@ -166,7 +166,15 @@ STILL_MOVES = {"one base point": "beta", "base points of two legs": "", "one pla
 
 
 @pytest.mark.parametrize(
-    "case", some_slow(DEGENERATE, "links of no length", *(c for c in DEGENERATE if "space" in c))
+    "case",
+    some_slow(
+        DEGENERATE,
+        "links of no length",
+        "rod of no length",
+        "one platform point",
+        "rods of no length in the plane",
+        *(case for case in DEGENERATE if "space" in case),
+    ),
 )
 def test_degenerate_geometry_has_an_answer(case: str, tmp_path: Path) -> None:
     """Lengths of zero: home is reached as before, or is said to be out of reach or singular.

@@ -103,7 +103,7 @@ def _marks(kind: str, code: str, free: bool) -> list[pytest.MarkDecorator]:
     """
     if kind == "6UPS" and free and code != "legs-exchanged":
         return [pytest.mark.fuzz]
-    quick = {"5R": (code, False), "3RRR": ("rows-shifted", False), "6UPS": ("", False)}
+    quick = {"5R": ("reading-offset", False), "3RRR": ("rows-shifted", False), "6UPS": ("", False)}
     slow = (code, free) != quick[kind]
     return [pytest.mark.slow] if slow else []
 

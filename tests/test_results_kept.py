@@ -42,7 +42,7 @@ def with_verifying(folder: Path, count: int) -> Path:
 @pytest.mark.parametrize(
     ("verifying", "options"),
     quick(
-        2,
+        1,
         [
             (1, ("--method", "per-leg")),
             (0, ("--tolerance", "auto")),
