@@ -12,7 +12,7 @@ import numpy as np
 from pincal.errors import MeasurementError
 from pincal.estimation.system import Loss, LossName, loss_of
 from pincal.files.text import in_si, plain_number
-from pincal.model.checks import must_be
+from pincal.model.checks import counted, must_be
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.option import option
 from pincal.model.parameter import Parameter, means
@@ -45,8 +45,8 @@ def folds_of(data: Measurements, folds: int, by: By = "turn") -> Index:
     most = max(len(poses) for poses in groups.values())
     if not 2 <= folds <= most:
         raise MeasurementError(
-            f"{folds} folds of {most} poses; expected at least two folds, and no more than there "
-            "are poses"
+            f"{counted(most, 'pose')}{' of a set' * bool(data.sets)} cannot be held out in {folds} "
+            "folds; expected at least two folds, and a pose in each"
         )
     folds_of_rows = np.zeros(len(data), dtype=np.intp)
     for poses in groups.values():
