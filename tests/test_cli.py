@@ -725,6 +725,8 @@ def test_columns_not_used_are_remarked(work: Path) -> None:
     assert "t.csv: columns not used: temperature" in outcome.err
     quiet = done("inverse", "3RRR", "t.csv", "-o", "again.csv", "--quiet")
     assert quiet.err == ""
+    Path("t.csv").write_text("tx [m],y [m],phi [rad]\n0,0,0\n")
+    assert "columns not used: tx (is it x?)" in run("inverse", "3RRR", "t.csv", "-o", "a.csv").err
 
 
 INTERRUPTED = """

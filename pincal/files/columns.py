@@ -6,6 +6,7 @@ import logging
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
+from difflib import get_close_matches
 from itertools import permutations
 from math import prod
 from pathlib import Path
@@ -28,6 +29,7 @@ from pincal.words.wording import NAMED
 
 Columns = dict[str, Array | tuple[str, ...]]
 _SQUARE = re.compile(r"(.+?)\s*(?:\^|\*\*)?\s*[2²]$")
+_NEAR = 0.66  # likeness of a column's name and one that means something, as of tx and x
 _log = logging.getLogger(__name__)
 
 
@@ -54,7 +56,13 @@ def table_of(
     if wanted_influences is not None:
         unused = [name for name in unknown_columns(table, known) if name not in wanted_influences]
         if unused:
-            shown = [name if name.isprintable() else ascii(name) for name in unused[:NAMED]]
+            missing = [name for name in known if name not in table.units and "sigma" not in name]
+            near = {name: get_close_matches(name, missing, 1, _NEAR) for name in unused[:NAMED]}
+            shown = [
+                (name if name.isprintable() else ascii(name))
+                + "".join(f" (is it {m}?)" for m in match)
+                for name, match in near.items()
+            ]
             shown += [f"and {len(unused) - NAMED} more"] * (len(unused) > NAMED)
             _log.info("%s: columns not used: %s", table.path, ", ".join(shown))
     return table
