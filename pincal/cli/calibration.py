@@ -144,7 +144,7 @@ def calibrate(
         line, style = answers.verdict(result, errors)
         stdout.print(line, style=style)
         if errors is not None:
-            stdout.print(answers.accuracy_table(result, errors))
+            stdout.print(tables.accuracy_table(result, errors))
             notes = [*answers.remarks(result, errors), *notes]
         details = [*tables.calibration_tables(result), *answers.supporting_lines(result, errors)]
         for part in (*details, *notes) if running.verbose else notes:

@@ -25,7 +25,8 @@ from pincal.files.table import write_table
 from pincal.kinematics.closure import largest_size
 from pincal.model.option import Option, option
 from pincal.model.units import WRITTEN
-from pincal.show.tables import accuracy_table, choice_table
+from pincal.show.tables import choice_table
+from pincal.words.numbers import amount
 from pincal.workspace.criteria import in_workspace
 
 #: Files in the folder beside the mechanism, and what they are.
@@ -152,12 +153,12 @@ def demo(
     results = {"each leg alone": output / "per_leg", "all together": output / "result"}
     for method, folder in zip(("per-leg", "all-legs"), results.values(), strict=True):
         run_step("calibrate", mech, measured, *noise, "--method", method, "-o", folder, *forced)
-    stdout.print(
-        "\nThe true machine, driven by the nominal and by the calibrated models:", style="bold"
-    )
+    stdout.print("\nHow far the true machine misses, driven by each model:", style="bold")
     models: dict[str, str | Path] = {"nominal": mech, **results}
     poses = pincal.Plan.from_csv(candidates, mechanism)
     with working("driving the true machine over the workspace"):
         errors = {name: pincal.accuracy(model, truth, poses) for name, model in models.items()}
-    stdout.print(accuracy_table(errors, "rad" in mechanism.platform.units))
+    for name, off in errors.items():
+        worst = amount(off.worst_position, "m")
+        stdout.print(f"{name}: {amount(off.position, 'm')} root mean square, {worst} at most")
     say(f"All files are in {output}; open {output / 'result' / 'report.html'}")

@@ -13,13 +13,12 @@ from pincal.calibration.validation import MISSES
 from pincal.estimation.observability.identifiable import WeakPair
 from pincal.model.checks import counted
 from pincal.model.mechanism import Mechanism
-from pincal.model.setup import ORIGIN
 from pincal.show.misses import WorkspaceErrors, workspace_errors
-from pincal.show.tables import calibration_tables
+from pincal.show.tables import accuracy_table, calibration_tables
 from pincal.words.findings import WORDINGS, sentence
 from pincal.words.numbers import amount, capital, listed, number, percent, rounded
 from pincal.words.table import Table
-from pincal.words.wording import NAMED, UNCOVERED, missed_line, noise_in_words
+from pincal.words.wording import NAMED, UNCOVERED, noise_in_words
 
 _MOST_PAIRS = 3  # weak pairs that are named
 _MARKS = {"bad": ("✗", "bold red"), "care": ("⚠", "bold yellow"), "good": ("✓", "bold green")}
@@ -28,7 +27,6 @@ _FOLLOWED = "Something is wrong with rows, noise or model, and the parameters fo
 _NO_BETTER = "Parameters that fit no better than nominal ones correct nothing"
 _HELD = "The machine itself was held"
 _ONLY_FRAMES = "No parameter of it was identified, only where the frames lie"
-_FRAMES = ", but for where the base and platform frames lie"
 _LITTLE = (
     "What the calibration corrects is little more than what it does not know: more or better "
     "measurements are needed"
@@ -129,38 +127,9 @@ def _factors(ratios: Sequence[float]) -> str:
     )
 
 
-def accuracy_table(result: CalibrationResult, errors: WorkspaceErrors) -> Table:
-    """Return the platform's errors: of the nominal and the calibrated machine, and held out.
-
-    Of the model alone where it can be promised; held-out rows miss by what they miss.
-    """
-    names, rows = list(errors.units.items()), dict[str, dict[tuple[str, str], float]]()
-    region = ""
-    if result.explained and errors.determined and errors.moved:
-        sizes = {"nominal": errors.mean_before(), "calibrated": errors.mean_after()}
-        sizes |= {"95 %: below": errors.inside.limit} if result.promises else {}
-        rows = {
-            head: {(name, unit): values[unit == "rad"] for name, unit in names}
-            for head, values in sizes.items()
-        }
-        region = f" {errors.where}{_FRAMES * result.moves_frames}"
-    validation = result.validation
-    for missed in validation.targets if validation and validation.fit <= MISSES else ():
-        name = "position" if missed.unit == "m" else "orientation"
-        name += "" if missed.target == ORIGIN else f" of {missed.target}"
-        rows.setdefault("held out", {})[name, missed.unit] = missed.rms
-    names = list(dict.fromkeys([*names, *rows.get("held out", {})]))
-    return Table(
-        f"RMS error of the platform{region}",
-        ["", *(f"{name} [{unit}]:.3g" for name, unit in names)],
-        [[head, *(row.get(name) for name in names)] for head, row in rows.items()],
-        "held out: rows not fitted, noise included" * ("held out" in rows),
-    )
-
-
 def _reliable(result: CalibrationResult, notes: Sequence[str]) -> Answer:
     """Return whether the result can be relied on: warnings, χ², held-out rows, outliers."""
-    lines = [*_noise_lines(result), *_tolerances(result), *check_lines(result)[:1]]
+    lines = [_noise_line(result), *_tolerances(result), *check_lines(result)[:1]]
     lines += _unmeasured_lines(result)
     if result.outliers:
         lines.append(f"{counted(len(result.outliers), 'row does', 'rows do')} not fit the others")
@@ -275,7 +244,7 @@ def rejected_lines(result: CalibrationResult) -> list[str]:
 
 def supporting_lines(result: CalibrationResult, errors: WorkspaceErrors | None) -> list[str]:
     """Return what a calibration means, beside its tables and remarks."""
-    lines = [f"{method_line(result)}; {result.message}", *_noise_lines(result)]
+    lines = [f"{method_line(result)}; {result.message}", _noise_line(result)]
     if not result.converged:
         return lines
     lines += region_lines(result, errors) if errors is not None else []
@@ -302,8 +271,8 @@ def method_line(result: CalibrationResult) -> str:
     return f"each leg alone by {poses}, taken as measured"
 
 
-def _noise_lines(result: CalibrationResult) -> list[str]:
-    """Return how residuals compare with the noise, and what all rows share."""
+def _noise_line(result: CalibrationResult) -> str:
+    """Return how residuals compare with the noise."""
     dof, parts = result.degrees_of_freedom, list[str]()
     if not dof:
         parts = [
@@ -318,13 +287,7 @@ def _noise_lines(result: CalibrationResult) -> list[str]:
             parts.append(f"{low:.2f} to {high:.2f} is expected by the noise")
     if dof and result.noise_source in ("estimated", "repeats"):
         parts.insert(0, f"noise {noise_line(result)}")
-    lines = ["; ".join(parts)]
-    if result.systematic is not None and result.converged:
-        scale = result.options.setup.systematic
-        shared = [f"{1e6 * scale.relative:.3g} µm/m of all lengths"] if scale.relative else []
-        shared += [f"{amount(scale.target, 'm')} of each known target"] if scale.target else []
-        lines.append(f"every ± holds what more rows do not make smaller: {listed(shared)}")
-    return lines
+    return "; ".join(parts)
 
 
 def noise_line(result: CalibrationResult) -> str:
@@ -367,7 +330,18 @@ def check_lines(result: CalibrationResult) -> list[str]:
         f"held-out rows miss by {validation.held_out:.2f} σ, those of the fit by "
         f"{validation.fit:.2f} σ; {validation.expected:.2f} σ are expected held out ({rows})"
     )
-    return [compared, *(missed_line(**vars(missed)) for missed in validation.targets)]
+    lines = [compared]
+    for missed in validation.targets:
+        unit, (low, high) = missed.unit, missed.rms_ends
+        what = "position" if unit == "m" else "orientation"
+        ends = f" (95 %: {number(low, unit)} to {number(high, unit)})" if np.isfinite(high) else ""
+        lines.append(
+            f"{what} of {missed.target!r} is missed by {amount(missed.rms, unit)}{ends} held out, "
+            f"root mean square of {counted(missed.poses, 'pose')}, by {number(missed.mean, unit)} "
+            f"on average and {number(missed.largest, unit)} at most; by {number(missed.fit, unit)} "
+            "in the fit"
+        )
+    return lines
 
 
 def weak_lines(pairs: Sequence[WeakPair], mechanism: Mechanism) -> list[str]:

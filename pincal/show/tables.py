@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from pincal.calibration.result import CalibrationResult
 from pincal.calibration.result_parts import IdentifiedParameter, ResidualGroup
 from pincal.calibration.terms.choice import Explanation
 from pincal.calibration.terms.screen import Candidate
+from pincal.calibration.validation import MISSES
 from pincal.design.forecast import Forecast
 from pincal.design.select import Selection
 from pincal.design.select_configurations import ConfigurationChoice
-from pincal.design.simulate import Accuracy
 from pincal.model.checks import counted
 from pincal.model.mechanism import Mechanism
-from pincal.show.misses import readings_exact
+from pincal.model.setup import ORIGIN
+from pincal.show.misses import WorkspaceErrors, readings_exact
 from pincal.symmetry.detect import SymmetryGroup, no_symmetries
 from pincal.words.numbers import SMALL, STORED, VALUES, chance, shown_in, uncertainty
 from pincal.words.table import Cell, Table, Value, quantity
@@ -111,24 +110,6 @@ def choice_table(mechanism: Mechanism, chosen: ConfigurationChoice) -> Table:
     )
 
 
-def accuracy_table(errors: Mapping[str, Accuracy], turns: bool) -> Table:
-    """Return platform errors by model, the nominal one first, and by what the others are better."""
-    heads = ["position rms [m]:.4f", "worst [m]:.4f", "orientation rms [rad]:.4f"][: 2 + turns]
-    sizes = {
-        name: np.array([found.position, found.worst_position, found.orientation])[: 2 + turns]
-        for name, found in errors.items()
-    }
-    nominal, *others = sizes
-    rows: list[list[Value]] = [
-        [name, *sizes[name].tolist(), errors[name].unreachable] for name in errors
-    ]
-    for name in others:
-        ratios = (sizes[nominal] / sizes[name]).tolist()
-        rows.append([f"{name}: better by", *(Cell(r, f"{r:.1f} times") for r in ratios), None])
-    title = f"platform error over the workspace, {errors[nominal].poses} poses"
-    return Table(title, ["model", *heads, "not reached"], rows)
-
-
 def standard_errors(forecast: Forecast) -> Table:
     """Return the standard errors of a forecast by parameter and leg."""
     mechanism = forecast.mechanism
@@ -198,6 +179,7 @@ def workspace_table(workspace: Workspace, inscribed: Inscribed | None = None) ->
 # Calibrations
 
 _MOST_SIGMAS = 1e6  # standard errors, above which their number says nothing
+_FRAMES = ", but for where the base and platform frames lie"
 _HEADS = ("nominal", "identified", "± 95 %", "unit")
 
 
@@ -208,6 +190,35 @@ def calibration_tables(result: CalibrationResult) -> list[Table]:
     tables += [residuals_table(result)]
     tables += [outliers_table(result)] if result.outliers and result.loss != "none" else []
     return tables
+
+
+def accuracy_table(result: CalibrationResult, errors: WorkspaceErrors) -> Table:
+    """Return the platform's errors: of the nominal and the calibrated machine, and held out.
+
+    Of the model alone where it can be promised; held-out rows miss by what they miss.
+    """
+    names, rows = list(errors.units.items()), dict[str, dict[tuple[str, str], float]]()
+    region = ""
+    if result.explained and errors.determined and errors.moved:
+        sizes = {"nominal": errors.mean_before(), "calibrated": errors.mean_after()}
+        sizes |= {"95 %: below": errors.inside.limit} if result.promises else {}
+        rows = {
+            head: {(name, unit): values[unit == "rad"] for name, unit in names}
+            for head, values in sizes.items()
+        }
+        region = f" {errors.where}{_FRAMES * result.moves_frames}"
+    validation = result.validation
+    for missed in validation.targets if validation and validation.fit <= MISSES else ():
+        name = "position" if missed.unit == "m" else "orientation"
+        name += "" if missed.target == ORIGIN else f" of {missed.target}"
+        rows.setdefault("held out", {})[name, missed.unit] = missed.rms
+    names = list(dict.fromkeys([*names, *rows.get("held out", {})]))
+    return Table(
+        f"RMS error of the platform{region}",
+        ["", *(f"{name} [{unit}]:.3g" for name, unit in names)],
+        [[head, *(row.get(name) for name in names)] for head, row in rows.items()],
+        "held out: rows not fitted, noise included" * ("held out" in rows),
+    )
 
 
 def parameters_table(result: CalibrationResult) -> Table:

@@ -177,15 +177,3 @@ def _pages() -> Environment:
     )
     environment.filters |= _FILTERS
     return environment
-
-
-def missed_line(target: str, unit: str, poses: int, rms: float, **others: Any) -> str:
-    """Return how far a target is missed at held-out rows: the values of a ``Missed``."""
-    what, (low, high) = "position" if unit == "m" else "orientation", others["rms_ends"]
-    ends = f" (95 %: {number(low, unit)} to {number(high, unit)})" if isfinite(high) else ""
-    mean, largest, fit = (number(others[name], unit) for name in ("mean", "largest", "fit"))
-    return (
-        f"{what} of {target!r} is missed by {amount(rms, unit)}{ends} held out, root mean square "
-        f"of {counted(poses, 'pose')}, by {mean} on average and {largest} at most; by {fit} in the "
-        "fit"
-    )

@@ -9,14 +9,12 @@ from typing import Any
 import numpy as np
 import trimesh
 import yourdfpy
-from numpy.typing import NDArray
 
 from pincal.errors import FileError
 from pincal.files.text import read_xml
 from pincal.kinematics.collision import check_mesh
 from pincal.model.mechanism import Mechanism
 from pincal.show.view.bodies import Body, Shape
-from pincal.types import Array
 
 METAL = "#aab1ba"
 #: Triangles of a link, at most about; cells along it into which corners are gathered.
@@ -72,10 +70,10 @@ def _mesh(path: Path, visual: Any) -> Shape:
         raise FileError(f"{file}: a mesh that cannot be read: {error}") from error
     check_mesh(file, np.asarray(getattr(mesh, "vertices", ())), len(getattr(mesh, "faces", ())))
     mesh.process()  # corners that several triangles share become one
-    scale = np.ones(3) if source.scale is None else np.broadcast_to(source.scale, 3)
-    corners, faces = coarser(np.asarray(mesh.vertices) * scale, np.asarray(mesh.faces))
+    mesh.apply_scale(np.ones(3) if source.scale is None else np.broadcast_to(source.scale, 3))
+    coarsen(mesh)
     T = np.eye(4) if visual.origin is None else np.asarray(visual.origin, dtype=np.float64)
-    return Shape("mesh", (), T, METAL, corners, faces)
+    return Shape("mesh", (), T, METAL, np.asarray(mesh.vertices), np.asarray(mesh.faces))
 
 
 def _mesh_path(path: Path, name: str) -> Path:
@@ -91,19 +89,13 @@ def _mesh_path(path: Path, name: str) -> Path:
     raise FileError(f"{path}: its mesh {name} is not found beside it, nor in a folder above it")
 
 
-def coarser(corners: Array, faces: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
-    """Return a mesh of fewer triangles, corners (n, 3) in one cell of a grid become their mean."""
-    means, fewer = corners, faces
+def coarsen(mesh: Any) -> None:
+    """Merge corners of a trimesh that are in one cell of a grid, until its triangles are few."""
     for cells in _CELLS:
-        if len(fewer) <= MOST_FACES:
+        if len(mesh.faces) <= MOST_FACES:
             break
-        cell = np.floor((corners - corners.min(axis=0)) / np.ptp(corners, axis=0).max() * cells)
-        _, group = np.unique(cell, axis=0, return_inverse=True)
-        group = group.ravel()
-        means = np.stack([np.bincount(group, axis) for axis in corners.T], axis=1)
-        means /= np.bincount(group)[:, None]
-        fewer = group[faces]
-        fewer = fewer[(np.diff(np.sort(fewer, axis=1), axis=1) > 0).all(axis=1)]
-        _, first = np.unique(np.sort(fewer, axis=1), axis=0, return_index=True)
-        fewer = fewer[np.sort(first)]
-    return means, fewer
+        cell = mesh.extents.max() / cells
+        mesh.apply_scale(1.0 / cell)
+        mesh.merge_vertices(digits_vertex=0)
+        mesh.update_faces(mesh.nondegenerate_faces() & mesh.unique_faces())
+        mesh.apply_scale(cell)
