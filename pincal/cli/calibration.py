@@ -253,18 +253,17 @@ def doctor(
     if len(cures) == 1:
         _say_cure(cures[0], known, measurements, output, force=force)
         return
-    if not cures and (short := list(tries[0].calibration.short_legs())):
-        lacking = max(least - count for _, count, _, least in short)
-        advised = max(2 * least - count for _, count, _, least in short)
-        say(
-            f"too few rows: measure {lacking} more at least, better {advised}",
-            f"next: pincal select {shlex.quote(mech)} -o PLAN.csv",
-        )
-        fail(1)
+    short = [(count, least) for _, count, _, least in tries[0].calibration.short_legs()]
     if cures:
         stdout.print(
             f"{len(cures)} of these work alike, and the measurements do not say which "
             "is true: look at the machine, and mend the source"
+        )
+    elif short:
+        lacking, advised = (max(n * least - count for count, least in short) for n in (1, 2))
+        say(
+            f"too few rows: measure {lacking} more at least, better {advised}",
+            f"next: pincal select {shlex.quote(mech)} -o PLAN.csv",
         )
     else:
         stdout.print("nothing of this makes the measurements fit the mechanism")
