@@ -291,15 +291,12 @@ def dh_joints(table: Any, convention: str = "standard") -> tuple[Joint, ...]:
     for number, ((a, alpha, d, theta), lower, upper) in enumerate(
         zip(rows.tolist(), *map(Array.tolist, limits), strict=True), start=1
     ):
-        turn, lift = Placement.of({}, rz=theta).origin(), Placement.of({}, z=d).origin()
-        link = before = np.eye(4)
-        if convention == "standard":
-            link = Placement.of({}, x=a, rx=alpha).origin()
-        else:
-            before = Placement.of({}, rx=alpha, x=a).origin()
-        place = placement_of(T_behind_joint @ before @ turn)
+        before, behind = {"rz": theta}, {"z": d, "x": a, "rx": alpha}
+        if convention != "standard":
+            before, behind = {"rx": alpha, "x": a, "rz": theta}, {"z": d}
+        place = placement_of(T_behind_joint @ Placement.of({}, **before).origin())
         joints.append(Joint(f"joint_{number}", "revolute", place, lower=lower, upper=upper))
-        T_behind_joint = lift @ link
+        T_behind_joint = Placement.of({}, **behind).origin()
     return (*joints, Joint("tip", "fixed", placement_of(T_behind_joint)))
 
 

@@ -18,15 +18,7 @@ from pincal.calibration.options import AUTO, FOLDS, By
 from pincal.calibration.result import CalibrationResult
 from pincal.calibration.result_files import REPORT, RESULT_FILES
 from pincal.cli.app import command, fail, remark, say, stdout, typed, warn, working, wrote
-from pincal.cli.options import (
-    FORCE,
-    Force,
-    Measured,
-    Mech,
-    SetupOptions,
-    output_option,
-    typed_name,
-)
+from pincal.cli.options import FORCE, Force, Measured, Mech, SetupOptions, output_option, typed_name
 from pincal.errors import MisfitError
 from pincal.files.columns import columns_of
 from pincal.files.measurements import read_measurements

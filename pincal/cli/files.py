@@ -15,14 +15,7 @@ import pincal
 from pincal import Measurements, Mechanism, Plan
 from pincal.cli.app import command, remark, say, stdout, warn, working, wrote
 from pincal.cli.mechanisms import fail_if_lost, first_of, say_reference
-from pincal.cli.options import (
-    FORCE,
-    Mech,
-    TableOptions,
-    named_after,
-    output_option,
-    refuse_options,
-)
+from pincal.cli.options import FORCE, Mech, TableOptions, named_after, output_option, refuse_options
 from pincal.errors import FileError, MeasurementError, MechanismError
 from pincal.files.columns import write_plan
 from pincal.files.measurements import read_poses
@@ -112,8 +105,7 @@ class ImportOptions:
 @command
 def import_(
     file: Annotated[
-        Path,
-        typer.Argument(metavar="FILE", help="URDF, MJCF, printer.cfg or config.g."),
+        Path, typer.Argument(metavar="FILE", help="URDF, MJCF, printer.cfg or config.g.")
     ],
     output: Annotated[Path, output_option("OUT", "Mechanism folder.")],
     options: ImportOptions,
