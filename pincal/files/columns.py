@@ -55,17 +55,18 @@ def table_of(
         table = replace(table, units=dict(names.values()), text=text)
     if wanted_influences is not None:
         unused = [name for name in unknown_columns(table, known) if name not in wanted_influences]
+        missing = [name for name in known if name not in table.units and "sigma" not in name]
         if unused:
-            missing = [name for name in known if name not in table.units and "sigma" not in name]
-            near = {name: get_close_matches(name, missing, 1, _NEAR) for name in unused[:NAMED]}
-            shown = [
-                (name if name.isprintable() else ascii(name))
-                + "".join(f" (is it {m}?)" for m in match)
-                for name, match in near.items()
-            ]
-            shown += [f"and {len(unused) - NAMED} more"] * (len(unused) > NAMED)
-            _log.info("%s: columns not used: %s", table.path, ", ".join(shown))
+            shown = ", ".join(_meant_perhaps(name, missing) for name in unused[:NAMED])
+            more = f" and {len(unused) - NAMED} more" * (len(unused) > NAMED)
+            _log.info("%s: columns not used: %s", table.path, shown + more)
     return table
+
+
+def _meant_perhaps(name: str, missing: Sequence[str]) -> str:
+    """Return the name of a column, and that of a missing one that it may mean."""
+    near = get_close_matches(name, missing, 1, _NEAR)
+    return (name if name.isprintable() else ascii(name)) + "".join(f" (is it {n}?)" for n in near)
 
 
 def unknown_columns(table: TextTable, known: Collection[str]) -> list[str]:
