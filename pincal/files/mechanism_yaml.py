@@ -31,39 +31,36 @@ from pincal.model.terms import Harmonic, Load, Power, Share, Term
 FORMAT = 1
 YAML = "mechanism.yaml"
 #: Forms of terms by the key that names each, with the further keys that belong to it.
-_FORM_KEYS = {
-    "sine": ("period",),
-    "cosine": ("period",),
-    "power": ("range", "centre"),
-    "per": ("reference",),
+_FORMS: dict[str, tuple[Any, tuple[str, ...]]] = {
+    "sine": (Harmonic, ("period",)),
+    "cosine": (Harmonic, ("period",)),
+    "power": (Power, ("range", "centre")),
+    "per": (Share, ("reference",)),
 }
-_FORMS: dict[str, Any] = {"sine": Harmonic, "cosine": Harmonic, "power": Power, "per": Share}
 _BLOCKS = ("parameters", "labels", "load")  # mappings of which each key has a line of its own
 
 
 def _term(entry: Entry, amplitude: str, place: str) -> Term:
     """Return a term with the name of its amplitude; messages say its place."""
-    numbers = dict.fromkeys((*_FORM_KEYS, "period", "range", "centre", "reference"), Entry.number)
+    numbers = dict.fromkeys((*_FORMS, "period", "range", "centre", "reference"), Entry.number)
     values = entry.values({**numbers, "of": Entry.text, "power": lambda part: part.value})
     influence = values.pop("of", "")
-    forms = [key for key in _FORM_KEYS if key in values] or ["per"] * bool(influence)
-    form = " and ".join(forms) or "none"
-    further = _FORM_KEYS.get(form, ())
+    forms = [key for key in _FORMS if key in values] or ["per"] * bool(influence)
+    form, fault = " and ".join(forms) or "none", ""
+    kind, further = _FORMS.get(form, (None, ()))
     odd = [key for key in values if key not in (form, *further)]
+    if kind is None:
+        fault = f"expected one of {', '.join(_FORMS)}, or of alone; got {form}"
+    elif odd:
+        fault = f"{odd[0]!r} does not go with {form!r}; expected {', '.join(further)}"
+    elif form == "power" and "range" not in values:
+        fault = "'power' needs 'range' beside it"
+    elif kind is Harmonic:
+        values |= {"order": values.pop(form), "phase": form}
     with located(f"{place}, term {amplitude!r}", MechanismError):
-        if len(forms) != 1:
-            raise MechanismError(
-                f"expected one of {', '.join(_FORM_KEYS)}, or of alone; got {form}"
-            )
-        if odd:
-            raise MechanismError(
-                f"{odd[0]!r} does not go with {form!r}; expected {', '.join(further)}"
-            )
-        if form == "power" and "range" not in values:
-            raise MechanismError("'power' needs 'range' beside it")
-        if form in ("sine", "cosine"):
-            values |= {"order": values.pop(form), "phase": form}
-        return Term(amplitude, _FORMS[form](**values), of=influence)
+        if fault:
+            raise MechanismError(fault)
+        return Term(amplitude, kind(**values), of=influence)
 
 
 def _terms(entry: Entry, place: str) -> tuple[Term, ...]:

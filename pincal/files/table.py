@@ -100,30 +100,22 @@ class TextTable:
 
     def numbers(self, column: str, dimension: str, *, blank: bool = False) -> Array:
         """Return a column of a dimension ("m", "rad") in SI units, (N,), NaN where it is blank."""
+        unit, header, fault = self.units.get(column), f"'{column} [{dimension}]'", ""
+        kind, factor = UNITS.get(unit or "", ("", 1.0))
+        per_unit = self.counts.get(column) if unit == COUNTS else None
         if column not in self:
-            raise MeasurementError(
-                f"{self.path}: no column {column!r}; expected '{column} [{dimension}]'. The file "
-                f"has {', '.join(self.units)}"
-            )
-        unit = self.units[column]
-        if unit == COUNTS and column in self.counts:
-            if (per_unit := self.counts[column]) is None:
-                raise MeasurementError(
-                    f"{self.path}: column {column!r} is in counts; say how many are in one "
-                    f"{dimension}: {SCALE}"
-                )
-            return self.plain(column, blank=blank) / per_unit
-        if unit is None:
-            raise MeasurementError(
-                f"{self.path}: column {column!r} has no unit; write it in the header, for example "
-                f"'{column} [{dimension}]'"
-            )
-        if unit not in UNITS or UNITS[unit][0] != dimension:
+            fault = f"no column {column!r}; expected {header}. The file has {', '.join(self.units)}"
+        elif unit is None:
+            fault = f"column {column!r} has no unit; write it in the header, for example {header}"
+        elif unit == COUNTS and column in self.counts and per_unit is None:
+            fault = f"column {column!r} is in counts; say how many are in one {dimension}: {SCALE}"
+        elif kind != dimension and per_unit is None:
             expected = " or ".join(f"[{u}]" for u, (kind, _) in UNITS.items() if kind == dimension)
-            raise MeasurementError(
-                f"{self.path}: column {column!r} has unit [{unit}]; expected {expected}"
-            )
-        return self.plain(column, blank=blank) * UNITS[unit][1]
+            fault = f"column {column!r} has unit [{unit}]; expected {expected}"
+        if fault:
+            raise MeasurementError(f"{self.path}: {fault}")
+        values = self.plain(column, blank=blank)
+        return values * factor if per_unit is None else values / per_unit
 
     def plain(self, column: str, *, blank: bool = False) -> Array:
         """Return the numbers of a column as they are, shape (N,)."""
