@@ -255,7 +255,6 @@ def test_a_file_holds_covariances_and_a_tracker(tmp_path: Path) -> None:
         ("cov_x_y", "mm", "expected 'cov_x_y [m2]'"),
         ("cov_x_phi", "mm2", "expected 'cov_x_phi [m rad]'"),
         ("cov_x_y", None, "has no unit"),
-        ("sigma_range", "mm", "said for all rows, with where it is"),
     ],
 )
 def test_a_column_that_says_too_little_is_refused(header: str, unit: str, words: str) -> None:

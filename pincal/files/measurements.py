@@ -153,14 +153,6 @@ def _check_columns(
     table: TextTable, mechanism: Mechanism, setup: Setup, further: Mapping[str, str]
 ) -> None:
     """Raise if a column is missing that terms or the setup need, or one needs another setup."""
-    of_tracker = [name for name in ("range", "elevation") if name not in further]
-    of_tracker = [name for name in of_tracker if f"sigma_{name}" in table]
-    if of_tracker:
-        raise MeasurementError(
-            f"{table.path}: column 'sigma_{of_tracker[0]}': how well a tracker measures is said "
-            "for all rows, with where it is in the frame of the measurements: 'tracker: {at: [0, "
-            "0, 0], range: 5.0e-6, azimuth: 1.0e-5, elevation: 1.0e-5}' in the setup (--setup)"
-        )
     needed = {
         name: "on which terms of sensors depend; add it, or leave these terms out of the mechanism"
         for name in mechanism.influences
@@ -188,10 +180,7 @@ def _way(table: TextTable, mechanism: Mechanism) -> str | None:
 
 
 def _poses(table: TextTable, mechanism: Mechanism, *, partial: bool) -> Array:
-    """Return the coordinates of poses; a spatial platform's orientation in any of the ways.
-
-    If they may be partial, NaN where a column is missing or a cell empty.
-    """
+    """Return poses, NaN where they may be partial and are; orientations in any of the ways."""
     platform, way = mechanism.platform, _way(table, mechanism)
     units = dict(zip(platform.coordinates, platform.units, strict=True))
     if way not in (None, "tilt-torsion"):
@@ -323,10 +312,7 @@ def _further_influences(
 
 
 def _sigmas(table: TextTable, units: Mapping[str, str], *, partial: bool = False) -> Array | None:
-    """Return the ``sigma_…`` columns, shape (N, n), or None where there are none.
-
-    If they may be partial, those that are missing are NaN.
-    """
+    """Return the ``sigma_…`` columns, (N, n), NaN where one is missing; None if all are."""
     if not any(f"sigma_{name}" in table for name in units):
         return None
     unknown = np.full(len(table.lines), np.nan)

@@ -169,10 +169,7 @@ def _copy(source: str, target: str) -> None:
 
 
 def _move_all(moves: Sequence[tuple[Path, Path]]) -> None:
-    """Move what was made to its places, the first last; what was there is set aside before.
-
-    On an error all is as it was.
-    """
+    """Move what was made to its places, the first last, and back to what was on an error."""
     with ExitStack() as undo:
         for _, target in moves:
             if os.path.lexists(target):

@@ -88,10 +88,7 @@ class TextTable:
     def array(
         self, units: Mapping[str, str], *, blank: bool = False, optional: bool = False
     ) -> Array:
-        """Return columns, by name with their dimensions, side by side in SI units, shape (N, n).
-
-        NaN where cells may be blank or columns are optional.
-        """
+        """Return columns in SI units, (N, n), NaN where cells are blank or columns optional."""
         array = np.full((len(self.lines), len(units)), np.nan)
         for place, (name, unit) in enumerate(units.items()):
             if name in self or not optional:
@@ -196,10 +193,7 @@ def read_table(source: Any) -> TextTable:
 def _of_rows(
     path: Path, lines: Iterable[tuple[int, list[str]]], counted: str, separated: str | None
 ) -> TextTable:
-    """Return a table of numbered rows of cells: blank ones, headers, and what is below.
-
-    Where cells are separated by commas (``separated`` is None), no decimal has one.
-    """
+    """Return a table of numbered rows; cells separated by commas (None) have no decimal commas."""
     filled = ((n, row) for n, row in lines if any(cell.strip() for cell in row))
     top, header = next(filled, (0, []))
     if not header:
@@ -301,9 +295,8 @@ def _separator(text: str) -> str:
 
 def _with_points(rows: list[list[str]]) -> bool:
     """Write decimal points for decimal commas if no cell has points; return whether it was so."""
-    cells = [cell for row in rows for cell in row]
-    commas = any(_DECIMAL_COMMA.fullmatch(cell.strip()) for cell in cells)
-    if not commas or any(_DECIMAL_POINT.fullmatch(cell.strip()) for cell in cells):
+    cells = [cell.strip() for row in rows for cell in row]
+    if not any(map(_DECIMAL_COMMA.fullmatch, cells)) or any(map(_DECIMAL_POINT.fullmatch, cells)):
         return False
     for row in rows:
         for place, cell in enumerate(row):

@@ -173,10 +173,7 @@ def with_ranges(tree: Tree) -> Tree:
 
 
 def turns(joint: Joint, parent: str, child: str, axes: str) -> tuple[Edge, ...]:
-    """Return a joint that turns about several axes of its frame, one after the other.
-
-    Axes are letters in order; in capitals, it slides along them.
-    """
+    """Return a joint that turns about axes of its frame in order, or slides, for capitals."""
     edges: list[Edge] = []
     for letter in axes:
         axis, slides = letter.lower(), letter.isupper()
@@ -202,12 +199,11 @@ def at_home(edges: tuple[Edge, ...], home: Mapping[str, float]) -> tuple[Edge, .
 def root_of(edges: Sequence[Edge], links: Sequence[str], source: str) -> str:
     """Return the one link that no joint carries."""
     children = [edge.child for edge in edges]
-    for child in children:
-        if children.count(child) > 1:
-            raise MechanismError(
-                f"{source}: link {child!r} hangs on two joints; the file must be a tree, whose "
-                "loops are closed by constraints"
-            )
+    if twice := [child for child in children if children.count(child) > 1]:
+        raise MechanismError(
+            f"{source}: link {twice[0]!r} hangs on two joints; the file must be a tree, whose "
+            "loops are closed by constraints"
+        )
     roots = [link for link in links if link not in set(children)]
     if len(roots) != 1:
         raise MechanismError(f"{source}: {len(roots)} root links ({listed(roots)}); expected one")

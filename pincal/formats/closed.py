@@ -56,10 +56,7 @@ def slack_of(text: str) -> float:
 
 
 def closing_in_words(tree: Tree, mechanism: Mechanism) -> tuple[str, bool]:
-    """Return by how much loops are open as drawn and how far joints were moved, as sentences.
-
-    And whether that is more than rounding.
-    """
+    """Return how far loops are open as drawn and joints moved, and whether beyond rounding."""
     drawn = {edge.joint.name: edge.joint.home for edge in tree.edges}
     legs = [
         leg.with_home([drawn.get(joint.name, 0.0) for joint in leg.moving])
@@ -158,9 +155,6 @@ def _with_drives(tree: Tree, paths: list[list[Step]], kind: str) -> tuple[list[l
     """Return the paths with a drive, and the kind of platform, which one without a drive may say.
 
     A path in which the platform floats, as one over the drive that carries the base, is no leg.
-
-    Raises:
-        MechanismError: another path without a drive.
     """
     legs, idle, kinds = [], [], []
     for path in paths:
@@ -208,10 +202,7 @@ def _normal(tree: Tree, paths: list[list[Step]]) -> Array | None:
 
 
 def _onto(normal: Array, slack: float = 0.0) -> Array:
-    """Return the smallest turn of z onto a unit vector, shape (3, 3).
-
-    None where the vector is along z, or against it, within a slack.
-    """
+    """Return the smallest turn of z onto a unit vector, (3, 3), none within a slack."""
     if normal[2] > 1.0 - EXACT or np.hypot(normal[0], normal[1]) < slack:
         return np.eye(3)
     if normal[2] < EXACT - 1.0:
@@ -279,10 +270,7 @@ def _leg(tree: Tree, name: str, limb: Limb, points: Sequence[Joint | None]) -> L
 
 
 def _idle(leg: Leg, platform: Platform) -> Joint | None:
-    """Return a passive joint of a freedom that does not move a leg's end, as of a rod that spins.
-
-    Freedoms are ranked, not counted, at random configurations.
-    """
+    """Return a passive joint that moves no end of a leg, by the rank at random configurations."""
     closure = LegClosure(leg, platform)
     spread = [1.0 if joint.turns else leg.size for joint in leg.moving]
     q = leg.home + np.random.default_rng(0).uniform(-0.3, 0.3, (8, len(spread))) * spread

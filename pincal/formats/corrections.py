@@ -89,10 +89,7 @@ def corrections(mechanism: GivenMechanism, planned: Plan | Array) -> Corrections
 def correction_columns(
     mechanism: Mechanism, lacking: Corrections, orientation: str = "tilt-torsion"
 ) -> Columns:
-    """Return a table: poses, ``correction_leg_1 [rad]``, ``command_x [m]``, reasons.
-
-    Orientations are written in a way of ``WAYS``.
-    """
+    """Return poses, ``correction_leg_1 [rad]``, ``command_x [m]``, reasons, as columns."""
     columns = columns_of(mechanism, lacking.plan, orientation)
     named = zip(mechanism.reading_names, mechanism.reading_units, lacking.readings.T, strict=True)
     columns |= {f"{CORRECTION}{name} [{unit}]": values for name, unit, values in named}

@@ -83,10 +83,7 @@ class DeltaPrinter:
     def mechanism(
         self, name: str, description: str = "", legs: Sequence[str] = TOWERS
     ) -> Mechanism:
-        """Return the printer as a mechanism; readings are the ways down from the endstops, [m].
-
-        ``legs`` are the names of its legs, in the order of the towers.
-        """
+        """Return the printer as a mechanism; readings are the ways down from the endstops, [m]."""
         template = load_mechanism("linear_delta")
         first = template.legs[0]
         made = []
@@ -109,10 +106,7 @@ class DeltaPrinter:
 
 
 def delta_printer(mechanism: Mechanism) -> DeltaPrinter:
-    """Return a mechanism in a firmware's parameters, its legs being the towers in order.
-
-    Read off the geometry, whatever the parameters are called.
-    """
+    """Return a mechanism in a firmware's parameters, by its geometry; legs are towers in order."""
     if mechanism.platform.kind != "translational" or len(mechanism.legs) != 3:
         raise MechanismError(
             f"{mechanism.name!r} is no linear delta: three carriages and a platform that moves "

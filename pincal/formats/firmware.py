@@ -145,10 +145,7 @@ def _printer(
 
 
 def write_klipper(printer: DeltaPrinter) -> str:
-    """Return the sections of a ``printer.cfg`` that hold a delta's parameters.
-
-    Digits are those that Klipper's own SAVE_CONFIG writes: 1e-6 mm and 1e-6 degrees.
-    """
+    """Return the sections of a ``printer.cfg`` of a delta, to SAVE_CONFIG's 1e-6 mm and degrees."""
     lines = [
         "# Delta kinematics, calibrated by pincal. Put it into printer.cfg in the place of",
         "# the same options, above the SAVE_CONFIG block: there it wins over what is saved.",
@@ -223,9 +220,8 @@ class _Options(configparser.RawConfigParser):
         probed = self["delta_calibrate"] if self.has_section("delta_calibrate") else ()
         if count := sum(re.fullmatch(r"distance\d+", option) is not None for option in probed):
             remarks.append(
-                f"{count} distance{'s' * (count > 1)} of DELTA_ANALYZE left out: distances between "
-                "two measured poses are not read. They show how long the arms are; say what you "
-                "know of them by --priors arm=… or --fixed arm"
+                f"{count} distance{'s' * (count > 1)} of DELTA_ANALYZE left out: say what you know "
+                "of the arms by --priors arm=… or --fixed arm"
             )
         return remarks
 

@@ -221,10 +221,7 @@ def _to_point(joints: Sequence[Joint], dropped: Joint, centre: Array) -> tuple[J
 def point_platform(
     tree: Tree, path: Sequence[Step], driven: set[str], normal: Array | None
 ) -> list[Limb]:
-    """Return the two legs of a planar loop whose platform is a point of it, as of a five-bar.
-
-    It is where the loop parts into two legs of two joints, one of them driven.
-    """
+    """Return two legs of two joints, one driven, that meet in a point of a planar loop."""
     if normal is None:
         raise MechanismError(
             "one loop, which leaves open what the platform is; name it with --platform LINK"

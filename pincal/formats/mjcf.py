@@ -99,10 +99,7 @@ def _compiled(path: Path) -> mujoco.MjModel:
 
 
 def _drop_shapes(spec: mujoco.MjSpec) -> None:
-    """Put something small in the place of every file of shapes, and masses where none are.
-
-    Bodies stay where the file has them: none is fused with another, none turned to its inertia.
-    """
+    """Put something small in place of files of shapes; fuse no bodies, turn none to its inertia."""
     for mesh in spec.meshes:
         mesh.file, mesh.uservert = "", _TETRAHEDRON
     for texture in spec.textures:
@@ -214,10 +211,7 @@ def _loops(model: mujoco.MjModel, links: list[str]) -> Iterator[Edge]:
 
 
 def _coupled(model: mujoco.MjModel, joints: list[str], path: Path) -> dict[str, str]:
-    """Return why joints cannot move on their own, by name: equalities of joints and tendons.
-
-    A tendon through space is taken to couple all joints.
-    """
+    """Return why joints cannot move on their own, by name; a tendon through space couples all."""
     coupled: list[int] = []
     for i in np.flatnonzero(model.eq_active0):
         if model.eq_type[i] == mujoco.mjtEq.mjEQ_JOINT:
@@ -332,21 +326,14 @@ def _written_pose(placement: Placement) -> dict[str, str]:
 
 
 def unwritten(mechanism: Mechanism) -> tuple[str, ...]:
-    """Return what neighbours' files have no place for."""
-    remarks = []
-    converting = [
+    """Return what neighbours' files have no place for, as a sentence, if anything."""
+    legs = [
         leg.name
         for leg in mechanism.legs
-        if not all(sensor.reads_position(leg.nominal_by_name) for sensor in leg.sensors)
+        if leg.terms or not all(s.reads_position(leg.nominal_by_name) for s in leg.sensors)
     ]
-    if converting:
-        remarks.append(
-            "the file holds joint positions, not readings: gains, offsets, zeros and terms of the "
-            f"sensors of {', '.join(converting)} have no place in it"
-        )
-    if grown := [leg.name for leg in mechanism.legs if leg.terms]:
-        remarks.append(
-            "the file holds one machine, at the reference of its influences: lengths and angles of "
-            f"{', '.join(grown)} that follow these (terms) are as they are there"
-        )
-    return tuple(remarks)
+    remark = (
+        "the file holds joint positions of one machine, not readings: gains, offsets, zeros and "
+        f"terms of {', '.join(legs)} have no place in it"
+    )
+    return (remark,) * bool(legs)
