@@ -41,7 +41,7 @@ import pincal
 from pincal.calibration.calibrate import prepared, started
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.fits import fitted
-from pincal.calibration.terms.candidates import tied_by, with_terms
+from pincal.calibration.terms.candidates import with_terms
 from pincal.calibration.terms.choice import LEVEL
 from pincal.calibration.terms.kinds import GROWTH, Kind, every_pair, lengths
 from pincal.calibration.terms.screen import Candidate, screened, trials
@@ -352,7 +352,7 @@ def coverage(name: str, sets: int, cases: Sequence[tuple[str, ...]]) -> Iterator
                 data,
                 noise=NOISE,
                 strict=not mechanism.by_readings,
-                tied=tied_by(own_ids),
+                tied=[own[0].partition(".")[2] for (at, _), own in own_ids.items() if at == GROWTH],
             )
             for (place, _), own in own_ids.items():
                 for id_ in own[:1] if place == GROWTH else own:

@@ -112,8 +112,8 @@ def test_what_takes_off_as_much_is_named_with_the_first() -> None:
 
     def one(reading: str, kind: str, inside: float, rank: int = 2) -> Candidate:
         none = np.zeros(rank)
-        made = (reading, Kind.of(kind), "rad", (), none, none, 1.0, rank, inside / chi2, 0.0, 0.0)
-        return Candidate(*made)
+        answer = (none, none, 1.0, rank, inside, 0.0)
+        return Candidate(*answer, reading, Kind.of(kind), "rad", (), inside / chi2)
 
     first = one("leg_1", "polynomial", 60.0)
     near = [one("leg_2", "polynomial", 52.0), one("leg_1", "harmonics", 56.0, rank=4)]

@@ -44,8 +44,25 @@ class Calibration:
     """Sizes of tolerances that were found by the measurements."""
 
     def __post_init__(self) -> None:
-        _check_shapes(self.mechanism, self.measurements)
-        _check_influences(self.mechanism, self.measurements)
+        mechanism, data = self.mechanism, self.measurements
+        if not len(data):
+            raise MeasurementError("there are no measurements; give a row for each measured pose")
+        expected = (len(data), mechanism.platform.dof), (len(data), len(mechanism.reading_names))
+        if (data.poses.shape, data.readings.shape) != expected:
+            raise MeasurementError(
+                f"poses {data.poses.shape} and readings {data.readings.shape} do not fit "
+                f"{mechanism.name!r}; expected {expected[0]} and {expected[1]}"
+            )
+        if np.isinf(data.poses).any() or np.isinf(data.readings).any():
+            raise MeasurementError("a measured pose or reading is infinite")
+        known = mechanism.followed - (set() if mechanism.weighs else set(mechanism.loaded))
+        for name in (name for name in mechanism.influences if name not in known):
+            values = data.influences.get(name, np.full(len(data), np.nan))
+            if np.isnan(values).any():
+                raise MeasurementError(
+                    f"data row {int(np.argmax(np.isnan(values))) + 1}: {name!r} is not known, on "
+                    "which terms of sensors depend; fill it in, or leave the row out"
+                )
 
     @property
     def shift(self) -> Array:
@@ -319,31 +336,6 @@ def located(calibration: Calibration) -> Measurements:
     drawn = Calibration(drawing, data, options, known_noise=calibration.known_noise)
     state = align_start(drawing, drawn.latent_problem, data, drawing.parameters.values)
     return replace(data, poses=drawing.platform.from_matrices(state.matrices))
-
-
-def _check_shapes(mechanism: Mechanism, data: Measurements) -> None:
-    if not len(data):
-        raise MeasurementError("there are no measurements; give a row for each measured pose")
-    expected = ((len(data), mechanism.platform.dof), (len(data), len(mechanism.reading_names)))
-    if (data.poses.shape, data.readings.shape) != expected:
-        raise MeasurementError(
-            f"poses {data.poses.shape} and readings {data.readings.shape} do not fit "
-            f"{mechanism.name!r}; expected {expected[0]} and {expected[1]}"
-        )
-    if np.isinf(data.poses).any() or np.isinf(data.readings).any():
-        raise MeasurementError("a measured pose or reading is infinite")
-
-
-def _check_influences(mechanism: Mechanism, data: Measurements) -> None:
-    """Raise if something on which terms depend is not known in a row."""
-    known = mechanism.followed - (set() if mechanism.weighs else set(mechanism.loaded))
-    for name in mechanism.influences:
-        values = data.influences.get(name, np.full(len(data), np.nan))
-        if name not in known and np.isnan(values).any():
-            raise MeasurementError(
-                f"data row {int(np.argmax(np.isnan(values))) + 1}: {name!r} is not known, on which "
-                "terms of sensors depend; fill it in, or leave the row out"
-            )
 
 
 def _check_equations(problem: Problem) -> None:

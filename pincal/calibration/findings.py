@@ -225,7 +225,8 @@ def _few(result: CalibrationResult) -> list[Finding]:
     few: dict[tuple[int, int], list[str]] = {}
     for leg in result.legs:
         if leg.n_residuals < _FEW_RESIDUALS * len(leg.parameters):
-            few.setdefault((leg.n_poses, len(leg.parameters)), []).append(leg.name)
+            poses = len(np.unique(leg.rows))
+            few.setdefault((poses, len(leg.parameters)), []).append(leg.name)
     return [
         finding("few-poses", legs=tuple(legs), poses=poses, unknowns=unknowns)
         for (poses, unknowns), legs in few.items()

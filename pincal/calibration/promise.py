@@ -23,7 +23,6 @@ from pincal.estimation.unknowns import External
 from pincal.kinematics.closure import largest_size
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
-from pincal.model.setup import ORIGIN
 from pincal.types import Array, Mask
 
 if TYPE_CHECKING:
@@ -72,7 +71,15 @@ def expected_error(result: CalibrationResult, poses: Plan | Array | None) -> Pla
     with np.errstate(divide="ignore", invalid="ignore"):
         ratios = np.where(np.isinf(error.sizes), np.inf, error.sizes / known).max(axis=1)
     error = replace(error, outside=ratios * (1.0 - _SAME), uncovered=uncovered(result))
-    return error if result.promises else error.without_limit(*_ratios_seen(result))
+    if result.promises:
+        return error
+    # how many times farther measured poses are missed than uncertainties say, 1 or more; what is
+    # not measured, position or orientation, is off by as much as the other
+    expected = _by_covariance(result, measured_plan(result)).where_determined
+    pairs = zip(result.misses, expected, strict=True)
+    ratios = np.array([seen / said if said > 0.0 else np.nan for seen, said in pairs])
+    ratios = np.where(np.isnan(ratios), np.nanmax([1.0, *ratios]), np.maximum(ratios, 1.0))
+    return error.without_limit(*ratios.tolist())
 
 
 def most_uncertain(result: CalibrationResult) -> Array:
@@ -130,7 +137,8 @@ def seen_by(result: CalibrationResult) -> Array | Seen | None:
     platform, outside = result.nominal.platform, observation.external
     columns = zip(observation.names, observation.measured.T, strict=True)
     known = {name for name, rows in columns if rows.any()}
-    names = _target_coordinates(result, known)
+    positions = observation.setup.positions(platform).values()
+    names = [name for axes in positions if known.issuperset(axes) for name in axes]
     if values is None or not names or observation.setup.instruments:
         return result.frames_moved
     places = [observation.names.index(name) for name in names]
@@ -164,33 +172,10 @@ def seen_by(result: CalibrationResult) -> Array | Seen | None:
     return seen
 
 
-def _target_coordinates(result: CalibrationResult, known: set[str]) -> list[str]:
-    """Return coordinates of targets of which all are known."""
-    platform = result.nominal.platform
-    axes = platform.coordinates[: platform.space]
-    targets = [
-        axes if name == ORIGIN else [f"{name}_{axis}" for axis in "xyz"[: platform.space]]
-        for name in result.options.setup.targets
-    ]
-    return [name for columns in targets if known.issuperset(columns) for name in columns]
-
-
 def measured_plan(result: CalibrationResult) -> Plan:
     """Return the measured configurations: poses, and readings where these do not follow."""
     read = result.measurements.readings if result.nominal.by_readings else None
     return Plan(result.poses, readings=read)
-
-
-def _ratios_seen(result: CalibrationResult) -> list[float]:
-    """Return how many times farther measured poses are missed than uncertainties say; 1 or more.
-
-    In position and in orientation; what is not measured is off by as much as the other.
-    """
-    expected = _by_covariance(result, measured_plan(result)).where_determined
-    pairs = zip(result.misses, expected, strict=True)
-    ratios = np.array([seen / said if said > 0.0 else np.nan for seen, said in pairs])
-    most = np.nanmax([1.0, *ratios])
-    return np.maximum(np.where(np.isnan(ratios), most, ratios), 1.0).tolist()
 
 
 def misses(result: CalibrationResult) -> tuple[float, float]:

@@ -23,7 +23,7 @@ from pincal.calibration.calibration import Calibration, located
 from pincal.calibration.options import Progress, Tolerance
 from pincal.calibration.promise import most_uncertain, uncovered
 from pincal.calibration.result import CalibrationResult
-from pincal.calibration.result_parts import IdentifiedParameter, LegResult, Validation
+from pincal.calibration.result_parts import IdentifiedParameter
 from pincal.errors import FileError, MeasurementError, PincalError
 from pincal.estimation.system import LOSSES, Loss, LossName
 from pincal.estimation.unknowns import State
@@ -108,32 +108,6 @@ def _converter() -> Converter:
 
 
 _CONVERTER = _converter()
-
-
-def stored(result: CalibrationResult) -> dict[str, Any]:
-    """Return all that a result is made of, as plain data; mechanisms apart.
-
-    Raises:
-        MeasurementError: instruments of one's own, which are code, not data.
-    """
-    if custom := [instrument.name for instrument in result.options.setup.instruments]:
-        raise MeasurementError(
-            f"instrument {custom[0]!r} is code, which a result's folder does not hold; save the "
-            "calibrated mechanism (result.identified.save) and the report"
-        )
-    return dict(_CONVERTER.unstructure(result))
-
-
-def restored(data: dict[str, Any], nominal: Mechanism) -> CalibrationResult:
-    """Return the result of plain data; data of another shape raise whatever they raise."""
-    converter = _CONVERTER.copy()
-    converter.register_structure_hook(Mechanism, lambda *_: nominal)
-    result = converter.structure(data, CalibrationResult)
-    parameters = [(p.id, p.unit) for leg in result.legs for p in leg.parameters]
-    if parameters != [(parameter.id, parameter.unit) for parameter in nominal.parameters]:
-        raise ValueError("parameters of another mechanism than the nominal one")
-    values = np.concatenate([leg.identified for leg in result.legs])
-    return replace(result, identified=result.calibration.identified(values))
 
 
 FORMAT = 3
@@ -249,8 +223,19 @@ def _influences_again(calibration: Calibration, machine: Mechanism) -> dict[str,
 
 
 def as_json(result: CalibrationResult) -> dict[str, Any]:
-    """Return a result as plain data for JSON; numbers that do not exist are null."""
-    noise = {} if result.noise is None else vars(result.noise)
+    """Return a result as plain data for JSON; numbers that do not exist are null.
+
+    Under ``data`` is all that it is made of; mechanisms apart.
+
+    Raises:
+        MeasurementError: instruments of one's own, which are code, not data.
+    """
+    if custom := [instrument.name for instrument in result.options.setup.instruments]:
+        raise MeasurementError(
+            f"instrument {custom[0]!r} is code, which a result's folder does not hold; save the "
+            "calibrated mechanism (result.identified.save) and the report"
+        )
+    held_out, noise = result.validation, {} if result.noise is None else vars(result.noise)
     contents = {
         "pincal_result": FORMAT,
         "pincal": __version__,
@@ -274,19 +259,19 @@ def as_json(result: CalibrationResult) -> dict[str, Any]:
         "external": [_parameter(p) for p in result.external],
         "gauge": [sentence(freedom) for freedom in result.gauge],
         "observed": [
-            {
-                **_named(part, "name unit"),
-                "count": part.n_residuals,
-                "rms": part.rms_after,
-                "sigma": part.rms_noise,
-            }
+            _named(part, "name unit")
+            | {"count": part.n_residuals, "rms": part.rms_after, "sigma": part.rms_noise}
             for part in result.observed
         ],
         "weakly_determined": result.weak,
-        "validation": _validation(result.validation),
-        "legs": [_leg(leg) for leg in result.legs],
+        "validation": held_out and vars(held_out) | _named(held_out, "position orientation"),
+        "legs": [
+            _named(leg, "name rank condition rms_before rms_after n_residuals")
+            | {"parameters": [_parameter(p) for p in leg.parameters], "residual_unit": leg.unit}
+            for leg in result.legs
+        ],
         "covariance": result.parameter_covariance,
-        "data": stored(result),
+        "data": _CONVERTER.unstructure(result),
     }
     return dict(plain(contents))
 
@@ -312,15 +297,6 @@ def _residuals(result: CalibrationResult) -> dict[str, list[str]]:
     return {name: [line[place] for line in lines] for place, name in enumerate(names)}
 
 
-def _leg(leg: LegResult) -> dict[str, Any]:
-    return {
-        "name": leg.name,
-        "parameters": [_parameter(p) for p in leg.parameters],
-        "residual_unit": leg.unit,
-        **_named(leg, "rank condition rms_before rms_after n_residuals"),
-    }
-
-
 def _parameter(p: IdentifiedParameter) -> dict[str, Any]:
     return {
         **_named(p, "id name unit nominal identified std"),
@@ -328,12 +304,6 @@ def _parameter(p: IdentifiedParameter) -> dict[str, Any]:
         "given": p.given or None,
         "label": p.label or None,
     }
-
-
-def _validation(validation: Validation | None) -> dict[str, Any] | None:
-    if validation is None:
-        return None
-    return vars(validation) | _named(validation, "position orientation")
 
 
 def _finite(text: str) -> float:
@@ -389,10 +359,16 @@ def load_result(folder: str | Path) -> CalibrationResult:
         MechanismError: a nominal mechanism that cannot be loaded.
     """
     contents = read_result(folder)
-    nominal = load_mechanism(Path(folder) / NOMINAL)
+    nominal, converter = load_mechanism(Path(folder) / NOMINAL), _CONVERTER.copy()
+    converter.register_structure_hook(Mechanism, lambda *_: nominal)
     try:
         with warnings.catch_warnings(action="error"):
-            result = restored(contents["data"], nominal)
+            result = converter.structure(contents["data"], CalibrationResult)
+            parameters = [(p.id, p.unit) for leg in result.legs for p in leg.parameters]
+            if parameters != [(p.id, p.unit) for p in nominal.parameters]:
+                raise ValueError("parameters of another mechanism than the nominal one")
+            values = np.concatenate([leg.identified for leg in result.legs])
+            result = replace(result, identified=result.calibration.identified(values))
             as_json(result)
             str(result)  # all that is said of it can be said
     except Exception as error:  # what was saved raises nothing

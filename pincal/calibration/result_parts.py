@@ -131,11 +131,6 @@ class LegResult(ResidualGroup):
         )
 
     @property
-    def n_poses(self) -> int:
-        """Number of poses that served the leg."""
-        return len(np.unique(self.rows))
-
-    @property
     def identified(self) -> Array:
         """Identified values, shape (n_params,)."""
         return np.array([p.identified for p in self.parameters])

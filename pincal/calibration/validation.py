@@ -267,18 +267,12 @@ def misses_of(calibration: Calibration, fits: Fits) -> Misses:
         observed.measured, observed.residuals(platform.matrices(poses), external)[0], np.nan
     )
     names = list(observation.names)
-    columns = {
-        (target, "m"): [
-            names.index(name)
-            for axis in "xyz"
-            if (name := axis if target == ORIGIN else f"{target}_{axis}") in names
-        ]
-        for target in setup.targets
-    }
+    named = {(target, "m"): axes for target, axes in setup.positions(platform).items()}
     turns = zip(platform.freedoms, platform.units, strict=True)
-    columns[ORIGIN, "rad"] = [names.index(name) for name, unit in turns if unit == "rad"]
+    named[ORIGIN, "rad"] = [name for name, unit in turns if unit == "rad"]
     misses: Misses = {}
-    for key, column in columns.items():
+    for key, of_target in named.items():
+        column = [names.index(name) for name in of_target if name in names]
         known = np.isfinite(errors[:, column]).any(axis=1)
         if known.any():
             values = np.full(len(data), np.nan)

@@ -338,10 +338,16 @@ class Setup:
             for column in instrument.columns
         }
 
+    def positions(self, platform: Platform) -> dict[str, list[str]]:
+        """Return the columns of each target's position."""
+        axes = "xyz"[: platform.space]
+        stems = {name: "" if name == ORIGIN else f"{name}_" for name in self.targets}
+        return {name: [f"{stem}{axis}" for axis in axes] for name, stem in stems.items()}
+
     def points(self, platform: Platform) -> dict[str, str]:
         """Return the columns of further targets' positions, and their units."""
-        further = [name for name in self.targets if name != ORIGIN]
-        return {f"{name}_{axis}": "m" for name in further for axis in "xyz"[: platform.space]}
+        further = {**self.positions(platform), ORIGIN: []}
+        return {name: "m" for columns in further.values() for name in columns}
 
     def columns(self, mechanism: Mechanism) -> dict[str, str]:
         """Return columns that this setup adds to those of the pose, and their units.

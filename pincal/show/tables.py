@@ -206,7 +206,9 @@ def accuracy_table(result: CalibrationResult, errors: WorkspaceErrors) -> Table:
             head: {(name, unit): values[unit == "rad"] for name, unit in names}
             for head, values in sizes.items()
         }
-        region = f" {errors.where}{_FRAMES * result.moves_frames}"
+        chosen = any(freedom.code.startswith("gauge-") for freedom in result.gauge)
+        chosen |= len(result.calibration.observation.external) > 0  # where frames lie
+        region = f" {errors.where}{_FRAMES * chosen}"
     validation = result.validation
     for missed in validation.targets if validation and validation.fit <= MISSES else ():
         name = "position" if missed.unit == "m" else "orientation"
@@ -346,7 +348,7 @@ def _amplitudes(candidate: Candidate) -> tuple[Value, ...]:
         return Cell(None, "taken up by geometry"), None, None, None
     single_leg = len({id_.partition(".")[0] for id_ in candidate.names}) == 1
     unit, parts = candidate.unit, []
-    for id_, size, std in zip(candidate.names, candidate.amplitudes, candidate.std, strict=True):
+    for id_, size, std in zip(candidate.names, candidate.values, candidate.std, strict=True):
         if abs(size) > 2.0 * std:
             name = id_.partition(".")[2] if single_leg else id_
             parts.append(f"{name} {quantity(size, unit, std).text} {SMALL[unit]}")

@@ -47,7 +47,7 @@ def with_terms(
     """Return a mechanism with more terms, at zero, and the ids of their amplitudes.
 
     What it has already is not added again, and harmonics are of turning joints only. Growth of all
-    lengths has one amplitude in each leg, which belong together (see ``tied_by``).
+    lengths has one amplitude in each leg, which are to be tied.
 
     Args:
         mechanism: The mechanism.
@@ -195,15 +195,10 @@ def extended(calibration: Calibration, pairs: Sequence[Pair]) -> Calibration:
     if names := [place for place, kind in pairs if kind.name == GRAVITY and place in idle]:
         _log.info("gravity: %s: loaded by no more than rounding or a lean: no term", listed(names))
     mechanism, ids = with_terms(calibration.mechanism, data, pairs)
-    tied = [name for name in tied_by(ids) if name not in calibration.options.tied]
-    options = replace(calibration.options, tied=(*calibration.options.tied, *tied))
+    growths = [names for (place, _), names in ids.items() if place == GROWTH and len(names) > 1]
+    tied = (*calibration.options.tied, *(names[0].partition(".")[2] for names in growths))
+    options = replace(calibration.options, tied=tuple(dict.fromkeys(tied)))
     return with_followed_influences(replace(calibration, mechanism=mechanism, options=options))
-
-
-def tied_by(ids: Mapping[Pair, Sequence[str]]) -> tuple[str, ...]:
-    """Return the names of amplitudes that are one for all legs: those of growth."""
-    every = [names for (place, _), names in ids.items() if place == GROWTH and len(names) > 1]
-    return tuple(dict.fromkeys(names[0].partition(".")[2] for names in every))
 
 
 def _what(term: Term) -> tuple[object, ...]:

@@ -18,14 +18,14 @@ from pincal.calibration.fits import Fits
 from pincal.calibration.terms.candidates import with_columns, with_terms
 from pincal.calibration.terms.kinds import GROWTH, Kind, Pair
 from pincal.estimation.fit import Fit
-from pincal.estimation.observability.residuals import Residuals
+from pincal.estimation.observability.residuals import Amplitudes, Residuals
 from pincal.estimation.system import CLEAR, FALSE_ALARM
 from pincal.estimation.unknowns import State
 from pincal.types import Array, Index
 
 
 @dataclass(frozen=True)
-class Candidate:
+class Candidate(Amplitudes):
     """One kind of term in one place, and what residuals say of it, once they were asked."""
 
     reading: str
@@ -36,20 +36,10 @@ class Candidate:
     """Of the amplitudes."""
     names: tuple[str, ...]
     """Ids of the amplitudes."""
-    amplitudes: Array
-    """As one step finds them, shape (k,)."""
-    std: Array
-    """Standard errors, shape (k,); infinite where geometry takes the term up."""
-    F: float = 1.0
-    """χ² in the term by its degrees of freedom, over that of the rest."""
-    rank: int = 0
-    """Degrees of freedom; 0 where geometry takes up all of it."""
     share: float = 0.0
     """Share of χ² that the term would take off."""
-    p_value: float = 1.0
-    """Probability of so large an F by chance, for this test alone."""
     corrected: float = 1.0
-    """The same with the number of tests (Holm 1979)."""
+    """Its probability by chance with the number of tests taken in (Holm 1979)."""
     or_else: tuple[Pair, ...] = ()
     """What else it may be: places and kinds that these rows cannot separate from it. Said of the
     first, and of those that are improbable by chance."""
@@ -75,7 +65,14 @@ def screened(parts: Sequence[tuple[Residuals, Sequence[Candidate]]]) -> list[Can
         for candidate in candidates_of_part
     ]
     tried.sort(key=lambda entry: (entry[0].p_value, -entry[0].share))
-    candidates = _corrected([candidate for candidate, _ in tried])
+    ranked = np.array([candidate.rank > 0 for candidate, _ in tried], dtype=bool)
+    times = np.count_nonzero(ranked) - np.arange(len(tried))
+    chances = np.clip(times * [candidate.p_value for candidate, _ in tried], 0.0, 1.0)
+    chances = np.where(ranked, np.maximum.accumulate(chances), 1.0)  # Holm 1979
+    candidates = [
+        replace(candidate, corrected=chance)
+        for (candidate, _), chance in zip(tried, chances.tolist(), strict=True)
+    ]
     for index, (candidate, (_, residuals)) in enumerate(zip(candidates, tried, strict=True)):
         if index and candidate.corrected >= FALSE_ALARM:
             break
@@ -84,7 +81,8 @@ def screened(parts: Sequence[tuple[Residuals, Sequence[Candidate]]]) -> list[Can
         variance = (1.0 - candidate.share) * residuals.chi2 / dof  # of what is left, as in F tests
         alike = inseparable(candidate, rivals, residuals.chi2 / max(variance, 1e-300))
         without = residuals.without(candidate.rows) if alike else residuals
-        gone = [rival.pair for rival in alike if not _clear(_asked(without, rival))]
+        again = [_asked(without, rival) for rival in alike]
+        gone = [rival.pair for rival in again if rival.rank * (rival.F - 1.0) < CLEAR**2]
         candidates[index] = replace(candidate, or_else=tuple(gone))
     return candidates
 
@@ -92,20 +90,8 @@ def screened(parts: Sequence[tuple[Residuals, Sequence[Candidate]]]) -> list[Can
 def _asked(residuals: Residuals, candidate: Candidate) -> Candidate:
     """Return a candidate with what residuals say of it."""
     answer = residuals.amplitudes(candidate.rows)
-    return replace(
-        candidate,
-        amplitudes=answer.values,
-        std=answer.std,
-        F=answer.F,
-        rank=answer.rank,
-        share=float(answer.inside / max(residuals.chi2, 1e-300)),
-        p_value=answer.p_value,
-    )
-
-
-def _clear(candidate: Candidate) -> bool:
-    """Return whether a term is seen."""
-    return candidate.rank * (candidate.F - 1.0) >= CLEAR**2
+    share = float(answer.inside / max(residuals.chi2, 1e-300))
+    return replace(candidate, share=share, **vars(answer))
 
 
 def trials(fits: Fits, pairs: Sequence[Pair]) -> list[tuple[Residuals, list[Candidate]]]:
@@ -133,8 +119,9 @@ def _trials_of(
         rows, shown = W[:, :, places], amplitudes
         if reading == GROWTH:  # one amplitude of all legs
             rows, shown = rows.sum(axis=2, keepdims=True), amplitudes[:1]
-        unseen = np.zeros(len(shown)), np.full(len(shown), np.inf)
-        by_amplitudes[amplitudes] = Candidate(reading, kind, units.pop(), shown, *unseen, rows=rows)
+        none = np.zeros(len(shown)), np.full(len(shown), np.inf), 0.0, 0, 0.0, 1.0
+        candidate = Candidate(*none, reading, kind, units.pop(), shown, rows=rows)
+        by_amplitudes[amplitudes] = candidate
     return residuals, list(by_amplitudes.values())
 
 
@@ -152,17 +139,6 @@ def inseparable(candidate: Candidate, rivals: Sequence[Candidate], chi2: float) 
         if (same or (curves and rival.reading == candidate.reading)) and behind < CLEAR**2:
             alike.append(rival)
     return alike
-
-
-def _corrected(candidates: Sequence[Candidate]) -> list[Candidate]:
-    """Return candidates with probabilities that take the number of tests in (Holm 1979)."""
-    count = sum(candidate.rank > 0 for candidate in candidates)
-    largest, corrected = 0.0, []
-    for place, candidate in enumerate(candidates):
-        largest = max(largest, min(1.0, (count - place) * candidate.p_value))
-        chance = largest if candidate.rank else 1.0
-        corrected.append(replace(candidate, corrected=chance))
-    return corrected
 
 
 def _columns(extended: Calibration, fit: Fit, used: Index) -> tuple[list[str], Array]:
