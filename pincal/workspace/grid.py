@@ -45,6 +45,13 @@ def blocks(size: int, step: int = BLOCK) -> Iterator[tuple[int, int]]:
         yield begin, min(begin + step, size)
 
 
+def counting(inside: Mask) -> Iterator[Indices]:
+    """Yield the numbers of positions that count, a bounded number at a time."""
+    for begin, end in blocks(len(inside)):
+        if len(index := begin + np.flatnonzero(inside[begin:end])):
+            yield index
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Grid:
     """Grid of positions: ``x, y`` or ``radius, bearing``, and ``z``."""
@@ -235,13 +242,12 @@ def part_around(grid: Grid, inside: Mask, home: Array) -> Mask:
         joined = (ends[0] > 0) & (ends[1] > 0)
         graph = coo_array((joined[joined], (ends[0][joined], ends[1][joined])), [count + 1] * 2)
         numbers = connected_components(graph, directed=False)[1]
-    nearest = [
+    nearest = (
         index[np.argmin(np.linalg.norm(grid.at(index) - home, axis=1))]
-        for begin, end in blocks(len(inside))
-        if len(index := begin + np.flatnonzero(inside[begin:end]))
-    ]
-    distances = np.linalg.norm(grid.at(np.array(nearest)) - home, axis=1)
-    around = labels.ravel()[nearest[int(np.argmin(distances))]]
+        for index in counting(inside)
+    )
+    distances = {float(np.linalg.norm(grid.at(np.array([i])) - home)): i for i in nearest}
+    around = labels.ravel()[distances[min(distances)]]
     return inside & (numbers[labels] == numbers[around]).ravel()
 
 

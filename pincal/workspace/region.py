@@ -7,7 +7,7 @@ first orientation that decides it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -35,6 +35,7 @@ from pincal.workspace.grid import (
     Indices,
     at_edge,
     blocks,
+    counting,
     edges,
     lowest,
     part_around,
@@ -195,7 +196,7 @@ class Workspace:
     @cached_property
     def measure(self) -> float:
         """Area [m²] or volume [m³]; a length [m] on a line."""
-        return float(sum(self.asked.measures(index).sum() for index in self._numbers()))
+        return float(sum(self.asked.measures(index).sum() for index in counting(self.inside)))
 
     @property
     def unit(self) -> str:
@@ -215,19 +216,9 @@ class Workspace:
         Raises:
             FileError: the file exists, or cannot be written.
         """
-        names = ("x", "y", "z")[: self.test.mechanism.platform.lengths]
-
-        def column(place: int) -> Iterator[float]:
-            for index in self._numbers():
-                yield from self.asked.at(index)[:, place].tolist()
-
-        columns = {f"{name} [m]": column(place) for place, name in enumerate(names)}
-        write_table(path, columns, force=force)
-
-    def _numbers(self) -> Iterator[Indices]:
-        """Yield the numbers of positions that count, a bounded number at a time."""
-        for begin, end in blocks(len(self.inside)):
-            yield begin + np.flatnonzero(self.inside[begin:end])
+        names = "xyz"[: self.test.mechanism.platform.lengths]
+        columns = zip(names, self.positions.T, strict=False)
+        write_table(path, {f"{name} [m]": map(float, v) for name, v in columns}, force=force)
 
     @property
     def size(self) -> str:
