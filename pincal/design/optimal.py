@@ -223,8 +223,7 @@ def exchange(
     order; the next starts are this set and others near it. It ends when none is better.
 
     Args:
-        rows: Rows that each candidate contributes, of each part of the parameters, shape (M, r, n);
-            together of rank n.
+        rows: Rows that each candidate contributes, as to ``continuous_design``.
         count: Size of the set, without repetition.
         priority: Order in which candidates come into the pool, the largest first, shape (M,).
         rng: Source of the random starts.

@@ -30,15 +30,8 @@ from pincal.types import Array, Index, Mask
 def distinct(platform: Platform, poses: Poses, readings: Array | None = None) -> Index:
     """Return the configurations that are no copies of earlier ones, as indices in order.
 
-    Coordinates that say the same pose, such as angles a whole turn apart, are copies.
-
-    Args:
-        platform: The platform.
-        poses: Coordinates, shape (N, dof), [m] and [rad], or transforms.
-        readings: Shape (N, n_readings), where poses do not determine them, [rad] or [m].
-
-    Raises:
-        MechanismError: a pose of a wrong shape, or not finite.
+    Coordinates that say the same pose, such as angles a whole turn apart, are copies. Readings are
+    of shape (N, n_readings), where poses do not determine them.
     """
     originals = _originals(platform, poses, readings)
     return np.flatnonzero(originals == np.arange(len(originals)))
@@ -106,12 +99,8 @@ def carried_legs(
 ) -> dict[str, tuple[str, Element, bool]]:
     """Return what carries each leg's poses: from which leg, by which element, and whether as good.
 
-    The reference leg's choice is as good for a leg if whitened rows map too, not only parameters.
-
-    Args:
-        group: The group.
-        poses: Some poses that all legs reach, coordinates of shape (N, dof).
-        noise: By which rows are whitened; the default if not given.
+    The reference leg's choice is as good for a leg if whitened rows map too, not only parameters,
+    at some poses that all legs reach, coordinates of shape (N, dof).
 
     Raises:
         SymmetryError: legs of one orbit have other parameters.
@@ -160,18 +149,11 @@ def smallest(group: SymmetryGroup) -> tuple[Element, ...]:
 
 
 def orbit_of(elements: Sequence[Element], matrices: Array) -> tuple[Array, Mask]:
-    """Return the orbits of poses, and which images count.
+    """Return the orbits of poses, shape (M, 4, 4), under a group, the identity first.
 
-    Args:
-        elements: Of a group, the identity first.
-        matrices: Poses ``T_base_platform``, shape (M, 4, 4).
-
-    Returns:
-        Images, shape (E, M, 4, 4); and which are not an earlier one of the same pose, (E, M): a
-        pose on a mirror has a smaller orbit.
+    Images, shape (E, M, 4, 4); and which count, (E, M), as they are not an earlier one of the same
+    pose: a pose on a mirror has a smaller orbit.
     """
-    if len(elements) == 1:
-        return matrices[None], np.ones((1, len(matrices)), dtype=bool)
     images = np.empty((len(elements), 4, 4, len(matrices))).transpose(0, 3, 1, 2)
     for image, element in zip(images, elements, strict=True):
         image[:] = element.matrices(matrices)
@@ -196,13 +178,7 @@ def representatives(images: Array) -> Array:
 
 
 def merged(mechanism: Mechanism, poses: Array, legs: Sequence[str]) -> Plan:
-    """Return a plan that holds no pose twice: one that two legs want serves both.
-
-    Args:
-        mechanism: The mechanism.
-        poses: Coordinates, shape (N, dof).
-        legs: For which leg each was chosen, length N.
-    """
+    """Return a plan of poses, each chosen for a leg, that holds none twice: it serves both legs."""
     served: dict[int, list[str]] = {}
     for row, leg in zip(_originals(mechanism.platform, poses).tolist(), legs, strict=True):
         served.setdefault(row, []).append(leg)

@@ -120,9 +120,7 @@ class Axis:
             )
         name, unit, values = match.groups()
         dimension = DIMENSIONS.get(name)
-        if dimension is None:
-            raise WorkspaceError(f"unknown axis {name!r}; expected {', '.join(DIMENSIONS)}")
-        if unit is not None and UNITS.get(unit, ("", 0.0))[0] != dimension:
+        if dimension and unit is not None and UNITS.get(unit, ("", 0.0))[0] != dimension:
             fitting = ", ".join(u for u, (kind, _) in UNITS.items() if kind == dimension)
             raise WorkspaceError(f"axis {name!r} has unit [{unit}]; expected one of {fitting}")
         factor, separator = UNITS.get(unit, ("", 1.0))[1], ":" if ":" in values else ","
