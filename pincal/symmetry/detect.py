@@ -44,18 +44,13 @@ HOME = "home pose"
 HOME_MOVES = "the home pose, from which sensors count, is carried elsewhere"
 
 
-@dataclass(frozen=True)
-class Break:
+@dataclass(frozen=True, kw_only=True)
+class Break(Difference):
     """What keeps an element out of the group: the first quantity that differs."""
 
     element: Element
     leg: str
     """The leg onto which another one should have been carried."""
-    quantity: str
-    deviation: float | None = None
-    """By how much the quantity differs, in the unit; None where it is no number."""
-    unit: str = "1"
-    """m, rad or 1."""
 
     def __str__(self) -> str:
         """Return the break as a sentence."""
@@ -263,7 +258,7 @@ def _first_break(fits: LegImages, element: Element, tolerance: float) -> Break |
     standing = fits.standing(element)
     for index, distances in enumerate(fits.points.distances(element)):
         if moves and fits.readings and any(sensor.homed for sensor in legs[index].sensors):
-            return Break(element, legs[index].name, HOME)
+            return Break(HOME, None, element=element, leg=legs[index].name)
         order = np.argsort(distances)
         near = order[distances[order] <= distances.min() + ALIKE].tolist()
         differing = [fits.exceeding(index, element, standing[i], tolerance) for i in near]
@@ -272,7 +267,7 @@ def _first_break(fits: LegImages, element: Element, tolerance: float) -> Break |
             named = _named(fits, legs[index], element, image)
             differs = next((d for d in named if d.exceeds(tolerance, size)), differing[0])
             if differs is not None:
-                return Break(element, image.name, differs.quantity, differs.deviation, differs.unit)
+                return Break(**vars(differs), element=element, leg=image.name)
     return None
 
 
