@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 import pincal
 from pincal.model.placement import Coordinate, Placement
-from pincal.symmetry.elements import Element, Isometry
+from pincal.symmetry.elements import Element, isometry
 
 AXES = ("x", "y", "z", "rz", "ry", "rx")
 
@@ -68,7 +68,7 @@ def moved(mechanism: pincal.Mechanism, base: np.ndarray, platform: np.ndarray) -
 
 def box() -> tuple[Element, ...]:
     """Return D_2h: half a turn and two mirrors, each with and without the mirror across z."""
-    flip = Isometry.of(np.diag([1.0, 1.0, -1.0]), np.zeros(3))
+    flip = isometry(np.diag([1.0, 1.0, -1.0]))
     return tuple(one for e in pincal.dihedral(2) for one in (e, e.after(Element.of(flip, flip))))
 
 

@@ -25,7 +25,7 @@ import pincal
 from pincal import Element, Measurements, Mechanism, Setup
 from pincal.model.checks import ROUNDING
 from pincal.symmetry.carry import carry
-from pincal.symmetry.elements import Isometry
+from pincal.symmetry.elements import isometry
 
 Array = NDArray[np.float64]
 Generator = np.random.Generator
@@ -213,7 +213,7 @@ def mirrored(case: Case, rng: Generator) -> Changed:
     plane = case.mechanism.platform.space == 2
     axes = np.eye(3)
     axes[int(rng.integers(2 if plane else 3))] *= -1.0
-    plane_of = Isometry.of(axes, np.zeros(3))
+    plane_of = isometry(axes)
     mirror = Element.of(plane_of, plane_of)
 
     def image(one: Mechanism) -> Mechanism:

@@ -99,7 +99,7 @@ def carried_poses_are_read_by_carried_legs(draw: Draw, folder: Path) -> None:
     before = pincal.inverse(mechanism, poses)
     T = platform.transforms(poses).as_matrix()
     for element, permutation in zip(group.elements, group.permutations, strict=True):
-        there = element.base.matrix @ T @ np.linalg.inv(element.platform.matrix)
+        there = element.base @ T @ np.linalg.inv(element.platform)
         after = pincal.inverse(mechanism, platform.from_matrices(there))
         order = list(permutation)
         assert (after.reached[:, order] == before.reached).all()

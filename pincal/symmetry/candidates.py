@@ -10,7 +10,7 @@ from scipy.optimize import linear_sum_assignment
 
 from pincal.model.checks import ALIKE
 from pincal.model.mechanism import Mechanism
-from pincal.symmetry.elements import IDENTITY, Element, Isometry
+from pincal.symmetry.elements import IDENTITY, Element, applied, isometry
 from pincal.types import Array, Index
 
 NEARLY = 0.1
@@ -86,9 +86,8 @@ class Points:
         after = [i + to[int(owners[i])] - owners[i] if owners[i] >= 0 else i for i in rows]
         base = _procrustes(points[rows], points[after], sign, space)
         if self.mechanism.platform.turns:
-            home_inverse = np.linalg.inv(self.home)
-            return Element.of(base, Isometry.of(home_inverse @ base.matrix @ self.home))
-        return Element.of(*(_shifted(base.Q, p[sources], p[targets]) for p in bodies))
+            return Element.of(base, np.linalg.inv(self.home) @ base @ self.home)
+        return Element.of(*(_shifted(base[:3, :3], p[sources], p[targets]) for p in bodies))
 
     def _rank(self, points: Array) -> int:
         """Return how many directions points span, seen from their centre."""
@@ -98,7 +97,7 @@ class Points:
     def distances(self, element: Element) -> Array:
         """Return how far carried legs' points are from others, over the spreads, shape (n, n)."""
         bodies = (self.base, element.base), (self.platform, element.platform)
-        apart = (np.linalg.norm(move(points)[:, None] - points, axis=2) for points, move in bodies)
+        apart = (np.linalg.norm(applied(G, p)[:, None] - p, axis=2) for p, G in bodies)
         return np.maximum(*(d / spread for d, spread in zip(apart, self.spreads, strict=True)))
 
     @cached_property
@@ -151,7 +150,7 @@ class Points:
         return bool(np.abs(deviation).max() <= ALIKE)
 
 
-def _procrustes(first: Array, second: Array, sign: float, space: int) -> Isometry:
+def _procrustes(first: Array, second: Array, sign: float, space: int) -> Array:
     """Return the isometry that best takes points to others, in the plane if space is 2."""
     M = (second - second.mean(axis=0)).T @ (first - first.mean(axis=0))
     U, _, Vt = np.linalg.svd(M[:space, :space])
@@ -162,6 +161,6 @@ def _procrustes(first: Array, second: Array, sign: float, space: int) -> Isometr
     return _shifted(Q, first, second)
 
 
-def _shifted(Q: Array, first: Array, second: Array) -> Isometry:
+def _shifted(Q: Array, first: Array, second: Array) -> Array:
     """Return the isometry of a matrix that takes points' centre to others'."""
-    return Isometry.of(Q, second.mean(axis=0) - Q @ first.mean(axis=0))
+    return isometry(Q, second.mean(axis=0) - Q @ first.mean(axis=0))

@@ -25,7 +25,7 @@ from pincal.model.placement import Coordinate, Placement, Value
 from pincal.model.platform import Platform
 from pincal.model.sensor import Sensor
 from pincal.model.terms import LOAD
-from pincal.symmetry.elements import Element, Isometry, wrapped
+from pincal.symmetry.elements import Element, wrapped
 from pincal.types import Array
 from pincal.words.numbers import listed
 
@@ -36,20 +36,20 @@ _GIVES = {"x": "x", "y": "y", "z": "z", "polar": "xy", "spherical": "xyz"}
 
 def _on_body(
     p: Placement,
-    isometry: Isometry,
+    isometry: Array,
     constant: Array,
     old: dict[str, float],
     new: dict[str, float],
     context: str,
 ) -> tuple[Placement, Array]:
-    """Return a placement on base or platform after the body's isometry, and its constant part.
+    """Return a placement on base or platform after the body's isometry, (4, 4), and its constant.
 
     The constant part, (4, 4), was another one before. Of parameters the old values are known, the
     new ones are set. The context is said where coordinates cannot express it.
     """
     result = Placement(_moved_coordinates(p.coordinates, isometry, old, new, context))
-    moved = isometry.matrix @ p.displacement(old) @ constant
-    if np.linalg.det(isometry.Q) < 0.0:
+    moved = isometry @ p.displacement(old) @ constant
+    if np.linalg.det(isometry[:3, :3]) < 0.0:
         moved[:3, :3] = moved[:3, :3] @ LOCAL_MIRROR
     rest = np.linalg.inv(result.displacement(new)) @ moved
     if not p.turns:  # exact
@@ -61,12 +61,12 @@ def _on_body(
 
 def _moved_coordinates(
     coordinates: tuple[Coordinate, ...],
-    isometry: Isometry,
+    G: Array,
     old: dict[str, float],
     new: dict[str, float],
     context: str,
 ) -> tuple[Coordinate, ...]:
-    """Return the coordinates of a point on base or platform after the body's isometry.
+    """Return the coordinates of a point on base or platform after the body's isometry, (4, 4).
 
     Constants that come first, before turns or an azimuth, are the frame that the others are in.
     """
@@ -75,7 +75,6 @@ def _moved_coordinates(
     frame, free = coordinates[:first], coordinates[first:]
     if not any(c.turns for c in frame) and not any(c.kind in ("polar", "spherical") for c in free):
         frame, free = (), coordinates
-    G = isometry.matrix
     if frame:
         to_base = Placement(frame).displacement(old)
         G = np.linalg.inv(to_base) @ G @ to_base

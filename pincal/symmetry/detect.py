@@ -27,10 +27,10 @@ from pincal.symmetry.candidates import NEARLY
 from pincal.symmetry.carry import canonical, carry
 from pincal.symmetry.elements import (
     Element,
-    Isometry,
     distinct,
     exact,
     group_name,
+    isometry,
     largest_closed,
     place_of,
     product_table,
@@ -245,10 +245,9 @@ def _about_z(element: Element) -> Element | None:
     side = np.sign(np.linalg.det(Q[:2, :2]))
     turn = Element(float(np.arctan2(Q[1, 0], Q[0, 0])), bool(side < 0.0)).matrix.copy()
     turn[2, 2] = np.sign(Q[2, 2])
-    if max(np.linalg.norm(turn - by.Q) for by in (element.base, element.platform)) > NEARLY:
+    if np.linalg.norm(turn - element.turns, axis=(1, 2)).max() > NEARLY:
         return None
-    near = Isometry.of(turn, np.zeros(3))
-    return Element.of(near, near)
+    return Element.of(isometry(turn), isometry(turn))
 
 
 def _first_break(fits: LegImages, element: Element, tolerance: float) -> Break | None:

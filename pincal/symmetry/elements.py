@@ -12,8 +12,6 @@ exact (K. Grove, H. Karcher, E. Ruh, Math. Annalen 211, 1974).
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -29,85 +27,54 @@ _ROUNDS = 8  # of averaging: each squares the error
 _NAMED = 1e-6  # within which mirrors go through the main axis
 
 
-@dataclass(frozen=True)
-class Isometry:
-    """Rotation or reflection, then a shift: x → Q x + t."""
-
-    turn: tuple[tuple[float, ...], ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-    """Rows of the orthogonal matrix Q."""
-    shift: tuple[float, ...] = (0.0, 0.0, 0.0)
-    """t, [m]."""
-
-    @classmethod
-    def of(cls, matrix: Array, shift: Array | None = None) -> Isometry:
-        """Return the isometry of an orthogonal matrix (3, 3) and a shift (3,), or of a (4, 4)."""
-        if shift is None:
-            matrix, shift = matrix[:3, :3], matrix[:3, 3]
-        rows = tuple(tuple(float(v) + 0.0 for v in row) for row in matrix)
-        return cls(rows, tuple(float(v) + 0.0 for v in shift))
-
-    @cached_property
-    def Q(self) -> Array:
-        """Orthogonal matrix, shape (3, 3)."""
-        return np.array(self.turn)
-
-    @cached_property
-    def t(self) -> Array:
-        """Shift, shape (3,), [m]."""
-        return np.array(self.shift)
-
-    @cached_property
-    def matrix(self) -> Array:
-        """Homogeneous matrix, shape (4, 4)."""
-        matrix = np.eye(4)
-        matrix[:3, :3], matrix[:3, 3] = self.Q, self.t
-        return matrix
-
-    def __call__(self, points: Array) -> Array:
-        """Return where points go, shape (N, 3), [m]."""
-        return points @ self.Q.T + self.t
-
-    def after(self, first: Isometry) -> Isometry:
-        """Return the composition, this one last."""
-        return Isometry.of(self.Q @ first.Q, self.Q @ first.t + self.t)
-
-    def inverse(self) -> Isometry:
-        """Return the isometry that undoes this one."""
-        return Isometry.of(self.Q.T, -self.Q.T @ self.t)
-
-    def equals(self, second: Isometry, within: float = SAME) -> bool:
-        """Return whether two isometries are the same but for errors within a part of their size."""
-        size = max(1.0, float(np.abs(self.t).max()))
-        turned, moved = np.abs(self.Q - second.Q).max(), np.abs(self.t - second.t).max()
-        return bool(turned <= within and moved <= within * size)
+def isometry(Q: Array, t: Array | float = 0.0) -> Array:
+    """Return the matrix of x → Q x + t, shape (4, 4), of an orthogonal Q (3, 3)."""
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = Q, t
+    return matrix + 0.0  # no negative zeros
 
 
-@dataclass(frozen=True)
+def inverse_of(G: Array) -> Array:
+    """Return the isometry that undoes one, shape (4, 4) both."""
+    return isometry(G[:3, :3].T, -G[:3, :3].T @ G[:3, 3])
+
+
+def applied(G: Array, points: Array) -> Array:
+    """Return where an isometry, shape (4, 4), takes points, shape (N, 3), [m]."""
+    return points @ G[:3, :3].T + G[:3, 3]
+
+
+def same(first: Array, second: Array, within: float = SAME) -> bool:
+    """Return whether two isometries are the same but for errors within a part of their size."""
+    apart = np.abs(first - second)
+    size = max(1.0, float(np.abs(first[:3, 3]).max()))
+    return bool(apart[:3, :3].max() <= within and apart[:3, 3].max() <= within * size)
+
+
 class Element:
     """Isometry of the base, and one of the platform, under which a mechanism may be as it was.
 
-    By angle alone, both are a rotation about z, or a reflection through a plane that holds z: a
-    rotation takes an azimuth β to β + angle, a reflection to angle − β, so the mirror plane is at
-    angle / 2. ``Element.of`` takes any other isometries.
+    By angle alone, [rad], both are a rotation about z, or a reflection through a plane that holds
+    z: a rotation takes an azimuth β to β + angle, a reflection to angle − β, so the mirror plane is
+    at angle / 2. ``Element.of`` takes any other isometries.
     """
 
-    angle: float
-    """About z, [rad]."""
-    reflection: bool = False
+    base: Array
+    """What it does to the base frame, shape (4, 4)."""
+    platform: Array
+    """What it does to the platform frame, shape (4, 4)."""
+    reflection: bool
     """Whether it reflects: rotations do not."""
-    base: Isometry = Isometry()
-    """What it does to the base frame."""
-    platform: Isometry = Isometry()
-    """What it does to the platform frame."""
 
-    def __post_init__(self) -> None:
-        if self.base == self.platform == Isometry():
-            object.__setattr__(self, "base", _about_z(self.angle, self.reflection))
-            object.__setattr__(self, "platform", self.base)
+    def __init__(self, angle: float, reflection: bool = False) -> None:
+        cos, sin, side = np.cos(angle), np.sin(angle), -1.0 if reflection else 1.0
+        turn = np.array([[cos, -side * sin, 0.0], [sin, side * cos, 0.0], [0.0, 0.0, 1.0]])
+        self.base = self.platform = isometry(turn)
+        self.reflection = reflection
 
     @classmethod
-    def of(cls, base: Isometry, platform: Isometry) -> Element:
-        """Return the element of two isometries.
+    def of(cls, base: Array, platform: Array) -> Element:
+        """Return the element of two isometries, shape (4, 4).
 
         By angle alone only where that is the same to the last digits: of a group whose elements
         are nearly so, some would become so and others not, and their products be none of it.
@@ -115,17 +82,16 @@ class Element:
         Raises:
             SymmetryError: one reflects and the other does not: no pose would be carried to a pose.
         """
-        reflection = bool(np.linalg.det(base.Q) < 0.0)
-        if reflection != (np.linalg.det(platform.Q) < 0.0):
+        reflection = bool(np.linalg.det(base[:3, :3]) < 0.0)
+        if reflection != (np.linalg.det(platform[:3, :3]) < 0.0):
             raise SymmetryError(
                 "an element that reflects the base reflects the platform too; only one of the two "
                 "isometries does"
             )
-        angle = float(np.arctan2(base.Q[1, 0], base.Q[0, 0]))
-        plain = _about_z(angle, reflection)
-        if all(plain.equals(isometry, ROUNDING) for isometry in (base, platform)):
-            return cls(angle, reflection)
-        return cls(angle, reflection, base, platform)
+        element = cls(float(np.arctan2(base[1, 0], base[0, 0])), reflection)
+        if not all(same(element.base, G, ROUNDING) for G in (base, platform)):
+            element.base, element.platform = base + 0.0, platform + 0.0
+        return element
 
     @staticmethod
     def mirror(azimuth: float) -> Element:
@@ -135,24 +101,24 @@ class Element:
     @property
     def matrix(self) -> Array:
         """Orthogonal matrix Q of the base's isometry, shape (3, 3)."""
-        return self.base.Q
+        return self.base[:3, :3]
 
     @property
     def turns(self) -> Array:
         """Orthogonal matrices of both isometries, shape (2, 3, 3)."""
-        return np.stack((self.base.Q, self.platform.Q))
+        return np.stack((self.base[:3, :3], self.platform[:3, :3]))
 
     def after(self, first: Element) -> Element:
         """Return the composition, this one last."""
-        return Element.of(self.base.after(first.base), self.platform.after(first.platform))
+        return Element.of(self.base @ first.base, self.platform @ first.platform)
 
     def inverse(self) -> Element:
         """Return the element that undoes this one."""
-        return Element.of(self.base.inverse(), self.platform.inverse())
+        return Element.of(inverse_of(self.base), inverse_of(self.platform))
 
     def equals(self, second: Element) -> bool:
         """Return whether two elements are the same but for rounding errors."""
-        return self.base.equals(second.base) and self.platform.equals(second.platform)
+        return same(self.base, second.base) and same(self.platform, second.platform)
 
     @property
     def is_identity(self) -> bool:
@@ -162,29 +128,30 @@ class Element:
     def matrices(self, matrices: Array) -> Array:
         """Return where poses ``T_base_platform``, shape (N, 4, 4), go: G_base T G_platform⁻¹."""
         # one product for all poses, along which memory runs (see batches)
-        entries = np.kron(self.base.matrix, self.platform.inverse().matrix.T)
+        entries = np.kron(self.base, inverse_of(self.platform).T)
         return np.asarray((entries @ matrices.reshape(-1, 16).T).T.reshape(matrices.shape))
 
     def poses(self, platform: Platform, poses: Poses) -> Array:
         """Return where poses go, coordinates of shape (N, dof)."""
         return platform.from_matrices(self.matrices(platform.matrices(poses)))
 
-    def positions(self, rotations: Array) -> Isometry | None:
+    def positions(self, rotations: Array) -> Array | None:
         """Return what it does to the platform's positions in all of some orientations, (N, 3, 3).
 
         r → Q r + t − R' s, where s is the shift of the platform's isometry: None unless R' s is one
         and the same, such as if the platform's frame is on its axis.
         """
-        if not self.platform.t.any():
+        Q, shift = self.matrix, self.platform[:3, 3]
+        if not shift.any():
             return self.base
-        shifts = self.base.Q @ rotations @ (self.platform.Q.T @ self.platform.t)
-        if np.abs(shifts - shifts[0]).max() > SAME * np.linalg.norm(self.platform.t):
+        shifts = Q @ rotations @ (self.platform[:3, :3].T @ shift)
+        if np.abs(shifts - shifts[0]).max() > SAME * np.linalg.norm(shift):
             return None
-        return Isometry.of(self.base.Q, self.base.t - shifts[0])
+        return isometry(Q, self.base[:3, 3] - shifts[0])
 
     def __str__(self) -> str:
         """Return the element's name."""
-        Q = self.base.Q
+        Q = self.matrix
         if self.is_identity:
             return "identity"
         if np.abs(Q + np.eye(3)).max() <= SAME:
@@ -208,14 +175,7 @@ class Element:
         turned = _degrees(amount * (1.0 if turn @ axis >= 0.0 else -1.0), 360.0)
         return f"{kind} by {turned}" if upright else f"{kind} by {turned} {around}"
 
-
-def _about_z(angle: float, reflection: bool) -> Isometry:
-    """Return a rotation about z, or the reflection through the plane at half the angle."""
-    cos, sin = np.cos(angle), np.sin(angle)
-    side = -1.0 if reflection else 1.0
-    return Isometry.of(
-        np.array([[cos, -side * sin, 0.0], [sin, side * cos, 0.0], [0.0, 0.0, 1.0]]), np.zeros(3)
-    )
+    __repr__ = __str__
 
 
 def _degrees(angle: float, period: float) -> str:
@@ -324,16 +284,16 @@ def exact(elements: Sequence[Element], centres: tuple[Array, Array], size: float
 
 
 def _exact_part(
-    isometries: Sequence[Isometry], table: Index, centre: Array, size: float
-) -> list[Isometry]:
+    isometries: Sequence[Array], table: Index, centre: Array, size: float
+) -> list[Array]:
     """Return isometries of one body made exact: Q by averaging Q(gh) Q(h)ᵀ, t by a fixed point."""
-    turns = np.array([isometry.Q for isometry in isometries])
+    turns = np.array(isometries)[:, :3, :3]
     for _ in range(_ROUNDS):
         U, _, Vt = np.linalg.svd(np.einsum("ghij,hkj->gik", turns[table], turns))
         turns = U @ Vt
     turns[0] = np.eye(3)
     for _ in range(2):
-        centre = np.mean([isometry(centre) for isometry in isometries], axis=0)
+        centre = np.mean([applied(G, centre) for G in isometries], axis=0)
     centre = centre - (turns @ centre).mean(axis=0)  # less what no element moves
     if np.linalg.norm(centre) <= SAME * size:
         centre = np.zeros(3)
@@ -341,7 +301,7 @@ def _exact_part(
         # about z to rounding: z stays, or turns over, exactly
         turns[:, :2, 2] = turns[:, 2, :2] = 0.0
         turns[:, 2, 2] = np.sign(turns[:, 2, 2])
-    return [Isometry.of(Q, centre - Q @ centre) for Q in turns]
+    return [isometry(Q, centre - Q @ centre) for Q in turns]
 
 
 def group_name(elements: Sequence[Element]) -> str:
@@ -349,8 +309,8 @@ def group_name(elements: Sequence[Element]) -> str:
 
     Of others, what they have: rotations, the identity among them, and reflections.
     """
-    rotations = np.array([e.base.Q for e in elements if not e.reflection])
-    mirrored = np.array([-e.base.Q for e in elements if e.reflection]).reshape(-1, 3, 3)
+    rotations = np.array([e.matrix for e in elements if not e.reflection])
+    mirrored = np.array([-e.matrix for e in elements if e.reflection]).reshape(-1, 3, 3)
     angles = Rotation.from_matrix(rotations).magnitude()
     order = round(2 * np.pi / min([angle for angle in angles if angle > SAME], default=2 * np.pi))
     if order == len(rotations):

@@ -23,7 +23,7 @@ from pincal.model.checks import ROUNDING
 from pincal.model.mechanism import Mechanism
 from pincal.model.terms import LOAD
 from pincal.symmetry.candidates import NEARLY, Points
-from pincal.symmetry.elements import Element, wrapped
+from pincal.symmetry.elements import Element, applied, wrapped
 from pincal.types import Array
 
 Permutation = tuple[int, ...]
@@ -118,9 +118,9 @@ def differences(first: StandingLeg, element: Element, second: StandingLeg) -> It
     if unlike := [quantity for quantity, same in alike.items() if not same]:
         yield Difference(unlike[0], None)
         return
-    space, Q = first.closure.platform.space, element.base.Q
+    space, Q = first.closure.platform.space, element.matrix
     names = [*(joint.name for joint in other.moving), other.point.name]
-    shifts = element.base(np.vstack((first.points, first.tip)))
+    shifts = applied(element.base, np.vstack((first.points, first.tip)))
     shifts = shifts - np.vstack((second.points, second.tip))
     for name, shift in zip(names, lengths(shifts[:, :space]).tolist(), strict=True):
         yield Difference(f"position of joint {name!r}", shift, "m")

@@ -219,9 +219,7 @@ class Orientations:
     def maps(self, element: Element) -> bool:
         """Return whether an element carries the set onto itself: R → Q R Pᵀ."""
         side = -1.0 if element.reflection else 1.0
-        before, after = (
-            Rotation.from_matrix(side * by.Q) for by in (element.base, element.platform)
-        )
+        before, after = (Rotation.from_matrix(side * Q) for Q in element.turns)
         images = (before * self.rotations * after.inv()).as_quat(canonical=True)
         away = self._tree.query(images, distance_upper_bound=SAME)[0]
         return bool(np.isfinite(away).all())

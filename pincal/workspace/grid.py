@@ -23,7 +23,7 @@ from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.model.checks import ALIKE
 from pincal.model.mechanism import Mechanism
 from pincal.symmetry.detect import symmetry_group
-from pincal.symmetry.elements import SAME, Isometry
+from pincal.symmetry.elements import SAME
 from pincal.types import Array, Mask
 from pincal.workspace.axes import Axis
 
@@ -141,9 +141,9 @@ class Grid:
             result *= self.axes[0].values[0]
         return result
 
-    def carrier(self, move: Isometry) -> Carrier | None:
-        """Return what an isometry does to the numbers, or None if the grid does not map."""
-        Q, t = move.Q, move.t
+    def carrier(self, move: Array) -> Carrier | None:
+        """Return what an isometry, (4, 4), does to numbers, or None if the grid does not map."""
+        Q, t = move[:3, :3], move[:3, 3]
         axes = (*self.axes, Axis("z", np.zeros(1)))[:3]
         values = [axis.values for axis in axes]
         if self.polar:
@@ -269,7 +269,9 @@ def default_grid(mechanism: GivenMechanism, fixed: Iterable[str | Axis] = ()) ->
         for name, start, end in zip("xyz"[:n], low, high, strict=False)
     ]
     turns = sum(  # rotations about the base's z axis
-        not element.reflection and not element.base.t.any() and element.matrix[2, 2] > 1.0 - SAME
+        not element.reflection
+        and not element.base[:3, 3].any()
+        and element.matrix[2, 2] > 1.0 - SAME
         for element in symmetry_group(mechanism, readings=False).elements
     )
     if names & {"radius", "bearing"} or (turns > 1 and not names & {"x", "y"}):

@@ -23,7 +23,7 @@ from pincal.kinematics.singularity import margins
 from pincal.model.checks import ROUNDING, described
 from pincal.model.mechanism import Mechanism
 from pincal.symmetry.detect import symmetry_group
-from pincal.symmetry.elements import IDENTITY, Element
+from pincal.symmetry.elements import Element
 from pincal.types import Array, Mask
 from pincal.words.numbers import measured
 from pincal.workspace.axes import Orientations
@@ -283,7 +283,7 @@ def compute_workspace(
     least = as_margins(least)
     group = symmetry_group(mechanism, ROUNDING, readings=False).elements
     test = PositionTest(mechanism, orientations, kind != "reachable", least)
-    elements = usable(group if how.symmetry else (IDENTITY,), grid, test)
+    elements = usable(group if how.symmetry else group[:1], grid, test)
     unused = tuple(e for e in group if e not in elements)
     size = max(1, min(BLOCK, (_CHUNK if test.in_closed_form else BLOCK) // len(orientations)))
     inside, computed = np.zeros(grid.size, dtype=bool), 0
