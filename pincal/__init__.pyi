@@ -24,9 +24,9 @@ from .estimation.system import Loss
 from .files.mechanism_folders import load_mechanism
 from .formats.corrections import Corrections, corrections
 from .kinematics.collision import free_of_collision
+from .kinematics.configurations import inverse
 from .kinematics.derivatives import identification_jacobian
 from .kinematics.forward import forward
-from .kinematics.inverse import inverse
 from .kinematics.singularity import margins
 from .model.leg import Joint, Leg
 from .model.measurements import Measurements, Noise, Plan

@@ -28,7 +28,7 @@ FRAME = pincal.Setup(unknown_frame=True)
     ("known", "method"),
     some_slow(
         [(True, "all-legs"), (True, "per-leg"), (False, "all-legs")],
-        *((True, "all-legs"), (True, "per-leg"), (False, "all-legs")),
+        *((False, "all-legs"), (True, "per-leg")),
     ),
 )
 def test_held_out_rows_miss_as_expected(method: str, known: bool) -> None:
@@ -145,6 +145,31 @@ def test_rows_off_as_those_before_are_no_step(kind: str) -> None:
             named[name] += any(timed)
     assert named["alike"] <= 1
     assert named["step"] >= 9
+
+
+def test_a_misfit_of_all_poses_is_no_step() -> None:
+    """Cables over pulleys of 30 mm, which no model here knows: χ² says so, no course of time does.
+
+    A cable leaves its pulley, which turns about the vertical, along a tangent.
+    """
+    mechanism, truth, data = machine("8cable", 40, pincal.Noise(1e-4, 1e-4, 5e-5), sigma=1e-3)
+    poses = np.concatenate((data.poses, [mechanism.platform.home]))
+    matrices, radius, longer = mechanism.platform.matrices(poses), 0.03, []
+    for leg in truth.legs:
+        anchor, point = np.array(leg.joints[0].placement.xyz), np.array(leg.point.placement.xyz)
+        ray = matrices[:, :3, :3] @ point + matrices[:, :3, 3] - anchor
+        level, height = np.hypot(ray[:, 0], ray[:, 1]), ray[:, 2]
+        away = np.hypot(level - radius, height)
+        wrapped = np.pi - np.arctan2(height, level - radius) - np.arccos(radius / away)
+        cable = np.sqrt(away**2 - radius**2) + radius * wrapped
+        longer.append(cable - np.hypot(level, height))
+    change = np.transpose(longer)
+    rolled = put(data, "readings", np.s_[:], data.readings + change[:-1] - change[-1])
+    result = pincal.calibrate(mechanism, rolled, noise=pincal.Noise(1e-4, 1e-4, 5e-5))
+    causes = {remark.code: remark.values.get("term") for remark in result.findings}
+    assert "chi2-too-large" in causes
+    assert not {"step", "rows-alike"} & set(causes)
+    assert causes.get("model-lacks") in (None, "pose", "angle")
 
 
 def test_folds_keep_repeats_together_and_deal_sets_alike() -> None:

@@ -32,7 +32,7 @@ pincal.estimation.observability.indices.Identifiability
 pincal.estimation.observability.indices.Indices
 pincal.finding.Finding
 pincal.kinematics.forward.ForwardSolution
-pincal.kinematics.inverse.InverseSolution
+pincal.kinematics.configurations.InverseSolution
 pincal.show.pictures.picture.Picture
 pincal.show.view.view.View
 pincal.symmetry.detect.SymmetryGroup

@@ -12,7 +12,7 @@ import numpy as np
 from pincal.architectures.catalogue import ARCHITECTURES
 from pincal.architectures.dimension import Architecture, Values, sized
 from pincal.errors import MechanismError
-from pincal.kinematics.inverse import beyond_limits
+from pincal.kinematics.configurations import beyond_limits
 from pincal.kinematics.singularity import home_determinant
 from pincal.model.checks import must_be
 from pincal.model.mechanism import Mechanism

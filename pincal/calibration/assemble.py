@@ -20,6 +20,7 @@ from pincal.calibration.result import CalibrationResult
 from pincal.calibration.result_parts import HELD, IdentifiedParameter, LegResult, ResidualGroup
 from pincal.design.platform_error import CONFIDENCE
 from pincal.estimation.fit import Fit, Outlier
+from pincal.estimation.observability.indices import identifiability
 from pincal.estimation.observability.residuals import leg_residuals, redundancy
 from pincal.kinematics.batches import over_rows
 from pincal.model.measurements import Noise
@@ -297,14 +298,16 @@ def _residuals(
         for index, (leg, after) in enumerate(zip(fit.problem.legs, residuals, strict=True)):
             before = leg_residuals(fit.problem, fit.first, index).value
             counted = fit.problem.leg_block.used[:, index] & (fit.weights > 0.0)
-            rank, condition = fit.ranks[index]
+            of_leg = fit.problem.leg_block.columns[index]
+            names = fit.problem.legs[index].parameter_names
+            determined = identifiability(fit.last.triangle[:, of_leg], names)
             legs[leg.name] = LegResult(
                 name=leg.name,
                 quantity=after.quantity,
                 unit=after.unit,
                 parameters=tuple(p for p in parameters if p.owner == leg.name),
-                rank=rank,
-                condition=condition,
+                rank=determined.rank,
+                condition=determined.condition,
                 **_columns(fit, counted, before, after.value, after.sigma, shares[index]),
             )
         if fits.latent:

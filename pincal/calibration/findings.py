@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 MANY_ROWS = 0.1  # share of rows that do not fit, from which the noise or the model is questioned
 _CURVED = 0.5  # curved part over the straight one, at one standard error (Bates and Watts 1980)
 _FEW_RESIDUALS = 1.5  # residuals a parameter, below which more poses are advised
+_EXPLAINS = 0.25  # of what χ² exceeds the noise given by, from which a course is its cause
 _REPEATS = 4  # times that a pose was measured, from which one asks whether it moved
 _SPREAD = 0.5  # share of the run over which these must lie
 _CHANCE = 1e-5  # probability of so much motion as one body by chance, above which it is none
@@ -130,7 +131,8 @@ def lacking(fits: Fits) -> list[Finding]:
     """Return what residuals follow that the model lacks: all tests as one, the clearest named.
 
     And of what was measured of one pose again and again. What all readings have in common weighs as
-    much as all single ones. One in a hundred sound calibrations has such findings.
+    much as all single ones. One in a hundred sound calibrations has such findings. What explains
+    little of a misfit is not named: another cause looks like a step, too.
     """
     data = fits.calibration.measurements
     scored = [
@@ -147,7 +149,9 @@ def lacking(fits: Fits) -> list[Finding]:
         p_value = together(p_values[of_kind], weights[of_kind])
         if p_value < FALSE_ALARM:
             worst, fit = scored[np.flatnonzero(of_kind)[np.argmin(p_values[of_kind])]]
-            clear.append(_followed(p_value, worst, fit, data))
+            excess = (fit.chi2 - fit.degrees_of_freedom) * fits.calibration.noise.known
+            if worst.share * fit.chi2 >= _EXPLAINS * excess:
+                clear.append(_followed(p_value, worst, fit, data))
     return clear
 
 

@@ -20,9 +20,8 @@ from pincal.files.measurements import read_poses, read_readings
 from pincal.files.mechanism_folders import bundled
 from pincal.files.output import refuse_existing, writing
 from pincal.files.table import write_table
-from pincal.kinematics.configurations import leg_demands
+from pincal.kinematics.configurations import beyond_limits, leg_demands
 from pincal.kinematics.influences import own_influences
-from pincal.kinematics.inverse import outside_limits
 from pincal.model.consistency import home_gap
 from pincal.show.tables import nominal_table, symmetry_table
 from pincal.words.numbers import reading_in
@@ -119,8 +118,12 @@ def inverse(
     say_reference(mechanism, influences)
     wrote(output)
     places = list(map(plan.place, range(len(plan))))
-    limits = zip(places, outside_limits(mechanism, solution), strict=True)
-    if beyond := [f"{place}: {', '.join(joints)}" for place, joints in limits if joints]:
+    outside: list[list[str]] = [[] for _ in places]
+    for leg in mechanism.legs:
+        for row, joint in np.argwhere(beyond_limits(leg, solution.joints[leg.name])):
+            outside[row].append(f"{leg.name} {leg.moving[joint].name}")
+    pairs = zip(places, outside, strict=True)
+    if beyond := [f"{place}: {', '.join(joints)}" for place, joints in pairs if joints]:
         warn(
             f"{poses}: {len(beyond)} of {len(places)} poses are outside the limits of joints; "
             f"their readings are written all the same. {first_of(beyond)}"

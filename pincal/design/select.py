@@ -37,8 +37,8 @@ from pincal.estimation.observability.indices import Indices, identifiability, in
 from pincal.files.measurements import as_noise
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.closure import LegClosure, nominal_legs
+from pincal.kinematics.configurations import inverse
 from pincal.kinematics.derivatives import leg_demands_at
-from pincal.kinematics.inverse import inverse
 from pincal.model.checks import count_of, described, generator_of
 from pincal.model.measurements import EVERY_LEG, Noise, Plan
 from pincal.model.mechanism import Mechanism

@@ -18,10 +18,9 @@ from pincal.errors import MeasurementError
 from pincal.files.measurements import as_noise, read_poses
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.closure import largest_size
-from pincal.kinematics.configurations import command, planned_influences
+from pincal.kinematics.configurations import command, inverse, planned_influences
 from pincal.kinematics.forward import forward
 from pincal.kinematics.influences import by_name, influences_of
-from pincal.kinematics.inverse import inverse
 from pincal.model.checks import ROWS, generator_of, number_of
 from pincal.model.measurements import Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism

@@ -16,7 +16,7 @@ import numpy as np
 
 from pincal.estimation.fit import Fit
 from pincal.estimation.observability.indices import RANK_TOLERANCE
-from pincal.estimation.problem import Linear, Problem
+from pincal.estimation.problem import Problem
 from pincal.estimation.system import NormalEquations, outlying
 from pincal.kinematics.batches import over_rows
 from pincal.model.measurements import Noise
@@ -197,7 +197,14 @@ def _moments(
     n_readings = problem.leg_block.n_readings
     by_reading = np.where(linear.active[:, :, None], linear.by_measured[:, :, :n_readings], 0.0)
     by_reading *= readings
-    levers = _levers(problem, linear, by_reading) / readings
+    levers = np.full(2, np.nan)
+    if problem.latent:  # of least squares of the legs alone
+        n_legs, freedoms = problem.leg_block.n_rows, np.array(problem.platform.units)
+        moved = np.linalg.pinv(linear.by_pose[:, :n_legs]) @ by_reading[:, :n_legs]
+        squares = np.median((moved**2).sum(axis=2), axis=0)
+        for place, unit in enumerate(("m", "rad")):
+            if unit in freedoms:
+                levers[place] = np.sqrt(squares[freedoms == unit].mean()) / readings
     W = linear.white.by_noise[:, :, n_readings : len(problem.quantities)]
     units = list(problem.quantities.values())[n_readings:]
     lengths = np.array([unit == "m" for unit in units], dtype=bool)
@@ -213,17 +220,6 @@ def _moments(
     q = np.einsum("nm,gnmk,nk->g", residuals, V, residuals, optimize=True)
     crossed = np.stack([[over_rows(a, b) for b in VQ] for a in VQ]) - P[:, None] @ P
     return F, q, normal.left, levers, (P, crossed, normal.orthonormal(fit.unknowns.map).T)
-
-
-def _levers(problem: Problem, linear: Linear, by_reading: Array) -> Array:
-    """Return how far readings move coordinates of the platform, [m] and [rad], shape (2,)."""
-    if not problem.latent:
-        return np.full(2, np.nan)
-    n_legs, units = problem.leg_block.n_rows, np.array(problem.platform.units)
-    moved = np.linalg.pinv(linear.by_pose[:, :n_legs]) @ by_reading[:, :n_legs]
-    squares = np.median((moved**2).sum(axis=2), axis=0)
-    means = [squares[units == unit].mean() if unit in units else np.nan for unit in ("m", "rad")]
-    return np.sqrt(means)
 
 
 @dataclass(frozen=True)

@@ -57,8 +57,6 @@ class Fit(SolverResult):
     """What was minimised."""
     first: Linear
     """Conditions where the search began."""
-    ranks: list[tuple[int, float]]
-    """Rank and condition of each leg."""
     outliers: tuple[Outlier, ...] = ()
     """Rows that did not fit, the worst first."""
     widening: Array | float = 0.0
@@ -246,12 +244,8 @@ def fit(system: System, start: State | None = None) -> Fit:
     solution = last_steps(system, search(system, near, highest=highest, enough=enough))
     if system.known:  # where the search starts, a pose may be nearer to a singularity than it is
         check_information(problem, unknowns, (first, solution.last))
-    optimum = Fit(
-        **vars(solution),
-        system=system,
-        first=first,
-        ranks=check_rank(problem, unknowns, solution.last, ended=True),
-    )
+    check_rank(problem, unknowns, solution.last, ended=True)
+    optimum = Fit(**vars(solution), system=system, first=first)
     if not system.known:
         n, dof = unknowns.n_free, optimum.degrees_of_freedom
         if dof < 1:

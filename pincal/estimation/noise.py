@@ -287,25 +287,16 @@ def row_noise(
         for target in setup.targets:
             axes = "xyz"[: platform.space]
             parts = [axis if target == ORIGIN else f"{target}_{axis}" for axis in axes]
-            if not set(parts) <= set(place):
-                continue
-            points = target_positions(platform, data, target)
-            columns = np.array([place[name] for name in parts])
-            measured = np.isfinite(points)[:, : len(axes)]
-            if (part := measured.any(axis=1) & ~measured.all(axis=1)).any():
-                raise MeasurementError(
-                    f"data row {int(np.argmax(part)) + 1}: of {', '.join(parts)} some are "
-                    "measured, some not; a tracker measures all of them (or give 'sigma_x' and the "
-                    "like instead of the tracker)"
-                )
-            block = _of_tracker(setup.tracker, points)[:, : len(columns), : len(columns)]
-            rows = np.flatnonzero(measured.all(axis=1))
-            covariance[np.ix_(rows, columns, columns)] = block[rows]
+            if set(parts) <= set(place):
+                columns = np.array([place[name] for name in parts])
+                block = _of_tracker(setup.tracker, target_positions(platform, data, target), parts)
+                rows = np.flatnonzero(np.isfinite(block).all(axis=(1, 2)))
+                covariance[np.ix_(rows, columns, columns)] = block[rows]
     for pair, values in data.covariances.items():
         first, second = pair.split(",")
         if {first, second} <= set(place):
-            pair_sigmas = (sigmas.get(name, none) for name in (first, second))
-            known = np.isfinite([values, *pair_sigmas]).all(axis=0)
+            three = [values, sigmas.get(first, none), sigmas.get(second, none)]
+            known = np.isfinite(three).all(axis=0)
             covariance[known, place[first], place[second]] = values[known]
             covariance[known, place[second], place[first]] = values[known]
     return _rooted(covariance, data)
@@ -335,8 +326,15 @@ def target_positions(platform: Platform, data: Measurements, target: str) -> Arr
     return measured.T
 
 
-def _of_tracker(tracker: Tracker, points: Array) -> Array:
-    """Return covariances of points measured by a tracker, (N, 3) to (N, 3, 3)."""
+def _of_tracker(tracker: Tracker, points: Array, names: Sequence[str]) -> Array:
+    """Return covariances of n coordinates of points measured by a tracker, (N, 3) to (N, n, n)."""
+    n, measured = len(names), np.isfinite(points)[:, : len(names)]
+    if (part := measured.any(axis=1) & ~measured.all(axis=1)).any():
+        raise MeasurementError(
+            f"data row {int(np.argmax(part)) + 1}: of {', '.join(names)} some are measured, some "
+            "not; a tracker measures all of them (or give 'sigma_x' and the like instead of the "
+            "tracker)"
+        )
     ray = points - tracker.at
     above = np.hypot(ray[:, 0], ray[:, 1]) <= ROUNDING**0.5 * np.linalg.norm(ray, axis=1)
     if above.any():
@@ -345,7 +343,7 @@ def _of_tracker(tracker: Tracker, points: Array) -> Array:
             "tracker, where an azimuth says nothing; say where the tracker is ('at' of the tracker)"
         )
     root = tracker.by_polar(points) * [tracker.range, tracker.azimuth, tracker.elevation]
-    return np.asarray(root @ root.transpose(0, 2, 1))
+    return np.asarray(root @ root.transpose(0, 2, 1))[:, :n, :n]
 
 
 def _rooted(covariance: Array, data: Measurements) -> RowNoise:

@@ -95,7 +95,11 @@ class Observation:
         self.orientations = _orientations(platform, data)
         """Measured orientations, shape (N, 3, 3); NaN where not measured in full."""
         oriented = _oriented(self.orientations)
-        angles = _single_angles(platform, data, oriented)
+        angles = {name: data.extra[name] for name in SINGLE_ANGLES if name in data.extra}
+        if platform.turns == 3:
+            partial = np.where(oriented[:, None], np.nan, data.poses[:, lengths:])
+            angles |= dict(zip(platform.coordinates[lengths:], partial.T, strict=True))
+        angles = {name: v for name, v in angles.items() if np.isfinite(v).any()}
         turns = platform.freedoms[lengths:]
         self.names = (*scalars, *angles, *turns, *units)
         """Names of the r quantities, as columns of measurements or freedoms of the platform."""
@@ -200,8 +204,8 @@ class Observation:
         if setup.systematic.target:
             axes = np.arange(self.external.own.stop)[self.external.offsets].reshape(-1, 3)
             known = np.setdiff1d(axes[:, : self.platform.space], self.external.free)
-            _, _, by_external = self._residuals(matrices, external)
-            errors.append(setup.systematic.target * by_external[:, :, known])
+            _, _, by_external = self.residuals(matrices, external, known)
+            errors.append(setup.systematic.target * by_external)
         return np.concatenate(errors, axis=2)
 
     def evaluate(self, state: State) -> BlockRows:
@@ -210,22 +214,21 @@ class Observation:
         by_measured = np.broadcast_to(-np.eye(value.shape[1]), (*value.shape, value.shape[1]))
         return BlockRows(value, by_pose, by_external, by_measured, self.noise_root(state))
 
-    def residuals(self, matrices: Array, external: External) -> tuple[Array, Array, Array]:
+    def residuals(
+        self, matrices: Array, external: External, columns: Index | None = None
+    ) -> tuple[Array, Array, Array]:
         """Return predicted less measured quantities, zero where nothing is measured.
 
         Args:
             matrices: Poses ``T_base_platform``, shape (N, 4, 4).
             external: Values of the external unknowns.
+            columns: Places of external values; of those that are unknown if not given.
 
         Returns:
             Residuals, shape (N, r), [m] and [rad], their derivatives by the platform's twist,
-            (N, r, dof), and by the external unknowns, (N, r, n_external).
+            (N, r, dof), and by the external values, (N, r, n_external).
         """
-        value, by_pose, by_external = self._residuals(matrices, external)
-        return value, by_pose, by_external[:, :, self.external.free]
-
-    def _residuals(self, matrices: Array, external: External) -> Predicted:
-        """Return the same with derivatives by all external values, known or not."""
+        columns = self.external.free if columns is None else columns
         seen, frame = external.frame @ matrices, external.frame[:3, :3]
         rows = [*self._points(seen, external), self._turned(seen[:, :3, :3], external)]
         rows += self._instruments(seen, external)
@@ -241,7 +244,7 @@ class Observation:
         return (
             np.where(self.measured, value - self._values, 0.0),
             np.where(measured, by_twist @ by_base[:, list(self.platform.twist_rows)], 0.0),
-            np.where(measured, by_external, 0.0),
+            np.where(measured, by_external[:, :, columns], 0.0),
         )
 
     def _points(self, seen: Array, external: External) -> list[Predicted]:
@@ -307,15 +310,6 @@ class Observation:
             rows.append((value, by_pose, by_external))
             columns, values, places = columns[:, k:], values[n:], places + n
         return rows
-
-
-def _single_angles(platform: Platform, data: Measurements, oriented: Mask) -> dict[str, Array]:
-    """Return angles that were measured in some row beside orientations, NaN where not, [rad]."""
-    angles = {name: data.extra[name] for name in SINGLE_ANGLES if name in data.extra}
-    if platform.turns == 3:
-        partial = np.where(oriented[:, None], np.nan, data.poses[:, platform.lengths :])
-        angles |= dict(zip(platform.coordinates[platform.lengths :], partial.T, strict=True))
-    return {name: values for name, values in angles.items() if np.isfinite(values).any()}
 
 
 def _angles(single: dict[str, Array], data: Measurements, independent: Mask) -> tuple[Array, Mask]:

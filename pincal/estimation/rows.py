@@ -23,7 +23,7 @@ import numpy as np
 
 from pincal.kinematics.batches import product, solve
 from pincal.model.checks import ROUNDING
-from pincal.types import Array, Mask
+from pincal.types import Array
 
 
 class NoNoiseError(ValueError):
@@ -98,7 +98,11 @@ def white_rows(pose: Array, noise: Array) -> WhiteRows:
     if not finite.all():
         rows = white_rows(pose[finite], noise[finite])
         parts = (rows.reduced, rows.scale, rows.range, rows.triangle)
-        reduced, scale, basis, triangle = (_spread(part, finite) for part in parts)
+        reduced, scale, basis, triangle = (
+            np.full((len(finite), *part.shape[1:]), np.nan) for part in parts
+        )
+        for part, spread in zip(parts, (reduced, scale, basis, triangle), strict=True):
+            spread[finite] = part
         return WhiteRows(reduced, scale, basis, triangle, noise)
     dof = pose.shape[2]
     Q, R = np.linalg.qr(pose, mode="complete")  # B = Q R, Q square
@@ -123,10 +127,3 @@ def _root(rows: Array) -> Array:
         R = np.asarray(np.linalg.qr(rows.transpose(0, 2, 1), mode="r"))
         L[:, :, : min(m, s)] = R.transpose(0, 2, 1)
     return L
-
-
-def _spread(values: Array, places: Mask) -> Array:
-    """Return values at their places along the first axis, NaN elsewhere."""
-    spread = np.full((len(places), *values.shape[1:]), np.nan)
-    spread[places] = values
-    return spread

@@ -122,9 +122,7 @@ def search(
     while current.normal.decrement > _tolerance(system, current, enough):
         if evaluations >= current.limit(system.max_evaluations) or damping > _DAMPING[1]:
             break
-        if system.progress and evaluations % 5 == 0:
-            deviation = np.sqrt(current.cost / len(current.weights))
-            system.progress(f"step {evaluations}: {deviation:.3g} σ a pose")
+        _report(system, current, evaluations)
         # 1. A damped step of all unknowns; then each pose alone.
         step = current.normal.step(damping)
         trial, count = _reached(system, current, step, fixed_poses)
@@ -133,9 +131,8 @@ def search(
             # 2. Taken: less damping where the fall is as predicted.
             damping, growth = damping * _change(system, current, trial, step), 10.0
             damping = damping if damping > _DAMPING[0] else 0.0
-            before, after = current.normal.decrement, trial.normal.decrement
-            stays = after > (1.0 - _STAYS) * before or (after > 0.5 * before and after <= SLOW)
-            at_end, current = current.blind and stays, trial  # nothing but rounding is left
+            at_end = current.blind and _at_end(current, trial)
+            current = trial
             if current.cost < 0.5 * cost_when_fixed:
                 fixed_poses, cost_when_fixed = unused, np.inf
             if at_end:
@@ -208,6 +205,13 @@ def adjusted(problem: Problem, linear: Linear) -> Linear:
     return at_adjusted
 
 
+def _report(system: System, current: Iterate, evaluations: int) -> None:
+    """Say how far a search is, now and then."""
+    if system.progress and evaluations % 5 == 0:
+        deviation = np.sqrt(current.cost / len(current.weights))
+        system.progress(f"step {evaluations}: {deviation:.3g} σ a pose")
+
+
 def _tolerance(system: System, current: Iterate, enough: float) -> float:
     """Return the distance from the optimum at which a search ends."""
     if system.adjusted:
@@ -229,6 +233,12 @@ def _change(system: System, current: Iterate, trial: Iterate, step: Array) -> fl
     cost = min(system.cost(trial.judged, current.weights, current.judged), trial.cost)
     gain = (current.cost - cost) / max(current.normal.fall(step), 1e-300)
     return 0.1 if gain > 0.75 else 1.0 if gain > 0.25 else 4.0
+
+
+def _at_end(current: Iterate, trial: Iterate) -> bool:
+    """Return whether nothing but rounding is left to gain by steps that the cost is blind to."""
+    before, after = current.normal.decrement, trial.normal.decrement
+    return after > (1.0 - _STAYS) * before or (after > 0.5 * before and after <= SLOW)
 
 
 def _reached(

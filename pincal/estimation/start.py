@@ -20,9 +20,9 @@ from pincal.estimation.problem import Problem
 from pincal.estimation.unknowns import External, State
 from pincal.kinematics.closing import home_mode, mode_sign
 from pincal.kinematics.closure import LegClosure, largest_size
+from pincal.kinematics.configurations import inverse
 from pincal.kinematics.derivatives import nearest_closure
 from pincal.kinematics.forward import placed_by_arm
-from pincal.kinematics.inverse import inverse
 from pincal.kinematics.singularity import platform_margin
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism

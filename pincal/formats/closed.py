@@ -257,7 +257,8 @@ def _flat(R: Array) -> Array:
 
 def _leg(tree: Tree, name: str, limb: Limb, points: Sequence[Joint | None]) -> Leg:
     """Return a leg without parameters, whose platform point has a name of its own among points."""
-    joints, point = limb
+    joints = [replace(joint, mass=0.0, centre=Joint.centre) for joint in limb[0]]  # frames turned
+    point = limb[1]
     driven = [joint.name for joint in joints if joint.name in tree.active]
     if not driven:
         raise MechanismError(f"{name} has no driven joint")

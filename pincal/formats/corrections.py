@@ -13,10 +13,9 @@ import numpy as np
 
 from pincal.files.columns import Columns, columns_of, reason_column
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
-from pincal.kinematics.configurations import as_plan, joints_at
+from pincal.kinematics.configurations import as_plan, inverse, joints_at
 from pincal.kinematics.forward import forward
 from pincal.kinematics.influences import own_influences
-from pincal.kinematics.inverse import inverse
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.types import Array

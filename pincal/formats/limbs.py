@@ -229,7 +229,7 @@ def point_platform(
     limbs: list[Limb] = []
     names, middle = [edge.joint.name for edge, _ in path], path[len(path) // 2][0]
     drives = [name for name in names if name in driven]
-    turns = middle.closes == "point" or middle.joint.kind == "revolute"
+    turns = middle.joint.kind != "prismatic"
     one_each = len(drives) == 2 and drives[0] in names[:2] and drives[1] in names[3:]
     if not (len(path) == 5 and turns and one_each):
         raise MechanismError(

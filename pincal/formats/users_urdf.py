@@ -16,7 +16,7 @@ fixed there, moves the frames that are fixed to the platform's link instead.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence, Sized
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from xml.parsers import expat
@@ -73,43 +73,31 @@ def read_loops(urdf: Path, loops: Path) -> Tree:
     homed = keys["home"].pairs() if "home" in keys else {}
     home = {joint: entry.number() for joint, entry in homed.items()}
     drawn = [str(element.get("name")) for element in read_xml(urdf, "robot").findall("joint")]
-    _check_known("joint_name", replaced, drawn, urdf, loops)
-    _check_known("home", home, [edge.joint.name for edge in tree.edges], urdf, loops)
-    platform = keys["platform"].text() if "platform" in keys else None
-    if platform is not None:
-        tree.link(platform, f"the platform of {loops}")
-    edges = tuple(
-        replace(edge, joint=replace(edge.joint, mass=0.0, centre=(0.0, 0.0, 0.0)))
-        for edge in tree.edges  # frames of legs with loops are turned, centres of mass are not
-    )
-    motors = [entry.text() for entry in lists["name_mot"]]
+    joints = [edge.joint.name for edge in tree.edges]
+    named = [("joint_name", entry.text(), entry, drawn) for entry in lists["joint_name"]]
+    named += [("home", joint, entry, joints) for joint, entry in homed.items()]
+    for key, name, entry, known in named:
+        if name not in known:
+            entry.fail(f"{key!r} has {name!r}, no joint of {urdf}; it has {listed(known)}")
     return replace(
         tree,
-        edges=at_home(edges, home),
+        edges=at_home(tree.edges, home),
         loops=tuple(_closings(tree, lists["closed_loop"], lists["type"], loops)),
-        active=_motors(motors, edges, f"{loops}: 'name_mot'", urdf),
-        platform=platform,
+        active=_motors(lists["name_mot"], tree.edges, urdf),
+        platform=keys["platform"].text() if "platform" in keys else None,
         homed=bool(home),
     )
 
 
-def _check_sizes(lists: Mapping[str, Sized], first: str, second: str, loops: Path) -> None:
-    """Raise if two lists of the YAML file are not as long as each other."""
-    if len(lists[first]) != len(lists[second]):
-        raise MechanismError(
-            f"{loops}: {len(lists[first])} entries of {first!r}, but {len(lists[second])} of "
-            f"{second!r}; each needs one"
-        )
-
-
-def _check_known(
-    key: str, names: Iterable[str], known: Sequence[str], urdf: Path, loops: Path
+def _check_sizes(
+    lists: Mapping[str, Sequence[Entry]], first: str, second: str, loops: Path
 ) -> None:
-    """Raise if a key of the YAML file names a joint that the URDF does not have."""
-    if unknown := [name for name in names if name not in known]:
+    """Raise if two lists of the YAML file are not as long as each other."""
+    counts = len(lists[first]), len(lists[second])
+    if counts[0] != counts[1]:
         raise MechanismError(
-            f"{loops}: {key!r} has {unknown[0]!r}, which is no joint of {urdf}; it has "
-            f"{listed(known)}"
+            f"{loops}: {counts[0]} entries of {first!r}, but {counts[1]} of {second!r}; each needs "
+            "one"
         )
 
 
@@ -125,16 +113,17 @@ def _closings(
         yield Edge(Joint("_".join(ends), "fixed"), parent, child, closes=closes)
 
 
-def _motors(named: Sequence[str], edges: Sequence[Edge], key: str, urdf: Path) -> tuple[str, ...]:
+def _motors(named: Sequence[Entry], edges: Sequence[Edge], urdf: Path) -> tuple[str, ...]:
     """Return the joints that ``name_mot`` means: of that name, or else with it in their names."""
     moving = [edge.joint.name for edge in edges if edge.joint.kind != "fixed"]
     motors: list[str] = []
-    for name in named:
+    for entry in named:
+        name = entry.text()
         matching = [name] if name in moving else [joint for joint in moving if name in joint]
         if not matching:
-            raise MechanismError(
-                f"{key} has {name!r}, but no joint of {urdf} that moves has that in its name; it "
-                f"has {listed(moving)}"
+            entry.fail(
+                f"'name_mot' has {name!r}, but no joint of {urdf} that moves has that in its name; "
+                f"it has {listed(moving)}"
             )
         motors += matching
     return tuple(dict.fromkeys(motors))
@@ -196,20 +185,19 @@ def _named(urdf: Edges, name: str) -> str | None:
 
 def _legs_of(path: Path, urdf: Edges, mechanism: Mechanism) -> list[Leg]:
     """Return the legs whose joints, or whose platform points, are in a URDF."""
-    legs: list[Leg] = []
-    drawn: list[str | None] = []
-    for leg in mechanism.legs:
-        joints = {_named(urdf, joint.name) for joint in leg.moving} - {None}
-        legs += [leg] * bool(joints)
-        drawn += joints
+    drawn = {
+        leg.name: {_named(urdf, joint.name) for joint in leg.moving} - {None}
+        for leg in mechanism.legs
+    }
+    legs = [leg for leg in mechanism.legs if drawn[leg.name]]
     legs = legs or [leg for leg in mechanism.legs if leg.point.name in urdf]
     if not legs:
-        every = [joint.name for leg in mechanism.legs for joint in leg.moving]
+        joints = listed(joint.name for joint in mechanism.legs[0].moving)
         raise MechanismError(
-            f"{path} has none of the joints {listed(every)}; give the URDF that "
-            f"{mechanism.name!r} was made from"
+            f"{path} has none of the joints {joints}, …; give the URDF that {mechanism.name!r} was "
+            "made from"
         )
-    if len(set(drawn)) == len(drawn):
+    if len(set().union(*drawn.values())) == sum(map(len, drawn.values())):
         return legs
     if not (meant := [leg for leg in legs if leg.name == path.stem]):
         raise MechanismError(

@@ -161,8 +161,13 @@ def independent(
     """
     closure, rng = LegClosure(leg, platform), np.random.default_rng(0)
     joints = rng.uniform(*joint_range(leg), (_CONFIGURATIONS, len(leg.moving)))
-    part = closure.evaluate(joints, _turned_at_random(closure, joints, rng))
-    rows = part.constraint_by_parameter
+    if leg.closes == "frame":
+        poses = closure.frame(joints)
+    else:  # the platform is where the leg puts it, turned at random
+        twists = rng.uniform(-np.pi, np.pi, (_CONFIGURATIONS, platform.dof))
+        poses = platform.displaced(np.tile(np.eye(4), (_CONFIGURATIONS, 1, 1)), twists)
+        poses[:, :3, 3] = closure.tips(joints) - closure.targets(poses)
+    rows = closure.evaluate(joints, poses).constraint_by_parameter
     rows = rows.reshape(-1, rows.shape[2])
     scale = np.array([1.0 if leg.units[name] == "m" else 1.0 / closure.size for name in order])
     columns = rows[:, [leg.parameter_names.index(name) for name in order]] * scale
@@ -182,13 +187,3 @@ def independent(
             basis = np.column_stack((basis, remainder / length))
             names.append(name)
     return tuple(names)
-
-
-def _turned_at_random(closure: LegClosure, joints: Array, rng: np.random.Generator) -> Array:
-    """Return poses in which the platform is where the leg puts it, turned at random."""
-    if closure.leg.closes == "frame":
-        return closure.frame(joints)
-    twists = rng.uniform(-np.pi, np.pi, (len(joints), closure.platform.dof))
-    matrices = closure.platform.displaced(np.tile(np.eye(4), (len(joints), 1, 1)), twists)
-    matrices[:, :3, 3] = closure.tips(joints) - closure.targets(matrices)
-    return matrices

@@ -62,10 +62,7 @@ class Chain:
 
     def begin(self, parameters: Array) -> Begun:
         """Return what parameters, shape (n_params,), put into the moving joints, and the base."""
-        values, s = self.by_parameter @ parameters, self.standing
-        if self.still is None:
-            return values, None
-        return values[s:], self.still.motion(values[None, None, :s], self.rates[:, :s])
+        return _begun(self, parameters.tobytes())
 
     def motion(self, parameters: Array, joints: Array) -> Motion:
         """Return where the tip is, and how each leg joint and then each parameter moves it.
@@ -74,6 +71,14 @@ class Chain:
         there are any, shape (N, n_joints [+ n_deformed]).
         """
         return motion((self,), (self.begin(parameters),), joints)
+
+
+@lru_cache(maxsize=256)  # the same parameters are asked for several times in turn
+def _begun(chain: Chain, parameters: bytes) -> Begun:
+    values, s = chain.by_parameter @ np.frombuffer(parameters), chain.standing
+    if chain.still is None:
+        return values, None
+    return values[s:], chain.still.motion(values[None, None, :s], chain.rates[:, :s])
 
 
 def motion(chains: Sequence[Chain], begun: Sequence[Begun], joints: Array) -> Motion:

@@ -18,7 +18,6 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from pincal.kinematics.batches import (
-    cross,
     inverse_left_jacobian,
     left_null,
     point_velocity,
@@ -27,7 +26,7 @@ from pincal.kinematics.batches import (
     turn_between,
     turned,
 )
-from pincal.kinematics.chain import Begun, PlatformPoint, leg_chain, motion, platform_point
+from pincal.kinematics.chain import PlatformPoint, leg_chain, motion, platform_point
 from pincal.kinematics.forest import Motion, wrench
 from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
@@ -160,22 +159,6 @@ class Closure:
                 row[placing] -= np.einsum("jkn,jn->kn", self.point.twists[:3], in_platform)
         return power.transpose(2, 0, 1)
 
-    @cached_property
-    def lever(self) -> Array:
-        """Speed of the next revolute axis after the first active joint per unit of its rate, (N,).
-
-        At a planar dyad the length l; the tip's speed where there is no such axis.
-        """
-        moving, active = self.leg.leg.moving, self.leg.leg.active[0]
-        revolute = [i for i in range(active + 1, len(moving)) if moving[i].turns]
-        tip_speed = np.linalg.norm(self.active[:, :, 0], axis=1)
-        if not revolute:
-            return tip_speed
-        drive, turn = self.motion.twists([active])[:, 0], self.motion.twists(revolute[:1])[:, 0]
-        arm = cross(turn[3:].T, turn[:3].T)  # from the tip to the next axis
-        lever = np.linalg.norm(drive[:3].T + cross(drive[3:].T, arm), axis=1)
-        return np.where(lever > 1e-9 * tip_speed, lever, tip_speed)
-
     def passive_step(self, gap_change: Array | None = None) -> Array:
         """Return the Gauss-Newton step of the passive joints, shape (N, n_passive).
 
@@ -233,11 +216,6 @@ class LegClosure:
         return matrices[:, :3, 3] + turned(matrices, arm)[:, 0].T
 
     @cached_property
-    def begun(self) -> Begun:
-        """What parameters put into the moving joints, and where these begin."""
-        return self.chain.begin(self.parameters)
-
-    @cached_property
     def deformations(self) -> SensorLaw:
         """What parameters deform by."""
         return law_of_deformations(self.leg, self.by_name)
@@ -260,7 +238,7 @@ class LegClosure:
 
     def motion(self, joints: Array) -> Motion:
         """Return where the leg's tip is, and how it moves: see ``evaluate``."""
-        return motion((self.chain,), (self.begun,), joints)
+        return self.chain.motion(self.parameters, joints)
 
     def tips(self, joints: Array) -> Array:
         """Return the tips of the leg in the base frame, shape (N, 3), [m]."""
@@ -300,7 +278,9 @@ def evaluate(legs: Sequence[LegClosure], joints: Array, matrices: Array) -> Clos
 
     Joints have shape (L N, n_joints …), poses (L N, 4, 4): see ``LegClosure.evaluate``.
     """
-    moved = motion([leg.chain for leg in legs], [leg.begun for leg in legs], joints)
+    moved = motion(
+        [leg.chain for leg in legs], [leg.chain.begin(leg.parameters) for leg in legs], joints
+    )
     point = legs[0].point_at(joints)
     if len(legs) > 1:  # none of them deforms
         points, count = [leg.point_at(joints) for leg in legs], len(joints) // len(legs)

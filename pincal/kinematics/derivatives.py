@@ -182,7 +182,9 @@ def leg_demands_at(
             for place, demand in zip(places, of_group, strict=True):
                 parts[place].append(demand)
     return [
-        Demand(*(stacked([vars(demand)[name] for demand in of_leg]) for name in vars(of_leg[0])))
+        of_leg[0]
+        if len(of_leg) == 1
+        else Demand(*map(np.concatenate, zip(*(vars(d).values() for d in of_leg), strict=True)))
         for of_leg in parts
     ]
 

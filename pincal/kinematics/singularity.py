@@ -16,7 +16,7 @@ from functools import lru_cache
 import numpy as np
 
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
-from pincal.kinematics.batches import point_velocity
+from pincal.kinematics.batches import cross, point_velocity
 from pincal.kinematics.closed_forms import closed_form
 from pincal.kinematics.closing import ClosedLegs, by_leg, close, close_chunks, sensor_law
 from pincal.kinematics.closure import Closure, nominal_legs
@@ -69,12 +69,24 @@ def drive_margins(closed: Sequence[tuple[list[int], ClosedLegs]]) -> Array:
 
 
 def _grip(closure: Closure) -> Array:
-    """Return the grip of a leg's drives, shape (N,)."""
-    if closure.drive.shape[2] == 1:
-        return np.asarray(np.linalg.norm(closure.drive, axis=(1, 2)) / closure.lever)
-    speed = np.linalg.norm(closure.active, axis=1, keepdims=True)
-    columns = np.nan_to_num(closure.drive / speed)
-    return np.asarray(np.linalg.svd(columns, compute_uv=False)[:, -1])
+    """Return the grip of a leg's drives, shape (N,).
+
+    The lever of a drive is the speed of the next revolute axis per unit of its rate, at a planar
+    dyad the length l; the tip's speed where there is no such axis.
+    """
+    if closure.drive.shape[2] > 1:
+        speed = np.linalg.norm(closure.active, axis=1, keepdims=True)
+        return np.asarray(
+            np.linalg.svd(np.nan_to_num(closure.drive / speed), compute_uv=False)[:, -1]
+        )
+    leg, lever = closure.leg.leg, np.linalg.norm(closure.active[:, :, 0], axis=1)
+    (active,) = leg.active
+    if revolute := [i for i in range(active + 1, len(leg.moving)) if leg.moving[i].turns]:
+        drive, turn = closure.motion.twists([active, revolute[0]]).swapaxes(0, 1)
+        arm = cross(turn[3:].T, turn[:3].T)  # from the tip to the next axis
+        speed = np.linalg.norm(drive[:3].T + cross(drive[3:].T, arm), axis=1)
+        lever = np.where(speed > 1e-9 * lever, speed, lever)
+    return np.asarray(np.linalg.norm(closure.drive, axis=(1, 2)) / lever)
 
 
 def platform_margin(mechanism: Mechanism, lines: Sequence[Array]) -> Array:
@@ -93,42 +105,31 @@ def rods_margin(mechanism: Mechanism, matrices: Array) -> Array | None:
     Where a leg does not reach, a number without meaning. None if a leg is no rod or slide, or does
     not close at home, which then has no side.
     """
-    home = mechanism.platform.home_pose.as_matrix()
-    volume = _rods_volume(mechanism, np.concatenate((home, matrices)))
+    poses = np.concatenate((mechanism.platform.home_pose.as_matrix(), matrices))
+    rows, lines = mechanism.platform.twist_rows, []
+    for closure in nominal_legs(mechanism):
+        form, targets = closed_form(closure), closure.targets(poses)
+        if form is None or closure.leg.active != [form.driven]:  # it pushes not only along itself
+            return None
+        velocity, rod = point_velocity(targets - poses[:, :3, 3], rows), form.to_tip(targets)
+        with np.errstate(invalid="ignore"):  # a rod without a direction
+            lines.append((rod[:, None] @ velocity)[:, 0] / np.linalg.norm(rod, axis=1)[:, None])
+    volume = _volume(mechanism, np.stack(lines, axis=1))
     if np.isnan(volume[0]) or not np.isfinite(home_determinant(mechanism)):
         return None
     return volume[1:] * (np.sign(volume[0]) or 1.0)
 
 
-def _rods_volume(mechanism: Mechanism, matrices: Array) -> Array:
-    """Return what the legs' constraint lines span, shape (N,); NaN if a leg is no rod or slide."""
-    rows, lines = mechanism.platform.twist_rows, []
-    for closure in nominal_legs(mechanism):
-        form, targets = closed_form(closure), closure.targets(matrices)
-        if form is None or closure.leg.active != [form.driven]:  # it pushes not only along itself
-            return np.full(len(matrices), np.nan)
-        velocity, rod = point_velocity(targets - matrices[:, :3, 3], rows), form.to_tip(targets)
-        with np.errstate(invalid="ignore"):  # a rod without a direction
-            lines.append((rod[:, None] @ velocity)[:, 0] / np.linalg.norm(rod, axis=1)[:, None])
-    return _volume(mechanism, np.stack(lines, axis=1))
-
-
 def _volume(mechanism: Mechanism, lines: Array) -> Array:
     """Return what constraint lines span, shape (N,): determinants, if they are as the freedoms."""
     turns = [i for i, row in enumerate(mechanism.platform.twist_rows) if row >= 3]
-    lines[:, :, turns] /= _radius(mechanism)
+    points = np.array([leg.point.placement.xyz for leg in mechanism.legs])
+    lines[:, :, turns] /= np.sqrt((points**2).sum(axis=1).mean()) or 1.0  # root mean square radius
     with np.errstate(invalid="ignore"):  # a leg whose passive joints are singular is NaN
         if lines.shape[1] == lines.shape[2]:
             return np.asarray(np.linalg.det(lines))
         gram = lines.transpose(0, 2, 1) @ lines
         return np.sqrt(np.clip(np.linalg.det(gram), 0.0, None))
-
-
-@lru_cache(maxsize=64)
-def _radius(mechanism: Mechanism) -> float:
-    """Return the root mean square radius of the platform points, [m]; 1 if they coincide."""
-    points = np.array([leg.point.placement.xyz for leg in mechanism.legs])
-    return float(np.sqrt((points**2).sum(axis=1).mean())) or 1.0
 
 
 @lru_cache(maxsize=64)

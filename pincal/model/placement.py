@@ -52,15 +52,19 @@ class Step:
 
     def matrix(self, parameters: Mapping[str, float]) -> Array:
         """Return the displacement as a homogeneous matrix, shape (4, 4)."""
-        matrix, amount, i = np.eye(4), self.amount(parameters), "xyz".index(self.axis[-1])
-        if self.axis.startswith("r"):
-            j, k = (i + 1) % 3, (i + 2) % 3
-            matrix[j, j] = matrix[k, k] = cos(amount)
-            matrix[k, j] = sin(amount)
-            matrix[j, k] = -matrix[k, j]
-        else:
-            matrix[i, 3] = amount
-        return matrix
+        return _elementary(self.axis, self.amount(parameters))
+
+
+def _elementary(axis: str, amount: float) -> Array:
+    matrix, i = np.eye(4), "xyz".index(axis[-1])
+    if axis.startswith("r"):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        matrix[j, j] = matrix[k, k] = cos(amount)
+        matrix[k, j] = sin(amount)
+        matrix[j, k] = -matrix[k, j]
+    else:
+        matrix[i, 3] = amount
+    return matrix
 
 
 @dataclass(frozen=True)
@@ -184,7 +188,7 @@ class Placement:
         matrix = np.eye(4)
         if any(self.rpy):
             for axis, angle in zip(("rx", "ry", "rz"), self.rpy, strict=True):
-                matrix = Step(axis, angle).matrix({}) @ matrix
+                matrix = _elementary(axis, angle) @ matrix
         matrix[:3, 3] = self.xyz
         return matrix
 

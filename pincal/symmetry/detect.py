@@ -18,7 +18,7 @@ from scipy.optimize import linear_sum_assignment
 from pincal.errors import SymmetryError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.closing import home_mode
-from pincal.kinematics.inverse import inverse
+from pincal.kinematics.configurations import inverse
 from pincal.model.checks import ALIKE, EXACT, number_of
 from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism

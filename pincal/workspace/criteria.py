@@ -18,8 +18,8 @@ from pincal.kinematics.batches import chunks
 from pincal.kinematics.closed_forms import closed_form
 from pincal.kinematics.closing import ClosedLegs, by_leg, close_legs, in_home_modes
 from pincal.kinematics.closure import nominal_legs
+from pincal.kinematics.configurations import beyond_limits
 from pincal.kinematics.derivatives import nearest_closure
-from pincal.kinematics.inverse import beyond_limits
 from pincal.kinematics.singularity import (
     drive_margins,
     home_determinant,

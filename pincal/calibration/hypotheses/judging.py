@@ -27,8 +27,8 @@ from pincal.estimation.system import LOSSES, NormalEquations, System
 from pincal.estimation.unknowns import External, State, unknowns
 from pincal.kinematics.closing import home_mode, mode_sign
 from pincal.kinematics.closure import LegClosure, largest_size
+from pincal.kinematics.configurations import inverse
 from pincal.kinematics.forward import forward
-from pincal.kinematics.inverse import inverse
 from pincal.kinematics.singularity import margins
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism

@@ -41,6 +41,8 @@ class Score:
     """``"angle"``, ``"pose"``, ``"order"``, ``"approach"``, ``"step"`` or ``"again"``."""
     p_value: float
     """Of so much of the residuals, or more, in this term; of a step, anywhere."""
+    share: float
+    """Of χ², that the term takes up."""
     row: int = 0
     """Of a step: the first row after it, among those of the fit."""
     size: float = 0.0
@@ -103,26 +105,29 @@ def scores(fit: Fit, repeated: Mapping[str, Index] | None = None) -> list[Score]
     chances = residuals.chances([rows for *_, rows in tests]).tolist()
     results, kinds = [], _of_kinds(fit, errors)
     for (quantity, term, course), chance in zip(tests, chances, strict=True):
-        alike = 0.0
+        share = alike = 0.0
+        if chance < FALSE_ALARM:
+            share = residuals.amplitudes(course).inside / residuals.chi2
         if term == "order" and chance < FALSE_ALARM:
             of_kind = kinds[_kind(fit, quantity)] if quantity in errors else course
             alike = residuals.alike_after(course, of_kind)
-        results.append(Score(quantity, term, chance, alike=alike))
+        results.append(Score(quantity, term, chance, share, alike=alike))
     for name, error in errors.items():
         row, step = residuals.step(error)
         alike, size = 0.0, -float(step.values[0])
         if step.p_value < FALSE_ALARM:
             after = error * (used >= row)[:, None, None]
             alike = residuals.alike_after(after, kinds[_kind(fit, name)])
-        results.append(Score(name, "step", step.p_value, row, size, alike=alike))
+        share = step.inside / residuals.chi2
+        results.append(Score(name, "step", step.p_value, share, row, size, alike=alike))
         for place, rows in (repeated or {}).items():
             at_place, since = np.isin(used, rows), np.zeros((len(used), 1, 1))
             if at_place.sum() > 1:  # the time about its mean, 1 from first to last
                 times = used[at_place]
                 since[at_place, 0, 0] = (times - times.mean()) / np.ptp(times)
             drift = residuals.amplitudes(error * since)
-            size = -float(drift.values[0])
-            results.append(Score(name, "again", drift.p_value, size=size, place=place))
+            share, size = drift.inside / residuals.chi2, -float(drift.values[0])
+            results.append(Score(name, "again", drift.p_value, share, size=size, place=place))
     return results
 
 

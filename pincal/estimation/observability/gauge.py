@@ -179,7 +179,12 @@ def find_gauge(
     if n_still:
         groups = identifiability(gain.reshape(-1, n_legs), unknowns.labels[:n_legs]).groups
         findings.append(finding("redundant-parameters", count=n_still, groups=groups))
-    nearest = (directions @ T.T * _weights(mechanism, problem)) @ T
+    # how much the square of each unknown's change counts: frames not, targets hardly
+    outside, of_legs = problem.observation.external, plausible_changes(mechanism)
+    scales = np.array([size if unit == "m" else 1.0 for unit in outside.units])
+    counts = [0.0 if name.startswith("tracker.") else _TARGETS for name in outside.names]
+    weights = np.concatenate((1.0 / of_legs**2, np.array(counts) / (DIFFER * scales) ** 2))
+    nearest = (directions @ T.T * weights) @ T
     return Gauge(nearest, tuple(findings), moved if findings else None, frames)
 
 
@@ -215,15 +220,6 @@ def _scale_gains(mechanism: Mechanism, lost: Array) -> tuple[str, ...]:
         if np.linalg.norm(grown - Q @ (Q.T @ grown)) < NEGLIGIBLE * np.linalg.norm(grown):
             return tuple(dict.fromkeys(p.name for p in parameters if p.unit == "1"))
     return ()
-
-
-def _weights(mechanism: Mechanism, problem: Problem) -> Array:
-    """Return how much the square of each unknown's change counts: frames not, targets hardly."""
-    outside, legs = problem.observation.external, plausible_changes(mechanism)
-    length = DIFFER * largest_size(mechanism.legs)
-    scales = np.array([length if unit == "m" else DIFFER for unit in outside.units])
-    counts = [0.0 if name.startswith("tracker.") else _TARGETS for name in outside.names]
-    return np.concatenate((1.0 / legs**2, np.array(counts) / scales**2))
 
 
 def _freedoms(

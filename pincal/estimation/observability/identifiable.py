@@ -37,8 +37,8 @@ _WEAKLY = 3.0  # times better that one would be known with the other: correlatio
 
 def check_rank(
     problem: Problem, unknowns: Unknowns, linear: Linear, *, ended: bool = False
-) -> list[tuple[int, float]]:
-    """Return rank and condition of each leg's part of the whitened Jacobian.
+) -> None:
+    """Raise if rows leave some free unknown undetermined.
 
     What is not determined where a search ``ended`` was so where it began: it ran away.
 
@@ -51,8 +51,7 @@ def check_rank(
             f"{', '.join(leg.name for leg in problem.legs)}: a residual or its derivative is not "
             "finite at some measured pose; a leg may be folded or stretched there"
         )
-    J = linear.triangle
-    total = identifiability(unknowns.free_rows(J), unknowns.free_labels)
+    total = identifiability(unknowns.free_rows(linear.triangle), unknowns.free_labels)
     if not total.complete:
         raise ObservabilityError(
             "the search ran away: the measurements determine the parameters at their nominal "
@@ -65,9 +64,6 @@ def check_rank(
             "one of them, make it a constant in mechanism.yaml, or hold it as near to nominal as "
             "can be (leave out --strict; leave out --method per-leg)"
         )
-    pairs = zip(problem.legs, problem.leg_block.columns, strict=True)
-    by_leg = [identifiability(J[:, columns], leg.parameter_names) for leg, columns in pairs]
-    return [(leg.rank, leg.condition) for leg in by_leg]
 
 
 def check_information(
@@ -144,14 +140,14 @@ def hold_unobservable(
 ) -> HeldUnknowns:
     """Return the unknowns, gauge freedoms held, less what the measurements leave unobservable.
 
-    Of all parameters that fit as well, those nearest to the nominal ones, each change measured by
-    what it alone would do to the measurements; then, where noise determines them less than
-    ``least`` times better than machines differ, by how much these differ.
+    Poses are unknowns. Of all parameters that fit as well, those nearest to the nominal ones, each
+    change measured by what it alone would do to the measurements; then, where noise determines them
+    less than ``least`` times better than machines differ, by how much these differ.
 
     Raises:
         ObservabilityError: no measured pose is one that the legs reach.
     """
-    J = _at_start(mechanism, problem, unknowns)
+    J = jacobian_near(mechanism, problem, unknowns, generic=False)[1]
     if not len(J):
         raise ObservabilityError(
             "the nominal legs reach none of the measured poses, so that nothing is determined; "
@@ -159,7 +155,14 @@ def hold_unobservable(
         )
     lost, lengths = lost_directions(J)
     held = unknowns.held(lost * lengths) if len(lost) else unknowns
-    axes, information, scale, plausible = _determined(mechanism, problem, held)
+    # how many times better than machines differ noise determines the rest, the best first
+    size, outside = largest_size(mechanism.legs), problem.observation.external.units
+    differ = [size if unit == "m" else 1.0 for unit in outside]
+    plausible = np.concatenate((plausible_changes(mechanism, problem.legs), differ))
+    scale = 1.0 / np.abs(held.map / plausible[:, None]).max(axis=0)
+    linear = problem.evaluate(poses_at_rest(problem, problem.start(held.start)))
+    rows = held.free_rows(linear.triangle) * scale
+    _, information, axes = np.linalg.svd(rows, full_matrices=True)
     weak = axes[int((information > least).sum()) :]
     weakest = information[information > least].min(initial=np.inf)
     moved = [(lost / lengths) @ unknowns.map.T, (weak * scale) @ held.map.T]
@@ -169,32 +172,6 @@ def hold_unobservable(
     names = taking_part(held.free_labels, weak) if len(weak) else ()
     held = held.held(weak / scale) if len(weak) else held
     return HeldUnknowns(held, directions, groups, names, least, float(weakest))
-
-
-def _at_start(mechanism: Mechanism, problem: Problem, unknowns: Unknowns) -> Array:
-    """Return the Jacobian in the free unknowns that says what is unobservable, shape (m, n)."""
-    if problem.latent:
-        return jacobian_near(mechanism, problem, unknowns, generic=False)[1]
-    return unknowns.free_rows(problem.evaluate(problem.start(unknowns.start)).jacobian)
-
-
-def _determined(
-    mechanism: Mechanism, problem: Problem, unknowns: Unknowns
-) -> tuple[Array, Array, Array, Array]:
-    """Return directions, and how many times better than machines differ noise determines them.
-
-    Rows in unknowns over their scale, the best determined first, shape (n_free, n_free); how well,
-    (min(m, n_free),); these scales, (n_free,); and by how much all unknowns may differ, (n,).
-    """
-    size, outside = largest_size(mechanism.legs), problem.observation.external.units
-    differ = [size if unit == "m" else 1.0 for unit in outside]
-    plausible = np.concatenate((plausible_changes(mechanism, problem.legs), differ))
-    state = problem.start(unknowns.start)
-    state = poses_at_rest(problem, state) if problem.latent else state
-    scale = 1.0 / np.abs(unknowns.map / plausible[:, None]).max(axis=0)
-    rows = unknowns.free_rows(problem.evaluate(state).jacobian) * scale
-    _, information, axes = np.linalg.svd(np.linalg.qr(rows, mode="r"), full_matrices=True)
-    return axes, information, scale, plausible
 
 
 @dataclass(frozen=True)
