@@ -58,18 +58,18 @@ def _folder(name_or_path: str | Path) -> Path:
     """Return the folder of a mechanism."""
     expected = "a mechanism's name or folder"
     folder = Path(must_be(name_or_path, (str, Path), expected, MechanismError))
-    name, others = str(name_or_path), bundled()
+    name, folders = str(name_or_path), bundled()
     if not is_folder(folder):
-        if name in others:
-            return others[name]
-        known = {mechanism.lower(): mechanism for mechanism in others}
+        if name in folders:
+            return folders[name]
+        known = {mechanism.lower(): mechanism for mechanism in folders}
         nearest = get_close_matches(name.lower(), known, 1)
         question = f"; did you mean {known[nearest[0]]!r}?" if nearest else ""
         raise FileError(
             f"no mechanism {name!r}: neither a folder nor one of the bundled "
-            f"ones ({', '.join(others) or 'none found'}){question}"
+            f"ones ({', '.join(folders) or 'none found'}){question}"
         )
-    if name in others and not folder.samefile(others[name]):
+    if name in folders and not folder.samefile(folders[name]):
         _log.info("%s: the folder here, not the bundled mechanism of that name", name)
     if (folder / "result.json").is_file() and (folder / "mechanism").is_dir():
         return folder / "mechanism"  # a result of 'pincal calibrate'

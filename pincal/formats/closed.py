@@ -116,8 +116,8 @@ def _outside_limits(leg: Leg) -> Iterator[str]:
     """Yield which joints of a leg close the loops outside their limits, as sentences."""
     for joint in leg.moving:
         if joint.limited and not joint.lower <= joint.home <= joint.upper:
-            at = f"{joint.home:.6g}, outside its limits"
-            yield f"{leg.name}: {joint.name!r} closes the loops at {at}"
+            place = f"{joint.home:.6g}, outside its limits"
+            yield f"{leg.name}: {joint.name!r} closes the loops at {place}"
 
 
 def _closed(tree: Tree, legs: list[Leg], platform: Platform) -> tuple[tuple[Leg, ...], Platform]:

@@ -21,6 +21,7 @@ from pincal.model.leg import Joint
 from pincal.model.placement import Placement
 from pincal.types import Array
 
+_IN_EACH_LEG = ([0, 3], [0, 4], [1, 3], [1, 4])  # drives among five joints of a loop
 Limb: TypeAlias = tuple[tuple[Joint, ...], Joint | None]
 """Joints of a leg, and the point of the platform that it closes, if it is no frame."""
 
@@ -229,9 +230,9 @@ def point_platform(
     limbs: list[Limb] = []
     names, middle = [edge.joint.name for edge, _ in path], path[len(path) // 2][0]
     drives = [name for name in names if name in driven]
-    turns = middle.joint.kind != "prismatic"
-    one_each = len(drives) == 2 and drives[0] in names[:2] and drives[1] in names[3:]
-    if not (len(path) == 5 and turns and one_each):
+    places = list(map(names.index, drives))
+    slides = middle.joint.kind == "prismatic"
+    if len(path) != 5 or slides or places not in _IN_EACH_LEG:
         raise MechanismError(
             f"one loop of {len(path)} joints ({', '.join(names)}; driven: "
             f"{', '.join(drives) or 'none'}) has no platform that can be recognised; name it with "
