@@ -39,9 +39,7 @@ _TILTED = 1e-3  # tilt [rad] of a platform that is not upright
 _CONTRADICTS = 0.03  # share of the mechanism's size, median over rows: nothing is identified
 _TURNS = 50  # turns of frame and offsets, at most
 _STILL = 1e-6  # share of the poses' extent below which offsets no longer move
-_MISFIT = 0.05  # share of the measured points' extent from which a mirror is suspected
-_MIRRORED = 0.2  # share of the misfit that is left if the mirror image explains it
-_REFUSED = 0.3  # share of the extent from which nothing is identified
+_MISFIT = 0.05  # share of the measured points' extent, up to which a row agrees with most
 _GROSS = 10.0  # times the usual miss from which a row says nothing of frame and target
 
 
@@ -53,7 +51,7 @@ def align_start(
     Parameters are the nominal ones of all legs, shape (n_params,).
 
     Raises:
-        MeasurementError: frames that cannot be aligned, or only mirrored.
+        MeasurementError: frames that cannot be aligned.
     """
     observation, platform = problem.observation, problem.platform
     external, outside = observation.external.start, observation.external
@@ -228,12 +226,7 @@ def check_start(problem: Problem, state: State) -> None:
 
 
 def aligned(
-    problem: Problem,
-    data: Measurements,
-    state: State,
-    reached: Mask,
-    *,
-    however_far: bool = False,
+    problem: Problem, data: Measurements, state: State, reached: Mask
 ) -> tuple[External, Mask]:
     """Return the external unknowns that take the targets to where they were measured.
 
@@ -245,13 +238,12 @@ def aligned(
         data: The measurements.
         state: The nominal machine, poses where its readings put it.
         reached: Which poses the readings give, shape (N,).
-        however_far: Whether points may miss each other by much, or look mirrored.
 
     Returns:
         Also which rows agree with the others on them, shape (N,).
 
     Raises:
-        MeasurementError: frames that cannot be aligned, or only mirrored.
+        MeasurementError: frames that cannot be aligned.
     """
     observation, platform = problem.observation, problem.platform
     targets = observation.setup.targets
@@ -264,9 +256,7 @@ def aligned(
         missed = _in_turn(problem, state, measured, weights, absolute=True)[-1]
         usual = float(np.median(missed[known]))
         agreeing = known & (missed <= max(_GROSS * usual, _MISFIT * extent))
-    frame, offsets, points, _ = _in_turn(problem, state, measured, agreeing.astype(float))
-    if observation.setup.unknown_frame and not however_far:
-        _check_frame(points[agreeing], measured[agreeing], frame, platform)
+    frame, offsets, _ = _in_turn(problem, state, measured, agreeing.astype(float))
     turn, turns = state.external.turn, observation.orientations
     turned = reached & np.isfinite(turns).all(axis=(1, 2))
     if observation.external.turned and turned.any():
@@ -281,8 +271,8 @@ def aligned(
 
 def _in_turn(
     problem: Problem, state: State, measured: Array, weights: Array, *, absolute: bool = False
-) -> tuple[Array, Array, Array, Array]:
-    """Return frame (4, 4), offsets (n_targets, 3), targets' places and misses (n_targets, N) [m].
+) -> tuple[Array, Array, Array]:
+    """Return frame (4, 4), offsets (n_targets, 3) and misses (n_targets, N), [m].
 
     Weights are of squares, 0 where a target was not measured, shape (n_targets, N); or, where
     absolute distances are summed, those with which that begins.
@@ -310,7 +300,7 @@ def _in_turn(
             weights = np.where(known, usual / np.maximum(missed, usual), 0.0)
         elif np.abs(offsets - before).max(initial=0.0) <= still:
             break
-    return frame, offsets, points, missed
+    return frame, offsets, missed
 
 
 def _kabsch(nominal: Array, measured: Array, weights: Array, platform: Platform) -> Array:
@@ -334,35 +324,9 @@ def _kabsch(nominal: Array, measured: Array, weights: Array, platform: Platform)
     middles = [np.average(points, axis=0, weights=weights) for points in (nominal, measured)]
     frame = np.eye(4)
     a, b = nominal - middles[0], measured - middles[1]
-    frame[:3, :3] = _rotation(a * weights[:, None], b, least)
+    U, _, Vt = np.linalg.svd((a * weights[:, None])[:, :least].T @ b[:, :least])
+    sign = np.ones(least)
+    sign[-1] = np.linalg.det(U @ Vt)
+    frame[:least, :least] = (Vt.T * sign) @ U.T
     frame[:3, 3] = middles[1] - frame[:3, :3] @ middles[0]
     return frame
-
-
-def _check_frame(nominal: Array, measured: Array, frame: Array, platform: Platform) -> None:
-    """Raise if points do not fit after the best alignment, or mirrored only."""
-    a, b = nominal - nominal.mean(axis=0), measured - measured.mean(axis=0)
-    mirror = _rotation(a, b, platform.space, mirrored=True)
-    offs = (b, a @ frame[:3, :3].T - b, a @ mirror.T - b)
-    extent, misfit, reflected = (float(np.sqrt((off**2).sum(axis=1).mean())) for off in offs)
-    if misfit > _MISFIT * extent and reflected < _MIRRORED * misfit:
-        raise MeasurementError(
-            "the positions look mirrored: in a right-handed frame they miss the nominal machine's "
-            f"by {amount(misfit, 'm')} (rms), with one axis reversed by {amount(reflected, 'm')}. "
-            "Check the signs and the order of the tracker's axes"
-        )
-    if misfit > _REFUSED * extent:
-        raise MeasurementError(
-            f"the measured positions miss the nominal machine's by {amount(misfit, 'm')} (rms) "
-            f"after the best alignment, {100 * misfit / extent:.0f} % of their extent. Check the "
-            "units, the order and signs of the readings, and that this is the right mechanism"
-        )
-
-
-def _rotation(a: Array, b: Array, space: int, *, mirrored: bool = False) -> Array:
-    """Return the rotation, or reflection, that best takes points a to b, shape (3, 3)."""
-    U, _, Vt = np.linalg.svd(a[:, :space].T @ b[:, :space])
-    R, sign = np.eye(3), np.ones(space)
-    sign[-1] = np.linalg.det(U @ Vt) * (-1.0 if mirrored else 1.0)
-    R[:space, :space] = (Vt.T * sign) @ U.T
-    return R

@@ -286,7 +286,7 @@ def _aligned(calibration: Calibration, reached: Array, good: Mask) -> Array:
     if not good.any():
         return unknown
     try:
-        external, _ = aligned(problem, data, start, good, however_far=True)
+        external, _ = aligned(problem, data, start, good)
     except MeasurementError:
         return unknown
     oriented = np.isfinite(data.poses).all(axis=1)

@@ -102,7 +102,7 @@ def scores(fit: Fit, repeated: Mapping[str, Index] | None = None) -> list[Score]
     ]
     if len(axes) > 1:
         tests.append((FRAME, "order", moved * time[:, None]))
-    chances = residuals.chances([rows for *_, rows in tests]).tolist()
+    chances = residuals.chances([rows for *_, rows in tests])
     results, kinds = [], _of_kinds(fit, errors)
     for (quantity, term, course), chance in zip(tests, chances, strict=True):
         share = alike = 0.0

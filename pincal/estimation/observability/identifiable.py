@@ -76,8 +76,24 @@ def check_information(
     Raises:
         ObservabilityError: there is one; the message names the parameters that take part.
     """
-    for linear in places:
-        by_noise = _by_noise_only(problem, unknowns, linear, scale)
+    roots = problem.leg_block.pose_roots
+    for linear in places:  # poses are drawn from what is not known about them
+        rng, white = np.random.default_rng(0), linear.white
+        if roots is None:
+            W = white.by_noise
+            draws = rng.standard_normal((len(W), W.shape[2], 1))
+            unseen = draws - W.transpose(0, 2, 1) @ (W @ draws)  # what white rows do not see
+            twists = white.poses_by(white.noise @ unseen)
+        else:
+            twists = roots @ rng.standard_normal((*roots.shape[:2], 1))
+        matrices = problem.platform.displaced(linear.state.matrices, twists[:, :, 0])
+        drawn = problem.evaluate(replace(linear.state, matrices=matrices)).noise_by_parameter
+        difference = (drawn - linear.noise_by_parameter) @ unknowns.map
+        rows = unknowns.free_rows(linear.triangle)  # that of the rows here: W Wᵀ = 1
+        lengths = np.linalg.norm(rows, axis=0)
+        _, information, directions = np.linalg.svd(rows / lengths, full_matrices=False)
+        made = scale * np.linalg.norm(difference / lengths @ directions.T, axis=(0, 1))
+        by_noise = directions[information < _CLEARLY * made]
         if not len(by_noise):
             return
     raise ObservabilityError(
@@ -85,29 +101,6 @@ def check_information(
         "their noise only. Measure poses that differ more (in orientation above all), or fix one "
         "of these parameters, or make it a constant in mechanism.yaml"
     )
-
-
-def _by_noise_only(problem: Problem, unknowns: Unknowns, linear: Linear, scale: float) -> Array:
-    """Return directions in parameter space that noise observes as well as poses, shape (k, n).
-
-    Poses are drawn from what is not known about them.
-    """
-    rng, roots, white = np.random.default_rng(0), problem.leg_block.pose_roots, linear.white
-    if roots is None:
-        W = white.by_noise
-        draws = rng.standard_normal((len(W), W.shape[2], 1))
-        unseen = draws - W.transpose(0, 2, 1) @ (W @ draws)  # what white rows do not see
-        twists = white.poses_by(white.noise @ unseen)
-    else:
-        twists = roots @ rng.standard_normal((*roots.shape[:2], 1))
-    matrices = problem.platform.displaced(linear.state.matrices, twists[:, :, 0])
-    drawn = problem.evaluate(replace(linear.state, matrices=matrices)).noise_by_parameter
-    difference = (drawn - linear.noise_by_parameter) @ unknowns.map
-    rows = unknowns.free_rows(linear.triangle)  # that of the rows here: W Wᵀ = 1
-    lengths = np.linalg.norm(rows, axis=0)
-    _, information, directions = np.linalg.svd(rows / lengths, full_matrices=False)
-    made = scale * np.linalg.norm(difference / lengths @ directions.T, axis=(0, 1))
-    return np.asarray(directions[information < _CLEARLY * made])
 
 
 def taking_part(names: Sequence[str], directions: Array) -> tuple[str, ...]:

@@ -236,61 +236,50 @@ class Residuals:
         answer = self.amplitudes(W * (self.used >= row)[:, None, None])
         return row, replace(answer, p_value=min(1.0, answer.p_value * len(places)))
 
-    def chances(self, errors: Sequence[Array]) -> Array:
+    def chances(self, errors: Sequence[Array]) -> list[float]:
         """Return the probability of so much along errors, or more; 1 if nothing of them is seen.
 
         Of each white rows W, shape (n_used, m, f), whose amplitudes are as large as each other.
         """
-        sums = [(np.linalg.eigvalsh(parts[0]), *parts[1:]) for parts in map(self.projected, errors)]
-        chances = np.ones(len(sums))
-        known = [
-            place
-            for place, (weights, _, squares) in enumerate(sums)
-            if weights[-1] > NEGLIGIBLE**2 * squares.sum() > 0.0
-            if len(weights) < self.degrees_of_freedom
-        ]
-        if known and self.chi2 > 0.0:
-            weights = np.zeros((len(known), max(len(sums[place][0]) for place in known)))
-            shares = np.zeros(len(known))
-            for row, place in enumerate(known):
-                eigenvalues, along, _ = sums[place]
-                weights[row, : len(eigenvalues)] = eigenvalues.clip(0.0) / eigenvalues[-1]
-                shares[row] = along @ along / eigenvalues[-1] / self.chi2
-            chances[known] = above(weights, shares.clip(0.0, 1.0), self.degrees_of_freedom)
+        chances = []
+        for information, along, squares in map(self.projected, errors):
+            weights, chance = np.linalg.eigvalsh(information), 1.0
+            seen = weights[-1] > NEGLIGIBLE**2 * squares.sum() > 0.0 and self.chi2 > 0.0
+            if seen and len(weights) < self.degrees_of_freedom:
+                share = float(along @ along) / weights[-1] / self.chi2
+                relative = weights.clip(0.0) / weights[-1]
+                chance = above(relative, share, self.degrees_of_freedom)
+            chances.append(chance)
         return chances
 
 
 _HALVINGS = int(np.ceil(-np.log2(ROUNDING)))  # of the interval in which a saddle point lies
 
 
-def above(weights: Array, shares: Array, degrees_of_freedom: int) -> Array:
+def above(weights: Array, share: float, degrees_of_freedom: int) -> float:
     """Return the probability that a weighted sum of squares is above a share of all squares.
 
     Σ λᵢ zᵢ² > t Σ zⱼ² of independent normal numbers z, i to k and j to all degrees of freedom, by
-    the saddle point (R. Lugannani and S. Rice 1980). Weights λ, shape (M, k), are 0 to 1 with a 1
-    among them, shares t, shape (M,), are 0 to 1.
+    the saddle point (R. Lugannani and S. Rice 1980). Weights λ, shape (k,), are 0 to 1 with a 1
+    among them, the share t is 0 to 1.
     """
-    n_other = degrees_of_freedom - weights.shape[1]
-    single = (weights > RANK_TOLERANCE).sum(axis=1) == 1
-    t = np.clip(shares, RANK_TOLERANCE, 1.0 - RANK_TOLERANCE)[:, None]
-    c = np.concatenate((weights - t, -t), axis=1)
-    count = np.append(np.ones(weights.shape[1]), n_other)
+    t = float(np.clip(share, RANK_TOLERANCE, 1.0 - RANK_TOLERANCE))
+    if (weights > RANK_TOLERANCE).sum() == 1:  # exact of one square
+        free = degrees_of_freedom - 1
+        return float(fdtrc(1, free, free * t / (1.0 - t)))
+    c = np.append(weights - t, -t)
+    count = np.append(np.ones(len(weights)), degrees_of_freedom - len(weights))
     low, high = -0.5 / t, 0.5 / (1.0 - t)
     for _ in range(_HALVINGS):
         saddle = 0.5 * (low + high)
-        rising = (count * c / (1.0 - 2.0 * saddle * c)).sum(axis=1, keepdims=True) > 0.0
-        low, high = np.where(rising, low, saddle), np.where(rising, saddle, high)
+        rising = (count * c / (1.0 - 2.0 * saddle * c)).sum() > 0.0
+        low, high = (low, saddle) if rising else (saddle, high)
     saddle = 0.5 * (low + high)
     factors = 1.0 - 2.0 * saddle * c
-    K = -0.5 * (count * np.log(factors)).sum(axis=1)
-    bend = 2.0 * (count * (c / factors) ** 2).sum(axis=1)
-    w, v = np.sign(saddle[:, 0]) * np.sqrt((-2.0 * K).clip(0.0)), saddle[:, 0] * np.sqrt(bend)
-    flat = np.abs(w) < UNLIKELY  # so near to the mean it is a half
-    w, v = np.where(flat, 1.0, w), np.where(flat, 1.0, v)
-    tail = np.where(flat, 0.5, ndtr(-(w + np.log(v / w) / w)))
-    free = degrees_of_freedom - 1
-    exact = fdtrc(1, free, free * t[:, 0] / (1.0 - t[:, 0]))  # of one square
-    return np.where(single, exact, tail)
+    K = -0.5 * float(count @ np.log(factors))
+    w = float(np.sign(saddle)) * np.sqrt(max(-2.0 * K, 0.0))
+    v = saddle * np.sqrt(2.0 * float(count @ (c / factors) ** 2))
+    return 0.5 if abs(w) < UNLIKELY else float(ndtr(-(w + np.log(v / w) / w)))  # 0.5 at the mean
 
 
 def together(p_values: Array, weights: Array) -> float:
