@@ -9,9 +9,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import pincal
+from pincal import Options
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.hypotheses.plausibility import implausible, said
-from pincal.calibration.options import Options
 from pincal.calibration.validation import Validation
 from pincal.design.simulate import platform_errors
 

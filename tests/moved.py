@@ -8,8 +8,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import pincal
-from pincal.model.placement import Coordinate, Placement
-from pincal.symmetry.elements import Element, isometry
+from pincal import Element, Placement
+from pincal.model.placement import Coordinate
+from pincal.symmetry.elements import isometry
 
 AXES = ("x", "y", "z", "rz", "ry", "rx")
 

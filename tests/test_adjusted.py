@@ -7,9 +7,9 @@ import pytest
 from measured import machine, workspace
 
 import pincal
+from pincal import Options
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.fits import fitted
-from pincal.calibration.options import Options
 from pincal.estimation.solver import adjusted
 
 NOISE = pincal.Noise(1e-4, 1e-4, 1e-3)

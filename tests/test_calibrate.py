@@ -16,10 +16,10 @@ from measured import shaken, workspace
 from scipy.optimize import least_squares
 
 import pincal
+from pincal import sample_workspace
 from pincal.calibration.result_files import read_result
 from pincal.model.measurements import EVERY_LEG
 from pincal.workspace.criteria import in_workspace
-from pincal.workspace.sampling import sample_workspace
 from studies import three_rrr_errors
 from studies.trials import Way, machines
 

@@ -10,9 +10,9 @@ from arms import loaded
 from scipy.spatial.transform import Rotation
 
 import pincal
+from pincal import Load
 from pincal.calibration.terms.candidates import with_terms
 from pincal.calibration.terms.kinds import Kind
-from pincal.model.terms import Load
 
 COMPLIANCE = 1e-6
 """Of joints 2 and 3, [rad/(N m)]."""

@@ -13,9 +13,9 @@ from command_line import run
 from measured import put
 
 import pincal
+from pincal import free_of_collision
 from pincal.design.forecast import information_rows
 from pincal.kinematics.closure import LegClosure
-from pincal.kinematics.collision import free_of_collision
 from pincal.kinematics.configurations import joints_at, legs_at
 
 NOISE = pincal.Noise(1e-4, 1e-4, 0.0)

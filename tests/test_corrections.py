@@ -19,12 +19,17 @@ from test_deformations import at_row, machine_of, plan_of
 from test_terms import FORMS, extended, truth_of
 
 import pincal
-from pincal.errors import MeasurementError, MechanismError, WorkspaceError
-from pincal.formats.corrections import Corrections
+from pincal import (
+    Corrections,
+    MeasurementError,
+    MechanismError,
+    WorkspaceError,
+    sample_configurations,
+)
 from pincal.kinematics.closing import sensor_law
 from pincal.kinematics.closure import nominal_legs
 from pincal.workspace.criteria import in_workspace
-from pincal.workspace.sampling import grid_poses, sample_configurations
+from pincal.workspace.sampling import grid_poses
 
 
 def with_forms(mechanism: pincal.Mechanism, *forms: str) -> pincal.Mechanism:

@@ -14,21 +14,25 @@ from measured import validated, workspace
 from test_loads import energy, heavy
 
 import pincal
+from pincal import (
+    Joint,
+    Load,
+    MeasurementError,
+    MechanismError,
+    SymmetryError,
+    cyclic,
+    sample_workspace,
+)
 from pincal.calibration.calibrate import prepared, started
 from pincal.calibration.fits import fitted
 from pincal.calibration.terms.candidates import with_terms
 from pincal.calibration.terms.kinds import every_pair, parse_terms
 from pincal.calibration.terms.screen import screen
-from pincal.errors import MeasurementError, MechanismError, SymmetryError
 from pincal.estimation.unknowns import BlockRows, State
 from pincal.kinematics.configurations import planned_influences
 from pincal.kinematics.influences import gravity_loads
-from pincal.model.leg import Joint
 from pincal.model.placement import Coordinate
-from pincal.model.terms import Load
 from pincal.symmetry.carry import canonical, carry
-from pincal.symmetry.elements import cyclic
-from pincal.workspace.sampling import sample_workspace
 
 NONE = pincal.Noise(0.0, 0.0, 0.0)
 EXACT = pincal.Noise(1e-7, 1e-7, 1e-7)

@@ -18,7 +18,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 import pincal
-from pincal.workspace.sampling import sample_configurations
+from pincal import sample_configurations
 
 Text = Callable[[float], str]
 READINGS = np.array([[0.06, -0.04, 0.05], [-0.05, 0.03, 0.08]])

@@ -16,9 +16,9 @@ from measured import machine, seen_from_elsewhere
 from numpy.typing import NDArray
 
 import pincal
+from pincal import Options
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.hypotheses.doctor import remedies
-from pincal.calibration.options import Options
 from pincal.files.table import read_table
 
 Array = NDArray[np.float64]

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 import pincal
+from pincal import indices
 from pincal.design.forecast import leg_rows
 from pincal.design.optimal import continuous_design, exchange
-from pincal.estimation.observability.indices import identifiability, indices, r_diagonal
+from pincal.estimation.observability.indices import identifiability, r_diagonal
 from pincal.kinematics.configurations import leg_demands
 from pincal.workspace.criteria import in_workspace
 

@@ -20,7 +20,7 @@ from marks import quick
 from measured import workspace
 
 import pincal
-from pincal.errors import FileError
+from pincal import FileError
 from pincal.files.output import writing
 
 PINCAL = [sys.executable, "-W", "error", "-m", "pincal"]

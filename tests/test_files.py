@@ -20,7 +20,7 @@ from measured import workspace
 from neighbours import skeleton
 
 import pincal
-from pincal.errors import FileError, MechanismError, PincalError
+from pincal import FileError, MechanismError, PincalError
 from pincal.files import mechanism_folders
 from pincal.files.mechanism_folders import bundled
 from pincal.files.urdf_writing import leg_links, leg_urdf

@@ -11,7 +11,7 @@ from command_line import done, run
 from test_linear_delta import bed, drawn
 
 import pincal
-from pincal.errors import FileError, MechanismError
+from pincal import FileError, MechanismError
 from pincal.formats.delta_printer import DeltaPrinter, delta_printer
 from pincal.formats.firmware import read_klipper, read_reprap, write_klipper, write_reprap
 

@@ -9,9 +9,9 @@ from marks import quick
 from measured import workspace
 
 import pincal
+from pincal import Margins, sample_workspace
 from pincal.kinematics.batches import CHUNK
-from pincal.workspace.criteria import Margins, in_workspace
-from pincal.workspace.sampling import sample_workspace
+from pincal.workspace.criteria import in_workspace
 
 
 def test_forward_undoes_inverse(

@@ -22,8 +22,8 @@ from neighbours import MJCF
 from test_formats import CONFIG
 
 import pincal
+from pincal import PincalError
 from pincal.calibration import result_files
-from pincal.errors import PincalError
 from pincal.files import measurements
 from pincal.files.columns import reading_columns
 from pincal.files.mechanism_folders import bundled

@@ -15,11 +15,10 @@ from moved import box, cable_box, moved, random_motion
 from scipy.spatial.transform import Rotation
 
 import pincal
-from pincal.estimation.observability.indices import indices
+from pincal import Element, indices
 from pincal.model.placement import placement_of
 from pincal.symmetry.carry import carry
 from pincal.symmetry.elements import (
-    Element,
     exact,
     group_name,
     isometry,

@@ -14,8 +14,8 @@ import pytest
 from test_formats import CONFIG, config_file
 
 import pincal
+from pincal import FileError, MeasurementError, MechanismError, PincalError
 from pincal.calibration.result_files import read_result
-from pincal.errors import FileError, MeasurementError, MechanismError, PincalError
 from pincal.files.mechanism_folders import bundled, mechanism_files
 from pincal.files.table import read_table
 from pincal.files.text import LARGEST_FILE

@@ -13,10 +13,10 @@ from measured import seen_from_elsewhere, workspace
 from scipy.spatial.transform import Rotation
 
 import pincal
+from pincal import Load
 from pincal.calibration.calibrate import prepared, started
 from pincal.kinematics.configurations import home_of
 from pincal.kinematics.influences import gravity_loads
-from pincal.model.terms import Load
 
 PAYLOAD = Load(5.0, (0.02, 0.01, 0.07), (0.3, -1.0, -9.81))
 

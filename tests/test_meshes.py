@@ -11,7 +11,7 @@ from arms import ARMS, loaded, robot, urdf
 from command_line import run
 
 import pincal
-from pincal.kinematics.collision import free_of_collision
+from pincal import free_of_collision
 from pincal.show.view.meshes import MOST_FACES, coarsen
 
 ARM = """

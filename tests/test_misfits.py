@@ -12,10 +12,10 @@ from marks import quick
 from measured import check_plausible, machine, put, seen_from_elsewhere
 
 import pincal
+from pincal import Options
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.findings import misaligned
 from pincal.calibration.hypotheses.plausibility import explain_misfit, said
-from pincal.calibration.options import Options
 from pincal.estimation.observability.indices import DIFFER, plausible_changes
 from pincal.show.misses import errors_at
 
@@ -97,11 +97,11 @@ ANYWHERE: list[tuple[str, Change, str, str]] = [
 
 
 def _marks(kind: str, code: str, free: bool) -> list[pytest.MarkDecorator]:
-    """Return the mark of slow cases: hexapods, and unknown frames; of both all but one with fuzz.
+    """Return the mark of slow cases: hexapods, and unknown frames of the 3-RRR.
 
-    Hexapods in unknown frames take longest, and have no fault of their own.
+    Others in unknown frames have no fault of their own: all but two are tried with -m fuzz.
     """
-    if kind == "6UPS" and free and code != "legs-exchanged":
+    if free and (kind, code) not in {("6UPS", "legs-exchanged"), ("5R", "unit")} and kind != "3RRR":
         return [pytest.mark.fuzz]
     quick = {"5R": ("reading-offset", False), "3RRR": ("rows-shifted", False), "6UPS": ("", False)}
     slow = (code, free) != quick[kind]

@@ -14,7 +14,7 @@ from command_line import done
 from scipy.spatial.transform import Rotation
 
 import pincal
-from pincal.errors import MeasurementError, MechanismError
+from pincal import MeasurementError, MechanismError
 from pincal.files.columns import reading_columns, write_plan
 from pincal.files.measurements import read_measurements, read_poses, read_readings
 from pincal.files.mechanism_folders import as_mechanism, bundled

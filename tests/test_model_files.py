@@ -18,8 +18,8 @@ from command_line import done, run
 from marks import quick
 
 import pincal
-from pincal.errors import MechanismError
-from pincal.files.mechanism_folders import load_mechanism, save_mechanism
+from pincal import MechanismError, load_mechanism
+from pincal.files.mechanism_folders import save_mechanism
 from pincal.files.urdf import read_urdf
 from pincal.formats.arm import serial_arm
 from pincal.formats.mjcf import read_mjcf

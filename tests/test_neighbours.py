@@ -29,6 +29,7 @@ from neighbours import (
 from scipy.spatial.transform import Rotation
 
 import pincal
+from pincal import Leg
 from pincal.formats.arm import serial_arm
 from pincal.formats.closed import closed_mechanism
 from pincal.formats.mjcf import mjcf, read_mjcf, unwritten
@@ -37,7 +38,6 @@ from pincal.kinematics.assembly import independent
 from pincal.kinematics.batches import cross
 from pincal.kinematics.closed_forms import closed_form
 from pincal.kinematics.closure import LegClosure
-from pincal.model.leg import Leg
 from pincal.model.placement import Coordinate
 
 FAMILIES = ("5R", "3RRR", "6UPS", "3RPS", "linear_delta", "4cable")

@@ -14,11 +14,11 @@ from measured import machine
 from scipy.spatial.transform import Rotation
 
 import pincal
+from pincal import compute_workspace
 from pincal.show.tables import outside_table, parameters_table
 from pincal.show.workspaces import workspace_figure
 from pincal.workspace.axes import Axis
 from pincal.workspace.grid import default_grid
-from pincal.workspace.region import compute_workspace
 
 NOISE = pincal.Noise(1e-4, 1e-4, 1e-5)
 

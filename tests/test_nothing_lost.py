@@ -21,7 +21,7 @@ from command_line import done, run
 from marks import some_slow
 
 import pincal
-from pincal.errors import FileError
+from pincal import FileError
 from pincal.files.output import writing, writing_together
 
 MARKER = "result.json"

@@ -11,6 +11,7 @@ from measured import workspace
 from moved import moved, random_motion
 
 import pincal
+from pincal import indices
 from pincal.design.forecast import leg_rows
 from pincal.design.orbits import (
     carried_legs,
@@ -23,7 +24,6 @@ from pincal.design.orbits import (
     smallest,
 )
 from pincal.design.select import Search, SelectionOptions
-from pincal.estimation.observability.indices import indices
 from pincal.kinematics.configurations import leg_demands
 
 

@@ -400,10 +400,10 @@ def test_property(name: str, data: st.DataObject, tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", PROPERTIES)
 @given(data=st.data())
-@settings(max_examples=12, derandomize=True, database=None, deadline=None,
+@settings(max_examples=8, derandomize=True, database=None, deadline=None,
           suppress_health_check=_QUIET)  # fmt: skip
 def test_property_of_many(name: str, data: st.DataObject, tmp_path: Path) -> None:
-    """The property holds for a dozen mechanisms, the same ones in every run."""
+    """The property holds for eight mechanisms, the same ones in every run."""
     PROPERTIES[name](data.draw, tmp_path)
 
 

@@ -13,9 +13,9 @@ from marks import some_slow
 from measured import machine
 
 import pincal
+from pincal import Options
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.fits import fitted
-from pincal.calibration.options import Options
 from pincal.estimation.components import Moments, assumed_information
 from pincal.estimation.fit import Fit
 

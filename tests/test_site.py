@@ -111,7 +111,8 @@ def test_page_answers_what_it_says(
 ) -> None:
     """``python docs/answers.py`` makes the page that is there, but for digits; so do its files.
 
-    Its commands are run in this process, and draw no reports: these are tests/test_report.py's.
+    Its commands and programs are run in this process, and draw no reports: these are
+    tests/test_report.py's.
     """
 
     def answer(line: list[str], folder: Path) -> tuple[int, str]:
@@ -125,7 +126,23 @@ def test_page_answers_what_it_says(
             main(line[line.index("pincal") + 1 :])
         return int(left.value.code or 0), said.getvalue()
 
+    class Program:
+        """A page's Python, run here."""
+
+        def __init__(self, folder: Path) -> None:
+            self.folder, self.space = folder, {"__name__": "__main__"}
+
+        def answer(self, code: str) -> str:
+            said = io.StringIO()
+            with chdir(self.folder), redirect_stdout(said):
+                exec(compile(code, page.name, "exec"), self.space)
+            return said.getvalue()
+
+        def close(self) -> None:
+            self.space.clear()
+
     monkeypatch.setitem(ANSWERS["filled"].__globals__, "run", answer)
+    monkeypatch.setitem(ANSWERS["filled"].__globals__, "Program", Program)
     monkeypatch.setenv("NO_COLOR", "1")
     monkeypatch.setattr("pincal.show.report.Report.html", lambda _: "<html></html>\n")
     text = page.read_text(encoding="utf-8")

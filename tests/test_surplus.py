@@ -11,7 +11,7 @@ from measured import EXACT, shaken
 from numpy.typing import NDArray
 
 import pincal
-from pincal.design.forecast import forecast
+from pincal import forecast
 from pincal.files.columns import write_plan
 from pincal.files.measurements import read_poses
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from sheets import sheet
 
 import pincal
-from pincal.errors import FileError, MeasurementError, PincalError
+from pincal import FileError, MeasurementError, PincalError
 from pincal.files.columns import reading_columns
 from pincal.files.measurements import read_readings
 from pincal.files.table import read_table, write_table

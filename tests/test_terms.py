@@ -14,15 +14,14 @@ from command_line import done, run
 from measured import workspace
 
 import pincal
+from pincal import Load, MeasurementError, MechanismError
 from pincal.calibration.calibrate import prepared
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.terms.candidates import with_terms
 from pincal.calibration.terms.kinds import parse_terms
-from pincal.errors import MeasurementError, MechanismError
 from pincal.estimation.unknowns import BlockRows, State
 from pincal.kinematics.configurations import planned_influences
 from pincal.kinematics.influences import influences_of, sides
-from pincal.model.terms import Load
 
 EXACT = pincal.Noise(1e-7, 1e-7, 1e-7)
 FORMS = {

@@ -14,9 +14,10 @@ from scipy.signal import lfilter
 from scipy.stats import chi2, f
 
 import pincal
+from pincal import Options
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.fits import fitted
-from pincal.calibration.options import Options, folds_of
+from pincal.calibration.options import folds_of
 from pincal.calibration.validation import least_of_folds
 from pincal.show.answers import check_lines
 from pincal.words.findings import finding
