@@ -255,8 +255,9 @@ def _strange(case: Case, as_measured: Judged) -> tuple[Finding, ...]:
     if turned := _turns(case, as_measured):
         return turned
     for i, leg in legs:
-        left, stroke = as_measured.near(i), float(as_measured.stroke[i])
-        if left > max(_FOLLOWS * stroke, _STILL):
+        stroke = float(as_measured.stroke[i])
+        most = max(_FOLLOWS * stroke, _STILL)
+        if as_measured.gap[i] > most and (left := as_measured.near(i)) > most:  # near costs a fit
             return (finding("readings-do-not-follow", leg=leg.name, left=left, stroke=stroke),)
     return ()
 
