@@ -103,10 +103,7 @@ def _coordinates(entry: Entry | None, place: str) -> tuple[Coordinate, ...]:
     coordinates = []
     for item in entry.items() if entry else ():
         if len(pairs := item.pairs()) != 1:
-            raise MechanismError(
-                f"{place}: each entry is one coordinate, such as '- polar: [OA, beta]'; got "
-                f"{list(pairs)}"
-            )
+            item.refuse("a coordinate is expected, such as '- polar: [OA, beta]'")
         ((kind, values),) = pairs.items()
         parts = values.items() if isinstance(values.value, list) else [values]
         with located(place, MechanismError):
@@ -186,7 +183,8 @@ def _leg(entry: Entry, folder: Path, points: Mapping[str, Joint]) -> Leg:
     """Return a leg, of its keys and its URDF."""
     needed = ("name", "urdf", "tip", "platform_point", "home", "sensors", "parameters")
     keys = entry.keys((*needed, "placements"), ("closes", "terms"))
-    name, point_name = keys["name"].name(), keys["platform_point"].text()
+    name = keys["name"].name()
+    point, placements = points[keys["platform_point"].choice(*points)], keys["placements"].pairs()
     home = {joint: part.number() for joint, part in keys["home"].pairs().items()}
     parameters = keys["parameters"].pairs()
     for parameter in parameters:
@@ -196,12 +194,6 @@ def _leg(entry: Entry, folder: Path, points: Mapping[str, Joint]) -> Leg:
     sensors = tuple(_sensor(item, name) for item in keys["sensors"].items(least=1))
     path = inside(folder, keys["urdf"].text())
     chain = read_chain(path, keys["tip"].text())
-    if point_name not in points:
-        raise MechanismError(
-            f"{name}: the platform has no point {point_name!r}; its fixed frames are "
-            f"{', '.join(sorted(points)) or 'none'}"
-        )
-    point, placements = points[point_name], keys["placements"].pairs()
     named = (*placements, *home, *(sensor.joint for sensor in sensors))
     if fault := _joint_fault(named, home, (*chain, point), path.name):
         raise MechanismError(f"{name}: {fault}")

@@ -94,7 +94,7 @@ def read_text(
     pipe: bool = False,
     otherwise: str = "",
 ) -> str:
-    """Return a file's text without its byte order mark; line ends stay: see ``read_bytes``.
+    """Return a file's text, line ends as they are: see ``read_bytes``.
 
     Where nothing outside ASCII is UTF-8, ``otherwise`` is the encoding, and it is said.
     """
@@ -125,12 +125,8 @@ def lines_of(text: str) -> list[str]:
 
 
 def plain_number(text: str) -> float:
-    """Return the number that a text says, NaN if it says none.
-
-    Digits are ASCII and without gaps: other programs would take ``１`` or ``1_000`` for
-    something else than Python does.
-    """
-    bare = text.strip()
+    """Return the number that a text says in ASCII without gaps, NaN if it says none."""
+    bare = text.strip()  # other programs take ``１`` or ``1_000`` for something else than Python
     try:
         return float(bare) if bare.isascii() and "_" not in bare else nan
     except ValueError:

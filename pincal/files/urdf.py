@@ -147,12 +147,14 @@ def read_points(path: Path) -> dict[str, Joint]:
                 f"{path}: joint {edge.joint.name!r} sits on another frame; fix each platform "
                 "point to the platform's root link"
             )
-        for name in {edge.joint.name, edge.child}:
+        for name in dict.fromkeys((edge.joint.name, edge.child)):
             if name in points:
                 raise MechanismError(
                     f"{path}: {name!r} names two points; give each joint and link a name of its own"
                 )
             points[name] = edge.joint
+    if not points:
+        raise MechanismError(f"{path}: no frame is fixed to the platform's root link")
     return points
 
 

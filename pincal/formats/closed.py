@@ -37,9 +37,8 @@ _NUMBERS = 10  # along a leg, whose digits may be cut: two across each of five j
 def slack_of(text: str) -> float:
     """Return how far digits that an XML file does not write may have moved a leg's frames.
 
-    Half a unit in the last digit, of lengths over the largest or of directions, whichever is more,
-    times the numbers along a leg: of its size, and [rad]. Numbers of less than four digits are
-    taken as exact, but for right angles: 1.57 is cut.
+    Half a unit in the last digit, of its size and [rad], times the numbers along a leg; numbers of
+    less than four digits are exact, but for right angles: 1.57 is cut.
     """
     cut = 0.0
     for kinds in _WRITTEN:
@@ -309,10 +308,7 @@ def _leg_names(limbs: Sequence[Limb]) -> list[str]:
 
 
 def _stems(legs: Sequence[Leg]) -> list[list[str]]:
-    """Return for each leg what its moving joints' parameters begin with.
-
-    The joints' names less the leg's, if all legs have the same; else joint_1, joint_2, and so on.
-    """
+    """Return for each leg its joints' names less its own, if all are alike; else joint_1, …."""
     stems = []
     for leg in legs:
         bare = [joint.name.removeprefix(leg.name) for joint in leg.moving]

@@ -162,10 +162,9 @@ def write_klipper(printer: DeltaPrinter) -> str:
 
 
 def write_reprap(printer: DeltaPrinter) -> str:
-    """Return the lines M665 and M666 of a delta's parameters, to 1e-4 mm and 1e-4 degrees.
+    """Return the lines M665 and M666 of a delta, to 1e-4 mm and degrees; B stays as it is.
 
-    As the firmware does, the mean of the endstops is the homed height. The print radius B stays
-    as the printer has it.
+    As the firmware does, the mean of the endstops is the homed height.
     """
     endstops = np.array(printer.endstops) / _MM
     height = round(float(endstops.mean()), 4)

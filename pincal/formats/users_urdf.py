@@ -132,8 +132,7 @@ def _motors(named: Sequence[Entry], edges: Sequence[Edge], urdf: Path) -> tuple[
 def calibrated_urdf(original: str | Path, mechanism: Mechanism) -> bytes:
     """Return the bytes of a URDF with the origins of a calibrated mechanism's joints.
 
-    The URDF is that whose joints the mechanism has: of an arm, of a tree with loops, of one leg of
-    a mechanism folder (called so where other legs have joints of these names), or of its platform.
+    It has the joints of an arm, of a tree with loops, of a leg (by its name), or of the platform.
     """
     path = Path(original)
     urdf = {edge.joint.name: edge for edge in read_urdf(path).edges}
@@ -247,8 +246,7 @@ def _of_chain(path: Path, urdf: Edges, leg: Leg) -> dict[str, Array]:
 def _shift(urdf: Edges, leg: Leg) -> Array:
     """Return where the platform's frame is seen from the URDF's link at a leg's end, (4, 4).
 
-    It moves the frames there if the URDF has no joint for it: that of a tip, or what a platform
-    point was found to be off by.
+    What no joint of the URDF holds: a tip's place, or what a platform point was found off by.
     """
     last, shift = leg.joints[-1], np.eye(4)
     if leg.closes == "frame":
