@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import PolyCollection
+from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Patch
 from matplotlib.patheffects import withStroke
 
 from pincal.show.style import CARRIED, DOMAIN, EVERY, RASTER_FROM, look
-from pincal.types import Array, Index
-from pincal.workspace.grid import Grid
+from pincal.types import Array
 from pincal.workspace.inscribed import Inscribed
 from pincal.workspace.region import Workspace
 
@@ -72,13 +71,17 @@ def _draw_workspace(
 ) -> None:
     """Draw positions that count, at one height in space; the fundamental domain is darker."""
     grid, index = workspace.asked, np.flatnonzero(workspace.inside)
+    carried = np.full(grid.size, np.nan)
+    carried[index] = workspace.representative(index)
+    cells = carried.reshape(grid.shape)
     if level is not None:
-        at_level = np.abs(grid.at(index)[:, 2] - level) <= 1e-9 * max(1.0, abs(level))
-        index = index[at_level]
-    colours = np.where(workspace.representative(index), DOMAIN, CARRIED)
-    cells = PolyCollection(list(_cells(grid, index)), facecolors=colours, edgecolors="face", lw=0.2)
-    cells.set_rasterized(len(index) > RASTER_FROM)  # a vector picture stays small
-    axes.add_collection(cells)
+        cells = cells[:, :, np.abs(grid.axes[2].values - level).argmin()]
+    ends = [np.append(a.values - a.step / 2, a.values[-1] + a.step / 2) for a in grid.axes[:2]]
+    corners = np.meshgrid(ends[0].clip(0.0) if grid.polar else ends[0], ends[1], indexing="ij")
+    colours = ListedColormap([CARRIED, DOMAIN])
+    raster = len(index) > RASTER_FROM  # a vector picture stays small
+    x, y, _ = np.moveaxis(grid.cartesian(corners), -1, 0)
+    axes.pcolormesh(x, y, cells, cmap=colours, vmin=0.0, vmax=1.0, rasterized=raster)
     if inscribed:
         x, y, z = map(float, inscribed.centre)
         height = 0.0 if level is None else z - level
@@ -102,16 +105,3 @@ def _levels(workspace: Workspace) -> list[float | None]:
     heights = values[counts] if counts.any() else values[[np.argmin(np.abs(values - home))]]
     pick = np.linspace(0, len(heights) - 1, min(_MOST_LEVELS, len(heights))).round().astype(int)
     return [float(heights[i]) for i in pick]
-
-
-def _cells(grid: Grid, index: Index) -> Array:
-    """Return the outlines of cells seen from above, shape (N, n_corners, 2)."""
-    first, second = (a.values[i] for a, i in zip(grid.axes[:2], grid.split(index)[:2], strict=True))
-    half = [(axis.step or 0.0) / 2 for axis in grid.axes[:2]]
-    low, high = first - half[0], first + half[0]
-    if grid.polar:
-        low = np.maximum(low, 0.0)
-    along = np.linspace(-half[1], half[1], 5 if grid.polar else 2)
-    outer = [(high, second + step) for step in along]
-    inner = [(low, second + step) for step in along[::-1]]
-    return np.stack([grid.cartesian(corner)[:, :2] for corner in (*outer, *inner)], axis=1)
