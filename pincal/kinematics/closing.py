@@ -9,7 +9,7 @@ the platform's home pose, which is a leg closed too.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, TypeVar
@@ -19,7 +19,6 @@ from scipy.spatial import KDTree
 
 from pincal.errors import MechanismError
 from pincal.kinematics.batches import (
-    chunks,
     cross,
     least_squares,
     product,
@@ -33,11 +32,9 @@ from pincal.kinematics.closure import (
     each,
     evaluate,
     joint_range,
-    nominal_legs,
 )
 from pincal.model.checks import ROUNDING, wrapped
 from pincal.model.leg import Leg
-from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Platform
 from pincal.model.sensor import SensorLaw, law_of_sensors
 from pincal.types import Array, Mask
@@ -353,24 +350,3 @@ def by_leg(
     for places, group in groups:
         values |= zip(places, np.split(value(group), len(places)), strict=True)
     return [values[place] for place in sorted(values)]
-
-
-def close_chunks(
-    mechanism: Mechanism,
-    placed: Array,
-    influences: Array | None = None,
-    near: Mapping[str, Array] | None = None,
-) -> Iterator[tuple[slice, list[tuple[list[int], ClosedLegs]]]]:
-    """Yield rows of N poses, in chunks of bounded memory, and the nominal legs closed there.
-
-    Influences of all legs, shape (N, n_influences), are at their reference if not given. Joints
-    near those that close a leg are given by its name, or found.
-    """
-    legs = nominal_legs(mechanism)
-    for rows in chunks(len(placed)):
-        deforming = start = None
-        if influences is not None:
-            deforming = [mechanism.influences_at(i, influences[rows]) for i in range(len(legs))]
-        if near is not None:
-            start = [near[leg.leg.name][rows] for leg in legs]
-        yield rows, close_legs(legs, placed[rows], deforming, start)

@@ -16,8 +16,8 @@ import numpy as np
 from pincal.blas import one_thread
 from pincal.errors import MeasurementError, MechanismError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
-from pincal.kinematics.batches import block_diagonal, least_squares
-from pincal.kinematics.closing import by_leg, close_chunks, sensor_law
+from pincal.kinematics.batches import block_diagonal, chunks, least_squares
+from pincal.kinematics.closing import by_leg, close_legs, sensor_law
 from pincal.kinematics.closure import largest_size, nominal_legs
 from pincal.kinematics.derivatives import Demand, leg_demands_at, nearest_closure
 from pincal.kinematics.forward import LOADS, forward, with_loads
@@ -116,17 +116,21 @@ def _inverse(
     near: Mapping[str, Array] | None,
 ) -> InverseSolution:
     """Return inverse kinematics at given influences, shape (N, n_influences)."""
-    laws, count = [sensor_law(leg) for leg in nominal_legs(mechanism)], len(placed)
+    legs, count, n = nominal_legs(mechanism), len(placed), range(len(mechanism.legs))
+    laws = [sensor_law(leg) for leg in legs]
     joints = {leg.name: np.empty((count, len(leg.moving))) for leg in mechanism.legs}
     readings = np.empty((count, len(mechanism.reading_names)))
     reached = np.empty((count, len(mechanism.legs)), dtype=bool)
-    for rows, groups in close_chunks(mechanism, placed, columns, near):
+    for rows in chunks(count):
+        at_rows = None if columns is None else columns[rows]
+        influences = [None if at_rows is None else mechanism.influences_at(i, at_rows) for i in n]
+        start = None if near is None else [near[name][rows] for name in mechanism.leg_names]
+        groups = close_legs(legs, placed[rows], influences, start)
         positions = by_leg(groups, lambda group: group.joints)
         ends = by_leg(groups, lambda group: group.reached)
         for index, (leg, law) in enumerate(zip(mechanism.legs, laws, strict=True)):
             joints[leg.name][rows] = positions[index]
-            at_rows = None if columns is None else mechanism.influences_at(index, columns[rows])
-            read = law.reading(positions[index][:, leg.active], at_rows)
+            read = law.reading(positions[index][:, leg.active], influences[index])
             readings[rows, mechanism.reading_columns[index]] = read
             reached[rows, index] = ends[index] & np.isfinite(read).all(axis=1)
     return InverseSolution(joints, readings, reached, mechanism.leg_names)
@@ -298,24 +302,21 @@ def check_reached(mechanism: Mechanism, planned: Plan | Array, name: str = "the 
         raise MeasurementError(f"no pose of {name} is in reach of {mechanism.name!r}{explanation}")
 
 
-def nearby(
-    mechanism: Mechanism, planned: Plan | Array, count: int, size: float, seed: int = 0
-) -> Plan:
+def nearby(mechanism: Mechanism, planned: Plan | Array, count: int, size: float) -> Plan:
     """Return generic configurations about planned ones, at least ``count``.
 
     What moves the platform as frames would at a few poses need not do so elsewhere. The planned
     ones are in reach; the mechanism has a size [m].
     """
-    plan, platform, rng = (
-        as_plan(mechanism, planned),
-        mechanism.platform,
-        np.random.default_rng(seed),
-    )
-    rounds = -(-count // max(len(plan.poses), 1))
+    plan, platform, rng = as_plan(mechanism, planned), mechanism.platform, np.random.default_rng(0)
+    rounds, influences = -(-count // max(len(plan), 1)), {}
+    for name, column in plan.influences.items():  # moved about by as much as they differ
+        values, known = np.tile(column, rounds), column[np.isfinite(column)]
+        if len(known):  # then everywhere
+            filled = np.where(np.isfinite(values), values, known[0])
+            values = filled + (np.ptp(known) or 1.0) * rng.standard_normal(len(values))
+        influences[name] = values
     poses = np.tile(plan.poses, (rounds, 1))
-    influences = {
-        name: _generic(np.tile(values, rounds), rng) for name, values in plan.influences.items()
-    }
 
     def drawn(units: tuple[str, ...]) -> Array:
         scale = _ABOUT * np.array([size if unit == "m" else 1.0 for unit in units])
@@ -326,12 +327,3 @@ def nearby(
         return Plan(poses, readings=readings, influences=influences)
     moved = platform.displaced(platform.matrices(poses), drawn(platform.units))
     return Plan(platform.from_matrices(moved), influences=influences)
-
-
-def _generic(values: Array, rng: np.random.Generator) -> Array:
-    """Return values moved about by as much as they differ; known everywhere if they are at all."""
-    known = values[np.isfinite(values)]
-    if not len(known):
-        return values
-    filled = np.where(np.isfinite(values), values, known[0])
-    return filled + (np.ptp(known) or 1.0) * rng.standard_normal(len(values))

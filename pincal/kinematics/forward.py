@@ -86,8 +86,8 @@ class MovingLegs:
         lines = [i for i, leg in enumerate(self.legs) if turned_over[i].any() and is_line(leg)]
         for i in lines:
             lost, passive = rows[turned_over[i]], self.legs[i].leg.passive
-            started = start_joints(self.legs[i], matrices[lost])[0]
-            self.joints[i, lost[:, None], passive] = started[:, passive]
+            start = start_joints(self.legs[i], matrices[lost])[0]
+            self.joints[i, lost[:, None], passive] = start[:, passive]
         return self.closed(matrices[rows], self.joints[:, rows]) if lines else closure
 
     def follow(self, closure: Closure, rows: Index, twists: Array) -> Array:
@@ -97,17 +97,6 @@ class MovingLegs:
         step = step.reshape(len(self.legs), len(rows), -1)
         self.joints[:, rows[:, None], self.legs[0].leg.passive] += step
         return np.asarray(np.abs(step).max(axis=(0, 2), initial=0.0))
-
-    def closable(self, closure: Closure, twists: Array) -> Array:
-        """Return the largest gap, over the leg's size, that twists and passive joints close, (N,).
-
-        What is left besides is what readings contradict each other by.
-        """
-        count = len(self.legs)
-        moved = product(closure.constraint_by_pose, np.tile(twists, (count, 1))[:, :, None])
-        contradiction = product(closure.normal, closure.constraint[:, :, None] + moved)[:, :, 0]
-        gaps = np.abs(closure.gap - contradiction).max(axis=1).reshape(count, -1)
-        return np.asarray((gaps / np.array([[leg.size] for leg in self.legs])).max(axis=0))
 
 
 _WAY = 8  # steps on the way from home
@@ -360,7 +349,12 @@ def _reasons(
     closes = finite & ~moving & (gaps.max(axis=1) <= ROUGH * largest_size(mechanism.legs))
     in_mode = platform_margin(mechanism, lines) > 0.0
     for group, (_, closure) in zip(groups, closed, strict=True):
-        closes &= group.closable(closure, twist) <= _CLOSED
+        count, sizes = len(group.legs), np.array([[leg.size] for leg in group.legs])
+        moved = product(closure.constraint_by_pose, np.tile(twist, (count, 1))[:, :, None])
+        # what neither twists nor passive joints close is what readings contradict each other by
+        contradiction = product(closure.normal, closure.constraint[:, :, None] + moved)[:, :, 0]
+        closable = np.abs(closure.gap - contradiction).max(axis=1).reshape(count, -1)
+        closes &= (closable <= _CLOSED * sizes).all(axis=0)
         in_mode &= group.in_mode(closure).all(axis=0)
     reasons = np.where(in_mode, "", "left the working or assembly mode of home")
     return np.where(closes, reasons, "no pose found that closes all legs").tolist(), gaps

@@ -16,9 +16,9 @@ from functools import lru_cache
 import numpy as np
 
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
-from pincal.kinematics.batches import cross, point_velocity
+from pincal.kinematics.batches import chunks, cross, point_velocity
 from pincal.kinematics.closed_forms import closed_form
-from pincal.kinematics.closing import ClosedLegs, by_leg, close, close_chunks, sensor_law
+from pincal.kinematics.closing import ClosedLegs, by_leg, close, close_legs, sensor_law
 from pincal.kinematics.closure import Closure, nominal_legs
 from pincal.kinematics.derivatives import nearest_closure
 from pincal.model.mechanism import Mechanism
@@ -50,7 +50,8 @@ def margins(mechanism: GivenMechanism, poses: Poses) -> SingularityMargins:
     placed = mechanism.platform.matrices(poses)
     type1 = np.empty((len(placed), len(mechanism.legs)))
     type2 = np.empty(len(placed))
-    for rows, closed in close_chunks(mechanism, placed):
+    for rows in chunks(len(placed)):
+        closed = close_legs(nominal_legs(mechanism), placed[rows])
         reached = np.stack(by_leg(closed, lambda group: group.reached), axis=1)
         type1[rows] = np.where(reached, drive_margins(closed), np.nan)
         lines = by_leg(closed, lambda group: group.closure.constraint_by_pose)

@@ -250,20 +250,16 @@ class Leg:
 
         Its reach if it has no length at home, a metre if it has none anywhere.
         """
-        return self._arms + sum(abs(joint.home) for joint in self._slides) or self.reach or 1.0
+        return self._stretched(lambda joint: abs(joint.home)) or self.reach or 1.0
 
     @cached_property
     def reach(self) -> float:
         """Largest distance of the platform's origin from the leg's base, [m]."""
-        return self._arms + sum(max(abs(j.lower), abs(j.upper)) for j in self._slides)
+        return self._stretched(lambda joint: max(abs(joint.lower), abs(joint.upper)))
 
-    @property
-    def _arms(self) -> float:
-        return float(sum(np.linalg.norm(j.placement.xyz) for j in (*self.joints[1:], self.point)))
-
-    @property
-    def _slides(self) -> list[Joint]:
-        return [joint for joint in self.moving if not joint.turns]
+    def _stretched(self, slide: Callable[[Joint], float]) -> float:
+        arms = sum(np.linalg.norm(j.placement.xyz) for j in (*self.joints[1:], self.point))
+        return float(arms) + sum(slide(joint) for joint in self.moving if not joint.turns)
 
     def link_placements(self, joints: Array) -> Array:
         """Return ``T_base_link`` of the link after each joint, shape (N, n_all_joints, 4, 4), [m].

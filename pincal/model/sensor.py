@@ -140,7 +140,7 @@ def law_of_sensors(
         start + np.where(homed, home, zeros),
         slopes,
         starts + np.where(homed[:, None], home_by_parameter, 0.0),
-        _placed(terms, leg.reading_names, leg.influences, parameters),
+        _placed(leg, leg.reading_names, terms, parameters),
     )
 
 
@@ -151,31 +151,24 @@ def law_of_deformations(leg: Leg, parameters: Mapping[str, float]) -> SensorLaw:
     """
     terms = [(leg.deformed.index(name), term) for name, term in leg.terms]
     owners = [f"{leg.name}.{name}" for name in leg.deformed]
-    none, placed = (
-        np.zeros((len(owners), len(parameters))),
-        _placed(terms, owners, leg.influences, parameters),
-    )
+    none = np.zeros((len(owners), len(parameters)))
+    placed = _placed(leg, owners, terms, parameters)
     return SensorLaw(none[:, 0], none[:, 0], none, none, placed)
 
 
 def _placed(
-    terms: Sequence[tuple[int, Term]],
+    leg: Leg,
     owners: Sequence[str],
-    influences: Sequence[str],
+    terms: Sequence[tuple[int, Term]],
     parameters: Mapping[str, float],
 ) -> tuple[PlacedTerm, ...]:
-    """Return terms of some of the owners, of which columns stand first, at parameter values."""
-    columns, names = [*owners, *influences], list(parameters)
-    return tuple(
-        PlacedTerm(
-            term,
-            target,
-            columns.index(term.column(owners[target]) or owners[target]),
-            names.index(term.parameter),
-            parameters[term.parameter],
-        )
-        for target, term in terms
-    )
+    """Return terms, each of one of the owners, whose columns stand before influences."""
+    columns, names, placed = [*owners, *leg.influences], list(parameters), []
+    for target, term in terms:
+        column = columns.index(term.column(owners[target]) or owners[target])
+        name = term.parameter
+        placed.append(PlacedTerm(term, target, column, names.index(name), parameters[name]))
+    return tuple(placed)
 
 
 @dataclass(frozen=True)
