@@ -84,7 +84,7 @@ def test_demand_derivatives(mechanism: pincal.Mechanism) -> None:
         closure = LegClosure(leg, platform)
         closed = close((closure,), platform.transforms(poses).as_matrix())
         psi = sensor_law(closure).reading(closed.joints[:, leg.active])
-        (rows,) = demands((closure,), closed.closure, psi, closed.joints)
+        (rows,) = demands((closure,), psi, closed.closure, closed.joints)
         np.testing.assert_allclose(rows.value, 0.0, atol=1e-14)
         by_pose = (
             -rows.pose[:, 0] / rows.reading[:, 0]

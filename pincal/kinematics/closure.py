@@ -284,8 +284,8 @@ def evaluate(legs: Sequence[LegClosure], joints: Array, matrices: Array) -> Clos
     point = legs[0].point_at(joints)
     if len(legs) > 1:  # none of them deforms
         points, count = [leg.point_at(joints) for leg in legs], len(joints) // len(legs)
-        arms = np.concatenate([each.arm for each in points], axis=2)
-        twists = np.concatenate([each.twists for each in points], axis=2)
+        arms = np.concatenate([placed.arm for placed in points], axis=2)
+        twists = np.concatenate([placed.twists for placed in points], axis=2)
         rows = np.repeat(arms, count, axis=2), np.repeat(twists, count, axis=2)
         point = replace(point, arm=rows[0], twists=rows[1])
     return Closure(legs[0], matrices, moved, point)

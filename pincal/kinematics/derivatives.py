@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -112,7 +113,7 @@ class Demand:
 
 
 def demands(
-    legs: Sequence[LegClosure], closure: Closure, known: Array, joints: Array
+    legs: Sequence[LegClosure], known: Array, closure: Closure, joints: Array
 ) -> list[Demand]:
     """Return what each of L alike legs demands, from their closures at N configurations.
 
@@ -166,33 +167,45 @@ def leg_demands_at(
     """
     forms = [(leg.form, len(poses)) for leg, poses in zip(legs, placed, strict=True)]
     influences = influences or [np.zeros((len(poses), 0)) for poses in placed]
-    parts: list[list[Demand]] = [[] for _ in legs]
+    demand_of: dict[int, Demand] = {}
     for places in grouped(forms, max(map(len, placed))):
-        group = [legs[i] for i in places]
-        for rows in list(chunks(len(placed[places[0]]))) or [slice(0)]:
-            matrices = stacked([placed[i][rows] for i in places])
-            if known is not None:
-                columns = stacked([known[i][rows] for i in places])
-                start = stacked([near[i][rows] for i in places]) if near else None
-                closure, joints = nearest_closure(group, matrices, columns, start)
-                of_group = demands(group, closure, columns, joints)
-            else:
-                columns = stacked([influences[i][rows] for i in places])
-                of_group = _predicted(group, matrices, columns)
-            for place, demand in zip(places, of_group, strict=True):
-                parts[place].append(demand)
+        columns: tuple[Any, ...] = (legs, placed, influences, known, near or None)
+        of_group: list[Any] = [c and [c[place] for place in places] for c in columns]
+        demand_of |= zip(places, _alike_demands(*of_group), strict=True)
+    return [demand_of[place] for place in range(len(legs))]
+
+
+def _alike_demands(
+    legs: Sequence[LegClosure],
+    placed: Sequence[Array],
+    influences: Sequence[Array],
+    known: Sequence[Array] | None,
+    near: Sequence[Array] | None,
+) -> list[Demand]:
+    """Return what alike legs demand, worked out in chunks of rows: see ``leg_demands_at``."""
+    parts = []
+    for rows in list(chunks(len(placed[0]))) or [slice(0)]:
+        matrices = stacked([poses[rows] for poses in placed])
+        if known is None:
+            columns = stacked([values[rows] for values in influences])
+            parts.append(_predicted(legs, matrices, columns))
+        else:
+            columns = stacked([values[rows] for values in known])
+            start = stacked([joints[rows] for joints in near]) if near else None
+            closed = nearest_closure(legs, matrices, columns, start)
+            parts.append(demands(legs, columns, *closed))
+    if len(parts) == 1:
+        return parts[0]
     return [
-        of_leg[0]
-        if len(of_leg) == 1
-        else Demand(*map(np.concatenate, zip(*(vars(d).values() for d in of_leg), strict=True)))
-        for of_leg in parts
+        Demand(*(np.concatenate([vars(part)[name] for part in of_leg]) for name in vars(of_leg[0])))
+        for of_leg in zip(*parts, strict=True)
     ]
 
 
 def _predicted(legs: Sequence[LegClosure], matrices: Array, influences: Array) -> list[Demand]:
     """Return what alike legs demand at readings of inverse kinematics, NaN out of reach."""
     closed, known = _closed(legs, matrices, influences)
-    of_legs = demands(legs, closed.closure, known, closed.joints)
+    of_legs = demands(legs, known, closed.closure, closed.joints)
     if not closed.reached.all():
         for demand, reached in zip(of_legs, np.split(closed.reached, len(legs)), strict=True):
             for values in vars(demand).values():

@@ -288,8 +288,11 @@ def _solve(
     """Return matrices, reasons and gaps for one chunk."""
     matrices = placed_by_arm(legs, known)
     matrices = guess.copy() if matrices is None else matrices
-    alike, size = grouped([leg.form for leg in legs], len(matrices)), max(leg.size for leg in legs)
-    groups = [MovingLegs(places, legs, known, matrices) for places in alike]
+    by_form, size = (
+        grouped([leg.form for leg in legs], len(matrices)),
+        max(leg.size for leg in legs),
+    )
+    groups = [MovingLegs(places, legs, known, matrices) for places in by_form]
     platform, moving = mechanism.platform, np.ones(len(matrices), dtype=bool)
     turns = np.array([unit == "rad" for unit in platform.units], dtype=bool)
     for _ in range(_STEPS):

@@ -74,7 +74,7 @@ def _joint_faults(leg: Leg) -> Iterator[str]:
             f"active joint {still[0]!r} is not a moving joint of the leg; it has "
             f"{', '.join(moving)}"
         )
-    if not read or len(set(read)) != len(read):
+    if len(set(read)) != max(len(read), 1):
         yield (
             f"its sensors read {', '.join(read) or 'nothing'}; expected one sensor or more, each "
             "of another joint"
@@ -181,7 +181,7 @@ def _name_faults(mechanism: Mechanism) -> Iterator[str]:
                 f"a term depends on {name!r}, which is another column of tables; name the "
                 "influence otherwise"
             )
-        if name != name.strip() or not name or re.search(r"[][]|^(sigma|cov)_", name):
+        if not re.fullmatch(r"(?!sigma_|cov_)[^][\s]([^][]*[^][\s])?", name):
             yield (
                 f"a term depends on {name!r}, which heads no column of a table; expected a name "
                 "such as temperature: no brackets, no blanks around it, not sigma_… or cov_…"
@@ -193,9 +193,9 @@ def _name_faults(mechanism: Mechanism) -> Iterator[str]:
         )
     if "platform" in names:
         yield "'platform' names the platform's file; name the leg otherwise"
-    for name, _ in mechanism.load.drawn if mechanism.load else ():
-        if name not in mechanism.parameters.ids:
-            yield f"the load's drawing has {name!r}, which is no parameter"
+    drawn = dict(mechanism.load.drawn) if mechanism.load else {}
+    if unknown := sorted(set(drawn).difference(mechanism.parameters.ids)):
+        yield f"the load's drawing has {unknown[0]!r}, which is no parameter"
 
 
 def _leg_faults(mechanism: Mechanism) -> Iterator[str]:

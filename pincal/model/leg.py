@@ -218,10 +218,10 @@ class Leg:
         of_sensors = (term for sensor in self.sensors for term in sensor.terms)
         return frozenset(t.parameter for t in (*of_sensors, *(term for _, term in self.terms)))
 
-    def _with_terms(self, kept: Callable[[Term], bool]) -> Leg:
+    def _with_terms(self, stays: Callable[[Term], bool]) -> Leg:
         """Return the leg with some of its sensors' terms, none of parameters."""
         sensors = tuple(
-            replace(sensor, terms=tuple(filter(kept, sensor.terms))) for sensor in self.sensors
+            replace(sensor, terms=tuple(filter(stays, sensor.terms))) for sensor in self.sensors
         )
         used = {*self.placed, *(name for s in sensors for name in (s.gain, s.offset))}
         used |= {term.parameter for sensor in sensors for term in sensor.terms}

@@ -49,5 +49,5 @@ def option(default: Any, description: str | Option, **properties: Any) -> Any:
 
 def option_of(group: type, name: str) -> Option:
     """Return the option that a field of a dataclass is."""
-    declared: Option = {each.name: each for each in fields(group)}[name].metadata["option"]
+    declared: Option = {column.name: column for column in fields(group)}[name].metadata["option"]
     return declared

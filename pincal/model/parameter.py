@@ -73,8 +73,8 @@ class Parameters(tuple[Parameter, ...]):
         if isinstance(key, str):
             if key in self._by_id:
                 return self._by_id[key]
-            alike = [i for i in self.ids if i.partition(".")[2] == key][:3]
-            near = " or ".join(map(repr, get_close_matches(key, self.ids, 3) or alike))
+            of_name = [i for i in self.ids if i.partition(".")[2] == key][:3]
+            near = " or ".join(map(repr, get_close_matches(key, self.ids, 3) or of_name))
             meant = f"did you mean {near}?" if near else f"ids are {listed(self.ids)}"
             raise MechanismError(f"no parameter {key!r}; {meant}")
         selected = super().__getitem__(key)
