@@ -213,11 +213,7 @@ def quantiles(degrees_of_freedom: Array) -> Array:
 
 
 def _standard_errors(covariance: Array, by_systematic: Array, held: Array) -> Array:
-    """Return standard errors of n values, infinite of what a direction that was held may move.
-
-    By the covariance of the noise, by how they follow what is off in all rows, shape (n, q), and by
-    directions that were held, as far as machines may differ, shape (n, n_held).
-    """
+    """Return standard errors of n values, infinite of what held directions, (n, k), may move."""
     std = np.hypot(np.sqrt(np.diagonal(covariance)), np.linalg.norm(by_systematic, axis=1))
     moved = np.linalg.norm(held, axis=1)
     return np.asarray(np.where(moved > _UNMOVED * std, np.inf, std))
@@ -259,11 +255,7 @@ def _beforehand(calibration: Calibration, parameter: Parameter, std: float) -> s
 def _external(
     fits: Fits, covariance: Array, by_systematic: Array, held: Array, freedoms: float
 ) -> tuple[IdentifiedParameter, ...]:
-    """Return frame and targets with their intervals, and where the search for them began.
-
-    By the covariance of their steps, (n, n), and the degrees of freedom of the noise; by_systematic
-    and held are those of ``_standard_errors``.
-    """
+    """Return frame and targets by the covariance of their steps, (n, n), and where these began."""
     outside, values = fits.calibration.observation.external, fits.external
     if not len(outside):
         return ()
@@ -288,10 +280,7 @@ def _external(
 def _residuals(
     fits: Fits, parameters: Sequence[IdentifiedParameter]
 ) -> tuple[tuple[LegResult, ...], tuple[ResidualGroup, ...]]:
-    """Return what is left of each leg, in the mechanism's order, and of what was measured.
-
-    At rows that count. Of measured quantities of the platform nothing where poses are as measured.
-    """
+    """Return what is left of legs in order, and of what was measured, if poses were unknowns."""
     legs, observed = {}, list[ResidualGroup]()
     for fit in fits.fits:
         residuals, shares = redundancy(fit)

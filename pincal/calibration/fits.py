@@ -214,10 +214,7 @@ def _agree(noise: Noise, estimate: Noise) -> bool:
 def _all_legs(
     calibration: Calibration, begin: Fits | None = None, rows: Mask | None = None
 ) -> Fits:
-    """Return the fit of all legs, poses and frames at once.
-
-    It begins at other fits, if given: at other noise, or of more rows, of which these are some.
-    """
+    """Return the fit of all legs, poses and frames at once; ``begin`` and rows as in ``fitted``."""
     mechanism, options = calibration.mechanism, calibration.options
     if not calibration.counts.any():
         raise ObservabilityError(

@@ -194,11 +194,7 @@ def misses(result: CalibrationResult) -> tuple[float, float]:
 
 
 def _missed_targets(result: CalibrationResult) -> float:
-    """Return by how much targets are missed by the fit, as far as their coordinates are measured.
-
-    Root mean square distance, [m], residuals scaled up by what parameters took of them, less the
-    noise of the instrument where that is known.
-    """
+    """Return by how much targets are missed in the fit, [m], less the instrument's known noise."""
     lengths = [part for part in result.observed if part.unit == "m"]
     if not lengths or result.degrees_of_freedom < 1:
         return np.nan

@@ -257,6 +257,12 @@ class CalibrationResult:
         """Return the result of one leg by name."""
         return self.legs[self.nominal.leg_names.index(self.nominal.leg(name).name)]
 
+    @property
+    def moves_frames(self) -> bool:
+        """Whether the base or the platform frame lies where ``gauge`` puts it, or is unknown."""
+        gauge = any(freedom.code.startswith("gauge-") for freedom in self.gauge)
+        return gauge or len(self.calibration.observation.external) > 0
+
     def expected_error(self, poses: Plan | Array | None = None) -> PlatformError:
         """Return the platform error to expect of the calibrated mechanism.
 

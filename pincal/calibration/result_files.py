@@ -133,8 +133,14 @@ def save_result(
 
     Raises:
         FileError: the folder exists and ``force`` is not set, or cannot be written.
+        MeasurementError: instruments of one's own, which are code, not data.
         PincalError: the mechanism that would be written does not reproduce the fit.
     """
+    if custom := [instrument.name for instrument in result.options.setup.instruments]:
+        raise MeasurementError(
+            f"instrument {custom[0]!r} is code, which a result's folder does not hold; save the "
+            "calibrated mechanism (result.identified.save) and the report"
+        )
     with output.writing(folder, force=force, folder=RESULT_FILES) as scratch:
         (scratch / RESULT).write_text(json_text(as_json(result)) + "\n", encoding="utf-8")
         mechanisms = {NOMINAL: result.nominal}
@@ -182,11 +188,7 @@ def check_reproduces(result: CalibrationResult, machine: Mechanism) -> None:
 
 
 def _missing_twists(calibration: Calibration, poses: Array, parameters: Array) -> list[Array]:
-    """Return the least twists of the platform at poses that undo what each leg misses, (N, dof).
-
-    They are those of a leg's conditions whatever axes and scale these have, which go with the
-    machine as it is drawn.
-    """
+    """Return the least twists of the platform that undo what each leg misses, (N, dof)."""
     mechanism, rows = calibration.mechanism, np.arange(len(poses))
     block = calibration.leg_block(range(len(mechanism.legs)), rows, calibration.used)
     missing = block.evaluate(State(parameters, mechanism.platform.matrices(poses)))
@@ -226,15 +228,7 @@ def as_json(result: CalibrationResult) -> dict[str, Any]:
     """Return a result as plain data for JSON; numbers that do not exist are null.
 
     Under ``data`` is all that it is made of; mechanisms apart.
-
-    Raises:
-        MeasurementError: instruments of one's own, which are code, not data.
     """
-    if custom := [instrument.name for instrument in result.options.setup.instruments]:
-        raise MeasurementError(
-            f"instrument {custom[0]!r} is code, which a result's folder does not hold; save the "
-            "calibrated mechanism (result.identified.save) and the report"
-        )
     held_out, noise = result.validation, {} if result.noise is None else vars(result.noise)
     contents = {
         "pincal_result": FORMAT,
@@ -282,10 +276,7 @@ def _named(instance: object, names: str) -> dict[str, Any]:
 
 
 def _residuals(result: CalibrationResult) -> dict[str, list[str]]:
-    """Return columns of residuals in SI: of the legs, and of what was measured of the platform.
-
-    Legs of exact readings close by construction at poses that were estimated: they are left out.
-    """
+    """Return columns of residuals in SI, without legs that close by construction."""
     groups = [*((leg.name, leg) for leg in result.legs), *(("", part) for part in result.observed)]
     lines = [
         (leg, str(row + 1), part.quantity, part.unit, repr(float(residual)), repr(float(sigma)))

@@ -308,9 +308,9 @@ def _ends(values: Array, pose: Index) -> tuple[tuple[float, float], tuple[float,
     if poses < 2:
         return (0.0, np.inf), (0.0, np.inf)
     random = np.random.default_rng(0)
-    alike = np.full(poses, 1.0 / poses)
+    chances = np.full(poses, 1.0 / poses)
     drawn = [
-        sums @ random.multinomial(poses, alike, len(part)).T
+        sums @ random.multinomial(poses, chances, len(part)).T
         for part in np.array_split(np.empty(DRAWS), min(DRAWS, 1 + DRAWS * poses // CHUNK))
     ]
     totals = np.concatenate(drawn, axis=1)

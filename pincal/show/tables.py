@@ -206,9 +206,7 @@ def accuracy_table(result: CalibrationResult, errors: WorkspaceErrors) -> Table:
             head: {(name, unit): values[unit == "rad"] for name, unit in names}
             for head, values in sizes.items()
         }
-        chosen = any(freedom.code.startswith("gauge-") for freedom in result.gauge)
-        chosen |= len(result.calibration.observation.external) > 0  # where frames lie
-        region = f" {errors.where}{_FRAMES * chosen}"
+        region = f" {errors.where}{_FRAMES * result.moves_frames}"
     validation = result.validation
     for missed in validation.targets if validation and validation.fit <= MISSES else ():
         name = "position" if missed.unit == "m" else "orientation"

@@ -129,10 +129,7 @@ def scale(case: Case, nominal: Array) -> Hypothesis:
 
 
 def _factors(case: Case, nominal: Array) -> Array:
-    """Return how many times too large readings are, shape (n_readings,), by their medians.
-
-    Whole numbers, or parts of one, where it is nearly that; 1 where it is a unit.
-    """
+    """Return how many times too large readings are, (n_readings,): nearly whole numbers are."""
     factors = np.ones(nominal.shape[1])
     for column, unit in enumerate(case.mechanism.reading_units):
         pairs = np.abs(np.stack((case.readings[:, column], nominal[:, column])))
@@ -262,10 +259,7 @@ def _turned(
 
 
 def _exchanged(case: Case) -> Iterator[Hypothesis]:
-    """Yield the order of columns in which the legs fit best, each judged alone.
-
-    In an unknown frame exchanges of two, and legs counted from another one or the other way round.
-    """
+    """Yield the order in which legs fit best, each judged alone, or orders that are likely."""
     names = case.mechanism.leg_names
     n = len(names)
     turned = [[*range(k, n), *range(k)] for k in range(n)]

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property, lru_cache, partial
-from itertools import accumulate
 from typing import Any
 
 import numpy as np
@@ -207,11 +206,6 @@ class Judged:
         """Mean over the legs that have rows; 1 where nothing fits, or on the other side."""
         mean = float(np.mean([self.misfit_of(leg) for leg in self.judged] or [1.0]))
         return max(mean, 1.0) if self.elsewhere > 0.5 else mean
-
-    def leaves(self, most: float) -> bool:
-        """Return whether the mean misfit is so small; legs are asked until it cannot be."""
-        sums = accumulate(self.misfit_of(leg) for leg in self.judged)
-        return bool(self.judged) and all(total <= most * len(self.judged) for total in sums)
 
     @cached_property
     def questioned(self) -> list[int]:

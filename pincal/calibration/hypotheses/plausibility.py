@@ -154,7 +154,7 @@ def _explains(judged: Judged, as_measured: Judged) -> bool:
     if shrinks and (gap < 1.0 or judged.questioned):
         return False  # lengths too large miss by far, and shrinking makes any misfit small
     most = as_measured.misfit / _EACH**judged.hypothesis.faults
-    return judged.within(DIFFER) and judged.leaves(most)
+    return judged.within(DIFFER) and judged.misfit <= most
 
 
 def _judged(case: Case, as_measured: Judged, hypotheses: Iterable[Hypothesis]) -> list[Judged]:

@@ -83,10 +83,7 @@ def with_terms(
 def _lacking(
     leg: Leg, wanted: Sequence[Pair], data: Measurements, readings: Array
 ) -> Iterator[tuple[Pair, dict[int | str, Term], str]]:
-    """Yield places and kinds with their terms, all of one amplitude, and what that is.
-
-    Terms are those of sensors, by index, or of parameters; readings have shape (N, n_sensors).
-    """
+    """Yield places and kinds with terms of one amplitude, of sensors by index, and what it is."""
     several = len(leg.sensors) > 1
     sensors = zip(leg.reading_names, leg.reading_units, readings.T, strict=True)
     places: list[tuple[int | str, str, str, Array]]
@@ -127,10 +124,7 @@ def _identifier(stem: str, name: str) -> str:
 def _bases(
     kind: Kind, place: str, unit: str, readings: Array, data: Measurements
 ) -> Iterator[tuple[str, Harmonic | Power | Share, str, str]]:
-    """Yield what amplitudes of a kind are times: name, basis, what it follows, what they are.
-
-    The range over which they are scaled is that of readings, shape (N,), or of columns.
-    """
+    """Yield what amplitudes of a kind are times: name, basis, what it follows, what they are."""
     if kind.name == HARMONICS:
         for order in kind.numbers if unit == "rad" else ():
             for phase in ("sine", "cosine"):

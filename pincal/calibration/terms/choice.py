@@ -186,10 +186,7 @@ def choose(
 
 
 def _grown(geometry: Fits, pairs: Sequence[Pair], most: int) -> tuple[list[Model], list[Candidate]]:
-    """Return models that grow by the likeliest term of a screen, and that of the geometry.
-
-    Until none is likely, or there are so many.
-    """
+    """Return models that grow by the likeliest term of a screen, and that of the geometry."""
     fits, models = geometry, list[Model]()
     every = np.ones(len(fits.calibration.measurements), dtype=bool)
     candidates = of_geometry = screen(fits, pairs)
@@ -206,10 +203,7 @@ def _grown(geometry: Fits, pairs: Sequence[Pair], most: int) -> tuple[list[Model
 
 
 def _errors_of_fold(models: Sequence[Model], seen: Mask, pairs: Sequence[Pair]) -> list[Array]:
-    """Return errors of rows held out, as drawn and by geometry first; raises if these fail.
-
-    Seen are rows of the models' fits, shape (N,), from which those of the fold begin.
-    """
+    """Return errors of rows not seen, as drawn and by geometry first; raises if these fail."""
     drawn, geometry = (
         converged(model.fits.calibration.rows(seen), "the search", model.fits, seen)
         for model in models[:2]

@@ -81,8 +81,8 @@ def screened(parts: Sequence[tuple[Residuals, Sequence[Candidate]]]) -> list[Can
         variance = (1.0 - candidate.share) * residuals.chi2 / dof  # of what is left, as in F tests
         alike = inseparable(candidate, rivals, residuals.chi2 / max(variance, 1e-300))
         without = residuals.without(candidate.rows) if alike else residuals
-        again = [_asked(without, rival) for rival in alike]
-        gone = [rival.pair for rival in again if rival.rank * (rival.F - 1.0) < CLEAR**2]
+        rescreened = [_asked(without, rival) for rival in alike]
+        gone = [rival.pair for rival in rescreened if rival.rank * (rival.F - 1.0) < CLEAR**2]
         candidates[index] = replace(candidate, or_else=tuple(gone))
     return candidates
 
