@@ -124,8 +124,8 @@ def information_rows(
             f"{', '.join(names) or 'nothing'} measured leaves no equation: {mechanism.name!r} has "
             f"{n_rows} equations for {platform.dof} freedoms. Measure more of the platform"
         )
-    off = observation.systematic(matrices, start)[:, chosen]
-    errors = white(np.pad(off, ((0, 0), (n_rows, 0), (0, 0))))
+    systematic = observation.systematic(matrices, start)[:, chosen]
+    errors = white(np.pad(systematic, ((0, 0), (n_rows, 0), (0, 0))))
     return rows, errors, (*(p.id for p in mechanism.parameters), *observation.external.names), names
 
 
@@ -245,7 +245,7 @@ def forecast(
     legs = legs_at(mechanism, plan)
     if not len(legs.poses):
         check_reached(mechanism, plan)
-    rows, off, unknowns, names = information_rows(mechanism, legs, noise, measured, setup)
+    rows, systematic, unknowns, names = information_rows(mechanism, legs, noise, measured, setup)
     flat, n = rows.reshape(-1, rows.shape[2]), legs.parameter.shape[2]
     rank = identifiability(flat, unknowns)
     lengths, s, axes = scaled_axes(flat)
@@ -254,7 +254,7 @@ def forecast(
     gauge, lost, frames = apart_from_frames(mechanism, legs, undetermined[:n])
     to_nominal = root[:, :n] @ nearest_to_nominal(mechanism, gauge).T
     # what is off in all rows comes on top, however many they are
-    moved = to_nominal.T @ (root @ (flat.T @ off.reshape(len(flat), -1)))
+    moved = to_nominal.T @ (root @ (flat.T @ systematic.reshape(len(flat), -1)))
     return Forecast(
         mechanism,
         names,

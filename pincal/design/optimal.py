@@ -282,11 +282,11 @@ def _swapped(rows: Parts, sets: Index, criterion: Criterion) -> Index:
         active, place = np.flatnonzero(unchanged < count), turn % count
         if not len(active):
             break
-        others = np.delete(sets[active], place, axis=1)
+        remaining = np.delete(sets[active], place, axis=1)
         gains = np.zeros((len(active), len(rows[0])))
         for part in rows:
-            gains += criterion.gain(part, _roots_of_sets(part, others))
-        np.put_along_axis(gains, others, -np.inf, axis=1)
+            gains += criterion.gain(part, _roots_of_sets(part, remaining))
+        np.put_along_axis(gains, remaining, -np.inf, axis=1)
         coming, index = gains.argmax(axis=1), np.arange(len(active))
         better = gains[index, coming] > gains[index, sets[active, place]] + _GAIN
         sets[active[better], place] = coming[better]

@@ -51,19 +51,19 @@ def _originals(platform: Platform, poses: Poses, readings: Array | None = None) 
         parts[place] = part / max(np.ptp(part, axis=0).max(), ALIKE * size) if size else part
     places = np.concatenate(parts, axis=1)
     along = places @ np.random.default_rng(0).uniform(-1.0, 1.0, places.shape[1])
-    order, originals, apart = np.argsort(along, kind="stable"), np.arange(len(places)), 1
-    while apart < len(order):
-        pairs = np.stack((order[:-apart], order[apart:]))
+    order, originals, shift = np.argsort(along, kind="stable"), np.arange(len(places)), 1
+    while shift < len(order):
+        pairs = np.stack((order[:-shift], order[shift:]))
         pairs = pairs[:, along[pairs[1]] - along[pairs[0]] <= ALIKE * places.shape[1]]
         if not pairs.size:
             break
-        alike = np.abs(places[pairs[0]] - places[pairs[1]]).max(axis=1) <= ALIKE
-        if not alike.any():
-            apart += 1
+        equal = np.abs(places[pairs[0]] - places[pairs[1]]).max(axis=1) <= ALIKE
+        if not equal.any():
+            shift += 1
             continue
-        copies = pairs[:, alike].max(axis=0)
-        originals[copies] = pairs[:, alike].min(axis=0)
-        order, apart = order[~np.isin(order, copies)], 1
+        copies = pairs[:, equal].max(axis=0)
+        originals[copies] = pairs[:, equal].min(axis=0)
+        order, shift = order[~np.isin(order, copies)], 1
     while (originals[originals] != originals).any():  # copies of copies
         originals = originals[originals]
     return originals
@@ -162,8 +162,8 @@ def orbit_of(elements: Sequence[Element], matrices: Array) -> tuple[Array, Mask]
     first = np.ones(images.shape[:2], dtype=bool)
     for later in range(1, len(images)):
         for earlier in images[:later]:
-            apart = np.abs(images[later] - earlier) > within
-            first[later] &= apart.any(axis=(1, 2))
+            differ = np.abs(images[later] - earlier) > within
+            first[later] &= differ.any(axis=(1, 2))
     return images, first
 
 

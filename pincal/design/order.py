@@ -51,13 +51,13 @@ def with_reference(mechanism: Mechanism, plan: Plan, every: int) -> Plan:
     )
     middle = int(fitted[np.argmin([((per * twist) ** 2).sum() for twist in twists])])
     places = [*range(0, count, every), count]  # before which it is measured
-    again = np.insert(np.zeros(count, dtype=bool), places, True)
+    repeated = np.insert(np.zeros(count, dtype=bool), places, True)
     order = np.insert(np.arange(count), places, middle)
     ordered = plan.rows(order)
     names = np.array(ordered.places or ("",) * len(order), dtype=object)
     return replace(
         ordered,
-        sets=tuple(np.where(again, EVERY_LEG, ordered.serving).tolist()),
+        sets=tuple(np.where(repeated, EVERY_LEG, ordered.serving).tolist()),
         places=tuple(np.where(order == middle, REFERENCE, names).tolist()),
     )
 

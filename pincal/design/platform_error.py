@@ -80,12 +80,12 @@ class PlatformError:
 
     def without_limit(self, position: float, orientation: float) -> PlatformError:
         """Return errors so many times as large, which are no promise."""
-        by = {"m": position, "rad": orientation}
+        factors = {"m": position, "rad": orientation}
         return replace(
             self,
             position=position * self.position,
             orientation=orientation * self.orientation,
-            std=self.std * [by[unit] for unit in self.units],
+            std=self.std * [factors[unit] for unit in self.units],
             weights=self.weights * np.array([[position], [orientation]]) ** 2,
             promised=False,
         )

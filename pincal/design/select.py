@@ -298,6 +298,6 @@ def _leg_by_leg(
         poses.append(chosen if element.is_identity else element.poses(platform, chosen))
         efficiencies.append(efficiency if equivalent else search.efficiency(leg, element, chosen))
     legs, every = np.repeat(list(carried), search.count).tolist(), np.concatenate(poses)
-    own = all(element.is_identity for _, element, _ in carried.values())
-    plan = Plan(every, tuple(legs)) if own else merged(search.mechanism, every, legs)
+    unmapped = all(element.is_identity for _, element, _ in carried.values())
+    plan = Plan(every, tuple(legs)) if unmapped else merged(search.mechanism, every, legs)
     return plan, efficiencies

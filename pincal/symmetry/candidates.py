@@ -39,8 +39,8 @@ class Points:
         first, second = (spread if spread > ALIKE * self.size else 0.0 for spread in spreads)
         self.spreads = first or self.size, second or first or self.size
         """Largest distance of base points from their centre, and of platform points, [m]."""
-        apart = (np.linalg.norm(p[:, None] - p, axis=2) for p in bodies)
-        self._apart = [d / spread for d, spread in zip(apart, self.spreads, strict=True)]
+        distances = (np.linalg.norm(p[:, None] - p, axis=2) for p in bodies)
+        self._apart = [d / spread for d, spread in zip(distances, self.spreads, strict=True)]
         self._least_rank = mechanism.platform.space - 1  # of points that fix an isometry
         turning = bool(mechanism.platform.turns)
         self._free = turning and all(self._rank(p) >= self._least_rank for p in bodies)
@@ -97,8 +97,8 @@ class Points:
     def distances(self, element: Element) -> Array:
         """Return how far carried legs' points are from others, over the spreads, shape (n, n)."""
         bodies = (self.base, element.base), (self.platform, element.platform)
-        apart = (np.linalg.norm(applied(G, p)[:, None] - p, axis=2) for p, G in bodies)
-        return np.maximum(*(d / spread for d, spread in zip(apart, self.spreads, strict=True)))
+        gaps = (np.linalg.norm(applied(G, p)[:, None] - p, axis=2) for p, G in bodies)
+        return np.maximum(*(d / spread for d, spread in zip(gaps, self.spreads, strict=True)))
 
     @cached_property
     def candidates(self) -> list[Element]:

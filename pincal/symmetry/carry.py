@@ -51,12 +51,12 @@ def _on_body(
     moved = isometry @ p.displacement(old) @ constant
     if np.linalg.det(isometry[:3, :3]) < 0.0:
         moved[:3, :3] = moved[:3, :3] @ LOCAL_MIRROR
-    rest = np.linalg.inv(result.displacement(new)) @ moved
+    residual = np.linalg.inv(result.displacement(new)) @ moved
     if not p.turns:  # exact
-        rest[:3, :3] = moved[:3, :3]
+        residual[:3, :3] = moved[:3, :3]
     if p.coordinates and not constant[:3, 3].any() and not result.corrects(new):
-        rest[:3, 3] = 0.0
-    return result, rest
+        residual[:3, 3] = 0.0
+    return result, residual
 
 
 def _moved_coordinates(
@@ -66,18 +66,34 @@ def _moved_coordinates(
     new: dict[str, float],
     context: str,
 ) -> tuple[Coordinate, ...]:
-    """Return the coordinates of a point on base or platform after the body's isometry, (4, 4).
-
-    Constants that come first, before turns or an azimuth, are the frame that the others are in.
-    """
-    named = [any(isinstance(v, str) for v in c.values) for c in coordinates]
-    first = named.index(True) if True in named else 0
+    """Return the coordinates of a point on base or platform after the body's isometry, (4, 4)."""
+    first = _frame_size(coordinates)
     frame, free = coordinates[:first], coordinates[first:]
-    if not any(c.turns for c in frame) and not any(c.kind in ("polar", "spherical") for c in free):
-        frame, free = (), coordinates
     if frame:
         to_base = Placement(frame).displacement(old)
         G = np.linalg.inv(to_base) @ G @ to_base
+    moved = _moved_point(free, G, old, context)
+    result = list(frame)
+    for c in free:
+        values = _moved_values(c, [_number(value, old) for value in c.values], moved, G, context)
+        after = zip(c.values, values, strict=True)
+        result.append(Coordinate(c.kind, tuple(_set(value, to, new) for value, to in after)))
+    return tuple(result)
+
+
+def _frame_size(coordinates: tuple[Coordinate, ...]) -> int:
+    """Return how many coordinates are a frame: constants first, before turns or an azimuth."""
+    named = [any(isinstance(v, str) for v in c.values) for c in coordinates]
+    first = named.index(True) if True in named else 0
+    turned = any(c.turns for c in coordinates[:first])
+    azimuths = any(c.kind in ("polar", "spherical") for c in coordinates[first:])
+    return first if turned or azimuths else 0
+
+
+def _moved_point(
+    free: tuple[Coordinate, ...], G: Array, old: dict[str, float], context: str
+) -> Array:
+    """Return where the isometry G, shape (4, 4), takes the point that coordinates give, (3,)."""
     if turned := [c.kind for c in free if c.turns and not (c.kind == "rz" and c is free[-1])]:
         raise SymmetryError(
             f"{context} cannot carry a placement on the base with a rotation ({turned[0]}); "
@@ -91,12 +107,7 @@ def _moved_coordinates(
     missing = sorted(needed.difference(*(_GIVES.get(c.kind, "") for c in free)))
     if free and missing:
         raise SymmetryError(f"{context} needs a coordinate {missing[0]!r} there")
-    result = list(frame)
-    for c in free:
-        values = _moved_values(c, [_number(value, old) for value in c.values], moved, G, context)
-        after = zip(c.values, values, strict=True)
-        result.append(Coordinate(c.kind, tuple(_set(value, to, new) for value, to in after)))
-    return tuple(result)
+    return moved
 
 
 def _moved_values(
@@ -155,9 +166,9 @@ def carry(leg: Leg, element: Element, name: str, point: str) -> Leg:
         constant = p.rest(old, context).copy()
         if index == 0 or joint is leg.point:
             isometry = element.platform if joint is leg.point else element.base
-            moved, rest = _on_body(p, isometry, constant, old, new, f"{context}: the {element}")
+            moved, residual = _on_body(p, isometry, constant, old, new, f"{context}: the {element}")
             if joint is leg.point and leg.closes == "point":  # its frame has no meaning
-                rest[:3, :3] = constant[:3, :3]
+                residual[:3, :3] = constant[:3, :3]
         else:
             coordinates = p.coordinates
             if element.reflection:  # of polar and spherical coordinates the azimuth turns over
@@ -167,13 +178,13 @@ def carry(leg: Leg, element: Element, name: str, point: str) -> Leg:
                     else Coordinate(c.kind, (*c.values[:-1], _negative(c.values[-1], old, new)))
                     for c in coordinates
                 )
-            moved, rest = Placement(coordinates), constant
-            rest[:3, :3] = local @ constant[:3, :3] @ local
-            rest[:3, 3] = local @ constant[:3, 3]
+            moved, residual = Placement(coordinates), constant
+            residual[:3, :3] = local @ constant[:3, :3] @ local
+            residual[:3, 3] = local @ constant[:3, 3]
         axis = local @ np.array(joint.axis)
-        if joint.kind == "revolute" and element.reflection:
-            axis = -axis
-        joints.append(replace(joint, placement=moved.at(new, rest), axis=_triple(axis)))
+        if joint.kind == "revolute":
+            axis = np.linalg.det(local) * axis
+        joints.append(replace(joint, placement=moved.at(new, residual), axis=_triple(axis)))
     return canonical(
         replace(
             leg,

@@ -70,8 +70,8 @@ def no_symmetries(breaks: Sequence[Break]) -> list[str]:
         elements = listed(dict.fromkeys(str(broken.element) for broken in breaks_alike))
         legs = list(dict.fromkeys(broken.leg for broken in breaks_alike))
         differ = f"differ{'s' * (len(legs) == 1)} from what is carried there in {reason}"
-        why = HOME_MOVES if breaks_alike[0].quantity == HOME else f"{listed(legs)} {differ}"
-        sentences.append(f"{elements}: {why}")
+        cause = HOME_MOVES if breaks_alike[0].quantity == HOME else f"{listed(legs)} {differ}"
+        sentences.append(f"{elements}: {cause}")
     return sentences
 
 

@@ -46,9 +46,9 @@ def applied(G: Array, points: Array) -> Array:
 
 def same(first: Array, second: Array, within: float = SAME) -> bool:
     """Return whether two isometries are the same but for errors within a part of their size."""
-    apart = np.abs(first - second)
+    difference = np.abs(first - second)
     size = max(1.0, float(np.abs(first[:3, 3]).max()))
-    return bool(apart[:3, :3].max() <= within and apart[:3, 3].max() <= within * size)
+    return bool(difference[:3, :3].max() <= within and difference[:3, 3].max() <= within * size)
 
 
 class Element:
@@ -231,8 +231,8 @@ def distinct(elements: Sequence[Element], labels: Sequence[object]) -> list[int]
     """
     turns, chosen = np.array([e.turns for e in elements]), list[int]()
     for index, label in enumerate(labels):
-        alike = turns[[i for i in chosen if labels[i] == label]]
-        distances = np.linalg.norm(alike - turns[index], axis=(2, 3)).max(axis=1)
+        labelled = turns[[i for i in chosen if labels[i] == label]]
+        distances = np.linalg.norm(labelled - turns[index], axis=(2, 3)).max(axis=1)
         if not (distances <= _NEAREST).any():
             chosen.append(index)
     return chosen
@@ -279,7 +279,7 @@ def exact(elements: Sequence[Element], centres: tuple[Array, Array], size: float
     """
     table = product_table(elements)
     bodies = [e.base for e in elements], [e.platform for e in elements]
-    parts = (_exact_part(body, table, at, size) for body, at in zip(bodies, centres, strict=True))
+    parts = [_exact_part(body, table, c, size) for body, c in zip(bodies, centres, strict=True)]
     return [Element.of(base, platform) for base, platform in zip(*parts, strict=True)]
 
 

@@ -108,18 +108,12 @@ def differences(first: StandingLeg, element: Element, second: StandingLeg) -> It
 
     The second one is at the pose to which that of the first is carried.
     """
-    leg, other = first.closure.leg, second.closure.leg
-    alike = {
-        "sequence of joints": [j.kind for j in leg.moving] == [j.kind for j in other.moving],
-        "active joint": leg.active == other.active,
-        "end": leg.closes == other.closes,
-        "reach of the pose that home is carried to": second.reached,
-    }
-    if unlike := [quantity for quantity, same in alike.items() if not same]:
-        yield Difference(unlike[0], None)
+    if quantity := _unlike(first, second):
+        yield Difference(quantity, None)
         return
+    leg, image = first.closure.leg, second.closure.leg
     space, Q = first.closure.platform.space, element.matrix
-    names = [*(joint.name for joint in other.moving), other.point.name]
+    names = [*(joint.name for joint in image.moving), image.point.name]
     shifts = applied(element.base, np.vstack((first.points, first.tip)))
     shifts = shifts - np.vstack((second.points, second.tip))
     for name, shift in zip(names, lengths(shifts[:, :space]).tolist(), strict=True):
@@ -137,9 +131,21 @@ def differences(first: StandingLeg, element: Element, second: StandingLeg) -> It
         bars = _bars_apart(first, Q, second)
         yield Difference(f"orientation of joint {names[pointing[0]]!r}", bars, "rad")
     for index in axes:
-        if leg.moving[index].limited or other.moving[index].limited:
+        if leg.moving[index].limited or image.moving[index].limited:
             yield _limits_apart(first, second, index, signs[index])
     yield from _readings_apart(first, second, signs[leg.active])
+
+
+def _unlike(first: StandingLeg, second: StandingLeg) -> str:
+    """Return in what two legs differ that is no number; empty if in nothing."""
+    leg, image = first.closure.leg, second.closure.leg
+    equal = {
+        "sequence of joints": [j.kind for j in leg.moving] == [j.kind for j in image.moving],
+        "active joint": leg.active == image.active,
+        "end": leg.closes == image.closes,
+        "reach of the pose that home is carried to": second.reached,
+    }
+    return next((quantity for quantity, agrees in equal.items() if not agrees), "")
 
 
 def _bars_apart(first: StandingLeg, Q: Array, second: StandingLeg) -> float | None:
@@ -170,16 +176,16 @@ def _limits_apart(first: StandingLeg, second: StandingLeg, index: int, sign: flo
 
 def _readings_apart(first: StandingLeg, second: StandingLeg, signs: Array) -> Iterator[Difference]:
     """Yield by how much active joints move otherwise where readings are the same."""
-    leg, other = first.closure.leg, second.closure.leg
-    if [sensor.homed for sensor in leg.sensors] != [sensor.homed for sensor in other.sensors]:
+    leg, image = first.closure.leg, second.closure.leg
+    if [sensor.homed for sensor in leg.sensors] != [sensor.homed for sensor in image.sensors]:
         yield Difference("zero of the sensor", None, of_sensor=True)
         return
-    if len(leg.influences) != len(other.influences):
+    if len(leg.influences) != len(image.influences):
         yield Difference("terms of the sensor", None, of_sensor=True)
         return
-    here = sensor_law(first.closure).reading(first.joints[None, leg.active])
+    home = sensor_law(first.closure).reading(first.joints[None, leg.active])
     scales = [1.0 if unit == "rad" else leg.size for unit in leg.reading_units]
-    readings, moved = here + np.outer(_READINGS, scales), []
+    readings, moved = home + np.outer(_READINGS, scales), []
     for shape, sides in ((first, signs), (second, np.ones(len(signs)))):
         names = shape.closure.leg.reading_names
         loads = {f"{LOAD}_{name}": side for name, side in zip(names, sides, strict=True)}

@@ -204,9 +204,9 @@ class Orientations:
         ways = {way: set(names) for way, (names, unit) in WAYS.items() if unit == "rad"}
         way = next((way for way, names in ways.items() if names >= set(values)), None)
         if platform.turns < 3 or way is None:
-            wanted = {0: "none", 1: "phi", 3: _SPATIAL}[platform.turns]
+            takes = {0: "none", 1: "phi", 3: _SPATIAL}[platform.turns]
             raise WorkspaceError(
-                f"orientations by {', '.join(values)}: a {platform.kind!r} platform takes {wanted}"
+                f"orientations by {', '.join(values)}: a {platform.kind!r} platform takes {takes}"
             )
         if "tilt" in values and "azimuth" not in values:
             values["azimuth"] = _round("azimuth", 10.0).values
@@ -221,8 +221,8 @@ class Orientations:
         side = -1.0 if element.reflection else 1.0
         before, after = (Rotation.from_matrix(side * Q) for Q in element.turns)
         images = (before * self.rotations * after.inv()).as_quat(canonical=True)
-        away = self._tree.query(images, distance_upper_bound=SAME)[0]
-        return bool(np.isfinite(away).all())
+        distances = self._tree.query(images, distance_upper_bound=SAME)[0]
+        return bool(np.isfinite(distances).all())
 
     @cached_property
     def _tree(self) -> KDTree:

@@ -126,8 +126,8 @@ class Criteria:
         for place, leg in enumerate(self._legs):
             known = self.mechanism.known(place, readings, None)
             closure, joints = nearest_closure((leg,), matrices, known)
-            apart = 10.0 * max(home_gap(leg.leg, platform)) + EXACT * leg.size
-            near = (np.abs(closure.gap).max(axis=1) <= apart) & in_home_modes((leg,), closure)
+            tolerance = 10.0 * max(home_gap(leg.leg, platform)) + EXACT * leg.size
+            near = (np.abs(closure.gap).max(axis=1) <= tolerance) & in_home_modes((leg,), closure)
             closed.append(([place], ClosedLegs(joints[:, : len(leg.leg.moving)], near, closure)))
         return self._counted(closed)
 

@@ -121,10 +121,10 @@ class Grid:
 
     def cartesian(self, coordinates: Sequence[Array]) -> Array:
         """Return positions from values along the axes, shape (N, 3), [m]."""
-        first, second, *rest = coordinates
+        first, second, *heights = coordinates
         if self.polar:
             first, second = first * np.cos(second), first * np.sin(second)
-        third = rest[0] if rest else np.zeros_like(first)
+        third = heights[0] if heights else np.zeros_like(first)
         return np.stack((first, second, third), axis=-1)
 
     def measures(self, index: Indices) -> Array:
@@ -211,9 +211,9 @@ def at_edge(grid: Grid, inside: Mask) -> Array:
         for end, sign in ((0, -1.0), (n - 1, 1.0)):
             if axis.name == "radius" and sign < 0 and axis.values[0] <= axis.step:
                 continue  # the centre is no edge
-            where = np.argwhere(cells.take([end], place))
-            where[:, place] = end
-            coordinates = [a.values[i] for a, i in zip(grid.axes, where.T, strict=True)]
+            ends_at = np.argwhere(cells.take([end], place))
+            ends_at[:, place] = end
+            coordinates = [a.values[i] for a, i in zip(grid.axes, ends_at.T, strict=True)]
             coordinates[place] = coordinates[place] + sign * axis.step / 2
             ends.append(grid.cartesian(coordinates))
     return np.concatenate(ends)

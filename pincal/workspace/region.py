@@ -274,7 +274,7 @@ def compute_workspace(
     Raises:
         WorkspaceError: an unknown kind, or no orientations where they are needed.
     """
-    how, mechanism = Computing(**options), as_mechanism(mechanism)
+    computing, mechanism = Computing(**options), as_mechanism(mechanism)
     orientations = _orientations(mechanism, kind, orientations)
     if not isinstance(grid, Grid):
         raise WorkspaceError(f"grid: expected a Grid; got {described(grid)}")
@@ -283,20 +283,20 @@ def compute_workspace(
     least = as_margins(least)
     group = symmetry_group(mechanism, ROUNDING, readings=False).elements
     test = PositionTest(mechanism, orientations, kind != "reachable", least)
-    elements = usable(group if how.symmetry else group[:1], grid, test)
+    elements = usable(group if computing.symmetry else group[:1], grid, test)
     unused = tuple(e for e in group if e not in elements)
     size = max(1, min(BLOCK, (_CHUNK if test.in_closed_form else BLOCK) // len(orientations)))
     inside, computed = np.zeros(grid.size, dtype=bool), 0
     for begin, end in blocks(grid.size, size):
         index = np.arange(begin, end)
         first = lowest(elements.values(), index)  # of each orbit: done with before, or now
-        now = index[first == index]
-        inside[now] = test(grid.at(now))
+        domain = index[first == index]
+        inside[domain] = test(grid.at(domain))
         inside[begin:end] = inside[first]
-        computed += len(now)
-        if how.progress:
-            how.progress(end)
-    if how.connected and inside.any():
+        computed += len(domain)
+        if computing.progress:
+            computing.progress(end)
+    if computing.connected and inside.any():
         inside = part_around(grid, inside, mechanism.platform.home_pose.translation[0])
     inside.setflags(write=False)
     return Workspace(kind, test, grid, inside, elements, unused, computed)
