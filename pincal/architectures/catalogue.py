@@ -90,8 +90,8 @@ def _five_bar(d: Values) -> Mechanism:
     """Motors on x beside the origin, elbows outward; the right leg is the left one's mirror."""
     links = {"l": d["driving_link"], "L": d["conducted_link"]}
     x = d["motor_distance"] / 2
-    least, most = d["motor_least"], d["motor_most"]
-    sides = {"shoulder": (least, most)}, {"shoulder": (pi - most, pi - least)}
+    low, high = d["motor_least"], d["motor_most"]
+    sides = {"shoulder": (low, high)}, {"shoulder": (pi - high, pi - low)}
     return _resized("5R", [links | {"A_x": -x}, links | {"A_x": x}], (0.0, d["height"]), *sides)
 
 

@@ -79,8 +79,8 @@ def new(
     """
     refuse_existing(output, force=force, folder=FOLDER)
     design = architecture_of(architecture)
-    given = {name: value for name, value in asdict(dimensions).items() if value is not None}
-    values = design.complete(given)
+    sizes = {name: value for name, value in asdict(dimensions).items() if value is not None}
+    values = design.complete(sizes)
     mechanism = pincal.new_mechanism(design.name, name=named_after(output), **values)
     noise = Noise(reading=_READ if mechanism.redundant else 0.0)
     with working("choosing poses"):
@@ -158,7 +158,7 @@ def demo(
     poses = pincal.Plan.from_csv(candidates, mechanism)
     with working("driving the true machine over the workspace"):
         errors = {name: pincal.accuracy(model, truth, poses) for name, model in models.items()}
-    for name, off in errors.items():
-        worst = amount(off.worst_position, "m")
-        stdout.print(f"{name}: {amount(off.position, 'm')} root mean square, {worst} at most")
+    for name, error in errors.items():
+        worst = amount(error.worst_position, "m")
+        stdout.print(f"{name}: {amount(error.position, 'm')} root mean square, {worst} at most")
     say(f"All files are in {output}; open {output / 'result' / 'report.html'}")

@@ -148,8 +148,8 @@ def must_be(
     if not isinstance(value, kind):
         special = {type(None): "None", np.ndarray: "an array"}
         named = [
-            special.get(each, f"a{'n' * (each.__name__[0] in 'AEIOU')} {each.__name__}")
-            for each in (kind if isinstance(kind, tuple) else (kind,))
+            special.get(accepted, f"a{'n' * (accepted.__name__[0] in 'AEIOU')} {accepted.__name__}")
+            for accepted in (kind if isinstance(kind, tuple) else (kind,))
         ]
         expected = expected or " or ".join(named)
         raise error_type(f"{name}: expected {expected}; got {described(value)}")

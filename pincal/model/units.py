@@ -68,11 +68,11 @@ class Units:
                 continue
             dimension = UNITS.get(unit, ("1", 1.0))[0]
             if dimension == "1" or dimension in names:
-                of = {"m": " of length", "rad": " of angle", "1": ""}[dimension]
+                fault = {"m": "a second unit of length", "rad": "a second unit of angle"}
                 known = (name for name, (kind, _) in UNITS.items() if kind != "1")
                 raise MeasurementError(
-                    f"--units {text}: {unit!r} is {'a second' if of else 'not a known'} unit{of}; "
-                    "give at most one unit of length and one of angle, such as mm,deg "
+                    f"--units {text}: {unit!r} is {fault.get(dimension, 'not a known unit')}; give "
+                    "at most one unit of length and one of angle, such as mm,deg "
                     f"(known units: {', '.join(filter(str.isascii, known))}, {COUNTS})"
                 )
             names[dimension] = unit
