@@ -8,7 +8,7 @@ Which of them are not observable is found when measurements are planned or made.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -91,21 +91,29 @@ def with_tip(joints: Iterable[Joint]) -> tuple[Joint, ...]:
     return joints if joints[-1].kind == "fixed" else (*joints, Joint("tip", "fixed"))
 
 
-def displaced(leg: Leg, stems: Sequence[str], axes: Sequence[str], end: str = "tip") -> Leg:
+def displaced(
+    leg: Leg,
+    stems: Sequence[str],
+    axes: Sequence[str],
+    end: str = "tip",
+    held: Collection[str] = (),
+) -> Leg:
     """Return a leg with small displacements, its parameters, at each joint that moves and the tip.
 
     And at its platform point, if it closes one: along axes, not about them. Their names begin with
-    the stems, one for each moving joint, and with that of the end.
+    the stems, one for each moving joint, and with that of the end; those that are held have none.
     """
     stem_of = dict(zip((joint.name for joint in leg.moving), stems, strict=True))
     stem_of[leg.joints[-1].name] = end
     parameters: list[tuple[str, float]] = []
 
     def moved(joint: Joint, stem: str, axes: Sequence[str]) -> Joint:
-        names = {axis: f"{stem}_{axis}" for axis in axes}
-        parameters.extend((name, 0.0) for name in names.values())
+        names = {name: axis for axis in axes if (name := f"{stem}_{axis}") not in held}
+        if not names:
+            return joint
+        parameters.extend(dict.fromkeys(names, 0.0).items())
         xyz, rpy = joint.placement.xyz, joint.placement.rpy
-        steps = [Coordinate(axis, (name,)) for axis, name in names.items()]
+        steps = [Coordinate(axis, (name,)) for name, axis in names.items()]
         steps += [Coordinate(axis, (v,)) for axis, v in zip("xyz", xyz, strict=True) if v]
         return replace(joint, placement=Placement(tuple(steps), xyz, rpy))
 

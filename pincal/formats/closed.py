@@ -103,12 +103,14 @@ def closed_mechanism(
             leg = _leg(tree, name, limb, [point for _, point in limbs])
             bare.append(_without_idle(leg, free, remarks))
         axes = _PLANAR if kind in ("point", "planar") else _SPATIAL
-        legs = [displaced(leg, stems, axes) for leg, stems in zip(bare, _stems(bare), strict=True)]
-        closed, placed = _closed(tree, legs, free)
+        closed, placed = _closed(tree, bare, free)
         remarks += [text for leg in closed for text in _outside_limits(leg)]
         name = re.sub(r"\W+", "_", tree.name)[:100] or "mechanism"
-        reduced = tuple(_reduced(leg, placed, tree.slack) for leg in closed)
-        return Mechanism(name, placed, reduced, f"From {tree.source}."), tuple(remarks)
+        legs = [
+            _parametrised(leg, stems, axes, placed, tree.slack)
+            for leg, stems in zip(closed, _stems(closed), strict=True)
+        ]
+        return Mechanism(name, placed, tuple(legs), f"From {tree.source}."), tuple(remarks)
 
 
 def _outside_limits(leg: Leg) -> Iterator[str]:
@@ -320,20 +322,11 @@ def _stems(legs: Sequence[Leg]) -> list[list[str]]:
     return [[f"joint_{i + 1}" for i in range(len(of_leg))] for of_leg in stems]
 
 
-def _reduced(leg: Leg, platform: Platform, slack: float) -> Leg:
+def _parametrised(
+    leg: Leg, stems: Sequence[str], axes: Sequence[str], platform: Platform, slack: float
+) -> Leg:
     """Return a leg with the parameters that its closure can distinguish; shifts come first."""
-    order = sorted(leg.parameter_names, key=lambda name: leg.units[name] != "m")
-    distinct = set(independent(leg, platform, tuple(order), slack))
-
-    def reduced(joint: Joint) -> Joint:
-        named = [c for c in joint.placement.coordinates if c.values[0] in distinct]
-        constant = [c for c in joint.placement.coordinates if not isinstance(c.values[0], str)]
-        coordinates = (*named, *constant) if named else ()
-        return replace(joint, placement=replace(joint.placement, coordinates=coordinates))
-
-    return replace(
-        leg,
-        joints=tuple(reduced(joint) for joint in leg.joints),
-        point=reduced(leg.point),
-        parameters=tuple(item for item in leg.parameters if item[0] in distinct),
-    )
+    every = displaced(leg, stems, axes)
+    order = sorted(every.parameter_names, key=lambda name: every.units[name] != "m")
+    distinct = independent(every, platform, tuple(order), slack)
+    return displaced(leg, stems, axes, held=set(every.parameter_names).difference(distinct))
