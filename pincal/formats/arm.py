@@ -80,7 +80,7 @@ def arm(name: str, joints: tuple[Joint, ...], description: str = "") -> Mechanis
         point=Joint(point, "fixed"),
         closes="frame",
     )
-    leg, free = displaced(leg, stems, _AXES, _TOOL), Platform.at_origin("spatial")
+    leg, free = displaced(leg, (*stems, _TOOL), _AXES), Platform.at_origin("spatial")
     home = free.from_matrices(LegClosure(leg, free).frame(leg.home[None]))[0]
     return Mechanism(name, Platform("spatial", tuple(home.tolist())), (leg,), description)
 
@@ -92,19 +92,15 @@ def with_tip(joints: Iterable[Joint]) -> tuple[Joint, ...]:
 
 
 def displaced(
-    leg: Leg,
-    stems: Sequence[str],
-    axes: Sequence[str],
-    end: str = "tip",
-    held: Collection[str] = (),
+    leg: Leg, stems: Sequence[str], axes: Sequence[str], held: Collection[str] = ()
 ) -> Leg:
     """Return a leg with small displacements, its parameters, at each joint that moves and the tip.
 
     And at its platform point, if it closes one: along axes, not about them. Their names begin with
-    the stems, one for each moving joint, and with that of the end; those that are held have none.
+    the stems, one for each moving joint and for the tip; those that are held have none.
     """
-    stem_of = dict(zip((joint.name for joint in leg.moving), stems, strict=True))
-    stem_of[leg.joints[-1].name] = end
+    names = (*(joint.name for joint in leg.moving), leg.joints[-1].name)
+    stem_of = dict(zip(names, stems, strict=True))
     parameters: list[tuple[str, float]] = []
 
     def moved(joint: Joint, stem: str, axes: Sequence[str]) -> Joint:

@@ -107,7 +107,7 @@ def closed_mechanism(
         remarks += [text for leg in closed for text in _outside_limits(leg)]
         name = re.sub(r"\W+", "_", tree.name)[:100] or "mechanism"
         legs = [
-            _parametrised(leg, stems, axes, placed, tree.slack)
+            _parametrised(leg, (*stems, "tip"), axes, placed, tree.slack)
             for leg, stems in zip(closed, _stems(closed), strict=True)
         ]
         return Mechanism(name, placed, tuple(legs), f"From {tree.source}."), tuple(remarks)
