@@ -57,10 +57,8 @@ def answers(
 ) -> list[Answer]:
     """Return whether it is better, by how much, whether to rely on it, and what next.
 
-    Args:
-        result: The calibration.
-        errors: The platform's over the workspace; None if the fit did not converge.
-        notes: Sentences on what was not done, and why.
+    Errors are the platform's over the workspace, None if the fit did not converge; notes say what
+    was not done, and why.
     """
     steps = next_steps(result, errors)
     following = Answer("What next?", "Use it" if steps[1:] else "Look into it", "", [steps])
@@ -89,10 +87,7 @@ def verdict(result: CalibrationResult, errors: WorkspaceErrors | None) -> tuple[
 
 
 def _improvement(result: CalibrationResult, errors: WorkspaceErrors) -> tuple[str, str, str, str]:
-    """Return whether the machine is better, its tone and reason, and by how much.
-
-    By what the platform's errors fall.
-    """
+    """Return whether the platform's errors fall, its tone and reason, and by how much."""
     if not result.explained:
         by = "No accuracy can be promised"
         excess = f"{result.excess:.3g} times as large as the noise given makes them"

@@ -118,10 +118,9 @@ class WorkspaceErrors:
 
 
 def workspace_errors(result: CalibrationResult) -> WorkspaceErrors:
-    """Return the platform's errors at samples of the workspace.
+    """Return the platform's errors at samples of the workspace that reach the measured region.
 
-    At the measured configurations if no workspace is found with the default margins, or no sample
-    lies in the measured region.
+    At the measured configurations if there are none, or no workspace with the default margins.
     """
     try:
         sampled = errors_at(result, sample_configurations(result.nominal, _SAMPLES))
@@ -163,11 +162,10 @@ def apart(result: CalibrationResult, plan: Plan) -> tuple[Array, tuple[str, ...]
 def level_poses(
     result: CalibrationResult, *, at_home: bool = False
 ) -> tuple[Array, Array, float | None, Array, Mask]:
-    """Return poses over x and y, the other coordinates as at home, for maps of the workspace.
+    """Return x and y, (n,), [m], z, coordinates, (n, n, dof), and which are in the workspace.
 
-    Returns:
-        x and y, shapes (n,), [m]; z in the middle of the workspace, or at home, [m], None in a
-        plane; coordinates, shape (n, n, dof), rows of equal y; which are in the workspace, (n, n).
+    For maps: rows of equal y, z in the middle of the workspace or at home (None in a plane), the
+    other coordinates as at home.
 
     Raises:
         WorkspaceError: no workspace was found, or it fills no plane.

@@ -52,13 +52,9 @@ class Dimension:
 def dimensions_of(
     closure: LegClosure, joints: Array, T_base_platform: Array, size: float
 ) -> list[Dimension]:
-    """Return the dimensions of a leg.
+    """Return the dimensions of a leg at its nominal parameters, smallest arcs of a size, [m].
 
-    Args:
-        closure: The leg at its nominal parameters.
-        joints: Positions of its moving joints, shape (n_joints,), [rad] or [m].
-        T_base_platform: The pose, shape (4, 4).
-        size: Radius of the smallest arc, [m].
+    Joints are positions of moving ones, shape (n_joints,), [rad] or [m]; the pose has shape (4, 4).
 
     Raises:
         MechanismError: a homed sensor, and a home pose out of the leg's reach.
@@ -117,9 +113,8 @@ def _read(
 ) -> Iterator[Dimension]:
     """Yield what a sensor reads, and its offset if that is a parameter.
 
-    The frame is the joint's at its zero, ``T_base_joint``; places, shape (n, 3), are of the joints
-    and the tip; the joint is counted from the first position, the sensor from the second, up to
-    the third.
+    The frame is the joint's at its zero; places, shape (n, 3), are of joints and tip; the joint
+    counts from the first position, the sensor from the second, up to the third.
     """
     zero, start, position = positions
     origin, axis = frame[:3, 3], frame[:3, :3] @ np.array(joint.axis)

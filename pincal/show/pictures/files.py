@@ -69,11 +69,7 @@ def drawing() -> Iterator[None]:
 
 
 def picture_path(path: str | Path) -> Path:
-    """Return the path of a picture if its name ends as a picture's does.
-
-    Raises:
-        FileError: it does not.
-    """
+    """Return the path of a picture; raise a FileError if its name does not end as one's does."""
     path = Path(path)
     if path.suffix[1:].lower() not in _METADATA:
         raise FileError(f"{path}: expected a name in .svg, .png or .pdf for a picture")
@@ -83,13 +79,7 @@ def picture_path(path: str | Path) -> Path:
 def save_figure(
     drawn: Figure, path: str | Path, *, force: bool = False, whole: bool = False
 ) -> Path:
-    """Write a figure in the format of its name, and return its path.
-
-    Args:
-        drawn: The figure.
-        path: Where to.
-        force: Whether to replace what is there.
-        whole: Whether it keeps its size; else it is closely cut.
+    """Write a figure in the format of its name, whole or closely cut, and return its path.
 
     Raises:
         FileError: the name ends otherwise, the file exists and ``force`` is not set, or it

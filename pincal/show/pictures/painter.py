@@ -30,13 +30,9 @@ _CORNERS = np.stack(np.meshgrid(*[[-0.5, 0.5]] * 3), axis=-1).reshape(-1, 3)
 
 
 def paint(axes: Axes, shapes: list[tuple[Shape, Array]], V: Array, colour: str = "") -> None:
-    """Paint shapes in their own colours, or in one that lets through what is behind.
+    """Paint shapes, with ``T_base_part``, [m], in their colours, or in one that is seen through.
 
-    Args:
-        axes: Where to paint.
-        shapes: Shapes with ``T_base_part``, [m].
-        V: What points right, up and towards the viewer, shape (3, 3), rows in the base frame.
-        colour: One for all.
+    V is what points right, up and towards the viewer, shape (3, 3), rows in the base frame.
     """
     polygons = []
     for shape, place in shapes:
@@ -74,12 +70,9 @@ def _points(shape: Shape, T: Array, V: Array) -> Array:
 
 
 def _hull(points: Array) -> Array:
-    """Return the corners of the convex hull of points in a plane, shape (n, 2), in order.
-
-    From the lowest on, so that rounding errors do not choose where the outline begins.
-    """
+    """Return the corners of the convex hull of points in a plane, shape (n, 2), in order."""
     corners = points[ConvexHull(points).vertices]
-    first = int(np.lexsort(corners.round(9).T)[0])
+    first = int(np.lexsort(corners.round(9).T)[0])  # the lowest, whatever rounding errors are
     return np.roll(corners, -first, axis=0)
 
 

@@ -161,11 +161,7 @@ class Body:
 
 
 def body(mechanism: Mechanism, planned: Plan | Array) -> Body:
-    """Return a mechanism at poses, each leg in its working mode, or as readings say.
-
-    Args:
-        mechanism: The mechanism, at its nominal parameters.
-        planned: Platform coordinates, shape (N, dof), [m] and [rad], or a plan.
+    """Return a mechanism at poses, (N, dof), each leg in its working mode, or as readings say.
 
     Raises:
         MechanismError: poses of a wrong shape, or not finite.

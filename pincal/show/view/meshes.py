@@ -24,10 +24,7 @@ MOST_FACES, _CELLS = 3000, (60, 45, 32, 22, 15)
 def with_meshes(body: Body, mechanism: Mechanism, urdf: str | Path) -> Body:
     """Return a body whose links look as a URDF's visuals do, where it has them as meshes.
 
-    Args:
-        body: Of the mechanism.
-        mechanism: Its legs' joints have the URDF's names.
-        urdf: The file; ``package://`` is looked for in the folders above it.
+    Joints have the URDF's names; ``package://`` is looked for in the folders above the file.
 
     Raises:
         FileError: the URDF or a mesh is missing or cannot be read, or moves no link of the

@@ -37,10 +37,8 @@ def page(scene: Scene, notices: Sequence[str] = (), *, served: bool = False) -> 
     Below ``meshcat`` in the viewer's tree: ``mechanism`` and ``identified`` with their parts
     (``Body.parts``); ``sets/1`` and ``ghosts/1`` for the first set and so on; those of layers.
 
-    Args:
-        scene: What to show.
-        notices: What to know first.
-        served: Whether the page can ask for the scene off its poses (``answer``).
+    Notices are what to know first; a page that is served can ask for the scene off its poses
+    (``answer``).
     """
     names = list(dict.fromkeys(scene.sets))
     bounds, ground = _bounds(scene), scene.ground()

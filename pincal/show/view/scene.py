@@ -180,8 +180,8 @@ def _driven(
 ) -> Body:
     """Return where another machine goes when the nominal model commands poses by readings.
 
-    Differences of parameters are magnified, not those of poses, so that what is drawn is a
-    mechanism whose loops close; to first order its platform's error is magnified alike.
+    Differences of parameters are magnified, so that what is drawn is a mechanism whose loops close;
+    to first order its platform's error is magnified alike.
     """
     names = [[(leg.name, leg.parameter_names) for leg in m.legs] for m in (mechanism, identified)]
     if names[0] != names[1] or mechanism.platform.kind != identified.platform.kind:
@@ -209,13 +209,10 @@ def _driven(
 
 
 def moved(shown: Scene, row: int, shift: Array) -> Scene:
-    """Return the scene at a single pose, moved off one of its poses.
+    """Return the scene at a single pose, moved off the pose of a row, counted from 0.
 
-    Args:
-        shown: The mechanism at poses.
-        row: From which of them, counted from 0.
-        shift: A twist of the platform in its freedoms, [m] and [rad], base axes at its origin;
-            where readings do not follow from poses, changes of the readings, [m] and [rad].
+    By a twist of the platform in its freedoms, base axes at its origin; where readings do not
+    follow from poses, by changes of the readings; [m] and [rad].
 
     Raises:
         MechanismError: not finite, or of a wrong shape; readings that no pose has.
@@ -288,13 +285,10 @@ def _arrow_layers(result: CalibrationResult, shown: Scene) -> list[Layer]:
 
 
 def misses_of(result: CalibrationResult) -> tuple[Array, Array, Mask]:
-    """Return how rows miss what was measured of the platform's position, after the calibration.
+    """Return points as measured, predicted less measured, and which of them are outliers.
 
-    By the residuals of x, y and z, or of poses that were measured in full by what closes the legs.
-
-    Returns:
-        Points as measured, and predicted less measured, base frame, shape (n, 3), [m], of rows of
-        which both are known; which of them are outliers.
+    Base frame, shape (n, 3), [m], of rows of which both are known: by the residuals of x, y and z,
+    or of poses that were measured in full by what closes the legs.
     """
     calibration, platform, outside = result.calibration, result.nominal.platform, result.outside
     observed = {block.name: block for block in result.observed}
@@ -321,13 +315,10 @@ def misses_of(result: CalibrationResult) -> tuple[Array, Array, Mask]:
 
 
 def stations(result: CalibrationResult) -> list[tuple[str, Array]]:
-    """Return the tracker, or the frame of the measurements where it was unknown, and instruments.
+    """Return names and ``T_base_station``, (4, 4), of what stands around: tracker, instruments.
 
-    Those that say where they stand, by a method ``stand(values)`` that returns
-    T_frame_instrument, shape (4, 4).
-
-    Returns:
-        Of each its name and ``T_base_station``, shape (4, 4), [m].
+    Or of the frame of the measurements where it was unknown; of instruments that have a method
+    ``stand(values)`` that returns T_frame_instrument.
 
     Raises:
         MeasurementError: an instrument that stands at no rigid transform.

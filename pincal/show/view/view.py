@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
 from http import HTTPStatus
@@ -72,14 +72,7 @@ class View(Page):
     @cached_property
     def url(self) -> str:
         """Where browsers of this machine find the page, until ``close`` or the process ends."""
-        scene = self.scene
-
-        def moved_answer(query: Mapping[str, list[str]]) -> str:
-            row = range(len(scene.plan.poses)).index(int(query["row"][0]))  # or a ValueError
-            return answer(scene, row, np.array(query["by"][0].split(","), dtype=np.float64))
-
-        text = page(scene, self._notices, served=True)
-        server = PageServer(text, moved_answer)
+        server = PageServer(self.scene, page(self.scene, self._notices, served=True))
         self._close = finalize(self, server.close)
         return server.url
 
@@ -142,15 +135,9 @@ class PageServer:
     read it.
     """
 
-    def __init__(self, text: str, answer: Callable[[Mapping[str, list[str]]], str]) -> None:
-        """Begin to serve.
-
-        Args:
-            text: The page.
-            answer: Returns the JSON for the query of ``/moved``; a ValueError or KeyError
-                says that it is none.
-        """
-        self._content, self._answer = text.encode(), answer
+    def __init__(self, scene: Scene, text: str) -> None:
+        """Begin to serve the page of a scene."""
+        self._scene, self._content = scene, text.encode()
         self._listening = Event()
         self._thread = Thread(target=lambda: asyncio.run(self._run()), daemon=True)
         self._thread.start()  # in a notebook this thread's own loop runs already
@@ -205,10 +192,13 @@ class PageServer:
         if address.path != "/moved":
             return HTTPStatus.NOT_FOUND, "text/plain", b"no such page"
         try:
-            content = self._answer(parse_qs(address.query)).encode()
+            query = parse_qs(address.query)
+            row = range(len(self._scene.plan.poses)).index(int(query["row"][0]))
+            shift = np.array(query["by"][0].split(","), dtype=np.float64)
+            content = answer(self._scene, row, shift)
         except (ValueError, KeyError):
             return HTTPStatus.BAD_REQUEST, "text/plain", b"not a pose and how to move it"
-        return HTTPStatus.OK, "application/json", content
+        return HTTPStatus.OK, "application/json", content.encode()
 
     def close(self) -> None:
         """Stop serving."""
