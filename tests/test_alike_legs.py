@@ -101,7 +101,7 @@ def test_each_leg_is_measured_by_its_own_size() -> None:
     np.testing.assert_allclose(together.joints[1], alone.joints[0], rtol=0.0, atol=1e-6)
 
 
-@pytest.mark.parametrize("name", FORMS)
+@pytest.mark.parametrize("name", some_slow(FORMS, "3RPR", "6RUS", "8cable", "delta"))
 def test_alike_legs_close_as_each_alone_does(name: str) -> None:
     """Joints, reach and derivatives; also where some legs reach a pose and others do not."""
     robot = pincal.load_mechanism(name)

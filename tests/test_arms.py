@@ -53,7 +53,7 @@ def test_axes_may_be_oblique(tmp_path: Path) -> None:
         np.testing.assert_allclose(T, wanted, atol=1e-13)
 
 
-@pytest.mark.parametrize("name", ARMS)
+@pytest.mark.parametrize("name", quick(8, ARMS))
 def test_derivatives_are_pinocchios(name: str) -> None:
     """Closure by parameters, joints and pose equals central differences through Pinocchio alone.
 
@@ -85,7 +85,7 @@ def test_derivatives_are_pinocchios(name: str) -> None:
     assert_derivative(found.pose, lambda v: gap(tips, shifted(v)))
 
 
-@pytest.mark.parametrize("name", ARMS)
+@pytest.mark.parametrize("name", quick(8, ARMS))
 def test_rank_from_full_poses(name: str) -> None:
     """Full poses tell 4 parameters a revolute joint, 2 a prismatic one, 6 of the frames."""
     mechanism = loaded(name)

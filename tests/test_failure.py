@@ -70,7 +70,7 @@ def test_what_a_rough_mechanism_hides_is_named_when_the_fit_fails(method: str) -
 @pytest.mark.slow
 def test_a_frame_found_by_the_fit_hides_no_sign() -> None:
     """Torsion of the other sign in a tracker's frame: the fit fails, and its sign is named."""
-    mechanism, data = measured("6UPS", 0.15)
+    mechanism, data = measured("6UPS", 0.15, 24)
     wrong = other_sign(data, 5)
     text = said(mechanism, wrong, setup=FRAME)
     assert "torsion has the other sign" in text

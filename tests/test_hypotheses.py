@@ -318,7 +318,7 @@ BACKWARDS = "the orientations turn the other way (that of the base seen from the
 @pytest.mark.parametrize(
     ("kind", "fault", "words"),
     quick(
-        2,
+        1,
         [
             ("3RRR", other_sign(0), X + RIGHT),
             ("6UPS", other_sign(3), "azimuth has the other sign"),

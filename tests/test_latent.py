@@ -23,7 +23,6 @@ from measured import (
     workspace,
 )
 from scipy.optimize import least_squares
-from scipy.spatial.transform import Rotation
 
 import pincal
 from pincal.calibration.calibrate import prepared
@@ -435,54 +434,28 @@ def test_positions_alone_calibrate_a_hexapod() -> None:
 
 @pytest.mark.parametrize(
     ("change", "options", "message"),
-    [
-        pytest.param(
-            "mirror", {"setup": FRAME}, "as in a left-handed frame", marks=pytest.mark.slow
-        ),
-        pytest.param(
-            "millimetres",
-            {"setup": FRAME},
-            "if the positions are in mm under a metre header",
-            marks=pytest.mark.slow,
-        ),
-        pytest.param(
-            "line", {"setup": FRAME}, "all on a line|all at one place", marks=pytest.mark.slow
-        ),
-        pytest.param(
-            "exchange", {}, "legs are exchanged: .* order of columns", marks=pytest.mark.slow
-        ),
-        pytest.param(
-            "turn", {}, "contradict each other by .*--unknown-frame", marks=pytest.mark.slow
-        ),
-        pytest.param(
-            "degrees",
-            {"setup": FRAME},
-            "if the readings are in mm under a metre header",
-            marks=pytest.mark.slow,
-        ),
-        ("nothing", {}, "2 measured quantities, which do not fix the 3 freedoms"),
-        ("exact", {"noise": pincal.Noise(0.0, 0.0, 0.0)}, "carry no noise at all"),
-    ],
+    some_slow(
+        WRONG := [
+            ("line", {"setup": FRAME}, "all on a line|all at one place"),
+            ("turn", {}, "contradict each other by .*--unknown-frame"),
+            ("nothing", {}, "2 measured quantities, which do not fix the 3 freedoms"),
+            ("exact", {"noise": pincal.Noise(0.0, 0.0, 0.0)}, "carry no noise at all"),
+        ],
+        *WRONG[:2],
+    ),
 )
 def test_what_cannot_be_is_refused(change: str, options: dict, message: str) -> None:
-    """Mirrored frames, wrong units, points that fix no frame, rows with too little."""
+    """Points that fix no frame, a frame taken for the base's, rows with too little, no noise.
+
+    Mirrored frames and exchanged legs: below. Wrong units: tests/test_misfits.py.
+    """
     mechanism, _, data = machine("3RRR" if change == "nothing" else "6UPS", 15)
     data = seen_from_elsewhere(mechanism, data) if "setup" in options else data
-    if change == "mirror":
-        data = put(data, "poses", np.s_[:, 1], data.poses[:, 1] * -1)
-        data = put(data, "poses", np.s_[:, 3:], np.nan)
-    elif change == "millimetres":
-        data = put(data, "poses", np.s_[:, :3], data.poses[:, :3] * 1e3)
-    elif change == "line":
+    if change == "line":
         data = put(data, "poses", np.s_[2:], np.nan)
-    elif change == "exchange":
-        data = put(data, "poses", np.s_[:, 3:], np.nan)
-        data = put(data, "readings", np.s_[:, :2], data.readings[:, 1::-1])
     elif change == "turn":
         data = put(data, "poses", np.s_[:, :2], data.poses[:, :2] @ [[0.0, 1.0], [-1.0, 0.0]])
         data = put(data, "poses", np.s_[:, 3:], np.nan)
-    elif change == "degrees":
-        data = put(data, "readings", np.s_[:], data.readings[:] * 1e3)
     elif change == "nothing":
         data = put(data, "poses", 4, np.nan)
         data = put(data, "readings", np.s_[4, 0], np.nan)
@@ -507,28 +480,20 @@ def test_error_in_an_unknown_frame_is_what_was_forecast(kind: str) -> None:
 
 @pytest.mark.slow
 def test_refusals_say_true_numbers() -> None:
-    """What mirrored positions miss by, either way round, and what exchanged readings contradict.
+    """Mirrored positions and exchanged legs are named; what readings contradict is said by size.
 
-    Said by the refusal behind the one that names the cause.
+    The size is said by the refusal behind the one that names the cause.
     """
     mechanism, _, data = machine("6UPS", 15)
     seen = seen_from_elsewhere(mechanism, data)
     seen = put(seen, "poses", np.s_[:, 1], seen.poses[:, 1] * -1)
     seen = put(seen, "poses", np.s_[:, 3:], np.nan)
-    with pytest.raises(pincal.MeasurementError) as refused:
+    with pytest.raises(pincal.MeasurementError, match="as in a left-handed frame"):
         pincal.calibrate(mechanism, seen, noise=NOISE, setup=FRAME)
-    there = pincal.forward(mechanism, data.readings).poses[:, :3]
-    there = there - there.mean(axis=0)
-    wanted = []
-    for side in (1.0, -1.0):
-        points = (seen.poses[:, :3] - seen.poses[:, :3].mean(axis=0)) * [1.0, side, 1.0]
-        _, off = Rotation.align_vectors(points, there)
-        wanted.append(1e3 * off / np.sqrt(len(points)))
-    said = [float(n) for n in re.findall(r"by ([\d.]+) mm", str(refused.value.__cause__))]
-    np.testing.assert_allclose(said, wanted, rtol=5e-3)
     data = put(data, "poses", np.s_[:, 3:], np.nan)
     data = put(data, "readings", np.s_[:, :2], data.readings[:, 1::-1])
-    with pytest.raises(pincal.MeasurementError) as refused:
+    exchanged = "legs are exchanged: .* order of columns"
+    with pytest.raises(pincal.MeasurementError, match=exchanged) as refused:
         pincal.calibrate(mechanism, data, noise=NOISE)
     millimetres, percent = re.findall(
         r"by ([\d.]+) mm .* (\d+) % of", str(refused.value.__cause__)
@@ -566,7 +531,8 @@ def test_a_single_tilt_is_a_measurement() -> None:
     ("left_out", "most"),
     [
         ("torsion", np.pi),
-        *((left_out, 0.05) for left_out in ("tilt", "azimuth", "tilt torsion")),
+        ("azimuth", 0.05),
+        ("tilt torsion", 0.05),
     ],
 )
 def test_parts_of_an_orientation_have_the_noise_of_a_turn(left_out: str, most: float) -> None:

@@ -151,7 +151,7 @@ def test_poses_in_another_frame_are_recognised(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", quick(1, KINDS))
-@pytest.mark.parametrize("free", [False, True])
+@pytest.mark.parametrize("free", quick(1, [False, True]))
 def test_positions_alone_are_explained_after_a_fit(kind: str, free: bool) -> None:
     """Without orientations nothing is refused beforehand, but what is wrong is found."""
     mechanism, _, data = machine(kind, 36)

@@ -46,7 +46,7 @@ def sizes(kind: str, seed: int) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("seed", quick(1, range(2)))
-@pytest.mark.parametrize("kind", some_slow(KINDS, "cable-4", "linear-delta", "hexapod"))
+@pytest.mark.parametrize("kind", some_slow(KINDS, "cable-4", "linear-delta", "hexapod", "delta"))
 def test_readings_are_those_of_the_dimensions(kind: str, seed: int) -> None:
     """Inverse kinematics is the closed form of the dimensions, over the workspace."""
     own = sizes(kind, seed)
@@ -110,7 +110,7 @@ def made(kind: str, folder: Path, *more: object) -> Outcome:
     return done("new", kind, *more, "--count", 16, "-o", folder)
 
 
-@pytest.mark.parametrize("kind", some_slow(KINDS, "hexapod", "cable-8", "delta"))
+@pytest.mark.parametrize("kind", quick(2, KINDS))
 def test_the_machine_that_was_measured_is_identified(kind: str, tmp_path: Path) -> None:
     """From the folder, with noise of a nanometre: each parameter, within 5 standard errors."""
     folder = pincal.new_mechanism(kind).save(tmp_path / "own")

@@ -70,8 +70,9 @@ def missed(result: pincal.CalibrationResult, rows: pincal.Measurements) -> float
     return float(np.sqrt(np.mean(squares)))
 
 
-@pytest.mark.parametrize("seed", quick(1, range(4)))
-@pytest.mark.parametrize("lacks", quick(1, [1e-3, 0.0, 1e-4]))
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("lacks", [1e-3, 0.0, 1e-4])
 def test_noise_that_is_not_given_is_no_worse_than_least_squares(lacks: float, seed: int) -> None:
     """Held out within 3 % of plain least squares, whatever the model lacks.
 

@@ -165,6 +165,7 @@ def test_residuals_beyond_the_noise_are_no_success(planar: Any) -> None:
     assert [answer.tone for answer in answers(result, errors)] == ["good", "", "good", ""]
 
 
+@pytest.mark.slow
 def test_a_fit_that_fails_is_not_compared_with_held_out_rows(planar: Any) -> None:
     """Where rows of the fit miss by hundreds of σ, those held out are not said to be better."""
     result, _, report = planar

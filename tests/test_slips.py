@@ -106,11 +106,10 @@ def test_two_slips_are_both_named() -> None:
     assert {one.what for one in found} >= {"reading"}
 
 
-@pytest.mark.parametrize("count", quick(1, [10, 100]))
-def test_sound_machines_have_no_slips(count: int) -> None:
-    """At most two in a hundred, where one is expected."""
-    false = sum(bool(slipped(*measured("3RRR", seed))) for seed in range(10, 10 + count))
-    assert false <= 0.03 * count
+@pytest.mark.slow
+def test_sound_machines_have_no_slips() -> None:
+    """At most three in a hundred, where one is expected."""
+    assert sum(bool(slipped(*measured("3RRR", seed))) for seed in range(10, 110)) <= 3
 
 
 def test_a_reflector_that_slipped_on_an_arm_is_named() -> None:

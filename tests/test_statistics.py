@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from cramer_rao import KINDS, NOISE, machine, values_of
+from marks import some_slow
 
 import pincal
 
@@ -26,7 +27,7 @@ def test_the_simulator_agrees(kind: str) -> None:
     np.testing.assert_allclose(one.readings(one.parameters, twists)[ok], found[ok], atol=1e-12)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", some_slow(KINDS, "6UPS"))
 def test_the_bound_agrees_with_the_forecast(kind: str) -> None:
     """Dense Fisher information by differences gives the forecast's standard errors, to 1e-5."""
     one = machine(kind)

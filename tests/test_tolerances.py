@@ -118,6 +118,7 @@ def test_units_of_too_few_parameters_are_free() -> None:
     assert "how far gains are from the drawing is not said by 2 of them" in text
 
 
+@pytest.mark.slow
 def test_a_machine_as_drawn_is_found_as_drawn() -> None:
     """Without deviations the lower end of their size is zero, the upper one what poses see."""
     _, data = drawn("3RRR", 24, 3, dict.fromkeys(SIZES, 0.0))

@@ -41,7 +41,7 @@ def simulated(seed: int, cut: Callable[[Array], Array]) -> pincal.CalibrationRes
 
 
 @pytest.mark.parametrize(
-    ("cut", "sets"), quick(2, [(few_poses, 3), (one_leg_seldom_read, 6), (one_leg_seldom_read, 16)])
+    ("cut", "sets"), quick(1, [(few_poses, 3), (one_leg_seldom_read, 6), (one_leg_seldom_read, 16)])
 )
 def test_finite_intervals_hold_the_truth(cut: Callable[[Array], Array], sets: int) -> None:
     """At least 90 % of all finite 95 % intervals hold the true value, if any is finite."""

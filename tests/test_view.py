@@ -416,6 +416,7 @@ def shown_poses(page: Path, head: str = "pose") -> np.ndarray:
     return np.array([row["values"] for row in rows]).T * factors
 
 
+@pytest.mark.slow
 def test_a_date_that_is_none_harms_nothing() -> None:
     """Libraries read ``SOURCE_DATE_EPOCH`` while they are loaded; garbage in it is as if unset."""
     command = [sys.executable, "-m", "pincal", "--version"]
