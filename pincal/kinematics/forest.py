@@ -92,14 +92,32 @@ class Forest:
         chain begins where another one ends that stands still, or at the base's origin.
         """
         legs, count, n = configurations.shape
-        rows = [0, 1, 2, 3, 4, 5] if self.spatial else [0, 1, 5]  # across z the others are zero
+        blocks, size = -(-count // self.copies), self.copies * self.width
+        padded = np.zeros((legs, blocks * self.copies, self.width))
+        padded[:, :count, :n] = configurations
+        columns, ends = (
+            np.empty((legs * blocks, size, 6)),
+            np.empty((legs * blocks, self.copies, 12)),
+        )
+        evaluate, model, data = pin.computeJointJacobians, self._model, self._data
+        to_columns, length = _bytes(columns), len(self._columns)
         with self._turn:
-            columns, ends = self._evaluated(configurations, bases)
+            for leg, base in enumerate(bases):
+                root = self._origin if base is None else np.append(base.turns[0].T, base.tips)
+                self._roots[:] = root
+                for block, q in enumerate(padded[leg].reshape(blocks, size), leg * blocks):
+                    evaluate(model, data, q)
+                    to_columns[block * length : (block + 1) * length] = self._columns  # as they lie
+                    ends[block] = self._ends
+        rows = [0, 1, 2, 3, 4, 5] if self.spatial else [0, 1, 5]  # across z the others are zero
+        columns = columns.reshape(legs, -1, self.width, 6)[:, :count, :n]
         twists = np.empty((len(rows), n, legs, count))
         for target, row in zip(twists, rows, strict=True):
-            target[:] = columns[:, :, :n, row].transpose(2, 0, 1)
-        ends, m = ends.reshape(legs * count, 12), 3 if self.spatial else 2
-        turns, tips = ends[:, :9].reshape(-1, 3, 3).swapaxes(1, 2), ends[:, 9 : 9 + m].T.copy()
+            target[:] = columns[:, :, :, row].transpose(2, 0, 1)
+        ends = ends.reshape(legs, -1, 12)[:, :count].reshape(legs * count, 12)
+        turns = ends[:, :9].reshape(-1, 3, 3).swapaxes(1, 2)
+        m = 3 if self.spatial else 2
+        tips = ends[:, 9 : 9 + m].T.copy()
         if self._tip is not None:
             tips += (turns[:, :m] @ self._tip[:3, 3]).T
             turns = turns @ self._tip[:3, :3]
@@ -107,37 +125,9 @@ class Forest:
         begun = None
         if any(base is not None and base.rates.any() for base in bases):
             still = np.zeros((6, len(rates)))
-            moved = (
-                still if base is None else base.columns[:, :, 0] @ base.rates.T for base in bases
-            )
-            begun = np.stack(list(moved))[:, rows]
+            moved = [still if b is None else b.columns[:, :, 0] @ b.rates.T for b in bases]
+            begun = np.stack(moved)[:, rows]
         return Motion(tips, turns, twists.reshape(len(rows), n, legs * count), rates, begun)
-
-    def _evaluated(
-        self, configurations: Array, bases: Sequence[Motion | None]
-    ) -> tuple[Array, Array]:
-        """Return joint columns at the base's origin, (L, N, width, 6), and ends, (L, N, 12)."""
-        legs, count, n = configurations.shape
-        blocks, size = -(-count // self.copies), self.copies * self.width
-        padded = np.zeros((legs, blocks * self.copies, self.width))
-        padded[:, :count, :n] = configurations
-        columns = np.empty((legs, blocks, size, 6))
-        ends = np.empty((legs * blocks, self.copies, 12))
-        evaluate, model, data = pin.computeJointJacobians, self._model, self._data
-        to_columns, bytes_per_block = _bytes(columns), len(self._columns)
-        for leg, base in enumerate(bases):
-            self._roots[:] = self._origin if base is None else np.append(base.turns[0].T, base.tips)
-            for block, q in enumerate(padded[leg].reshape(blocks, size), leg * blocks):
-                evaluate(model, data, q)
-                to_columns[block * bytes_per_block : (block + 1) * bytes_per_block] = (
-                    self._columns
-                )  # as they lie
-                ends[block] = self._ends
-        every = blocks * self.copies
-        return (
-            columns.reshape(legs, every, self.width, 6)[:, :count],
-            ends.reshape(legs, every, 12)[:, :count],
-        )
 
 
 @dataclass(frozen=True)

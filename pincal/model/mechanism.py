@@ -210,27 +210,24 @@ class Mechanism:
     @cached_property
     def parameters(self) -> Parameters:
         """Identified parameters of all legs, in order; ``parameters["leg_1.l"]`` is one."""
+        labels = dict(self.labels)
         return Parameters(
-            Parameter(leg.name, name, leg.units[name], value, label=self.label(leg.name, name))
+            Parameter(
+                leg.name,
+                name,
+                leg.units[name],
+                value,
+                label=labels.get(f"{leg.name}.{name}", labels.get(name, "")),
+            )
             for leg in self.legs
             for name, value in leg.parameters
         )
 
     @property
-    def used_labels(self) -> dict[str, str]:
-        """Labels of parameters that there are, by name or id."""
-        keys = {key for parameter in self.parameters for key in (parameter.name, parameter.id)}
-        return {key: text for key, text in self.labels if key in keys}
-
-    @property
     def labelled(self) -> str:
-        """What parameters are, in a line; empty if nobody said."""
-        return "; ".join(f"{key}: {text}" for key, text in self.used_labels.items())
-
-    def label(self, leg: str, name: str) -> str:
-        """Return what a leg's parameter is, for people; empty if nobody said."""
-        labels = dict(self.labels)
-        return labels.get(f"{leg}.{name}", labels.get(name, ""))
+        """What parameters that there are mean, in a line; empty if nobody said."""
+        keys = {key for parameter in self.parameters for key in (parameter.name, parameter.id)}
+        return "; ".join(f"{key}: {text}" for key, text in self.labels if key in keys)
 
     @property
     def nominal(self) -> dict[str, Array]:

@@ -214,7 +214,7 @@ def _write_values(axes: Axes, scene: Scene, name: str) -> None:
     for key, value in leg.nominal_by_name.items():
         unit = leg.units[key]
         text = f"{np.degrees(value):.5g}°" if unit == "rad" else amount(value, unit, 6)
-        label = clean(scene.mechanism.label(name, key)).replace("$", r"\$")
+        label = clean(scene.mechanism.parameters[f"{name}.{key}"].label).replace("$", r"\$")
         text = f" = {text.replace('-', '−')}" + f" ({label})" * bool(label)
         values.append(symbol(key) + text)
         longest = max(longest, len(key + text))
