@@ -838,6 +838,7 @@ def test_a_fit_that_chi2_contradicts_is_no_success(work: Path) -> None:
     assert Path("doubted/mechanism/mechanism.yaml").is_file()
 
 
+@pytest.mark.slow
 def test_a_wrong_row_of_the_set_verify_is_named(work: Path) -> None:
     """One orientation off by 20 mrad, a row to verify with: calibrate, report and doctor name it.
 

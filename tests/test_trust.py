@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import done
-from marks import some_slow
+from marks import slow_or_fuzz, some_slow
 from measured import EXACT, NOISE, machine, put, seen_from_elsewhere, targets, validated
 from scipy.signal import lfilter
 from scipy.stats import chi2, f
@@ -25,12 +25,9 @@ from pincal.words.findings import finding
 FRAME = pincal.Setup(unknown_frame=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
-    ("known", "method"),
-    some_slow(
-        [(True, "all-legs"), (True, "per-leg"), (False, "all-legs")],
-        *((False, "all-legs"), (True, "per-leg")),
-    ),
+    ("known", "method"), [(True, "all-legs"), (True, "per-leg"), (False, "all-legs")]
 )
 def test_held_out_rows_miss_as_expected(method: str, known: bool) -> None:
     """With the right model held-out residuals are those of the fit grown by what it lacks."""
@@ -125,7 +122,7 @@ def test_drift_is_found() -> None:
     assert drifts.code == "step" or drifts.values["term"] == "order"
 
 
-@pytest.mark.parametrize("kind", some_slow(["5R", "6UPS"], "6UPS"))
+@pytest.mark.parametrize("kind", slow_or_fuzz(["5R"], ["6UPS"]))
 def test_rows_off_as_those_before_are_no_step(kind: str) -> None:
     """Positions with a correlation of 0.8 from row to row: a step is named once in ten at most.
 
