@@ -269,11 +269,8 @@ def _names(table: TextTable, column: str) -> tuple[str, ...] | None:
 
 def _sets(table: TextTable, mechanism: Mechanism) -> tuple[str, ...] | None:
     """Return the legs for which poses were chosen, or None where that is not said."""
-    if "set" not in table:
-        return None
-    known = {*mechanism.leg_names, EVERY_LEG, ""}
-    sets = tuple(cell.strip() for cell in table.text["set"])
-    for row, name in enumerate(sets):
+    known, sets = {*mechanism.leg_names, EVERY_LEG, ""}, _names(table, "set")
+    for row, name in enumerate(sets or ()):
         if name not in (*known, VERIFY) and not known.issuperset(name.split("+")):
             raise MeasurementError(
                 f"{table.where(row)}: set {name!r} is no leg of {mechanism.name!r}; "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 from difflib import get_close_matches
 from functools import lru_cache
 from pathlib import Path
@@ -71,10 +72,10 @@ def _folder(name_or_path: str | Path) -> Path:
         )
     if name in folders and not folder.samefile(folders[name]):
         _log.info("%s: the folder here, not the bundled mechanism of that name", name)
-    if (folder / "result.json").is_file() and (folder / "mechanism").is_dir():
+    result = (folder / "result.json").is_file()
+    if result and (folder / "mechanism").is_dir():
         return folder / "mechanism"  # a result of 'pincal calibrate'
-    if not (folder / YAML).is_symlink() and not (folder / YAML).exists():
-        result = (folder / "result.json").is_file()
+    if not os.path.lexists(folder / YAML):
         kind = "a result whose fit did not converge" if result else "no mechanism folder"
         raise FileError(f"{name!r} is {kind}: it has no {'mechanism' if result else YAML}")
     return folder

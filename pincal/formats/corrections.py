@@ -49,9 +49,8 @@ def corrections(mechanism: GivenMechanism, planned: Plan | Array) -> Corrections
 
     Args:
         mechanism: The mechanism, at its nominal parameters.
-        planned: N poses, coordinates of shape (N, dof), [m] and [rad]; or a plan, whose columns of
-            influences count, NaN or none at their reference. Where readings do not follow from
-            poses, as of an arm, its readings say by the plain machine which poses these are.
+        planned: N poses, shape (N, dof), [m] and [rad]; or a plan with columns of influences, NaN
+            or none at their reference, and with the plain machine's readings if poses follow these.
 
     Raises:
         MechanismError: poses or readings of a wrong shape, or not finite; a homed sensor and a
