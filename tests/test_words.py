@@ -32,6 +32,7 @@ from pincal.words.numbers import (
     uncertainty,
 )
 from pincal.words.table import Cell, Table, quantity
+from pincal.words.wording import filled
 
 EVIL = '<b>"é"\'&amp;|*_$x$\0'
 BANNED = ("told", "tell", "hollow", "accused", "doubtful", "stands", "eased", "shaken", "settled")
@@ -266,7 +267,7 @@ def test_what_each_hypothesis_says(code: str) -> None:
     """Its clause follows 'if'; it is a finding whose sentence ends with its remedy."""
     values, words = CLAUSES[code]
     one = finding(code, **(COMMON | values))
-    assert HYPOTHESES[code].said(one).startswith(words)
+    assert filled(HYPOTHESES[code].says, one).startswith(words)
     text = sentence(one)
     assert text.startswith("leg_1: the measurements miss every mechanism near the nominal one by ")
     assert f"by 5.1 % of a leg's length (median), but only by 0.01 % if {words}" in text

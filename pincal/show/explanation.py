@@ -20,7 +20,7 @@ from pincal.show.tables import models_table, screen_table
 from pincal.words.faults import HYPOTHESES
 from pincal.words.numbers import amount, chance, listed
 from pincal.words.table import Table
-from pincal.words.wording import NAMED, groups_in_words
+from pincal.words.wording import NAMED, filled, groups_in_words
 
 #: What a mechanic looks at, by kind of term; other kinds are columns.
 _CAUSES = {
@@ -66,8 +66,6 @@ _NO_LOAD = (
     "gravity was not tried: mechanism.yaml does not say what weighs on the mechanism "
     "(load: {mass: …, centre: […]})"
 )
-
-_BEST = "the best that any calibration can reach; 'pincal calibrate' does"
 
 
 def explanation_lines(explanation: Explanation) -> list[str]:
@@ -161,7 +159,7 @@ def tried(remedy: Remedy) -> str:
     """Return what was tried, in a few words."""
     options = remedy.calibration.options
     framed = any(finding.values["unknown_frame"] for finding in remedy.findings)
-    parts = [HYPOTHESES[finding.code].said(finding) for finding in remedy.findings]
+    parts = [filled(HYPOTHESES[finding.code].says, finding) for finding in remedy.findings]
     if options.setup.unknown_frame and not framed:
         parts.append("the base is elsewhere in the frame of the measurements")
     if options.setup.targets[ORIGIN].unknown:
@@ -228,8 +226,9 @@ def forecast_lines(forecast: Forecast, error: PlatformError) -> list[str]:
     known = [amount(size, unit) for _, size, unit in sizes if size < np.inf]
     parts = [f"root mean square {listed(known)}"] if known else []
     parts += [f"{name} not determined" for name, size, _ in sizes if not size < np.inf]
-    best = f"; {_BEST}" if error.position < np.inf else ""
-    return [*lines, f"platform over the workspace: {', '.join(parts)}{best}"]
+    if error.position < np.inf:
+        parts[-1] += "; the best that any calibration can reach; 'pincal calibrate' does"
+    return [*lines, f"platform over the workspace: {', '.join(parts)}"]
 
 
 def poses_line(accuracy: float, needed: float) -> str:

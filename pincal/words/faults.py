@@ -170,7 +170,7 @@ _MISSED = (
 def explanation(findings: Sequence[Finding]) -> str:
     """Return one sentence for hypotheses that explain measurements alike, and their remedies."""
     causes = [
-        f"by {percent(finding.values['left'])} if {HYPOTHESES[finding.code].said(finding)}"
+        f"by {percent(finding.values['left'])} if {filled(HYPOTHESES[finding.code].says, finding)}"
         for finding in findings
     ]
     codes = [finding.code for finding in findings]

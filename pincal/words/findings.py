@@ -228,7 +228,8 @@ def sentence(finding: Finding) -> str:
     if finding.code in HYPOTHESES:
         return explanation([finding])
     wording = WORDINGS[finding.code]
-    return ". ".join(filter(None, (wording.said(finding), filled(wording.remedy, finding))))
+    parts = (filled(words, finding) for words in (wording.says, wording.remedy))
+    return ". ".join(filter(None, parts))
 
 
 def sentences(findings: Iterable[Finding], *severities: str) -> list[str]:

@@ -48,10 +48,6 @@ class Wording:
         names -= {"rows", "row", "them", "parameters", *environment.globals}
         return {*names, *self.unsaid.split()}
 
-    def said(self, finding: Finding) -> str:
-        """Return what was found."""
-        return filled(self.says, finding)
-
 
 def filled(words: str, finding: Finding) -> str:
     """Return a template with the values of a finding."""
