@@ -19,10 +19,10 @@ CHUNK = 6000  # poses at once: their matrices stay near the processor
 _SERIES = float(np.finfo(float).eps) ** 0.25  # fourth root of rounding errors, [rad]
 
 
-def chunks(count: int, size: int = CHUNK) -> Iterator[slice]:
-    """Yield slices of at most a size that cover so many rows, in order."""
-    for begin in range(0, count, size):
-        yield slice(begin, min(begin + size, count))
+def chunks(count: int) -> Iterator[slice]:
+    """Yield slices of at most ``CHUNK`` that cover so many rows, in order."""
+    for begin in range(0, count, CHUNK):
+        yield slice(begin, min(begin + CHUNK, count))
 
 
 def stacked(parts: Sequence[Any]) -> Any:

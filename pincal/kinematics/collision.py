@@ -27,14 +27,11 @@ def arm_free_of_collision(mechanism: Mechanism, offered: Plan, path: str | Path)
         MechanismError: no serial arm, no such joint, no readings, or no collision geometry.
         ObservabilityError: every configuration collides.
     """
-    if len(mechanism.legs) > 1 or mechanism.legs[0].passive:
+    leg = mechanism.legs[0]
+    if len(mechanism.legs) > 1 or leg.passive or offered.readings is None:
         raise MechanismError(f"{mechanism.name!r} is no serial arm; --collision is for such")
-    (leg,), readings = mechanism.legs, offered.readings
-    if readings is None:
-        raise MechanismError(f"{mechanism.name!r} is planned by poses; --collision needs readings")
-    law = sensor_law(LegClosure(leg, mechanism.platform))
-    names = [leg.moving[index].name for index in leg.active]
-    free = free_of_collision(path, names, law.position(readings))
+    positions = sensor_law(LegClosure(leg, mechanism.platform)).position(offered.readings)
+    free = free_of_collision(path, [leg.moving[index].name for index in leg.active], positions)
     if not free.any():
         raise ObservabilityError(f"no candidate is free of collisions by {path}")
     return offered.rows(free)
