@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from pincal.errors import MechanismError
 from pincal.model.checks import counted, listed, must_be, number_of, one_line, triple
@@ -60,14 +61,12 @@ class Joint:
 
     def motion(self, positions: Array) -> Array:
         """Return its motion by its positions, shape (N,) to (N, 4, 4)."""
-        x, y, z = self.axis
         motion = np.tile(np.eye(4), (len(positions), 1, 1))
+        along = np.multiply.outer(positions, self.axis)
         if self.kind == "prismatic":
-            motion[:, :3, 3] = positions[:, None] * self.axis
+            motion[:, :3, 3] = along
         else:
-            K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-            sin, cos = np.sin(positions)[:, None, None], np.cos(positions)[:, None, None]
-            motion[:, :3, :3] += sin * K + (1.0 - cos) * (K @ K)  # Rodrigues
+            motion[:, :3, :3] = Rotation.from_rotvec(along).as_matrix()
         return motion
 
 
