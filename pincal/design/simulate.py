@@ -187,10 +187,10 @@ def platform_errors(model: Mechanism, truth: Mechanism, poses: Plan | Poses) -> 
 
 
 def accuracy(model: GivenMechanism, truth: GivenMechanism, poses: Plan | Poses) -> Accuracy:
-    """Return the errors of the true mechanism when a nominal or calibrated model commands it.
+    """Return how far the truth goes from poses, (N, dof), [m] and [rad], that a model commands.
 
-    Poses have shape (N, dof), [m] and [rad]. Root mean squares are the papers' RMSE of commanded
-    against measured pose, without measuring noise.
+    Root mean squares are the papers' RMSE of commanded against measured pose, without measuring
+    noise.
 
     Raises:
         MechanismError: poses of a wrong shape, or not finite.

@@ -143,9 +143,9 @@ def sample_workspace(
     least: Margins | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> Array:
-    """Return poses spread evenly over the workspace, coordinates of shape (count, dof).
+    """Return poses spread evenly over a mechanism's workspace, coordinates of shape (count, dof).
 
-    The same seed gives the same poses. See ``sample_configurations``.
+    The same seed gives the same poses. Of ``least`` and ``progress`` see ``sample_configurations``.
 
     Raises:
         WorkspaceError: no or too few poses count.
