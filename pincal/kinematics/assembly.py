@@ -37,10 +37,8 @@ def assembled(
 ) -> tuple[tuple[Leg, ...], Platform]:
     """Return the legs with home positions that close them, and the platform at its home pose.
 
-    Args:
-        legs: The legs; their home positions are where to start.
-        platform: The platform; its home does not count.
-        slack: What cut digits may have moved frames by, of a leg's size and [rad].
+    The legs' home positions are where to start, the platform's home does not count. Cut digits may
+    have moved frames by the slack, of a leg's size and [rad].
 
     Raises:
         MechanismError: no such configuration was found.
@@ -151,13 +149,10 @@ def _fitted(closures: Sequence[LegClosure], joints: Sequence[Array], platform: P
 def independent(
     leg: Leg, platform: Platform, order: tuple[str, ...], slack: float = 0.0
 ) -> tuple[str, ...]:
-    """Return the names of parameters that are independent of those before them.
+    """Return the names of a leg's parameters that are independent of those before them.
 
-    Args:
-        leg: The leg, at nominal parameters.
-        platform: Of its mechanism.
-        order: Names of all its parameters, those to keep rather first.
-        slack: What cut digits may have moved frames by, of the leg's size and [rad].
+    In an order of all names, those to keep rather first. Cut digits may have moved frames by the
+    slack, of the leg's size and [rad].
     """
     closure, rng = LegClosure(leg, platform), np.random.default_rng(0)
     joints = rng.uniform(*joint_range(leg), (_CONFIGURATIONS, len(leg.moving)))

@@ -147,15 +147,11 @@ def close(
     influences: Array | None = None,
     near: Array | None = None,
 ) -> ClosedLegs:
-    """Return L alike legs closed at poses, N rows of each below those of the one before.
+    """Return L alike legs closed at poses (L N, 4, 4), rows of each below those of the one before.
 
-    Args:
-        legs: Legs of one form, at their parameter values.
-        matrices: Poses ``T_base_platform``, shape (L N, 4, 4).
-        influences: Of the leg, by which its parameters deform, shape (N, n_influences); at their
-            reference if not given. A leg that deforms is alone.
-        near: Positions of the moving joints near those that close a leg, shape (L N, n_joints);
-            where NaN it counts as not reached. Found in its working mode if not given.
+    Influences, by which parameters of a leg deform that is alone, have shape (N, n_influences), and
+    are at their reference if not given. Joints near those that close a leg, shape (L N, n_joints),
+    are found in its working mode if not given; where NaN it counts as not reached.
     """
     if near is None:
         by_leg = zip(legs, np.split(matrices, len(legs)), strict=True)

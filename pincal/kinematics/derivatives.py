@@ -34,12 +34,9 @@ def nearest_closure(
     stays tame near singularities. N rows of each leg stand below those of the one before.
     Deformations of parameters stand behind joint positions, if there are any.
 
-    Args:
-        legs: Legs of one form, at their parameter values.
-        matrices: Poses ``T_base_platform``, shape (L N, 4, 4).
-        known: Readings [rad] or [m], then influences, shape (L N, n_active [+ n_influences]).
-        joints: Where the search for passive joints starts, shape (L N, n_joints [+ n_deformed]);
-            near those that close the legs if not given.
+    Poses have shape (L N, 4, 4), readings [rad] or [m], then influences, (L N, n_active
+    [+ n_influences]). The search for passive joints starts near those that close the legs, or at
+    joints (L N, n_joints [+ n_deformed]).
     """
     leg = legs[0].leg
     positions, count = started(legs, matrices, known, joints), len(matrices) // len(legs)

@@ -251,11 +251,8 @@ def with_loads(
     the machine as drawn, or home. Where an arm stands follows from its
     readings alone: its loads are the same before and after calibration, wherever it was measured.
 
-    Args:
-        mechanism: The mechanism.
-        influences: Shape (N, n_influences), None if no term depends on any.
-        readings: Shape (N, n_readings), [rad] or [m].
-        poses: Coordinates in the base frame, shape (N, dof); NaN where they are not known.
+    Influences have shape (N, n_influences), readings (N, n_readings), [rad] or [m], poses in the
+    base frame (N, dof).
     """
     if influences is None or not mechanism.weighs:
         return influences

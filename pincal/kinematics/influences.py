@@ -30,12 +30,8 @@ def influence_columns(
 ) -> Array | None:
     """Return the columns of a mechanism's influences, shape (N, n_influences).
 
-    NaN, at its reference, where nothing is given; None if no term depends on any.
-
-    Args:
-        mechanism: The mechanism.
-        measured: By column, a number for all rows or one for each, shape (N,); or all columns.
-        count: Number of rows N.
+    Measured are, by column, a number for all rows or one for each, shape (N,); or all columns. NaN,
+    at its reference, where nothing is given; None if no term depends on any.
 
     Raises:
         MeasurementError: a column on which nothing depends, or of a wrong shape.
@@ -96,10 +92,7 @@ def sides(readings: Array, runs: Sequence[str] | None = None) -> Array:
 
     A reading that stays keeps its side, and one that goes back by less than a thousandth of its
     range, which is noise. NaN until it first moves, in each run, and where it was not read.
-
-    Args:
-        readings: In order of time, shape (N,).
-        runs: Run of each row, if there were several.
+    Readings are in order of time, shape (N,).
     """
     sides_of_rows = np.full(len(readings), np.nan)
     read = np.flatnonzero(np.isfinite(readings))
@@ -124,12 +117,8 @@ def gravity_loads(mechanism: Mechanism, readings: Array, matrices: Array) -> dic
 
     Of an active joint, a length or an angle, along its positive direction, [N] or [N m]: what
     gravity does along it while all (other) active joints are held. With more active joints than
-    freedoms, those of the least that hold the machine.
-
-    Args:
-        mechanism: The mechanism, with its load; what terms follow is loads of its ``drawing``.
-        readings: Of all legs, shape (N, n_readings), [rad] or [m].
-        matrices: Poses that belong to them, ``T_base_platform``, shape (N, 4, 4).
+    freedoms, those of the least that hold the machine. What terms follow is loads of a mechanism's
+    ``drawing``. Readings, shape (N, n_readings), [rad] or [m], belong to poses (N, 4, 4).
     """
     load, legs = mechanism.load or Load(), nominal_legs(mechanism)
     gravity, twist_rows = np.array(load.gravity), list(mechanism.platform.twist_rows)

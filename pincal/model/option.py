@@ -31,12 +31,9 @@ class Option:
 
 
 def option(default: Any, description: str | Option, **properties: Any) -> Any:
-    """Return a field of a dataclass that is an option, too.
+    """Return a field of a dataclass that is an option, too, with further fields of ``Option``.
 
-    Args:
-        default: Its value where nothing is said; a class is called to make it.
-        description: Its help, in a line or two; or the option of another field that is meant.
-        **properties: Further fields of ``Option``.
+    A default that is a class is called. The description is its help, or another field's option.
     """
     declared = description
     if isinstance(declared, str):

@@ -147,10 +147,7 @@ class Platform:
         return len(self.closing(leg.closes)) - len(leg.passive)
 
     def transforms(self, poses: Poses) -> RigidTransform:
-        """Return poses ``T_base_platform`` of length N; rigid transforms pass unchanged.
-
-        Args:
-            poses: N poses: coordinates, shape (N, dof), [m] and [rad], or rigid transforms.
+        """Return poses ``T_base_platform`` of length N, of coordinates (N, dof) or transforms.
 
         Raises:
             MechanismError: wrong shape, or a coordinate that is not a finite number.

@@ -173,11 +173,7 @@ class Term:
         return slope
 
     def column(self, owner: str) -> str:
-        """Return the influence's column; empty if it is the reading.
-
-        Args:
-            owner: Name of the reading, or id of the parameter, that has the term.
-        """
+        """Return the influence's column, of the reading or parameter that has the term, or ""."""
         return f"{self.of}_{owner}" if self.of in OF_JOINTS else self.of
 
     @property
