@@ -231,7 +231,7 @@ def test_a_fault_is_mended_where_frame_and_target_are_unknown(kind: str, wrong: 
 @pytest.mark.slow
 def test_frame_and_target_are_tried_together(tmp_path: Path) -> None:
     """Sound measurements of a target elsewhere by a tracker elsewhere: both options are printed."""
-    mechanism, _, data = machine("3RRR", 36, NOISE)
+    mechanism, _, data = machine("3RRR", 20, NOISE)
     seen_from_elsewhere(mechanism, data, (0.03, -0.02, 0.0), 0.4).to_csv(
         tmp_path / "m.csv", mechanism
     )
