@@ -233,8 +233,8 @@ def _all_legs(
     system = System(problem, free, calibration.counts, known, progress=progress)
     held = None
     if options.holds:
-        former = begin.held if begin is not None and rows is None else None
-        fit, held = _fit_holding(calibration, system, start, former)
+        least = begin.held.least if begin and begin.held and rows is None else 1.0
+        fit, held = _fit_holding(calibration, system, start, least)
     else:
         fit = robust_fit(mechanism, system, loss_of(options.loss), start)
     if begin is not None and rows is None:  # whose search began where this one's would have
@@ -275,10 +275,9 @@ def _values(legs: Sequence[Leg], parameters: Array | None = None) -> dict[str, f
 
 
 def _fit_holding(
-    calibration: Calibration, system: System, start: State | None, former: HeldUnknowns | None
+    calibration: Calibration, system: System, start: State | None, least: float
 ) -> tuple[Fit, HeldUnknowns]:
     """Return a fit with weak directions held, and what was: more of them until it converges."""
-    least = former.least if former else 1.0
     mechanism, options, free = calibration.mechanism, calibration.options, system.unknowns
     problem = system.problem.at(np.flatnonzero(system.kept))
     while True:
