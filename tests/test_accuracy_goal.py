@@ -11,8 +11,7 @@ from command_line import done
 from measured import workspace
 
 import pincal
-from pincal.design.criteria import Criterion, inverse_roots
-from pincal.design.optimal import continuous_design, exchange
+from pincal.design.optimal import Criterion, continuous_design, exchange, inverse_roots
 
 NOISE = pincal.Noise(1e-4, 1e-4, 0.0)
 

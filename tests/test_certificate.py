@@ -9,9 +9,8 @@ import pytest
 from measured import workspace
 
 import pincal
-from pincal.design.criteria import Criterion
 from pincal.design.forecast import leg_rows as leg_rows_of
-from pincal.design.optimal import continuous_design, derivatives, exchange
+from pincal.design.optimal import Criterion, continuous_design, derivatives, exchange
 from pincal.kinematics.configurations import leg_demands
 
 

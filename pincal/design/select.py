@@ -20,9 +20,8 @@ import numpy as np
 
 from pincal.attached import attached
 from pincal.blas import one_thread
-from pincal.design.criteria import Criterion, Parts, triangles
 from pincal.design.forecast import leg_rows
-from pincal.design.optimal import continuous_design, exchange
+from pincal.design.optimal import Criterion, Parts, continuous_design, exchange, triangles
 from pincal.design.orbits import (
     carried_legs,
     distinct,

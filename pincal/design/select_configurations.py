@@ -15,9 +15,8 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from pincal.blas import one_thread
-from pincal.design.criteria import Criterion
 from pincal.design.forecast import apart_from_frames, information_rows, null_directions
-from pincal.design.optimal import continuous_design, exchange
+from pincal.design.optimal import Criterion, continuous_design, exchange
 from pincal.design.orbits import distinct
 from pincal.design.platform_error import without_frames
 from pincal.design.select import SelectionOptions

@@ -21,7 +21,7 @@ from pincal.kinematics.closure import largest_size
 from pincal.kinematics.configurations import command, inverse, planned_influences
 from pincal.kinematics.forward import forward
 from pincal.kinematics.influences import by_name, influences_of
-from pincal.model.checks import ROWS, generator_of, number_of
+from pincal.model.checks import generator_of, number_of
 from pincal.model.measurements import Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
@@ -71,11 +71,6 @@ class Simulation:
 
     def __repr__(self) -> str:
         return f"Simulation({len(self.rows)} measurements, {len(self.unreachable)} not reached)"
-
-    def __str__(self) -> str:
-        lost = [f"  pose {row + 1}: {reason}" for row, reason in self.unreachable]
-        hidden = [f"  and {len(lost) - ROWS} more"] if len(lost) > ROWS else []
-        return "\n".join([repr(self), *lost[:ROWS], *hidden])
 
 
 @one_thread()
