@@ -53,12 +53,12 @@ class FileError(PincalError, OSError):
 
 
 @contextmanager
-def located(place: object, kind: type[PincalError], within: object = None) -> Iterator[None]:
+def located(place: object, error_type: type[PincalError], within: object = None) -> Iterator[None]:
     """Put a place in front of errors of a kind, unless they name it, or what it is within."""
     try:
         yield
-    except kind as error:
+    except error_type as error:
         text = str(error)
         if str(within or place) in text:
             raise
-        raise kind(f"{place}{'' if text.startswith(',') else ': '}{text}") from error
+        raise error_type(f"{place}{'' if text.startswith(',') else ': '}{text}") from error

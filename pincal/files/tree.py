@@ -6,7 +6,7 @@ between base and platform is a route through it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -14,11 +14,8 @@ import numpy as np
 from pincal.errors import MechanismError
 from pincal.model.checks import listed
 from pincal.model.leg import Closing, Joint
-from pincal.model.placement import Placement, placement_of
+from pincal.model.placement import Placement
 from pincal.types import Array
-
-#: Ends of the names of the six freedoms of a link that floats, in order (see ``turns``).
-FREE = ("px", "py", "pz", "x", "y", "z")
 
 
 @dataclass(frozen=True)
@@ -115,46 +112,6 @@ def route(edges: Iterable[Edge], start: str, goal: str) -> list[Step]:
                 routes[neighbour] = [*routes[link], step]
                 ahead.append(neighbour)
     return routes[goal]
-
-
-def joints_along(tree: Tree, steps: Sequence[Step], normal: Array | None = None) -> list[Joint]:
-    """Return the joints along a route from the root.
-
-    A joint that is passed backwards moves the other way; a loop that closes a point is a ball,
-    which turns about the normal, in the root's frame, where all is in a plane.
-    """
-    joints: list[Joint] = []
-    for edge, forward in steps:
-        joint, name = edge.joint, edge.joint.name
-        if forward and edge in tree.edges:
-            joints.append(joint)
-            continue
-        near, far = (joint.placement, edge.at_child)[:: 1 if forward else -1]
-        T_far_joint = np.asarray(np.linalg.inv(far.origin()))
-        if not edge.moves:
-            name = f"{name}_back" if edge in tree.edges else name
-            joints += _offset(name, near.origin() @ T_far_joint)
-            continue
-        if edge.closes == "frame":
-            x, y, z = joint.axis
-            joints.append(replace(joint, placement=Placement(), axis=(-x, -y, -z)))
-        else:
-            joints += _offset(f"{name}_at", near.origin())
-            if normal is None:
-                joints += [turn.joint for turn in turns(Joint(name, "fixed"), "", "", "xyz")]
-            else:
-                T_root_ball = tree.pose_at_zero(edge.parent if forward else edge.child)
-                x, y, z = map(float, (T_root_ball @ near.origin())[:3, :3].T @ normal)
-                turn = Joint(f"{name}_z", "revolute", Placement(), (x, y, z), -np.inf, np.inf)
-                joints.append(turn)
-        joints += _offset(f"{name}_back", T_far_joint)
-    return joints
-
-
-def _offset(name: str, matrix: Array) -> Iterator[Joint]:
-    """Yield a fixed joint, or none for nothing."""
-    if not np.array_equal(matrix, np.eye(4)):
-        yield Joint(name, "fixed", placement_of(matrix))
 
 
 def with_ranges(tree: Tree) -> Tree:

@@ -8,24 +8,29 @@ Which of them are not observable is found when measurements are planned or made.
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from pincal.errors import MechanismError
-from pincal.files.tree import FREE, Tree, joints_along, route
+from pincal.files.tree import Step, Tree, route, turns
 from pincal.files.urdf import read_urdf
 from pincal.kinematics.closure import LegClosure
 from pincal.model.checks import must_be
 from pincal.model.consistency import identifiers
 from pincal.model.leg import Joint, Leg
 from pincal.model.mechanism import Mechanism
-from pincal.model.placement import Coordinate, Placement
+from pincal.model.placement import Coordinate, Placement, placement_of
 from pincal.model.platform import Platform
 from pincal.model.sensor import Sensor
+from pincal.types import Array
 
 _AXES = ("x", "y", "z", "rx", "ry", "rz")
 _TOOL = "tool"
+#: Ends of the names of the six freedoms of a link that floats, in order (see ``turns``).
+_FREE = ("px", "py", "pz", "x", "y", "z")
 
 
 def load_arm(path: str | Path, tip: str, base: str | None = None) -> Mechanism:
@@ -42,9 +47,9 @@ def serial_arm(tree: Tree, tip: str, base: str | None = None) -> Mechanism:
         raise MechanismError(f"{tree.source}: no chain of joints leads from {base!r} to {tip!r}")
     names = [edge.joint.name for edge, _ in steps]
     for i, name in enumerate(names):
-        stem = name.removesuffix(f"_{FREE[0]}")
-        if names[i : i + len(FREE)] == [f"{stem}_{end}" for end in FREE]:
-            floor = steps[i + len(FREE) - 1][0].child
+        stem = name.removesuffix(f"_{_FREE[0]}")
+        if names[i : i + len(_FREE)] == [f"{stem}_{end}" for end in _FREE]:
+            floor = steps[i + len(_FREE) - 1][0].child
             raise MechanismError(
                 f"{tree.source}: joint {stem!r} lets link {floor!r} float, and an arm stands on a "
                 f"base; import it with --base {floor}"
@@ -121,3 +126,43 @@ def displaced(
     if leg.closes == "point":
         point = moved(point, "point", [axis for axis in axes if axis in "xyz"])
     return replace(leg, joints=joints, point=point, parameters=tuple(parameters))
+
+
+def joints_along(tree: Tree, steps: Sequence[Step], normal: Array | None = None) -> list[Joint]:
+    """Return the joints along a route from the root.
+
+    A joint that is passed backwards moves the other way; a loop that closes a point is a ball,
+    which turns about the normal, in the root's frame, where all is in a plane.
+    """
+    joints: list[Joint] = []
+    for edge, forward in steps:
+        joint, name = edge.joint, edge.joint.name
+        if forward and edge in tree.edges:
+            joints.append(joint)
+            continue
+        near, far = (joint.placement, edge.at_child)[:: 1 if forward else -1]
+        T_far_joint = np.asarray(np.linalg.inv(far.origin()))
+        if not edge.moves:
+            name = f"{name}_back" if edge in tree.edges else name
+            joints += _offset(name, near.origin() @ T_far_joint)
+            continue
+        if edge.closes == "frame":
+            x, y, z = joint.axis
+            joints.append(replace(joint, placement=Placement(), axis=(-x, -y, -z)))
+        else:
+            joints += _offset(f"{name}_at", near.origin())
+            if normal is None:
+                joints += [turn.joint for turn in turns(Joint(name, "fixed"), "", "", "xyz")]
+            else:
+                T_root_ball = tree.pose_at_zero(edge.parent if forward else edge.child)
+                x, y, z = map(float, (T_root_ball @ near.origin())[:3, :3].T @ normal)
+                turn = Joint(f"{name}_z", "revolute", Placement(), (x, y, z), -np.inf, np.inf)
+                joints.append(turn)
+        joints += _offset(f"{name}_back", T_far_joint)
+    return joints
+
+
+def _offset(name: str, matrix: Array) -> Iterator[Joint]:
+    """Yield a fixed joint, or none for nothing."""
+    if not np.array_equal(matrix, np.eye(4)):
+        yield Joint(name, "fixed", placement_of(matrix))

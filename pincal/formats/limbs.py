@@ -15,7 +15,8 @@ from typing import TypeAlias
 import numpy as np
 
 from pincal.errors import MechanismError
-from pincal.files.tree import Edge, Step, Tree, joints_along, route
+from pincal.files.tree import Edge, Step, Tree, route
+from pincal.formats.arm import joints_along
 from pincal.model.checks import EXACT, listed
 from pincal.model.leg import Joint
 from pincal.model.placement import Placement
