@@ -30,7 +30,7 @@ from pincal.estimation.unknowns import State
 from pincal.files.columns import write_plan
 from pincal.files.mechanism_folders import load_mechanism, write_mechanism
 from pincal.files.table import write_table
-from pincal.files.text import LARGEST_FILE, json_text, plain, read_text
+from pincal.files.text import LARGEST_FILE, plain, read_text
 from pincal.kinematics.closure import largest_size
 from pincal.kinematics.configurations import planned_influences
 from pincal.kinematics.influences import by_name
@@ -142,7 +142,8 @@ def save_result(
             "calibrated mechanism (result.identified.save) and the report"
         )
     with output.writing(folder, force=force, folder=RESULT_FILES) as scratch:
-        (scratch / RESULT).write_text(json_text(as_json(result)) + "\n", encoding="utf-8")
+        text = json.dumps(plain(as_json(result)), indent=2, ensure_ascii=False, allow_nan=False)
+        (scratch / RESULT).write_text(f"{text}\n", encoding="utf-8")
         mechanisms = {NOMINAL: result.nominal}
         mechanisms |= {MECHANISM: result.identified} if result.converged else {}
         for name, mechanism in mechanisms.items():

@@ -41,8 +41,7 @@ def table_of(
 ) -> TextTable:
     """Return a table; headers such as ``x (mm)``, ``X [mm]``, ``x_mm`` are read as ``x [mm]``.
 
-    That is logged, as are columns that are not known, but for influences that are wanted (None: any
-    column is).
+    That is logged, as are columns that are not known but for wanted influences (None: any column).
     """
     counts = {name: mechanism.counts.get(name) for name in mechanism.reading_names}
     counts |= {f"sigma_{name}": per_unit for name, per_unit in counts.items()}
@@ -198,8 +197,7 @@ def columns_of(
 ) -> Columns:
     """Return the columns of a plan or of measurements, header with unit to values, SI.
 
-    Orientations in space are written in a way of ``WAYS``; the setup says units of further columns
-    that are neither lengths nor single angles.
+    Orientations in space are written in a way of ``WAYS``; a setup says units of further columns.
     """
     mechanism = as_mechanism(mechanism)
     must_be(plan, Plan, "poses or measurements to write", MeasurementError)

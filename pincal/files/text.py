@@ -6,7 +6,6 @@ nothing bounds it; any other number is null where it does not exist.
 
 from __future__ import annotations
 
-import json
 import logging
 import re
 import stat
@@ -196,8 +195,3 @@ def plain(value: Any) -> Any:
     if isinstance(value, float) and not isfinite(value):
         return None
     return value
-
-
-def json_text(value: Any) -> str:
-    """Return data as JSON."""
-    return json.dumps(plain(value), indent=2, ensure_ascii=False, allow_nan=False)
