@@ -49,8 +49,8 @@ class Plots:
         """Draw residuals after the calibration against the row of the measurements.
 
         Each over its standard deviation: the noise less what the fit takes up of it, σ√(1−h).
-        Between the dashed lines 95 of 100 are expected. Rings: rows that do not fit the others;
-        crosses at the upper edge: rows that were rejected.
+        Between the dashed lines 95 of 100 are expected. Crosses at the upper edge: rows that do not
+        fit the others.
         """
         ax = ax or _axes(6.4, 3.6)
         for index, group in enumerate(noisy_residuals(self.result)):
@@ -231,21 +231,14 @@ def _draw_map(axes: Axes, x: Array, y: Array, values: Array, name: str, **colour
 
 
 def _mark_outliers(axes: Axes, result: CalibrationResult) -> None:
-    """Ring outliers, cross rejected rows at the upper edge, and name the worst."""
-    every = noisy_residuals(result)
+    """Cross rows that do not fit at the upper edge, and number the worst."""
+    edge: dict[str, Any] = {"xytext": (6, 2), "textcoords": "offset points", "size": 7}
+    edge["xycoords"] = axes.get_xaxis_transform()
     for rank, outlier in enumerate(result.outliers):
-        sizes = np.concatenate([group.standardised[group.rows == outlier.row] for group in every])
-        known = sizes[np.isfinite(sizes)]
-        style: dict[str, Any] = {"marker": "X", "ms": 6, "clip_on": False}
-        coordinates, place = axes.get_xaxis_transform(), (outlier.row + 1, 1.0)
-        if known.size:
-            style = {"marker": "o", "ms": 8, "mfc": "none", "mew": 1.2}
-            coordinates = axes.transData
-            place = (outlier.row + 1, float(known[np.abs(known).argmax()]))
-        axes.plot(*place, color=OUTLIER, transform=coordinates, **style)
+        place = outlier.row + 1, 1.0
+        axes.plot(*place, "X", ms=6, color=OUTLIER, transform=edge["xycoords"], clip_on=False)
         if rank < _NAMED:
-            offset: dict[str, Any] = {"xytext": (6, 2), "textcoords": "offset points"}
-            axes.annotate(str(outlier.row + 1), place, xycoords=coordinates, **offset, size=7)
+            axes.annotate(str(outlier.row + 1), place, **edge)
 
 
 def _seen_by_cameras(result: CalibrationResult) -> list[tuple[str, Image, Array]]:
