@@ -13,6 +13,7 @@ from pincal.estimation.noise import RowNoise
 from pincal.estimation.observability.identifiable import check_information, check_rank
 from pincal.estimation.problem import Linear, Problem
 from pincal.estimation.solver import (
+    ROWS_FOLLOW,
     SLOW,
     SolverResult,
     adjusts,
@@ -20,7 +21,7 @@ from pincal.estimation.solver import (
     search,
     solve_poses,
 )
-from pincal.estimation.system import FALSE_ALARM, ROWS_FOLLOW, NormalEquations, System, outlying
+from pincal.estimation.system import FALSE_ALARM, NormalEquations, System, outlying
 from pincal.estimation.unknowns import State, Unknowns
 from pincal.kinematics.closure import largest_size
 from pincal.types import Array, Index, Mask

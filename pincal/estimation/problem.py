@@ -26,11 +26,6 @@ from pincal.model.leg import Leg
 from pincal.model.platform import Platform
 from pincal.types import Array, Index, Mask
 
-NO_NOISE = (
-    "some measurements carry no noise at all; give standard deviations above zero for what is "
-    "measured, and for readings (--noise-reading) where there are more of them than freedoms"
-)
-
 
 @dataclass(frozen=True)
 class Linear:
@@ -74,7 +69,11 @@ class Linear:
         try:
             return white_rows(self.by_pose, noise)
         except NoNoiseError as error:
-            raise MeasurementError(NO_NOISE) from error
+            raise MeasurementError(
+                "some measurements carry no noise at all; give standard deviations above zero for "
+                "what is measured, and for readings (--noise-reading) where there are more of them "
+                "than freedoms"
+            ) from error
 
     def whitened(self, conditions: Array) -> Array:
         """Return conditions of shape (N, k), as those at another state, in these rows, (N, m)."""

@@ -97,13 +97,11 @@ def white_rows(pose: Array, noise: Array) -> WhiteRows:
     finite = np.asarray(np.isfinite(columns).all(axis=(1, 2)))
     if not finite.all():
         rows = white_rows(pose[finite], noise[finite])
-        parts = (rows.reduced, rows.scale, rows.range, rows.triangle)
-        reduced, scale, basis, triangle = (
-            np.full((len(finite), *part.shape[1:]), np.nan) for part in parts
-        )
-        for part, spread in zip(parts, (reduced, scale, basis, triangle), strict=True):
-            spread[finite] = part
-        return WhiteRows(reduced, scale, basis, triangle, noise)
+        spread = dict[str, Array]()
+        for name, part in vars(rows).items():
+            spread[name] = np.full((len(finite), *part.shape[1:]), np.nan)
+            spread[name][finite] = part
+        return WhiteRows(**spread)
     dof = pose.shape[2]
     Q, R = np.linalg.qr(pose, mode="complete")  # B = Q R, Q square
     N = Q[:, :, dof:].transpose(0, 2, 1)

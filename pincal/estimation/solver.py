@@ -31,6 +31,7 @@ SLOW = 1e-6  # distance below which each step must halve it
 NEGLIGIBLE = 1e-3  # distance that counts as converged where no step falls further
 _STAYS = 1e-3  # share by which a step must shorten the distance where the cost is blind to it
 _ROUNDING = 1e-10  # share of the cost below which predicted falls cannot be judged by it
+ROWS_FOLLOW = 1e-3  # share of the cost by which it may grow as rows follow the state
 # How many evaluations of the conditions it may take:
 _EVALUATIONS = 1000
 _LONGER = 3  # times as many within a standard deviation of the optimum: in a curved valley
@@ -221,11 +222,19 @@ def _tolerance(system: System, current: Iterate, enough: float) -> float:
 
 
 def _better(system: System, current: Iterate, trial: Iterate, highest: float) -> bool:
-    """Return whether a step is taken: the cost falls, or, where it is blind, the distance does."""
+    """Return whether a step is taken: the cost falls, or, where it is blind, the distance does.
+
+    In the weights of its beginning: what a loss minimises lies below (majorisation). Far from the
+    optimum, where rows turn with the state, in the rows of its end; near it, of its beginning.
+    """
     if current.blind:
         return trial.normal.decrement < current.normal.decrement
-    falls = system.falls(current.judged, trial.judged, current.weights, current.cost)
-    return falls and (system.loss is not None or trial.cost <= highest)
+    weights, cost = current.weights, system.cost(trial.judged, current.weights)
+    if not cost < current.cost:
+        near = cost <= (1.0 + ROWS_FOLLOW) * current.cost
+        if not (near and system.cost(trial.judged, weights, current.judged) <= current.cost):
+            return False
+    return system.loss is not None or trial.cost <= highest
 
 
 def _change(system: System, current: Iterate, trial: Iterate, step: Array) -> float:

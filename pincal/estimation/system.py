@@ -133,9 +133,6 @@ def _quantile(probability: Array | float, equations: Index | int) -> Array:
     return np.asarray(2.0 * gammaincinv(np.asarray(equations) / 2.0, probability))
 
 
-ROWS_FOLLOW = 1e-3  # share of the cost by which it may grow as rows follow the state
-
-
 @dataclass(frozen=True)
 class System:
     """The weighted rows of a problem and its priors, in the free unknowns."""
@@ -205,17 +202,6 @@ class System:
         value = (frame or linear).whitened(linear.conditions)
         prior, _ = self.unknowns.prior_rows(linear.state.parameters)
         return float(weights @ np.einsum("nm,nm->n", value, value) + prior @ prior)
-
-    def falls(self, start: Linear, trial: Linear, weights: Array, cost: float) -> bool:
-        """Return whether a step is a good one.
-
-        In the weights of its beginning: what a loss minimises lies below (majorisation). Far from
-        the optimum, where rows turn with the state, in the rows of its end; near it, in those of
-        its beginning.
-        """
-        trial_cost = self.cost(trial, weights)
-        near = trial_cost <= (1.0 + ROWS_FOLLOW) * cost
-        return trial_cost < cost or (near and self.cost(trial, weights, start) <= cost)
 
     def solve(self, linear: Linear, weights: Array, scale: float) -> NormalEquations:
         """Return the normal equations in square-root form, a loss with its curvature."""

@@ -211,10 +211,8 @@ def _of_value(reading: Array, unit: str) -> Array:
 
 def _of_target(fit: Fit, errors: Mapping[str, Array], target: str) -> Array:
     """Return the white rows of a target's position that is off along x, y, z, (n_used, m, axes)."""
-    stem, none = (
-        "" if target == ORIGIN else f"{target}_",
-        np.zeros_like(next(iter(errors.values()))),
-    )
+    stem = "" if target == ORIGIN else f"{target}_"
+    none = np.zeros_like(next(iter(errors.values())))
     names = [f"measured {stem}{axis}" for axis in "xyz"[: fit.problem.platform.space]]
     return np.concatenate([errors.get(name, none) for name in names], axis=2)
 

@@ -167,10 +167,8 @@ class Residuals:
             return Amplitudes(np.zeros(f), np.full(f, np.inf), 0.0, 0, 0.0, 1.0)
         inside, free = float(along @ along), self.degrees_of_freedom - rank
         noise = max(self.chi2 - inside, 1e-300) / free
-        std, F = (
-            np.where(hidden, np.inf, np.sqrt(noise * (C**2).sum(axis=1))),
-            inside / rank / noise,
-        )
+        std = np.where(hidden, np.inf, np.sqrt(noise * (C**2).sum(axis=1)))
+        F = inside / rank / noise
         return Amplitudes(-C @ along, std, F, rank, inside, float(fdtrc(rank, free, F)))
 
     def without(self, W: Array) -> Residuals:
