@@ -233,8 +233,8 @@ def _all_legs(
     system = System(problem, free, calibration.counts, known, progress=progress)
     held = None
     if options.holds:
-        least = begin.held.least if begin and begin.held and rows is None else 1.0
-        fit, held = _fit_holding(calibration, system, start, least)
+        former = begin.held if begin is not None and rows is None else None
+        fit, held = _fit_holding(calibration, system, start, former)
     else:
         fit = robust_fit(mechanism, system, loss_of(options.loss), start)
     if begin is not None and rows is None:  # whose search began where this one's would have
@@ -275,14 +275,18 @@ def _values(legs: Sequence[Leg], parameters: Array | None = None) -> dict[str, f
 
 
 def _fit_holding(
-    calibration: Calibration, system: System, start: State | None, least: float
+    calibration: Calibration, system: System, start: State | None, former: HeldUnknowns | None
 ) -> tuple[Fit, HeldUnknowns]:
     """Return a fit with weak directions held, and what was: more of them until it converges."""
+    least = former.least if former else 1.0
     mechanism, options, free = calibration.mechanism, calibration.options, system.unknowns
     problem = system.problem.at(np.flatnonzero(system.kept))
     while True:
         held = hold_unobservable(mechanism, problem, free, least)
-        start = start and _within(held.unknowns, start)
+        if former is None:
+            start = start and _within(held.unknowns, start)
+        elif held.directions.shape[1] > former.directions.shape[1]:
+            start = None  # at nominal values: there what is held besides is held
         may_hold_more = held.weakest < _HELD_MORE * least and least < _HELD_MOST
         patience = _PATIENCE if may_hold_more else None
         system = replace(system, unknowns=held.unknowns, max_evaluations=patience)
