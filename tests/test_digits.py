@@ -193,6 +193,7 @@ def test_few_digits_are_the_same_machine(kind: str, digits: int, tmp_path: Path)
     np.testing.assert_allclose(np.linalg.norm(moved[:, :3, 3], axis=1), shifted, atol=within)
 
 
+@pytest.mark.slow
 def test_a_rounded_machine_has_configurations(tmp_path: Path) -> None:
     """Configurations of a spherical machine in six digits count: it closes there as at home."""
     mechanism = imported(machine(tmp_path / "m6", spherical_legs(), in_digits(6), "6d"))

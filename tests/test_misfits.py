@@ -91,7 +91,6 @@ ANYWHERE: list[tuple[str, Change, str, str]] = [
     ("6UPS", sign(4), "sign-of-readings", "the readings of leg_5 have the other sign"),
     ("5R", zero(0, 0.3), "reading-offset", "leg_1 by about"),
     ("3RRR", zero(1, 0.3), "reading-offset", "leg_2 by about"),
-    ("3RRR", zero(2, -1.6), "reading-offset", "leg_3 by about"),
     ("6UPS", zero(3, 0.2), "reading-offset", "leg_4 by about"),
 ]
 
