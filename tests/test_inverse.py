@@ -13,7 +13,7 @@ from pincal.files.mechanism_folders import bundled
 from pincal.kinematics import closing
 from pincal.kinematics.closed_forms import closed_form
 from pincal.kinematics.closing import close
-from pincal.kinematics.closure import LegClosure, largest_size, nominal_legs
+from pincal.kinematics.closure import LegClosure, nominal_legs
 
 GEOMETRIES = [10, pytest.param(60, marks=pytest.mark.slow)]
 MARGIN = 0.1  # elbow sine
@@ -114,7 +114,7 @@ def test_poses_do_not_hang_on_poses_beside_them(mechanism: pincal.Mechanism) -> 
     rng = np.random.default_rng(9)
     poses = poses_near_home(mechanism, rng, 4000)
     poses = poses[pincal.inverse(mechanism, poses).reached.all(axis=1)]
-    far = poses[:1] + 10.0 * largest_size(mechanism.legs)
+    far = poses[:1] + 10.0 * mechanism.size
     alone = pincal.inverse(mechanism, poses)
     beside = pincal.inverse(mechanism, np.concatenate((far, poses)))
     np.testing.assert_array_equal(beside.readings[len(far) :], alone.readings)

@@ -16,7 +16,6 @@ from pincal.estimation.observability.indices import NEGLIGIBLE, plausible_change
 from pincal.estimation.observability.residuals import together
 from pincal.estimation.system import FALSE_ALARM
 from pincal.finding import Finding
-from pincal.kinematics.closure import largest_size
 from pincal.kinematics.configurations import legs_at
 from pincal.model.checks import ROUNDING
 from pincal.model.measurements import Measurements, Plan
@@ -62,9 +61,9 @@ def findings_of(result: CalibrationResult, fits: Fits) -> tuple[Finding, ...]:
 
 def rounding(fits: Fits) -> bool:
     """Return whether residuals are rounding errors, in which nothing can be read."""
-    size = largest_size(fits.calibration.mechanism.legs)
+    limit = 10.0 * ROUNDING * max(1.0, fits.calibration.mechanism.size)
     parts = [fit.last.conditions[fit.good] for fit in fits.fits]
-    return all(np.abs(part).max(initial=0.0) <= 10.0 * ROUNDING * max(1.0, size) for part in parts)
+    return all(np.abs(part).max(initial=0.0) <= limit for part in parts)
 
 
 def _zeros(result: CalibrationResult) -> list[Finding]:
@@ -261,7 +260,7 @@ def misaligned(
     if not len(legs.gain) or not np.isfinite(legs.gain).all() or not changes.all():
         return ()  # out of reach, or parameters are held
     platform, scale = mechanism.platform, plausible_changes(mechanism)
-    size, own, space = largest_size(mechanism.legs), changes / scale, platform.space
+    size, own, space = mechanism.size, changes / scale, platform.space
     lengths = np.where(np.array(platform.units) == "m", 1.0, size)[:, None]
     A = (legs.gain * lengths).reshape(-1, len(own)) * scale
     motions = frame_motions(platform, platform.matrices(legs.poses)) * lengths

@@ -34,7 +34,6 @@ from pincal.estimation.problem import Problem
 from pincal.estimation.robust import robust_fit
 from pincal.estimation.system import System, loss_of
 from pincal.estimation.unknowns import External, State, Unknowns
-from pincal.kinematics.closure import largest_size
 from pincal.model.checks import ALIKE
 from pincal.model.leg import Leg
 from pincal.model.measurements import Noise
@@ -336,9 +335,9 @@ def with_found_tolerance(calibration: Calibration) -> Calibration:
     if calibration.options.tolerance != AUTO:
         return calibration
     units = _tolerated(calibration)
-    size = largest_size(calibration.mechanism.legs)
     sought = [unit for unit, ids in units.items() if len(ids) > 2]  # one or two say nothing
     groups = {id_: place for place, unit in enumerate(sought) for id_ in units[unit]}
+    size = calibration.mechanism.size
     farthest = np.array([DIFFER * (size if unit == "m" else 1.0) for unit in sought])
     estimates = dict.fromkeys(units, (np.inf, 0.0, np.inf))  # size, ends of its interval
     sizes = farthest

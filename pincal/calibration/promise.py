@@ -20,7 +20,6 @@ from pincal.design.platform_error import (
 )
 from pincal.estimation.observability.gauge import unexplained
 from pincal.estimation.unknowns import External
-from pincal.kinematics.closure import largest_size
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.types import Array, Mask
@@ -145,7 +144,7 @@ def seen_by(result: CalibrationResult) -> Array | Seen | None:
     turns = platform.freedoms[platform.lengths :]
     rotations = [row - 3 for row in platform.twist_rows if row >= 3 and known.issuperset(turns)]
     units = ("m",) * len(names) + ("rad",) * len(rotations)
-    size, n_targets = largest_size(result.identified.legs), len(names) / platform.space
+    size, n_targets = result.identified.size, len(names) / platform.space
 
     def seen(poses: Array, twists: Array) -> tuple[Array, tuple[str, ...]]:
         """Return what is seen of twists at poses: see ``Seen``."""

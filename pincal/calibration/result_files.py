@@ -31,7 +31,6 @@ from pincal.files.columns import write_plan
 from pincal.files.mechanism_folders import load_mechanism, write_mechanism
 from pincal.files.table import write_table
 from pincal.files.text import LARGEST_FILE, plain, read_text
-from pincal.kinematics.closure import largest_size
 from pincal.kinematics.configurations import planned_influences
 from pincal.kinematics.influences import by_name
 from pincal.model.measurements import Plan
@@ -179,7 +178,7 @@ def check_reproduces(result: CalibrationResult, machine: Mechanism) -> None:
     again = _missing_twists(saved, result.poses, machine.parameters.values)
     triples = zip(result.legs, fitted, again, strict=True)
     off = np.concatenate([(a - b)[leg.rows].ravel() for leg, a, b in triples])
-    ratio = np.abs(off).max(initial=0.0) / max(1.0, largest_size(machine.legs))
+    ratio = np.abs(off).max(initial=0.0) / max(1.0, machine.size)
     if not ratio <= REPRODUCED:  # NaN neither
         raise PincalError(
             "the calibrated mechanism, read back, does not give the residuals of its calibration "

@@ -29,7 +29,6 @@ from pincal.files.urdf_writing import leg_urdf
 from pincal.formats import arm, closed, firmware, mjcf, users_urdf
 from pincal.formats.corrections import CORRECTION, correction_columns
 from pincal.formats.delta_printer import delta_printer
-from pincal.kinematics.closure import largest_size
 from pincal.kinematics.influences import own_influences
 from pincal.model.checks import counted
 from pincal.model.option import option
@@ -186,8 +185,7 @@ def _import_tree(
     drawn = {edge.joint.name for edge in tree.edges}
     unused = drawn - {joint.name for leg in mechanism.legs for joint in leg.joints}
     remarks = [*remarks, *(text for name, text in tree.remarks.items() if name not in unused)]
-    size = largest_size(mechanism.legs)
-    if size > _LARGE:
+    if (size := mechanism.size) > _LARGE:
         remarks += [f"the longest leg is {size:.4g} m: metres are expected; is this millimetres?"]
     save_mechanism(replace(mechanism, name=named_after(output)), output, force=options.force)
     _say_what_it_is(mechanism)

@@ -22,7 +22,6 @@ from pincal.files.columns import columns_of, write_sheet
 from pincal.files.mechanism_folders import MECHANISM_FILES, write_mechanism
 from pincal.files.output import refuse_existing, writing
 from pincal.files.table import write_table
-from pincal.kinematics.closure import largest_size
 from pincal.model.option import Option, option
 from pincal.model.units import WRITTEN
 from pincal.show.tables import choice_table
@@ -141,7 +140,7 @@ def demo(
         raise FileError(f"{output} is not empty; choose another, or say --force to write there")
     candidates, plan = output / "candidates.csv", output / "plan.csv"
     truth, measured = output / "truth", output / "measurements.csv"
-    position = float(f"{_NOISE * largest_size(mechanism.legs):.0e}")
+    position = float(f"{_NOISE * mechanism.size:.0e}")
     noise: list[object] = ["--noise-position", f"{position:g}", "--noise-orientation", "1e-4"]
     if mechanism.redundant:  # readings that are too many cannot be exact
         noise += ["--noise-reading", f"{position:g}"]

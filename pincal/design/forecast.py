@@ -35,7 +35,6 @@ from pincal.files.measurements import as_noise
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.files.yaml import read_setup
 from pincal.kinematics.batches import block_diagonal
-from pincal.kinematics.closure import largest_size
 from pincal.kinematics.configurations import Legs, as_plan, check_reached, legs_at, nearby
 from pincal.kinematics.derivatives import Demand
 from pincal.model.checks import described
@@ -139,7 +138,7 @@ def apart_from_frames(mechanism: Mechanism, legs: Legs, lost: Array) -> tuple[Ar
 
     Legs are at the poses to measure.
     """
-    platform, size = mechanism.platform, largest_size(mechanism.legs)
+    platform, size = mechanism.platform, mechanism.size
     reached = Plan(legs.poses, readings=legs.readings)
     near = legs_at(mechanism, nearby(mechanism, reached, GENERIC, size))
     matrices = platform.matrices(near.poses)

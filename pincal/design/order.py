@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from pincal.errors import MeasurementError, ObservabilityError
-from pincal.kinematics.closure import largest_size
 from pincal.kinematics.configurations import as_plan, joints_at
 from pincal.model.checks import count_of
 from pincal.model.measurements import EVERY_LEG, VERIFY, Plan
@@ -42,8 +41,7 @@ def with_reference(mechanism: Mechanism, plan: Plan, every: int) -> Plan:
     """
     count_of(every, "every", MeasurementError, 1)
     platform, count = mechanism.platform, len(plan)
-    size = largest_size(mechanism.legs)
-    per = np.array([1.0 / size if unit == "m" else 1.0 for unit in platform.units])
+    per = np.array([1.0 / mechanism.size if unit == "m" else 1.0 for unit in platform.units])
     fitted = np.flatnonzero(~plan.verifying)
     twists = (
         platform.twists_between(np.tile(plan.poses[row], (len(fitted), 1)), plan.poses[fitted])

@@ -15,7 +15,6 @@ import numpy as np
 from pincal.blas import one_thread
 from pincal.estimation.observability.gauge import frame_motions, unexplained
 from pincal.estimation.observability.indices import NEGLIGIBLE
-from pincal.kinematics.closure import largest_size
 from pincal.kinematics.configurations import leg_demands, legs_at
 from pincal.model.checks import counted
 from pincal.model.measurements import Plan
@@ -270,8 +269,7 @@ def without_frames(
         return twists
     matrices = mechanism.platform.matrices(poses)
     motions = frame_motions(mechanism.platform, matrices) @ frames
-    size = largest_size(mechanism.legs)
-    return unexplained(mechanism.platform.units, twists, motions, size)
+    return unexplained(mechanism.platform.units, twists, motions, mechanism.size)
 
 
 def closing_twists(mechanism: Mechanism, measured: Plan) -> Array:

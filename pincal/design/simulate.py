@@ -17,7 +17,6 @@ from pincal.design.platform_error import root_mean_squares, sizes
 from pincal.errors import MeasurementError
 from pincal.files.measurements import as_noise, read_poses
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
-from pincal.kinematics.closure import largest_size
 from pincal.kinematics.configurations import command, inverse, planned_influences
 from pincal.kinematics.forward import forward
 from pincal.kinematics.influences import by_name, influences_of
@@ -46,7 +45,7 @@ def disturb(
         MeasurementError: a negative or infinite sigma.
     """
     mechanism = as_mechanism(mechanism)
-    of_lengths = largest_size(mechanism.legs) if sigma is None else 1.0
+    of_lengths = mechanism.size if sigma is None else 1.0
     sigma = _ERROR if sigma is None else number_of(sigma, "sigma", MeasurementError)
     if not (np.isfinite(sigma) and sigma >= 0.0):
         raise MeasurementError(f"the disturbance is {sigma}; expected 0 or more")

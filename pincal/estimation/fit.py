@@ -23,7 +23,6 @@ from pincal.estimation.solver import (
 )
 from pincal.estimation.system import FALSE_ALARM, NormalEquations, System, outlying
 from pincal.estimation.unknowns import State, Unknowns
-from pincal.kinematics.closure import largest_size
 from pincal.types import Array, Index, Mask
 
 _FALLEN = 0.9  # share of what determines a direction that falling slopes may take away
@@ -300,14 +299,13 @@ def _evened(problem: Problem, linear: Linear) -> Problem | None:
         return None
     legs, observation = problem.leg_block, problem.observation
     lengths = np.array([unit == "m" for unit in observation.units], dtype=bool)
-    size = largest_size(problem.legs)
     of_legs = np.linalg.norm(linear.noise_root[:, : legs.n_rows], axis=2)
-    observed = (observation.sigma * np.where(lengths, 1.0, size))[observation.measured]
+    observed = (observation.sigma * np.where(lengths, 1.0, problem.size))[observation.measured]
     noisy = [values[values > 0.0] for values in (observed, of_legs) if (values > 0.0).any()]
     if not noisy:
         return None
     typical = float(np.median(noisy[0]))
-    sigma = np.maximum(observation.sigma, np.where(lengths, typical, typical / size))
+    sigma = np.maximum(observation.sigma, np.where(lengths, typical, typical / problem.size))
     by_reading = linear.by_measured[:, : legs.n_rows, : legs.n_readings]
     slopes = np.median(np.linalg.norm(by_reading, axis=1), axis=0)
     floors = typical / np.maximum(slopes, 1e-300)

@@ -138,6 +138,11 @@ class Problem:
         return self.leg_block.legs
 
     @property
+    def size(self) -> float:
+        """Length of the longest stretched leg, [m]."""
+        return max(leg.size for leg in self.legs)
+
+    @property
     def platform(self) -> Platform:
         """The platform."""
         return self.leg_block.platform

@@ -13,7 +13,6 @@ from pincal.estimation.observability.indices import DIFFER, plausible_changes
 from pincal.estimation.solver import solve_poses, unsolved
 from pincal.estimation.system import LOSSES, Loss, System, outlying, robust_scale, suspected
 from pincal.estimation.unknowns import State
-from pincal.kinematics.closure import largest_size
 from pincal.model.mechanism import Mechanism
 from pincal.types import Mask
 from pincal.words.numbers import listed
@@ -69,7 +68,7 @@ def _under_loss(system: System, loss: Loss, start: State | None) -> tuple[Fit, f
     # Rows whose pose was not found, or that move the machine by a good part of its size, have no
     # derivatives that say anything, and no loss bounds what they weigh.
     moved = (linear.white.noise @ linear.noise[:, :, None])[:, :, 0]
-    largest = {"m": _LINEAR * largest_size(problem.legs), "rad": _LINEAR}
+    largest = {"m": _LINEAR * problem.size, "rad": _LINEAR}
     observed_units = problem.observation.units if problem.latent else ()
     units = [*["m"] * problem.leg_block.n_rows, *observed_units]
     near = (np.abs(moved) <= [largest.get(unit, np.inf) for unit in units]).all(axis=1)

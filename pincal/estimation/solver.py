@@ -22,7 +22,6 @@ import numpy as np
 from pincal.errors import MeasurementError
 from pincal.estimation.problem import Linear, Problem
 from pincal.estimation.system import NormalEquations, System
-from pincal.kinematics.closure import largest_size
 from pincal.types import Array, Mask
 
 # Where a search ends, distances in standard errors:
@@ -273,9 +272,9 @@ def _reached(
 
 def rounding(system: System, linear: Linear) -> float:
     """Return the decrement that rounding errors of the conditions make."""
-    size = largest_size(system.problem.legs)
     rows = max(linear.residuals.size, 1)
-    noise = 2.0 * np.finfo(float).eps * size * np.linalg.norm(linear.white.whitener)  # of a chain
+    of_chain = 2.0 * np.finfo(float).eps * system.problem.size
+    noise = of_chain * np.linalg.norm(linear.white.whitener)
     return float(noise * np.sqrt(system.unknowns.n_free / rows))
 
 
@@ -325,8 +324,7 @@ def _pose_steps(problem: Problem, linear: Linear) -> tuple[Array, Array]:
 
     Steps that are not finite count as none.
     """
-    size = largest_size(problem.legs)
-    scale = np.array([size if unit == "m" else 1.0 for unit in problem.platform.units])
+    scale = [problem.size if unit == "m" else 1.0 for unit in problem.platform.units]
     twists = linear.white.pose_step(linear.conditions)
     twists = np.where(np.isfinite(twists).all(axis=1, keepdims=True), twists, 0.0)
     return twists, np.abs(twists / scale).max(axis=1)

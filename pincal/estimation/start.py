@@ -19,7 +19,7 @@ from pincal.estimation.noise import target_positions
 from pincal.estimation.problem import Problem
 from pincal.estimation.unknowns import External, State
 from pincal.kinematics.closing import home_mode, mode_sign
-from pincal.kinematics.closure import LegClosure, largest_size
+from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.configurations import inverse
 from pincal.kinematics.derivatives import nearest_closure
 from pincal.kinematics.forward import placed_by_arm
@@ -155,7 +155,7 @@ def poses_at_rest(problem: Problem, state: State) -> State:
     Each pose has a damping of its own (Levenberg–Marquardt). Poses that find no place remain
     where they came to; the search that follows moves them on.
     """
-    platform, size = problem.platform, largest_size(problem.legs)
+    platform, size = problem.platform, problem.size
     scale = np.array([size if unit == "m" else 1.0 for unit in platform.units])
     units = [*["m"] * problem.leg_block.n_rows, *problem.observation.units]
     arms = np.array([size if unit == "rad" else 1.0 for unit in units])
@@ -205,7 +205,7 @@ def check_start(problem: Problem, state: State) -> None:
         MeasurementError: by how much they miss.
     """
     linear = problem.evaluate(poses_at_rest(problem, state))
-    size, setup = largest_size(problem.legs), problem.observation.setup
+    size, setup = problem.size, problem.observation.setup
     units = np.array([*["m"] * problem.leg_block.n_rows, *problem.observation.units])
     worst = float(np.median(np.linalg.norm(linear.conditions[:, units == "m"], axis=1)))
     if worst > _CONTRADICTS * size:

@@ -19,7 +19,7 @@ from pincal.files.tree import Step, Tree
 from pincal.formats.arm import displaced, with_tip
 from pincal.formats.limbs import Limb, limb_along, paths_to_platform, point_platform
 from pincal.kinematics.assembly import assembled, independent, opening
-from pincal.kinematics.closure import LegClosure, largest_size
+from pincal.kinematics.closure import LegClosure
 from pincal.model.checks import ALIKE, EXACT, ROUNDING, listed
 from pincal.model.consistency import ROUGH, identifiers
 from pincal.model.leg import Closing, Joint, Leg
@@ -62,7 +62,7 @@ def closing_in_words(tree: Tree, mechanism: Mechanism) -> tuple[str, bool]:
         for leg in mechanism.legs
     ]
     gap = opening(legs, mechanism.platform)
-    if gap <= max(ALIKE, tree.slack) * largest_size(mechanism.legs):
+    if gap <= max(ALIKE, tree.slack) * mechanism.size:
         return f"the loops close as drawn, within {gap:.2g} m", False
     moved: dict[str, tuple[float, str]] = {}
     for joint in (joint for leg in mechanism.legs for joint in leg.moving):
@@ -123,7 +123,7 @@ def _outside_limits(leg: Leg) -> Iterator[str]:
 
 def _closed(tree: Tree, legs: list[Leg], platform: Platform) -> tuple[tuple[Leg, ...], Platform]:
     """Return the legs with home positions that close them, and the platform at its home pose."""
-    gap, size = opening(legs, platform), largest_size(legs)
+    gap, size = opening(legs, platform), max(leg.size for leg in legs)
     if gap > ROUGH * size and not tree.homed:
         raise MechanismError(
             "the loops do not close near the joint positions that the file draws: ends that should "

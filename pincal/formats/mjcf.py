@@ -26,7 +26,6 @@ from pincal.files.text import read_xml
 from pincal.files.tree import Edge, Tree, at_home, turns, with_ranges
 from pincal.files.urdf_writing import numbers_text, xml_text
 from pincal.kinematics.assembly import assembled
-from pincal.kinematics.closure import largest_size
 from pincal.model.checks import LARGEST
 from pincal.model.leg import Closing, Joint, JointKind, Leg
 from pincal.model.mechanism import Mechanism
@@ -245,7 +244,7 @@ def mjcf(mechanism: Mechanism) -> str:
     freedoms = [] if serial else _freedoms(mechanism.platform)
     names = [joint.name for joint in placed]
     shared = len(set(names)) != len(names) or _PLATFORM in names
-    thickness = 0.01 * largest_size(mechanism.legs)
+    thickness = 0.01 * mechanism.size
     root = etree.Element("mujoco", model=mechanism.name)
     etree.SubElement(root, "compiler", angle="radian", autolimits="true")
     world = etree.SubElement(root, "worldbody")

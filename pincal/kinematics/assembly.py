@@ -19,7 +19,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from pincal.errors import MechanismError
-from pincal.kinematics.closure import LegClosure, joint_range, largest_size
+from pincal.kinematics.closure import LegClosure, joint_range
 from pincal.model.checks import ROUNDING
 from pincal.model.leg import Leg
 from pincal.model.platform import Platform
@@ -44,7 +44,7 @@ def assembled(
         MechanismError: no such configuration was found.
     """
     free = Platform.at_origin(platform.kind, platform.twist)
-    size = largest_size(legs) or 1.0
+    size = max(leg.size for leg in legs)
     pose, joints, gap = _closed(legs, free, size, _SINGULAR)
     ends = zip(legs, joints, strict=True)
     moved = max(float(np.abs(q[0] - leg.home).max(initial=0.0)) for leg, q in ends)

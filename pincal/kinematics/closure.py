@@ -11,7 +11,7 @@ one equation; one with fewer passive joints more, a serial arm six.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
@@ -297,11 +297,6 @@ def each(function: Callable[..., Array], legs: Sequence[LegClosure], *columns: A
         return function(legs[0], *columns)
     parts = zip(legs, *(np.split(column, len(legs)) for column in columns), strict=True)
     return np.concatenate([function(leg, *rows) for leg, *rows in parts])
-
-
-def largest_size(legs: Iterable[Leg]) -> float:
-    """Return the length of the longest stretched leg, [m]: the scale of a mechanism."""
-    return max(leg.size for leg in legs)
 
 
 def joint_range(leg: Leg) -> tuple[Array, Array]:

@@ -18,7 +18,7 @@ from pincal.errors import MeasurementError, MechanismError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.batches import block_diagonal, chunks, least_squares
 from pincal.kinematics.closing import by_leg, close_legs, sensor_law
-from pincal.kinematics.closure import largest_size, nominal_legs
+from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.derivatives import Demand, leg_demands_at, nearest_closure
 from pincal.kinematics.forward import LOADS, forward, with_loads
 from pincal.kinematics.influences import Influences, influence_columns, influences_of
@@ -98,7 +98,7 @@ def inverse(
     if columns is None:
         return solution
     coordinates = mechanism.platform.from_matrices(placed)
-    tolerance = ROUNDING * max(1.0, largest_size(mechanism.legs))
+    tolerance = ROUNDING * max(1.0, mechanism.size)
     for _ in range(LOADS):  # loads follow from joints, and bend them little
         loaded, before = with_loads(mechanism, columns, solution.readings, coordinates), solution
         if loaded is columns:

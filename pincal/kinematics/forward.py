@@ -34,7 +34,6 @@ from pincal.kinematics.closure import (
     LegClosure,
     evaluate,
     joint_range,
-    largest_size,
     nominal_legs,
 )
 from pincal.kinematics.influences import Influences, gravity_loads, influence_columns
@@ -171,7 +170,7 @@ def forward(
     if not np.isfinite(readings).all():
         row = int(np.argmin(np.isfinite(readings).all(axis=1)))
         raise MechanismError(f"reading {row + 1} is not a finite number")
-    platform, tolerance = mechanism.platform, ROUNDING * max(1.0, largest_size(mechanism.legs))
+    platform, tolerance = mechanism.platform, ROUNDING * max(1.0, mechanism.size)
     start = platform.matrices(
         np.tile(platform.home, (len(readings), 1)) if guess is None else guess
     )
@@ -285,10 +284,7 @@ def _solve(
     """Return matrices, reasons and gaps for one chunk."""
     matrices = placed_by_arm(legs, known)
     matrices = guess.copy() if matrices is None else matrices
-    by_form, size = (
-        grouped([leg.form for leg in legs], len(matrices)),
-        max(leg.size for leg in legs),
-    )
+    by_form = grouped([leg.form for leg in legs], len(matrices))
     groups = [MovingLegs(places, legs, known, matrices) for places in by_form]
     platform, moving = mechanism.platform, np.ones(len(matrices), dtype=bool)
     turns = np.array([unit == "rad" for unit in platform.units], dtype=bool)
@@ -298,7 +294,7 @@ def _solve(
             break
         closures = [group.at(matrices, rows) for group in groups]
         twist = _platform_step(groups, closures)
-        length = np.maximum(lengths(twist[:, ~turns]) / size, lengths(twist[:, turns]))
+        length = np.maximum(lengths(twist[:, ~turns]) / mechanism.size, lengths(twist[:, turns]))
         with np.errstate(divide="ignore", invalid="ignore"):
             twist = np.minimum(1.0, _LARGEST / length)[:, None] * twist
         moved = length
@@ -346,7 +342,7 @@ def _reasons(
     twist = _platform_step(groups, [closure for _, closure in closed])
     lines = by_leg(closed, lambda legs: legs.constraint_by_pose)
     gaps = np.stack(by_leg(closed, lambda legs: lengths(legs.gap)), axis=1)
-    closes = finite & ~moving & (gaps.max(axis=1) <= ROUGH * largest_size(mechanism.legs))
+    closes = finite & ~moving & (gaps.max(axis=1) <= ROUGH * mechanism.size)
     in_mode = platform_margin(mechanism, lines) > 0.0
     for group, (_, closure) in zip(groups, closed, strict=True):
         count, sizes = len(group.legs), np.array([[leg.size] for leg in group.legs])

@@ -56,6 +56,11 @@ class Mechanism:
         return tuple(leg.name for leg in self.legs)
 
     @cached_property
+    def size(self) -> float:
+        """Length of the longest stretched leg, [m]: the scale against which errors are small."""
+        return max(leg.size for leg in self.legs)
+
+    @cached_property
     def reading_names(self) -> tuple[str, ...]:
         """Names of the readings, leg by leg."""
         return tuple(name for leg in self.legs for name in leg.reading_names)

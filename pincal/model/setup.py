@@ -355,7 +355,7 @@ class Setup:
         Raises:
             MeasurementError: a column that means something else; a target far off the mechanism.
         """
-        size = max(leg.size for leg in mechanism.legs)
+        size = mechanism.size
         for name, target in self.targets.items():
             if (far := hypot(*target.offset)) > _FAR * size:
                 raise MeasurementError(

@@ -25,7 +25,7 @@ from pincal.estimation.start import aligned
 from pincal.estimation.system import LOSSES, NormalEquations, System
 from pincal.estimation.unknowns import External, State, unknowns
 from pincal.kinematics.closing import home_mode, mode_sign
-from pincal.kinematics.closure import LegClosure, largest_size
+from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.configurations import inverse
 from pincal.kinematics.forward import forward
 from pincal.kinematics.singularity import margins
@@ -92,7 +92,7 @@ class Case:
         target = replace(target, unknown=target.unknown and free)
         most = _ROWS if oriented and not free else _ROWS_FORWARD
         setup = Setup(unknown_frame=free, targets={ORIGIN: target})
-        noise = Noise(PRECISE * largest_size(mechanism.legs), PRECISE)
+        noise = Noise(PRECISE * mechanism.size, PRECISE)
         bare = Measurements(
             poses, readings=data.readings, influences=data.influences, written=data.written
         )

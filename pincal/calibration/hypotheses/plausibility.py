@@ -35,7 +35,7 @@ from pincal.estimation.observability.indices import DIFFER
 from pincal.estimation.unknowns import External
 from pincal.finding import Finding
 from pincal.kinematics.closing import sensor_law
-from pincal.kinematics.closure import largest_size, nominal_legs
+from pincal.kinematics.closure import nominal_legs
 from pincal.model.checks import ROUNDING
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
@@ -349,7 +349,7 @@ def check_noise(mechanism: Mechanism, noise: Noise | None) -> None:
     Raises:
         MeasurementError: position noise above 2 % of a leg's size, or 0.02 rad of orientation.
     """
-    size = largest_size(mechanism.legs)
+    size = mechanism.size
     noise = noise or Noise(0.0, 0.0)
     turns = "rad" in mechanism.platform.units
     for what, given, unit, most in (

@@ -24,7 +24,6 @@ from pincal.calibration.terms.kinds import (
     parts_of,
 )
 from pincal.errors import MeasurementError
-from pincal.kinematics.closure import largest_size
 from pincal.kinematics.configurations import planned_influences
 from pincal.kinematics.influences import by_name
 from pincal.model.checks import listed
@@ -258,13 +257,12 @@ def idle_places(mechanism: Mechanism, measurements: Measurements) -> set[str]:
     As joints about the vertical: what loads them is rounding, or how far the axis leans. Forces
     count by the moment that they have about the machine's size.
     """
-    size = largest_size(mechanism.legs)
     units = dict(zip(mechanism.reading_names, mechanism.reading_units, strict=True))
     units |= {parameter.id: parameter.unit for parameter in mechanism.parameters}
     loads = {}
     for owner in mechanism.load_names:
         values = measurements.influences.get(f"{LOAD}_{owner}", 0.0)
-        arm = size if units[owner] == "m" else 1.0
+        arm = mechanism.size if units[owner] == "m" else 1.0
         loads[owner] = arm * float(np.nanmax(np.abs(values), initial=0.0))
     least = _TRUE * max(loads.values())
     return {owner for owner, load in loads.items() if load <= least}

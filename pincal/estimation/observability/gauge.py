@@ -30,7 +30,6 @@ from pincal.estimation.problem import Problem
 from pincal.estimation.unknowns import Unknowns
 from pincal.finding import Finding
 from pincal.kinematics.batches import point_velocity
-from pincal.kinematics.closure import largest_size
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Platform
 from pincal.types import Array
@@ -152,7 +151,7 @@ def find_gauge(
         )
     lost, lengths = lost_directions(J)
     directions = lost / lengths
-    size, n_legs, gain = largest_size(problem.legs), legs.parameter.shape[2], legs.gain
+    size, n_legs, gain = problem.size, legs.parameter.shape[2], legs.gain
     moved = (directions @ T.T)[:, :n_legs].T
     matrices = platform.matrices(legs.poses)
     _, inside, frames = split_frames(platform, matrices, gain, moved, size)

@@ -26,7 +26,6 @@ from pincal.estimation.observability.indices import (
 from pincal.estimation.problem import Linear, Problem
 from pincal.estimation.start import poses_at_rest
 from pincal.estimation.unknowns import Unknowns
-from pincal.kinematics.closure import largest_size
 from pincal.model.mechanism import Mechanism
 from pincal.types import Array
 
@@ -149,7 +148,7 @@ def hold_unobservable(
     lost, lengths = lost_directions(J)
     held = unknowns.held(lost * lengths) if len(lost) else unknowns
     # how many times better than machines differ noise determines the rest, the best first
-    size, outside = largest_size(mechanism.legs), problem.observation.external.units
+    size, outside = mechanism.size, problem.observation.external.units
     differ = [size if unit == "m" else 1.0 for unit in outside]
     plausible = np.concatenate((plausible_changes(mechanism, problem.legs), differ))
     scale = 1.0 / np.abs(held.map / plausible[:, None]).max(axis=0)

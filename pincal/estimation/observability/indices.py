@@ -16,7 +16,6 @@ from pincal.estimation.problem import Problem
 from pincal.estimation.rows import white_rows
 from pincal.estimation.unknowns import Unknowns
 from pincal.kinematics.batches import block_diagonal
-from pincal.kinematics.closure import largest_size
 from pincal.kinematics.configurations import Legs, legs_at, nearby
 from pincal.model.checks import ROUNDING
 from pincal.model.leg import Leg
@@ -160,7 +159,7 @@ def jacobian_near(
     )
     values = (start.parameters[columns] for columns in block.columns)
     started = mechanism.with_parameters(dict(zip(mechanism.leg_names, values, strict=True)))
-    size = largest_size(problem.legs)
+    size = problem.size
     legs = legs_at(started, nearby(started, plan, GENERIC, size) if generic else plan)
     observation = problem.observation.anywhere() if generic else problem.observation
     rows = chosen[np.flatnonzero(legs.reached) % len(chosen)]
@@ -196,8 +195,7 @@ def plausible_changes(mechanism: Mechanism, legs: Sequence[Leg] | None = None) -
 
     In the parameters' order and units; of all legs if none are given.
     """
-    size = largest_size(mechanism.legs)
-    return np.concatenate([changes_of(leg, size) for leg in legs or mechanism.legs])
+    return np.concatenate([changes_of(leg, mechanism.size) for leg in legs or mechanism.legs])
 
 
 def nearest_to_nominal(mechanism: Mechanism, directions: Array) -> Array:
