@@ -115,9 +115,8 @@ class Grid:
 
     def at(self, index: Indices) -> Array:
         """Return positions by number, shape (N, 3), [m]."""
-        return self.cartesian(
-            [a.values[i] for a, i in zip(self.axes, self.split(index), strict=True)]
-        )
+        places = zip(self.axes, np.unravel_index(index, self.shape), strict=True)
+        return self.cartesian([axis.values[i] for axis, i in places])
 
     def cartesian(self, coordinates: Sequence[Array]) -> Array:
         """Return positions from values along the axes, shape (N, 3), [m]."""
@@ -130,69 +129,48 @@ class Grid:
     def measures(self, index: Indices) -> Array:
         """Return the length, area or volume of cells: axes with one value do not count."""
         result = np.ones(len(index))
-        for axis, i in zip(self.axes, self.split(index), strict=True):
+        for axis, i in zip(self.axes, np.unravel_index(index, self.shape), strict=True):
             if len(axis.values) > 1:
-                if axis.name == "radius":  # r dr, exact for the ring
-                    inner = np.maximum(axis.values[i] - axis.step / 2, 0.0)
-                    result *= ((axis.values[i] + axis.step / 2) ** 2 - inner**2) / 2
-                else:
-                    result *= axis.step
-        if self.polar and len(self.axes[0].values) == 1:
-            result *= self.axes[0].values[0]
+                result *= axis.step
+            if axis.name == "radius":  # r dr, exact for the ring, less what is beyond the centre
+                beyond = np.maximum(axis.step / 2 - axis.values[i], 0.0)
+                result *= axis.values[i] + beyond**2 / (2 * axis.step or 1.0)
         return result
 
     def carrier(self, move: Array) -> Carrier | None:
         """Return what an isometry, (4, 4), does to numbers, or None if the grid does not map."""
         Q, t = move[:3, :3], move[:3, 3]
-        axes = (*self.axes, Axis("z", np.zeros(1)))[:3]
-        values = [axis.values for axis in axes]
-        if self.polar:
-            across = (Q[:2, 2], Q[2, :2], t[:2] / max(1.0, float(values[0][-1])))
+        if self.polar:  # radii stay, bearings turn or are mirrored
+            across = (Q[:2, 2], Q[2, :2], t[:2] / max(1.0, float(self.axes[0].values[-1])))
             if max(np.abs(part).max() for part in across) > SAME:
                 return None
-            turned = np.arctan2(Q[1, 0], Q[0, 0]) + np.linalg.det(Q[:2, :2]).round() * values[1]
-            source = [0, 1, 2]
-            images: list[Array] = [values[0], turned, Q[2, 2] * values[2] + t[2]]
-        else:
-            quarters = Q.round()
-            if np.abs(Q - quarters).max() > SAME:  # only quarter turns and such
-                return None
-            # values that come to lie on each axis, in their own order
-            source = np.abs(quarters).argmax(axis=1).tolist()
-            images = [quarters[i, k] * values[k] + t[i] for i, k in enumerate(source)]
-        maps = [_match(axis, image) for axis, image in zip(axes, images, strict=True)]
-        if any(m is None for m in maps):
+            t = np.array([0.0, np.arctan2(Q[1, 0], Q[0, 0]), t[2]])
+            Q = np.diag([1.0, np.linalg.det(Q[:2, :2]), Q[2, 2]])
+        signs = Q.round()
+        if np.abs(Q - signs).max() > SAME:  # of x, y, z only quarter turns and such
             return None
-        shape = (*self.shape, 1)[:3]
+        axes, shape = (*self.axes, Axis("z", np.zeros(1)))[:3], (*self.shape, 1)[:3]
+        sources, maps = np.abs(signs).argmax(axis=1).tolist(), list[Indices]()
+        for place, (axis, source) in enumerate(zip(axes, sources, strict=True)):
+            values, images = axis.values, signs[place, source] * axes[source].values + t[place]
+            if axis.name == "bearing":
+                images = values[0] + (images - values[0] + SAME) % (2 * np.pi) - SAME
+            steps = np.rint((images - values[0]) / (axis.step or 1.0))
+            maps.append(steps.clip(0, len(values) - 1).astype(np.int64))
+            within = 4 * SAME * max(1.0, float(np.ptp(values)))
+            if len(images) != len(values) or np.abs(values[maps[-1]] - images).max() > within:
+                return None
 
         def carry(index: Indices) -> Indices:
             split = np.unravel_index(index, shape)
-            moved = tuple(m[split[k]] for m, k in zip(maps, source, strict=True) if m is not None)
+            moved = tuple(m[split[k]] for m, k in zip(maps, sources, strict=True))
             return np.ravel_multi_index(moved, shape).astype(np.int64)
 
         return carry
 
-    def split(self, index: Indices) -> tuple[Indices, ...]:
-        """Return the place of positions on each axis."""
-        return np.unravel_index(index, self.shape)
-
     def closed(self, place: int) -> bool:
         """Return whether the first and last value of an axis are neighbours."""
-        axis = self.axes[place]
-        return axis.name == "bearing" and axis.full_turn and len(axis.values) > 2
-
-
-def _match(axis: Axis, images: Array) -> Indices | None:
-    """Return which values of an axis equal its images, or None if they are not the same set."""
-    values, period = axis.values, 2 * np.pi if axis.name == "bearing" else np.inf
-    if len(images) != len(values):
-        return None
-    if np.isfinite(period):
-        images = values[0] + (images - values[0] + SAME) % period - SAME
-    index = np.searchsorted(values, images - SAME * max(1.0, float(np.abs(values).max())))
-    index = np.minimum(index, len(values) - 1)
-    size = float(np.ptp(values)) or 1.0
-    return index if np.abs(values[index] - images).max() <= 4 * SAME * max(1.0, size) else None
+        return self.axes[place].full_turn and len(self.axes[place].values) > 2
 
 
 def lowest(carriers: Iterable[Carrier], index: Indices) -> Indices:
@@ -227,7 +205,7 @@ def edges(grid: Grid, inside: Mask) -> Indices:
         if not grid.closed(place):
             differ[(slice(None),) * place + (-1,)] = False
         first = np.flatnonzero(differ)
-        split = list(grid.split(first))
+        split = list(np.unravel_index(first, grid.shape))
         split[place] = (split[place] + 1) % n
         pairs.append(np.stack((first, np.ravel_multi_index(tuple(split), grid.shape)), axis=1))
     return np.concatenate(pairs)
