@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from test_words import values_of
 from typer.main import get_command
 
 import pincal
@@ -110,15 +111,21 @@ def nodes_of_the_source() -> tuple[ast.AST, ...]:
 
 
 def made() -> set[str]:
-    """Return the codes of findings that the source makes."""
-    return {
-        node.args[0].value
+    """Return the codes of findings that the source makes, each with the values of its code."""
+    calls = [
+        node
         for node in nodes_of_the_source()
         if isinstance(node, ast.Call)
         and isinstance(node.func, ast.Name)
         and node.func.id in ("finding", "Hypothesis")
         and isinstance(node.args[0] if node.args else None, ast.Constant)
-    }
+    ]
+    for call in calls:
+        if call.func.id == "finding":
+            names = {keyword.arg for keyword in call.keywords} - {"rows", "parameters"}
+            expected = values_of(call.args[0].value)
+            assert names - {None} <= expected if None in names else names == expected
+    return {call.args[0].value for call in calls}
 
 
 def test_every_finding_is_explained() -> None:
@@ -130,7 +137,7 @@ def test_every_finding_is_explained() -> None:
     page, _, values = text.partition("## Values of findings")
     rows = dict(re.findall(r"^\| `([a-z0-9-]+)` \|(.*)$", page, re.MULTILINE))
     assert set(rows) == set(WORDINGS)
-    names = {name for one in WORDINGS.values() for name in one.value_names}
+    names = set[str]().union(*map(values_of, WORDINGS))
     assert set(re.findall(r"^\| `(\w+)` \| \S", values, re.MULTILINE)) == names
     for code, one in WORDINGS.items():
         severity, means, advice = rows[code].replace("`", "").strip(" |").split(" | ")

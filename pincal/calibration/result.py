@@ -33,7 +33,7 @@ from pincal.model.measurements import Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.parameter import Parameters
 from pincal.types import Array
-from pincal.words.findings import sentences
+from pincal.words.findings import WORDINGS, sentences
 from pincal.words.numbers import rounded
 
 if TYPE_CHECKING:
@@ -45,23 +45,7 @@ _PROMISED = 3.0  # times the noise given, up to which residuals may be noise tha
 _MISSED = 0.01  # standard deviations, below which a leg misses nothing
 _FELL = 0.5  # share of the residuals that may be left if anything was corrected
 #: Findings that contradict the model or its noise.
-CONTRADICTING = frozenset(
-    {
-        "chi2-too-large",
-        "curved",
-        "held-out-worse",
-        "many-outliers",
-        "model-lacks",
-        "no-noise",
-        "noise-in-other-proportion",
-        "reference-moved",
-        "rows-alike",
-        "step",
-        "terms-chosen",
-        "wrong-held-out",
-        "wrong-rows",
-    }
-)
+CONTRADICTING = {code for code, wording in WORDINGS.items() if wording.title} - {"few-poses"}
 
 
 @dataclass(frozen=True, repr=False, eq=False)

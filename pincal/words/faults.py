@@ -71,16 +71,14 @@ FAULTS: dict[str, Wording] = {
         "is taken for errors of the machine",
     ),
 }
-_COMMON = "legs left unknown_frame given questioned other_side"
 _READINGS = "the readings{' of ' ~ legs|join(', ') if legs}"
 _SIGN = "Change {}, or the sensor's 'direction' in mechanism.yaml"
 _ORDER = "Correct the order of columns"
 _FRAMED = "{' and the base is elsewhere in their frame' if unknown_frame}"
 
 
-def _hypothesis(says: str, remedy: str, framed: str = _FRAMED) -> Wording:
-    """Return the wording of a hypothesis, which has values that all hypotheses have."""
-    return _error(says + framed, remedy, unsaid=_COMMON)
+def _hypothesis(says: str, remedy: str) -> Wording:
+    return _error(says + _FRAMED, remedy)
 
 
 HYPOTHESES: dict[str, Wording] = {
@@ -149,11 +147,10 @@ HYPOTHESES: dict[str, Wording] = {
         "Correct the scale of the readings (counts_per_unit or gain of the sensor in "
         "mechanism.yaml)",
     ),
-    "unknown-frame": _hypothesis(
+    "unknown-frame": _error(
         "the poses are those in another frame than the base's",
         "Say that the base is elsewhere in that frame (--unknown-frame; in Python "
         "Setup(unknown_frame=True))",
-        framed="",
     ),
 }
 

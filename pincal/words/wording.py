@@ -14,7 +14,7 @@ from functools import cache
 from math import isfinite
 from typing import Any
 
-from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined, Template, meta
+from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined, Template
 
 from pincal.finding import Finding, Severity
 from pincal.model.checks import counted
@@ -35,18 +35,8 @@ class Wording:
     remedy: str = ""
     """Template of what to do about it, in a sentence without full stop."""
     severity: Severity = "warning"
-    unsaid: str = ""
-    """Names of values that are not in these templates."""
     title: str = ""
-    """In few words, why no limit is promised; empty of what contradicts no promise."""
-
-    @property
-    def value_names(self) -> set[str]:
-        """Names of the values that a finding of it has (``docs/errors.md`` says what they are)."""
-        environment = _sentences()
-        names = meta.find_undeclared_variables(environment.parse(f"{self.says} {self.remedy}"))
-        names -= {"rows", "row", "them", "parameters", *environment.globals}
-        return {*names, *self.unsaid.split()}
+    """In few words, how it contradicts the model or its noise, so that no limit is promised."""
 
 
 def filled(words: str, finding: Finding) -> str:
@@ -59,7 +49,7 @@ def filled(words: str, finding: Finding) -> str:
 
 @cache
 def _template(words: str) -> Template:
-    return _sentences().from_string(words)
+    return sentence_templates().from_string(words)
 
 
 def group_in_words(group: tuple[str, ...]) -> str:
@@ -147,7 +137,8 @@ _NAMES = {
 
 
 @cache
-def _sentences() -> Environment:
+def sentence_templates() -> Environment:
+    """Return the environment of sentences."""
     environment = Environment(
         variable_start_string="{", variable_end_string="}", undefined=StrictUndefined
     )
