@@ -26,6 +26,7 @@ import motoman
 from arms import loaded
 
 import pincal
+from pincal.design.platform_error import root_mean_squares
 
 Set = tuple[pincal.Mechanism, pincal.Measurements, pincal.Setup]
 PAYLOAD = pincal.Load(10.0, (0.0, 0.0, 0.1))
@@ -90,7 +91,7 @@ def line(name: str, splits: int) -> str:
         found.append([missed(fit, unseen) for fit in (even, result, sagging)])
         poses = pincal.forward(result.identified, unseen.readings).poses
         expected = result.expected_error(pincal.Plan(poses, readings=unseen.readings))
-        promised.append(expected.where_determined[0] / found[-1][1])
+        promised.append(root_mean_squares(expected.sizes)[0] / found[-1][1])
     held_out = 1e3 * np.sqrt(np.mean(np.square(found), axis=0))
     numbers = " | ".join(f"{distance:.4f}" for distance in held_out)
     numbers += f" | {converged} of {splits}"

@@ -12,6 +12,7 @@ from pincal.design.platform_error import (
     Unidentified,
     closing_twists,
     platform_error,
+    root_mean_squares,
     sizes,
 )
 from pincal.kinematics.configurations import legs_at
@@ -45,7 +46,7 @@ def test_errors_are_those_of_drawn_parameters(
     assert found.orientation == pytest.approx(np.sqrt(orientation.mean()), rel=0.02)
     for limit, drawn_squares in zip(found.limit, (position, orientation), strict=True):
         assert (drawn_squares <= limit**2).mean() == pytest.approx(0.95, abs=0.01)
-    assert (found.position, found.orientation) == pytest.approx(found.where_determined)
+    assert (found.position, found.orientation) == pytest.approx(root_mean_squares(found.sizes))
     np.testing.assert_allclose(found.sizes, sizes(mechanism.platform.units, found.std))
 
 
@@ -87,7 +88,7 @@ def test_what_is_held_counts_where_it_moves_the_platform(
     found = platform_error(mechanism, covariance, poses, lost)
     assert found.position == np.inf
     assert not found.determined.any()
-    assert np.isnan(found.where_determined[0])
+    assert np.isnan(root_mean_squares(found.sizes)[0])
     assert np.isnan(found.limit[0])
     for size, infinite in ((1e-9, False), (1.0, True)):
         held = Unidentified(size * lost, mechanism)
@@ -130,7 +131,7 @@ def test_one_error_gives_the_numbers_of_all(name: str, setup: pincal.Setup | Non
     # of angles against lengths, with frames: the radius there is that of the nominal legs
     same = 1e-9 if setup is None else 1e-4
     np.testing.assert_allclose(found.sizes, errors.expected.sizes, rtol=same)
-    assert inside.where_determined == pytest.approx(errors.mean_after(), rel=same)
+    assert root_mean_squares(inside.sizes) == pytest.approx(errors.mean_after(), rel=same)
     wider = unseen(result.reduced_chi2, result.chi2_freedoms)
     limit = tuple(wider * one for one in inside.limit)
     assert limit == pytest.approx(errors.inside.limit, rel=same, abs=1e-15)
@@ -153,7 +154,7 @@ def test_held_directions_give_the_numbers_of_all() -> None:
     np.testing.assert_allclose(found.sizes[known], errors.expected.sizes[known], rtol=1e-9)
     region = poses[errors.expected.within]
     inside = platform_error(result.identified, result.covariance, region, held, result.frames_moved)
-    assert inside.where_determined == pytest.approx(errors.mean_after(), rel=1e-9)
+    assert root_mean_squares(inside.sizes) == pytest.approx(errors.mean_after(), rel=1e-9)
     limit = tuple(errors.expected.unseen * one for one in inside.limit)
     assert limit == pytest.approx(errors.inside.limit, rel=1e-9)
     assert result.expected_error(poses).position == found.position

@@ -64,9 +64,7 @@ def expected_error(result: CalibrationResult, poses: Plan | Array | None) -> Pla
     """
     error = _by_covariance(result, measured_plan(result) if poses is None else poses)
     largest = most_uncertain(result)
-    known = np.where(
-        largest == 0.0, np.inf, np.nan_to_num(largest)
-    )  # what does not turn is not off
+    known = np.where(largest == 0.0, np.inf, np.nan_to_num(largest))  # 0: it does not turn
     with np.errstate(divide="ignore", invalid="ignore"):
         ratios = np.where(np.isinf(error.sizes), np.inf, error.sizes / known).max(axis=1)
     error = replace(error, outside=ratios * (1.0 - _SAME), uncovered=uncovered(result))
@@ -74,7 +72,7 @@ def expected_error(result: CalibrationResult, poses: Plan | Array | None) -> Pla
         return error
     # how many times farther measured poses are missed than uncertainties say, 1 or more; what is
     # not measured, position or orientation, is off by as much as the other
-    expected = _by_covariance(result, measured_plan(result)).where_determined
+    expected = root_mean_squares(_by_covariance(result, measured_plan(result)).sizes)
     pairs = zip(result.misses, expected, strict=True)
     ratios = np.array([seen / said if said > 0.0 else np.nan for seen, said in pairs])
     ratios = np.where(np.isnan(ratios), np.nanmax([1.0, *ratios]), np.maximum(ratios, 1.0))

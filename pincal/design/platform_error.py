@@ -51,18 +51,12 @@ class PlatformError:
     Infinite where what is not identified moves the platform.
     """
 
-    position: float
-    """Root mean square over the poses that all legs reach, [m]."""
-    orientation: float
-    """The same, [rad]; zero for a platform without orientation."""
-    poses: int
-    """Poses that all legs reach."""
-    std: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    std: Array
     """Standard error of each freedom at each planned pose, shape (N, dof), twists in base axes,
     [m] and [rad]; NaN out of reach, infinite where not determined."""
-    units: tuple[str, ...] = ()
+    units: tuple[str, ...]
     """``"m"`` or ``"rad"`` of each freedom."""
-    weights: Array = field(default_factory=lambda: np.zeros((2, 0)))
+    weights: Array
     """Eigenvalues of the mean squares of position and orientation, shape (2, n)."""
     degrees_of_freedom: float | None = None
     """Of the noise, where its scale was estimated; None where it is known."""
@@ -82,8 +76,6 @@ class PlatformError:
         factors = {"m": position, "rad": orientation}
         return replace(
             self,
-            position=position * self.position,
-            orientation=orientation * self.orientation,
             std=self.std * [factors[unit] for unit in self.units],
             weights=self.weights * np.array([[position], [orientation]]) ** 2,
             promised=False,
@@ -93,6 +85,21 @@ class PlatformError:
     def sizes(self) -> Array:
         """Standard errors of position [m] and orientation [rad] at each pose, shape (N, 2)."""
         return sizes(self.units, self.std)
+
+    @cached_property
+    def position(self) -> float:
+        """Root mean square over the poses that all legs reach, [m]."""
+        return root_mean_squares(self.sizes, infinite=True)[0]
+
+    @cached_property
+    def orientation(self) -> float:
+        """The same, [rad]; zero for a platform without orientation."""
+        return root_mean_squares(self.sizes, infinite=True)[1]
+
+    @property
+    def poses(self) -> int:
+        """Number of poses that all legs reach."""
+        return int((~np.isnan(self.std).any(axis=1)).sum())
 
     @cached_property
     def determined(self) -> Mask:
@@ -105,13 +112,8 @@ class PlatformError:
         return self.determined & ~(self.outside > 1.0) if self.outside.size else self.determined
 
     @cached_property
-    def where_determined(self) -> tuple[float, float]:
-        """Root mean squares over the poses at which all is determined, [m] and [rad]."""
-        return root_mean_squares(self.sizes)
-
-    @cached_property
     def limit(self) -> tuple[float, float]:
-        """Below which these root mean squares are in 95 of 100 such calibrations, [m] and [rad].
+        """Below which root mean squares are in 95 of 100 such calibrations, [m] and [rad].
 
         With errors δ of covariance C, the mean square δᵀ M δ is a sum of squares of normal
         numbers, weighted by the eigenvalues of MC: drawn, with the scale of the noise if that was
@@ -203,16 +205,7 @@ def platform_error(
         G = np.concatenate((gain_of_unit @ root, moves_of_unit), axis=2)
         G = G.reshape(-1, G.shape[2])
         weights.append(np.linalg.eigvalsh(G.T @ G).clip(0.0) / max(len(gain_of_unit), 1))
-    position, orientation = root_mean_squares(sizes(units, std), infinite=True)
-    return PlatformError(
-        position,
-        orientation,
-        int(legs.reached.sum()),
-        std,
-        units,
-        np.array(weights),
-        degrees_of_freedom,
-    )
+    return PlatformError(std, units, np.array(weights), degrees_of_freedom)
 
 
 def _motions_of_held(

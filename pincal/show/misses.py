@@ -88,7 +88,7 @@ class WorkspaceErrors:
 
     def mean_after(self) -> tuple[float, float]:
         """Return root mean squares of the errors to expect, [m] and [rad]."""
-        return self.inside.where_determined
+        return root_mean_squares(self.inside.sizes)
 
     @property
     def determined(self) -> bool:
