@@ -25,7 +25,6 @@ pincal.calibration.result.IdentifiedParameter
 pincal.calibration.validation.Validation
 pincal.design.forecast.Forecast
 pincal.design.platform_error.PlatformError
-pincal.design.select_configurations.ConfigurationChoice
 pincal.design.simulate.Accuracy
 pincal.design.simulate.Simulation
 pincal.estimation.observability.indices.Identifiability

@@ -25,8 +25,7 @@ from pincal.cli.options import (
 )
 from pincal.design.orbits import selection_group
 from pincal.design.order import in_turns, with_reference, with_verification
-from pincal.design.select import Protocol
-from pincal.design.select_configurations import Goal
+from pincal.design.select import Goal, Protocol
 from pincal.files.columns import columns_of
 from pincal.files.measurements import read_poses
 from pincal.files.mechanism_folders import MECHANISM_FILES, write_mechanism
@@ -173,7 +172,7 @@ def _choose(
         goal=options.goal,
         **search,
     )
-    return choice.plan, candidates, tables.choice_table(mechanism, choice)
+    return choice.plan, candidates, tables.selection_table(choice, mechanism.name)
 
 
 @command

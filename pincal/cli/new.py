@@ -24,7 +24,7 @@ from pincal.files.output import refuse_existing, writing
 from pincal.files.table import write_table
 from pincal.model.option import Option, option
 from pincal.model.units import WRITTEN
-from pincal.show.tables import choice_table
+from pincal.show.tables import selection_table
 from pincal.words.numbers import amount
 from pincal.workspace.criteria import in_workspace
 
@@ -97,7 +97,7 @@ def new(
             plan = replace(plan, readings=pincal.inverse(mechanism, plan.poses).readings)
         write_sheet(scratch / "sheet.csv", mechanism, plan)
     stdout.print(mechanism.description)
-    stdout.print(choice_table(mechanism, chosen))
+    stdout.print(selection_table(chosen, mechanism.name))
     wrote(output)
     for file, description in DESCRIPTIONS.items():
         remark(f"  {file}: {description}")

@@ -32,7 +32,13 @@ from pincal.design.orbits import (
     smallest,
 )
 from pincal.errors import MeasurementError, ObservabilityError
-from pincal.estimation.observability.indices import Indices, identifiability, indices, r_diagonal
+from pincal.estimation.observability.indices import (
+    Identifiability,
+    Indices,
+    identifiability,
+    indices,
+    r_diagonal,
+)
 from pincal.files.measurements import as_noise
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.closure import LegClosure, nominal_legs
@@ -46,6 +52,7 @@ from pincal.types import Array, Mask
 
 _SAMPLE = 64  # candidates on which it is looked at whether rows map
 Protocol = Literal["independent", "symmetric", "orbits", "common"]
+Goal = Literal["parameters", "platform"]
 
 
 @dataclass(frozen=True)
@@ -96,17 +103,20 @@ class Selection:
     """
 
     plan: Plan
-    protocol: Protocol
-    legs: tuple[LegDesign, ...]
+    protocol: Protocol | Goal
+    """How poses serve legs, or what ``select_configurations`` chose for."""
+    efficiency: float
+    """Against the bound on any choice, 0 to 1: the smallest of all legs, or of all parameters
+    together by the determinant^(1/n) of what can be identified or the platform's mean variance."""
     candidates: int
-    """Number of poses that all legs reach, copies counted."""
-    unreachable: int
+    """Number of poses that all legs reach; of ``select_poses`` copies counted."""
+    unreachable: int = 0
     """Number of candidate poses out of reach of a leg, which were left out."""
-
-    @property
-    def efficiency(self) -> float:
-        """Smallest efficiency of all legs."""
-        return min(leg.efficiency for leg in self.legs)
+    legs: tuple[LegDesign, ...] = ()
+    """What ``select_poses`` gives each leg."""
+    rank: Identifiability | None = None
+    """What all candidates of ``select_configurations`` together determine."""
+    measured: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         size = f"{len(self.plan.poses)} poses of {self.candidates}"
@@ -114,7 +124,7 @@ class Selection:
 
     @attached
     def __str__(self) -> str:
-        """Return the table of what it gives each leg."""
+        """Return the table of what it gives each leg, or what was measured and is determined."""
 
 
 class Search:
@@ -267,20 +277,11 @@ def select_poses(
     designs = []
     for leg, demand, efficiency in zip(mechanism.legs, demands, efficiencies, strict=True):
         C = demand.jacobian.reshape(-1, len(leg.parameters))
-        condition = identifiability(C, leg.parameter_ids).condition
-        reference = carried[leg.name][0]
-        designs.append(
-            LegDesign(
-                leg.name,
-                len(demand.value),
-                efficiency,
-                indices(C),
-                r_diagonal(C),
-                condition,
-                reference,
-            )
-        )
-    return Selection(plan, protocol, tuple(designs), search.in_reach, search.unreachable)
+        figures = indices(C), r_diagonal(C), identifiability(C, leg.parameter_ids).condition
+        served, reference = len(demand.value), carried[leg.name][0]
+        designs.append(LegDesign(leg.name, served, efficiency, *figures, reference))
+    efficiency, legs_given = min(efficiencies), tuple(designs)
+    return Selection(plan, protocol, efficiency, search.in_reach, search.unreachable, legs_given)
 
 
 def _leg_by_leg(

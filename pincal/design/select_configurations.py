@@ -9,8 +9,7 @@ the candidates; its efficiency is against the bound that no choice exceeds.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Any, get_args
 
 import numpy as np
 
@@ -19,14 +18,9 @@ from pincal.design.forecast import apart_from_frames, information_rows, null_dir
 from pincal.design.optimal import Criterion, continuous_design, exchange
 from pincal.design.orbits import distinct
 from pincal.design.platform_error import without_frames
-from pincal.design.select import SelectionOptions
+from pincal.design.select import Goal, Selection, SelectionOptions
 from pincal.errors import MeasurementError, ObservabilityError
-from pincal.estimation.observability.indices import (
-    NEGLIGIBLE,
-    Identifiability,
-    identifiability,
-    scaled_axes,
-)
+from pincal.estimation.observability.indices import NEGLIGIBLE, identifiability, scaled_axes
 from pincal.files.measurements import as_noise
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.files.yaml import read_setup
@@ -36,32 +30,6 @@ from pincal.model.checks import count_of
 from pincal.model.measurements import Plan
 from pincal.model.setup import Setup
 from pincal.types import Array
-
-Goal = Literal["parameters", "platform"]
-
-
-@dataclass(frozen=True, repr=False)
-class ConfigurationChoice:
-    """Chosen configurations, and how good they are."""
-
-    plan: Plan
-    efficiency: float
-    """Against the bound on any choice, 0 to 1: of the determinant^(1/n) of what can be identified,
-    or of the platform's mean variance."""
-    rank: Identifiability
-    """Of all candidates together."""
-    measured: tuple[str, ...]
-    candidates: int
-    """Configurations that the mechanism has."""
-    goal: Goal = "parameters"
-    """What they are best for."""
-
-    def __repr__(self) -> str:
-        size = f"{len(self.plan.poses)} poses of {self.candidates}"
-        return f"ConfigurationChoice({size}, efficiency {self.efficiency:.3f})"
-
-    def __str__(self) -> str:
-        return f"{self!r}\nmeasured: {', '.join(self.measured)}; {self.rank}"
 
 
 @one_thread()
@@ -74,7 +42,7 @@ def select_configurations(
     setup: Setup | None = None,
     goal: Goal = "parameters",
     **options: Any,
-) -> ConfigurationChoice:
+) -> Selection:
     """Return configurations chosen from candidates, with a certificate.
 
     Args:
@@ -137,11 +105,6 @@ def select_configurations(
         criterion = Criterion(directions[:, moving] * np.sqrt(values[moving]))
     design = continuous_design((blocks,), criterion)
     chosen, value = exchange((blocks,), count, design.priority, rng, search.starts, criterion)
-    return ConfigurationChoice(
-        Plan(legs.poses, readings=legs.readings).rows(chosen),
-        design.efficiency(value, count),
-        identifiable,
-        names,
-        len(blocks),
-        goal,
-    )
+    plan = Plan(legs.poses, readings=legs.readings).rows(chosen)
+    efficiency = design.efficiency(value, count)
+    return Selection(plan, goal, efficiency, len(blocks), rank=identifiable, measured=names)

@@ -11,7 +11,6 @@ from pincal.calibration.terms.screen import Candidate
 from pincal.calibration.validation import MISSES
 from pincal.design.forecast import Forecast
 from pincal.design.select import Selection
-from pincal.design.select_configurations import ConfigurationChoice
 from pincal.model.checks import counted
 from pincal.model.mechanism import Mechanism
 from pincal.model.setup import ORIGIN
@@ -62,52 +61,47 @@ def symmetry_table(group: SymmetryGroup, equivariance: float) -> Table:
 # Plans and forecasts
 
 
-def selection_table(selection: Selection) -> Table:
-    """Return what a selection gives each leg."""
-    caption = (
-        "efficiency: (det / det of the continuous D-optimal bound)^(1/n), at most 1; "
-        "O1: of the unweighted Jacobian, over the number of parameters"
-    )
-    return Table(
-        f"{len(selection.plan.poses)} poses, {selection.protocol} selection from "
-        f"{selection.candidates} candidates",
-        ["leg", "poses", "efficiency:.4f", "O1:.4f", "condition:.3g"],
-        [
-            (leg.leg, leg.poses, leg.efficiency, leg.indices.O1_per_parameter, leg.condition)
-            for leg in selection.legs
-        ],
-        caption,
-    )
-
-
-def selection_text(selection: Selection) -> str:
-    """Return the table of a selection as text."""
-    return str(selection_table(selection))
-
-
 _GOALS = {
     "parameters": "all parameters together",
     "platform": "the platform's accuracy over the candidates",
 }
 
 
-def choice_table(mechanism: Mechanism, chosen: ConfigurationChoice) -> Table:
-    """Return how good chosen configurations are, and what they determine."""
-    rank = chosen.rank
+def selection_table(selection: Selection, name: str = "") -> Table:
+    """Return what a selection gives each leg, or how good configurations of a machine are."""
+    if (rank := selection.rank) is None:
+        return Table(
+            f"{len(selection.plan.poses)} poses, {selection.protocol} selection from "
+            f"{selection.candidates} candidates",
+            ["leg", "poses", "efficiency:.4f", "O1:.4f", "condition:.3g"],
+            [
+                (leg.leg, leg.poses, leg.efficiency, leg.indices.O1_per_parameter, leg.condition)
+                for leg in selection.legs
+            ],
+            "efficiency: (det / det of the continuous D-optimal bound)^(1/n), at most 1; "
+            "O1: of the unweighted Jacobian, over the number of parameters",
+        )
     lost = rank.n_params - rank.rank
     words = f"; {lost} directions are not observable at any candidate" if lost else ""
     row = (
-        len(chosen.plan.poses),
-        Cell(chosen.candidates, f"{chosen.candidates:,}"),
-        chosen.efficiency,
+        len(selection.plan.poses),
+        Cell(selection.candidates, f"{selection.candidates:,}"),
+        selection.efficiency,
         Cell(rank.rank, f"{rank.rank} of {rank.n_params}"),
-        ", ".join(chosen.measured),
+        ", ".join(selection.measured),
     )
     return Table(
-        f"{mechanism.name}: configurations for {_GOALS[chosen.goal]}{words}",
+        f"{name}: configurations for {_GOALS[selection.protocol]}{words}",
         ["poses", "of", "efficiency:.3f", "rank", "measured"],
         [row],
     )
+
+
+def selection_text(selection: Selection) -> str:
+    """Return a selection as text: the table, or a line, what was measured, and the rank."""
+    if selection.rank is None:
+        return str(selection_table(selection))
+    return f"{selection!r}\nmeasured: {', '.join(selection.measured)}; {selection.rank}"
 
 
 def standard_errors(forecast: Forecast) -> Table:
