@@ -217,10 +217,10 @@ def _unmeasured_lines(result: CalibrationResult) -> list[str]:
     names = [name for name, lacks in zip(platform.coordinates, missing, strict=True) if lacks]
     if platform.turns == 3 and all(missing[platform.lengths :]):
         names[-3:] = ["the orientation"]
-    follows = "follow" if len(names) > 1 else "follows"
+    follow, are = ("follow", "are") if len(names) > 1 else ("follows", "is")
     return [
-        f"not measured: {listed(names)}, which {follows} from the readings at each pose and "
-        f"{'are' if len(names) > 1 else 'is'} checked by no measurement"
+        f"not measured: {listed(names)}, which {follow} from the readings at each pose and {are} "
+        "checked by no measurement"
     ]
 
 
@@ -341,33 +341,30 @@ def check_lines(result: CalibrationResult) -> list[str]:
 
 def weak_lines(pairs: Sequence[WeakPair], mechanism: Mechanism) -> list[str]:
     """Return which pairs of parameters are weakly determined; legs alike in one line."""
-    units = {p.id: p.unit for p in mechanism.parameters}
-    groups: dict[tuple[str, str], list[WeakPair]] = {}
+    groups: dict[tuple[str, ...], list[WeakPair]] = {}
     for pair in pairs:
-        leg, _, name = pair.first.rpartition(".")
-        other_leg, _, second = pair.second.rpartition(".")
-        names = (name, second) if leg == other_leg else (pair.first, pair.second)
-        groups.setdefault(names, []).append(pair)
+        parameters = [mechanism.parameters[id_] for id_ in (pair.first, pair.second)]
+        same_leg = parameters[0].owner == parameters[1].owner
+        groups.setdefault(tuple(p.name if same_leg else p.id for p in parameters), []).append(pair)
     lines = []
-    for shown, (worst, *others) in groups.items():
-        ids, owner = (worst.first, worst.second), ""
+    for names, (worst, *others) in list(groups.items())[:_MOST_PAIRS]:
+        parameters, owner = [mechanism.parameters[id_] for id_ in (worst.first, worst.second)], ""
         if others:
             legs = [pair.first.rpartition(".")[0] for pair in (worst, *others)]
             owner = f" of {'every leg' if len(legs) == len(mechanism.legs) else ', '.join(legs)}"
-        first, second = shown if others else ids
-        known = []
-        for id_, name, exact, std in zip(ids, (first, second), worst.known, worst.std, strict=True):
-            after, before = (number(size, units[id_]) for size in (exact, std))
-            if after != before:
-                known.append(f"{amount(exact, units[id_])} instead of {before} for {name}")
+        shown = names if others else [p.id for p in parameters]
+        known = [
+            f"{amount(exact, p.unit)} instead of {number(std, p.unit)} for {name}"
+            for p, name, exact, std in zip(parameters, shown, worst.known, worst.std, strict=True)
+            if number(exact, p.unit) != number(std, p.unit)
+        ]
         lines.append(
-            f"{first} and {second}{owner} are weakly determined together, correlation "
+            f"{shown[0]} and {shown[1]}{owner} are weakly determined together, correlation "
             f"{worst.correlation:+.3f}: if the other one were known, the standard error would be "
             f"{' and '.join(known)}"
         )
-    if (omitted := len(lines) - _MOST_PAIRS) > 0:
-        lines[_MOST_PAIRS:] = [f"and {counted(omitted, 'more such pair')}"]
-    return lines
+    omitted = len(groups) - len(lines)
+    return [*lines, f"and {counted(omitted, 'more such pair')}"] if omitted else lines
 
 
 def result_text(result: CalibrationResult) -> str:

@@ -174,6 +174,10 @@ def workspace_table(workspace: Workspace, inscribed: Inscribed | None = None) ->
 
 _MOST_SIGMAS = 1e6  # standard errors, above which their number says nothing
 _FRAMES = ", but for where the base and platform frames lie"
+_CHOSEN = (
+    ". Values and ± depend on what was fixed by choice, of equal parameters those nearest to "
+    "nominal; errors of the platform do not"
+)
 _HEADS = ("nominal", "identified", "± 95 %", "unit")
 
 
@@ -229,19 +233,11 @@ def parameters_table(result: CalibrationResult) -> Table:
     heads = ["leg", "parameter", *_HEADS, "change", "change [σ]", "given"]
     if not any(row[-1] for row in rows):
         rows, heads = [row[:-1] for row in rows], heads[:-1]
-    caption = "change [σ]: by how many standard errors the parameter moved" + _chosen(result)
+    caption = "change [σ]: by how many standard errors the parameter moved"
+    caption += _CHOSEN * bool(result.gauge)
     caption = "; ".join(filter(None, (caption, result.nominal.labelled)))
     title = f"{result.nominal.name}: parameters, nominal and identified"
     return Table(title, heads, rows, caption, grouped=True)
-
-
-def _chosen(result: CalibrationResult) -> str:
-    """Return what values and ± depend on, where freedoms were fixed by choice."""
-    chosen = (
-        ". Values and ± depend on what was fixed by choice, of equal parameters those nearest to "
-        "nominal; errors of the platform do not"
-    )
-    return chosen if result.gauge else ""
 
 
 def _values(p: IdentifiedParameter) -> tuple[Value, ...]:
@@ -261,7 +257,8 @@ def outside_table(result: CalibrationResult) -> Table:
         [(p.id, *_values(p)) for p in result.external],
         "tracker: where the base is in the frame of the measurements (rx, ry, rz a rotation "
         "vector); others: where what was measured is on the platform; start: where the search "
-        f"began, measured positions laid on those of the nominal machine{_chosen(result)}",
+        "began, measured positions laid on those of the nominal machine"
+        f"{_CHOSEN * bool(result.gauge)}",
     )
 
 
@@ -287,9 +284,8 @@ def _sizes(group: ResidualGroup) -> tuple[Value, ...]:
     """Return name, rows, root mean squares before and after, σ, and the unit."""
     unit, sizes = group.unit, (group.rms_before, group.rms_after, group.rms_noise)
     shown = (Cell(size, f"{shown_in(size, unit):.4f}") for size in sizes)
-    no_sizes = (None, None, None)
     rows = len(np.unique(group.rows))
-    return group.name, rows, *(shown if rows else no_sizes), SMALL[unit]
+    return group.name, rows, *(shown if rows else (None, None, None)), SMALL[unit]
 
 
 def outliers_table(result: CalibrationResult, most: int = 20) -> Table:
