@@ -18,7 +18,7 @@ from pincal.errors import MechanismError, located
 from pincal.files.text import plain_number
 from pincal.files.urdf import read_chain, read_points
 from pincal.files.urdf_writing import leg_links
-from pincal.files.yaml import Entry, Readers, read_yaml
+from pincal.files.yaml import Entry, read_yaml
 from pincal.model.checks import LARGEST
 from pincal.model.consistency import check_home
 from pincal.model.leg import Joint, Leg
@@ -68,12 +68,6 @@ def _terms(entry: Entry, place: str) -> tuple[Term, ...]:
     return tuple(_term(part, amplitude, place) for amplitude, part in entry.pairs().items())
 
 
-def _value(entry: Entry) -> str | float:
-    """Return the name of a parameter, or a number."""
-    is_name = isinstance(entry.value, str) and entry.value.isidentifier()
-    return entry.name() if is_name else entry.number()
-
-
 def _zero(entry: Entry) -> float | Literal["home"]:
     """Return the position from which a sensor counts."""
     if entry.value == "home":
@@ -85,17 +79,14 @@ def _zero(entry: Entry) -> float | Literal["home"]:
 
 def _sensor(entry: Entry, leg: str) -> Sensor:
     """Return a sensor of a leg."""
-    readers: Readers = {
-        "joint": Entry.text,
-        "form": lambda part: part.choice("joint", "reading"),
-        "gain": _value,
-        "offset": _value,
-        "direction": lambda part: part.choice(1, -1),
-        "zero": _zero,
-        "counts_per_unit": Entry.number,
-        "terms": lambda part: _terms(part, leg),
-    }
-    return Sensor(**entry.values(readers, ("joint",)))
+    return entry.built(
+        Sensor,
+        "joint",
+        form=lambda part: part.choice("joint", "reading"),
+        direction=lambda part: part.choice(1, -1),
+        zero=_zero,
+        terms=lambda part: _terms(part, leg),
+    )
 
 
 def _coordinates(entry: Entry | None, place: str) -> tuple[Coordinate, ...]:
@@ -107,7 +98,7 @@ def _coordinates(entry: Entry | None, place: str) -> tuple[Coordinate, ...]:
         ((kind, values),) = pairs.items()
         parts = values.items() if isinstance(values.value, list) else [values]
         with located(place, MechanismError):
-            coordinates.append(Coordinate(kind, tuple(map(_value, parts))))
+            coordinates.append(Coordinate(kind, tuple(map(Entry.name_or_number, parts))))
     return tuple(coordinates)
 
 
@@ -126,14 +117,8 @@ def _platform(entry: Entry) -> Platform:
     return platform
 
 
-def _load(entry: Entry) -> Load:
-    readers: Readers = {
-        "mass": Entry.number,
-        "centre": Entry.vector,
-        "gravity": Entry.vector,
-        "drawn": lambda part: tuple((name, p.number()) for name, p in part.pairs().items()),
-    }
-    return Load(**entry.values(readers))
+def _drawn(entry: Entry) -> tuple[tuple[str, float], ...]:
+    return tuple((name, part.number()) for name, part in entry.pairs().items())
 
 
 def read_mechanism(folder: Path) -> Mechanism:
@@ -151,7 +136,7 @@ def read_mechanism(folder: Path) -> Mechanism:
         legs,
         keys["description"].text() if "description" in keys else "",
         tuple((name, label.text()) for name, label in labels.items()),
-        _load(keys["load"]) if "load" in keys else None,
+        keys["load"].built(Load, drawn=_drawn) if "load" in keys else None,
     )
     identified = (folder.parent / "result.json").is_file()  # at the nominal home
     for leg in () if identified else legs:

@@ -140,10 +140,11 @@ class Entry:
         keys = self.keys(needed, [key for key in readers if key not in needed])
         return {key: readers[key](part) for key, part in keys.items()}
 
-    def built(self, kind: type[T]) -> T:
-        """Return a dataclass whose fields are the keys, each read by its type."""
-        hints = get_type_hints(kind)
-        return kind(**self.values({name: _BY_TYPE[hint] for name, hint in hints.items()}))
+    def built(self, kind: type[T], *needed: str, **readers: Callable[[Entry], Any]) -> T:
+        """Return a dataclass whose fields are the keys, read by their types or by readers."""
+        hints = get_type_hints(kind).items()
+        by_field = {name: readers.get(name) or _BY_TYPE[hint] for name, hint in hints}
+        return kind(**self.values(by_field, needed))
 
     def items(self, least: int = 0, most: float = float("inf")) -> list[Entry]:
         """Return the entries of a list."""
@@ -181,6 +182,11 @@ class Entry:
             self.refuse(why_no_number(str(self.value)) if number else "a number is expected")
         return float(value)
 
+    def name_or_number(self) -> str | float:
+        """Return the name of a parameter, or a number."""
+        is_name = isinstance(self.value, str) and self.value.isidentifier()
+        return self.name() if is_name else self.number()
+
     def vector(self) -> Vector:
         """Return three numbers."""
         x, y, z = (item.number() for item in self.items(3, 3))
@@ -199,7 +205,14 @@ class Entry:
         return self.value
 
 
-_BY_TYPE = {bool: Entry.flag, float: Entry.number, Vector: Entry.vector}
+_BY_TYPE: dict[Any, Callable[[Entry], Any]] = {
+    bool: Entry.flag,
+    float: Entry.number,
+    float | None: Entry.number,
+    str: Entry.text,
+    str | float: Entry.name_or_number,
+    Vector: Entry.vector,
+}
 
 
 def read_yaml(path: Path, error_type: type[PincalError]) -> Entry:

@@ -208,9 +208,7 @@ def _onto(normal: Array, slack: float = 0.0) -> Array:
         return np.eye(3)
     if normal[2] < EXACT - 1.0:
         return np.diag([1.0, -1.0, -1.0])
-    axis = np.cross((0.0, 0.0, 1.0), normal)
-    angle = np.arctan2(np.linalg.norm(axis), normal[2])
-    return Rotation.from_rotvec(angle * axis / np.linalg.norm(axis)).as_matrix()
+    return Rotation.align_vectors(normal, (0.0, 0.0, 1.0))[0].as_matrix()
 
 
 def _in_frames(limb: Limb, normal: Array | None, C_platform: Array, slack: float) -> Limb:
@@ -241,19 +239,12 @@ def _in_frames(limb: Limb, normal: Array | None, C_platform: Array, slack: float
         if joint.kind == "prismatic":
             axis = (x / float(np.hypot(x, y)), y / float(np.hypot(x, y)), 0.0) if z else joint.axis
         if np.abs(origin[:2, 2]).max() > ROUNDING or joint.axis != axis:
-            origin[:3, :3] = _flat(origin[:3, :3])
+            upright = Rotation.align_vectors((0.0, 0.0, np.sign(origin[2, 2])), origin[:3, 2])[0]
+            origin[:3, :3] = upright.as_matrix() @ origin[:3, :3]
             joint = replace(joint, placement=placement_of(origin), axis=axis)
         joints[i] = joint
         C = C_child
     return tuple(joints), point
-
-
-def _flat(R: Array) -> Array:
-    """Return the nearest rotation that keeps z, or turns it over."""
-    side = np.sign(R[2, 2])
-    angle = np.arctan2(R[1, 0] - side * R[0, 1], R[0, 0] + side * R[1, 1])
-    turned = Rotation.from_rotvec((0.0, 0.0, angle)).as_matrix()
-    return np.asarray(turned @ np.diag((1.0, side, side)))
 
 
 def _leg(tree: Tree, name: str, limb: Limb, points: Sequence[Joint | None]) -> Leg:
