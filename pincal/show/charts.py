@@ -69,7 +69,14 @@ class Plots:
         for level, name in ((-_NORMAL, "_95 %"), (_NORMAL, "95 %")):
             ax.axhline(level, color="0.5", lw=0.8, ls="--", zorder=0, label=name)
         ax.set(xlabel="data row", ylabel="residual / (σ√(1−h))")
-        _mark_outliers(ax, self.result)
+        edge = ax.get_xaxis_transform()
+        for rank, outlier in enumerate(self.result.outliers):
+            place = outlier.row + 1, 1.0
+            ax.plot(*place, "X", ms=6, color=OUTLIER, transform=edge, clip_on=False)
+            if rank < _NAMED:
+                ax.annotate(
+                    str(outlier.row + 1), place, (6, 2), edge, textcoords="offset points", size=7
+                )
         _name_undrawn(ax, self.result)
         beside: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0)}
         ax.legend(**beside, frameon=False, fontsize=7, labelspacing=0.15)
@@ -228,17 +235,6 @@ def _draw_map(axes: Axes, x: Array, y: Array, values: Array, name: str, **colour
     extend = "neither" if "vmin" in colours else "max"
     axes.figure.colorbar(image, ax=axes, label=f"{name} [{SMALL['m']}]", extend=extend)
     axes.set(xlabel=f"x [{STORED['m']}]", ylabel=f"y [{STORED['m']}]")
-
-
-def _mark_outliers(axes: Axes, result: CalibrationResult) -> None:
-    """Cross rows that do not fit at the upper edge, and number the worst."""
-    edge: dict[str, Any] = {"xytext": (6, 2), "textcoords": "offset points", "size": 7}
-    edge["xycoords"] = axes.get_xaxis_transform()
-    for rank, outlier in enumerate(result.outliers):
-        place = outlier.row + 1, 1.0
-        axes.plot(*place, "X", ms=6, color=OUTLIER, transform=edge["xycoords"], clip_on=False)
-        if rank < _NAMED:
-            axes.annotate(str(outlier.row + 1), place, **edge)
 
 
 def _seen_by_cameras(result: CalibrationResult) -> list[tuple[str, Image, Array]]:

@@ -68,12 +68,6 @@ class WorkspaceErrors:
         return float(self.expected.within.sum()) / max(self.expected.poses, 1)
 
     @property
-    def units(self) -> dict[str, str]:
-        """SI units of the platform's errors by their names."""
-        every = {"position": "m", "orientation": "rad"}
-        return {name: unit for name, unit in every.items() if unit in self.expected.units}
-
-    @property
     def where(self) -> str:
         """Over which poses means are taken, for sentences."""
         if not self.sampled:

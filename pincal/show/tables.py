@@ -195,8 +195,9 @@ def accuracy_table(result: CalibrationResult, errors: WorkspaceErrors) -> Table:
 
     Of the model alone where it can be promised; held-out rows miss by what they miss.
     """
-    names, rows = list(errors.units.items()), dict[str, dict[tuple[str, str], float]]()
-    region = ""
+    every = ("position", "m"), ("orientation", "rad")
+    names = [pair for pair in every if pair[1] in errors.expected.units]
+    rows, region = dict[str, dict[tuple[str, str], float]](), ""
     if result.explained and errors.determined and errors.moved:
         sizes = {"nominal": errors.mean_before(), "calibrated": errors.mean_after()}
         sizes |= {"95 %: below": errors.inside.limit} if result.promises else {}
