@@ -6,16 +6,7 @@ from typing import NamedTuple
 
 #: Of legs, and of sets of poses that serve them; all colours here are held apart for people who
 #: lack a kind of cone by tests/test_style.py.
-LEGS = (
-    "#07a75a",
-    "#0e11a3",
-    "#ac5f71",
-    "#7e7dfe",
-    "#610f0a",
-    "#1a5c4c",
-    "#703e68",
-    "#9f1042",
-)
+LEGS = ("#07a75a", "#0e11a3", "#ac5f71", "#7e7dfe", "#610f0a", "#1a5c4c", "#703e68", "#9f1042")
 MARKERS = ("o", "^", "s", "D", "v", "P", "X")
 #: Joints in the exported URDFs.
 ACTIVE, PASSIVE = "#d95e03", "#1f78b5"

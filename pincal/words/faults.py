@@ -82,18 +82,9 @@ def _hypothesis(says: str, remedy: str) -> Wording:
 
 
 HYPOTHESES: dict[str, Wording] = {
-    "sign-of-readings": _hypothesis(
-        f"{_READINGS} have the other sign",
-        _SIGN.format("their sign"),
-    ),
-    "sign-of-column": _hypothesis(
-        "{column} has the other sign",
-        _SIGN.format("its sign"),
-    ),
-    "columns-exchanged": _hypothesis(
-        "{columns|join(' and ')} are exchanged",
-        _ORDER,
-    ),
+    "sign-of-readings": _hypothesis(f"{_READINGS} have the other sign", _SIGN.format("their sign")),
+    "sign-of-column": _hypothesis("{column} has the other sign", _SIGN.format("its sign")),
+    "columns-exchanged": _hypothesis("{columns|join(' and ')} are exchanged", _ORDER),
     "legs-exchanged": _hypothesis(
         "legs are exchanged: {% for leg, column in order %}{' and ' if not loop.first}column "
         "{column} fits {leg}{% endfor %}",
@@ -111,10 +102,7 @@ HYPOTHESES: dict[str, Wording] = {
         "frame'}",
         "Give the poses in the right-handed frame of the base",
     ),
-    "sign-of-angle": _hypothesis(
-        "{column} has the other sign",
-        "Change the sign of that angle",
-    ),
+    "sign-of-angle": _hypothesis("{column} has the other sign", "Change the sign of that angle"),
     "angles-exchanged": _hypothesis(
         "{% if order|length == 2 %}{order[0][0]} and {order[1][0]} are exchanged{% else %}columns "
         "of the orientation are exchanged: {% for name, column in order %}"

@@ -25,16 +25,8 @@ FINDINGS: dict[str, Wording] = {
         "or a robust loss (--loss reject)",
         "error",
     ),
-    "not-corrected": Wording(
-        _EXCESS + ", and hardly fell",
-        "Look at the warnings first",
-        "error",
-    ),
-    "residuals-too-large": Wording(
-        _EXCESS,
-        "Look at the warnings first",
-        "error",
-    ),
+    "not-corrected": Wording(_EXCESS + ", and hardly fell", "Look at the warnings first", "error"),
+    "residuals-too-large": Wording(_EXCESS, "Look at the warnings first", "error"),
     "no-noise": Wording(
         "residuals are rounding errors: nothing was measured like that",
         "Say how well you will measure (--noise-position, --noise-orientation, --noise-reading)",

@@ -20,15 +20,7 @@ from pincal.kinematics.forward import forward
 from pincal.model.measurements import EVERY_LEG, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.setup import ORIGIN
-from pincal.show.style import (
-    DIMENSION,
-    EVERY,
-    GROUND,
-    IDENTIFIED,
-    OUTLIER,
-    TOWARDS_VIEWER,
-    look,
-)
+from pincal.show.style import DIMENSION, EVERY, GROUND, IDENTIFIED, OUTLIER, TOWARDS_VIEWER, look
 from pincal.show.view.bodies import Body, body
 from pincal.types import Array, Mask
 
