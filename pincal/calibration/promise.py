@@ -76,7 +76,8 @@ def expected_error(result: CalibrationResult, poses: Plan | Array | None) -> Pla
     pairs = zip(result.misses, expected, strict=True)
     ratios = np.array([seen / said if said > 0.0 else np.nan for seen, said in pairs])
     ratios = np.where(np.isnan(ratios), np.nanmax([1.0, *ratios]), np.maximum(ratios, 1.0))
-    return error.without_limit(*ratios.tolist())
+    std = error.std * [ratios[int(unit == "rad")] for unit in error.units]
+    return replace(error, std=std, weights=error.weights * ratios[:, None] ** 2, promised=False)
 
 
 def most_uncertain(result: CalibrationResult) -> Array:

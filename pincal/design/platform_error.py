@@ -71,16 +71,6 @@ class PlatformError:
     uncovered: tuple[str, ...] = ()
     """What no limit covers: of ``"weight"``, ``"scale"``, ``"time"`` (``pincal.words.wording``)."""
 
-    def without_limit(self, position: float, orientation: float) -> PlatformError:
-        """Return errors so many times as large, which are no promise."""
-        factors = {"m": position, "rad": orientation}
-        return replace(
-            self,
-            std=self.std * [factors[unit] for unit in self.units],
-            weights=self.weights * np.array([[position], [orientation]]) ** 2,
-            promised=False,
-        )
-
     @cached_property
     def sizes(self) -> Array:
         """Standard errors of position [m] and orientation [rad] at each pose, shape (N, 2)."""

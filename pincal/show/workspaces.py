@@ -11,6 +11,7 @@ from matplotlib.patheffects import withStroke
 
 from pincal.show.style import CARRIED, DOMAIN, EVERY, RASTER_FROM, look
 from pincal.types import Array
+from pincal.workspace.grid import lowest
 from pincal.workspace.inscribed import Inscribed
 from pincal.workspace.region import Workspace
 
@@ -72,7 +73,7 @@ def _draw_workspace(
     """Draw positions that count, at one height in space; the fundamental domain is darker."""
     grid, index = workspace.asked, np.flatnonzero(workspace.inside)
     carried = np.full(grid.size, np.nan)
-    carried[index] = workspace.representative(index)
+    carried[index] = lowest(workspace.elements.values(), index) == index
     cells = carried.reshape(grid.shape)
     if level is not None:
         cells = cells[:, :, np.abs(grid.axes[2].values - level).argmin()]

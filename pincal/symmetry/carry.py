@@ -67,8 +67,11 @@ def _moved_coordinates(
     context: str,
 ) -> tuple[Coordinate, ...]:
     """Return the coordinates of a point on base or platform after the body's isometry, (4, 4)."""
-    first = _frame_size(coordinates)
+    named = [any(isinstance(value, str) for value in c.values) for c in coordinates]
+    first = named.index(True) if True in named else 0
     frame, free = coordinates[:first], coordinates[first:]
+    if not any(c.turns for c in frame) and not {"polar", "spherical"} & {c.kind for c in free}:
+        frame, free = (), coordinates  # constants first are a frame of turns or of an azimuth
     if frame:
         to_base = Placement(frame).displacement(old)
         G = np.linalg.inv(to_base) @ G @ to_base
@@ -79,15 +82,6 @@ def _moved_coordinates(
         after = zip(c.values, values, strict=True)
         result.append(Coordinate(c.kind, tuple(_set(value, to, new) for value, to in after)))
     return tuple(result)
-
-
-def _frame_size(coordinates: tuple[Coordinate, ...]) -> int:
-    """Return how many coordinates are a frame: constants first, before turns or an azimuth."""
-    named = [any(isinstance(v, str) for v in c.values) for c in coordinates]
-    first = named.index(True) if True in named else 0
-    turned = any(c.turns for c in coordinates[:first])
-    azimuths = any(c.kind in ("polar", "spherical") for c in coordinates[first:])
-    return first if turned or azimuths else 0
 
 
 def _moved_point(

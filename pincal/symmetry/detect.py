@@ -92,7 +92,16 @@ class SymmetryGroup:
     @cached_property
     def breaks(self) -> tuple[Break, ...]:
         """Why the other elements that the leg points suggest fail."""
-        return breaks_of(LegImages(self.mechanism, self.readings), self.elements, self.tolerance)
+        fits, breaks = LegImages(self.mechanism, self.readings), []
+        for element in sorted(_meant(fits), key=place_of):
+            if any(np.abs(element.matrix - e.matrix).max() < NEARLY for e in self.elements):
+                continue
+            turned_over = self.mechanism.platform.space == 3 and element.matrix[2, 2] < 0.0
+            if turned_over and fits.home_moves(element) > NEARLY * fits.points.size:
+                continue  # a machine upside down is not what was meant
+            if broken := _first_break(fits, element, self.tolerance):
+                breaks.append(broken)
+        return tuple(breaks)
 
     @cached_property
     def name(self) -> str:
@@ -202,20 +211,6 @@ def _group(mechanism: Mechanism, tolerance: float, readings: bool) -> SymmetryGr
             break
     group = SymmetryGroup(mechanism, tuple(elements), tuple(permutations), tolerance, readings)
     return group.part(sorted(chosen, key=lambda i: place_of(elements[i])))
-
-
-def breaks_of(fits: LegImages, group: Sequence[Element], tolerance: float) -> tuple[Break, ...]:
-    """Return why elements that leg points suggest are not of a group, found within a tolerance."""
-    broken_elements = []
-    for element in sorted(_meant(fits), key=place_of):
-        if any(np.abs(element.matrix - member.matrix).max() < NEARLY for member in group):
-            continue
-        turned_over = fits.mechanism.platform.space == 3 and element.matrix[2, 2] < 0.0
-        if turned_over and fits.home_moves(element) > NEARLY * fits.points.size:
-            continue  # a machine upside down is not what was meant
-        if broken := _first_break(fits, element, tolerance):
-            broken_elements.append(broken)
-    return tuple(broken_elements)
 
 
 def _meant(fits: LegImages) -> list[Element]:

@@ -108,10 +108,16 @@ def differences(first: StandingLeg, element: Element, second: StandingLeg) -> It
 
     The second one is at the pose to which that of the first is carried.
     """
-    if quantity := _unlike(first, second):
-        yield Difference(quantity, None)
-        return
     leg, image = first.closure.leg, second.closure.leg
+    equal = {
+        "sequence of joints": [j.kind for j in leg.moving] == [j.kind for j in image.moving],
+        "active joint": leg.active == image.active,
+        "end": leg.closes == image.closes,
+        "reach of the pose that home is carried to": second.reached,
+    }
+    if unlike := [quantity for quantity, agrees in equal.items() if not agrees]:
+        yield Difference(unlike[0], None)
+        return
     space, Q = first.closure.platform.space, element.matrix
     names = [*(joint.name for joint in image.moving), image.point.name]
     shifts = applied(element.base, np.vstack((first.points, first.tip)))
@@ -134,18 +140,6 @@ def differences(first: StandingLeg, element: Element, second: StandingLeg) -> It
         if leg.moving[index].limited or image.moving[index].limited:
             yield _limits_apart(first, second, index, signs[index])
     yield from _readings_apart(first, second, signs[leg.active])
-
-
-def _unlike(first: StandingLeg, second: StandingLeg) -> str:
-    """Return in what two legs differ that is no number; empty if in nothing."""
-    leg, image = first.closure.leg, second.closure.leg
-    equal = {
-        "sequence of joints": [j.kind for j in leg.moving] == [j.kind for j in image.moving],
-        "active joint": leg.active == image.active,
-        "end": leg.closes == image.closes,
-        "reach of the pose that home is carried to": second.reached,
-    }
-    return next((quantity for quantity, agrees in equal.items() if not agrees), "")
 
 
 def _bars_apart(first: StandingLeg, Q: Array, second: StandingLeg) -> float | None:

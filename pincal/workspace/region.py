@@ -32,7 +32,6 @@ from pincal.workspace.grid import (
     BLOCK,
     Carrier,
     Grid,
-    Indices,
     at_edge,
     blocks,
     counting,
@@ -171,10 +170,6 @@ class Workspace:
     def positions(self) -> Array:
         """Positions that count, shape (count, 3), base frame, [m]; all at once."""
         return self.asked.at(np.flatnonzero(self.inside))
-
-    def representative(self, index: Indices) -> Mask:
-        """Return which positions, by number, are of the fundamental domain that was computed."""
-        return lowest(self.elements.values(), index) == index
 
     @cached_property
     def cut(self) -> bool:
