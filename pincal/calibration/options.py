@@ -160,9 +160,7 @@ class Options:
         "nominal as can be.",
     )
     folds: int = option(
-        FOLDS,
-        "Held-out validation, and choice of terms; 0 leaves the validation out.",
-        least=0,
+        FOLDS, "Held-out validation, and choice of terms; 0 leaves the validation out.", least=0
     )
     progress: Progress = field(default=None, compare=False, repr=False)
     """Called with what is being done."""

@@ -13,11 +13,7 @@ import numpy as np
 from pincal.attached import attached
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.options import FOLDS, By, Options
-from pincal.calibration.promise import (
-    excess_of,
-    expected_error,
-    misses,
-)
+from pincal.calibration.promise import excess_of, expected_error, misses
 from pincal.calibration.result_parts import (
     IdentifiedParameter,
     LegResult,

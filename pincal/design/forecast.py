@@ -64,11 +64,7 @@ def leg_rows(demand: Demand, mechanism: Mechanism, noise: Noise) -> Array:
 
 
 def information_rows(
-    mechanism: Mechanism,
-    legs: Legs,
-    noise: Noise,
-    measured: Sequence[str] | None,
-    setup: Setup,
+    mechanism: Mechanism, legs: Legs, noise: Noise, measured: Sequence[str] | None, setup: Setup
 ) -> tuple[Array, Array, tuple[str, ...], tuple[str, ...]]:
     """Return what configurations say of parameters and external unknowns, pose by pose.
 

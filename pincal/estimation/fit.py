@@ -315,9 +315,7 @@ def _evened(problem: Problem, linear: Linear) -> Problem | None:
         return None
     noise = RowNoise(sigma, observation.noise.correlation)
     return replace(
-        problem,
-        leg_block=replace(legs, sigma=readings),
-        observation=observation.with_noise(noise),
+        problem, leg_block=replace(legs, sigma=readings), observation=observation.with_noise(noise)
     )
 
 

@@ -101,11 +101,7 @@ class Iterate:
 
 
 def search(
-    system: System,
-    start: Linear,
-    *,
-    highest: float = 0.0,
-    enough: float = 0.0,
+    system: System, start: Linear, *, highest: float = 0.0, enough: float = 0.0
 ) -> SolverResult:
     """Return the optimum near a start, or the best state on the way to it.
 

@@ -11,11 +11,7 @@ from pincal.model.leg import Joint, Leg
 from pincal.model.placement import Placement
 
 Triple = tuple[float, float, float]
-_COLOURS = {
-    "orange": "0.85 0.37 0.01 1",
-    "blue": "0.12 0.47 0.71 1",
-    "grey": "0.35 0.35 0.35 1",
-}
+_COLOURS = {"orange": "0.85 0.37 0.01 1", "blue": "0.12 0.47 0.71 1", "grey": "0.35 0.35 0.35 1"}
 
 
 def leg_urdf(leg: Leg) -> str:

@@ -37,13 +37,7 @@ from pincal.types import Array
 
 _TAG = re.compile(rb"<(?:[^>\"']|\"[^\"]*\"|'[^']*')*>")  # attributes may hold '>'
 Edges = Mapping[str, Edge]
-_TURNED = {
-    "SPHERICAL": "xyz",
-    "FIXED": "",
-    "UJOINT_XY": "xy",
-    "UJOINT_YZ": "yz",
-    "UJOINT_ZX": "zx",
-}
+_TURNED = {"SPHERICAL": "xyz", "FIXED": "", "UJOINT_XY": "xy", "UJOINT_YZ": "yz", "UJOINT_ZX": "zx"}
 #: Keys that the YAML file may have; others (rotor inertias and such) do not matter here.
 _LOOP_KEYS = ("closed_loop", "type", "joint_name", "joint_type", "platform", "home")
 

@@ -18,21 +18,9 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from pincal.errors import MechanismError
-from pincal.kinematics.batches import (
-    cross,
-    least_squares,
-    product,
-    repeated,
-    stacked,
-)
+from pincal.kinematics.batches import cross, least_squares, product, repeated, stacked
 from pincal.kinematics.closed_forms import closed_form
-from pincal.kinematics.closure import (
-    Closure,
-    LegClosure,
-    each,
-    evaluate,
-    joint_range,
-)
+from pincal.kinematics.closure import Closure, LegClosure, each, evaluate, joint_range
 from pincal.model.checks import ROUNDING, wrapped
 from pincal.model.leg import Leg
 from pincal.model.platform import Platform

@@ -110,10 +110,7 @@ def inverse(
 
 
 def _inverse(
-    mechanism: Mechanism,
-    placed: Array,
-    columns: Array | None,
-    near: Mapping[str, Array] | None,
+    mechanism: Mechanism, placed: Array, columns: Array | None, near: Mapping[str, Array] | None
 ) -> InverseSolution:
     """Return inverse kinematics at given influences, shape (N, n_influences)."""
     legs, count, n = nominal_legs(mechanism), len(placed), range(len(mechanism.legs))

@@ -29,13 +29,7 @@ from pincal.kinematics.closing import (
     start_joints,
     started,
 )
-from pincal.kinematics.closure import (
-    Closure,
-    LegClosure,
-    evaluate,
-    joint_range,
-    nominal_legs,
-)
+from pincal.kinematics.closure import Closure, LegClosure, evaluate, joint_range, nominal_legs
 from pincal.kinematics.influences import Influences, gravity_loads, influence_columns
 from pincal.kinematics.singularity import platform_margin
 from pincal.model.checks import ROUNDING, numbers_of

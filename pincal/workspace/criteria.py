@@ -41,9 +41,7 @@ class Margins:
     """Least distances from singularities that a pose must keep, dimensionless."""
 
     type1: float = option(
-        0.23,
-        "Least distance from type-1 singularities, a dyad's elbow sine.",
-        name="margin_type1",
+        0.23, "Least distance from type-1 singularities, a dyad's elbow sine.", name="margin_type1"
     )
     type2: float | None = option(
         None,

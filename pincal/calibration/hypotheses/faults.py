@@ -34,10 +34,7 @@ from pincal.types import Array
 
 Right = Callable[[Measurements], Measurements]
 #: For each unit of a header: what the numbers may be in, and the factor that puts them right.
-UNITS = {
-    "m": {"mm": 1e-3, "m": 1e3},
-    "rad": {"deg": np.pi / 180, "rad": 180 / np.pi},
-}
+UNITS = {"m": {"mm": 1e-3, "m": 1e3}, "rad": {"deg": np.pi / 180, "rad": 180 / np.pi}}
 REFLECTIONS = {
     "x": np.diag([-1.0, 1.0, 1.0]),
     "y": np.diag([1.0, -1.0, 1.0]),

@@ -39,9 +39,7 @@ _TRUE = 1e-3  # [rad], to which a joint's axis is known to stand
 
 
 def with_terms(
-    mechanism: Mechanism,
-    measurements: Measurements,
-    kinds: Iterable[Pair],
+    mechanism: Mechanism, measurements: Measurements, kinds: Iterable[Pair]
 ) -> tuple[Mechanism, dict[Pair, tuple[str, ...]]]:
     """Return a mechanism with more terms, at zero, and the ids of their amplitudes.
 
