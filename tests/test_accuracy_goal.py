@@ -91,7 +91,7 @@ def test_forecasts_of_the_platform_are_better(kind: str) -> None:
         chosen = pincal.select_configurations(
             mechanism, offered, 24, noise=NOISE, goal=goal, starts=2
         )
-        assert chosen.goal == goal
+        assert chosen.protocol == goal
         assert 0.8 < chosen.efficiency <= 1.0
         errors[goal] = pincal.forecast(mechanism, chosen.plan, NOISE).platform_error(over)
     assert errors["platform"].position < errors["parameters"].position
