@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from pincal.errors import MeasurementError, located
 from pincal.files.columns import (
@@ -117,7 +117,11 @@ def read_measurements(
         poses = _levelled(table, setup, poses)
     freedoms = dict(zip(platform.freedoms, platform.units, strict=True))
     unknown = unknown_columns(table, known)
-    extra, sigma_extra = _further_columns(table, further, partial=partial)
+    extra = {
+        name: table.numbers(name, unit, blank=True)
+        for name, unit in further.items()
+        if name in table or not partial
+    }
     if not partial and not np.isfinite(np.column_stack((poses, *extra.values()))).any():
         raise MeasurementError(f"{table.path}: nothing of the platform is measured")
     return Measurements(
@@ -127,25 +131,17 @@ def read_measurements(
         sigma_poses=_sigmas(table, freedoms, partial=partial),
         sigma_readings=_sigmas(table, reading_units(mechanism)),
         extra=extra,
-        sigma_extra=sigma_extra,
+        sigma_extra={
+            name: _sigma(table, name, unit, blank=partial)
+            for name, unit in further.items()
+            if f"sigma_{name}" in table
+        },
         covariances=covariances_of(table, freedoms | further),
         influences=_influences(table, mechanism) | _further_influences(table, unknown, influences),
         runs=_names(table, "run"),
         places=_names(table, "pose"),
         lines=table.file_lines,
         written=way,
-    )
-
-
-def _further_columns(
-    table: TextTable, units: Mapping[str, str], *, partial: bool
-) -> tuple[dict[str, Array], dict[str, Array]]:
-    """Return what was measured besides poses and readings, by column, and its uncertainties."""
-    wanted = [name for name in units if name in table or not partial]
-    uncertain = [name for name in units if f"sigma_{name}" in table]
-    return (
-        {name: table.numbers(name, units[name], blank=True) for name in wanted},
-        {name: _sigma(table, name, units[name], blank=partial) for name in uncertain},
     )
 
 
@@ -245,9 +241,8 @@ def _levelled(table: TextTable, setup: Setup, poses: Array) -> Array:
     if fault:
         raise MeasurementError(f"{tilted}. {fault}")
     _log.info("%s; they were turned into their plane", tilted)
-    half = np.array([-normal[1], normal[0], 0.0])  # z × normal, sin of the tilt long
-    K = np.cross(np.eye(3), half)
-    turned = (points - middle) @ (np.eye(3) + K + K @ K / (1.0 + cosine)) + middle
+    R = Rotation.align_vectors((0.0, 0.0, 1.0), normal)[0]
+    turned = R.apply(points - middle) + middle
     return np.column_stack((turned[:, :2], poses[:, 2:]))
 
 

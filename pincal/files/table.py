@@ -181,7 +181,8 @@ def read_table(source: Any) -> TextTable:
             f"{path}: {suffix} files are not read; save the table as {_OTHER_KINDS[suffix]}"
         )
     text = read_text(path, LARGEST_FILE["table"], MeasurementError, pipe=True, otherwise="cp1252")
-    separator = _separator(text)
+    head = next((line for line in text.splitlines() if line.strip()), "")
+    separator = next((sign for sign in (",", *_SEPARATORS) if sign in head), ",")
     reader = csv.reader(io.StringIO(text, newline=""), strict=True, delimiter=separator)
     try:
         separated = None if separator == "," else f"cells separated by {_SEPARATORS[separator]}"
@@ -285,12 +286,6 @@ def _sheet_cells(
                     "the rows and columns beyond the table"
                 )
             yield column, value.strip()
-
-
-def _separator(text: str) -> str:
-    """Return what separates cells: commas, unless the header has none but semicolons or tabs."""
-    header = next((line for line in text.splitlines() if line.strip()), "")
-    return next((separator for separator in (",", *_SEPARATORS) if separator in header), ",")
 
 
 def _with_points(rows: list[list[str]]) -> bool:

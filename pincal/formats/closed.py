@@ -7,7 +7,7 @@ these displacements each leg keeps those that its closure can distinguish (``ind
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from os.path import commonprefix
 
@@ -104,21 +104,20 @@ def closed_mechanism(
             bare.append(_without_idle(leg, free, remarks))
         axes = _PLANAR if kind in ("point", "planar") else _SPATIAL
         closed, placed = _closed(tree, bare, free)
-        remarks += [text for leg in closed for text in _outside_limits(leg)]
+        legs = []
+        for leg, of_joints in zip(closed, _stems(closed), strict=True):
+            for joint in leg.moving:
+                if joint.limited and not joint.lower <= joint.home <= joint.upper:
+                    place = f"{joint.home:.6g}, outside its limits"
+                    remarks.append(f"{leg.name}: {joint.name!r} closes the loops at {place}")
+            stems = (*of_joints, "tip")
+            every = displaced(leg, stems, axes)
+            order = sorted(every.parameter_names, key=every.units.__getitem__)  # m before rad
+            distinct = independent(every, placed, tuple(order), tree.slack)
+            held = set(every.parameter_names).difference(distinct)
+            legs.append(displaced(leg, stems, axes, held=held))
         name = re.sub(r"\W+", "_", tree.name)[:100] or "mechanism"
-        legs = [
-            _parametrised(leg, (*stems, "tip"), axes, placed, tree.slack)
-            for leg, stems in zip(closed, _stems(closed), strict=True)
-        ]
         return Mechanism(name, placed, tuple(legs), f"From {tree.source}."), tuple(remarks)
-
-
-def _outside_limits(leg: Leg) -> Iterator[str]:
-    """Yield which joints of a leg close the loops outside their limits, as sentences."""
-    for joint in leg.moving:
-        if joint.limited and not joint.lower <= joint.home <= joint.upper:
-            place = f"{joint.home:.6g}, outside its limits"
-            yield f"{leg.name}: {joint.name!r} closes the loops at {place}"
 
 
 def _closed(tree: Tree, legs: list[Leg], platform: Platform) -> tuple[tuple[Leg, ...], Platform]:
@@ -311,13 +310,3 @@ def _stems(legs: Sequence[Leg]) -> list[list[str]]:
     if all(of_leg == first for of_leg in stems) and plain and len(set(first)) == len(first):
         return stems
     return [[f"joint_{i + 1}" for i in range(len(of_leg))] for of_leg in stems]
-
-
-def _parametrised(
-    leg: Leg, stems: Sequence[str], axes: Sequence[str], platform: Platform, slack: float
-) -> Leg:
-    """Return a leg with the parameters that its closure can distinguish; shifts come first."""
-    every = displaced(leg, stems, axes)
-    order = sorted(every.parameter_names, key=lambda name: every.units[name] != "m")
-    distinct = independent(every, platform, tuple(order), slack)
-    return displaced(leg, stems, axes, held=set(every.parameter_names).difference(distinct))

@@ -160,8 +160,11 @@ def limb_along(
 ) -> Limb:
     """Return the leg along a path to a link of the platform, in a plane if there is a normal."""
     joints = _joints_to(tree, path, platform, normal)
-    last = _last_turns(joints, driven, 3 if normal is None else 1)
-    if not last:
+    moving = [i for i, joint in enumerate(joints) if joint.kind != "fixed"]
+    count = 3 if normal is None else 1
+    last = moving[-count:]
+    passive = [joints[i].kind == "revolute" and joints[i].name not in driven for i in last]
+    if len(moving) <= count or not all(passive):
         return joints, None
     frames = list(accumulate((j.placement.origin() for j in joints[last[0] :]), np.matmul))
     turned = [frames[i - last[0]] for i in last]
@@ -176,14 +179,6 @@ def limb_along(
     if [joints[i].name for i in last] == [f"{stem}_{axis}" for axis in "xyz"]:
         first = replace(first, name=stem)
     return _to_point(joints[: last[0]], first, centre), _point(tree, platform, path[-1], place)
-
-
-def _last_turns(joints: Sequence[Joint], driven: set[str], count: int) -> list[int]:
-    """Return where the last joints that move are, if they are passive turns, and others precede."""
-    moving = [i for i, joint in enumerate(joints) if joint.kind != "fixed"]
-    last = moving[-count:]
-    passive = [joints[i].kind == "revolute" and joints[i].name not in driven for i in last]
-    return last if len(moving) > count and all(passive) else []
 
 
 def _point(tree: Tree, platform: str, last: Step, place: Array) -> Joint:

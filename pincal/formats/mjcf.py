@@ -54,7 +54,11 @@ def read_mjcf(path: Path) -> Tree:
     of_joints = [f"{links[body]}_joint_{i}" for i, body in enumerate(model.jnt_bodyid)]
     joints = _names(model, mujoco.mjtObj.mjOBJ_JOINT, of_joints)
     edges = [edge for body in range(1, model.nbody) for edge in _edges(model, body, links, joints)]
-    edges += _sites(model, links)
+    for i, body in enumerate(model.site_bodyid):  # a named site is a link fixed to its body
+        site = model.site(i).name
+        if site and site not in links:
+            placement = placement_of(_pose(model.site_pos[i], model.site_quat[i]))
+            edges.append(Edge(Joint(site, "fixed", placement), links[body], site))
     of_joint = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
     driven = model.actuator_trnid[np.isin(model.actuator_trntype, of_joint), 0]
     tree = Tree(
@@ -159,15 +163,6 @@ def _edges(model: mujoco.MjModel, body: int, links: list[str], joints: list[str]
     if link != name:
         T_link_body[:3, 3] -= T_link_body[:3, :3] @ anchor
         yield Edge(Joint(f"{name}_fixed", "fixed", placement_of(T_link_body)), link, name)
-
-
-def _sites(model: mujoco.MjModel, links: list[str]) -> Iterator[Edge]:
-    """Yield each named site as a link that is fixed to its body."""
-    for i, body in enumerate(model.site_bodyid):
-        name = model.site(i).name
-        if name and name not in links:
-            placement = placement_of(_pose(model.site_pos[i], model.site_quat[i]))
-            yield Edge(Joint(name, "fixed", placement), links[body], name)
 
 
 def _home(model: mujoco.MjModel, joints: list[str]) -> dict[str, float]:
