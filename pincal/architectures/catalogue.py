@@ -43,8 +43,7 @@ def _resized(
     made = template.with_parameters(dict(zip(template.leg_names, legs, strict=True)))
     pairs = zip(made.legs, cycle(limits or ({},)), strict=False)
     limited = tuple(leg.with_limits(ends) for leg, ends in pairs)
-    platform = replace(made.platform, home=home)
-    return replace(made, platform=platform, legs=limited, description="")
+    return replace(made, platform=replace(made.platform, home=home), legs=limited, description="")
 
 
 def _hexapod(d: Values) -> Mechanism:

@@ -139,8 +139,7 @@ def covariance_by_noise(fits: Fits) -> Array:
     if fits.latent:
         return fits.fits[0].covariance
     mechanism, count = fits.calibration.mechanism, len(fits.calibration.measurements)
-    n = len(mechanism.parameters)
-    by_pose = np.zeros((count, n, mechanism.platform.dof + 1))
+    by_pose = np.zeros((count, len(mechanism.parameters), mechanism.platform.dof + 1))
     for fit, places in zip(fits.fits, fits.places, strict=True):
         last = fit.problem.leg_block.n_readings
         columns = [*range(last, last + mechanism.platform.dof), -1]  # the pose's noise, an outlier

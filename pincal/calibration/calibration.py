@@ -94,8 +94,7 @@ class Calibration:
 
     def with_options(self, **changes: Any) -> Calibration:
         """Return the calibration with other options, its noise as it is."""
-        options = replace(self.options, **changes)
-        return replace(self, options=options, known_noise=self.noise)
+        return replace(self, options=replace(self.options, **changes), known_noise=self.noise)
 
     def rows(self, chosen: Index | Mask) -> Calibration:
         """Return the calibration on some of its rows, their noise as it is."""

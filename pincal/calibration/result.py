@@ -186,8 +186,7 @@ class CalibrationResult:
     @property
     def parameter_covariance(self) -> Array:
         """Covariance of the parameters, NaN of those that are not determined, shape (n, n)."""
-        std = np.concatenate([leg.std for leg in self.legs])
-        known = np.isfinite(std)
+        known = np.isfinite(np.concatenate([leg.std for leg in self.legs]))
         return np.where(np.outer(known, known), self.covariance, np.nan)
 
     @property

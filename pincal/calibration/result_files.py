@@ -152,8 +152,7 @@ def save_result(
             check_reproduces(result, load_mechanism(scratch / MECHANISM))
         write_table(scratch / "residuals.csv", _residuals(result))
         if result.estimated_poses is not None:
-            plan = Plan(result.estimated_poses)
-            write_plan(plan, scratch / "poses.csv", result.identified)
+            write_plan(Plan(result.estimated_poses), scratch / "poses.csv", result.identified)
     if report is not None:  # drawn when the result is safe
         with output.writing(Path(folder) / REPORT) as scratch:
             scratch.write_text(report.html(), encoding="utf-8")
@@ -170,8 +169,7 @@ def check_reproduces(result: CalibrationResult, machine: Mechanism) -> None:
         PincalError: they differ by more than rounding.
     """
     calibration = result.calibration
-    influences = _influences_again(calibration, machine)
-    data = replace(calibration.measurements, influences=influences)
+    data = replace(calibration.measurements, influences=_influences_again(calibration, machine))
     saved = replace(calibration, mechanism=machine, measurements=data)
     identified = np.concatenate([leg.identified for leg in result.legs])
     fitted = _missing_twists(calibration, result.poses, identified)

@@ -173,8 +173,7 @@ def explain(mech: Mech, measurements: Measured, options: Options, known: InputOp
     if options.folds < 2:
         raise MeasurementError("--folds: expected 2 or more: models are compared on held-out rows")
     with working("identifying parameters") as progress:
-        terms = options.terms or (AUTO,)
-        options = replace(options, terms=terms, progress=progress)
+        options = replace(options, terms=options.terms or (AUTO,), progress=progress)
         explanation = explained(known.calibration(mech, measurements, options))
     with reading_in(known.written_in(explanation.result.nominal).printed):
         warn(*answers.warnings(explanation.result))

@@ -203,8 +203,7 @@ class Forecast:
 
     def __repr__(self) -> str:
         rank = f"rank {self.rank.rank} of {self.rank.n_params}"
-        name = self.mechanism.name
-        return f"Forecast({name!r}, {self.poses} poses, {rank})"
+        return f"Forecast({self.mechanism.name!r}, {self.poses} poses, {rank})"
 
     @attached
     def __str__(self) -> str:

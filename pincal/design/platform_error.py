@@ -250,8 +250,7 @@ def without_frames(
     """
     if frames is None or not frames.shape[1] or not len(poses):
         return twists
-    matrices = mechanism.platform.matrices(poses)
-    motions = frame_motions(mechanism.platform, matrices) @ frames
+    motions = frame_motions(mechanism.platform, mechanism.platform.matrices(poses)) @ frames
     return unexplained(mechanism.platform.units, twists, motions, mechanism.size)
 
 

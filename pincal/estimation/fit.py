@@ -106,8 +106,7 @@ class Fit(SolverResult):
     @cached_property
     def normal(self) -> NormalEquations:
         """Normal equations of good white rows and priors."""
-        good = self.good.astype(float)
-        return NormalEquations.of(self.system.triangle(self.last, good))
+        return NormalEquations.of(self.system.triangle(self.last, self.good.astype(float)))
 
     @cached_property
     def Q(self) -> Array:

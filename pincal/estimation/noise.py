@@ -121,8 +121,7 @@ def assumed_noise(mechanism: Mechanism, *, exact: bool) -> Noise:
 def _has_sigmas(mechanism: Mechanism, data: Measurements, noise: Noise | None) -> bool:
     """Return whether rows have standard deviations of their own; those of readings not alone."""
     rows = data.sigma_poses is not None or bool(data.sigma_extra)
-    full = bool(np.isfinite(data.poses).all())
-    if data.sigma_readings is not None and full and not rows:
+    if data.sigma_readings is not None and np.isfinite(data.poses).all() and not rows:
         raise MeasurementError(
             "the measurements give standard deviations of readings but none of poses; add columns "
             + ", ".join(f"'sigma_{name}'" for name in mechanism.platform.coordinates)

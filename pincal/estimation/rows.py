@@ -105,8 +105,7 @@ def white_rows(pose: Array, noise: Array) -> WhiteRows:
     dof = pose.shape[2]
     Q, R = np.linalg.qr(pose, mode="complete")  # B = Q R, Q square
     N = Q[:, :, dof:].transpose(0, 2, 1)
-    free = product(N, noise)
-    L = _root(free)
+    L = _root(product(N, noise))
     size = np.abs(np.einsum("nmm->nm", L))
     bound = product(np.abs(N), np.abs(noise)).sum(axis=2)  # of what may have cancelled
     if not (size > ROUNDING * bound).all():

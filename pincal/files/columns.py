@@ -215,8 +215,7 @@ def columns_of(
 
 def _headed(units: Iterable[tuple[str, str]], values: Array, prefix: str = "") -> dict[str, Array]:
     """Return the columns of an array, shape (N, n), under the names and units of n quantities."""
-    heads = [f"{prefix}{name} [{unit}]" for name, unit in units]
-    return dict(zip(heads, values.T, strict=True))
+    return dict(zip([f"{prefix}{name} [{unit}]" for name, unit in units], values.T, strict=True))
 
 
 def _pose_columns(mechanism: Mechanism, plan: Plan, orientation: str) -> dict[str, Array]:

@@ -206,8 +206,7 @@ def _levelled(table: TextTable, setup: Setup, poses: Array) -> Array:
     A tracker that is not level sees a plane that is tilted: x and y alone would be too short across
     the tilt, and no residual would show it. It is turned where that is more than noise.
     """
-    z = table.numbers("z", "m", blank=True)
-    points = np.column_stack((poses[:, :2], z))
+    points = np.column_stack((poses[:, :2], table.numbers("z", "m", blank=True)))
     known = np.isfinite(points).all(axis=1)
     if known.sum() < 4:
         return poses

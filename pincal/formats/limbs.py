@@ -227,8 +227,7 @@ def point_platform(
     names, middle = [edge.joint.name for edge, _ in path], path[len(path) // 2][0]
     drives = [name for name in names if name in driven]
     places = list(map(names.index, drives))
-    slides = middle.joint.kind == "prismatic"
-    if len(path) != 5 or slides or places not in _IN_EACH_LEG:
+    if len(path) != 5 or middle.joint.kind == "prismatic" or places not in _IN_EACH_LEG:
         raise MechanismError(
             f"one loop of {len(path)} joints ({', '.join(names)}; driven: "
             f"{', '.join(drives) or 'none'}) has no platform that can be recognised; name it with "

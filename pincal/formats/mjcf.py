@@ -242,8 +242,7 @@ def mjcf(mechanism: Mechanism) -> str:
     thickness = 0.01 * mechanism.size
     root = etree.Element("mujoco", model=mechanism.name)
     etree.SubElement(root, "compiler", angle="radian", autolimits="true")
-    world = etree.SubElement(root, "worldbody")
-    base = etree.SubElement(world, "body", name="base")
+    base = etree.SubElement(etree.SubElement(root, "worldbody"), "body", name="base")
     equality, actuators = (etree.SubElement(root, tag) for tag in ("equality", "actuator"))
     carried = _chain(base, "on_platform", freedoms, thickness)
     for leg in mechanism.legs:

@@ -54,8 +54,7 @@ def start_joints(closure: LegClosure, matrices: Array, attempt: int = 0) -> tupl
 def _samples(leg: Leg, platform: Platform) -> tuple[KDTree, Array, float]:
     """Return sampled tips of the leg in its mode, their joints, and how far around it reaches."""
     closure = LegClosure(leg, platform)
-    rng = np.random.default_rng(0)
-    joints = rng.uniform(*joint_range(leg), (_SAMPLES, len(leg.moving)))
+    joints = np.random.default_rng(0).uniform(*joint_range(leg), (_SAMPLES, len(leg.moving)))
     poses = np.broadcast_to(platform.home_pose.as_matrix(), (_SAMPLES, 4, 4))
     joints = joints[in_home_modes((closure,), closure.evaluate(joints, poses))]
     if leg.closes == "frame":

@@ -281,8 +281,7 @@ def command(mechanism: Mechanism, planned: Plan | Array) -> tuple[Array, Array, 
         solution = forward(mechanism, plan.readings, plan.poses, influences)
         return solution.poses, plan.readings, list(solution.reasons)
     solved = inverse(mechanism, plan.poses, planned_influences(mechanism, plan))
-    reasons = [solved.reason(row) for row in range(len(plan.poses))]
-    return plan.poses, solved.readings, reasons
+    return plan.poses, solved.readings, [solved.reason(row) for row in range(len(plan.poses))]
 
 
 def check_reached(mechanism: Mechanism, planned: Plan | Array, name: str = "the plan") -> None:

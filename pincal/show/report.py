@@ -273,8 +273,7 @@ def mechanism_text(mechanism: Mechanism) -> str:
 
 def mechanism_html(mechanism: Mechanism) -> str:
     """Return a mechanism: a picture and its nominal parameters."""
-    caption = f"{mechanism.name} at home"
-    drawn = page_figure("mechanism", picture(mechanism).draw, caption)
+    drawn = page_figure("mechanism", picture(mechanism).draw, f"{mechanism.name} at home")
     coordinates = ", ".join(mechanism.platform.coordinates)
     title = f"{mechanism.name}: {len(mechanism.legs)} legs, {coordinates}"
     parts = [*filter(None, [mechanism.description]), drawn, tables.nominal_table(mechanism)]

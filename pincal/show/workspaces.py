@@ -51,8 +51,7 @@ def workspace_figure(workspace: Workspace, inscribed: Inscribed | None = None) -
     elif len(levels) > 1:
         size += f"; {len(levels)} of {workspace.asked.shape[2]} heights"
     size += "" if bases else "; base points lie outside"
-    name = workspace.test.mechanism.name
-    figure.suptitle(f"{name}: {workspace.kind} workspace\n{size}")
+    figure.suptitle(f"{workspace.test.mechanism.name}: {workspace.kind} workspace\n{size}")
     return figure
 
 

@@ -310,8 +310,7 @@ def generate(
         point = closed.point.name
         if point.endswith("_1"):
             point = f"{point[:-2]}_{number}"
-        carried = carry(closed, element, f"leg_{number}", point)
-        legs.append(at_home(carried, platform))
+        legs.append(at_home(carry(closed, element, f"leg_{number}", point), platform))
     return Mechanism(name, platform, tuple(legs), description, tuple((labels or {}).items()))
 
 

@@ -208,8 +208,7 @@ class LegImages:
         """Return by how much home moves, [m] and [rad] together."""
         platform = self.mechanism.platform
         home = np.array([platform.home])
-        carried = element.poses(platform, home)
-        return float(np.abs(platform.twists_between(home, carried)).max())
+        return float(np.abs(platform.twists_between(home, element.poses(platform, home))).max())
 
     def standing(self, element: Element) -> list[StandingLeg]:
         """Return the legs where they are if the platform is where home is carried to."""

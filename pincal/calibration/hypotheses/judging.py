@@ -283,8 +283,7 @@ def _aligned(calibration: Calibration, reached: Array, good: Mask) -> Array:
         external, _ = aligned(problem, data, start, good)
     except MeasurementError:
         return unknown
-    oriented = np.isfinite(data.poses).all(axis=1)
-    if oriented.all():
+    if np.isfinite(data.poses).all():
         return mechanism.platform.matrices(calibration.given_poses(external))
     position = np.zeros((len(data), 3))
     position[:, : mechanism.platform.space] = data.poses[:, : mechanism.platform.space]

@@ -102,10 +102,9 @@ def _explaining(case: Case) -> list[Judged]:
     as_measured = judge_as_measured(case)
     if as_measured.fits_well:
         return []
-    if slips := _slips(case, as_measured):  # few rows may be all that is wrong
-        sound = replace(case, rows=np.setdiff1d(case.rows, slips[0].rows))
-        if judge(sound)[0].fits_well:
-            return []
+    slips = _slips(case, as_measured)  # few rows may be all that is wrong
+    if slips and judge(replace(case, rows=np.setdiff1d(case.rows, slips[0].rows)))[0].fits_well:
+        return []
     return explanations(case, as_measured)
 
 

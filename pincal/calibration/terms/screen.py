@@ -120,8 +120,7 @@ def _trials_of(
         if reading == GROWTH:  # one amplitude of all legs
             rows, shown = rows.sum(axis=2, keepdims=True), amplitudes[:1]
         none = np.zeros(len(shown)), np.full(len(shown), np.inf), 0.0, 0, 0.0, 1.0
-        candidate = Candidate(*none, reading, kind, units.pop(), shown, rows=rows)
-        by_amplitudes[amplitudes] = candidate
+        by_amplitudes[amplitudes] = Candidate(*none, reading, kind, units.pop(), shown, rows=rows)
     return residuals, list(by_amplitudes.values())
 
 

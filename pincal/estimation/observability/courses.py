@@ -142,8 +142,7 @@ def _of_kinds(fit: Fit, errors: Mapping[str, Array]) -> dict[tuple[bool, str], A
 def _kind(fit: Fit, name: str) -> tuple[bool, str]:
     """Return whether a quantity is a reading, and its unit."""
     quantities = fit.problem.quantities
-    is_reading = name in list(quantities)[: fit.problem.leg_block.n_readings]
-    return is_reading, quantities[name]
+    return name in list(quantities)[: fit.problem.leg_block.n_readings], quantities[name]
 
 
 def _course_tests(

@@ -161,8 +161,7 @@ def find_gauge(
         directions = np.asarray(np.linalg.lstsq(T, gauge, rcond=None)[0].T)
         moved = gauge[:n_legs]
     elif inside.shape[1]:
-        follows = gain.reshape(-1, n_legs) @ T[:n_legs]
-        lacking = _undetermined(J, unknowns, len(lost), follows)
+        lacking = _undetermined(J, unknowns, len(lost), gain.reshape(-1, n_legs) @ T[:n_legs])
         if inside.shape[1] == 1 and (gains := _scale_gains(mechanism, moved)):
             lacking = (
                 "the scale. Lengths alone do not fix it where the gains of their sensors "

@@ -150,8 +150,7 @@ class Residuals:
     def of(cls, fit: Fit) -> Residuals:
         """Return those of a fit."""
         left = fit.last.residuals[fit.good] - fit.Q @ fit.normal.c
-        rows = np.flatnonzero(fit.good)
-        return cls(rows, left, fit.Q, fit.normal.left, fit.degrees_of_freedom)
+        return cls(np.flatnonzero(fit.good), left, fit.Q, fit.normal.left, fit.degrees_of_freedom)
 
     def projected(self, W: Array) -> tuple[Array, Array, Array]:
         """Return Wᵀ M W, Wᵀ M r and the squared columns of W, of white rows (n_used, m, f)."""

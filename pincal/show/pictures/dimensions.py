@@ -136,8 +136,7 @@ def _read(
 
 def _turned(vector: Array, axis: Array, angles: Array) -> Array:
     """Return a vector (3,) turned about a unit axis by angles (n,), shape (n, 3)."""
-    turns = Rotation.from_rotvec(np.multiply.outer(angles, axis))
-    return np.asarray(turns.apply(vector))
+    return np.asarray(Rotation.from_rotvec(np.multiply.outer(angles, axis)).apply(vector))
 
 
 def symbol(name: str) -> str:
