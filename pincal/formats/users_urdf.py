@@ -58,9 +58,13 @@ def read_loops(urdf: Path, loops: Path) -> Tree:
     """Return the tree of a URDF with the loops of a YAML file."""
     keys = read_yaml(loops, MechanismError).keys(("name_mot",), _LOOP_KEYS, others=True)
     lists = {key: keys[key].items() if key in keys else [] for key in (*_LOOP_KEYS[:4], "name_mot")}
-    _check_sizes(lists, "joint_name", "joint_type", loops)
-    if lists["type"]:
-        _check_sizes(lists, "closed_loop", "type", loops)
+    for first, second in (("joint_name", "joint_type"), ("closed_loop", "type")):
+        counts = len(lists[first]), len(lists[second])
+        if counts[0] != counts[1] and (counts[1] or second != "type"):
+            raise MechanismError(
+                f"{loops}: {counts[0]} entries of {first!r}, but {counts[1]} of {second!r}; each "
+                "needs one"
+            )
     axes = [_TURNED[entry.choice(*_TURNED)] for entry in lists["joint_type"]]
     replaced = [entry.text() for entry in lists["joint_name"]]
     tree = read_urdf(urdf, dict(zip(replaced, axes, strict=True)))
@@ -81,18 +85,6 @@ def read_loops(urdf: Path, loops: Path) -> Tree:
         platform=keys["platform"].text() if "platform" in keys else None,
         homed=bool(home),
     )
-
-
-def _check_sizes(
-    lists: Mapping[str, Sequence[Entry]], first: str, second: str, loops: Path
-) -> None:
-    """Raise if two lists of the YAML file are not as long as each other."""
-    counts = len(lists[first]), len(lists[second])
-    if counts[0] != counts[1]:
-        raise MechanismError(
-            f"{loops}: {counts[0]} entries of {first!r}, but {counts[1]} of {second!r}; each needs "
-            "one"
-        )
 
 
 def _closings(
@@ -163,10 +155,9 @@ def _moved(
             f"{link!r}, and no fixed joint of the URDF is there to hold it. Import with a "
             "--tip or --platform that is fixed to that link, or hold it (--fixed)"
         )
-    joints = [edge.joint for edge in on]
     return {
         joint.name: T_link_platform @ placements.get(joint.name, joint.placement.origin())
-        for joint in joints
+        for joint in (edge.joint for edge in on)
     }
 
 
