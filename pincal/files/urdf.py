@@ -55,7 +55,10 @@ def read_urdf(path: Path, replaced: Mapping[str, str] | None = None) -> Tree:
     edges: list[Edge] = []
     for element in robot.findall("joint"):
         name, place = str(element.get("name")), f"{path}, line {element.sourceline}"
-        parent, child = (_link_of(element, end, place) for end in ("parent", "child"))
+        parent, child = (str(element.xpath(f"string({e}/@link)")) for e in ("parent", "child"))
+        if not (parent and child):
+            lacking = "child" if parent else "parent"
+            raise MechanismError(f"{place}: joint {element.get('name')!r} has no {lacking} link")
         floating = "XYZxyz" if element.get("type") == "floating" else None
         axes = (replaced or {}).get(name, floating)
         try:
@@ -254,15 +257,6 @@ def _limits(element: etree._Element, name: str, place: str) -> tuple[float, floa
             f"{place}: joint {name!r} has limits {lower:g} to {upper:g}; lower must be below upper"
         )
     return lower, upper
-
-
-def _link_of(element: etree._Element, end: str, place: str) -> str:
-    """Return the parent or child link of a <joint>."""
-    child = element.find(end)
-    name = None if child is None else child.get("link")
-    if not name:
-        raise MechanismError(f"{place}: joint {element.get('name')!r} has no {end} link")
-    return name
 
 
 def _triple(element: etree._Element | None, key: str, place: str, default: Triple) -> Triple:
