@@ -228,10 +228,18 @@ def _motions_of_held(
 def seen_of(
     mechanism: Mechanism, poses: Array, twists: Array, frames: Array | Seen | None
 ) -> tuple[Array, tuple[str, ...]]:
-    """Return what is seen of twists of the platform, and its units; see ``platform_error``."""
+    """Return what is seen of twists of the platform, (N, dof, k), and its units.
+
+    That is what motions of frames do not explain, or what is seen: see ``platform_error``. Poses
+    are coordinates, shape (N, dof).
+    """
+    platform = mechanism.platform
     if callable(frames):
         return frames(poses, twists)
-    return without_frames(mechanism, poses, twists, frames), mechanism.platform.units
+    if frames is None or not frames.shape[1] or not len(poses):
+        return twists, platform.units
+    motions = frame_motions(platform, platform.matrices(poses)) @ frames
+    return unexplained(platform.units, twists, motions, mechanism.size), platform.units
 
 
 def _moving(gain: Array, lost: Array, least: Array | float = 0.0) -> Mask:
@@ -239,19 +247,6 @@ def _moving(gain: Array, lost: Array, least: Array | float = 0.0) -> Mask:
     largest = np.abs(gain).max(axis=(0, 2), initial=0.0) * np.abs(lost).max(initial=0.0)
     moved = np.abs(gain @ lost).max(axis=2, initial=0.0)
     return np.asarray(moved > np.maximum(NEGLIGIBLE * largest, least))
-
-
-def without_frames(
-    mechanism: Mechanism, poses: Array, twists: Array, frames: Array | None
-) -> Array:
-    """Return twists of the platform, (N, dof, k), less what motions of frames explain of them.
-
-    Poses are coordinates, shape (N, dof); frames ``frames_moved``, shape (m, n_moved).
-    """
-    if frames is None or not frames.shape[1] or not len(poses):
-        return twists
-    motions = frame_motions(mechanism.platform, mechanism.platform.matrices(poses)) @ frames
-    return unexplained(mechanism.platform.units, twists, motions, mechanism.size)
 
 
 def closing_twists(mechanism: Mechanism, measured: Plan) -> Array:

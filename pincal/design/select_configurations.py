@@ -17,7 +17,7 @@ from pincal.blas import one_thread
 from pincal.design.forecast import apart_from_frames, information_rows, null_directions
 from pincal.design.optimal import Criterion, continuous_design, exchange
 from pincal.design.orbits import distinct
-from pincal.design.platform_error import without_frames
+from pincal.design.platform_error import seen_of
 from pincal.design.select import Goal, Selection, SelectionOptions
 from pincal.errors import MeasurementError, ObservabilityError
 from pincal.estimation.observability.indices import NEGLIGIBLE, identifiability, scaled_axes
@@ -94,11 +94,11 @@ def select_configurations(
     if goal == "platform":
         n = legs.gain.shape[2]
         frames = apart_from_frames(mechanism, legs, null_directions(lengths, axes, rank)[:n])[2]
-        gain = without_frames(mechanism, legs.poses, legs.gain, frames)
+        gain, units = seen_of(mechanism, legs.poses, legs.gain, frames)
         gain = gain[np.isfinite(gain).all(axis=(1, 2))]
         points = [leg.targets(np.eye(4)[None])[:, :3] for leg in nominal_legs(mechanism)]
         radius = np.sqrt((np.concatenate(points) ** 2).sum(axis=1).mean())
-        size = np.where([unit == "m" for unit in mechanism.platform.units], 1.0, radius)
+        size = np.where([unit == "m" for unit in units], 1.0, radius)
         moved = (gain * size[:, None]).reshape(-1, n) / lengths[:n] @ axes[:rank, :n].T
         values, directions = np.linalg.eigh(moved.T @ moved)
         moving = values > NEGLIGIBLE**2 * values.max()

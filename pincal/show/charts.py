@@ -16,7 +16,7 @@ from matplotlib.patches import Patch, Rectangle
 
 from pincal.calibration.result import CalibrationResult
 from pincal.calibration.result_parts import LegResult
-from pincal.design.platform_error import without_frames
+from pincal.design.platform_error import seen_of
 from pincal.errors import MeasurementError, WorkspaceError
 from pincal.kinematics.configurations import legs_at
 from pincal.model.measurements import Plan
@@ -144,7 +144,8 @@ class Plots:
         ax = ax or _axes(6.4, 4.6)
         result = self.result
         columns = legs_at(result.identified, sample_configurations(result.nominal, _SAMPLES))
-        moved = without_frames(result.identified, columns.poses, columns.gain, result.frames_moved)
+        known = columns.poses, columns.gain, result.frames_moved
+        moved, _ = seen_of(result.identified, *known)
         gain = per_si("m") * moved[:, : result.nominal.platform.lengths]
         per_unit = np.sqrt((gain**2).sum(axis=1).mean(axis=0))  # of each parameter
         parameters = [p for leg in result.legs for p in leg.parameters]

@@ -100,18 +100,14 @@ class Criteria:
         inside = np.ones(len(matrices), dtype=bool)
         for reach in self.reaches:
             inside &= reach.holds(matrices)
-        if not self.in_closed_form:
-            rows = np.flatnonzero(inside)
-            for part in (rows[chunk] for chunk in chunks(len(rows))):
-                inside[part] = self._within(matrices[part])
+        rows = np.arange(0) if self.in_closed_form else np.flatnonzero(inside)
+        for part in (rows[chunk] for chunk in chunks(len(rows))):  # what the reaches allow
+            margin = rods_margin(self.mechanism, matrices[part]) if self._exact else None
+            if margin is not None:
+                inside[part] = margin >= self._type2 - ROUNDING
+            else:
+                inside[part] = self._counted(close_legs(self._legs, matrices[part]))
         return inside
-
-    def _within(self, matrices: Array) -> Mask:
-        """Return which poses count of those that the reaches allow."""
-        margin = rods_margin(self.mechanism, matrices) if self._exact else None
-        if margin is not None:
-            return np.asarray(margin >= self._type2 - ROUNDING)
-        return self._counted(close_legs(self._legs, matrices))
 
     def at_readings(self, poses: Array, readings: Array) -> Mask:
         """Return which configurations count, with poses that forward kinematics gave of readings.
