@@ -300,7 +300,6 @@ def dh_joints(table: Any, convention: str = "standard") -> tuple[Joint, ...]:
 
 
 def _arm(d: Values) -> Mechanism:
-    """Return the arm of a table."""
     if not is_dataframe(d["dh"]) and not d["dh"]:
         raise MechanismError(
             "an arm is made of a table of Denavit and Hartenberg (dh); one of a URDF is read by "

@@ -269,7 +269,6 @@ def as_json(result: CalibrationResult) -> dict[str, Any]:
 
 
 def _named(instance: object, names: str) -> dict[str, Any]:
-    """Return attributes by their names."""
     return {name: getattr(instance, name) for name in names.split()}
 
 

@@ -102,7 +102,6 @@ def filled(group: type, values: dict[str, Any]) -> Any:
 
 
 def _option_fields(group: type) -> list[Field[Any]]:
-    """Return the fields of a dataclass that are options."""
     return [option_field for option_field in fields(group) if "option" in option_field.metadata]
 
 

@@ -299,7 +299,6 @@ class Observation:
         return row, np.where(follows, along + missed * by_turn, slope), along
 
     def _instruments(self, seen: Array, external: External) -> list[Predicted]:
-        """Return the conditions of the instruments."""
         rows, columns, values = [], self._conditions, external.instruments
         places = self.external.own.start
         for instrument in self.setup.instruments:

@@ -317,7 +317,6 @@ def _sigmas(table: TextTable, units: Mapping[str, str], *, partial: bool = False
 
 
 def _sigma(table: TextTable, name: str, unit: str, *, blank: bool = False) -> Array:
-    """Return the standard deviations of a quantity, shape (N,)."""
     values = table.numbers(f"sigma_{name}", unit, blank=blank)
     if (values < 0.0).any():
         raise MeasurementError(

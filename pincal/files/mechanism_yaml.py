@@ -64,12 +64,10 @@ def _term(entry: Entry, amplitude: str, place: str) -> Term:
 
 
 def _terms(entry: Entry, place: str) -> tuple[Term, ...]:
-    """Return terms by their amplitudes."""
     return tuple(_term(part, amplitude, place) for amplitude, part in entry.pairs().items())
 
 
 def _zero(entry: Entry) -> float | Literal["home"]:
-    """Return the position from which a sensor counts."""
     if entry.value == "home":
         return "home"
     if not abs(plain_number(str(entry.value))) <= LARGEST:
@@ -78,7 +76,6 @@ def _zero(entry: Entry) -> float | Literal["home"]:
 
 
 def _sensor(entry: Entry, leg: str) -> Sensor:
-    """Return a sensor of a leg."""
     return entry.built(
         Sensor,
         "joint",
@@ -266,7 +263,6 @@ def _described_leg(leg: Leg) -> dict[str, Any]:
 
 
 def _filled(keys: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the keys that say something."""
     return {key: value for key, value in keys.items() if value not in (None, "", {})}
 
 

@@ -129,7 +129,6 @@ def writing_together(
 
 
 def _made_in(place: Path, folder: Sequence[str]) -> list[Path]:
-    """Return the files and folders that pincal made in a folder."""
     return [path for pattern in folder for path in place.glob(pattern)]
 
 

@@ -268,7 +268,6 @@ def mjcf(mechanism: Mechanism) -> str:
 
 
 def _freedoms(platform: Platform) -> list[Joint]:
-    """Return the platform's freedoms as joints, at home."""
     T = platform.home_pose.as_matrix()[0]
     home = (*T[:3, 3], *turns_in_series(T[None, :3, :3])[0])
     letters = "".join("XYZxyz"[row] for row in platform.twist_rows)
@@ -308,7 +307,6 @@ def _chain(
 
 
 def _written_pose(placement: Placement) -> dict[str, str]:
-    """Return the attributes of a placement."""
     pose = {}
     if any(placement.xyz):
         pose["pos"] = numbers_text(placement.xyz)

@@ -223,5 +223,4 @@ def placements_in(memory: pin.StdVec_SE3) -> Array:
 
 
 def _bytes(array: Array) -> memoryview:
-    """Return a contiguous array's memory."""
     return array.reshape(-1).data.cast("B")

@@ -209,7 +209,6 @@ class Systematic:
 
 
 def _check_sizes(owner: object, names: Iterable[str], label: str) -> None:
-    """Make fields numbers of 0 or more."""
     for name in names:
         value = number_of(getattr(owner, name), f"the {label} {name}", MeasurementError)
         object.__setattr__(owner, name, value)
@@ -223,7 +222,6 @@ ORIGIN = "platform"  # the target whose position is x, y, z
 
 
 def _set_point(owner: object, name: str, label: str) -> None:
-    """Make a field a point."""
     point = array_of(getattr(owner, name), (3,), label, MeasurementError)
     object.__setattr__(owner, name, tuple(point.tolist()))
 

@@ -223,7 +223,6 @@ class Plots:
 
 
 def _axes(width: float, height: float) -> Axes:
-    """Return the axes of a figure of so many inches."""
     return Figure((width, height), layout="compressed").subplots()
 
 

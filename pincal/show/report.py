@@ -68,7 +68,6 @@ class Page:
         return Path(path)
 
     def _repr_html_(self) -> str:
-        """Return the page in a frame, for notebooks."""
         return (
             f'<iframe sandbox="{self.sandbox}" style="width: 100%; height: {self.height}; '
             f'border: 0" srcdoc="{html.escape(self.html())}"></iframe>'

@@ -269,7 +269,6 @@ def _negative(value: Value, old: dict[str, float], new: dict[str, float]) -> Val
 
 
 def _number(value: Value, parameters: dict[str, float]) -> float:
-    """Return a constant, or a parameter's value."""
     return parameters[value] if isinstance(value, str) else value
 
 

@@ -140,7 +140,6 @@ class Table:
 
 
 def _text(value: Value, unit: str, form: str) -> str:
-    """Return a value as it is shown."""
     if isinstance(value, Cell):
         return value.text
     if value is None or value != value:

@@ -98,7 +98,6 @@ def _faults(
 
 @lru_cache(maxsize=4)
 def _explaining(case: Case) -> list[Judged]:
-    """Return what explains measurements that do not fit."""
     as_measured = judge_as_measured(case)
     if as_measured.fits_well:
         return []

@@ -118,7 +118,6 @@ class Picture:
         return save_figure(self.figure(), path, force=force)
 
     def _repr_png_(self) -> bytes:
-        """Return the picture for notebooks."""
         return figure_bytes(self.figure(), "png")
 
 
@@ -180,7 +179,6 @@ def _ghosts(axes: Axes, scene: Scene) -> list[Line2D]:
 
 
 def _dot(colour: str, label: str, marker: str = "o") -> Line2D:
-    """Return a legend's line: a dot and its meaning."""
     return Line2D([], [], marker=marker, ls="", ms=5, color=colour, label=label)
 
 

@@ -115,7 +115,6 @@ def answer(scene: Scene, row: int, shift: Array) -> str:
 
 
 def _bodies(scene: Scene) -> dict[str, Body]:
-    """Return the machines of a scene."""
     identified = {"identified": scene.magnified} if scene.magnified else {}
     return {"mechanism": scene.body, **identified}
 
@@ -133,7 +132,6 @@ def _bounds(scene: Scene) -> Array:
 
 
 def _packed(values: Array) -> str:
-    """Return numbers as doubles in base 64."""
     return base64.b64encode(np.ascontiguousarray(values, dtype="<f8").tobytes()).decode()
 
 
@@ -162,7 +160,6 @@ def _shapes(body: Body, colour: str) -> list[list[dict[str, Any]]]:
 
 
 def _still(layer: Layer, opacity: float = 1.0) -> dict[str, Any]:
-    """Return dots, or lines."""
     return {
         "path": f"meshcat/{layer.path}",
         "points": _packed(layer.points),
