@@ -146,10 +146,8 @@ def fitted(calibration: Calibration, near: Fits | None = None, rows: Mask | None
         ObservabilityError: too few poses, or poses that leave parameters undetermined.
         MeasurementError: measurements that do not suit the method.
     """
-    if calibration.options.latent:
-        fits = _all_legs(calibration, near, rows)
-    else:
-        fits = _measured(calibration)
+    latent = calibration.options.latent
+    fits = _all_legs(calibration, near, rows) if latent else _measured(calibration)
     known = calibration.fixed_noise or calibration.noise.known
     return fits if known else _with_estimated_noise(fits)
 

@@ -173,6 +173,7 @@ def workspace_table(workspace: Workspace, inscribed: Inscribed | None = None) ->
 # Calibrations
 
 _MOST_SIGMAS = 1e6  # standard errors, above which their number says nothing
+_ERRORS = {"m": "position", "rad": "orientation"}
 _FRAMES = ", but for where the base and platform frames lie"
 _CHOSEN = (
     ". Values and ± depend on what was fixed by choice, of equal parameters those nearest to "
@@ -195,8 +196,7 @@ def accuracy_table(result: CalibrationResult, errors: WorkspaceErrors) -> Table:
 
     Of the model alone where it can be promised; held-out rows miss by what they miss.
     """
-    every = ("position", "m"), ("orientation", "rad")
-    names = [pair for pair in every if pair[1] in errors.expected.units]
+    names = [(_ERRORS[unit], unit) for unit in dict.fromkeys(errors.expected.units)]
     rows, region = dict[str, dict[tuple[str, str], float]](), ""
     if result.explained and errors.determined and errors.moved:
         sizes = {"nominal": errors.mean_before(), "calibrated": errors.mean_after()}
@@ -208,8 +208,7 @@ def accuracy_table(result: CalibrationResult, errors: WorkspaceErrors) -> Table:
         region = f" {errors.where}{_FRAMES * result.moves_frames}"
     validation = result.validation
     for missed in validation.targets if validation and validation.fit <= MISSES else ():
-        name = "position" if missed.unit == "m" else "orientation"
-        name += "" if missed.target == ORIGIN else f" of {missed.target}"
+        name = _ERRORS[missed.unit] + f" of {missed.target}" * (missed.target != ORIGIN)
         rows.setdefault("held out", {})[name, missed.unit] = missed.rms
     names = list(dict.fromkeys([*names, *rows.get("held out", {})]))
     return Table(

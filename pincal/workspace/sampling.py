@@ -210,7 +210,6 @@ def has_grid(mechanism: Mechanism) -> bool:
 
 
 def _check_count(count: int) -> None:
-    """Raise if no such number of poses can be sampled."""
     if not 1 <= count_of(count, "count", WorkspaceError) <= MOST:
         raise WorkspaceError(
             f"the number of poses is {count}; expected at least 1 and at most {MOST:,}"
