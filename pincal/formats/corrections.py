@@ -25,7 +25,13 @@ CORRECTION, COMMAND = "correction_", "command_"
 
 @dataclass(frozen=True, repr=False)
 class Corrections:
-    """What takes the whole machine to N poses by a controller that knows the plain one."""
+    """What takes the whole machine to N poses by a controller that knows the plain one.
+
+    Example:
+        >>> import pincal
+        >>> pincal.corrections("5R", [[0.0, 1.1]]).readings.tolist()  # no terms: nothing to add
+        [[0.0, 0.0]]
+    """
 
     plan: Plan
     """The poses; and the readings of the plain machine, where poses do not determine them."""
