@@ -21,8 +21,7 @@ def leg_urdf(leg: Leg) -> str:
     read = {sensor.joint for sensor in leg.sensors}
     links = leg_links(leg)
     link = etree.SubElement(robot, "link", name=links[0])
-    foot = leg.joints[0].placement.xyz
-    _visual(link, "grey", "box", size=(3 * size, 3 * size, size), xyz=foot)
+    _visual(link, "grey", "box", size=(3 * size, 3 * size, size), xyz=leg.joints[0].placement.xyz)
     for index, joint in enumerate(leg.joints):
         if not np.allclose(joint.placement.xyz, 0.0) and index > 0:
             _rod(link, joint.placement.xyz, size)

@@ -46,8 +46,7 @@ class Corrections:
 
     def __repr__(self) -> str:
         """Return the corrections in a line."""
-        count = self.reasons.count("")
-        return f"Corrections: {count} of {len(self.reasons)} poses"
+        return f"Corrections: {self.reasons.count('')} of {len(self.reasons)} poses"
 
 
 def corrections(mechanism: GivenMechanism, planned: Plan | Array) -> Corrections:

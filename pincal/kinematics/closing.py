@@ -224,8 +224,7 @@ def _newton_step(leg: LegClosure, closure: Closure) -> Array:
     """Return the Newton step of all joints, deformations staying, (N, n_joints + n_deformed)."""
     with np.errstate(all="ignore"):
         active = -least_squares(closure.drive, closure.constraint[:, :, None])[:, :, 0]
-        change = product(closure.active, active[:, :, None])[:, :, 0]
-        passive = closure.passive_step(change)
+        passive = closure.passive_step(product(closure.active, active[:, :, None])[:, :, 0])
         width = active.shape[1] + passive.shape[1] + len(leg.leg.deformed)
         step = np.zeros((len(active), width))
         step[:, leg.leg.active], step[:, leg.leg.passive] = active, passive

@@ -277,8 +277,7 @@ def command(mechanism: Mechanism, planned: Plan | Array) -> tuple[Array, Array, 
     """
     plan = as_plan(mechanism, planned)
     if plan.readings is not None:
-        influences = influences_of(mechanism, plan)
-        solution = forward(mechanism, plan.readings, plan.poses, influences)
+        solution = forward(mechanism, plan.readings, plan.poses, influences_of(mechanism, plan))
         return solution.poses, plan.readings, list(solution.reasons)
     solved = inverse(mechanism, plan.poses, planned_influences(mechanism, plan))
     return plan.poses, solved.readings, [solved.reason(row) for row in range(len(plan.poses))]

@@ -161,8 +161,7 @@ class Platform:
         if isinstance(poses, RigidTransform):
             if poses.single:
                 raise MechanismError("poses are N transforms; got a single one: put it in brackets")
-            entries = poses.as_matrix().transpose(1, 2, 0)
-            return np.ascontiguousarray(entries).transpose(2, 0, 1)
+            return np.ascontiguousarray(poses.as_matrix().transpose(1, 2, 0)).transpose(2, 0, 1)
         coordinates = self.checked(poses)
         T = np.zeros((4, 4, len(coordinates)))
         T[range(4), range(4)] = 1.0

@@ -220,8 +220,7 @@ def product_table(elements: Sequence[Element], labels: Sequence[Sequence[int]] =
         images = np.array(labels)
         composed = images[:, images]
         distances[(composed[:, :, None] != images).any(axis=3)] = np.inf
-    best = distances.argmin(axis=2)
-    return np.where(distances.min(axis=2) <= _NEAREST, best, -1)
+    return np.where(distances.min(axis=2) <= _NEAREST, distances.argmin(axis=2), -1)
 
 
 def distinct(elements: Sequence[Element], labels: Sequence[object]) -> list[int]:

@@ -221,8 +221,7 @@ class Orientations:
         side = -1.0 if element.reflection else 1.0
         before, after = (Rotation.from_matrix(side * Q) for Q in element.turns)
         images = (before * self.rotations * after.inv()).as_quat(canonical=True)
-        distances = self._tree.query(images, distance_upper_bound=SAME)[0]
-        return bool(np.isfinite(distances).all())
+        return bool(np.isfinite(self._tree.query(images, distance_upper_bound=SAME)[0]).all())
 
     @cached_property
     def _tree(self) -> KDTree:

@@ -105,8 +105,7 @@ class PositionTest:
             row, column = open_rows[row], column + begin
             matrices = np.broadcast_to(np.eye(4), (len(row), 4, 4)).copy()
             matrices[:, :3, 3], matrices[:, :3, :3] = positions[row], R[column]
-            deciding = self._criteria(matrices) != self.every
-            decided[row[deciding]] = True
+            decided[row[self._criteria(matrices) != self.every]] = True
             begin, width = begin + width, 8 * width
         return decided != self.every
 

@@ -115,8 +115,7 @@ def _attempt(findings: tuple[Finding, ...], calibration: Calibration) -> Remedy:
     try:
         result, *_ = run(calibration)
     except PincalError as error:
-        refused = isinstance(error, MeasurementError)
-        return Remedy(findings, calibration, None, str(error), refused)
+        return Remedy(findings, calibration, None, str(error), isinstance(error, MeasurementError))
     try:
         check_noise(calibration.mechanism, result.noise)  # an estimate may be what went wrong
     except MeasurementError:

@@ -126,8 +126,7 @@ def _bounds(scene: Scene) -> Array:
     """
     bounds = scene.bounds()
     points = np.concatenate([bounds, *(layer.points.reshape(-1, 3) for layer in scene.layers)])
-    away = np.linalg.norm(points - np.clip(points, *bounds), axis=1)
-    near = points[away <= scene.size]
+    near = points[np.linalg.norm(points - np.clip(points, *bounds), axis=1) <= scene.size]
     return np.stack((near.min(axis=0), near.max(axis=0)))
 
 
