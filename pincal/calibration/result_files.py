@@ -67,9 +67,7 @@ def _loss(name: str, _: Any) -> LossName | Loss:
             f"loss {name!r} is code, which a result's folder does not hold; give it as loss=…"
         )
 
-    if name in ("none", *LOSSES):
-        return cast(LossName, name)
-    return Loss(name, weigh, 0.5)
+    return cast(LossName, name) if name in ("none", *LOSSES) else Loss(name, weigh, 0.5)
 
 
 def _frozen(data: Any) -> Any:

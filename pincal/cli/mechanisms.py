@@ -219,8 +219,7 @@ def study(
         )
     refuse_existing(output, force=force, folder=("study.md",))
     with working(f"study of the {name}") as progress:
-        catalogue = import_module(f"{installed[0]}.catalogue")
-        result = catalogue.run_study(name, seed, quick, progress)
+        result = import_module(f"{installed[0]}.catalogue").run_study(name, seed, quick, progress)
     with writing(output, force=force, folder=("study.md",)) as scratch:
         result.write(scratch)
     wrote(output)

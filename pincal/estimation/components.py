@@ -254,8 +254,7 @@ class Evidence:
         """Return minus twice the log evidence of sizes τ of the groups, but for a constant."""
         n, weights = len(self.triangle) - 1, 1.0 / sizes[self.groups]
         prior = weights[:, None] * np.column_stack((self.deviations, self.offsets))
-        R = np.linalg.qr(np.concatenate((self.triangle, prior)), mode="r")
-        every = np.abs(np.diagonal(R))
+        every = np.abs(np.diagonal(np.linalg.qr(np.concatenate((self.triangle, prior)), mode="r")))
         prior_only = np.linalg.svd(prior[:, :n], compute_uv=False)[: _rank(self.deviations)]
         return float(every[n] ** 2 + 2.0 * np.log(every[:n]).sum() - 2.0 * np.log(prior_only).sum())
 

@@ -238,6 +238,5 @@ def point_platform(
         joints = _joints_to(tree, side[:3], None, normal)
         last = max(i for i, joint in enumerate(joints) if joint.kind != "fixed")
         centre = np.array(joints[last].placement.xyz)
-        reached = _to_point(joints[:last], joints[last], centre)
-        limbs.append((reached, Joint("point", "fixed")))
+        limbs.append((_to_point(joints[:last], joints[last], centre), Joint("point", "fixed")))
     return limbs

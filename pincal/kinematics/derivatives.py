@@ -189,8 +189,7 @@ def _alike_demands(
         else:
             columns = stacked([values[rows] for values in known])
             start = stacked([joints[rows] for joints in near]) if near else None
-            closed = nearest_closure(legs, matrices, columns, start)
-            parts.append(demands(legs, columns, *closed))
+            parts.append(demands(legs, columns, *nearest_closure(legs, matrices, columns, start)))
     if len(parts) == 1:
         return parts[0]
     return [

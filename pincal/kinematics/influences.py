@@ -169,8 +169,7 @@ def _links(leg: LegClosure, joints: Array, gravity: Array) -> Array:
         moving += joint.kind != "fixed"
         if joint.mass:
             motion = body_chain(leg.leg, index).motion(leg.parameters, joints[:, :moving])
-            speeds = motion.twists()[:3]
-            lost = joint.mass * np.einsum("x,xjn->nj", gravity, speeds)
+            lost = joint.mass * np.einsum("x,xjn->nj", gravity, motion.twists()[:3])
             lost_height[:, :moving] += lost[:, :moving]
             lost_height[:, n:] += lost[:, moving:]
     return lost_height

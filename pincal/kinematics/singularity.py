@@ -55,8 +55,7 @@ def margins(mechanism: GivenMechanism, poses: Poses) -> SingularityMargins:
         reached = np.stack(by_leg(closed, lambda group: group.reached), axis=1)
         type1[rows] = np.where(reached, drive_margins(closed), np.nan)
         lines = by_leg(closed, lambda group: group.closure.constraint_by_pose)
-        signed = platform_margin(mechanism, lines)
-        type2[rows] = np.where(reached.all(axis=1), signed, np.nan)
+        type2[rows] = np.where(reached.all(axis=1), platform_margin(mechanism, lines), np.nan)
     return SingularityMargins(type1, type2)
 
 

@@ -47,8 +47,7 @@ class Step:
 
     def amount(self, parameters: Mapping[str, float]) -> float:
         """Return the displacement, [m] or [rad]."""
-        value = parameters[self.value] if isinstance(self.value, str) else self.value
-        return self.sign * value
+        return self.sign * (parameters[self.value] if isinstance(self.value, str) else self.value)
 
     def matrix(self, parameters: Mapping[str, float]) -> Array:
         """Return the displacement as a homogeneous matrix, shape (4, 4)."""

@@ -117,9 +117,7 @@ def _improvement(result: CalibrationResult, errors: WorkspaceErrors) -> tuple[st
 def _factors(ratios: Sequence[float]) -> str:
     """Return factors in position and, where the platform turns, in orientation."""
     position, *orientation = dict.fromkeys(map(rounded, ratios))
-    return " and ".join(
-        [f"{position} (position)", f"{orientation[0]} (orientation)"] if orientation else [position]
-    )
+    return f"{position} (position) and {orientation[0]} (orientation)" if orientation else position
 
 
 def _reliable(result: CalibrationResult, notes: Sequence[str]) -> Answer:

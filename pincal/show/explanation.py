@@ -72,24 +72,20 @@ def explanation_lines(explanation: Explanation) -> list[str]:
     """Return what is seen, the likeliest first, and the verdict."""
     result, candidates = explanation.result, explanation.candidates
     nominal, visible = result.nominal, [c for c in candidates if c.corrected < LEVEL]
-    loaded = loads_known(nominal, result.measurements)
-    least = min((candidate.corrected for candidate in candidates), default=1.0)
-    nothing = (
-        "nothing that was tried is seen in the residuals: the least probable of "
-        f"{len(candidates)} has a chance of {least:.2g}, their number taken in"
-    )
-    notes = (
-        (_MEND, explanation.slips),
-        (nothing, not visible),
-        (_NO_LOAD, nominal.platform.space == 3 and not loaded),
-    )
     lines, remaining = list(map(_slip_line, explanation.slips)), visible
-    for _ in range(NAMED):
-        if remaining:
-            first, *others = remaining
-            lines.append(_seen_line(first, nominal))
-            remaining = [rival for rival in others if rival.pair not in first.or_else]
-    lines += [text for text, holds in notes if holds]
+    while remaining and len(lines) < NAMED + len(explanation.slips):
+        first, *others = remaining
+        lines.append(_seen_line(first, nominal))
+        remaining = [rival for rival in others if rival.pair not in first.or_else]
+    lines += [_MEND] * bool(explanation.slips)
+    if not visible:
+        least = min((candidate.corrected for candidate in candidates), default=1.0)
+        lines.append(
+            "nothing that was tried is seen in the residuals: the least probable of "
+            f"{len(candidates)} has a chance of {least:.2g}, their number taken in"
+        )
+    if nominal.platform.space == 3 and not loads_known(nominal, result.measurements):
+        lines.append(_NO_LOAD)
     lines += [
         f"fold {fold + 1} is left out of the comparison, the other rows do not determine it: {why}"
         for fold, why in explanation.lost

@@ -184,9 +184,8 @@ _HEADS = ("nominal", "identified", "± 95 %", "unit")
 
 def calibration_tables(result: CalibrationResult) -> list[Table]:
     """Return all tables of a calibration that a terminal shows."""
-    tables = [parameters_table(result)]
-    tables += [outside_table(result)] if result.external else []
-    tables += [residuals_table(result)]
+    tables = [parameters_table(result), residuals_table(result)]
+    tables[1:1] = [outside_table(result)] if result.external else []
     tables += [outliers_table(result)] if result.outliers and result.loss != "none" else []
     return tables
 

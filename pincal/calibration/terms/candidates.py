@@ -269,8 +269,7 @@ def idle_places(mechanism: Mechanism, measurements: Measurements) -> set[str]:
 def _with_each(leg: Leg, influences: Sequence[str]) -> Leg:
     """Return a leg whose every joint, length and angle follows influences of its own."""
     for influence in influences:
-        places = [*range(len(leg.sensors)), *(leg.placed if influence == LOAD else ())]
-        for place in places:
+        for place in [*range(len(leg.sensors)), *(leg.placed if influence == LOAD else ())]:
             leg = _with_amplitude(leg, {place: Term(f"{influence}_{place}", Share(), of=influence)})
     return leg
 
