@@ -301,12 +301,14 @@ def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_html_holds_plan_and_result(work: Path, tmp_path: Path) -> None:
-    """The file has the plan's sets, or the identified machine with its factor."""
+    """The file has the plan's sets, or the identified machine, also of a result alone."""
     done("view", "3RRR", work / "plan.csv", "--html", tmp_path / "plan.html")
     done("view", "3RRR", work / "result", "--magnify", 50, "--html", tmp_path / "view.html")
+    done("view", work / "result", "--html", tmp_path / "alone.html")
     for name, texts in (
         ("plan.html", ('"leg_3"',)),
         ("view.html", ("errors × 50",)),
+        ("alone.html", ("errors × 10",)),
     ):
         page = (tmp_path / name).read_text("utf-8")
         assert all(text in page for text in texts)

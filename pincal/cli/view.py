@@ -45,13 +45,11 @@ Magnify = Annotated[
 def _read(
     mech: str, shown: Path | None, magnify: float | None
 ) -> tuple[dict[str, Any], CalibrationResult | None]:
-    """Return what is to be shown, as arguments of ``pincal.view``, and the result if it is one.
-
-    Raises:
-        BadParameter: a factor without a result.
-        PincalError: a file that cannot be read, or does not belong to the mechanism.
-    """
+    """Return what is to be shown, as arguments of ``pincal.view``, and the result if it is one."""
     mechanism = pincal.load_mechanism(mech)
+    if shown is None and (Path(mech) / "result.json").is_file():  # over its nominal mechanism
+        shown = Path(mech)
+        mechanism = pincal.load_result(shown).nominal
     if shown is None or not is_folder(shown):
         if magnify is not None:
             raise typer.BadParameter("--magnify is for the errors of a RESULT, and none is given")
@@ -126,7 +124,8 @@ def view(mech: Mech, options: PageOptions, shown: Shown = None, magnify: Magnify
     The slider and the arrow keys go from pose to pose, the space bar plays. Without POSES.csv:
     home and some of the workspace. With RESULT the poses of its rows, and the calibrated machine,
     where it goes when the nominal model drives it, its errors magnified; arrows go from measured to
-    predicted points. The page is served to this machine alone, until Ctrl-C.
+    predicted points (RESULT alone is shown so, too). The page is served to this machine alone,
+    until Ctrl-C.
     """
     if options.html is not None and options.html.suffix.lower() not in (".html", ".htm"):
         raise FileError(f"{options.html} would be a page; give it the ending .html")

@@ -202,7 +202,9 @@ def _rows(scene: Scene) -> list[dict[str, Any]]:
         groups.append(("readings, as measured", *read, POSES, scene.plan.readings))
     if scene.identified:
         errors = platform_errors(mechanism, scene.identified, scene.plan)
-        groups.append(("identified goes off by", platform.freedoms, platform.units, SMALL, errors))
+        groups.append(
+            ("error, driven by the nominal model", platform.freedoms, platform.units, SMALL, errors)
+        )
     return [
         {
             "head": head,
