@@ -175,13 +175,13 @@ def test_closing_twists_are_the_misses_of_the_platform() -> None:
 
 
 def test_what_is_printed(hexapod: tuple[pincal.Mechanism, np.ndarray, np.ndarray]) -> None:
-    """A line, and a page with what 95 of 100 stay below."""
+    """A line, and a page with what 95 % stay below."""
     mechanism, poses, covariance = hexapod
     found = platform_error(mechanism, covariance, poses)
     assert isinstance(found, PlatformError)
     assert repr(found).startswith("PlatformError(")
     assert "\n" not in repr(found)
-    assert "95 of 100" in str(found)
+    assert "95 %: below" in str(found)
 
 
 def test_a_limit_takes_in_what_residuals_cannot_show() -> None:

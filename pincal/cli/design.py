@@ -113,7 +113,7 @@ def select(
         plan, candidates, table = _choose(mechanism, options, noise, progress)
     if options.verify:
         plan = with_verification(mechanism, plan, candidates, options.verify, options.seed)
-        remark(f"{options.verify} more poses of the set 'verify' are for no fit: they check it")
+        remark(f"{options.verify} more poses, of the set 'verify', check the fit and are not in it")
     plan = in_turns(plan, options.seed)
     if options.reference is not None:
         count = len(plan)
@@ -194,7 +194,7 @@ def identifiability(
     """Say beforehand what measurements will determine.
 
     Prints the rank, what cannot be determined, the standard error of each parameter as 'pincal
-    calibrate' will give it (the Cramér-Rao bound: the best that any calibration can reach), and
+    calibrate' will give it (the Cramér-Rao bound: no unbiased calibration is better), and
     the platform error over the workspace; with --accuracy how many poses that takes.
 
     Positions are of the platform's origin in the robot's base frame, unless --unknown-frame,

@@ -134,7 +134,7 @@ class PlatformError:
             lie = counted(outside, "pose lies", "poses lie")
             lines.append(f"  no limit is promised: {lie} outside the measured region")
         else:
-            lines.append(f"  95 of 100 below   {self._shown(*self.limit)}")
+            lines.append(f"  95 %: below       {self._shown(*self.limit)}")
             lines += [f"  left out          {UNCOVERED[code]}" for code in self.uncovered]
         if missing := len(self.std) - int(self.determined.sum()):
             lines.append(f"  out of reach or not determined at {missing} of {len(self.std)} poses")

@@ -48,9 +48,8 @@ class Plots:
     def residuals(self, ax: Axes | None = None) -> Axes:
         """Draw residuals after the calibration against the row of the measurements.
 
-        Each over its standard deviation: the noise less what the fit takes up of it, σ√(1−h).
-        Between the dashed lines 95 of 100 are expected. Crosses at the upper edge: rows that do not
-        fit the others.
+        Each over its own standard deviation after the fit, σ√(1−h). 95 % are expected between the
+        dashed lines. Crosses at the upper edge: rows that do not fit the others.
         """
         ax = ax or _axes(6.4, 3.6)
         for index, group in enumerate(noisy_residuals(self.result)):

@@ -223,7 +223,7 @@ def forecast_lines(forecast: Forecast, error: PlatformError) -> list[str]:
     parts = [f"root mean square {listed(known)}"] if known else []
     parts += [f"{name} not determined" for name, size, _ in sizes if not size < np.inf]
     if error.position < np.inf:
-        parts[-1] += "; the best that any calibration can reach; 'pincal calibrate' does"
+        parts[-1] += "; no calibration is better, and 'pincal calibrate' attains it"
     return [*lines, f"platform over the workspace: {', '.join(parts)}"]
 
 
