@@ -15,7 +15,7 @@ from scipy.special import ndtri
 from pincal.blas import one_thread
 from pincal.calibration.assemble import assemble, with_unsure_tolerances
 from pincal.calibration.calibration import Calibration, with_followed_influences
-from pincal.calibration.findings import MANY_ROWS, findings_of, misaligned
+from pincal.calibration.findings import MANY_ROWS, findings_of, misaligned, values_of
 from pincal.calibration.fits import Fits, fitted, with_found_tolerance
 from pincal.calibration.hypotheses.faults import zeros_found, zeros_measured
 from pincal.calibration.hypotheses.plausibility import (
@@ -175,8 +175,7 @@ def blame_wrong_rows(
     are_few = 0 < len(rejected) <= MANY_ROWS * total
     if not (are_few and robust.converged and robust.excess == 1.0):
         return findings, result.outliers
-    rows, worst = [outlier.row for outlier in rejected], rejected[0]
-    values: dict[str, Any] = {name: getattr(worst, name) for name in ("sigma", "quantity", "off")}
+    rows, values = [outlier.row for outlier in rejected], values_of(rejected[0])
     values |= {"chi2": result.reduced_chi2, "without": robust.reduced_chi2}
     wrong_rows = finding("wrong-rows", rows, total=total, **values)
     without_rows = [remark for remark in findings_of(robust, fits) if remark.code in _FOLLOW]

@@ -9,7 +9,7 @@ from scipy.special import chdtrc, fdtrc
 
 from pincal.calibration.fits import Fits
 from pincal.calibration.promise import UNEXPLAINED
-from pincal.estimation.fit import Fit, curvature
+from pincal.estimation.fit import Fit, Outlier, curvature
 from pincal.estimation.observability.courses import Score, scores
 from pincal.estimation.observability.gauge import frame_motions
 from pincal.estimation.observability.indices import NEGLIGIBLE, plausible_changes
@@ -218,9 +218,12 @@ def _rows(result: CalibrationResult, *, lacking: bool) -> list[Finding]:
         return [finding("many-outliers", rows, share=len(outliers) / total)]
     if not outliers or result.loss != "none":
         return []
-    worst = outliers[0]
-    values: dict[str, Any] = {name: getattr(worst, name) for name in ("sigma", "quantity", "off")}
-    return [finding("outliers", rows, total=total, lacking=lacking, **values)]
+    return [finding("outliers", rows, total=total, lacking=lacking, **values_of(outliers[0]))]
+
+
+def values_of(outlier: Outlier) -> dict[str, Any]:
+    """Return what findings say of a row that does not fit."""
+    return {name: getattr(outlier, name) for name in ("sigma", "quantity", "off")}
 
 
 def _few(result: CalibrationResult) -> list[Finding]:

@@ -19,7 +19,7 @@ from scipy.special import bdtrc
 from pincal.blas import one_thread
 from pincal.calibration.assemble import chi2_freedoms, noise_freedoms
 from pincal.calibration.calibration import Calibration
-from pincal.calibration.findings import MANY_ROWS, rounding
+from pincal.calibration.findings import MANY_ROWS, rounding, values_of
 from pincal.calibration.fits import Fits, fitted
 from pincal.calibration.options import FOLDS, By, clusters, folds_of
 from pincal.calibration.promise import UNEXPLAINED, exceeded
@@ -49,7 +49,7 @@ def held_out(
 ) -> tuple[Validation, tuple[Outlier, ...]]:
     """Return the errors of a calibration at held-out rows, and rows to verify with that are wrong.
 
-    Errors are without these, and without rows that a robust loss leaves out.
+    Errors are without these and those that a robust loss rejects; folds serve if none is left.
 
     Args:
         calibration: What was calibrated.
@@ -65,17 +65,17 @@ def held_out(
     fits, wrong = fits_of_all, list[Outlier]()
     if robust:
         fitting[[outlier.row for fit in fits_of_all.fits for outlier in fit.outliers]] = False
-        fits = converged(calibration.rows(fitting), "the fit of the rows that fit")
-    validation, strays = _validated(fits, folds, by)
-    while strays:
+    while True:
+        if robust or wrong:
+            fits = converged(calibration.rows(fitting), "the fit of the rows that fit")
+        validation, strays = _validated(fits, folds, by)
+        if not strays:
+            break
         wrong += [replace(row, row=int(np.flatnonzero(fitting)[row.row])) for row in strays]
         fitting[[row.row for row in wrong]] = False
-        fits = converged(calibration.rows(fitting), "the fit of the rows that fit")
-        validation, strays = _validated(fits, folds, by)
     if wrong and not robust and not validation.findings:
-        values = {name: getattr(wrong[0], name) for name in ("sigma", "quantity", "off")}
-        total = validation.rows + len(wrong)
-        remark = finding("wrong-held-out", [row.row for row in wrong], total=total, **values)
+        rows, total = [row.row for row in wrong], validation.rows + len(wrong)
+        remark = finding("wrong-held-out", rows, total=total, **values_of(wrong[0]))
         validation = replace(validation, findings=(remark,))
     return validation, tuple(wrong)
 
@@ -108,9 +108,8 @@ def _validated(fits_of_all: Fits, folds: int, by: By) -> tuple[Validation, list[
     expected = float(fit * np.sqrt(1.0 + unknown / equations))
     p_value = least_of_folds(chances)
     is_worse = p_value < UNLIKELY and fit <= MISSES and not rounding(fits_of_all)
-    strays = list[Outlier]()
-    if is_worse and total is None:
-        strays = _strays(fits, predicted, sums, unit, np.flatnonzero(groups == 0))
+    rows, may_be_wrong = np.flatnonzero(groups == 0), is_worse and total is None
+    strays = _strays(fits, predicted, sums, unit, rows) if may_be_wrong else []
     worse = finding("held-out-worse", held_out=held, expected=expected, p_value=p_value)
     places = np.array(clusters(calibration.measurements))
     validation = Validation(
@@ -192,19 +191,18 @@ def _strays(
     if not few or _chance(fits, sums[~wrong], None) < UNLIKELY:
         return []
     for place in np.flatnonzero(wrong).tolist():
-        largest = (0.0, "")
+        sizes: list[tuple[float, str]] = []
         for fit, served, linear in predicted:
-            quantities = tuple(fit.problem.quantities)
-            for noise in np.abs(linear.noise[served == place, : len(quantities)]):
-                worst = int(noise.argmax())
-                largest = max(largest, (float(noise[worst]) / unit**0.5, quantities[worst]))
+            noise = np.abs(linear.noise[served == place]).ravel().tolist()
+            sizes += zip(noise, fit.problem.quantities, strict=False)
+        off, quantity = max(sizes)
         stray = Outlier(
             row=int(rows[place]),
             legs=tuple(leg.name for fit, _, _ in predicted for leg in fit.problem.legs),
             sigma=as_one(float(sums[place, 0] / unit), int(sums[place, 3])),
             weight=0.0,
-            quantity=largest[1],
-            off=largest[0],
+            quantity=quantity,
+            off=off / unit**0.5,
         )
         strays.append(stray)
     return sorted(strays, key=lambda stray: -stray.sigma)

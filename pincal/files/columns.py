@@ -54,8 +54,8 @@ def table_of(
         table = replace(table, units=dict(names.values()), text=text)
     if wanted_influences is not None:
         unused = [name for name in unknown_columns(table, known) if name not in wanted_influences]
-        missing = [name for name in known if name not in table.units and "sigma" not in name]
         if unused:
+            missing = [name for name in known if name not in table.units and "sigma" not in name]
             shown = ", ".join(_meant_perhaps(name, missing) for name in unused[:NAMED])
             more = f" and {len(unused) - NAMED} more" * (len(unused) > NAMED)
             _log.info("%s: columns not used: %s", table.path, shown + more)

@@ -108,9 +108,9 @@ def scores(fit: Fit, repeated: Mapping[str, Index] | None = None) -> list[Score]
         share = alike = 0.0
         if chance < FALSE_ALARM:
             share = residuals.amplitudes(course).inside / residuals.chi2
-        if term == "order" and chance < FALSE_ALARM:
-            of_kind = kinds[_kind(fit, quantity)] if quantity in errors else course
-            alike = residuals.alike_after(course, of_kind)
+            if term == "order":
+                of_kind = kinds[_kind(fit, quantity)] if quantity in errors else course
+                alike = residuals.alike_after(course, of_kind)
         results.append(Score(quantity, term, chance, share, alike=alike))
     for name, error in errors.items():
         row, step = residuals.step(error)
