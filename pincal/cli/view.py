@@ -47,9 +47,8 @@ def _read(
 ) -> tuple[dict[str, Any], CalibrationResult | None]:
     """Return what is to be shown, as arguments of ``pincal.view``, and the result if it is one."""
     mechanism = pincal.load_mechanism(mech)
-    if shown is None and (Path(mech) / "result.json").is_file():  # over its nominal mechanism
+    if shown is None and (Path(mech) / "result.json").is_file():
         shown = Path(mech)
-        mechanism = pincal.load_result(shown).nominal
     if shown is None or not is_folder(shown):
         if magnify is not None:
             raise typer.BadParameter("--magnify is for the errors of a RESULT, and none is given")
@@ -62,6 +61,7 @@ def _read(
         raise MeasurementError(
             f"{shown}: the fit did not converge, so there is no calibrated mechanism to show"
         )
+    mechanism = result.nominal if shown == Path(mech) else mechanism  # of a result alone
     if result.nominal.leg_names != mechanism.leg_names:
         raise MechanismError(f"{shown} is of {result.nominal.name!r}, which has other legs")
     plan = replace(result.measurements, poses=result.poses)
