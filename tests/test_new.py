@@ -325,7 +325,7 @@ def test_dimensions_that_are_not_given_are_said(tmp_path: Path) -> None:
     printed = re.findall(r"(\w+) ([\d.]+) (mm|deg)\b", " ".join(first.out.split()))
     again = {name: float(value) * {"mm": 1e-3, "deg": np.pi / 180}[u] for name, value, u in printed}
     two = pincal.new_mechanism("five-bar", **again)
-    np.testing.assert_allclose(two.parameters.values, bar.parameters.values, atol=1e-9)
+    np.testing.assert_allclose(two.parameters.values, bar.parameters.values, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", ["3RRR", "3_rrr", "LinearDelta", "linear_delta", "Hexapod"])
