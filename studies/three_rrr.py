@@ -89,7 +89,7 @@ def _spaces(study: Study, poses: Array) -> tuple[dict[float, pincal.Workspace], 
     figure, panels = drawing.panels(3, 13, 4.6)
     for axes, (turn, plane) in zip(panels, planes.items(), strict=True):
         drawing.draw_mechanism(axes, mechanism, (0.0, 0.0, turn))
-        drawing.draw_workspace(axes, plane)
+        drawing.draw_workspace(axes, plane).set(zorder=2.5, alpha=0.7)  # seen over the platform
         axes.set_title(f"φ = {turn:g} rad, {plane.measure:.3f} m²")
     study.figure(
         "fig_5_workspaces", "Fig. 5: the 3-RRR over its constant orientation workspaces", figure
