@@ -23,7 +23,7 @@ import pincal
 from pincal.files.mechanism_folders import bundled
 from pincal.show.pictures.painter import paint
 from pincal.show.pictures.picture import Picture
-from pincal.show.style import ACTIVE, PASSIVE
+from pincal.show.style import ACTIVE
 from pincal.show.view.bodies import Shape, body
 
 IMAGES = Path(__file__).parents[1] / "docs" / "images"
@@ -125,15 +125,23 @@ def test_a_rod_may_vanish(stroke: float) -> None:
 
 
 @pytest.mark.parametrize("name", sorted(bundled()))
-def test_joints_have_the_colours_of_the_urdfs(name: str) -> None:
-    """The legend's colours are those of the joints that are read and of the others."""
+def test_what_drives_stands_out(name: str) -> None:
+    """Of each leg its motor, cylinder or winch has the legend's colour, and nothing else."""
     mechanism = pincal.load_mechanism(name)
     drawn = body(mechanism, np.array([mechanism.platform.home]))
-    for leg, chain in zip(mechanism.legs, drawn.chains, strict=True):
-        for joint, place in zip(leg.joints, chain, strict=True):
-            if joint.kind != "fixed":
-                colour = ACTIVE if joint.name == leg.sensors[0].joint else PASSIVE
-                assert list(drawn.parts.values())[place][0].colour == colour
+    for number, leg in enumerate(mechanism.legs, 1):
+        place = [joint.name for joint in leg.joints].index(leg.sensors[0].joint)
+        joint = leg.joints[place]
+        motor = f"link {place + 1}"
+        if joint.kind == "prismatic":
+            winch = "cable" in name
+            motor = "base" if winch else f"cylinder {place + 1}" if joint.home else motor
+        coloured = {
+            path
+            for path, shapes in drawn.parts.items()
+            if path.startswith(f"leg {number}/") and any(s.colour == ACTIVE for s in shapes)
+        }
+        assert coloured == {f"leg {number}/{motor}"}
 
 
 def numbers(svg: bytes) -> tuple[list[bytes], np.ndarray]:

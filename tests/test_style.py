@@ -13,8 +13,7 @@ from pincal.files.mechanism_folders import bundled
 from pincal.show import style
 
 ROLES = {
-    "active joint": style.ACTIVE,
-    "passive joint": style.PASSIVE,
+    "driven": style.ACTIVE,
     "nominal, before": style.NOMINAL,
     "identified, after": style.IDENTIFIED,
     "outlier": style.OUTLIER,
@@ -68,9 +67,7 @@ def test_every_bundled_leg_has_a_colour_of_its_own() -> None:
     """There are as many colours as the bundled mechanism of most legs has legs, or more."""
     most = max(len(pincal.load_mechanism(name).legs) for name in bundled())
     assert most == 8
-    looks = [style.look(i) for i in range(most)]
-    assert len({one.colour for one in looks}) == most
-    assert len({style.look(i)[:2] for i in range(40)}) == 40  # of more, colour and marker
+    assert len({style.leg_colour(i) for i in range(most)}) == most
 
 
 def test_all_colours_have_a_dark_one() -> None:

@@ -308,7 +308,7 @@ def test_html_holds_plan_and_result(work: Path, tmp_path: Path) -> None:
     for name, texts in (
         ("plan.html", ('"leg_3"',)),
         ("view.html", ("errors × 50",)),
-        ("alone.html", ("errors × 10",)),
+        ("alone.html", ("identified, errors × ",)),
     ):
         page = (tmp_path / name).read_text("utf-8")
         assert all(text in page for text in texts)

@@ -320,7 +320,10 @@ def test_a_file_shows_its_poses_alone(opened: Any) -> None:
 
 
 def test_the_platform_follows_the_pointer(opened: Any) -> None:
-    """Dragging the platform moves it in x and y as the pointer goes, and does not turn the view."""
+    """Dragging the platform moves it as the pointer goes, does not turn the view, and is said.
+
+    *reset* leads back to the pose.
+    """
     mechanism = pincal.load_mechanism("3RRR")
     view = pincal.view(mechanism)
     window = opened(view, served=True)
@@ -341,6 +344,44 @@ def test_the_platform_follows_the_pointer(opened: Any) -> None:
     assert y == pytest.approx(x / 2, rel=0.05)
     assert window.values("pose")[:2] == pytest.approx([1e3 * x, 1e3 * y], abs=6e-3)
     assert np.allclose(page.evaluate(_ON_SCREEN, [[0, 0, 0]]), before, atol=1e-6)
+    assert page.locator("#count").inner_text() == "moved by hand"
+    page.get_by_role("button", name="reset").click()
+    assert not page.get_by_role("button", name="reset").is_visible()
+    assert page.locator("#count").inner_text() == f"1 of {len(view.scene.plan.poses)}"
+    assert np.allclose(window.matrices(view), view.scene.body.placements[0], atol=1e-9)
+    assert window.clean(), window.said
+
+
+def test_a_dot_says_which_pose_it_is_and_leads_there(opened: Any) -> None:
+    """The pointer over a dot shows row, set and miss; a click goes there, a drag does not."""
+    mechanism, poses = plan("6UPS", 12)
+    many = pincal.Plan(poses.poses[:-1], (poses.sets or ())[:-1])
+    true = pincal.disturb(mechanism, 1e-3, seed=1)
+    noise = pincal.Noise(1e-4, 1e-4)
+    data = pincal.simulate(mechanism, true, many, noise, 3).measurements
+    result = pincal.calibrate(mechanism, data, noise=noise)
+    view = pincal.view(mechanism, many, identified=true).with_result(result)
+    window = opened(view)
+    page, pane = window.page, window.page.locator("main").bounding_box()
+    on_screen = np.array(page.evaluate(_ON_SCREEN, many.poses[:, :3].tolist()))
+    pixels = (on_screen * [1, -1] + 1) / 2 * [pane["width"], pane["height"]]
+    x, y = pane["x"] + pixels[:, 0], pane["y"] + pixels[:, 1]
+    apart = np.linalg.norm(pixels[:, None] - pixels, axis=2) + 1e3 * np.eye(len(pixels))
+    row = 1 + int(np.argmax(apart.min(axis=1)[1:]))
+    miss = data.poses[row] - pincal.forward(result.identified, data.readings, data.poses).poses[row]
+    page.mouse.move(x[row], y[row])
+    told = page.locator(".tip").inner_text()
+    assert told.startswith(f"row {row + 1}, set {many.sets[row]}, missed by ")
+    assert float(told.split()[-2]) == pytest.approx(1e3 * np.linalg.norm(miss[:3]), rel=0.05)
+    page.mouse.click(x[row], y[row])
+    assert window.pose() == row
+    page.keyboard.press("Home")
+    page.mouse.down()
+    page.mouse.move(x[row] + 6, y[row])
+    page.mouse.up()
+    assert window.pose() == 0
+    page.mouse.move(pane["x"] + 3, pane["y"] + 3)
+    assert not page.locator(".tip").is_visible()
     assert window.clean(), window.said
 
 

@@ -26,7 +26,7 @@ from pincal.model.option import option
 from pincal.show.charts import Plots
 from pincal.show.pictures.files import drawing, picture_path, save_figure
 from pincal.show.style import PAGE_WIDTH
-from pincal.show.view.scene import MAGNIFY, Scene
+from pincal.show.view.scene import Scene
 from pincal.types import Mask
 
 Shown = Annotated[
@@ -38,7 +38,7 @@ Shown = Annotated[
 ]
 Magnify = Annotated[
     float | None,
-    typer.Option(help=f"Factor on a RESULT's differences from nominal [default: {MAGNIFY:g}]."),
+    typer.Option(help="Factor on errors of a RESULT [default: all poses assemble]."),
 ]
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
+from matplotlib.transforms import Affine2D
 
 from pincal.calibration.result import CalibrationResult
 from pincal.calibration.result_parts import LegResult
@@ -23,7 +24,7 @@ from pincal.model.measurements import Plan
 from pincal.model.setup import Image, image_of
 from pincal.show.misses import apart, level_poses, noisy_residuals
 from pincal.show.pictures.picture import shortened
-from pincal.show.style import EVERY, IDENTIFIED, INK, NOMINAL, OUTLIER, look
+from pincal.show.style import EVERY, GROUND, IDENTIFIED, INK, NOMINAL, OUTLIER, leg_colour
 from pincal.show.view.scene import rounded_down
 from pincal.types import Array
 from pincal.words.numbers import SMALL, STORED, amount, per_si
@@ -48,26 +49,21 @@ class Plots:
     def residuals(self, ax: Axes | None = None) -> Axes:
         """Draw residuals after the calibration against the row of the measurements.
 
-        Each over its own standard deviation after the fit, σ√(1−h). 95 % are expected between the
-        dashed lines. Crosses at the upper edge: rows that do not fit the others.
+        Each over its own standard deviation after the fit, σ√(1−h). 95 % are expected in the bands,
+        which reach to ±1.96. Crosses at the upper edge: rows that do not fit the others.
         """
-        ax = ax or _axes(6.4, 3.6)
-        for index, group in enumerate(noisy_residuals(self.result)):
-            colour, marker = look(index)
-            noisy, of_leg = group.sigma > 0.0, isinstance(group, LegResult)
-            ax.plot(
-                group.rows[noisy] + 1,
-                group.standardised[noisy],
-                marker,
-                ms=3,
-                color=colour if of_leg else EVERY,
-                mfc=None if of_leg or index % 2 == 0 else "none",
-                label=_label(shortened(group.name)),
-            )
-        ax.axhline(0.0, color="0.5", lw=0.8, zorder=0)
-        for level, name in ((-_NORMAL, "_95 %"), (_NORMAL, "95 %")):
-            ax.axhline(level, color="0.5", lw=0.8, ls="--", zorder=0, label=name)
-        ax.set(xlabel="data row", ylabel="residual / (σ√(1−h))")
+        ax, groups = ax or _axes(6.4, 4.2), noisy_residuals(self.result)
+        sizes = [np.nanmax(np.abs(group.standardised), initial=0.0) for group in groups]
+        lane = max(6.0, 2.2 * float(max(sizes, default=0.0)))  # from one kind to the next
+        for index, group in enumerate(groups):
+            colour = leg_colour(index) if isinstance(group, LegResult) else EVERY
+            middle = -lane * index
+            within = Affine2D().translate(0.0, middle) + ax.transData
+            ax.plot(group.rows + 1, group.standardised, "o", ms=2.5, color=colour, transform=within)
+            ax.axhspan(middle - _NORMAL, middle + _NORMAL, color=GROUND, lw=0, alpha=0.5, zorder=0)
+        ax.set_yticks(-lane * np.arange(len(groups)), [shortened(group.name) for group in groups])
+        ax.set(xlabel="data row", ylabel="residual / (σ√(1−h)), bands ±1.96")
+        ax.set_ylim(lane * (0.5 - len(groups)), lane / 2)
         edge = ax.get_xaxis_transform()
         for rank, outlier in enumerate(self.result.outliers):
             place = outlier.row + 1, 1.0
@@ -77,8 +73,6 @@ class Plots:
                     str(outlier.row + 1), place, (6, 2), edge, textcoords="offset points", size=7
                 )
         _name_undrawn(ax, self.result)
-        beside: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0)}
-        ax.legend(**beside, frameon=False, fontsize=7, labelspacing=0.15)
         return ax
 
     def images(self, ax: Axes | None = None) -> Axes:
@@ -162,7 +156,7 @@ class Plots:
         ax.barh(places, changes, color=colours, height=0.7)
         ends = np.minimum(halves, changes), halves
         ax.errorbar(changes, places, xerr=ends, fmt="none", ecolor=EVERY, elinewidth=0.8, capsize=2)
-        ax.set_yticks(places, [_label(name) for *_, name in bars], fontsize=7)
+        ax.set_yticks(places, [shortened(name) for *_, name in bars], fontsize=7)
         ax.set_xlabel(f"moves the platform by [{SMALL['m']}]")
         changed = Patch(color=IDENTIFIED, label="changed by more than its ±")
         ax.legend(handles=[changed, Patch(color=NOMINAL, label="by less")], loc="lower right")
@@ -270,8 +264,3 @@ def _name_undrawn(axes: Axes, result: CalibrationResult) -> None:
     )
     if unchecked:
         axes.set_title(f"{unchecked} not drawn: the fit follows them", fontsize=8)
-
-
-def _label(name: str) -> str:
-    """Return a name as a label that matplotlib does not leave out of legends."""
-    return f" {name}" if name.startswith("_") else name

@@ -37,7 +37,7 @@ from pincal.words.table import Table
 from pincal.words.wording import clean, rendered
 
 _MOST_OUTLIERS = 50  # that are listed
-_HEIGHTS = {"residuals": 3.4, "images": 3.4, "parameters": 4.6}  # of charts, [inch]
+_HEIGHTS = {"residuals": 4.2, "images": 3.4, "parameters": 4.6}  # of charts, [inch]
 _FILES = "Files read, and their SHA-256"
 
 

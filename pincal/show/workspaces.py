@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import cycle
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
@@ -9,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Patch
 from matplotlib.patheffects import withStroke
 
-from pincal.show.style import CARRIED, DOMAIN, EVERY, RASTER_FROM, look
+from pincal.show.style import CARRIED, DOMAIN, EVERY, MARKERS, RASTER_FROM
 from pincal.types import Array
 from pincal.workspace.grid import lowest
 from pincal.workspace.inscribed import Inscribed
@@ -33,8 +35,8 @@ def workspace_figure(workspace: Workspace, inscribed: Inscribed | None = None) -
     bases = _bases(workspace)
     for axes, level in zip(panels, levels, strict=False):
         _draw_workspace(axes, workspace, level, inscribed)
-        for index, (leg, (x, y)) in enumerate(bases.items()):
-            axes.plot(x, y, look(index).marker, color="0.25", ms=6)
+        for (leg, (x, y)), marker in zip(bases.items(), cycle(MARKERS), strict=False):
+            axes.plot(x, y, marker, color="0.25", ms=6)
             if level is None:
                 axes.annotate(leg, (x, y), xytext=(5, 5), textcoords="offset points", size=7)
         axes.autoscale_view()

@@ -1,7 +1,7 @@
 "use strict";
 // Moves the mechanism off its poses, by sliders and by dragging. Kinematics are Python's: the page
 // asks the server that it came from, and draws and writes what that answers.
-function Jog({ data, viewer, element, doubles, halt, draw }) {
+function Jog({ data, viewer, element, doubles, halt, draw, reset }) {
   const { THREE } = MeshCat;
   const fields = document.getElementById("jog");
   let pose = 0; // from which sliders count
@@ -51,9 +51,12 @@ function Jog({ data, viewer, element, doubles, halt, draw }) {
   });
   const outside = element("p", "Out of reach.", fields);
   outside.setAttribute("role", "status");
+  const back = element("button", "reset", fields);
+  back.addEventListener("click", reset);
   fields.classList.toggle("long", data.sliders.some(({ name }) => name.length > 4));
 
   function write() {
+    back.hidden = offset.every((own) => own === 0);
     sliders.forEach(({ input, value }, i) => {
       const { scale, unit } = data.sliders[i];
       if (document.activeElement !== input || !asking) input.value = offset[i];

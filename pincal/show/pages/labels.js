@@ -68,7 +68,7 @@ function Labels({ data, viewer, pane, node, element, coloured, turned }) {
 
   function beside() { // room for the names of legs, in pixels
     const widest = Math.max(0, ...tags.map(({ tag }) => (tag.hidden ? 0 : tag.offsetWidth)));
-    return Math.min(widest + 12, pane.clientWidth / 5);
+    return pane.clientWidth < 500 ? 0 : Math.min(widest + 12, pane.clientWidth / 5); // over what is drawn
   }
 
   const place = () => [placeScale, placeTags, placeLetters].forEach((one) => one()); // names keep off the scale

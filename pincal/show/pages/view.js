@@ -13,8 +13,9 @@
   const node = (path) => viewer.scene_tree.find(path.split("/"));
   const turned = ([x, y, z]) => new THREE.Vector3(x, z, -y); // the world's y points up
   const poses = data.set.length;
-  const [low, high] = data.bounds;
-  const size = Math.hypot(...high.map((value, i) => value - low[i])) || 1;
+  const misses = data.misses && data.misses.length === poses ? data.misses : null; // if the poses are the result's
+  const size = 2 * Math.hypot(...data.half) || 1;
+  const PLATFORM = "meshcat/mechanism/platform/body";
   let pose = -1;
   let drawn = null; // of what is shown: matrices and problems of each body, values of the rows
 
@@ -39,7 +40,7 @@
     sphere: ({ size: [radius] }) => new THREE.SphereGeometry(radius, 20, 20),
     mesh: ({ points, faces }) => new THREE.BufferGeometry().setAttribute("position", corners(points)).setIndex(faces).toNonIndexed(), // sharp edges
   };
-  const look = (colour, opacity) => ({ color: colour, opacity, transparent: opacity < 1, side: THREE.DoubleSide });
+  const look = (colour, opacity) => ({ color: colour, opacity, transparent: opacity < 1, depthWrite: opacity === 1, side: THREE.DoubleSide });
 
   for (const body of data.bodies) {
     body.matrices = doubles(body.matrices);
@@ -48,7 +49,8 @@
     body.shapes.forEach((shapes, part) => shapes.forEach((shape) => {
       const geometry = geometries[shape.kind](shape);
       if (shape.kind === "mesh") geometry.computeVertexNormals();
-      const solid = new THREE.Mesh(geometry, new THREE.MeshLambertMaterial(look(shape.colour, body.opacity)));
+      const plate = shape.kind === "mesh" && body.paths[part] === PLATFORM; // poses inside it are seen
+      const solid = new THREE.Mesh(geometry, new THREE.MeshLambertMaterial(look(shape.colour, plate ? 0.5 : body.opacity)));
       solid.applyMatrix4(new THREE.Matrix4().fromArray(shape.T));
       body.objects[part].add(solid);
     }));
@@ -79,7 +81,7 @@
 
   // The line from the platform of a mechanism in space down to the ground
 
-  const platform = data.bodies[0].paths.indexOf("meshcat/mechanism/platform/body");
+  const platform = data.bodies[0].paths.indexOf(PLATFORM);
   const drop = new THREE.Line(new THREE.BufferGeometry(), new THREE.LineBasicMaterial({ color: 0x777777 }));
   if (!data.planar) node("meshcat/drop").object.add(drop);
 
@@ -139,9 +141,23 @@
     find("slider").value = pose + 1;
     find("count").textContent = `${pose + 1} of ${poses}`;
     const set = data.sets[data.set[pose]];
-    find("set").hidden = !set.name;
+    find("set").hidden = !set.name && !misses;
     coloured(find("set").querySelector("i"), set.colour);
-    find("set").querySelector("span").textContent = set.name === "all" ? "for every leg" : `set ${set.name}`;
+    find("set").querySelector("span").textContent = about(pose);
+  }
+
+  function about(index) { // which pose it is, as a sentence
+    const { name } = data.sets[data.set[index]];
+    const words = [`${misses ? "row" : "pose"} ${index + 1}`];
+    if (name) words.push(name === "all" ? "for every leg" : `set ${name}`);
+    if (misses) words.push(misses[index] === null ? "not predicted" : `missed by ${misses[index].toPrecision(2)} mm`);
+    return words.join(", ");
+  }
+
+  function moved(state) { // by hand, off the pose
+    draw(state);
+    find("count").textContent = "moved by hand";
+    find("set").hidden = true;
   }
 
   let timer = 0;
@@ -152,7 +168,10 @@
     find("play").textContent = on ? "pause" : "play";
   }
 
-  const jog = window.Jog ? Jog({ data, viewer, element, doubles, halt: () => play(false), draw }) : null;
+  const [{ matrices, paths }] = data.bodies;
+  const places = data.set.map((_, index) => turned(matrices.subarray(12 * (index * paths.length + platform) + 9)));
+  Dots({ data, viewer, pane, node, element, places, about, show: (index) => [play(false), show(index)] });
+  const jog = window.Jog ? Jog({ data, viewer, element, doubles, halt: () => play(false), draw: moved, reset: () => show(pose) }) : null;
 
   function checkbox(parent, name, shown, change, colour) {
     const label = element("label", "", parent);
@@ -179,8 +198,13 @@
     checkbox(find("sets"), `${name}${count} ${count === 1 ? "pose" : "poses"}`, true, change, set.colour);
   });
   const boxes = {};
-  data.panel.forEach(({ path, name, shown, colour }) => {
-    boxes[path] = checkbox(find("layers"), name, shown, (on) => setVisible(path, on), colour);
+  data.panel.forEach(({ path, name, colour, scale }) => {
+    const others = () => data.panel // shown magnified otherwise
+      .filter((other) => scale !== 1 && ![1, scale].includes(other.scale) && boxes[other.path]?.checked);
+    boxes[path] = checkbox(find("layers"), name, path !== "meshcat/ghosts" && !others().length, (on) => {
+      setVisible(path, on);
+      if (on) others().forEach((other) => boxes[other.path].click());
+    }, colour);
   });
 
   // Between the nominal machine and the identified one
@@ -203,7 +227,7 @@
 
   // The camera, in parallel projection: from above where all is in a plane, else from the side
 
-  const centre = turned(low.map((value, i) => (value + high[i]) / 2));
+  const centre = turned(data.centre);
   const camera = new THREE.OrthographicCamera(-1, 1, 1, -1, 0.01 * size, 20 * size);
   viewer.set_camera(camera);
   viewer.set_object(["Cameras", "default", "rotated"], camera);

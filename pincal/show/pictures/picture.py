@@ -27,8 +27,8 @@ from pincal.model.measurements import EVERY_LEG, Plan
 from pincal.show.pictures.dimensions import Dimension, dimensions_of, symbol
 from pincal.show.pictures.files import drawing, figure_bytes, save_figure
 from pincal.show.pictures.painter import Names, draw_dimensions, paint
-from pincal.show.style import ACTIVE, IDENTIFIED, MARKERS, PASSIVE, RASTER_FROM
-from pincal.show.view.scene import MAGNIFY, Scene, scene
+from pincal.show.style import ACTIVE, IDENTIFIED, MARKERS, RASTER_FROM
+from pincal.show.view.scene import Scene, scene
 from pincal.types import Array
 from pincal.words.numbers import amount
 from pincal.words.wording import clean
@@ -56,9 +56,7 @@ class Picture:
         if scene.magnified:
             paint(axes, scene.magnified.shapes, V, IDENTIFIED)
             legend.append(_dot(IDENTIFIED, f"identified, errors × {scene.magnify:g}"))
-        legend.append(_dot(ACTIVE, "active joint"))
-        if any(leg.passive for leg in scene.mechanism.legs):
-            legend.append(_dot(PASSIVE, "passive joint"))
+        legend.append(_dot(ACTIVE, "driven"))
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
         axes.set_axis_off()
         links = scene.body.skeletons()[0] @ V[:2].T
@@ -126,7 +124,7 @@ def picture(
     poses: Plan | ArrayLike | RigidTransform | None = None,
     *,
     identified: GivenMechanism | None = None,
-    magnify: float = MAGNIFY,
+    magnify: float | None = None,
     dimensions: str = "",
 ) -> Picture:
     """Return a picture of a mechanism: ``save(path)``, ``figure()``, ``draw(axes)``.
@@ -139,7 +137,8 @@ def picture(
         poses: As for ``view``; home if not given. The mechanism is drawn at the first of them, all
             others are faint lines, by set.
         identified: The calibrated mechanism, drawn over the nominal one.
-        magnify: Factor on what differs between its parameters and the nominal ones.
+        magnify: Factor on what differs between its parameters and the nominal ones; one at which
+            errors are seen and every pose assembles if not given.
         dimensions: Name of a leg whose parameters are drawn as lengths and angles.
 
     Raises:

@@ -8,7 +8,7 @@ has moved, and plates. Where a leg does not reach, its links are NaN.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,10 +22,12 @@ from pincal.kinematics.configurations import as_plan, joints_at
 from pincal.model.leg import Leg
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
-from pincal.show.style import DIMENSION
+from pincal.show.style import ACTIVE, DIMENSION
 from pincal.types import Array
 
 GREY, PALE = "#595959", "#9aa0a6"
+_COLOURS = {"orange": ACTIVE, "blue": PALE, "grey": GREY}  # of materials in URDFs
+_CABLES = ("line", "cable")
 _FLAT = 1e-6  # of what is a plane's size
 
 
@@ -88,7 +90,7 @@ def _principal(points: Array) -> tuple[Array, Array]:
 
 
 def _urdf_shapes(text: str) -> list[tuple[Shape, ...]]:
-    """Return the visuals of a URDF that pincal wrote, link by link in the URDF's order."""
+    """Return the visuals of a URDF that pincal wrote, link by link; what drives stands out."""
     robot: Any = etree.fromstring(text.encode())
     links = []
     for link in robot.iter("link"):
@@ -100,8 +102,7 @@ def _urdf_shapes(text: str) -> list[tuple[Shape, ...]]:
             if origin is not None:
                 xyz, rpy = ([float(v) for v in origin.get(key).split()] for key in ("xyz", "rpy"))
                 T[:3, :3], T[:3, 3] = Rotation.from_euler("xyz", rpy).as_matrix(), xyz
-            rgb = visual.find("material/color").get("rgba").split()[:3]
-            colour = "#" + "".join(f"{round(255 * float(part)):02x}" for part in rgb)
+            colour = _COLOURS[visual.find("material").get("name")]
             shapes.append(Shape(geometry.tag, tuple(size), T, colour))
         links.append(tuple(shapes))
     return links
@@ -178,7 +179,7 @@ def body(mechanism: Mechanism, planned: Plan | Array) -> Body:
 
     for number, leg in enumerate(mechanism.legs, 1):
         joints = solution.joints[leg.name]
-        foot, *shapes = _urdf_shapes(leg_urdf(leg))
+        foot, *shapes = _leg_shapes(leg)
         radius = foot[0].size[2]
         add(f"leg {number}/base", foot, np.eye(4))
         links = leg.link_placements(joints)
@@ -205,6 +206,18 @@ def body(mechanism: Mechanism, planned: Plan | Array) -> Body:
     return Body(parts, T_base_part, tuple(chains), np.array(solution.readings), problems)
 
 
+def _leg_shapes(leg: Leg) -> list[tuple[Shape, ...]]:
+    """Return the shapes of a leg's links, base first; a slider is driven by cylinder or winch."""
+    links = _urdf_shapes(leg_urdf(leg))
+    for place, joint in enumerate(leg.joints, 1):
+        if joint.kind == "prismatic" and (joint.home or joint.name in _CABLES):
+            block, *others = links[place]
+            links[place] = (replace(block, colour=PALE), *others)
+            if joint.name in _CABLES:
+                links[0] = (replace(links[0][0], colour=block.colour),)
+    return links
+
+
 def _pistons(
     leg: Leg, joints: Array, links: Array, radius: float
 ) -> Iterator[tuple[str, Shape, Array]]:
@@ -213,12 +226,12 @@ def _pistons(
     Together they reach back from the slider to where it is at zero; a cylinder is half as long as
     both at home, a cable has none. Joints have shape (N, n_joints), links (N, n, 4, 4).
     """
-    moving = [joint.name for joint in leg.moving]
+    moving, read = [joint.name for joint in leg.moving], {sensor.joint for sensor in leg.sensors}
     for place, joint in enumerate(leg.joints):
         if joint.kind != "prismatic":
             continue
         axis, strokes = np.array(joint.axis), joints[:, moving.index(joint.name)]
-        cable = joint.name in ("line", "cable")
+        cable = joint.name in _CABLES
         inside = 0.0 if cable else 0.5 * joint.home
         drawn = strokes - inside * ((strokes - inside) * inside > 0.0)
         drawn = np.where(np.abs(drawn) > 1e-9, drawn, np.nan)
@@ -231,5 +244,6 @@ def _pistons(
         if inside:
             T_slider_zero = np.tile(np.eye(4), (len(strokes), 1, 1))
             T_slider_zero[:, :3, 3] = -strokes[:, None] * axis
-            outer = rod(np.zeros(3), inside * axis, 0.8 * radius, GREY)
+            colour = ACTIVE if joint.name in read else GREY
+            outer = rod(np.zeros(3), inside * axis, 0.8 * radius, colour)
             yield f"cylinder {place + 1}", outer, links[:, place] @ T_slider_zero

@@ -11,7 +11,6 @@ import base64
 import json
 from collections.abc import Sequence
 from importlib.metadata import distribution
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -41,8 +40,11 @@ def page(scene: Scene, notices: Sequence[str] = (), *, served: bool = False) -> 
     (``answer``).
     """
     names = list(dict.fromkeys(scene.sets))
-    bounds, ground = _bounds(scene), scene.ground()
-    corners = np.array(list(product(*bounds.T)))
+    points = [scene.points(), *(layer.points.reshape(-1, 3) for layer in scene.layers)]
+    every, ground = np.concatenate(points), scene.ground()
+    away = np.linalg.norm(every - np.clip(every, *scene.bounds()), axis=1)
+    near = every[away <= scene.size] @ scene.axes.T  # what stands further off is not looked at
+    low, high = near.min(axis=0), near.max(axis=0)
     still = [_still(layer) for layer in (ground, *scene.layers)]
     for number, (name, colour, positions, lines) in enumerate(scene.by_set(), 1):
         still.append(_still(Layer(f"sets/{number}", name, positions, colour, 6)))
@@ -53,8 +55,8 @@ def page(scene: Scene, notices: Sequence[str] = (), *, served: bool = False) -> 
         "description": scene.mechanism.description,
         "planar": scene.planar,
         "towards": scene.axes[2].tolist(),
-        "bounds": bounds.tolist(),
-        "half": (np.ptp(corners @ scene.axes[:2].T, axis=0) / 2).tolist(),
+        "centre": ((low + high) / 2 @ scene.axes).tolist(),
+        "half": ((high - low) / 2).tolist(),
         "grid": ground.name,
         "still": still,
         "bodies": [
@@ -70,6 +72,7 @@ def page(scene: Scene, notices: Sequence[str] = (), *, served: bool = False) -> 
         ],
         "sets": [{"name": name, "colour": scene.colour(name)} for name in names],
         "set": [names.index(name) for name in scene.sets],
+        "misses": _or_null(1e3 * scene.misses) if scene.misses is not None else None,
         "rows": _rows(scene),
         "legs": [
             {
@@ -117,17 +120,6 @@ def answer(scene: Scene, row: int, shift: Array) -> str:
 def _bodies(scene: Scene) -> dict[str, Body]:
     identified = {"identified": scene.magnified} if scene.magnified else {}
     return {"mechanism": scene.body, **identified}
-
-
-def _bounds(scene: Scene) -> Array:
-    """Return least and largest coordinates of what is looked at first, shape (2, 3), [m].
-
-    The scene, and what of its layers stands no further from it than it is large.
-    """
-    bounds = scene.bounds()
-    points = np.concatenate([bounds, *(layer.points.reshape(-1, 3) for layer in scene.layers)])
-    near = points[np.linalg.norm(points - np.clip(points, *bounds), axis=1) <= scene.size]
-    return np.stack((near.min(axis=0), near.max(axis=0)))
 
 
 def _packed(values: Array) -> str:
@@ -211,7 +203,7 @@ def _rows(scene: Scene) -> list[dict[str, Any]]:
             "name": name,
             "unit": shown[unit],
             "digits": 3 if shown is SMALL else 2,
-            "values": [float(v) if np.isfinite(v) else None for v in values],
+            "values": _or_null(values),
         }
         for head, names, units, shown, every in groups
         for name, unit, values in zip(
@@ -220,16 +212,20 @@ def _rows(scene: Scene) -> list[dict[str, Any]]:
     ]
 
 
+def _or_null(values: Array) -> list[float | None]:
+    return [float(value) if np.isfinite(value) else None for value in values]
+
+
 def _panel(scene: Scene) -> list[dict[str, Any]]:
-    """Return what can be shown or hidden: path, name, whether it is shown first, its colour."""
-    lines: list[tuple[str, str, bool, str]] = [("mechanism", "mechanism", True, "")]
+    """Return what can be shown or hidden; of other scales than 1, what has one at a time."""
+    lines: list[tuple[str, str, str, float]] = [("mechanism", "mechanism", "", 1.0)]
     if scene.identified:
-        name = f"identified, errors × {scene.magnify:g}"
-        lines.append(("identified", name, True, IDENTIFIED))
-    lines += [("sets", "poses, as dots", True, ""), ("ghosts", "poses, as ghosts", False, "")]
-    lines += [(layer.path, layer.name, True, layer.colour) for layer in scene.layers]
-    lines += [("mechanism/base/axes", "base frame", True, ""), ("grid", "grid", True, "")]
+        name = f"identified, errors × {scene.magnify:,g}"
+        lines.append(("identified", name, IDENTIFIED, scene.magnify))
+    lines += [("sets", "poses, as dots", "", 1.0), ("ghosts", "poses, as ghosts", "", 1.0)]
+    lines += [(layer.path, layer.name, layer.colour, layer.scale) for layer in scene.layers]
+    lines += [("mechanism/base/axes", "base frame", "", 1.0), ("grid", "grid", "", 1.0)]
     return [
-        {"path": f"meshcat/{path}", "name": name, "shown": shown, "colour": colour}
-        for path, name, shown, colour in lines
+        {"path": f"meshcat/{path}", "name": name, "colour": colour, "scale": scale}
+        for path, name, colour, scale in lines
     ]

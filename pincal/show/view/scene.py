@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,12 +21,13 @@ from pincal.kinematics.forward import forward
 from pincal.model.measurements import EVERY_LEG, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.setup import ORIGIN
-from pincal.show.style import DIMENSION, EVERY, GROUND, IDENTIFIED, OUTLIER, TOWARDS_VIEWER, look
+from pincal.show.style import DIMENSION, EVERY, GROUND, IDENTIFIED, OUTLIER, leg_colour
 from pincal.show.view.bodies import Body, body
 from pincal.types import Array, Mask
 
 MOST_POSES = 2000
-MAGNIFY = 10.0
+_TOWARDS_VIEWER = np.array([0.45, -0.85, 0.42])  # of a mechanism in space: slightly from above
+_SEEN = 0.03  # of the scene's size: errors of a machine that are seen
 _LONG, _LONGEST = 0.08, 0.5  # of the scene's size: a long arrow; where it is cut
 _HEAD = 0.2  # of an arrow's length
 
@@ -42,6 +44,8 @@ class Layer:
     colour: str
     pixels: int = 2
     """Of a dot."""
+    scale: float = 1.0
+    """Factor on the lengths of segments."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,12 +57,14 @@ class Scene:
     body: Body
     identified: Mechanism | None = None
     """The calibrated mechanism."""
-    magnify: float = MAGNIFY
+    magnify: float = 1.0
     """Factor on what differs between its parameters and the nominal ones."""
     magnified: Body | None = None
     """The machine of these parameters where the nominal model's readings drive it."""
     layers: tuple[Layer, ...] = ()
     """Beside the ground and the poses: what a calibration found."""
+    misses: Array | None = None
+    """How far rows of a result were measured from where they are predicted, [m], or NaN."""
 
     @property
     def sets(self) -> tuple[str, ...]:
@@ -77,7 +83,7 @@ class Scene:
         """What points right, up and towards the viewer, shape (3, 3), rows in the base frame."""
         if self.planar:
             return np.eye(3)
-        towards = np.array(TOWARDS_VIEWER) / np.linalg.norm(TOWARDS_VIEWER)
+        towards = _TOWARDS_VIEWER / np.linalg.norm(_TOWARDS_VIEWER)
         right = np.cross([0.0, 0.0, 1.0], towards)
         right /= np.linalg.norm(right)
         return np.stack((right, np.cross(towards, right), towards))
@@ -94,7 +100,7 @@ class Scene:
     def colour(self, name: str) -> str:
         """Return the colour of a set, that of its leg; dark for the poses of every leg."""
         names = self.mechanism.leg_names
-        return look(names.index(name)).colour if name in names else EVERY
+        return leg_colour(names.index(name)) if name in names else EVERY
 
     def points(self) -> Array:
         """Return where parts, feet and positions are, shape (n, 3), [m]; NaN if not drawn."""
@@ -115,8 +121,9 @@ class Scene:
 
     @property
     def level(self) -> float:
-        """Height of the ground, [m]: in a plane that, in space as low as the lowest part."""
-        return 0.0 if self.planar else float(self.bounds()[0, 2])
+        """Height of the ground, [m]: the base's, unless most of a mechanism hangs below."""
+        low, high = self.bounds()[:, 2]
+        return float(low) if not self.planar and low + high < 0.0 else 0.0
 
     def ground(self) -> Layer:
         """Return lines on the ground under all that is drawn, at steps of 1, 2 or 5 decades."""
@@ -143,11 +150,10 @@ def scene(
     mechanism: Mechanism,
     poses: Plan | ArrayLike | RigidTransform,
     identified: GivenMechanism | None = None,
-    magnify: float = MAGNIFY,
+    magnify: float | None = None,
 ) -> Scene:
     """Return the scene of a mechanism at poses; all as of ``view``."""
-    coordinates_of = mechanism.platform.coordinates_of
-    plan = poses if isinstance(poses, Plan) else Plan(coordinates_of(poses))
+    plan = poses if isinstance(poses, Plan) else Plan(mechanism.platform.coordinates_of(poses))
     if not 0 < len(plan.poses) <= MOST_POSES:
         raise MeasurementError(
             f"{len(plan.poses)} poses to step through; expected 1 to {MOST_POSES}. Many positions "
@@ -163,8 +169,15 @@ def scene(
     if identified is None:
         return Scene(mechanism, plan, drawn)
     machine = as_mechanism(identified)
-    magnified = _driven(mechanism, plan, drawn.readings, machine, magnify)
-    return Scene(mechanism, plan, drawn, machine, magnify, magnified)
+    driven = partial(_driven, mechanism, plan, drawn.readings, machine)
+    if magnify is None:
+        plain, size = driven(1.0), Scene(mechanism, plan, drawn).size
+        off = np.linalg.norm((plain.placements - drawn.placements)[..., :3, 3], axis=2)
+        usual = max(float(np.nanquantile(off, 0.9)), 1e-12)
+        magnify = rounded_down(float(np.clip(_SEEN * size / usual, 1.0, 1000.0)))
+        while driven(magnify).problems.count("") < plain.problems.count(""):
+            magnify = rounded_down(magnify / 2)
+    return Scene(mechanism, plan, drawn, machine, magnify, driven(magnify))
 
 
 def _driven(
@@ -238,26 +251,26 @@ def calibrated(shown: Scene, result: CalibrationResult) -> Scene:
     Arrows of rows that fit, and of outliers, magnified alike. Of a calibration that did not
     converge, the places of instruments alone.
     """
-    layers = _arrow_layers(result, shown) if result.converged else []
+    measured, shifts, outlying = misses_of(result)
+    known = np.isfinite(np.hstack((measured, shifts))).all(axis=1) & result.converged
+    layers = _arrow_layers(measured[known], shifts[known], outlying[known], shown.size)
     for number, (name, T) in enumerate(stations(result), 1):
         ends = T[:3, 3] + shown.body.axis * T[:3, :3].T
         axes = np.stack((np.broadcast_to(T[:3, 3], (3, 3)), ends), axis=1)
         text = f"{name}, {np.linalg.norm(T[:3, 3]):.3g} m from the base frame"
         layers.append(Layer(f"stations/{number}", text, axes, DIMENSION))
-    return replace(shown, layers=(*shown.layers, *layers))
+    misses = np.where(known, np.linalg.norm(shifts, axis=1), np.nan)
+    return replace(shown, layers=(*shown.layers, *layers), misses=misses)
 
 
-def _arrow_layers(result: CalibrationResult, shown: Scene) -> list[Layer]:
+def _arrow_layers(begin: Array, shifts: Array, outlying: Mask, size: float) -> list[Layer]:
     """Return arrows, cut at a length, as three segments each, shafts first."""
-    measured, shifts, outlying = misses_of(result)
-    if not len(measured):
+    if not len(begin):
         return []
-    size, lengths = shown.size, np.linalg.norm(shifts, axis=1)
+    lengths = np.linalg.norm(shifts, axis=1)
     usual = lengths if outlying.all() else lengths[~outlying]
     magnify = rounded_down(_LONG * size / max(float(np.quantile(usual, 0.95)), 1e-12 * size))
     cut = magnify * lengths > _LONGEST * size
-    lifted = 0.1 * size * shown.planar * np.eye(3)[2]  # over a platform that is seen from above
-    begin = measured + lifted
     along = shifts * np.where(cut, _LONGEST * size / np.maximum(lengths, 1e-300), magnify)[:, None]
     upright = np.abs(along[:, [2]]) > 0.9 * np.linalg.norm(along, axis=1, keepdims=True)
     across = np.cross(along, np.where(upright, [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]))
@@ -272,15 +285,15 @@ def _arrow_layers(result: CalibrationResult, shown: Scene) -> list[Layer]:
             lines = np.concatenate([np.stack((tips[rows], end[rows]), axis=1) for end in ends])
             text = f"{name}, errors × {magnify:,.12g}"
             text += f", {cut[rows].sum()} longer than drawn" if cut[rows].any() else ""
-            layers.append(Layer(path, text, lines, colour))
+            layers.append(Layer(path, text, lines, colour, scale=magnify))
     return layers
 
 
 def misses_of(result: CalibrationResult) -> tuple[Array, Array, Mask]:
     """Return points as measured, predicted less measured, and which of them are outliers.
 
-    Base frame, shape (n, 3), [m], of rows of which both are known: by the residuals of x, y and z,
-    or of poses that were measured in full by what closes the legs.
+    Base frame, shape (n_rows, 3), [m]; NaN where unknown: by the residuals of x, y and z, or of
+    poses that were measured in full by what closes the legs.
     """
     calibration, platform, outside = result.calibration, result.nominal.platform, result.outside
     observed = {block.name: block for block in result.observed}
@@ -301,9 +314,7 @@ def misses_of(result: CalibrationResult) -> tuple[Array, Array, Mask]:
         whole = np.asarray(np.isfinite(shifts).all(axis=1))
         if whole.any():
             measured[whole, :lengths] = calibration.rows(whole).given_poses(outside)[:, :lengths]
-    rows = np.flatnonzero(np.isfinite(np.hstack((measured, shifts))).all(axis=1))
-    outlying = np.isin(rows, [outlier.row for outlier in result.outliers])
-    return measured[rows], shifts[rows], outlying
+    return measured, shifts, np.isin(np.arange(len(shifts)), [row.row for row in result.outliers])
 
 
 def stations(result: CalibrationResult) -> list[tuple[str, Array]]:

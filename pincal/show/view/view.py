@@ -29,7 +29,7 @@ from pincal.show.answers import warnings
 from pincal.show.report import Page
 from pincal.show.view.meshes import with_meshes
 from pincal.show.view.page import answer, page
-from pincal.show.view.scene import MAGNIFY, Scene, calibrated, scene
+from pincal.show.view.scene import Scene, calibrated, scene
 from pincal.workspace.sampling import sample_configurations
 
 PATIENCE = 10.0  # seconds in which a client must say what it asks for, and take the answer
@@ -87,7 +87,7 @@ def view(
     poses: Plan | ArrayLike | RigidTransform | None = None,
     *,
     identified: GivenMechanism | None = None,
-    magnify: float = MAGNIFY,
+    magnify: float | None = None,
 ) -> View:
     """Return a view of a mechanism at poses: ``url``, ``save(path)``, or shown by a notebook.
 
@@ -97,7 +97,8 @@ def view(
             transforms; home and some of the workspace if not given. At most 2000.
         identified: The calibrated mechanism, shown where it goes when the nominal one's
             readings drive it.
-        magnify: Factor on what differs between its parameters and the nominal ones.
+        magnify: Factor on what differs between its parameters and the nominal ones; one at which
+            errors are seen and every pose assembles if not given.
 
     Raises:
         MechanismError: poses of a wrong shape, or not finite; an identified mechanism that
