@@ -8,15 +8,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+from measured import workspace
 from scipy.stats import norm
 
 import pincal
 from pincal.calibration.calibrate import prepared, started
 from pincal.calibration.fits import Fits, fitted
 from pincal.calibration.terms.candidates import with_terms
+from pincal.calibration.terms.choice import LEVEL
 from pincal.calibration.terms.kinds import Kind, every_pair
 from pincal.calibration.terms.screen import Candidate, inseparable, screen, screened, trials
 from pincal.kinematics.batches import over_rows
+from pincal.types import Array
 
 NOISE = pincal.Noise(2e-5, 2e-5, 2e-5)
 TRUE = ("leg_1", Kind.of("temperature"))
@@ -48,7 +51,7 @@ def test_a_term_adds_its_white_rows_to_residuals() -> None:
         data = pincal.simulate(mechanism, truth, plan, NOISE, seed=3).measurements
         return fitted(started(prepared(mechanism, data, noise=NOISE)))
 
-    every = every_pair(mechanism, rows)
+    every = [pair for pair in every_pair(mechanism, rows) if pair[1].name != "period"]  # searched
     found = screen(fit_of(warm.with_parameters({ids[TRUE][0]: AMPLITUDE})), every)
     ((residuals, terms),) = trials(fit_of(plain), every)
     rows_of_term = next(one.rows for one in terms if (one.reading, one.kind) == TRUE)
@@ -125,3 +128,75 @@ def test_what_takes_off_as_much_is_named_with_the_first() -> None:
         one("leg_1", "harmonics:3", 0.0, rank=0),
     ]
     assert inseparable(first, [*far, *near], chi2) == near
+
+
+def waved(
+    name: str, seed: int, size: float, period: float, read: Array | None = None
+) -> pincal.Measurements:
+    """Return measurements of a machine whose second reading is off by a sine of itself.
+
+    Readings are these, shape (N, n_readings), but for the noise; those of 60 poses if not given.
+    """
+    mechanism, draw = pincal.load_mechanism(name), np.random.default_rng(seed)
+    if read is None:
+        poses = workspace(name, 100)[draw.permutation(100)[:60]]
+        read = pincal.inverse(mechanism, poses).readings
+    off = size * np.sin(2.0 * np.pi * (read[:, 1] / period + draw.uniform()))
+    off = np.stack([0.0 * off, off, 0.0 * off], axis=1)
+    poses = pincal.forward(mechanism, read + off).poses
+    truth = pincal.disturb(mechanism, 1e-3, seed=seed)
+    data = pincal.simulate(mechanism, truth, poses, NOISE, seed=seed).measurements
+    return replace(data, readings=data.readings - off)
+
+
+def test_a_screws_pitch_is_found_with_its_uncertainty() -> None:
+    """The term named has amplitude and period of the sine that was added, by standard errors.
+
+    The period's is that of a frequency (D. C. Rife, R. Boorstyn 1974), but for what parameters and
+    poses take up: not less, and not twice.
+    """
+    pitch, size = 5e-3, 1e-4
+    data = waved("linear_delta", 1, size, pitch)
+    explanation = pincal.explain("linear_delta", data, noise=NOISE, terms=["period"], folds=2)
+    first = explanation.candidates[0]
+    assert explanation.terms == (f"leg_2={first.kind}",)
+    assert explanation.model.held_out < 0.8 * explanation.models[1].held_out
+    assert abs(first.kind.numbers[0] - pitch) < 4.0 * first.spread
+    amplitude, std = float(np.hypot(*first.values)), float(first.std.max())
+    assert abs(amplitude - size) < 4.0 * std < 0.5 * size
+    travel = data.readings[:, 1].std()  # of a frequency: σ √2 / (A 2π √N std x)
+    bound = pitch**2 * NOISE.reading * np.sqrt(2.0 / len(data)) / (size * 2.0 * np.pi * travel)
+    assert bound < first.spread < 2.0 * bound
+    assert "leg_2 follows period:" in str(explanation)
+    assert "the pitch of a screw" in str(explanation)
+
+
+def test_periods_that_rows_cannot_separate_are_said() -> None:
+    """Where a reading is a multiple of 3 mm, 5 mm and 7.5 mm are one: 1/5 + 1/7.5 = 1/3."""
+    mechanism, draw = pincal.load_mechanism("linear_delta"), np.random.default_rng(0)
+    home = pincal.inverse(mechanism, np.array([mechanism.platform.home])).readings
+    readings = np.round(home / 3e-3 + draw.uniform(-30.0, 30.0, (60, 3))) * 3e-3
+    data = waved("linear_delta", 0, 1e-4, 5e-3, readings)
+    fits = fitted(started(prepared(mechanism, data, noise=NOISE)))
+    first = screen(fits, [("leg_2", Kind.of("period"))])[0]
+    periods = np.array([kind.numbers[0] for _, kind in (first.pair, *first.or_else)])
+    for alias in (5e-3, 7.5e-3):
+        assert np.abs(periods / alias - 1.0).min() < 1e-2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "period"), [("linear_delta", 5e-3), ("3RRR", 2.0 * np.pi / 50.0)])
+def test_periods_are_named_where_they_are_and_nowhere_else(name: str, period: float) -> None:
+    """Of a screw, and of a gear 1 : 50: five standard deviations of the noise are seen always."""
+    mechanism = pincal.load_mechanism(name)
+
+    def first(size: float, seed: int) -> Candidate:
+        data = waved(name, seed, size, period)
+        fits = fitted(started(prepared(mechanism, data, noise=NOISE)))
+        return screen(fits, every_pair(mechanism, data))[0]
+
+    for seed in range(4):
+        named = first(5.0 * NOISE.reading, seed)
+        assert (named.reading, named.kind.name) == ("leg_2", "period")
+        assert abs(named.kind.numbers[0] - period) < 4.0 * named.spread < 0.1 * period
+        assert first(0.0, seed).corrected > LEVEL

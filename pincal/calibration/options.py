@@ -144,7 +144,7 @@ class Options:
     term. ``"auto"`` finds these with the parameters, as variance components."""
     terms: tuple[str, ...] = option(
         (),
-        "What sensors lack: harmonics:1,2, polynomial, backlash, gravity, a column such as "
+        "What sensors lack: harmonics:1,2, period:5mm, polynomial, backlash, gravity, a column as "
         "temperature; leg_1.l=temperature, growth=temperature: lengths that grow; auto: those that "
         "pay (see pincal explain).",
         metavar="[LEG=]KIND",

@@ -18,13 +18,14 @@ from pincal.model.setup import ORIGIN
 from pincal.show.answers import rejected_lines, unpromised, weak_lines
 from pincal.show.tables import models_table, screen_table
 from pincal.words.faults import HYPOTHESES
-from pincal.words.numbers import amount, chance, listed
+from pincal.words.numbers import POSES, SMALL, amount, chance, listed, measured
 from pincal.words.table import Table
 from pincal.words.wording import NAMED, filled, groups_in_words
 
 #: What a mechanic looks at, by kind of term; other kinds are columns.
 _CAUSES = {
     "harmonics": "an eccentric gear, encoder or screw",
+    "period": "the pitch of a screw, or an eccentric gear with this ratio",
     "polynomial": "the pitch of a screw or belt, a table of the drive that is off",
     "backlash": "play, or friction that winds the drive up: it follows the side of approach",
     "gravity": "something gives way under weight: a gear, a bearing, a link",
@@ -107,6 +108,12 @@ def _seen_line(candidate: Candidate, mechanism: Mechanism) -> str:
     if candidate.reading == GROWTH or lengths.issuperset(parts_of(candidate.reading, mechanism)):
         cause = "lengths that grow with this column"
     cause = _CAUSES.get(candidate.kind.name, cause)
+    if candidate.spread:
+        sizes, unit = np.hypot.reduce(candidate.values.reshape(-1, 2), axis=1), candidate.unit
+        largest, (period,) = int(np.argmax(sizes)), candidate.kind.numbers
+        std = float(candidate.std.reshape(-1, 2)[largest].max())
+        cause += f"; amplitude {measured(float(sizes[largest]), 2.0 * std, unit, SMALL)}, "
+        cause += f"period {measured(period, 2.0 * candidate.spread, unit, POSES)}"
 
     def called(place: str) -> str:
         name = {GROWTH: "every length", READINGS: "each reading"}.get(place, f"{place} of each leg")

@@ -16,17 +16,19 @@ from pincal.calibration.terms.kinds import (
     GROWTH,
     HARMONICS,
     OF_ONES_OWN,
+    PERIOD,
     POLYNOMIAL,
     Kind,
     Pair,
     check_place,
     loads_known,
     parts_of,
+    term_text,
 )
 from pincal.errors import MeasurementError
 from pincal.kinematics.configurations import planned_influences
 from pincal.kinematics.influences import by_name
-from pincal.model.checks import listed
+from pincal.model.checks import ROUNDING, listed
 from pincal.model.leg import Leg
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
@@ -122,11 +124,15 @@ def _bases(
     kind: Kind, place: str, unit: str, readings: Array, data: Measurements
 ) -> Iterator[tuple[str, Harmonic | Power | Share, str, str]]:
     """Yield what amplitudes of a kind are times: name, basis, what it follows, what they are."""
-    if kind.name == HARMONICS:
-        for order in kind.numbers if unit == "rad" else ():
-            for phase in ("sine", "cosine"):
-                label = f"{phase} of {order:g} times the reading"
-                yield f"{phase}_{order:g}", Harmonic(order, phase), "", label
+    if kind == PERIOD:  # not known: any error of the reading, whose course is searched for
+        yield kind.name, Harmonic(ROUNDING, "cosine"), "", "of any period"
+    elif kind.name in (HARMONICS, PERIOD):
+        for number in kind.numbers if unit == "rad" or kind.name == PERIOD else ():
+            sine, of = Harmonic(number, "sine"), f"{number:g} times the reading"
+            if kind.name == PERIOD:
+                sine, of = Harmonic(1.0, "sine", number), f"a period of {number:g} {unit}"
+            for wave in (sine, replace(sine, phase="cosine")):
+                yield f"{wave.phase}_{number:g}", wave, "", f"{wave.phase} of {of}"
     elif kind.name == POLYNOMIAL:
         centre, half = _range(readings)
         for power in map(int, kind.numbers):
@@ -137,7 +143,7 @@ def _bases(
     elif kind.name == GRAVITY:
         loads = data.influences.get(f"{LOAD}_{place}", np.ones(1))
         per = _rounded(float(np.nanmax(np.abs(loads)))) or 1.0
-        label = f"under a load of {per:g} N{' m' if unit == 'rad' else ''}"
+        label = f"under a load of {per:g} { {'m': 'N', 'rad': 'N m'}[unit] }"
         yield kind.name, Share(per), LOAD, label
     elif kind.name in data.influences:
         centre, half = _range(data.influences[kind.name])
@@ -180,7 +186,15 @@ def extended(calibration: Calibration, pairs: Sequence[Pair]) -> Calibration:
     """Return a calibration of a mechanism with more terms; errors are those of ``with_terms``.
 
     Growth of all lengths is one amplitude for all legs: they are tied.
+
+    Raises:
+        MeasurementError: a period that is not given.
     """
+    if unknown := [term_text(place, kind) for place, kind in pairs if kind == PERIOD]:
+        raise MeasurementError(
+            f"terms {unknown[0]!r}: a period is to be given, such as {unknown[0]}:5mm; 'pincal "
+            "explain' searches for it"
+        )
     data = with_columns(calibration, [kind for _, kind in pairs])
     idle = idle_places(calibration.mechanism, data)
     if names := [place for place, kind in pairs if kind.name == GRAVITY and place in idle]:

@@ -1,7 +1,7 @@
 """What a machine may lack, and where: kinds of term of readings, lengths and angles.
 
-Said as ``leg_1=harmonics:1,2``: a kind is ``harmonics:1,2``, ``polynomial:2,3``, ``backlash``,
-``gravity``, or the name of a column of the measurements, such as ``temperature``. Its
+Said as ``leg_1=harmonics:1,2``: a kind is ``harmonics:1,2``, ``period:5mm``, ``polynomial:2,3``,
+``backlash``, ``gravity``, or the name of a column of the measurements, such as ``temperature``. Its
 place is a reading, a length or angle by its id (``leg_1.l``) or its name in all legs (``l``),
 ``growth`` for all lengths as one, or, if none is said, every reading.
 """
@@ -14,23 +14,36 @@ import numpy as np
 
 from pincal.calibration.options import AUTO
 from pincal.errors import MeasurementError
-from pincal.model.checks import listed
+from pincal.files.text import in_si
+from pincal.model.checks import LARGEST, listed
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
 from pincal.model.terms import APPROACH, LOAD
 
 HARMONICS, POLYNOMIAL, BACKLASH, GRAVITY = "harmonics", "polynomial", "backlash", "gravity"
+PERIOD = "period"
+"""Sine and cosine of a period that is given, such as ``period:5mm``; searched for if it is not."""
 OF_ONES_OWN = {BACKLASH: APPROACH, GRAVITY: LOAD}
-_KINDS = (HARMONICS, POLYNOMIAL, BACKLASH, GRAVITY)
+_OF_READINGS = (HARMONICS, PERIOD, POLYNOMIAL, BACKLASH)
+_KINDS = (*_OF_READINGS, GRAVITY)
 _NUMBERS = {HARMONICS: (1.0, 2.0), POLYNOMIAL: (2.0, 3.0)}
 _KNOWN: dict[str, Callable[[float], bool]] = {  # the finest gratings have 100,000 periods a turn
     HARMONICS: lambda order: 0.0 < order <= 1e5,
+    PERIOD: lambda period: 1e-9 <= period <= LARGEST,
     POLYNOMIAL: lambda power: power in range(2, 21),
 }
 GROWTH = "growth"
 """In the place of a reading: all lengths of the machine, which grow by one part of them."""
 READINGS = "readings"
 """In the place of one: all of them, each with amplitudes of its own."""
+
+
+def _value(name: str, text: str) -> float:
+    """Return the number of a kind that a text says, NaN if none; periods have a unit."""
+    try:
+        return in_si(text, "m rad", None) if name == PERIOD else in_si(text, "")
+    except MeasurementError:
+        return np.nan
 
 
 class Kind(str):
@@ -44,20 +57,19 @@ class Kind(str):
             MeasurementError: numbers that are none, or that the kind does not have.
         """
         name, colon, numbers = (part.strip() for part in text.partition(":"))
-        try:
-            values = tuple(float(number) for number in numbers.split(",")) if colon else ()
-        except ValueError:
-            values = (np.nan,)
+        texts = [number.replace(" ", "") for number in numbers.split(",")] if colon else []
+        values = tuple(_value(name, number) for number in texts)
         known = not values or (name in _KNOWN and all(map(_KNOWN[name], values)))
         if not name or "," in name or not known:
             raise MeasurementError(
                 f"terms {text!r}: expected harmonics:1,2 (periods in a turn, up to 100,000), "
-                "polynomial:2,3 (powers, 2 to 20), backlash, gravity, or a column of the "
-                "measurements; several as options of their own"
+                "period:5mm, polynomial:2,3 (powers, 2 to 20), backlash, gravity, or a column of "
+                "the measurements; several as options of their own"
             )
-        shown = (f"{value:g}" if float(f"{value:g}") == value else repr(value) for value in values)
-        usual = not values or values == _NUMBERS[name]
-        return cls(name if usual else f"{name}:{','.join(shown)}")
+        if name != PERIOD:
+            texts = [f"{value:.12g}" for value in values]
+        usual = values == _NUMBERS.get(name, ())
+        return cls(name if usual or not values else f"{name}:{','.join(texts)}")
 
     @property
     def name(self) -> str:
@@ -66,9 +78,10 @@ class Kind(str):
 
     @property
     def numbers(self) -> tuple[float, ...]:
-        """Orders of harmonics, powers of a polynomial."""
-        numbers = str(self).partition(":")[2]
-        return tuple(map(float, numbers.split(","))) if numbers else _NUMBERS.get(self, ())
+        """Orders of harmonics, periods [m] or [rad], powers of a polynomial."""
+        numbers = str(self).partition(":")[2].split(",")
+        given = tuple(in_si(number, "m rad") for number in numbers if number)
+        return given or _NUMBERS.get(self, ())
 
 
 Pair = tuple[str, Kind]
@@ -88,7 +101,7 @@ def every_pair(mechanism: Mechanism, measurements: Measurements) -> list[Pair]:
     lengths and angles between a leg's joints gravity, where loads are known. Each place alone, and
     what machines are built of several times together: all readings, and what has one name.
     """
-    names = [HARMONICS] * ("rad" in mechanism.reading_units) + [POLYNOMIAL, BACKLASH]
+    names = [HARMONICS] * ("rad" in mechanism.reading_units) + [POLYNOMIAL, BACKLASH, PERIOD]
     names += [GRAVITY] * loads_known(mechanism, measurements)
     columns = measurements.influences
     names += [name for name in columns if name not in {*mechanism.followed, *_KINDS}]
@@ -173,11 +186,14 @@ def check_place(place: str, kind: Kind, mechanism: Mechanism) -> None:
             f"{mechanism.name!r} reads {', '.join(readings)}; its lengths and angles are "
             f"{listed(ids[len(readings) :])}, {GROWTH!r} is all lengths as one"
         )
-    elif place not in readings and kind.name in (HARMONICS, POLYNOMIAL, BACKLASH):
+    elif place not in readings and kind.name in _OF_READINGS:
         problem = (
             f"{kind.name} is of readings; lengths and angles follow a column of the measurements, "
             "or gravity"
         )
+    elif kind.name == PERIOD != kind:
+        for period in kind.partition(":")[2].split(","):
+            in_si(period, mechanism.reading_units[readings.index(place)])
     elif (place, kind.name) == (GROWTH, GRAVITY):
         problem = (
             "gravity loads each length otherwise, and they do not grow as one; name a length or an "

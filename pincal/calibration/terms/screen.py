@@ -4,24 +4,39 @@ A term is a parameter at zero, and its score test is its column: with M the proj
 fit does not take up and W the white rows of the amplitudes, the share of χ² that lies in M W is,
 if the machine has no such term, one like any other (C. R. Rao 1948; an F test, since the scale
 of the rest is taken from the residuals). One step gives the amplitudes: a = −(Wᵀ M W)⁻¹ Wᵀ M r.
+
+Of an unknown period sine and cosine are tried over a grid: a periodogram (N. R. Lomb 1976, J. D.
+Scargle 1982) of what parameters leave of a reading's error. The chance of its highest peak counts
+all others (R. B. Davies 1987): p (1 + w √z), z half of χ² along it, w the rate times what the
+logarithms of rates span, by which all are equally likely: of periods as clear the longest is first.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain
 
 import numpy as np
 
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.fits import Fits
 from pincal.calibration.terms.candidates import with_columns, with_terms
-from pincal.calibration.terms.kinds import GROWTH, Kind, Pair
+from pincal.calibration.terms.kinds import GROWTH, PERIOD, Kind, Pair, parts_of
 from pincal.estimation.fit import Fit
 from pincal.estimation.observability.residuals import Amplitudes, Residuals
 from pincal.estimation.system import CLEAR, FALSE_ALARM
 from pincal.estimation.unknowns import State
+from pincal.kinematics.batches import product
+from pincal.model.units import UNITS
 from pincal.types import Array, Index
+
+_PERIODS = (2, 250)  # in the travel of a reading that are searched for
+_FINE = 3  # rates that are tried in the width of a peak
+_STEPS = 3  # of Gauss and Newton from there to the peak
+_BETWEEN = 0.9  # of a peak, that is seen at least at the nearest that is tried
+_ALIASES = 6  # peaks at most that are asked for as terms
+_SEEN = 1e-3  # of the information of a sine and cosine that parameters must leave
 
 
 @dataclass(frozen=True)
@@ -43,6 +58,10 @@ class Candidate(Amplitudes):
     or_else: tuple[Pair, ...] = ()
     """What else it may be: places and kinds that these rows cannot separate from it. Said of the
     first, and of those that are improbable by chance."""
+    spread: float = 0.0
+    """Standard error of its period, [m] or [rad], if that was searched for."""
+    searched: float = 0.0
+    """How much the search for it spans, w of the module's docstring."""
     rows: Array = field(default_factory=lambda: np.zeros((0, 0, 0)), repr=False)
     """White rows of the amplitudes, by which it would show in a fit, shape (n_used, m, k)."""
 
@@ -91,6 +110,8 @@ def _asked(residuals: Residuals, candidate: Candidate) -> Candidate:
     """Return a candidate with what residuals say of it."""
     answer = residuals.amplitudes(candidate.rows)
     share = float(answer.inside / max(residuals.chi2, 1e-300))
+    periods = 1.0 + candidate.searched * np.sqrt(0.5 * answer.rank * answer.F)
+    answer = replace(answer, p_value=min(1.0, float(periods * answer.p_value)))
     return replace(candidate, share=share, **vars(answer))
 
 
@@ -109,7 +130,7 @@ def _trials_of(
     """Return residuals of a fit without terms, and the terms, by ids, that may be tried on them."""
     residuals, parameters = Residuals.of(fit), extended.mechanism.parameters
     names, W = _columns(extended, fit, residuals.used)
-    by_amplitudes: dict[tuple[str, ...], Candidate] = {}  # not of several places where one has it
+    by_amplitudes: dict[tuple[str, ...], list[Candidate]] = {}  # of several places: not alone
     for (reading, kind), amplitudes in ids.items():
         places = [names.index(name) for name in amplitudes if name in names]
         in_fit = len(places) == len(amplitudes) or reading == GROWTH
@@ -120,8 +141,75 @@ def _trials_of(
         if reading == GROWTH:  # one amplitude of all legs
             rows, shown = rows.sum(axis=2, keepdims=True), amplitudes[:1]
         none = np.zeros(len(shown)), np.full(len(shown), np.inf), 0.0, 0, 0.0, 1.0
-        by_amplitudes[amplitudes] = Candidate(*none, reading, kind, units.pop(), shown, rows=rows)
-    return residuals, list(by_amplitudes.values())
+        candidate = Candidate(*none, reading, kind, units.pop(), shown, rows=rows)
+        by_amplitudes[amplitudes] = [candidate]
+        if kind == PERIOD:
+            parts = parts_of(reading, extended.mechanism)
+            columns = np.array([extended.mechanism.reading_names.index(part) for part in parts])
+            values = extended.measurements.readings[np.ix_(fit.rows[residuals.used], columns)]
+            by_amplitudes[amplitudes] = _periodic(candidate, residuals, np.nan_to_num(values))
+    return residuals, list(chain.from_iterable(by_amplitudes.values()))
+
+
+def _periodic(candidate: Candidate, residuals: Residuals, readings: Array) -> list[Candidate]:
+    """Return the clearest periods that errors of readings have, and those as clear (aliases).
+
+    Rows of the candidate are those of a constant error of each reading, shape (n_used, m, k);
+    readings, shape (n_used, k), are of one unit.
+    """
+    E, x = candidate.rows, readings
+    width = 2.0 * np.pi / (float(np.ptp(x, axis=0).max()) or np.inf) / _FINE
+    rates = width * np.arange(_FINE * _PERIODS[0], _FINE * _PERIODS[1])
+    inside = np.concatenate([_along(residuals, E, x, part) for part in np.array_split(rates, 12)])
+    higher = np.r_[True, inside[1:] >= inside[:-1]] & np.r_[inside[:-1] > inside[1:], True]
+    variance = (residuals.chi2 - inside.max()) / max(residuals.degrees_of_freedom - 2, 1)
+    odds = inside / max(variance, 1e-300) - 2.0 * np.log(rates)
+    clear = np.flatnonzero(higher & (odds > _BETWEEN * odds[higher].max() - CLEAR**2))
+    spans = np.log(rates[-1] / rates[0]) * np.sqrt(x.var(axis=0).max() / np.pi)
+    names = tuple(f"{id_}_{phase}" for id_ in candidate.names for phase in ("sine", "cosine"))
+    unit, periods = {"m": "mm", "rad": "deg"}[candidate.unit], []
+    for rate in rates[clear[np.argsort(-odds[clear])][:_ALIASES]].tolist():
+        for _ in range(_STEPS):  # Gauss–Newton by the rate, whose column is x (aₛ cos − a꜀ sin)
+            W = _waves(E, rate * x)
+            a = residuals.amplitudes(W).values.reshape(-1, 2)
+            turned = _waves(E * x[:, None], rate * x) @ np.c_[-a[:, 1], a[:, 0]].ravel()
+            step = residuals.amplitudes(np.dstack((W, turned)))
+            rate += float(np.clip(step.values[-1], -0.5 * width, 0.5 * width))
+        std = float(step.std[-1])
+        digits = int(np.clip(np.log10(rate / min(std, rate)) + 2.0, 3.0, 12.0))
+        kind = Kind.of(f"{PERIOD}:{2.0 * np.pi / rate / UNITS[unit][1]:.{digits}g}{unit}")
+        rows, spread = _waves(E, 2.0 * np.pi / kind.numbers[0] * x), 2.0 * np.pi * std / rate**2
+        named = replace(candidate, kind=kind, names=names, rows=rows)
+        periods.append(replace(named, spread=spread, searched=float(rate * spans)))
+    return periods
+
+
+def _waves(errors: Array, angles: Array) -> Array:
+    """Return errors times sine and cosine of angles, (N, m, k) and (N, k) to (N, m, 2 k)."""
+    waves = errors[..., None] * np.stack((np.sin(angles), np.cos(angles)), axis=2)[:, None]
+    return waves.reshape(*errors.shape[:2], -1)
+
+
+def _along(residuals: Residuals, errors: Array, x: Array, rates: Array) -> Array:
+    """Return χ² along sine and cosine of angles that grow with x at some rates, shape (n_rates,).
+
+    0 where parameters take them up. Sums over equations of a row are the same at all rates.
+    """
+    angles, f = rates[:, None, None] * x, 2 * errors.shape[2]
+    waves = np.stack((np.sin(angles), np.cos(angles)), axis=3)  # (n_rates, N, k, 2)
+    squares, taken = (
+        product(turned := errors.transpose(0, 2, 1), errors),
+        product(turned, residuals.Q),
+    )
+    along = np.einsum("rnkj,nk->rkj", waves, product(turned, residuals.left[:, :, None])[:, :, 0])
+    gram = np.einsum("rnkj,nkl,rnli->rkjli", waves, squares, waves, optimize=True)
+    taken = np.einsum("rnkj,nkp->rkjp", waves, taken, optimize=True).reshape(len(rates), f, -1)
+    gram, along = gram.reshape(-1, f, f), along.reshape(-1, f, 1)
+    lengths = np.sqrt(np.maximum(np.diagonal(gram, axis1=1, axis2=2), 1e-300))[:, :, None]
+    information = (gram - taken @ taken.transpose(0, 2, 1)) / (lengths * lengths.transpose(0, 2, 1))
+    seen = np.linalg.eigvalsh(information)[:, 0] > _SEEN
+    information[~seen], along = np.eye(f), along / lengths
+    return np.where(seen, (along * np.linalg.solve(information, along)).sum(axis=(1, 2)), 0.0)
 
 
 def inseparable(candidate: Candidate, rivals: Sequence[Candidate], chi2: float) -> list[Candidate]:
