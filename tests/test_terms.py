@@ -157,6 +157,25 @@ def test_gravity_bends_an_arm_and_is_identified() -> None:
     assert pincal.calibrate(arm, data, **given).reduced_chi2 > 3.0 * result.reduced_chi2
 
 
+def test_a_weight_that_nobody_said_is_taken_up_by_amplitudes() -> None:
+    """Of a machine that sags under 7 kg, 1 kg and amplitudes seven times as large do the same."""
+    plain = pincal.load_mechanism("linear_delta")
+    machine = replace(extended(plain, FORMS["gravity"]), load=Load(7.0))
+    truth = truth_of(machine)
+    data = measured(machine, truth, pincal.Noise(0.0, 0.0, 0.0), 30)
+    unaware = replace(data, influences={})
+    result = pincal.calibrate(plain, unaware, noise=EXACT, terms=["gravity"])
+    assert result.identified.load is not None
+    assert result.identified.load.mass == 1.0
+    readings = pincal.inverse(truth, data.poses[:5]).readings
+    reached = pincal.forward(result.identified, readings, data.poses[:5]).poses
+    np.testing.assert_allclose(reached, data.poses[:5], atol=1e-9)
+    noise, kinds = pincal.Noise(1e-5, 1e-5, 1e-5), ["polynomial", "gravity"]
+    first = pincal.explain(plain, unaware, noise=noise, folds=2, terms=kinds)
+    assert first.candidates[0].kind == "gravity"
+    assert "1 kg on the platform stands for it" in str(first)
+
+
 def test_loads_are_those_of_the_drawing_before_and_after_calibration() -> None:
     machine = extended(pincal.load_mechanism("6UPS"), FORMS["gravity"])
     poses = workspace(machine.name, 5, 1)

@@ -166,9 +166,9 @@ def explain(mech: Mech, measurements: Measured, options: Options, known: InputOp
     """Say what geometry does not explain, and which terms pay.
 
     Every reading is tried with harmonics of its angle, a period that is searched for, polynomials,
-    backlash, gravity (where something weighs or loads were measured), and every other column of
-    numbers; lengths with such columns, alone and all as one, and links with gravity. Models are
-    compared on poses that their fits have not seen. --terms says which kinds to try.
+    backlash, gravity (in space), and every other column of numbers; lengths with such columns, each
+    alone and all as one, and links with gravity. Models are compared on poses that their fits have
+    not seen. --terms says which kinds to try.
     """
     if options.folds < 2:
         raise MeasurementError("--folds: expected 2 or more: models are compared on held-out rows")

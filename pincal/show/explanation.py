@@ -8,7 +8,14 @@ import numpy as np
 
 from pincal.calibration.hypotheses.doctor import Remedy
 from pincal.calibration.terms.choice import LEVEL, Explanation
-from pincal.calibration.terms.kinds import GROWTH, READINGS, loads_known, parts_of, term_text
+from pincal.calibration.terms.kinds import (
+    GRAVITY,
+    GROWTH,
+    READINGS,
+    loads_known,
+    parts_of,
+    term_text,
+)
 from pincal.calibration.terms.screen import Candidate
 from pincal.design.forecast import Forecast
 from pincal.design.platform_error import PlatformError
@@ -64,8 +71,8 @@ _MEND = (
     "while it is there other terms may only follow it"
 )
 _NO_LOAD = (
-    "gravity was not tried: mechanism.yaml does not say what weighs on the mechanism "
-    "(load: {mass: …, centre: […]})"
+    "what weighs was not said: 1 kg on the platform stands for it, and amplitudes take up what it "
+    "really is (load: {mass: …, centre: […]} in mechanism.yaml, or masses of links, fit better)"
 )
 
 
@@ -85,7 +92,8 @@ def explanation_lines(explanation: Explanation) -> list[str]:
             "nothing that was tried is seen in the residuals: the least probable of "
             f"{len(candidates)} has a chance of {least:.2g}, their number taken in"
         )
-    if nominal.platform.space == 3 and not loads_known(nominal, result.measurements):
+    of_gravity = GRAVITY in dict(explanation.model.added).values()
+    if of_gravity and not loads_known(nominal, result.measurements):
         lines.append(_NO_LOAD)
     lines += [
         f"fold {fold + 1} is left out of the comparison, the other rows do not determine it: {why}"

@@ -24,6 +24,7 @@ from pincal.calibration.terms.kinds import (
     loads_known,
     parts_of,
     term_text,
+    weighed,
 )
 from pincal.errors import MeasurementError
 from pincal.kinematics.configurations import planned_influences
@@ -195,7 +196,10 @@ def extended(calibration: Calibration, pairs: Sequence[Pair]) -> Calibration:
             f"terms {unknown[0]!r}: a period is to be given, such as {unknown[0]}:5mm; 'pincal "
             "explain' searches for it"
         )
-    data = with_columns(calibration, [kind for _, kind in pairs])
+    kinds = [kind for _, kind in pairs]
+    mechanism = weighed(calibration.mechanism, calibration.measurements, kinds)
+    calibration = replace(calibration, mechanism=mechanism)
+    data = with_columns(calibration, kinds)
     idle = idle_places(calibration.mechanism, data)
     if names := [place for place, kind in pairs if kind.name == GRAVITY and place in idle]:
         _log.info("gravity: %s: loaded by no more than rounding or a lean: no term", listed(names))
@@ -256,7 +260,8 @@ def with_columns(calibration: Calibration, kinds: Iterable[Kind]) -> Measurement
     Loads are those where the platform is, wherever it was measured from. Errors are those of
     ``with_influences`` and ``located``.
     """
-    tried, data, mechanism = list(kinds), calibration.measurements, calibration.mechanism
+    tried, data = list(kinds), calibration.measurements
+    mechanism = weighed(calibration.mechanism, data, tried)
     missing = {f"{LOAD}_{name}" for name in mechanism.load_names} - set(data.influences)
     weigh = missing and mechanism.weighs and any(kind.name == GRAVITY for kind in tried)
     completed = with_influences(mechanism, located(calibration) if weigh else data, tried)

@@ -8,7 +8,8 @@ place is a reading, a length or angle by its id (``leg_1.l``) or its name in all
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from pincal.files.text import in_si
 from pincal.model.checks import LARGEST, listed
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
-from pincal.model.terms import APPROACH, LOAD
+from pincal.model.terms import APPROACH, LOAD, Load
 
 HARMONICS, POLYNOMIAL, BACKLASH, GRAVITY = "harmonics", "polynomial", "backlash", "gravity"
 PERIOD = "period"
@@ -94,15 +95,27 @@ def loads_known(mechanism: Mechanism, measurements: Measurements) -> bool:
     return mechanism.weighs or not columns.isdisjoint(measurements.influences)
 
 
+def weighed(mechanism: Mechanism, measurements: Measurements, kinds: Iterable[Kind]) -> Mechanism:
+    """Return a mechanism that weighs something if it is to have terms of gravity.
+
+    1 kg on the platform, whose weight points down, where nothing is known of loads: what amplitudes
+    are times is in proportion to it. In the plane nobody knows where down is.
+    """
+    flat, of_gravity = mechanism.platform.space == 2, any(kind == GRAVITY for kind in kinds)
+    if flat or not of_gravity or loads_known(mechanism, measurements):
+        return mechanism
+    return replace(mechanism, load=Load(1.0))
+
+
 def every_pair(mechanism: Mechanism, measurements: Measurements) -> list[Pair]:
     """Return where which kinds of term are tried that measurements can show.
 
     All kinds at all readings; at lengths, each alone and all as one, what follows a column; at
-    lengths and angles between a leg's joints gravity, where loads are known. Each place alone, and
+    lengths and angles between a leg's joints gravity (see ``weighed``). Each place alone, and
     what machines are built of several times together: all readings, and what has one name.
     """
     names = [HARMONICS] * ("rad" in mechanism.reading_units) + [POLYNOMIAL, BACKLASH, PERIOD]
-    names += [GRAVITY] * loads_known(mechanism, measurements)
+    names += [GRAVITY] * (mechanism.platform.space == 3 or loads_known(mechanism, measurements))
     columns = measurements.influences
     names += [name for name in columns if name not in {*mechanism.followed, *_KINDS}]
     kinds = [Kind.of(name) for name in dict.fromkeys(names)]
