@@ -174,6 +174,18 @@ def test_rows_without_a_solution_are_empty_and_say_why(
     assert found[2][2:].strip('"') in outcome.err
 
 
+def test_rows_that_are_not_simulated_share_a_line_by_reason(tmp_path: Path) -> None:
+    """Of 300 poses out of reach lines are named on one line, as many as are read."""
+    plan = tmp_path / "plan.csv"
+    plan.write_text("\n".join(["x [m],y [m]", "0,1.1", *["50,0"] * 300, ""]))
+    outcome = done("simulate", "5R", plan, "-o", tmp_path / "m.csv")
+    (line,) = (text for text in outcome.err.splitlines() if "out of reach" in text)
+    assert "line 3, line 4" in line
+    assert "line 302 of the plan" in line
+    assert len(line) < 300
+    assert "1 poses measured, 300 not reached" in outcome.err
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_inverse_then_forward_gives_the_poses(kind: str, chains: Chains, tmp_path: Path) -> None:
     """Poses to readings and back are the same poses within 1e-9."""

@@ -31,7 +31,7 @@ PLANS = {
         "--protocol",
         "common",
     ),
-    "for a tracker": ("--unknown-frame",),
+    "for a tracker": ("--unknown-frame", "--protocol", "common"),
     "for positions": ("--measure", "x,y"),
 }
 #: Poses of the plan: for each leg, of all, or orbits of twelve poses.

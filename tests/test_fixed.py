@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -83,22 +84,23 @@ def test_hand_eye_calibration_alone_has_a_verdict_and_a_report(
 
 
 @pytest.mark.parametrize(
-    ("pattern", "held"),
+    ("pattern", "held", "method"),
     [
-        ("leg_1.*", lambda leg, _: leg == "leg_1"),
-        ("beta*", lambda _, name: name.startswith("beta")),
-        ("leg_[23].l", lambda leg, name: leg != "leg_1" and name == "l"),
+        ("leg_1.*", lambda leg, _: leg == "leg_1", "all-legs"),
+        ("leg_1.*", lambda leg, _: leg == "leg_1", "per-leg"),
+        ("beta*", lambda _, name: name.startswith("beta"), "all-legs"),
+        ("leg_[23].l", lambda leg, name: leg != "leg_1" and name == "l", "all-legs"),
     ],
 )
-def test_patterns_hold_what_they_match(pattern: str, held: object) -> None:
+def test_patterns_hold_what_they_match(pattern: str, held: object, method: Any) -> None:
     """They are at their nominal values, and said to be fixed; all others are identified."""
     mechanism = pincal.load_mechanism("3RRR")
     truth = pincal.disturb(mechanism, 1e-4, seed=3)
     poses = pincal.sample_workspace(mechanism, 30, seed=3)
     data = pincal.simulate(mechanism, truth, poses, NOISE, seed=4).measurements
-    result = pincal.calibrate(
-        mechanism, data, noise=replace(NOISE, position=1e-4), fixed=pattern, folds=0, rough=True
-    )
+    noise = replace(NOISE, position=1e-4)
+    options: Any = {"fixed": pattern, "method": method, "folds": 0, "rough": True}
+    result = pincal.calibrate(mechanism, data, noise=noise, **options)
     for parameter in result.parameters:
         fixed = held(parameter.owner, parameter.name)  # type: ignore[operator]
         assert (parameter.given == "fixed") == fixed, parameter.id

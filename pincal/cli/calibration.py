@@ -144,10 +144,7 @@ def calibrate(
     wrote(output)
     say(f"next: {'; '.join(answers.next_steps(result, errors, _again, str(output)))}")
     if undrawn:
-        fail(
-            3,
-            f"exit code 3, since the report could not be drawn ({undrawn}); the result is written",
-        )
+        fail(3, f"exit code 3: the report could not be drawn ({undrawn}); the result is written")
     _fail_if_contradicted(result)
 
 

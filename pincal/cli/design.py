@@ -33,6 +33,7 @@ from pincal.files.output import refuse_existing, refuse_existing_of, writing_tog
 from pincal.files.table import write_table
 from pincal.kinematics.collision import arm_free_of_collision
 from pincal.kinematics.configurations import check_reached
+from pincal.model.checks import listed
 from pincal.model.option import Option, option
 from pincal.show import explanation, tables
 from pincal.words.numbers import reading_in
@@ -129,9 +130,9 @@ def _choose(
 ) -> tuple[Plan, Plan, Table]:
     """Choose poses by a protocol, or for all legs together; return plan, candidates and a table."""
     setup = options.read_setup()
-    partial = options.measure is not None or not setup.plain or options.goal == "platform"
+    partial = options.measure not in (None, "pose") or not setup.plain or options.goal == "platform"
     together = mechanism.by_readings or partial or options.collision is not None
-    if together and options.protocol is not None:
+    if together and options.protocol not in (None, "common"):
         raise typer.BadParameter(
             f"--protocol {options.protocol} chooses whole poses in the base frame that are best "
             "for the parameters; leave it out where something else is measured or wanted: poses "
@@ -250,7 +251,7 @@ def simulate(
 
     The nominal mechanism commands the poses, the true one moves. With more legs than freedoms
     it is taken to the poses themselves.
-    Poses that the true mechanism cannot reach are left out and listed.
+    Poses that the true mechanism cannot reach are left out and named.
     """
     mechanism = pincal.load_mechanism(mech)
     units = options.written_in(mechanism)
@@ -279,8 +280,9 @@ def simulate(
         write_table(scratch[-1], columns_of(mechanism, simulation.measurements), units=units)
         for folder in scratch[:-1]:
             write_mechanism(true_mechanism, folder)
-    for row, reason in simulation.unreachable:
-        remark(f"{planned.place(row)} of the plan is not measured: {reason}")
-    count, lost = len(simulation.measurements), len(simulation.unreachable)
-    remark(f"{count} poses measured, {lost} not reached")
+    for reason in dict.fromkeys(reason for _, reason in simulation.unreachable):
+        places = [planned.place(row) for row, why in simulation.unreachable if why == reason]
+        remark(f"not measured, {reason}: {listed(places)} of the plan")
+    lost = len(simulation.unreachable)
+    remark(f"{len(simulation.measurements)} poses measured, {lost} not reached")
     wrote(*(path for path, _ in outputs))

@@ -42,8 +42,7 @@ def product(a: Array, b: Array) -> Array:
     inner = a.shape[2]
     if inner == 0:
         return np.zeros((len(a), a.shape[1], b.shape[2]))
-    along_poses = b.strides[0] == b.itemsize
-    if inner > 3 and not along_poses:
+    if inner > 3 and b.strides[0] != b.itemsize:  # memory does not run along the poses
         return a @ b
     total = a[:, :, 0, None] * b[:, None, 0, :]
     for j in range(1, inner):
@@ -106,7 +105,8 @@ def left_null(matrix: Array) -> Array:
 
 def over_rows(a: Array, b: Array) -> Array:
     """Return Σ aᵀ b over all rows, (N, m, i) and (N, m, j) to (i, j): one product of matrices."""
-    return np.asarray(a.reshape(-1, a.shape[2]).T @ b.reshape(-1, b.shape[2]))
+    rows = a.shape[0] * a.shape[1]  # a leg that is held has no columns, which -1 cannot tell
+    return np.asarray(a.reshape(rows, a.shape[2]).T @ b.reshape(rows, b.shape[2]))
 
 
 def lengths(vectors: Array) -> Array:
