@@ -214,7 +214,7 @@ def test_the_command(tmp_path: Path, poses: dict[str, np.ndarray]) -> None:
     assert "less noise" not in outcome.out
     far = done("identifiability", "3RRR", plan, *noise, "--accuracy", 1e-9)
     assert "which nobody measures: that takes less noise" in " ".join(far.out.split())
-    assert "expected finite" in run("identifiability", "3RRR", plan, "--accuracy", "inf").trouble
+    assert "more than 0" in run("identifiability", "3RRR", plan, "--accuracy", "inf").trouble
     std = pincal.forecast(mechanism, poses["3RRR"], NOISE).std
     assert f" {1e3 * std[0]:.2g} " in outcome.out
     outcome = done("identifiability", "3RRR", plan, "--measure", "position", "--accuracy", 1e-5)

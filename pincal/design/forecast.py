@@ -197,7 +197,7 @@ class Forecast:
             MeasurementError: an accuracy that is not positive and finite.
         """
         if not 0.0 < accuracy < np.inf:
-            raise MeasurementError(f"the wanted accuracy is {accuracy:g} m; expected finite, > 0")
+            raise MeasurementError(f"the wanted accuracy is {accuracy:g} m; expected more than 0")
         position_error = self.platform_error(poses).position
         return float(max(self.least, np.ceil(self.poses * (position_error / accuracy) ** 2)))
 
