@@ -621,7 +621,7 @@ def test_gap_at_home_is_that_of_the_closure(name: str) -> None:
     for leg in mechanism.legs:
         bent = leg.with_home(leg.home + 0.01)
         c = LegClosure(bent, mechanism.platform).evaluate(bent.home[None], T).gap[0]
-        n = len([row for row in mechanism.platform.closing(leg.closes) if row < 3])
+        n = len([row for row in mechanism.platform.closing(leg.every_end[0]) if row < 3])
         expected = max(np.linalg.norm(c[:n]), np.linalg.norm(c[n:]))
         assert max(home_gap(bent, mechanism.platform)) == pytest.approx(expected, rel=1e-9)
 

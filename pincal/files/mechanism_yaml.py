@@ -16,15 +16,15 @@ import yaml
 
 from pincal.errors import MechanismError, located
 from pincal.files.text import plain_number
-from pincal.files.urdf import read_chain, read_points
+from pincal.files.urdf import read_leg, read_points
 from pincal.files.urdf_writing import leg_links
 from pincal.files.yaml import Entry, read_yaml
 from pincal.model.checks import LARGEST
 from pincal.model.consistency import check_home
-from pincal.model.leg import Joint, Leg
+from pincal.model.leg import Closing, End, Joint, Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.placement import Coordinate
-from pincal.model.platform import KINDS, Platform
+from pincal.model.platform import KINDS, TWIST, Platform
 from pincal.model.sensor import Sensor
 from pincal.model.terms import Harmonic, Load, Power, Share, Term
 
@@ -164,7 +164,7 @@ def _joint_fault(
 def _leg(entry: Entry, folder: Path, points: Mapping[str, Joint]) -> Leg:
     """Return a leg, of its keys and its URDF."""
     needed = ("name", "urdf", "tip", "platform_point", "home", "sensors", "parameters")
-    keys = entry.keys((*needed, "placements"), ("closes", "terms"))
+    keys = entry.keys((*needed, "placements"), ("closes", "terms", "ends"))
     name = keys["name"].name()
     point, placements = points[keys["platform_point"].choice(*points)], keys["placements"].pairs()
     home = {joint: part.number() for joint, part in keys["home"].pairs().items()}
@@ -173,11 +173,13 @@ def _leg(entry: Entry, folder: Path, points: Mapping[str, Joint]) -> Leg:
         if not parameter.isidentifier():
             parameters[parameter].refuse("a parameter's name is letters, digits and _")
     of_parameters = keys["terms"].pairs() if "terms" in keys else {}
-    sensors = tuple(_sensor(item, name) for item in keys["sensors"].items(least=1))
+    sensors = tuple(_sensor(item, name) for item in keys["sensors"].items())
+    ends = _ends(keys.get("ends"), points)
     path = inside(folder, keys["urdf"].text())
-    chain = read_chain(path, keys["tip"].text())
+    joints, ends = read_leg(path, keys["tip"].text(), ends)
+    met = [end.meets for end in ends if isinstance(end.meets, Joint)]
     named = (*placements, *home, *(sensor.joint for sensor in sensors))
-    if fault := _joint_fault(named, home, (*chain, point), path.name):
+    if fault := _joint_fault(named, home, (*joints, *met, point), path.name):
         raise MechanismError(f"{name}: {fault}")
 
     def placed(joint: Joint) -> Joint:
@@ -188,7 +190,7 @@ def _leg(entry: Entry, folder: Path, points: Mapping[str, Joint]) -> Leg:
 
     return Leg(
         name=name,
-        joints=tuple(map(placed, chain)),
+        joints=tuple(map(placed, joints)),
         sensors=sensors,
         parameters=tuple((parameter, part.number()) for parameter, part in parameters.items()),
         point=placed(point),
@@ -198,7 +200,26 @@ def _leg(entry: Entry, folder: Path, points: Mapping[str, Joint]) -> Leg:
             for parameter, part in of_parameters.items()
             for term in _terms(part, f"{name}, parameter {parameter!r}")
         ),
+        ends=tuple(end.moved(placed) for end in ends),
     )
+
+
+def _ends(entry: Entry | None, points: Mapping[str, Joint]) -> tuple[End, ...]:
+    """Return the further ends of a leg, which name links of its URDF."""
+    ends = []
+    for item in entry.items() if entry else ():
+        keys = item.keys(("tip",), ("platform_point", "meets", "closes"))
+        if ("meets" in keys) == ("platform_point" in keys):
+            item.fail("an end has either 'platform_point' or, of a loop within the leg, 'meets'")
+        closes: Closing | tuple[str, ...] = "point"
+        if "closes" in keys and isinstance(keys["closes"].value, list):
+            closes = tuple(row.choice(*TWIST) for row in keys["closes"].items(least=1))
+        elif "closes" in keys:
+            closes = keys["closes"].choice("point", "frame")
+        point = keys["platform_point"].choice(*points) if "platform_point" in keys else ""
+        meets = points[point] if point else keys["meets"].text()
+        ends.append(End(keys["tip"].text(), meets, closes))
+    return tuple(ends)
 
 
 def inside(folder: Path, name: str) -> Path:
@@ -238,12 +259,14 @@ def _described_leg(leg: Leg) -> dict[str, Any]:
         name: _described_terms((term for owner, term in leg.terms if owner == name), leg.name)
         for name in leg.deformed
     }
+    links = leg_links(leg)
     return {
         "name": leg.name,
         "urdf": f"{leg.name}.urdf",
-        "tip": leg_links(leg)[-1],
+        "tip": links[-1],
         "platform_point": leg.point.name,
         **({} if leg.closes == "point" else {"closes": leg.closes}),
+        **({"ends": [_described_end(end, leg) for end in leg.ends]} if leg.ends else {}),
         "home": {joint.name: joint.home for joint in leg.moving},
         "sensors": [
             _filled(vars(sensor) | {"terms": _described_terms(sensor.terms, leg.name)})
@@ -255,11 +278,22 @@ def _described_leg(leg: Leg) -> dict[str, Any]:
                 {c.kind: c.values[0] if len(c.values) == 1 else c.values}
                 for c in joint.placement.coordinates
             ]
-            for joint in (*leg.joints, leg.point)
+            for joint in (*leg.joints, *leg.points)
             if joint.placement.coordinates
         },
         **({"terms": of_parameters} if of_parameters else {}),
     }
+
+
+def _described_end(end: End, leg: Leg) -> dict[str, Any]:
+    """Return the keys of a further end."""
+    links = leg_links(leg)
+    keys: dict[str, Any] = {"tip": links[leg.index(end.tip) + 1]}
+    if isinstance(end.meets, str):
+        keys["meets"] = links[leg.index(end.meets) + 1]
+    else:
+        keys["platform_point"] = end.meets.name
+    return keys | {"closes": end.closes if isinstance(end.closes, str) else list(end.closes)}
 
 
 def _filled(keys: Mapping[str, Any]) -> dict[str, Any]:

@@ -88,6 +88,12 @@ class Tree:
             if name in self.refused:
                 raise MechanismError(self.refused[name])
 
+    def edges_to(self, links: Iterable[str]) -> list[Edge]:
+        """Return the edges on the ways from the root to some links, in the file's order."""
+        ways = [route(self.edges, self.root, link) for link in links]
+        needed = {edge.child for way in ways for edge, _ in way}
+        return [edge for edge in self.edges if edge.child in needed]
+
     def pose_at_zero(self, link: str) -> Array:
         """Return where a link is with all joints of the tree at zero, ``T_root_link``, (4, 4)."""
         T_root_link = np.eye(4)
@@ -112,6 +118,23 @@ def route(edges: Iterable[Edge], start: str, goal: str) -> list[Step]:
                 routes[neighbour] = [*routes[link], step]
                 ahead.append(neighbour)
     return routes[goal]
+
+
+def hung(edges: Iterable[Edge], last: str) -> tuple[list[Joint], dict[str, str]]:
+    """Return the joints of a tree's edges with their parents, and which joint carries each link.
+
+    What carries a link comes before it, in the order of the edges else, and the last link last.
+    """
+    waiting, joints, carriers = list(edges), list[Joint](), dict[str, str]()
+    waiting.sort(key=lambda edge: edge.child == last)
+    while waiting:
+        ahead = {edge.child for edge in waiting}
+        edge = next(edge for edge in waiting if edge.parent not in ahead)
+        waiting.remove(edge)
+        parent, before = carriers.get(edge.parent, ""), joints[-1].name if joints else ""
+        joints.append(edge.joint if parent == before else replace(edge.joint, parent=parent))
+        carriers[edge.child] = edge.joint.name
+    return joints, carriers
 
 
 def with_ranges(tree: Tree) -> Tree:

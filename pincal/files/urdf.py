@@ -6,7 +6,7 @@ a platform's points are fixed to its root.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,9 +16,9 @@ from scipy.spatial.transform import Rotation
 
 from pincal.errors import MechanismError
 from pincal.files.text import plain_number, read_xml, why_no_number
-from pincal.files.tree import Edge, Tree, root_of, route, turns, with_ranges
+from pincal.files.tree import Edge, Tree, hung, root_of, turns, with_ranges
 from pincal.model.checks import LARGEST
-from pincal.model.leg import Joint, JointKind
+from pincal.model.leg import End, Joint, JointKind
 from pincal.model.placement import Placement, placement_of
 
 Triple = tuple[float, float, float]
@@ -127,16 +127,28 @@ def _remarks(element: etree._Element, joint: Joint, place: str) -> str:
     return f"{place}: {'; '.join(remarks)}" if remarks else ""
 
 
-def read_chain(path: Path, tip: str) -> tuple[Joint, ...]:
-    """Return the joints of a URDF from its root link to its tip, base first."""
+def read_leg(
+    path: Path, tip: str, ends: Sequence[End] = ()
+) -> tuple[tuple[Joint, ...], tuple[End, ...]]:
+    """Return the joints of a URDF from its root link to its tip and further ends, and these.
+
+    The ends name links, and then the joints that carry them. Carriers come before what they carry,
+    and that of the tip last.
+    """
     tree = read_urdf(path)
-    joints = tuple(
-        edge.joint for edge, _ in route(tree.edges, tree.root, tree.link(tip, "the tip"))
-    )
+    names = [name for end in ends for name in end.frames]
+    last, *end_links = [tree.link(name, "an end of a leg") for name in (tip, *names)]
+    edges = tree.edges_to((last, *end_links))
+    joints, carriers = hung(edges, last)
     tree.check_joints(joint.name for joint in joints)
     if all(joint.kind == "fixed" for joint in joints):
         raise MechanismError(f"{path}: no joint moves between the root link and {tip!r}")
-    return joints
+    if any(edge.parent == last for edge in edges) or not set(end_links) <= set(carriers):
+        raise MechanismError(
+            f"{path}: an end is the root link, or on the way to another; fix a link to it"
+        )
+    of_link = dict(zip(names, (carriers[link] for link in end_links), strict=True))
+    return tuple(joints), tuple(end.renamed(of_link) for end in ends)
 
 
 def read_points(path: Path) -> dict[str, Joint]:

@@ -21,10 +21,12 @@ def leg_urdf(leg: Leg) -> str:
     read = {sensor.joint for sensor in leg.sensors}
     links = leg_links(leg)
     link = etree.SubElement(robot, "link", name=links[0])
+    elements = [link]
     _visual(link, "grey", "box", size=(3 * size, 3 * size, size), xyz=leg.joints[0].placement.xyz)
     for index, joint in enumerate(leg.joints):
-        if not np.allclose(joint.placement.xyz, 0.0) and index > 0:
-            _rod(link, joint.placement.xyz, size)
+        carrier = leg.carriers[index] + 1
+        if not np.allclose(joint.placement.xyz, 0.0) and carrier > 0:
+            _rod(elements[carrier], joint.placement.xyz, size)
         link = etree.SubElement(robot, "link", name=links[index + 1])
         if joint.mass:
             inertial = etree.SubElement(link, "inertial")
@@ -39,7 +41,8 @@ def leg_urdf(leg: Leg) -> str:
             _visual(link, colour, "box", size=(2 * size, 2 * size, 4 * size), rpy=along)
         else:
             _visual(link, "blue", "sphere", radius=size)
-        joint_element(robot, joint, links[index], links[index + 1])
+        joint_element(robot, joint, links[carrier], links[index + 1])
+        elements.append(link)
     return xml_text(robot)
 
 
@@ -56,11 +59,11 @@ def platform_urdf(name: str, legs: tuple[Leg, ...]) -> str:
     robot = etree.Element("robot", name=f"{name}_platform")
     size = max(_size(leg) for leg in legs)
     root = "platform"
-    while any(leg.point.name == root for leg in legs):
+    points = {point.name: point for leg in legs for point in leg.points}
+    while root in points:
         root += "_"
     platform = etree.SubElement(robot, "link", name=root)
     _visual(platform, "grey", "cylinder", radius=1.5 * size, length=size)
-    points = {leg.point.name: leg.point for leg in legs}
     for point in points.values():
         if not np.allclose(point.placement.xyz, 0.0):
             _rod(platform, point.placement.xyz, size)

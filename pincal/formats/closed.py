@@ -19,7 +19,6 @@ from pincal.files.tree import Step, Tree
 from pincal.formats.arm import displaced, with_tip
 from pincal.formats.limbs import Limb, limb_along, paths_to_platform, point_platform
 from pincal.kinematics.assembly import assembled, independent, opening
-from pincal.kinematics.closure import LegClosure
 from pincal.model.checks import ALIKE, EXACT, ROUNDING, listed
 from pincal.model.consistency import ROUGH, identifiers
 from pincal.model.leg import Closing, Joint, Leg
@@ -30,7 +29,6 @@ from pincal.model.sensor import Sensor
 from pincal.types import Array
 
 _WRITTEN = (r"xyz|pos|fromto", r"rpy|axis|quat|euler|axisangle|xyaxes|zaxis")
-_IDLE = 1e-7  # of singular values over the size: none
 _NUMBERS = 10  # along a leg, whose digits may be cut: two across each of five joints
 
 
@@ -101,7 +99,7 @@ def closed_mechanism(
         bare, free = [], Platform.at_origin(kind)
         for name, limb in zip(_leg_names(limbs), limbs, strict=True):
             leg = _leg(tree, name, limb, [point for _, point in limbs])
-            bare.append(_without_idle(leg, free, remarks))
+            bare.append(_without_idle(leg, remarks))
         axes = _PLANAR if kind in ("point", "planar") else _SPATIAL
         closed, placed = _closed(tree, bare, free)
         legs = []
@@ -251,8 +249,6 @@ def _leg(tree: Tree, name: str, limb: Limb, points: Sequence[Joint | None]) -> L
     joints = [replace(joint, mass=0.0, centre=Joint.centre) for joint in limb[0]]  # frames turned
     point = limb[1]
     driven = [joint.name for joint in joints if joint.name in tree.active]
-    if not driven:
-        raise MechanismError(f"{name} has no driven joint")
     closes: Closing = "frame" if point is None else "point"
     point = point or Joint("point", "fixed")
     shared = [p.name for p in points if p is not None].count(point.name) > 1
@@ -261,28 +257,15 @@ def _leg(tree: Tree, name: str, limb: Limb, points: Sequence[Joint | None]) -> L
     return Leg(name, with_tip(joints), tuple(map(Sensor, driven)), (), point, closes)
 
 
-def _idle(leg: Leg, platform: Platform) -> Joint | None:
-    """Return a passive joint that moves no end of a leg, by the rank at random configurations."""
-    closure = LegClosure(leg, platform)
-    spread = [1.0 if joint.turns else leg.size for joint in leg.moving]
-    q = leg.home + np.random.default_rng(0).uniform(-0.3, 0.3, (8, len(spread))) * spread
-    poses = closure.frame(q) if leg.closes == "frame" else np.tile(np.eye(4), (len(q), 1, 1))
-    by_passive = closure.evaluate(q, poses).passive * leg.passive_scales / leg.size
-    if np.linalg.matrix_rank(by_passive, tol=_IDLE).max() == len(leg.passive):
-        return None
-    null = np.linalg.svd(by_passive[0])[2][-1]
-    return leg.moving[leg.passive[int(np.argmax(np.abs(null)))]]
-
-
-def _without_idle(leg: Leg, platform: Platform, remarks: list[str]) -> Leg:
+def _without_idle(leg: Leg, remarks: list[str]) -> Leg:
     """Return a leg without parameters whose idle joints are fixed at home; remarks say so."""
-    while (idle := _idle(leg, platform)) is not None:
+    joints = list(leg.joints)
+    for idle in (leg.moving[place] for place in leg.idle):
         remarks.append(f"{leg.name}: {idle.name!r} moves no end of it: held")
         held = idle.placement.origin() @ idle.motion(np.array([idle.home]))[0]
-        fixed = Joint(idle.name, "fixed", placement_of(held))
-        joints = (fixed if joint is idle else joint for joint in leg.joints)
-        leg = replace(leg, joints=tuple(joints))
-    return leg
+        fixed = Joint(idle.name, "fixed", placement_of(held), parent=idle.parent)
+        joints[leg.index(idle.name)] = fixed
+    return replace(leg, joints=tuple(joints))
 
 
 def _leg_names(limbs: Sequence[Limb]) -> list[str]:

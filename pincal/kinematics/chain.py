@@ -37,6 +37,9 @@ class Chain:
     ) -> None:
         """Make the chain of some joints of a leg."""
         elements, rows, tip = _elements(leg, joints)
+        named = [joint.name for joint in joints]
+        self.columns = [i for i, joint in enumerate(leg.moving) if joint.name in named]
+        """Which of the leg's moving joints move its tip, in order."""
         by_joint, self.by_parameter = np.split(rows, [rows.shape[1] - len(leg.parameters)], axis=1)
         deformed = [leg.parameter_names.index(name) for name in leg.deformed]
         varying = np.concatenate((by_joint, self.by_parameter[:, deformed]), axis=1)
@@ -99,23 +102,25 @@ def motion(chains: Sequence[Chain], begun: Sequence[Begun], joints: Array) -> Mo
 
 
 @lru_cache(maxsize=64)  # a chain keeps its forest, of some megabytes
-def leg_chain(leg: Leg, spatial: bool) -> Chain:
-    """Return the chain from the base to the leg's tip."""
-    return Chain(leg, leg.joints, spatial)
+def leg_chain(leg: Leg, spatial: bool, name: str | None = None) -> Chain:
+    """Return the chain from the base to the leg's tip, or to the frame of one of its joints."""
+    path = leg.path(name or leg.joints[-1].name)
+    return Chain(leg, [leg.joints[place] for place in path], spatial)
 
 
 @lru_cache(maxsize=64)
 def body_chain(leg: Leg, index: int) -> Chain:
     """Return the chain from the base to the centre of mass of the link behind a joint."""
-    joints = leg.joints[: index + 1]
+    joints = [leg.joints[place] for place in leg.path(leg.joints[index].name)]
     centre = Joint("centre", "fixed", Placement(xyz=joints[-1].centre))
     return Chain(leg, (*joints, centre), spatial=True)
 
 
 @lru_cache(maxsize=256)
-def point_chain(leg: Leg) -> Chain:
-    """Return the chain from the platform frame to the leg's platform point."""
-    return Chain(leg, (leg.point,), spatial=True, copies=1)
+def point_chain(leg: Leg, end: int) -> Chain:
+    """Return the chain from the platform frame to the platform point of one of a leg's ends."""
+    point = leg.every_end[end].point
+    return Chain(leg, () if point is None else (point,), spatial=True, copies=1)
 
 
 def _elements(
@@ -180,20 +185,20 @@ class PlatformPoint:
     """Its frame, shape (N, 3, 3)."""
 
 
-def platform_point(leg: Leg, parameters: Array, deformations: Array) -> PlatformPoint:
-    """Return a leg's platform point at its parameter values; in N rows if it deforms.
+def platform_point(leg: Leg, end: int, parameters: Array, deformations: Array) -> PlatformPoint:
+    """Return the platform point of a leg's end at parameter values; in N rows if it deforms.
 
     Deformations have shape (N, n_deformed), [m] or [rad], or (N, 0): there are none.
     """
-    chain = point_chain(leg)
+    chain = point_chain(leg, end)
     if chain.entries and deformations.shape[1]:
         return _placed(chain, parameters, deformations)
-    return _still_point(leg, parameters[chain.moving].tobytes())
+    return _still_point(leg, end, parameters[chain.moving].tobytes())
 
 
 @lru_cache(maxsize=1024)
-def _still_point(leg: Leg, placing: bytes) -> PlatformPoint:
-    chain, parameters = point_chain(leg), np.zeros(len(leg.parameters))
+def _still_point(leg: Leg, end: int, placing: bytes) -> PlatformPoint:
+    chain, parameters = point_chain(leg, end), np.zeros(len(leg.parameters))
     parameters[chain.moving] = np.frombuffer(placing)
     return _placed(chain, parameters, np.zeros((1, 0)))
 

@@ -192,7 +192,7 @@ def closed_form(closure: LegClosure) -> ClosedForm | None:
     leg, space, small = closure.leg, closure.platform.space, ROUNDING * closure.size
     kinds, pointing = [joint.kind for joint in leg.moving], ["revolute"] * (space - 1)
     rod = kinds[1:] == pointing
-    if leg.closes == "frame" or not (rod or kinds == [*pointing, "prismatic"]):
+    if closure.projects or not (rod or kinds == [*pointing, "prismatic"]):
         return None
     joints = np.stack((np.zeros(len(kinds)), leg.home))
     zero, home = closure.motion(joints).twists(slice(len(kinds))).transpose(2, 0, 1)

@@ -30,6 +30,7 @@ from pincal.types import Array, Mask
 Group = TypeVar("Group")
 
 _SAMPLES = 20_000
+_ABOUT = 0.3  # [rad], or of the size, how far about home a tree starts anew
 _OUT_OF_REACH = 3.0  # times the widest gap between sampled tips: farther tips are out of reach
 
 
@@ -44,6 +45,10 @@ def start_joints(closure: LegClosure, matrices: Array, attempt: int = 0) -> tupl
     if form:
         joints, possible = form.joints(closure.targets(matrices))
         return joints, possible & (attempt == 0)
+    if closure.leg.ends:  # few of random positions are near such that close its loops
+        rng, joints = np.random.default_rng(attempt), np.tile(closure.leg.home, (len(matrices), 1))
+        moves = min(attempt, 1) * rng.uniform(-1.0, 1.0, joints.shape) * _ABOUT * closure.leg.scales
+        return joints + moves, np.full(len(joints), attempt <= 1)
     tree, joints, reach = _samples(closure.leg, closure.platform)
     distance, nearest = tree.query(_places(closure, matrices), [attempt + 1])
     index = np.minimum(nearest[:, 0], len(joints) - 1)  # none is near where a target is infinite
@@ -225,8 +230,7 @@ def _newton_step(leg: LegClosure, closure: Closure) -> Array:
     with np.errstate(all="ignore"):
         active = -least_squares(closure.drive, closure.constraint[:, :, None])[:, :, 0]
         passive = closure.passive_step(product(closure.active, active[:, :, None])[:, :, 0])
-        width = active.shape[1] + passive.shape[1] + len(leg.leg.deformed)
-        step = np.zeros((len(active), width))
+        step = np.zeros((len(active), len(leg.leg.moving) + len(leg.leg.deformed)))
         step[:, leg.leg.active], step[:, leg.leg.passive] = active, passive
         return step
 

@@ -7,6 +7,10 @@ the rotation vector from the platform's frame to the tip's, times the leg's size
 are eliminated by projection on the left null space N of ∂c/∂p: Nᵀ c is what the leg demands of
 pose, readings and parameters, whatever its passive joints do. The leg of a usual mechanism demands
 one equation; one with fewer passive joints more, a serial arm six.
+
+A leg that is a tree has several ends, each a chain from the base: their rows are stacked, and
+passive joints eliminated of all at once. A loop within the leg is an end that meets another frame
+of the leg in place of the platform.
 """
 
 from __future__ import annotations
@@ -26,7 +30,7 @@ from pincal.kinematics.batches import (
     turn_between,
     turned,
 )
-from pincal.kinematics.chain import PlatformPoint, leg_chain, motion, platform_point
+from pincal.kinematics.chain import Chain, PlatformPoint, leg_chain, motion, platform_point
 from pincal.kinematics.forest import Motion, wrench
 from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
@@ -72,14 +76,14 @@ class Closure:
     @cached_property
     def gap(self) -> Array:
         """c, shape (N, m), base frame, [m]; rotation vectors are multiplied by the leg's size."""
-        m = self.leg.platform.space
+        m = self.leg.linear
         gap = self.motion.tips[:m].T - self.matrices[:, :m, 3] - self.arm[:m].T
         return gap if self.turning is None else np.hstack((gap, self.turning[0]))
 
     @cached_property
     def by_joints(self) -> Array:
         """∂c/∂(θ, p) of all joints in order, shape (N, m, n_joints)."""
-        return self._rows(self.motion.twists_at_tip(slice(len(self.leg.leg.moving))))
+        return self._rows(self.motion.twists_at_tip(slice(self.leg.count)))
 
     @cached_property
     def active(self) -> Array:
@@ -94,9 +98,9 @@ class Closure:
     @cached_property
     def parameter(self) -> Array:
         """∂c/∂φ at fixed joints, shape (N, m, n_params)."""
-        rows = self._rows(self.motion.twists_at_tip(slice(len(self.leg.leg.moving), None)))
+        rows = self._rows(self.motion.twists_at_tip(slice(self.leg.count, None)))
         if len(placing := self.point.parameters):
-            m, twists = self.leg.platform.space, self.point.twists
+            m, twists = self.leg.linear, self.point.twists
             rows[:, :m, placing] -= turned(self.matrices, twists[:3])[:m].transpose(2, 0, 1)
             if self.turning is not None:
                 by_point = turned(self.matrices, twists[3:]).transpose(2, 0, 1)
@@ -107,7 +111,7 @@ class Closure:
     def pose(self) -> Array:
         """∂c/∂x for the platform's freedoms as a twist at its origin, shape (N, m, dof)."""
         twist_rows = self.leg.platform.twist_rows
-        pose = -point_velocity(self.arm.T, twist_rows)[:, : self.leg.platform.space]
+        pose = -point_velocity(self.arm.T, twist_rows)[:, : self.leg.linear]
         if self.turning is None:
             return pose
         turns = np.equal.outer((3, 4, 5), twist_rows).astype(float)
@@ -137,9 +141,9 @@ class Closure:
     @cached_property
     def constraint_by_pose(self) -> Array:
         """Nᵀ ∂c/∂x, shape (N, m - n_passive, dof)."""
-        if self.leg.turns or not self.passive.shape[2]:
+        if self.leg.projects or not self.passive.shape[2]:
             return self.project(self.pose)
-        m = self.leg.platform.space
+        m = self.leg.linear
         rows = [row if m == 3 else min(row, 2) for row in self.leg.platform.twist_rows]
         forces = self.normal.transpose(2, 1, 0)
         power = np.stack([wrench(self.arm[:m], force)[rows] for force in forces])
@@ -148,12 +152,12 @@ class Closure:
     @cached_property
     def constraint_by_parameter(self) -> Array:
         """Nᵀ ∂c/∂φ at fixed joints, shape (N, m - n_passive, n_params)."""
-        if self.leg.turns or not self.passive.shape[2]:
+        if self.leg.projects or not self.passive.shape[2]:
             return self.project(self.parameter)
         placing, forces = self.point.parameters, self.normal.transpose(2, 1, 0)
         power = np.empty((len(forces), len(self.leg.parameters), len(self.normal)))
         for row, force in zip(power, forces, strict=True):
-            row[:] = self.motion.power(force, len(self.leg.leg.moving))
+            row[:] = self.motion.power(force, self.leg.count)
             if len(placing):
                 in_platform = np.einsum("nij,in->jn", self.matrices[:, : len(force), :3], force)
                 row[placing] -= np.einsum("jkn,jn->kn", self.point.twists[:3], in_platform)
@@ -171,26 +175,134 @@ class Closure:
 
     def _rows(self, twists: Array) -> Array:
         """Return rows of the closure by twists of the tip, (3 or 6, k, N), shape (N, m, k)."""
-        rows = twists[: self.leg.platform.space].transpose(2, 0, 1)
+        rows = twists[: self.leg.linear].transpose(2, 0, 1)
         if self.turning is None:
             return rows
         turns = np.ascontiguousarray(twists[3:].transpose(2, 0, 1))
         return np.concatenate((rows, self.turning[1] @ turns), axis=1)
 
 
+@dataclass(frozen=True)
+class Loop:
+    """Closure of an end that meets a frame of its own leg, in that frame, at N configurations.
+
+    Its rows are those of the twist of the tip against the frame, taken at the tip.
+    """
+
+    leg: LegClosure
+    """Of that end."""
+    matrices: Array
+    tip: Motion
+    frame: Motion
+
+    @cached_property
+    def gap(self) -> Array:
+        """c, shape (N, m), [m]; rotation vectors are multiplied by the leg's size."""
+        shift = np.einsum("nij,jn->ni", self.to_frame, self.tip.tips - self.frame.tips)
+        if self.leg.axes:
+            shift = np.hstack((shift, self.leg.size * self.error))
+        return shift[:, self.leg.rows]
+
+    @cached_property
+    def to_frame(self) -> Array:
+        """Turns from the base's axes to those of the frame, shape (N, 3, 3)."""
+        return self.frame.turns.transpose(0, 2, 1)
+
+    @cached_property
+    def error(self) -> Array:
+        """Rotation vectors from the frame to the tip, shape (N, 3), [rad]."""
+        return turn_between(self.to_frame @ self.tip.turns, np.eye(3)[None])
+
+    @cached_property
+    def by_joints(self) -> Array:
+        """∂c/∂(θ, p) of the joints that move the end, in order, shape (N, m, n)."""
+        return self._derivative[:, :, self.leg.columns]
+
+    @cached_property
+    def parameter(self) -> Array:
+        """∂c/∂φ at fixed joints, shape (N, m, n_params)."""
+        return self._derivative[:, :, len(self.leg.leg.moving) :]
+
+    @cached_property
+    def pose(self) -> Array:
+        """∂c/∂x, which is zero, shape (N, m, dof)."""
+        return np.zeros((*self.gap.shape, self.leg.platform.dof))
+
+    @cached_property
+    def _derivative(self) -> Array:
+        n, k = len(self.leg.leg.moving), len(self.leg.parameters)
+        twists = np.zeros((6, n + k, len(self.matrices)))
+        at_tip = replace(self.frame, tips=self.tip.tips)
+        for moved, chain, sign in zip((self.tip, at_tip), self.leg.chains, (1, -1), strict=True):
+            twists[:, [*chain.columns, *range(n, n + k)]] += sign * moved.twists()
+        linear, angular = (self.to_frame @ part.transpose(2, 0, 1) for part in np.split(twists, 2))
+        if self.leg.axes:
+            turns = self.leg.size * inverse_left_jacobian(self.error) @ angular
+            linear = np.concatenate((linear, turns), axis=1)
+        return linear[:, self.leg.rows]
+
+
+@dataclass(frozen=True)
+class TreeClosure(Closure):
+    """Closure of a leg with several ends at N configurations: their rows, stacked."""
+
+    parts: tuple[Closure | Loop, ...]
+
+    @cached_property
+    def gap(self) -> Array:
+        """Closures c of all ends, shape (N, m)."""
+        return np.hstack([part.gap for part in self.parts])
+
+    @cached_property
+    def by_joints(self) -> Array:
+        """∂c/∂(θ, p) of all joints in order, shape (N, m, n_joints)."""
+        rows = []
+        for part in self.parts:
+            of_end = np.zeros((*part.gap.shape, len(self.leg.leg.moving)))
+            of_end[:, :, part.leg.columns] = part.by_joints
+            rows.append(of_end)
+        return np.concatenate(rows, axis=1)
+
+    @cached_property
+    def parameter(self) -> Array:
+        """∂c/∂φ at fixed joints, shape (N, m, n_params)."""
+        return np.concatenate([part.parameter for part in self.parts], axis=1)
+
+    @cached_property
+    def pose(self) -> Array:
+        """∂c/∂x, shape (N, m, dof)."""
+        return np.concatenate([part.pose for part in self.parts], axis=1)
+
+
 class LegClosure:
-    """Evaluates the closure of one leg at given parameter values.
+    """Evaluates the closure of one leg at given parameter values, or that of one of its ends alone.
 
     A value: equal legs at equal parameters are equal, so that what is read off them is found again.
     """
 
-    def __init__(self, leg: Leg, platform: Platform, parameters: Array | None = None) -> None:
+    def __init__(
+        self, leg: Leg, platform: Platform, parameters: Array | None = None, end: int | None = None
+    ) -> None:
         self.leg = leg
         self.platform = platform
         self.parameters = leg.nominal if parameters is None else np.asarray(parameters, float)
-        self.turns = leg.closes == "frame"
-        self.axes = [row - 3 for row in platform.closing(leg.closes) if row >= 3]
-        self.chain = leg_chain(leg, platform.space == 3 or self.turns)
+        self.end, met = end or 0, leg.every_end[end or 0]
+        self.rows = list(platform.closing(met))
+        self.axes = [row - 3 for row in self.rows if row >= 3]
+        self.linear = len(self.rows) - len(self.axes)
+        """Number of rows that are not of the turn."""
+        self.turns = met.closes == "frame"
+        spatial = platform.space == 3 or self.turns or met.point is None
+        self.chains = [leg_chain(leg, spatial, name) for name in met.frames]
+        self.chain, self.ends = self.chains[0], tuple[LegClosure, ...]()
+        self.columns = sorted({column for chain in self.chains for column in chain.columns})
+        self.count = len(self.columns)
+        """Number of joints that move the end."""
+        if leg.ends and end is None:
+            ends = range(len(leg.every_end))
+            self.ends = tuple(LegClosure(leg, platform, self.parameters, i) for i in ends)
+        self.projects = self.turns or bool(self.ends)
+        """Whether derivatives of Nᵀc are those of c, projected."""
         self._key = (leg, platform, self.parameters.tobytes())
         self._hash = hash(self._key)
 
@@ -234,11 +346,19 @@ class LegClosure:
 
     def point_at(self, joints: Array) -> PlatformPoint:
         """Return the platform point at joint positions, with deformations or without."""
-        return platform_point(self.leg, self.parameters, joints[:, len(self.leg.moving) :])
+        deformations = joints[:, len(self.leg.moving) :]
+        return platform_point(self.leg, self.end, self.parameters, deformations)
 
     def motion(self, joints: Array) -> Motion:
         """Return where the leg's tip is, and how it moves: see ``evaluate``."""
-        return self.chain.motion(self.parameters, joints)
+        return self.chain.motion(self.parameters, self.along(joints, self.chain))
+
+    def along(self, joints: Array, chain: Chain) -> Array:
+        """Return those of joint positions and deformations that are of a chain of the leg."""
+        n = len(self.leg.moving)
+        if len(chain.columns) == n:
+            return joints
+        return joints[:, [*chain.columns, *range(n, joints.shape[1])]]
 
     def tips(self, joints: Array) -> Array:
         """Return the tips of the leg in the base frame, shape (N, 3), [m]."""
@@ -256,7 +376,7 @@ class LegClosure:
         One that deforms, or closes a frame, is like no other: its rows are those of one leg.
         """
         leg, placing = self.leg, self.point_at(self.leg.home[None]).parameters
-        if leg.deformed or self.turns:
+        if leg.deformed or self.projects:
             return (object(),)
         sizes = (len(leg.parameters), len(leg.sensors), len(leg.influences), *placing.tolist())
         return (*self.chain.form, self.platform, *sizes, *leg.active, "passive", *leg.passive)
@@ -278,8 +398,11 @@ def evaluate(legs: Sequence[LegClosure], joints: Array, matrices: Array) -> Clos
 
     Joints have shape (L N, n_joints …), poses (L N, 4, 4): see ``LegClosure.evaluate``.
     """
+    if legs[0].ends:
+        return _tree(legs[0], joints, matrices)
+    along = legs[0].along(joints, legs[0].chain)
     moved = motion(
-        [leg.chain for leg in legs], [leg.chain.begin(leg.parameters) for leg in legs], joints
+        [leg.chain for leg in legs], [leg.chain.begin(leg.parameters) for leg in legs], along
     )
     point = legs[0].point_at(joints)
     if len(legs) > 1:  # none of them deforms
@@ -291,6 +414,19 @@ def evaluate(legs: Sequence[LegClosure], joints: Array, matrices: Array) -> Clos
     return Closure(legs[0], matrices, moved, point)
 
 
+def _tree(leg: LegClosure, joints: Array, matrices: Array) -> Closure:
+    """Return the closure of a leg with several ends: see ``evaluate``."""
+    main = evaluate(leg.ends[:1], joints, matrices)
+    parts: list[Closure | Loop] = [main]
+    for end in leg.ends[1:]:
+        if len(end.chains) == 1:
+            parts.append(end.evaluate(joints, matrices))
+        else:
+            tip, frame = (c.motion(leg.parameters, leg.along(joints, c)) for c in end.chains)
+            parts.append(Loop(end, matrices, tip, frame))
+    return TreeClosure(leg, matrices, main.motion, main.point, tuple(parts))
+
+
 def each(function: Callable[..., Array], legs: Sequence[LegClosure], *columns: Array) -> Array:
     """Return what a function gives of L alike legs and their rows, each below the one before."""
     if len(legs) == 1:
@@ -300,10 +436,15 @@ def each(function: Callable[..., Array], legs: Sequence[LegClosure], *columns: A
 
 
 def joint_range(leg: Leg) -> tuple[Array, Array]:
-    """Return the ends of each moving joint's range, (n_joints,): limits, or a turn about home."""
+    """Return the ends of each moving joint's range, (n_joints,): limits, or a turn about home.
+
+    Joints that are idle stay at home.
+    """
     free = np.array([not joint.limited for joint in leg.moving])
     low, high = np.array([(joint.lower, joint.upper) for joint in leg.moving]).T
-    return np.where(free, leg.home - np.pi, low), np.where(free, leg.home + np.pi, high)
+    low, high = np.where(free, leg.home - np.pi, low), np.where(free, leg.home + np.pi, high)
+    low[leg.idle] = high[leg.idle] = leg.home[leg.idle]
+    return low, high
 
 
 @lru_cache(maxsize=64)

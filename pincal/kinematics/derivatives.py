@@ -40,7 +40,7 @@ def nearest_closure(
     """
     leg = legs[0].leg
     positions, count = started(legs, matrices, known, joints), len(matrices) // len(legs)
-    scales = np.repeat([closure.leg.passive_scales for closure in legs], count, axis=0)
+    scales = np.repeat([closure.leg.scales[leg.passive] for closure in legs], count, axis=0)
     far_gaps = _FAR * np.repeat([closure.size for closure in legs], count)
     for _ in range(_STEPS):
         closed = evaluate(legs, positions, matrices)

@@ -163,13 +163,13 @@ def _along(rows: Array, force: Array) -> Array:
 
 def _links(leg: LegClosure, joints: Array, gravity: Array) -> Array:
     """Return what links lose in height by joints, then parameters, times weight, (N, n + k)."""
-    n, moving = len(leg.leg.moving), 0
+    n = len(leg.leg.moving)
     lost_height = np.zeros((len(joints), n + len(leg.parameters)))
     for index, joint in enumerate(leg.leg.joints):
-        moving += joint.kind != "fixed"
         if joint.mass:
-            motion = body_chain(leg.leg, index).motion(leg.parameters, joints[:, :moving])
+            chain = body_chain(leg.leg, index)
+            motion = chain.motion(leg.parameters, joints[:, chain.columns])
             lost = joint.mass * np.einsum("x,xjn->nj", gravity, motion.twists()[:3])
-            lost_height[:, :moving] += lost[:, :moving]
-            lost_height[:, n:] += lost[:, moving:]
+            lost_height[:, chain.columns] += lost[:, : len(chain.columns)]
+            lost_height[:, n:] += lost[:, len(chain.columns) :]
     return lost_height

@@ -69,11 +69,13 @@ def drive_margins(closed: Sequence[tuple[list[int], ClosedLegs]]) -> Array:
 
 
 def _grip(closure: Closure) -> Array:
-    """Return the grip of a leg's drives, shape (N,).
+    """Return the grip of a leg's drives, shape (N,); one of a leg without any, which loses none.
 
     The lever of a drive is the speed of the next revolute axis per unit of its rate, at a planar
     dyad the length l; the tip's speed where there is no such axis.
     """
+    if not closure.drive.shape[2]:
+        return np.ones(len(closure.gap))
     if closure.drive.shape[2] > 1:
         speed = np.linalg.norm(closure.active, axis=1, keepdims=True)
         return np.asarray(

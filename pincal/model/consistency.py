@@ -14,10 +14,11 @@ from scipy.spatial.transform import Rotation
 from pincal.errors import MechanismError
 from pincal.model.checks import EXACT, LARGEST
 from pincal.model.orientation import SINGLE_ANGLES, WAYS
+from pincal.model.platform import TWIST
 from pincal.model.terms import APPROACH, Term
 
 if TYPE_CHECKING:
-    from pincal.model.leg import Leg
+    from pincal.model.leg import Joint, Leg
     from pincal.model.mechanism import Mechanism
     from pincal.model.platform import Platform
 
@@ -48,10 +49,10 @@ def identifiers(names: Iterable[str]) -> tuple[str, ...]:
 
 def check_leg(leg: Leg) -> None:
     """Raise MechanismError if joints, sensors, parameters and terms do not go together."""
-    topics = (_joint_faults, _term_faults, _parameter_faults)
+    topics = (_joint_faults, _tree_faults, _term_faults, _parameter_faults)
     for fault in chain.from_iterable(faults(leg) for faults in topics):
         raise MechanismError(f"{leg.name}: {fault}")
-    for joint in (*leg.joints, leg.point):
+    for joint in (*leg.joints, *leg.points):
         joint.placement.rest(leg.nominal_by_name, f"{leg.name}, joint {joint.name!r}")
 
 
@@ -74,11 +75,26 @@ def _joint_faults(leg: Leg) -> Iterator[str]:
             f"active joint {still[0]!r} is not a moving joint of the leg; it has "
             f"{', '.join(moving)}"
         )
-    if len(set(read)) != max(len(read), 1):
-        yield (
-            f"its sensors read {', '.join(read) or 'nothing'}; expected one sensor or more, each "
-            "of another joint"
-        )
+    if len(set(read)) != len(read):
+        yield f"its sensors read {', '.join(read)}; expected each to read another joint"
+
+
+def _tree_faults(leg: Leg) -> Iterator[str]:
+    """Yield what is wrong with how joints hang on each other, and with further ends."""
+    names = [joint.name for joint in leg.joints]
+    for place, joint in enumerate(leg.joints):
+        if joint.parent and joint.parent not in names[:place]:
+            yield f"joint {joint.name!r} hangs on {joint.parent!r}, which is no joint before it"
+    for end in leg.ends:
+        if unknown := [name for name in end.frames if name not in names]:
+            yield f"an end is at {unknown[0]!r}, which is no joint of the leg"
+        if not isinstance(end.closes, str) and not (
+            end.point is None and set(end.closes) <= set(TWIST)
+        ):
+            yield (
+                f"the end at {end.tip!r} closes {', '.join(end.closes)}; expected 'point' or "
+                f"'frame', or of a loop within the leg some of {', '.join(TWIST)}"
+            )
 
 
 def _parameter_faults(leg: Leg) -> Iterator[str]:
@@ -165,8 +181,8 @@ def check_mechanism(mechanism: Mechanism) -> None:
 def _name_faults(mechanism: Mechanism) -> Iterator[str]:
     """Yield what is wrong with names: of legs, of columns of tables, of parameters of loads."""
     names, readings = mechanism.leg_names, mechanism.reading_names
-    if not names:
-        yield "it has no legs"
+    if not readings:
+        yield "no joint of its legs is read" if names else "it has no legs"
     if len(set(names)) != len(names):
         yield f"leg names repeat: {list(names)}"
     for name in readings:
@@ -200,20 +216,21 @@ def _name_faults(mechanism: Mechanism) -> Iterator[str]:
 
 def _leg_faults(mechanism: Mechanism) -> Iterator[str]:
     """Yield which legs share a point that is not one, demand nothing, or leave the plane."""
-    points: dict[str, Leg] = {}
+    points: dict[str, tuple[Leg, Joint]] = {}
     for leg in mechanism.legs:
-        sharing, placement = points.setdefault(leg.point.name, leg), leg.point.placement
-        if sharing is not leg and (
-            placement != sharing.point.placement or placement.parameter_units
-        ):
-            yield (
-                f"{sharing.name} and {leg.name} share the platform point {leg.point.name!r}, so "
-                "it must be the same for both and have no parameters; give each leg its own point"
-            )
+        for point in leg.points:
+            sharing, first = points.setdefault(point.name, (leg, point))
+            placement = point.placement
+            judged = sharing is leg and first is point
+            if not judged and (first.placement != placement or placement.parameter_units):
+                yield (
+                    f"{sharing.name} and {leg.name} share the platform point {point.name!r}, so it "
+                    "must be the same for both and have no parameters; give each leg its own point"
+                )
         if mechanism.platform.equations(leg) <= 0:
             yield (
                 f"{leg.name} has {len(leg.passive)} passive joints for "
-                f"{len(mechanism.platform.closing(leg.closes))} rows of its closure: it demands "
+                f"{mechanism.platform.rows(leg)} rows of its closure: it demands "
                 "nothing of the platform; read another of its joints, or leave it out"
             )
         for joint in leg.joints if mechanism.platform.space == 2 else ():
@@ -264,10 +281,17 @@ def home_gap(leg: Leg, platform: Platform) -> tuple[float, float]:
 
     Both in [m].
     """
-    tip = leg.link_placements(leg.home[None])[0, -1]
-    point = platform.home_pose.as_matrix()[0] @ leg.point.placement.origin()
-    gap = float(np.linalg.norm((tip - point)[: platform.space, 3]))
-    if leg.closes == "point":
-        return gap, 0.0
-    turn = Rotation.from_matrix(point[:3, :3].T @ tip[:3, :3]).magnitude()
-    return gap, leg.size * float(turn)
+    links, gap, turn = leg.link_placements(leg.home[None])[0], 0.0, 0.0
+    for end in leg.every_end:
+        tip = links[leg.index(end.tip)]
+        if isinstance(end.meets, str):
+            frame = links[leg.index(end.meets)]
+        else:
+            frame = platform.home_pose.as_matrix()[0] @ end.meets.placement.origin()
+        across = frame[:3, :3].T @ (tip - frame)[:3, 3]
+        shift = across[[row for row in platform.closing(end) if row < 3]]
+        gap = max(gap, float(np.linalg.norm(shift)))
+        if end.closes == "frame":
+            R = Rotation.from_matrix(frame[:3, :3].T @ tip[:3, :3])
+            turn = max(turn, leg.size * float(R.magnitude()))
+    return gap, turn

@@ -1,4 +1,4 @@
-"""A leg is a serial chain from base to platform with named kinematic parameters."""
+"""A leg is a tree of joints from base to platform with named kinematic parameters."""
 
 from __future__ import annotations
 
@@ -14,11 +14,14 @@ from pincal.errors import MechanismError
 from pincal.model.checks import counted, listed, must_be, number_of, one_line, triple
 from pincal.model.consistency import check_leg, identifiers
 from pincal.model.placement import Placement
+from pincal.model.platform import TWIST
 from pincal.model.sensor import Sensor
 from pincal.model.terms import Term
 from pincal.types import Array
 
 JointKind = Literal["revolute", "prismatic", "fixed"]
+_ABOUT, _PLACES = 0.3, 4  # [rad], or of the size, how far about home idle joints are looked for
+_IDLE = 1e-7  # of singular values over the size: none
 
 
 @dataclass(frozen=True)
@@ -39,6 +42,8 @@ class Joint:
     """Of the link behind the joint, [kg]."""
     centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Of that mass, in the joint's own frame, [m]."""
+    parent: str | None = None
+    """Joint of the leg whose link carries this one: the one before if not given, "" the base."""
 
     def __repr__(self) -> str:
         place = f"at {self.placement!r}" if self.placement != Placement() else ""
@@ -74,20 +79,61 @@ Closing = Literal["point", "frame"]
 
 
 @dataclass(frozen=True)
-class Leg:
-    """Serial chain from the base to a platform point, or to a frame of the platform.
+class End:
+    """Where a leg meets the platform, or itself: a loop within it."""
 
-    The chain's last frame, the tip, meets the platform's point (``point``): its origin alone, or,
-    if the leg ``closes`` a frame, its orientation too. A serial arm is a leg that closes a frame
-    and whose joints all have sensors. Joint positions of a leg are ordered as its moving joints,
-    base first; readings as its sensors.
+    tip: str
+    """The joint whose frame it is."""
+    meets: Joint | str
+    """Platform point, a fixed joint from the platform frame; or a joint of the leg, whose frame is
+    met."""
+    closes: Closing | tuple[str, ...] = "point"
+    """Whether origins meet or whole frames; of a loop within also some rows of a twist, as of
+    ``x, y, z, rx, ry, rz`` in the frame that is met: a planar loop closes x and y across z."""
+
+    @property
+    def point(self) -> Joint | None:
+        """The platform point, if the platform is met."""
+        return None if isinstance(self.meets, str) else self.meets
+
+    @property
+    def frames(self) -> tuple[str, ...]:
+        """The joints of the leg whose frames meet: one, or of a loop within it two."""
+        return (self.tip, self.meets) if isinstance(self.meets, str) else (self.tip,)
+
+    def renamed(self, names: Mapping[str, str]) -> End:
+        """Return the end at joints of other names."""
+        meets = names[self.meets] if isinstance(self.meets, str) else self.meets
+        return replace(self, tip=names[self.tip], meets=meets)
+
+    def moved(self, move: Callable[[Joint], Joint]) -> End:
+        """Return the end with its platform point moved, if it meets one."""
+        return self if isinstance(self.meets, str) else replace(self, meets=move(self.meets))
+
+    @property
+    def rows(self) -> tuple[int, ...]:
+        """Rows of a twist in which it closes, in space."""
+        if isinstance(self.closes, str):
+            return (0, 1, 2) if self.closes == "point" else (0, 1, 2, 3, 4, 5)
+        return tuple(TWIST.index(name) for name in self.closes)
+
+
+@dataclass(frozen=True)
+class Leg:
+    """Joints from the base to a platform point, or to a frame of the platform.
+
+    They are a serial chain, or a tree with several ends. The last frame, the tip, meets the
+    platform's point (``point``): its origin alone, or, if the leg ``closes`` a frame, its
+    orientation too; further ``ends`` meet the platform or the leg itself. A serial arm is a leg
+    that closes a frame and whose joints all have sensors. Joint positions of a leg are ordered as
+    its moving joints, base first; readings as its sensors.
     """
 
     name: str
     joints: tuple[Joint, ...]
     """All joints, base first, fixed ones included; the last one's frame is the tip."""
     sensors: tuple[Sensor, ...]
-    """One for each active joint; most legs have one."""
+    """One for each active joint: most legs have one, a leg that only guides has none."""
     parameters: tuple[tuple[str, float], ...]
     """Names and nominal values of the identified parameters, in order."""
     point: Joint
@@ -97,13 +143,16 @@ class Leg:
     terms: tuple[tuple[str, Term], ...] = ()
     """What is added to lengths and angles in a row, by the parameter's name: ``("l", Term("grow",
     Share(10.0, 20.0), of="temperature"))``; the amplitude is a parameter too."""
+    ends: tuple[End, ...] = ()
+    """Further ends of a tree, beside that of the last joint."""
 
     def __post_init__(self) -> None:
         check_leg(self)
 
     def __repr__(self) -> str:
-        reads = f"reads {listed([sensor.joint for sensor in self.sensors])}"
+        reads = f"reads {listed(sensor.joint for sensor in self.sensors)}"
         closes, count = f"closes a {self.closes}", counted(len(self.parameters), "parameter")
+        closes += f" and {counted(len(self.ends), 'further end')}" * bool(self.ends)
         return one_line("Leg", repr(self.name), self.joint_letters, reads, closes, count)
 
     @property
@@ -124,8 +173,81 @@ class Leg:
 
     @cached_property
     def passive(self) -> list[int]:
-        """Indices of the passive joints among the moving joints."""
-        return [index for index in range(len(self.moving)) if index not in self.active]
+        """Indices of the passive joints among the moving joints, but for those that are idle."""
+        return [i for i in range(len(self.moving)) if i not in (*self.active, *self.idle)]
+
+    @cached_property
+    def idle(self) -> list[int]:
+        """Indices of joints that nobody reads and that move no end, such as a strut's spin.
+
+        They stay at home. By the rank of motions at configurations about home.
+        """
+        idle: list[int] = []
+        free = [i for i in range(len(self.moving)) if i not in self.active]
+        shares = np.random.default_rng(0).uniform(-1.0, 1.0, (_PLACES, len(self.moving)))
+        motions = self._motions(self.home + _ABOUT * shares * self.scales) * self.scales / self.size
+        while free and np.linalg.matrix_rank(motions[:, :, free], tol=_IDLE).max() < len(free):
+            idle.append(free.pop(int(np.abs(np.linalg.svd(motions[0, :, free].T)[2][-1]).argmax())))
+        return sorted(idle)
+
+    def _motions(self, joints: Array) -> Array:
+        """Return how each moving joint moves the ends, shape (N, m, n_joints), [m] and [1].
+
+        An end's rows are the velocity of its origin, then its turning times the leg's size, of
+        those that it closes. Joints are positions, shape (N, n_joints), [rad] or [m].
+        """
+        T, rows = self.link_placements(joints), []
+        for end in self.every_end:
+            motions = np.zeros((2, len(joints), 3, len(self.moving)))
+            tips, frames = T[:, self.index(end.tip), :3, 3], np.eye(3)
+            if isinstance(end.meets, str):
+                frames = T[:, self.index(end.meets), :3, :3]
+            for sign, name in zip((1.0, -1.0), end.frames, strict=False):
+                for place in self.path(name):
+                    if (joint := self.joints[place]).kind == "fixed":
+                        continue
+                    column = [moving.name for moving in self.moving].index(joint.name)
+                    axis = T[:, place, :3, :3] @ joint.axis
+                    along = np.cross(axis, tips - T[:, place, :3, 3]) if joint.turns else axis
+                    motions[0, :, :, column] += sign * along
+                    motions[1, :, :, column] += sign * self.size * axis * joint.turns
+            twists = np.concatenate(np.swapaxes(frames, -1, -2) @ motions, axis=1)
+            rows.append(twists[:, list(end.rows)])
+        return np.concatenate(rows, axis=1)
+
+    @cached_property
+    def every_end(self) -> tuple[End, ...]:
+        """All ends, that of the last joint first."""
+        return (End(self.joints[-1].name, self.point, self.closes), *self.ends)
+
+    @cached_property
+    def points(self) -> tuple[Joint, ...]:
+        """Platform points, that of the last joint first."""
+        return tuple(end.point for end in self.every_end if end.point is not None)
+
+    def index(self, name: str) -> int:
+        """Return the place of a joint among all joints, fixed ones included."""
+        return self._places[name]
+
+    @cached_property
+    def _places(self) -> dict[str, int]:
+        return {joint.name: place for place, joint in enumerate(self.joints)}
+
+    @cached_property
+    def carriers(self) -> tuple[int, ...]:
+        """Place of the joint whose link carries each joint, -1 where that is the base."""
+        return tuple(
+            i - 1 if joint.parent is None else self._places.get(joint.parent, -1)
+            for i, joint in enumerate(self.joints)
+        )
+
+    def path(self, name: str) -> tuple[int, ...]:
+        """Return the places of the joints from the base to one of them."""
+        place, path = self.index(name), []
+        while place >= 0:
+            path.append(place)
+            place = self.carriers[place]
+        return tuple(reversed(path))
 
     @property
     def is_arm(self) -> bool:
@@ -158,7 +280,7 @@ class Leg:
     def placed(self) -> dict[str, str]:
         """Units of the parameters of placements, lengths and angles, by name."""
         units: dict[str, str] = {}
-        for joint in (*self.joints, self.point):
+        for joint in (*self.joints, *self.points):
             units |= joint.placement.parameter_units
         return units
 
@@ -237,7 +359,8 @@ class Leg:
 
     @cached_property
     def _hash(self) -> int:
-        return hash((self.name, self.joints, self.sensors, self.parameters, self.point, self.terms))
+        points = (self.point, self.ends) if self.ends else self.point
+        return hash((self.name, self.joints, self.sensors, self.parameters, points, self.terms))
 
     def __getstate__(self) -> dict[str, Any]:
         """Return what is pickled: hashes of strings are each process's own."""
@@ -257,8 +380,14 @@ class Leg:
         return self._stretched(lambda joint: max(abs(joint.lower), abs(joint.upper)))
 
     def _stretched(self, slide: Callable[[Joint], float]) -> float:
-        arms = sum(np.linalg.norm(j.placement.xyz) for j in (*self.joints[1:], self.point))
-        return float(arms) + sum(slide(joint) for joint in self.moving if not joint.turns)
+        lengths = []
+        for end in self.every_end:
+            path = [self.joints[place] for place in self.path(end.tip)]
+            placed = (*path[1:], end.point) if end.point else path[1:]
+            arms = sum(np.linalg.norm(joint.placement.xyz) for joint in placed)
+            slides = sum(slide(joint) for joint in path if joint.kind == "prismatic")
+            lengths.append(float(arms) + slides)
+        return max(lengths)
 
     def link_placements(self, joints: Array) -> Array:
         """Return ``T_base_link`` of the link after each joint, shape (N, n_all_joints, 4, 4), [m].
@@ -267,9 +396,10 @@ class Leg:
         (N, n_joints), [rad] or [m]; where they are NaN, so are the links that they move.
         """
         positions = iter(np.asarray(joints, dtype=np.float64).T)
-        T_base_link = np.broadcast_to(np.eye(4), (len(joints), 4, 4))
-        placements = []
-        for joint in self.joints:
+        T_base = np.broadcast_to(np.eye(4), (len(joints), 4, 4))
+        placements: list[Array] = []
+        for joint, carrier in zip(self.joints, self.carriers, strict=True):
+            T_base_link = placements[carrier] if carrier >= 0 else T_base
             T_base_link = T_base_link @ joint.placement.origin()
             if joint.kind != "fixed":
                 T_base_link = T_base_link @ joint.motion(next(positions))
@@ -277,9 +407,9 @@ class Leg:
         return np.stack(placements, axis=1)
 
     @cached_property
-    def passive_scales(self) -> Array:
-        """What steps of passive joints are measured by: a radian, or the size, (n_passive,)."""
-        return np.array([1.0 if self.moving[i].turns else self.size for i in self.passive])
+    def scales(self) -> Array:
+        """What steps of moving joints are measured by: a radian, or the size, (n_joints,)."""
+        return np.array([1.0 if joint.turns else self.size for joint in self.moving])
 
     def with_parameters(self, values: Mapping[str, float] | Sequence[float] | Array) -> Leg:
         """Return the leg with other nominal parameter values, its URDF origins moved along.
@@ -316,6 +446,7 @@ class Leg:
             self,
             joints=tuple(moved(joint) for joint in self.joints),
             point=moved(self.point),
+            ends=tuple(end.moved(moved) for end in self.ends),
             parameters=tuple(new.items()),
         )
 

@@ -161,7 +161,7 @@ class Mechanism:
         kinematics.
         """
         return any(
-            not leg.passive or len(leg.moving) != len(self.platform.closing(leg.closes))
+            not leg.passive or len(leg.moving) - len(leg.idle) != self.platform.rows(leg)
             for leg in self.legs
         )
 

@@ -25,7 +25,7 @@ from pincal.model.orientation import WAYS, columns_of, tilted
 from pincal.types import Array
 
 if TYPE_CHECKING:
-    from pincal.model.leg import Leg
+    from pincal.model.leg import End, Leg
 
 
 TWIST = ("x", "y", "z", "rx", "ry", "rz")
@@ -136,15 +136,23 @@ class Platform:
         plane = self.lengths == 2 and set(self.twist) <= {"x", "y", "rz"}
         return 2 if plane else 3
 
-    def closing(self, closes: str) -> tuple[int, ...]:
-        """Return the rows of a twist in which a leg closes a ``"point"`` or a ``"frame"``."""
-        if self.space == 2:
-            return (0, 1) if closes == "point" else (0, 1, 5)
-        return (0, 1, 2) if closes == "point" else (0, 1, 2, 3, 4, 5)
+    def closing(self, end: End) -> tuple[int, ...]:
+        """Return the rows of a twist in which an end of a leg closes: those that can move.
+
+        In the plane these are of the plane; frames of a platform that only turns meet in their
+        turns.
+        """
+        if self.lengths == 0 and end.point is not None and end.closes == "frame":
+            return (3, 4, 5)
+        return tuple(row for row in end.rows if self.space == 3 or row in (0, 1, 5))
 
     def equations(self, leg: Leg) -> int:
         """Return how many equations a leg demands of a pose, passive joints eliminated."""
-        return len(self.closing(leg.closes)) - len(leg.passive)
+        return self.rows(leg) - len(leg.passive)
+
+    def rows(self, leg: Leg) -> int:
+        """Return how many rows the closures of all ends of a leg have."""
+        return sum(len(self.closing(end)) for end in leg.every_end)
 
     def transforms(self, poses: Poses) -> RigidTransform:
         """Return poses ``T_base_platform`` of length N, of coordinates (N, dof) or transforms.

@@ -129,10 +129,10 @@ def law_of_sensors(
     By its active joints' positions at the platform's home pose, shape (n_active,), and their
     derivatives, shape (n_active, n_params).
     """
-    slope, start, slopes, starts = map(
-        np.array, zip(*(sensor.law(parameters) for sensor in leg.sensors), strict=True)
-    )
-    homed = np.array([sensor.homed for sensor in leg.sensors])
+    laws = [np.hstack(sensor.law(parameters)) for sensor in leg.sensors]
+    columns = np.reshape(laws, (len(laws), 2 + 2 * len(parameters)))
+    (slope, start), (slopes, starts) = columns[:, :2].T, np.split(columns[:, 2:], 2, axis=1)
+    homed = np.array([sensor.homed for sensor in leg.sensors], bool)
     zeros = np.array([0.0 if sensor.homed else sensor.zero for sensor in leg.sensors], np.float64)
     terms = [(index, term) for index, sensor in enumerate(leg.sensors) for term in sensor.terms]
     return SensorLaw(

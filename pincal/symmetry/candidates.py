@@ -102,7 +102,12 @@ class Points:
 
     @cached_property
     def candidates(self) -> list[Element]:
-        """Elements that carry every leg's points near those of some leg, each once."""
+        """Elements that carry every leg's points near those of some leg, each once.
+
+        Of legs that are trees, which are not compared, the identity alone.
+        """
+        if any(leg.ends for leg in self.mechanism.legs):
+            return [IDENTITY]
         legs, elements = self._references(), [IDENTITY]
         for images in self._images(legs, []):
             for sign in (1.0, -1.0):

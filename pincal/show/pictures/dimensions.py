@@ -63,16 +63,18 @@ def dimensions_of(
     values = leg.nominal_by_name
     links = leg.link_placements(np.asarray(joints)[None])[0]
     dimensions: list[Dimension] = []
-    for index, joint in enumerate(leg.joints):
-        parent = links[index - 1] if index else np.eye(4)
-        dimensions += _placed(joint, values, parent, size, shifted=index > 0)
+    for joint, carrier in zip(leg.joints, leg.carriers, strict=True):
+        parent = links[carrier] if carrier >= 0 else np.eye(4)
+        dimensions += _placed(joint, values, parent, size, shifted=carrier >= 0)
         for place, sensor in enumerate(leg.sensors):
             if sensor.joint == joint.name:
                 start = float(law.start[place])
                 positions = start - sensor.law(values)[1], start, float(joints[leg.active[place]])
                 frame = parent @ joint.placement.origin()
                 dimensions += _read(sensor, joint, frame, links[:, :3, 3], positions, size)
-    return [*dimensions, *_placed(leg.point, values, T_base_platform, size, shifted=False)]
+    for point in leg.points:
+        dimensions += _placed(point, values, T_base_platform, size, shifted=False)
+    return dimensions
 
 
 def _placed(

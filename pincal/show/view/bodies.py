@@ -125,6 +125,8 @@ class Body:
     """``T_base_part``, shape (N, n_parts, 4, 4), [m]; NaN where it is not to be drawn."""
     chains: tuple[tuple[int, ...], ...]
     """For each leg, its links' numbers among the parts, base first, without base link and rods."""
+    legs: tuple[Leg, ...]
+    """Of the mechanism."""
     readings: Array
     """Sensor readings, shape (N, n_readings), [rad] or [m]; NaN where not reached."""
     problems: tuple[str, ...]
@@ -146,8 +148,12 @@ class Body:
 
     def skeletons(self) -> Array:
         """Return segments from joint to joint and tip to platform, shape (N, n, 2, 3), [m]."""
-        platform = self.part("platform/body")
-        pairs = [pair for c in self.chains for pair in zip(c, (*c[1:], platform), strict=True)]
+        platform, pairs = self.part("platform/body"), []
+        for links, leg in zip(self.chains, self.legs, strict=True):
+            pairs += [
+                (links[c], link) for link, c in zip(links, leg.carriers, strict=True) if c >= 0
+            ]
+            pairs += [(links[leg.index(end.tip)], platform) for end in leg.every_end if end.point]
         return self.placements[:, :, :3, 3][:, np.array(pairs)]
 
     @property
@@ -189,7 +195,7 @@ def body(mechanism: Mechanism, planned: Plan | Array) -> Body:
         for path, shape, placement in _pistons(leg, joints, links, radius):
             add(f"leg {number}/{path}", (shape,), placement)
     (hub, *arms), *balls = _urdf_shapes(platform_urdf(mechanism.name, mechanism.legs))
-    points = {leg.point.name: leg.point.placement for leg in mechanism.legs}
+    points = {point.name: point.placement for leg in mechanism.legs for point in leg.points}
     radius, size = hub.size
     solid = plate(np.array([placement.xyz for placement in points.values()]), 0.7 * size)
     ends = 5.0 * radius * np.eye(3)
@@ -203,7 +209,9 @@ def body(mechanism: Mechanism, planned: Plan | Array) -> Body:
     problems = tuple(solution.reason(row) for row in range(len(T_base_platform)))
     T_base_part = np.stack(placements, axis=1)
     T_base_part[~np.isfinite(T_base_part).all(axis=(2, 3))] = np.nan
-    return Body(parts, T_base_part, tuple(chains), np.array(solution.readings), problems)
+    return Body(
+        parts, T_base_part, tuple(chains), mechanism.legs, np.array(solution.readings), problems
+    )
 
 
 def _leg_shapes(leg: Leg) -> list[tuple[Shape, ...]]:

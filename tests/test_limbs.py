@@ -1,0 +1,358 @@
+"""Legs that are trees with ends, or that only guide, against closed forms."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+import pincal
+from pincal import End, Joint, Leg, Mechanism, Placement, Platform, Sensor
+from pincal.model.placement import Coordinate, placement_of
+
+Array = NDArray[np.float64]
+X, Y, Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+EXACT = pincal.Noise(position=1e-5, orientation=1e-5, reading=1e-5)
+
+
+def recovered(mechanism: Mechanism, readings: Array, scale: float = 1e-3) -> float:
+    """Return by how much parameters are missed that noise-free data of another machine give."""
+    rng = np.random.default_rng(1)
+    errors = {p.id: p.nominal + scale * rng.standard_normal() for p in mechanism.parameters}
+    true = mechanism.with_parameters(errors)
+    moved = pincal.forward(true, readings)
+    ok = moved.converged
+    assert ok.mean() > 0.9
+    data = pincal.Measurements(readings=readings[ok], poses=moved.poses[ok])
+    result = pincal.calibrate(mechanism, data, noise=EXACT)
+    assert len(result.parameters) == len(mechanism.parameters)
+    return max(abs(p.identified - errors[p.id]) for p in result.parameters)
+
+
+def four_bar_pose(readings: Array, a: float, b: float, c: float, d: float) -> Array:
+    """Return crank end and coupler angle of a four-bar, shape (N, 3), by the cosine law."""
+    crank = a * np.exp(1j * readings)
+    across = d - crank
+    angle = (b**2 + np.abs(across) ** 2 - c**2) / (2 * b * np.abs(across))
+    return np.stack((crank.real, crank.imag, np.angle(across) + np.arccos(angle)), axis=1)
+
+
+def four_bar() -> Mechanism:
+    """Return a four-bar whose platform is its coupler; the follower has no drive."""
+    a, b, c, d = 0.3, 0.8, 0.6, 0.9
+    home = four_bar_pose(np.array([0.7]), a, b, c, d)[0]
+    knee = home[0] + 1j * home[1] + b * np.exp(1j * home[2])
+    values = {"l": a, "gamma": 0.0}
+    crank = Leg(
+        "crank",
+        (
+            Joint("drive", "revolute", home=0.7),
+            Joint("crank_tip", "fixed", Placement.of(values, x="l")),
+        ),
+        (Sensor("drive", offset="gamma"),),
+        tuple(values.items()),
+        Joint("crank_point", "fixed"),
+    )
+    values = {"dx": d, "dy": 0.0, "c": c, "b": b}
+    follower = Leg(
+        "follower",
+        (
+            Joint(
+                "foot",
+                "revolute",
+                Placement.of(values, x="dx", y="dy"),
+                home=float(np.angle(knee - d)),
+            ),
+            Joint("follower_tip", "fixed", Placement.of(values, x="c")),
+        ),
+        (),
+        tuple(values.items()),
+        Joint("follower_point", "fixed", Placement.of(values, x="b")),
+    )
+    return Mechanism("four_bar", Platform("planar", tuple(home)), (crank, follower))
+
+
+def test_a_follower_without_a_drive_is_a_leg() -> None:
+    """A four-bar's coupler is where the cosine law puts it, and every length comes back."""
+    mechanism, readings = four_bar(), np.linspace(-3.0, 3.0, 25)
+    found = pincal.forward(mechanism, readings[:, None])
+    np.testing.assert_allclose(found.poses, four_bar_pose(readings, 0.3, 0.8, 0.6, 0.9), atol=1e-9)
+    assert recovered(mechanism, readings[:, None]) < 1e-8
+
+
+def strut(number: int, *, spins: bool) -> Leg:
+    """Return a UPS leg of a Tricept, whose slide may spin about itself."""
+    angle = 2 * np.pi * number / 3
+    foot = 0.5 * np.array([np.cos(angle), np.sin(angle), 0.0])
+    point = 0.4 * foot + np.array([0.0, 0.01 * number, 0.0])
+    rod = point + np.array(Z) - foot
+    length = float(np.linalg.norm(rod))
+    second = float(np.arcsin(rod[0] / length))
+    values = dict(zip(("ax", "ay", "az", "bx", "by", "bz"), (*foot, *point), strict=True))
+    values["gamma"] = 0.0
+    first = float(np.arctan2(-rod[1], rod[2]))
+    spin = Joint("spin", "revolute", axis=Z, lower=-np.inf, upper=np.inf)
+    return Leg(
+        f"leg_{number + 1}",
+        (
+            Joint("u1", "revolute", Placement.of(values, x="ax", y="ay", z="az"), X, home=first),
+            Joint("u2", "revolute", axis=Y, home=second),
+            Joint("slide", "prismatic", axis=Z, lower=0.3, upper=2.0, home=length),
+            *([spin] * spins),
+            Joint("tip", "fixed"),
+        ),
+        (Sensor("slide", offset="gamma"),),
+        tuple(values.items()),
+        Joint(f"point_{number + 1}", "fixed", Placement.of(values, x="bx", y="by", z="bz")),
+    )
+
+
+def tricept(*, spins: bool = True) -> Mechanism:
+    """Return three struts and a centre leg UP without a drive, whose axes miss each other."""
+    values = {"cz": 0.0, "off": 0.02}
+    centre = Leg(
+        "centre",
+        (
+            Joint("c1", "revolute", Placement.of(values, z="cz"), X),
+            Joint("c2", "revolute", Placement.of(values, x="off"), Y),
+            Joint("c3", "prismatic", axis=Z, lower=0.3, upper=2.0, home=1.0),
+            Joint("c4", "fixed", Placement(xyz=(-0.02, 0.0, 0.0))),
+        ),
+        (),
+        tuple(values.items()),
+        Joint("end", "fixed"),
+        "frame",
+    )
+    struts = (strut(number, spins=spins) for number in range(3))
+    home = (0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+    return Mechanism("tricept", Platform("spatial", home), (*struts, centre))
+
+
+@pytest.mark.slow
+def test_a_centre_leg_without_a_drive_holds_a_tricept() -> None:
+    """Struts have the lengths that were read where the centre leg's own way leads, and all return.
+
+    The platform is Rx(a) Tx(off) Ry(b) Tz(h) Tx(-off): so its x axis has no y but by a, and its
+    origin lies along its own z from where the second axis is.
+    """
+    mechanism = tricept()
+    plan = pincal.sample_configurations(mechanism, 25)
+    matrices = mechanism.platform.matrices(pincal.forward(mechanism, plan.readings).poses)
+    for number, leg in enumerate(mechanism.legs[:3]):
+        ends = matrices[:, :3, :3] @ leg.point.placement.xyz + matrices[:, :3, 3]
+        length = np.linalg.norm(ends - leg.joints[0].placement.xyz, axis=1)
+        np.testing.assert_allclose(length, plan.readings[:, number], atol=1e-9)
+    R, second = matrices[:, :3, :3], 0.02 * np.array(X)
+    np.testing.assert_allclose(R[:, 0, 1], 0.0, atol=1e-9)  # Rx Ry turns y about x alone
+    along = np.einsum("nji,nj->ni", R, matrices[:, :3, 3] - second) + second
+    np.testing.assert_allclose(along[:, :2], 0.0, atol=1e-9)
+    assert recovered(mechanism, plan.readings) < 1e-8
+
+
+def test_a_spin_about_a_strut_is_idle() -> None:
+    """A strut that may spin demands what it does without: the spin is held, its readings equal."""
+    spinning, plain = tricept(), tricept(spins=False)
+    assert [leg.idle for leg in spinning.legs] == [[3], [3], [3], []]
+    plan = pincal.sample_configurations(plain, 10)
+    poses = pincal.forward(spinning, plan.readings).poses
+    np.testing.assert_allclose(poses, plan.poses, atol=1e-12)
+
+
+def six_rods() -> Mechanism:
+    """Return a delta of three arms and six rods that may spin, at a platform of six freedoms."""
+    foot, point, arm, rod, half, height = 0.2, 0.05, 0.15, 0.4, 0.04, -0.38
+    reach, way = foot - point, np.hypot(foot - point, height)
+    bend = np.arccos((way**2 + arm**2 - rod**2) / (2 * arm * way))
+    drive = -float(np.arctan2(height, -reach) + bend)
+    along = point - foot - arm * np.cos(drive), height + arm * np.sin(drive)
+    legs = []
+    for number in range(3):
+        turn = 2 * np.pi * number / 3
+        values = {"R": foot, "turn": turn, "a": arm, "L1": rod, "L2": rod, "gamma": 0.0}
+        values |= {f"z{i}": 0.0 for i in (1, 2)}
+        joints = [
+            Joint(
+                "drive",
+                "revolute",
+                Placement.of(values, polar=("R", "turn"), rz="turn"),
+                Y,
+                home=drive,
+            )
+        ]
+        points = []
+        for i, side in ((1, half), (2, -half)):
+            joints += [
+                Joint(
+                    f"u{i}",
+                    "revolute",
+                    Placement.of(values, x="a", y=side),
+                    Y,
+                    home=float(np.arctan2(-along[1], along[0])) - drive,
+                    parent=None if i == 1 else "drive",
+                ),
+                Joint(f"v{i}", "revolute", axis=Z),
+                Joint(f"spin{i}", "revolute", axis=X),
+                Joint(f"end{i}", "fixed", Placement.of(values, x=f"L{i}")),
+            ]
+            place = Placement.of(
+                values,
+                x=point * np.cos(turn) - side * np.sin(turn),
+                y=point * np.sin(turn) + side * np.cos(turn),
+                z=f"z{i}",
+            )
+            points.append(Joint(f"p{number}_{i}", "fixed", place))
+        legs.append(
+            Leg(
+                f"leg_{number + 1}",
+                tuple(joints),
+                (Sensor("drive", offset="gamma"),),
+                tuple(values.items()),
+                points[1],
+                ends=(End("end1", points[0]),),
+            )
+        )
+    return Mechanism(
+        "six_rods", Platform("spatial", (0.0, 0.0, height, 0.0, 0.0, 0.0)), tuple(legs)
+    )
+
+
+def test_a_pair_of_rods_is_a_leg_with_two_ends(tmp_path: Path) -> None:
+    """All six rods of a delta have their lengths at poses of readings; it is saved and comes back.
+
+    The arm's end is by sines of the reading, the platform's points by the pose.
+    """
+    nominal = six_rods()
+    rng = np.random.default_rng(2)
+    errors = {p.id: p.nominal + 1e-3 * rng.standard_normal() for p in nominal.parameters}
+    mechanism = nominal.with_parameters(errors)
+    readings = np.array([[leg.home[0] for leg in nominal.legs]]) + rng.uniform(-0.3, 0.3, (25, 3))
+    found = pincal.forward(mechanism, readings)
+    assert found.converged.all()
+    matrices = mechanism.platform.matrices(found.poses)
+    for number, leg in enumerate(mechanism.legs):
+        p = leg.nominal_by_name
+        q = readings[:, number] + p["gamma"]
+        radius = p["R"] + p["a"] * np.cos(q)
+        out = np.array([np.cos(p["turn"]), np.sin(p["turn"]), 0.0])
+        side = np.array([-out[1], out[0], 0.0])
+        for i, half, point in ((1, 0.04, leg.points[1]), (2, -0.04, leg.points[0])):
+            knee = radius[:, None] * out + half * side - np.outer(p["a"] * np.sin(q), Z)
+            ends = matrices[:, :3, :3] @ point.placement.xyz + matrices[:, :3, 3]
+            length = np.linalg.norm(ends - knee, axis=1)
+            np.testing.assert_allclose(length, p[f"L{i}"], atol=1e-9)
+    assert recovered(nominal, readings) < 1e-8
+    nominal.save(tmp_path / "six")
+    assert pincal.load_mechanism(tmp_path / "six").legs == nominal.legs
+
+
+FOUR_BAR = {"fu": 0.15, "fv": 0.1, "a": 0.05, "b": 0.13, "c": 0.08}
+"""A four-bar's ground in the plane, crank, coupler and rocker, [m]."""
+
+
+def crank_of(rocker: Array) -> tuple[Array, Array]:
+    """Return crank and coupler angles of FOUR_BAR by the rocker's, shapes (N,): the cosine law."""
+    foot = FOUR_BAR["fu"] + 1j * FOUR_BAR["fv"]
+    hook = FOUR_BAR["c"] * np.exp(1j * rocker) - foot
+    a, b = FOUR_BAR["a"], FOUR_BAR["b"]
+    cosine = (a**2 + np.abs(hook) ** 2 - b**2) / (2 * a * np.abs(hook))
+    crank = np.angle(hook) + np.arccos(np.where(np.abs(cosine) < 1.0, cosine, np.nan))
+    return crank, np.angle(hook - a * np.exp(1j * crank)) - crank
+
+
+def driven_by_a_four_bar(name: str) -> Mechanism:
+    """Return a mechanism whose first leg's shaft is turned by a four-bar in its plane from home.
+
+    The plane is that across z of the 5R; across y of the 6-RUS, with u along z and v along x.
+    """
+    nominal = pincal.load_mechanism(name)
+    leg = nominal.legs[0]
+    u, v, axis, start = ("x", "y", Z, -0.5) if name == "5R" else ("z", "x", Y, 0.0)
+    place = leg.index(leg.sensors[0].joint)
+    shaft, before, behind = leg.joints[place], leg.joints[:place], leg.joints[place + 1 :]
+    bars = {"fu": FOUR_BAR["fu"] + start, **{key: FOUR_BAR[key] for key in ("fv", "a", "b")}}
+    crank, coupler = (angle.item() for angle in crank_of(np.zeros(1)))
+    c, turn = FOUR_BAR["c"], -shaft.home
+    foot = Placement.of(bars, **{u: "fu", v: "fv"})
+    hook = Placement.of(bars, **{u: float(c * np.cos(turn)), v: float(c * np.sin(turn))})
+    loop = (
+        Joint("hook", "fixed", hook),
+        Joint("crank", "revolute", foot, axis, home=crank, parent="base" if before else ""),
+        Joint("coupler", "revolute", Placement.of(bars, **{u: "a"}), axis, home=coupler),
+        Joint("coupler_tip", "fixed", Placement.of(bars, **{u: "b"})),
+    )
+    behind = (replace(behind[0], parent=shaft.name), *behind[1:])
+    driven = replace(
+        leg,
+        joints=(*before, shaft, *loop, *behind),
+        sensors=(replace(leg.sensors[0], joint="crank"),),
+        parameters=(*leg.parameters, *bars.items()),
+        ends=(End("coupler_tip", "hook", tuple(sorted((u, v)))),),
+    )
+    return replace(nominal, name="driven", legs=(driven, *nominal.legs[1:]))
+
+
+@pytest.mark.parametrize("name", ["5R", pytest.param("6RUS", marks=pytest.mark.slow)])
+def test_a_loop_within_a_leg(name: str, tmp_path: Path) -> None:
+    """A shaft turned by a four-bar: the crank's reading is the cosine law's, all bars come back.
+
+    In space the loop closes in its plane alone: across it nothing is demanded.
+    """
+    nominal, mechanism = pincal.load_mechanism(name), driven_by_a_four_bar(name)
+    assert (mechanism.constraints, mechanism.by_readings) == (nominal.constraints, False)
+    poses = pincal.sample_workspace(nominal, 30, seed=3)
+    expected = pincal.inverse(nominal, poses)
+    place = [joint.name for joint in nominal.legs[0].moving].index(nominal.legs[0].sensors[0].joint)
+    crank = crank_of(expected.joints["leg_1"][:, place] - nominal.legs[0].home[place])[0]
+    solved = pincal.inverse(mechanism, poses)
+    near = np.isfinite(crank) & solved.reached.all(axis=1)
+    assert near.mean() > 0.5
+    turned = np.remainder(solved.readings[near, 0] - crank[near] + np.pi, 2 * np.pi) - np.pi
+    np.testing.assert_allclose(turned, 0.0, atol=1e-9)
+    mechanism.save(tmp_path / "driven")
+    assert pincal.load_mechanism(tmp_path / "driven").legs == mechanism.legs
+    assert recovered(mechanism, solved.readings[near], 1e-4) < 1e-8
+
+
+def agile_eye() -> Mechanism:
+    """Return three legs of three axes that meet in a point, at right angles; it only turns."""
+    legs, values = [], {"a_rx": 0.0, "a_ry": 0.0, "alpha": np.pi / 2, "beta": np.pi / 2}
+    values |= {"gamma": 0.0}
+    for number in range(3):
+        u, w, v = np.roll(np.eye(3), number, axis=1)
+        base = Rotation.from_matrix(np.column_stack((v, -w, u)))  # its z is the drive's axis
+        tip = base * Rotation.from_euler("xzx", (np.pi / 2, np.pi / 2, np.pi / 2))
+        tilts = Coordinate("rx", ("a_rx",)), Coordinate("ry", ("a_ry",))
+        base_turn, tip_turn = (
+            placement_of(RigidTransform.from_rotation(R).as_matrix()) for R in (base, tip.inv())
+        )
+        joints = (
+            Joint("base", "fixed", base_turn),
+            Joint("drive", "revolute", Placement(tilts), lower=-1.2, upper=1.2),
+            Joint("elbow", "revolute", Placement.of(values, rx="alpha"), home=np.pi / 2),
+            Joint("wrist", "revolute", Placement.of(values, rx="beta")),
+            Joint("tip", "fixed", tip_turn),
+        )
+        sensors, point = (Sensor("drive", offset="gamma"),), Joint(f"hand_{number}", "fixed")
+        name = f"leg_{number + 1}"
+        legs.append(Leg(name, joints, sensors, tuple(values.items()), point, "frame"))
+    return Mechanism("eye", Platform("wrist", (0.0,) * 3, ("rx", "ry", "rz")), tuple(legs))
+
+
+def test_a_platform_that_only_turns() -> None:
+    """An Agile eye's elbow and wrist axes are at right angles at every reading, and all return.
+
+    An elbow axis turns about the drive's from home, a wrist axis with the platform.
+    """
+    mechanism, rng = agile_eye(), np.random.default_rng(4)
+    readings = rng.uniform(-0.4, 0.4, (25, 3))
+    poses = pincal.forward(mechanism, readings).poses
+    R = mechanism.platform.matrices(poses)[:, :3, :3]
+    for number in range(3):
+        u, w, v = np.roll(np.eye(3), number, axis=1)
+        elbow = Rotation.from_rotvec(np.outer(readings[:, number], u)).apply(w)
+        np.testing.assert_allclose(np.einsum("ni,nij,j->n", elbow, R, v), 0.0, atol=1e-9)
+    assert recovered(mechanism, readings) < 1e-8
