@@ -88,10 +88,9 @@ def _unknown_elements(robot: etree._Element, path: Path) -> dict[str, str]:
     for element in robot:
         if not isinstance(element.tag, str) or element.tag in _KNOWN:
             continue
-        prefix = f"{element.prefix}:" if element.prefix else ""
-        tag = f"{prefix}{etree.QName(element).localname}"
+        tag = ":".join(filter(None, (element.prefix, element.tag.rpartition("}")[2])))
         named = f"{path}, line {element.sourceline}: <{tag}>"
-        if prefix == "xacro:":
+        if tag.startswith("xacro:"):
             raise MechanismError(f"{named} is a macro, which xacro expands: {XACRO}")
         if "include" in tag or "joint" in tag:
             raise MechanismError(f"{named} may place links, and is not URDF; write URDF without it")
