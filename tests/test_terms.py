@@ -173,7 +173,7 @@ def test_a_weight_that_nobody_said_is_taken_up_by_amplitudes() -> None:
     noise, kinds = pincal.Noise(1e-5, 1e-5, 1e-5), ["polynomial", "gravity"]
     first = pincal.explain(plain, unaware, noise=noise, folds=2, terms=kinds)
     assert first.candidates[0].kind == "gravity"
-    assert "1 kg on the platform stands for it" in str(first)
+    assert "under weight (1 kg if none is known)" in str(first)
 
 
 def test_loads_are_those_of_the_drawing_before_and_after_calibration() -> None:

@@ -8,14 +8,7 @@ import numpy as np
 
 from pincal.calibration.hypotheses.doctor import Remedy
 from pincal.calibration.terms.choice import LEVEL, Explanation
-from pincal.calibration.terms.kinds import (
-    GRAVITY,
-    GROWTH,
-    READINGS,
-    loads_known,
-    parts_of,
-    term_text,
-)
+from pincal.calibration.terms.kinds import GROWTH, READINGS, parts_of, term_text
 from pincal.calibration.terms.screen import Candidate
 from pincal.design.forecast import Forecast
 from pincal.design.platform_error import PlatformError
@@ -35,7 +28,7 @@ _CAUSES = {
     "period": "the pitch of a screw, or an eccentric gear with this ratio",
     "polynomial": "the pitch of a screw or belt, a table of the drive that is off",
     "backlash": "play, or friction that winds the drive up: it follows the side of approach",
-    "gravity": "something gives way under weight: a gear, a bearing, a link",
+    "gravity": "something gives way under weight (1 kg if none is known): gear, bearing or link",
 }
 _KEEP = (
     "identified parameters predict rows that were held out no better; measure more poses, or better"
@@ -70,10 +63,6 @@ _MEND = (
     "mend that first: measure what came after a slip again, or name the parts in a column run; "
     "while it is there other terms may only follow it"
 )
-_NO_LOAD = (
-    "what weighs was not said: 1 kg on the platform stands for it, and amplitudes take up what it "
-    "really is (load: {mass: …, centre: […]} in mechanism.yaml, or masses of links, fit better)"
-)
 
 
 def explanation_lines(explanation: Explanation) -> list[str]:
@@ -92,9 +81,6 @@ def explanation_lines(explanation: Explanation) -> list[str]:
             "nothing that was tried is seen in the residuals: the least probable of "
             f"{len(candidates)} has a chance of {least:.2g}, their number taken in"
         )
-    of_gravity = GRAVITY in dict(explanation.model.added).values()
-    if of_gravity and not loads_known(nominal, result.measurements):
-        lines.append(_NO_LOAD)
     lines += [
         f"fold {fold + 1} is left out of the comparison, the other rows do not determine it: {why}"
         for fold, why in explanation.lost

@@ -21,7 +21,6 @@ from pincal.calibration.terms.kinds import (
     Kind,
     Pair,
     check_place,
-    loads_known,
     parts_of,
     term_text,
     weighed,
@@ -226,21 +225,11 @@ def with_influences(
     """Return measurements with the columns that terms of some kinds would depend on.
 
     Sides of approach and loads follow from all rows in their order, which parts do not know.
-
-    Raises:
-        MeasurementError: no load is measured, and what weighs on the mechanism is not known.
     """
     asked_for = {OF_ONES_OWN[kind.name] for kind in kinds if kind.name in OF_ONES_OWN}
     names = {APPROACH: mechanism.reading_names, LOAD: mechanism.load_names}
     known = measurements.influences
-    if LOAD in asked_for and not mechanism.weighs:
-        if not loads_known(mechanism, measurements):
-            raise MeasurementError(
-                f"terms 'gravity': what weighs on {mechanism.name!r} is not known; measure columns "
-                f"{LOAD}_{mechanism.reading_names[0]} …, or say it in mechanism.yaml: 'load: "
-                "{mass: …, centre: […], gravity: […]}'"
-            )
-        asked_for.remove(LOAD)
+    asked_for -= set() if mechanism.weighs else {LOAD}
     missing = sorted(
         influence
         for influence in asked_for

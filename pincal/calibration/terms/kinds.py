@@ -8,7 +8,7 @@ place is a reading, a length or angle by its id (``leg_1.l``) or its name in all
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -95,15 +95,23 @@ def loads_known(mechanism: Mechanism, measurements: Measurements) -> bool:
     return mechanism.weighs or not columns.isdisjoint(measurements.influences)
 
 
-def weighed(mechanism: Mechanism, measurements: Measurements, kinds: Iterable[Kind]) -> Mechanism:
+def weighed(mechanism: Mechanism, measurements: Measurements, kinds: Sequence[Kind]) -> Mechanism:
     """Return a mechanism that weighs something if it is to have terms of gravity.
 
     1 kg on the platform, whose weight points down, where nothing is known of loads: what amplitudes
-    are times is in proportion to it. In the plane nobody knows where down is.
+    are times is in proportion to it.
+
+    Raises:
+        MeasurementError: nothing is known, and in the plane nobody knows where down is.
     """
-    flat, of_gravity = mechanism.platform.space == 2, any(kind == GRAVITY for kind in kinds)
-    if flat or not of_gravity or loads_known(mechanism, measurements):
+    if GRAVITY not in kinds or loads_known(mechanism, measurements):
         return mechanism
+    if mechanism.platform.space == 2:
+        raise MeasurementError(
+            f"terms 'gravity': what weighs on {mechanism.name!r} is not known; measure columns "
+            f"{LOAD}_{mechanism.reading_names[0]} …, or say it in mechanism.yaml: 'load: "
+            "{mass: …, centre: […], gravity: […]}'"
+        )
     return replace(mechanism, load=Load(1.0))
 
 

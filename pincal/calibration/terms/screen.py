@@ -27,7 +27,6 @@ from pincal.estimation.fit import Fit
 from pincal.estimation.observability.residuals import Amplitudes, Residuals
 from pincal.estimation.system import CLEAR, FALSE_ALARM
 from pincal.estimation.unknowns import State
-from pincal.kinematics.batches import product
 from pincal.model.units import UNITS
 from pincal.types import Array, Index
 
@@ -36,7 +35,6 @@ _FINE = 3  # rates that are tried in the width of a peak
 _STEPS = 3  # of Gauss and Newton from there to the peak
 _BETWEEN = 0.9  # of a peak, that is seen at least at the nearest that is tried
 _ALIASES = 6  # peaks at most that are asked for as terms
-_SEEN = 1e-3  # of the information of a sine and cosine that parameters must leave
 
 
 @dataclass(frozen=True)
@@ -158,12 +156,18 @@ def _periodic(candidate: Candidate, residuals: Residuals, readings: Array) -> li
     readings, shape (n_used, k), are of one unit.
     """
     E, x = candidate.rows, readings
-    width = 2.0 * np.pi / (float(np.ptp(x, axis=0).max()) or np.inf) / _FINE
+    if not (travel := float(np.ptp(x, axis=0).max())):
+        return []
+    width = 2.0 * np.pi / travel / _FINE
     rates = width * np.arange(_FINE * _PERIODS[0], _FINE * _PERIODS[1])
-    inside = np.concatenate([_along(residuals, E, x, part) for part in np.array_split(rates, 12)])
-    higher = np.r_[True, inside[1:] >= inside[:-1]] & np.r_[inside[:-1] > inside[1:], True]
-    variance = (residuals.chi2 - inside.max()) / max(residuals.degrees_of_freedom - 2, 1)
-    odds = inside / max(variance, 1e-300) - 2.0 * np.log(rates)
+    along, squares = (np.einsum("nmk,nmk->nk", E, of) for of in (residuals.left[..., None], E))
+    waves = [wave(rates[:, None, None] * x) for wave in (np.sin, np.cos)]
+    sizes = [np.maximum((wave**2 * squares).sum(axis=1), 1e-300) for wave in waves]
+    powers = [(w * along).sum(axis=1) ** 2 / size for w, size in zip(waves, sizes, strict=True)]
+    power = np.sum(powers, axis=(0, 2))  # as if parameters took nothing of a sine
+    higher = np.r_[True, power[1:] >= power[:-1]] & np.r_[power[:-1] > power[1:], True]
+    variance = (residuals.chi2 - power.max()) / max(residuals.degrees_of_freedom, 1)
+    odds = power / max(variance, 1e-300) - 2.0 * np.log(rates)
     clear = np.flatnonzero(higher & (odds > _BETWEEN * odds[higher].max() - CLEAR**2))
     spans = np.log(rates[-1] / rates[0]) * np.sqrt(x.var(axis=0).max() / np.pi)
     names = tuple(f"{id_}_{phase}" for id_ in candidate.names for phase in ("sine", "cosine"))
@@ -188,28 +192,6 @@ def _waves(errors: Array, angles: Array) -> Array:
     """Return errors times sine and cosine of angles, (N, m, k) and (N, k) to (N, m, 2 k)."""
     waves = errors[..., None] * np.stack((np.sin(angles), np.cos(angles)), axis=2)[:, None]
     return waves.reshape(*errors.shape[:2], -1)
-
-
-def _along(residuals: Residuals, errors: Array, x: Array, rates: Array) -> Array:
-    """Return χ² along sine and cosine of angles that grow with x at some rates, shape (n_rates,).
-
-    0 where parameters take them up. Sums over equations of a row are the same at all rates.
-    """
-    angles, f = rates[:, None, None] * x, 2 * errors.shape[2]
-    waves = np.stack((np.sin(angles), np.cos(angles)), axis=3)  # (n_rates, N, k, 2)
-    squares, taken = (
-        product(turned := errors.transpose(0, 2, 1), errors),
-        product(turned, residuals.Q),
-    )
-    along = np.einsum("rnkj,nk->rkj", waves, product(turned, residuals.left[:, :, None])[:, :, 0])
-    gram = np.einsum("rnkj,nkl,rnli->rkjli", waves, squares, waves, optimize=True)
-    taken = np.einsum("rnkj,nkp->rkjp", waves, taken, optimize=True).reshape(len(rates), f, -1)
-    gram, along = gram.reshape(-1, f, f), along.reshape(-1, f, 1)
-    lengths = np.sqrt(np.maximum(np.diagonal(gram, axis1=1, axis2=2), 1e-300))[:, :, None]
-    information = (gram - taken @ taken.transpose(0, 2, 1)) / (lengths * lengths.transpose(0, 2, 1))
-    seen = np.linalg.eigvalsh(information)[:, 0] > _SEEN
-    information[~seen], along = np.eye(f), along / lengths
-    return np.where(seen, (along * np.linalg.solve(information, along)).sum(axis=(1, 2)), 0.0)
 
 
 def inseparable(candidate: Candidate, rivals: Sequence[Candidate], chi2: float) -> list[Candidate]:
