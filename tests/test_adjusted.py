@@ -23,7 +23,7 @@ def test_the_optimum_is_that_of_adjusted_conditions() -> None:
     mechanism, _, data = machine("6UPS", 200, NOISE)
     (one,) = fitted(Calibration(mechanism, data, Options(noise=NOISE))).fits
     fit = one
-    there = adjusted(fit.problem, fit.last)
+    there = adjusted(fit.last)
     assert fit.system.solve(there, fit.weights, 1.0).decrement < 1e-2
     assert fit.system.solve(fit.last, fit.weights, 1.0).decrement > 0.1
     assert there.squares.sum() == pytest.approx(fit.chi2, rel=1e-4)
@@ -43,7 +43,7 @@ def test_steps_that_are_too_long_are_shortened(seed: int) -> None:
     data = pincal.simulate(mechanism, truth, plan, noise, seed).measurements
     options = Options(noise=noise, rough=True)
     (one,) = fitted(Calibration(mechanism, data, options)).fits
-    there = adjusted(one.problem, one.last)
+    there = adjusted(one.last)
     left = one.system.solve(there, one.weights, 1.0).decrement
     assert one.distance == pytest.approx(left, rel=1e-6)
     assert left <= 1e-3

@@ -18,7 +18,7 @@ LINES = {
     "architectures": 540,
     "calibration": 5_648,
     "cli": 2_150,
-    "design": 1_825,
+    "design": 1_810,
     "estimation": 4_565,
     "files": 2_730,
     "formats": 1_905,

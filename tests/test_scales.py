@@ -69,7 +69,7 @@ def test_what_is_assumed_counts_where_residuals_say_little() -> None:
     """Of no information the assumed proportion is left, of much the unconstrained solution."""
     noise = NOISES["readings too"]
     one = fit_at(noise)
-    moments = Moments.of([(one, one.problem)], noise.reading)
+    moments = Moments.of([one], noise.reading)
     sizes, units = pincal.Noise(1.0, 2.0, 3.0), pincal.Noise(1.0, 1.0, 1.0)
     before = assumed_information(sizes, units, moments.scale, exact=True)
     little = replace(moments, F=1e-9 * moments.F, q=1e-9 * moments.q).variances(before)
@@ -87,7 +87,7 @@ def test_no_variance_is_below_zero() -> None:
     """Moments that would have one negative leave it at zero, and the others to the rest of them."""
     noise = NOISES["readings too"]
     one = fit_at(noise)
-    moments = Moments.of([(one, one.problem)], noise.reading)
+    moments = Moments.of([one], noise.reading)
     units = pincal.Noise(1.0, 1.0, 1.0)
     before = assumed_information(units, units, moments.scale, exact=True)
     for negative in range(3):
@@ -102,7 +102,7 @@ def test_covariances_lack_what_kenward_and_roger_say() -> None:
     """2 J⁺ (Σ_gh cov(s)_gh V_g M V_h) J⁺ᵀ, M = I − J J⁺, built in full."""
     noise = NOISES["readings too"]
     one = fit_at(noise)
-    moments = Moments.of([(one, one.problem)], noise.reading)
+    moments = Moments.of([one], noise.reading)
     J = (one.last.jacobian @ one.unknowns.map).reshape(-1, one.unknowns.map.shape[1])
     back, V, C = np.linalg.pinv(J), whole_parts(one), np.diag([1.0, 2.0, 3.0]) + 0.5
     M, T = np.eye(len(J)) - J @ back, one.unknowns.map
@@ -148,7 +148,7 @@ def test_redundancies_sum_to_the_degrees_of_freedom(case: str) -> None:
     """Σ_h F_gh s_h = tr(M V_g): at the noise given, over all groups, the degrees of freedom."""
     noise = NOISES[case]
     one = fit_at(noise)
-    moments = Moments.of([(one, one.problem)], noise.reading or 1e-4)
+    moments = Moments.of([one], noise.reading or 1e-4)
     present = np.array([True, True, noise.reading > 0.0])
     share = moments.F[np.ix_(present, present)]
     assert share.sum() == pytest.approx(one.degrees_of_freedom, rel=1e-9)
@@ -159,7 +159,7 @@ def test_moments_are_those_of_the_whole_projection() -> None:
     """F and q from M = I − J (JᵀJ)⁻¹ Jᵀ and V_g, built in full."""
     noise = NOISES["readings too"]
     one = fit_at(noise)
-    moments = Moments.of([(one, one.problem)], noise.reading)
+    moments = Moments.of([one], noise.reading)
     white, T = one.last, one.unknowns.map
     J = (white.jacobian @ T).reshape(-1, T.shape[1])
     M, V = np.eye(len(J)) - J @ np.linalg.pinv(J), whole_parts(one)

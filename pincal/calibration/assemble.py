@@ -191,7 +191,7 @@ def noise_freedoms(fits: Fits) -> tuple[Array, float]:
     elif model.known and model.source != "repeats":
         of_fits = [np.full(len(fit.covariance), np.inf) for fit in fits.fits]
     else:
-        moments, spread = fits.moments(), fits.variances
+        moments, spread = fits.moments, fits.variances
         if spread is None:
             freedom = np.array(model.freedoms)
             spread = np.diag(2.0 / freedom)

@@ -240,16 +240,14 @@ class Calibration:
             check_start(problem, first)
         return replace(problem, first=first)
 
-    def measured_problem(self, legs: Sequence[int]) -> tuple[Problem, Index]:
+    def measured_problem(self, names: Sequence[str]) -> tuple[Problem, Index]:
         """Return the problem of some legs at poses as measured, and the rows that serve them."""
-        used, mechanism = self.used[:, legs], self.mechanism
-        rows = np.flatnonzero(used.any(axis=1))
-        measured = self.measurements.rows(rows)
-        matrices = mechanism.platform.matrices(measured.poses)
-        nominal = np.concatenate([mechanism.legs[i].nominal for i in legs])
+        legs = [self.mechanism.leg_names.index(name) for name in names]
+        used, rows = self.used[:, legs], np.flatnonzero(self.used[:, legs].any(axis=1))
+        matrices = self.mechanism.platform.matrices(self.measurements.poses[rows])
+        nominal = np.concatenate([self.mechanism.legs[i].nominal for i in legs])
         leg_block = self.leg_block(legs, rows, used[rows], self.noise.poses.roots[rows])
-        observation = Observation(mechanism, measured, self.options.setup)
-        return Problem(leg_block, observation, State(nominal, matrices)), rows
+        return Problem(leg_block, self.observation.at(rows), State(nominal, matrices)), rows
 
     def given_poses(self, external: External | None) -> Array:
         """Return measured poses in the base frame, shape (N, dof), by frame and target if known."""

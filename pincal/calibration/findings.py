@@ -110,7 +110,7 @@ def _proportion(fits: Fits) -> list[Finding]:
     noise = fits.calibration.noise
     if not noise.known or any(fit.system.loss is not None for fit in fits.fits):
         return []
-    moments = fits.moments()
+    moments = fits.moments
     readings = any(fit.problem.leg_block.sigma.any() for fit in fits.fits)
     testable = np.array([True, True, readings and noise.source != "rows"])
     groups = np.flatnonzero(testable & (np.diagonal(moments.F) > 0.0))

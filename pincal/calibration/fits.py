@@ -24,13 +24,14 @@ from pincal.estimation.components import (
     assumed_information,
     estimated_noise,
     likeliest,
+    tie_of,
 )
 from pincal.estimation.fit import Fit
 from pincal.estimation.noise import assumed_noise
 from pincal.estimation.observability.gauge import Gauge, find_gauge
 from pincal.estimation.observability.identifiable import HeldUnknowns, hold_unobservable
 from pincal.estimation.observability.indices import DIFFER
-from pincal.estimation.problem import Problem
+from pincal.estimation.problem import Linear, Problem
 from pincal.estimation.robust import robust_fit
 from pincal.estimation.system import System, loss_of
 from pincal.estimation.unknowns import External, State, Unknowns
@@ -99,20 +100,19 @@ class Fits:
         assumed = assumed_noise(self.calibration.mechanism, exact=False).reading
         return self.noise.reading or assumed
 
-    def moments(self, noise: Noise | None = None) -> Moments:
-        """Return what the residuals say of the variances of groups at some noise, or the fits'."""
-        problems = [fit.problem for fit in self.fits]
-        if noise is not None:
-            calibration = self.calibration.with_noise(noise)
-            names = calibration.mechanism.leg_names
-            groups = [[names.index(leg.name) for leg in problem.legs] for problem in problems]
-            problems = (
-                [calibration.latent_problem]
-                if self.latent
-                else [calibration.measured_problem(group)[0] for group in groups]
-            )
-        reading = (noise or self.noise).reading or self.reading_unit
-        return Moments.of(list(zip(self.fits, problems, strict=True)), reading)
+    def at_noise(self, noise: Noise) -> Fits:
+        """Return the fits at other noise: to first order they need no new search."""
+        calibration, fits = self.calibration.with_noise(noise), []
+        for fit in self.fits:
+            names = [leg.name for leg in fit.problem.legs]
+            measured = None if self.latent else calibration.measured_problem(names)[0]
+            fits.append(fit.at_noise_of(measured or calibration.latent_problem))
+        return replace(self, calibration=calibration, fits=fits)
+
+    @property
+    def moments(self) -> Moments:
+        """What the residuals say of the variances of groups."""
+        return Moments.of(self.fits, self.reading_unit)
 
     @property
     def places(self) -> list[Index]:
@@ -162,7 +162,7 @@ def _with_estimated_noise(fits: Fits) -> Fits:
         if not fits.sound:
             return fits
         estimate = _noise_of(fits, assumed, tie, exact=exact)
-        if tie is None and (tie := fits.moments(estimate).tie(estimate)):
+        if tie is None and (tie := tie_of(fits.fits[0], estimate)):
             estimate = _noise_of(fits, assumed, tie, exact=exact)
         if _agree(fits.noise, estimate):
             break
@@ -170,7 +170,7 @@ def _with_estimated_noise(fits: Fits) -> Fits:
     scale = float(np.mean([fit.noise_scale for fit in fits.fits]))
     if fits.sound and abs(scale - 1.0) > SCALE_OFF and scale > 0.0:  # a group is at its floor
         fits = _again(fits, Noise(*(scale * value for value in vars(fits.noise).values())))
-    moments = fits.moments()
+    moments = fits.moments
     if not fits.sound or moments.rounding:
         return fits
     information = assumed_information(fits.noise, assumed, moments.scale, exact=exact, tie=tie)
@@ -190,17 +190,13 @@ def _again(fits: Fits, noise: Noise) -> Fits:
 
 def _noise_of(fits: Fits, assumed: Noise, tie: Tie | None, *, exact: bool) -> Noise:
     """Return the noise that the residuals of fits show, of which some is assumed to be alike."""
-    noise = fits.noise
     for _ in range(ROUNDS):
-        moments = fits.moments(noise)
-        if moments.rounding:
-            return noise
-        reading = noise.reading or fits.reading_unit
-        estimate = estimated_noise(moments, noise, reading, assumed, exact=exact, tie=tie)
-        if _agree(noise, estimate):
+        moments, noise, unit = fits.moments, fits.noise, fits.reading_unit
+        estimate = estimated_noise(moments, noise, unit, assumed, exact=exact, tie=tie)
+        if moments.rounding or _agree(noise, estimate):
             break
-        noise = estimate
-    return noise
+        fits = fits.at_noise(estimate)
+    return fits.noise
 
 
 def _agree(noise: Noise, estimate: Noise) -> bool:
@@ -226,22 +222,21 @@ def _all_legs(
         gauge = find_gauge(mechanism, problem, unknowns, strict=not options.holds)
     free = unknowns.held(gauge.constraints) if gauge.found else unknowns
     options.report("identifying all legs and poses")
-    known, progress = calibration.noise.known, options.progress
-    system = System(problem, free, calibration.counts, known, progress=progress)
-    held = None
+    known, former, held = calibration.noise.known, begin if rows is None else None, None
+    system = System(problem, free, calibration.counts, known, progress=options.progress)
     if options.holds:
-        former = begin.held if begin is not None and rows is None else None
         fit, held = _fit_holding(calibration, system, start, former)
     else:
-        fit = robust_fit(mechanism, system, loss_of(options.loss), start)
-    if begin is not None and rows is None:  # whose search began where this one's would have
-        fit = replace(fit, first=begin.fits[0].first)
+        linear = problem.evaluate(start) if isinstance(start, State) else start
+        fit = robust_fit(mechanism, system, loss_of(options.loss), linear)
+    if former:  # whose search began where this one's would have
+        fit = replace(fit, first=former.fits[0].first)
     return Fits(calibration, [fit], gauge, held)
 
 
 def _beginning(
     problem: Problem, begin: Fits | None, rows: Mask | None
-) -> tuple[State | None, Gauge | None, State | None]:
+) -> tuple[State | Linear | None, Gauge | None, State | None]:
     """Return where a search starts, the gauge, and where it would have started; None if not known.
 
     Of fits of more rows the gauge is the same where the same is measured. Terms begin at zero.
@@ -250,7 +245,7 @@ def _beginning(
         return None, None, None
     fit = begin.fits[0]
     if rows is None:
-        return fit.last.state, begin.gauge, fit.problem.first
+        return replace(fit.last, problem=problem), begin.gauge, fit.problem.first
     start = fit.last.state.rows(np.flatnonzero(rows))
     if problem.leg_block.n_parameters != fit.problem.leg_block.n_parameters:
         nominal, values = _values(problem.legs), _values(fit.problem.legs, start.parameters)
@@ -272,23 +267,25 @@ def _values(legs: Sequence[Leg], parameters: Array | None = None) -> dict[str, f
 
 
 def _fit_holding(
-    calibration: Calibration, system: System, start: State | None, former: HeldUnknowns | None
+    calibration: Calibration, system: System, start: State | Linear | None, former: Fits | None
 ) -> tuple[Fit, HeldUnknowns]:
     """Return a fit with weak directions held, and what was: more of them until it converges."""
-    least = former.least if former else 1.0
+    held = held_before = former.held if former else None
+    least = held.least if held else 1.0
     mechanism, options, free = calibration.mechanism, calibration.options, system.unknowns
     problem = system.problem.at(np.flatnonzero(system.kept))
+    linear = None if isinstance(start, State) else start
     while True:
-        held = hold_unobservable(mechanism, problem, free, least)
-        if former is None:
-            start = start and _within(held.unknowns, start)
-        elif held.directions.shape[1] > former.directions.shape[1]:
-            start = None  # at nominal values: there what is held besides is held
+        held = hold_unobservable(mechanism, problem, free, held, least)
+        if isinstance(start, State):
+            linear = system.problem.evaluate(_within(held.unknowns, start))
+        elif held_before and held.directions.shape[1] > held_before.directions.shape[1]:
+            linear = None  # at nominal values: there what is held besides is held
         may_hold_more = held.weakest < _HELD_MORE * least and least < _HELD_MOST
         patience = _PATIENCE if may_hold_more else None
         system = replace(system, unknowns=held.unknowns, max_evaluations=patience)
         try:
-            fit = robust_fit(mechanism, system, loss_of(options.loss), start)
+            fit = robust_fit(mechanism, system, loss_of(options.loss), linear)
             if fit.converged or not may_hold_more:
                 return fit, held
         except ObservabilityError:
@@ -311,15 +308,13 @@ def _measured(calibration: Calibration) -> Fits:
     calibration.check_complete()
     calibration.check_counts()
     unknowns, fits = calibration.unknowns, []
-    legs, ties = list(enumerate(mechanism.legs)), set(options.tied)
-    tied = [i for i, leg in legs if ties & set(leg.parameter_names)]  # identified at once
-    for group in [tied] * bool(tied) + [[i] for i, _ in legs if i not in tied]:
-        names = [mechanism.leg_names[i] for i in group]
+    tied = [leg.name for leg in mechanism.legs if set(options.tied) & set(leg.parameter_names)]
+    singly = [[name] for name in mechanism.leg_names if name not in tied]
+    for names in [tied, *singly] if tied else singly:  # what is tied is identified at once
         options.report(f"identifying {', '.join(names)}")
-        problem, rows = calibration.measured_problem(group)
+        problem, rows = calibration.measured_problem(names)
         free, counts = unknowns.part(names), calibration.counts[rows]
-        known, progress = calibration.noise.known, options.progress
-        system = System(problem, free, counts, known, progress=progress)
+        system = System(problem, free, counts, calibration.noise.known, progress=options.progress)
         fits.append(robust_fit(mechanism, system, loss_of(options.loss)))
     return Fits(calibration, fits)
 

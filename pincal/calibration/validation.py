@@ -152,11 +152,11 @@ def predictions(fits_of_all: Fits, unseen: Calibration) -> list[tuple[Fit, Index
         (fit,) = fits_of_all.fits
         problem, external = unseen.latent_problem, fit.last.state.external
         state = placed(problem, unseen.measurements, fit.parameters, external)
-        linear = problem.evaluate(poses_at_rest(problem, state))
-        return [(fit, np.arange(len(unseen.measurements)), solve_poses(problem, linear)[0])]
-    names, parts = list(unseen.mechanism.leg_names), []
+        linear, _ = solve_poses(poses_at_rest(problem.evaluate(state)))
+        return [(fit, np.arange(len(unseen.measurements)), linear)]
+    parts = []
     for fit in fits_of_all.fits:
-        problem, rows = unseen.measured_problem([names.index(leg.name) for leg in fit.problem.legs])
+        problem, rows = unseen.measured_problem([leg.name for leg in fit.problem.legs])
         parts.append((fit, rows, problem.evaluate(problem.start(fit.parameters))))
     return parts
 

@@ -30,7 +30,7 @@ from pincal.estimation.observability.indices import (
     scaled_axes,
 )
 from pincal.estimation.observation import Observation
-from pincal.estimation.rows import NoNoiseError, white_rows
+from pincal.estimation.rows import white_rows
 from pincal.files.measurements import as_noise
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.files.yaml import read_setup
@@ -54,13 +54,7 @@ def leg_rows(demand: Demand, mechanism: Mechanism, noise: Noise) -> Array:
     """
     by_pose, by_reading = demand.pose * noise.of_poses(mechanism), demand.reading * noise.reading
     root = np.concatenate((by_pose, by_reading), axis=2)
-    try:
-        return white_rows(demand.pose[:, :, :0], root)(demand.parameter)
-    except NoNoiseError as error:
-        raise MeasurementError(
-            "a residual has no noise at all; give a standard deviation above zero for position, "
-            "orientation or reading (only their ratios matter to the choice)"
-        ) from error
+    return white_rows(demand.pose[:, :, :0], root)(demand.parameter)
 
 
 def information_rows(
@@ -105,14 +99,7 @@ def information_rows(
     # └ 0  by external      ┘  what is seen   └ B ┘   └          σ ┘
     pose = np.concatenate((legs.pose, by_pose), axis=1)
     n_rows = legs.parameter.shape[1]
-    try:
-        white = white_rows(pose, block_diagonal((noise.reading * legs.reading, scatter)))
-    except NoNoiseError as error:
-        raise MeasurementError(
-            "some measurements carry no noise at all; give standard deviations above zero for what "
-            "is measured, and for readings (--noise-reading) where there are more of them than "
-            "freedoms, or positions are measured in part"
-        ) from error
+    white = white_rows(pose, block_diagonal((noise.reading * legs.reading, scatter)))
     rows = white(block_diagonal((legs.parameter, by_external)))
     if not rows.size:
         raise MeasurementError(

@@ -16,8 +16,6 @@ import numpy as np
 
 from pincal.estimation.fit import Fit
 from pincal.estimation.observability.indices import RANK_TOLERANCE
-from pincal.estimation.problem import Problem
-from pincal.estimation.system import NormalEquations, outlying
 from pincal.kinematics.batches import over_rows
 from pincal.model.measurements import Noise
 from pincal.types import Array, Index
@@ -45,43 +43,25 @@ class Moments:
     """rᵀ M V_g M r, shape (3,)."""
     scale: float
     """χ² over degrees of freedom."""
-    levers: Array
-    """How far noise of a reading's unit moves a coordinate of the platform, [m] and [rad],
-    shape (2,); NaN where there is none."""
     parts: tuple[tuple[Array, Array, Array], ...]
-    """Of each fit Qᵀ V_g Q, Q R = J, shape (3, n_free, n_free); Qᵀ V_g M V_h Q, shape (3, 3,
-    n_free, n_free); and R⁻ᵀ Tᵀ, whose columns squared are variances of unknowns, (n_free, n)."""
+    """Of each fit V_g Q, Q R = J, shape (3, n_good, m, n_free); Qᵀ V_g Q, (3, n_free, n_free); and
+    R⁻ᵀ Tᵀ, whose columns squared are variances of unknowns, (n_free, n)."""
 
     @classmethod
-    def of(cls, fits: Sequence[tuple[Fit, Problem]], reading: float) -> Moments:
-        """Return the moments of fits of groups of legs.
+    def of(cls, fits: Sequence[Fit], reading: float) -> Moments:
+        """Return the moments of fits of groups of legs, at the noise in question.
 
-        To first order they need no new fit: what parameters take up is projected out. Each fit has
-        its problem at the noise in question; that of readings is relative to one, [rad] or [m].
+        What parameters take up is projected out. The noise of readings is relative to one, [rad] or
+        [m].
         """
-        every = (_moments(fit, problem, reading) for fit, problem in fits)
-        F, q, chi2, levers, parts = zip(*every, strict=True)
-        dof = max(sum(fit.degrees_of_freedom for fit, _ in fits), 1)
-        return cls(sum(F), sum(q), sum(chi2) / dof, np.mean(levers, axis=0), parts)
+        F, q, parts = zip(*(_moments(fit, reading) for fit in fits), strict=True)
+        dof = max(sum(fit.degrees_of_freedom for fit in fits), 1)
+        return cls(sum(F), sum(q), sum(fit.normal.left for fit in fits) / dof, parts)
 
     @property
     def rounding(self) -> bool:
         """Whether the residuals are rounding errors."""
         return not self.scale > _ROUNDING**2
-
-    def tie(self, noise: Noise) -> Tie | None:
-        """Return to which noise that of readings is tied if it moves the platform much farther.
-
-        What the model lacks looks like noise of the readings, and poses near singularities would
-        then judge the model. It belongs to what was measured of the platform: only repeated rows
-        may show sensors that are so noisy. None if nothing of the platform was measured, either.
-        """
-        measured = np.flatnonzero(np.diagonal(self.F)[:_R] > 0.0)
-        if not len(measured):
-            return None
-        group = int(measured[0])
-        lever, size = float(self.levers[group]), (noise.position, noise.orientation)[group]
-        return (group, _SENSOR / lever) if lever * noise.reading > _SENSORS_ONLY * size else None
 
     def information(self, assumed: Array) -> Array:
         """Return the information on variances, with that assumed beforehand, shape (3, 3)."""
@@ -111,7 +91,7 @@ class Moments:
         (Satterthwaite 1946); the covariance is that of the relative variances, shape (3, 3).
         """
         freedoms = []
-        for P, _, by_rows in self.parts:
+        for _, P, by_rows in self.parts:
             groups = np.einsum("in,gij,jn->gn", by_rows, P, by_rows)
             spread = np.einsum("gn,gh,hn->n", groups, covariance, groups)
             known = 2.0 * (by_rows**2).sum(axis=0) ** 2 / np.where(spread > 0.0, spread, 1.0)
@@ -124,10 +104,13 @@ class Moments:
         Weights by estimated variances spread the estimate by Λ = Σ_gh cov(s)_gh Qᵀ V_g M V_h Q, and
         the covariance at the estimate is as much too small: 2 Λ (Kenward and Roger 1997).
         """
-        return [
-            by_rows.T @ (2.0 * np.einsum("gh,ghij->ij", covariance, crossed)) @ by_rows
-            for _, crossed, by_rows in self.parts
-        ]
+        widenings = []
+        for VQ, P, by_rows in self.parts:
+            mixed, taken = (np.tensordot(covariance, part, 1) for part in (VQ, P))
+            spread = sum(over_rows(*pair) for pair in zip(VQ, mixed, strict=True))
+            spread = spread - (P @ taken).sum(axis=0)
+            widenings.append(by_rows.T @ (2.0 * spread) @ by_rows)
+        return widenings
 
 
 def assumed_information(
@@ -143,7 +126,7 @@ def assumed_information(
         unit: Those that are assumed to be alike.
         scale: χ² over degrees of freedom.
         exact: Whether readings may be exact.
-        tie: To whose noise that of readings is tied, see ``Moments.tie``.
+        tie: To whose noise that of readings is tied, see ``tie_of``.
     """
     sizes, ratio = _relative(noise, unit)
     largest = ratio[: 3 if noise.reading > 0.0 else 2].max() * max(scale, 1e-300)
@@ -173,7 +156,7 @@ def estimated_noise(
         reading: Standard deviation to which that of readings is relative, [rad] or [m].
         unit: Standard deviations that are assumed to be alike.
         exact: Whether readings may be exact.
-        tie: See ``Moments.tie``.
+        tie: See ``tie_of``.
     """
     assumed = assumed_information(noise, unit, moments.scale, exact=exact, tie=tie)
     _, ratio = _relative(noise, unit)
@@ -186,40 +169,44 @@ def estimated_noise(
     return Noise(float(noise.position * p), float(noise.orientation * o), float(reading * r))
 
 
-def _moments(
-    fit: Fit, problem: Problem, readings: float
-) -> tuple[Array, Array, float, Array, tuple[Array, Array, Array]]:
-    """Return what a fit says of the variances of groups at a problem's noise: see ``Moments``."""
-    linear = problem.evaluate(fit.last.state)
-    rows = fit.weights > 0.0
-    if fit.system.loss is not None:
-        rows &= ~outlying(linear.squares / fit.system.scale(linear) ** 2, linear.equations)
+def tie_of(fit: Fit, noise: Noise) -> Tie | None:
+    """Return to which noise that of readings is tied if it moves the platform much farther.
+
+    What the model lacks looks like noise of the readings, and poses near singularities would
+    then judge the model. It belongs to what was measured of the platform: only repeated rows
+    may show sensors that are so noisy. None if poses are as measured, or nothing of them was.
+    """
+    problem, linear, n_legs = fit.problem, fit.last, fit.problem.leg_block.n_rows
+    columns = zip(problem.observation.units, problem.active[fit.good, n_legs:].T, strict=False)
+    units = {unit for unit, measured in columns if measured.any()}
+    group, unit = (0, "m") if "m" in units else (1, "rad")
+    moving = np.array(problem.platform.units) == unit
+    if not (units and moving.any()):
+        return None
+    by_reading = linear.by_measured[:, :n_legs, : problem.leg_block.n_readings]
+    moved = np.linalg.pinv(linear.by_pose[:, :n_legs]) @ by_reading  # least squares of the legs
+    lever = float(np.sqrt(np.median((moved**2).sum(axis=2), axis=0)[moving].mean()))
+    far = lever * noise.reading > _SENSORS_ONLY * (noise.position, noise.orientation)[group]
+    return (group, _SENSOR / lever) if far else None
+
+
+def _moments(fit: Fit, reading: float) -> tuple[Array, Array, tuple[Array, Array, Array]]:
+    """Return what a fit says of the variances of groups: F and q of ``Moments``, and a part."""
+    linear, rows, Q, problem = fit.last, fit.good, fit.Q, fit.problem
     n_readings = problem.leg_block.n_readings
-    by_reading = np.where(linear.active[:, :, None], linear.by_measured[:, :, :n_readings], 0.0)
-    by_reading *= readings
-    levers = np.full(2, np.nan)
-    if problem.latent:  # of least squares of the legs alone
-        n_legs, freedoms = problem.leg_block.n_rows, np.array(problem.platform.units)
-        moved = np.linalg.pinv(linear.by_pose[:, :n_legs]) @ by_reading[:, :n_legs]
-        squares = np.median((moved**2).sum(axis=2), axis=0)
-        for place, unit in enumerate(("m", "rad")):
-            if unit in freedoms:
-                levers[place] = np.sqrt(squares[freedoms == unit].mean()) / readings
+    by_reading = np.where(problem.active[:, :, None], linear.by_measured[:, :, :n_readings], 0.0)
     W = linear.white.by_noise[:, :, n_readings : len(problem.quantities)]
     units = list(problem.quantities.values())[n_readings:]
     lengths = np.array([unit == "m" for unit in units], dtype=bool)
-    groups = (W[:, :, lengths], W[:, :, ~lengths], linear.white(by_reading))
+    groups = (W[:, :, lengths], W[:, :, ~lengths], linear.white(reading * by_reading))
     V = np.stack([part[rows] @ part[rows].transpose(0, 2, 1) for part in groups])
-    normal = NormalEquations.of(fit.system.triangle(linear, rows.astype(float)))
-    Q = normal.orthonormal(linear.jacobian[rows] @ fit.unknowns.map)
-    residuals = linear.residuals[rows] - Q @ normal.c
+    residuals = linear.residuals[rows] - Q @ fit.normal.c
     VQ = V @ Q
     P = np.stack([over_rows(Q, part) for part in VQ])
     F = np.einsum("gnij,hnij->gh", V, V) + np.einsum("gij,hij->gh", P, P)
     F -= 2.0 * np.einsum("gnmi,hnmi->gh", VQ, VQ)
-    q = np.einsum("nm,gnmk,nk->g", residuals, V, residuals, optimize=True)
-    crossed = np.stack([[over_rows(a, b) for b in VQ] for a in VQ]) - P[:, None] @ P
-    return F, q, normal.left, levers, (P, crossed, normal.orthonormal(fit.unknowns.map).T)
+    q = (residuals * (V @ residuals[:, :, None])[..., 0]).sum(axis=(1, 2))
+    return F, q, (VQ, P, fit.normal.orthonormal(fit.unknowns.map).T)
 
 
 @dataclass(frozen=True)

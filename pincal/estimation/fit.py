@@ -22,7 +22,7 @@ from pincal.estimation.solver import (
     solve_poses,
 )
 from pincal.estimation.system import FALSE_ALARM, NormalEquations, System, outlying
-from pincal.estimation.unknowns import State, Unknowns
+from pincal.estimation.unknowns import Unknowns
 from pincal.types import Array, Index, Mask
 
 _FALLEN = 0.9  # share of what determines a direction that falling slopes may take away
@@ -61,6 +61,12 @@ class Fit(SolverResult):
     """Rows that did not fit, the worst first."""
     widening: Array | float = 0.0
     """What noise and tolerances that were estimated add to the covariance, shape (n, n)."""
+
+    def at_noise_of(self, problem: Problem) -> Fit:
+        """Return the fit with its problem at other noise: to first order it needs no new search."""
+        system, last = replace(self.system, problem=problem), replace(self.last, problem=problem)
+        scale = self.scale if system.loss is None else system.scale(last)
+        return replace(self, system=system, last=last, scale=scale)
 
     @property
     def problem(self) -> Problem:
@@ -221,7 +227,7 @@ class Fit(SolverResult):
         return -self.noise_scale * (by_free @ by_free.T) @ follows
 
 
-def fit(system: System, start: State | None = None) -> Fit:
+def fit(system: System, start: Linear | None = None) -> Fit:
     """Return the fit of a problem, from its start at nominal parameters if no other is given.
 
     Raises:
@@ -229,15 +235,15 @@ def fit(system: System, start: State | None = None) -> Fit:
         MeasurementError: residuals that do not exist, or have no noise.
     """
     problem, unknowns = system.problem, system.unknowns
-    state = start or problem.start(unknowns.start)
-    first, evaluations = solve_poses(problem, problem.evaluate(state))
+    begin = start or problem.evaluate(problem.start(unknowns.start))
+    first, evaluations = solve_poses(begin)
     check_rank(problem, unknowns, first)
     highest = system.cost(first)
     near = first
     if start is not None:  # where the last steps ended, which the search does not know of
         highest *= 1.0 + ROWS_FOLLOW
     else:
-        near, easy_evaluations = _near_start(system, first)
+        near, easy_evaluations = _near_start(system, begin, first)
         evaluations += easy_evaluations
     enough = SLOW if adjusts(problem) else 0.0  # the last steps go on from there
     solution = last_steps(system, search(system, near, highest=highest, enough=enough))
@@ -263,24 +269,24 @@ _EASY_NEAR = 0.1  # standard deviations of a residual at which the easier proble
 _EASY_EVALUATIONS = 50
 
 
-def _near_start(system: System, first: Linear) -> tuple[Linear, int]:
+def _near_start(system: System, begin: Linear, first: Linear) -> tuple[Linear, int]:
     """Return where the search begins, near an easier optimum if that is better; and evaluations.
 
     That of the evened problem, without gross errors, and of least squares: a loss bends the cost
-    far from its optimum.
+    far from its optimum. It is sought from the start, of which ``first`` has the poses solved.
     """
     problem = system.problem
     sound = first.squares <= _GROSS**2 * np.median(first.squares)
     easier = _evened(problem, first) or (problem if system.loss or not sound.all() else None)
     if easier is None:
         return first, 0
-    begin, solved = solve_poses(easier, easier.evaluate(problem.start(first.state.parameters)))
+    easier_begin, solved = solve_poses(replace(begin, problem=easier))
     easy = replace(system, problem=easier, kept=system.kept & sound, loss=None)
-    end = search(replace(easy, max_evaluations=_EASY_EVALUATIONS), begin, enough=_EASY_NEAR)
-    state, evaluations = end.last.state, solved + end.evaluations
+    end = search(replace(easy, max_evaluations=_EASY_EVALUATIONS), easier_begin, enough=_EASY_NEAR)
+    evaluations = solved + end.evaluations
     try:
         with np.errstate(all="ignore"):
-            near, solved = solve_poses(problem, problem.evaluate(state))
+            near, solved = solve_poses(replace(end.last, problem=problem))
             costs = [system.cost(linear) for linear in (first, near)]
     except MeasurementError:
         return first, evaluations
@@ -339,9 +345,8 @@ def curvature(fit: Fit) -> float:
     bent = straight = 0.0
     for draw in np.random.default_rng(0).standard_normal((_PAIRS, len(size))):
         step = root @ draw
-        ends = [problem.evaluate(problem.moved(linear, sign * step)) for sign in (1.0, -1.0)]
-        middle = 0.5 * sum(linear.whitened(end.conditions) for end in ends)
-        bent += float(((middle - linear.residuals)[used] ** 2).sum())
-        straight += float(((linear.jacobian @ step)[used] ** 2).sum())
+        end, expected = problem.evaluate(linear.moved(step)), linear.whitened(linear.after(step))
+        bent += float(((linear.whitened(end.conditions) - expected)[used] ** 2).sum())
+        straight += float(((expected - linear.residuals)[used] ** 2).sum())
     relative = np.sqrt(bent / straight) if straight > 0.0 else 0.0
     return float(relative) if np.isfinite(relative) else np.inf

@@ -130,18 +130,12 @@ class LegBlock:
         placed, serves = [state.matrices] * len(closures), self.active[:, :, None]
         of_legs = leg_demands_at(closures, placed, self.known, near=state.joints)
         by_pose = np.where(serves, np.concatenate([d.pose for d in of_legs], axis=1), 0.0)
-        by_reading = block_diagonal([d.reading for d in of_legs])
-        noise_root = by_reading * self.sigma[:, None]
-        if self.pose_roots is not None:
-            noise_root = np.concatenate((noise_root, by_pose @ self.pose_roots), axis=2)
-            by_pose = by_pose[:, :, :0]
         value = np.concatenate([d.value for d in of_legs], axis=1)
         return BlockRows(
             np.where(self.active, value, 0.0),
             by_pose,
             np.where(serves, block_diagonal([d.parameter for d in of_legs]), 0.0),
-            by_reading,
-            np.where(serves, noise_root, 0.0),
+            block_diagonal([d.reading for d in of_legs]),
             tuple(demand.joints for demand in of_legs),
         )
 

@@ -212,7 +212,7 @@ class Observation:
         """Return the residuals at a state, unknowns those outside the mechanism."""
         value, by_pose, by_external = self.residuals(state.matrices, state.external)
         by_measured = np.broadcast_to(-np.eye(value.shape[1]), (*value.shape, value.shape[1]))
-        return BlockRows(value, by_pose, by_external, by_measured, self.noise_root(state))
+        return BlockRows(value, by_pose, by_external, by_measured)
 
     def residuals(
         self, matrices: Array, external: External, columns: Index | None = None

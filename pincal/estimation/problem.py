@@ -16,10 +16,9 @@ from functools import cached_property
 
 import numpy as np
 
-from pincal.errors import MeasurementError
 from pincal.estimation.legs import LegBlock
 from pincal.estimation.observation import Observation
-from pincal.estimation.rows import NoNoiseError, WhiteRows, white_rows
+from pincal.estimation.rows import WhiteRows, white_rows
 from pincal.estimation.unknowns import State
 from pincal.kinematics.batches import block_diagonal, chunks
 from pincal.model.leg import Leg
@@ -29,8 +28,9 @@ from pincal.types import Array, Index, Mask
 
 @dataclass(frozen=True)
 class Linear:
-    """Conditions of all blocks at a state, also freed of the poses and whitened."""
+    """Conditions of all blocks at a state; freed of the poses, and white at the problem's noise."""
 
+    problem: Problem
     state: State
     """Values of the unknowns, joints where the legs close best."""
     conditions: Array
@@ -41,16 +41,55 @@ class Linear:
     """B: derivatives by the platform's twist, shape (N, k, dof)."""
     by_measured: Array
     """Derivatives by readings, then by what was measured of the platform, shape (N, k, m)."""
-    noise_root: Array
-    """S: root of the noise, shape (N, k, s)."""
-    active: Mask
-    """Rows that something was measured of, shape (N, k)."""
-    equations: Index
-    """How many equations each pose gives, shape (N,)."""
+
+    @property
+    def equations(self) -> Index:
+        """How many equations each pose gives, shape (N,)."""
+        return self.problem.equations
+
+    @cached_property
+    def noise_root(self) -> Array:
+        """S: root of the noise, of readings and of what was measured of the platform, (N, k, s).
+
+        Where poses are taken as measured, their noise takes part in the legs' rows.
+        """
+        legs = self.problem.leg_block
+        by_reading = self.by_measured[:, : legs.n_rows, : legs.n_readings] * legs.sigma[:, None]
+        of_readings = np.where(legs.active[:, :, None], by_reading, 0.0)
+        if legs.pose_roots is not None:
+            return np.concatenate((of_readings, self.by_pose @ legs.pose_roots), axis=2)
+        return block_diagonal((of_readings, self.problem.observation.noise_root(self.state)))
 
     def after(self, step: Array) -> Array:
         """Return the conditions after a step of the unknowns (n,), to first order, (N, k)."""
         return self.conditions + self.by_parameter @ step
+
+    def moved(self, step: Array) -> State:
+        """Return the state after a step of all unknowns, shape (n,), the poses following."""
+        state, matrices = self.state, self.state.matrices
+        legs, external = self.problem.leg_block, self.problem.observation.external
+        if self.problem.latent:
+            matrices = legs.platform.displaced(matrices, self.white.pose_step(self.after(step)))
+        parameters, outside = np.split(step, [legs.n_parameters])
+        moved = external.moved(state.external, outside)
+        return State(state.parameters + parameters, matrices, state.joints, moved)
+
+    def with_poses(self, places: Mask, elsewhere: Linear) -> Linear:
+        """Return the conditions with those at other poses, the same parameters, at places (N,)."""
+
+        def chosen(old: Array, new: Array) -> Array:
+            return np.where(places.reshape(-1, *[1] * (old.ndim - 1)), new, old)
+
+        matrices = chosen(self.state.matrices, elsewhere.state.matrices)
+        joints = tuple(map(chosen, self.state.joints, elsewhere.state.joints))
+        return replace(
+            self,
+            state=replace(self.state, matrices=matrices, joints=joints),
+            conditions=chosen(self.conditions, elsewhere.conditions),
+            by_parameter=chosen(self.by_parameter, elsewhere.by_parameter),
+            by_pose=chosen(self.by_pose, elsewhere.by_pose),
+            by_measured=chosen(self.by_measured, elsewhere.by_measured),
+        )
 
     @cached_property
     def white(self) -> WhiteRows:
@@ -61,19 +100,13 @@ class Linear:
         Raises:
             MeasurementError: conditions without noise.
         """
-        noise, idle = self.noise_root, ~self.active
+        noise, idle = self.noise_root, ~self.problem.active
         if idle.any():
             size = float(np.median(np.abs(noise[noise != 0.0]))) if noise.any() else 1.0
             idle_noise = np.where(idle[:, :, None], size * np.eye(idle.shape[1]), 0.0)
             noise = np.concatenate((noise, idle_noise[:, :, idle.any(axis=0)]), axis=2)
-        try:
-            return white_rows(self.by_pose, noise)
-        except NoNoiseError as error:
-            raise MeasurementError(
-                "some measurements carry no noise at all; give standard deviations above zero for "
-                "what is measured, and for readings (--noise-reading) where there are more of them "
-                "than freedoms"
-            ) from error
+        dof = self.by_pose.shape[2] * self.problem.latent
+        return white_rows(self.by_pose[:, :, :dof], noise)
 
     def whitened(self, conditions: Array) -> Array:
         """Return conditions of shape (N, k), as those at another state, in these rows, (N, m)."""
@@ -154,7 +187,7 @@ class Problem:
 
     @property
     def blocks(self) -> tuple[LegBlock] | tuple[LegBlock, Observation]:
-        """Residual blocks whose rows stand below each other."""
+        """Residual blocks whose rows stand below each elsewhere."""
         return (self.leg_block, self.observation) if self.latent else (self.leg_block,)
 
     @cached_property
@@ -162,11 +195,20 @@ class Problem:
         """Names of what the columns of the noise belong to, each with its unit, m or rad."""
         return {name: unit for block in self.blocks for name, unit in block.quantities.items()}
 
+    @property
+    def units(self) -> list[str]:
+        """Units of the conditions at a pose, m or rad."""
+        return [*["m"] * self.leg_block.n_rows, *self.observation.units * self.latent]
+
     @cached_property
     def equations(self) -> Index:
         """How many equations each pose gives, poses eliminated, shape (N,)."""
-        rows = sum(block.active.sum(axis=1) for block in self.blocks)
-        return np.asarray(rows - self.platform.dof * self.latent)
+        return np.asarray(self.active.sum(axis=1) - self.platform.dof * self.latent)
+
+    @cached_property
+    def active(self) -> Mask:
+        """Rows that something was measured of, shape (N, k)."""
+        return np.concatenate([block.active for block in self.blocks], axis=1)
 
     def at(self, rows: Index) -> Problem:
         """Return the problem of some poses."""
@@ -180,10 +222,10 @@ class Problem:
         return replace(self.first, parameters=parameters[: self.leg_block.n_parameters])
 
     def evaluate(self, state: State) -> Linear:
-        """Return the conditions at a state: rows of the blocks below each other.
+        """Return the conditions at a state: rows of the blocks below each elsewhere.
 
-            ┌ e ┐   ┌ legs ┐    A = ┌ leg 1             ┐    S = ┌ readings          ┐
-            └   ┘   └ seen ┘        │        leg 2      │        └           seen    ┘
+            ┌ e ┐   ┌ legs ┐    A = ┌ leg 1             ┐    B = ┌ legs ┐
+            └   ┘   └ seen ┘        │        leg 2      │        └ seen ┘
                                     └             frame ┘
 
         Raises:
@@ -193,23 +235,10 @@ class Problem:
         state = replace(state, joints=legs.joints)
         parts = [legs, *(block.evaluate(state) for block in self.blocks[1:])]
         return Linear(
+            problem=self,
             state=state,
             conditions=np.concatenate([part.value for part in parts], axis=1),
             by_parameter=block_diagonal([part.by_parameter for part in parts]),
             by_pose=np.concatenate([part.by_pose for part in parts], axis=1),
             by_measured=block_diagonal([part.by_measured for part in parts]),
-            noise_root=block_diagonal([part.noise_root for part in parts]),
-            active=np.concatenate([block.active for block in self.blocks], axis=1),
-            equations=self.equations,
         )
-
-    def moved(self, linear: Linear, step: Array) -> State:
-        """Return the state after a step of all unknowns, shape (n,), the poses following."""
-        state, n = linear.state, self.leg_block.n_parameters
-        external = self.observation.external.moved(state.external, step[n:])
-        parameters = state.parameters + step[:n]
-        matrices = state.matrices
-        if self.latent:
-            twists = linear.white.pose_step(linear.after(step))
-            matrices = self.platform.displaced(matrices, twists)
-        return State(parameters, matrices, state.joints, external)

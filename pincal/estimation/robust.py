@@ -10,9 +10,9 @@ from scipy.special import chdtrc, ndtri
 from pincal.errors import ObservabilityError
 from pincal.estimation.fit import Fit, Outlier, fit
 from pincal.estimation.observability.indices import DIFFER, plausible_changes
+from pincal.estimation.problem import Linear
 from pincal.estimation.solver import solve_poses, unsolved
 from pincal.estimation.system import LOSSES, Loss, System, outlying, robust_scale, suspected
-from pincal.estimation.unknowns import State
 from pincal.model.mechanism import Mechanism
 from pincal.types import Mask
 from pincal.words.numbers import listed
@@ -25,7 +25,7 @@ _LINEAR = 0.1  # share of the machine's size, or [rad], up to which noise acts l
 
 
 def robust_fit(
-    mechanism: Mechanism, system: System, loss: Loss | None, start: State | None = None
+    mechanism: Mechanism, system: System, loss: Loss | None, start: Linear | None = None
 ) -> Fit:
     """Return the fit of a problem, of least squares or under a loss, with rows that did not fit.
 
@@ -52,7 +52,7 @@ def robust_fit(
     return replace(optimum, outliers=_outliers(optimum, scale, judged, system.kept))
 
 
-def _under_loss(system: System, loss: Loss, start: State | None) -> tuple[Fit, float]:
+def _under_loss(system: System, loss: Loss, start: Linear | None) -> tuple[Fit, float]:
     """Return the fit under a loss, and the scale of the noise by which it rejects rows.
 
     From nominal parameters by Cauchy's loss, which forgets no row, then, if rows are rejected, by
@@ -63,20 +63,18 @@ def _under_loss(system: System, loss: Loss, start: State | None) -> tuple[Fit, f
         coarse = fit(replace(system, loss=LOSSES["cauchy"]))
         linear, scale, first = coarse.last, coarse.scale, coarse.first
     else:
-        linear, _ = solve_poses(problem, problem.evaluate(start))
+        linear, _ = solve_poses(start)
         _, scale = replace(system, loss=loss).weights(linear)
     # Rows whose pose was not found, or that move the machine by a good part of its size, have no
     # derivatives that say anything, and no loss bounds what they weigh.
     moved = (linear.white.noise @ linear.noise[:, :, None])[:, :, 0]
     largest = {"m": _LINEAR * problem.size, "rad": _LINEAR}
-    observed_units = problem.observation.units if problem.latent else ()
-    units = [*["m"] * problem.leg_block.n_rows, *observed_units]
-    near = (np.abs(moved) <= [largest.get(unit, np.inf) for unit in units]).all(axis=1)
-    near &= system.kept & ~unsolved(problem, linear)
+    near = (np.abs(moved) <= [largest.get(unit, np.inf) for unit in problem.units]).all(axis=1)
+    near &= system.kept & ~unsolved(linear)
     system = replace(system, held_scale=scale, kept=near)
     if first is not None or loss.name != "reject":
         fine = LOSSES["tukey"] if loss.name == "reject" else loss
-        optimum = fit(replace(system, loss=fine), linear.state)
+        optimum = fit(replace(system, loss=fine), linear)
         linear = optimum.last
     if loss.name == "reject":  # least squares of the rows that fit each other, until they stay
         rows = None
@@ -84,7 +82,7 @@ def _under_loss(system: System, loss: Loss, start: State | None) -> tuple[Fit, f
             inliers = near & ~outlying(linear.squares / scale**2, linear.equations)
             if rows is not None and (inliers == rows).all():
                 break
-            rows, optimum = inliers, fit(replace(system, kept=inliers), linear.state)
+            rows, optimum = inliers, fit(replace(system, kept=inliers), linear)
             linear = optimum.last
     return replace(optimum, first=first or optimum.first), scale
 

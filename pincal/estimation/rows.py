@@ -21,13 +21,10 @@ from functools import cached_property
 
 import numpy as np
 
+from pincal.errors import MeasurementError
 from pincal.kinematics.batches import product, solve
 from pincal.model.checks import ROUNDING
 from pincal.types import Array
-
-
-class NoNoiseError(ValueError):
-    """Conditions that are left without noise: exact ones that contradict each other."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +88,7 @@ def white_rows(pose: Array, noise: Array) -> WhiteRows:
         NaN at poses where B or S is not finite: those out of reach.
 
     Raises:
-        NoNoiseError: more exact conditions than the pose has freedoms, at some pose.
+        MeasurementError: more exact conditions than the pose has freedoms, at some pose.
     """
     columns = np.concatenate((pose, noise), axis=2)
     finite = np.asarray(np.isfinite(columns).all(axis=(1, 2)))
@@ -109,7 +106,11 @@ def white_rows(pose: Array, noise: Array) -> WhiteRows:
     size = np.abs(np.einsum("nmm->nm", L))
     bound = product(np.abs(N), np.abs(noise)).sum(axis=2)  # of what may have cancelled
     if not (size > ROUNDING * bound).all():
-        raise NoNoiseError
+        raise MeasurementError(
+            "some measurements carry no noise at all; give standard deviations above zero for what "
+            "is measured, and for readings (--noise-reading) where there are more of them than "
+            "freedoms, or positions are measured in part"
+        )
     V = L / size[:, None]  # of unit diagonal: its determinant does not underflow
     return WhiteRows(solve(V, N), size[:, :, None], Q[:, :, :dof], R[:, :dof], noise)
 

@@ -82,7 +82,7 @@ class Iterate:
     @classmethod
     def of(cls, system: System, linear: Linear) -> Iterate:
         """Return the iterate of a system at conditions."""
-        judged = adjusted(system.problem, linear) if system.adjusted else linear
+        judged = adjusted(linear) if system.adjusted else linear
         weights, scale = system.weights(linear)
         cost = system.cost(judged, weights)
         return cls(linear, judged, weights, scale, cost, system.solve(judged, weights, scale))
@@ -133,7 +133,7 @@ def search(
                 fixed_poses, cost_when_fixed = unused, np.inf
             if at_end:
                 break
-        elif (astray := unsolved(system.problem, current.linear) & ~fixed_poses).any():
+        elif (astray := unsolved(current.linear) & ~fixed_poses).any():
             # 3. Not taken: poses that find no place stay where they are from now on.
             fixed_poses, cost_when_fixed = fixed_poses | astray, current.cost
         elif current.blind:
@@ -177,7 +177,7 @@ def adjusts(problem: Problem) -> bool:
     return problem.latent and bool(noisy)
 
 
-def adjusted(problem: Problem, linear: Linear) -> Linear:
+def adjusted(linear: Linear) -> Linear:
     """Return the conditions at adjusted readings, less what the adjustment makes of them.
 
     Corrections follow from the conditions at the readings that they correct: found again until
@@ -186,7 +186,8 @@ def adjusted(problem: Problem, linear: Linear) -> Linear:
     Raises:
         MeasurementError: a residual that does not exist there.
     """
-    block, noise = problem.leg_block, np.zeros_like(problem.leg_block.sigma)
+    problem, block = linear.problem, linear.problem.leg_block
+    noise = np.zeros_like(block.sigma)
     at_adjusted = linear
     for _ in range(_CORRECTIONS):
         before, noise = noise, at_adjusted.noise[:, : block.n_readings]
@@ -252,14 +253,13 @@ def _reached(
 
     None where conditions do not exist. Fixed poses stay where they are.
     """
-    problem = system.problem
     try:
         with np.errstate(all="ignore"):
-            state = problem.moved(current.linear, system.unknowns.map @ step)
+            state = current.linear.moved(system.unknowns.map @ step)
             fixed = fixed_poses[:, None, None]
             matrices = np.where(fixed, current.linear.state.matrices, state.matrices)
             state = replace(state, matrices=matrices)
-            trial, count = solve_poses(problem, problem.evaluate(state), fixed_poses)
+            trial, count = solve_poses(system.problem.evaluate(state), fixed_poses)
             finite = np.isfinite(trial.residuals).all() and np.isfinite(trial.by_parameter).all()
             return (Iterate.of(system, trial) if finite else None), 1 + count
     except (MeasurementError, np.linalg.LinAlgError):
@@ -274,52 +274,45 @@ def rounding(system: System, linear: Linear) -> float:
     return float(noise * np.sqrt(system.unknowns.n_free / rows))
 
 
-def solve_poses(
-    problem: Problem, linear: Linear, fixed_poses: Mask | None = None
-) -> tuple[Linear, int]:
+def solve_poses(linear: Linear, fixed_poses: Mask | None = None) -> tuple[Linear, int]:
     """Return the conditions with poses at their optimum, to second order, and the evaluations.
 
     Gauss–Newton steps of each pose alone, shortened until the next one is shorter (natural
     monotonicity); a pose that finds none stays where it is.
     """
+    problem, count, poses = linear.problem, 0, len(linear.conditions)
     if not problem.latent:
         return linear, 0
-    count, share = 0, np.ones(len(linear.conditions))
-    if fixed_poses is not None:
-        share = np.where(fixed_poses, 0.0, share)
+    share = np.ones(poses) if fixed_poses is None else np.where(fixed_poses, 0.0, 1.0)
     for _ in range(_POSE_STEPS):
-        twists, length = _pose_steps(problem, linear)
+        twists, length = _pose_steps(linear)
         moving = (length > _POSE_SMALL) & (share > _SHORTEST)
         if not moving.any():
             break
         short = share * np.minimum(1.0, _POSE_LARGEST / np.maximum(length, _POSE_LARGEST))
         twists = np.where(moving[:, None], twists * short[:, None], 0.0)
-        state = linear.state
-        matrices = problem.platform.displaced(state.matrices, twists)
-        trial = problem.evaluate(replace(state, matrices=matrices))
+        matrices = problem.platform.displaced(linear.state.matrices, twists)
+        trial = problem.evaluate(replace(linear.state, matrices=matrices))
         count += 1
-        worse = moving & ~(_pose_steps(problem, trial)[1] < length)
+        worse = moving & ~(_pose_steps(trial)[1] < length)
         share = np.where(worse, share / 4.0, np.minimum(1.0, 2.0 * share))
-        if worse.any():
-            matrices = np.where(worse[:, None, None], state.matrices, trial.state.matrices)
-            trial = problem.evaluate(replace(state, matrices=matrices))
-            count += 1
-        linear = trial
+        linear = trial.with_poses(worse, linear) if worse.any() else trial
     return linear, count
 
 
-def unsolved(problem: Problem, linear: Linear) -> Mask:
+def unsolved(linear: Linear) -> Mask:
     """Return which poses are not at their optimum, shape (N,)."""
-    if not problem.latent:
+    if not linear.problem.latent:
         return np.zeros(len(linear.conditions), dtype=bool)
-    return np.asarray(_pose_steps(problem, linear)[1] > _ASTRAY)
+    return np.asarray(_pose_steps(linear)[1] > _ASTRAY)
 
 
-def _pose_steps(problem: Problem, linear: Linear) -> tuple[Array, Array]:
+def _pose_steps(linear: Linear) -> tuple[Array, Array]:
     """Return the poses' steps, shape (N, dof), and their lengths over the machine's size, (N,).
 
     Steps that are not finite count as none.
     """
+    problem = linear.problem
     scale = [problem.size if unit == "m" else 1.0 for unit in problem.platform.units]
     twists = linear.white.pose_step(linear.conditions)
     twists = np.where(np.isfinite(twists).all(axis=1, keepdims=True), twists, 0.0)

@@ -16,8 +16,9 @@ from scipy.spatial.transform import Rotation
 
 from pincal.errors import MeasurementError
 from pincal.estimation.noise import target_positions
-from pincal.estimation.problem import Problem
+from pincal.estimation.problem import Linear, Problem
 from pincal.estimation.unknowns import External, State
+from pincal.kinematics.batches import lengths
 from pincal.kinematics.closing import home_mode, mode_sign
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.configurations import inverse
@@ -58,7 +59,7 @@ def align_start(
     complete = np.isfinite(data.poses).all() and len(observation.setup.targets) == 1
     if not len(outside) and (complete or mechanism.redundant):
         state = placed(problem, data, parameters, external)
-        return state if complete else poses_at_rest(problem, state)
+        return state if complete else poses_at_rest(problem.evaluate(state)).state
     legs = [LegClosure(leg, platform) for leg in mechanism.legs]
     arm_matrices = placed_by_arm(legs, problem.leg_block.known)
     home = np.tile(platform.home_pose.as_matrix(), (len(data), 1, 1))
@@ -68,7 +69,7 @@ def align_start(
         for share in np.linspace(0.0, 1.0, _DRIVE_STEPS + 1)[1:]:
             driven = replace(block, readings=readings + share * (block.readings - readings))
             way = replace(problem, leg_block=driven, observation=observation.only(()))
-            state = poses_at_rest(way, state)
+            state = poses_at_rest(way.evaluate(state)).state
     good, agrees = _well(mechanism, problem, state), np.ones(len(data), dtype=bool)
     if len(outside):
         values, agrees = aligned(problem, data, state, good)
@@ -79,7 +80,7 @@ def align_start(
     arms = (matrices - guess.matrices)[:, :3, :3] @ state.external.offsets[0]
     matrices[known, :3, 3] = (guess.matrices[:, :3, 3] - arms)[known]
     state = replace(state, matrices=matrices, joints=())
-    return poses_at_rest(problem, _instruments_started(problem, state))
+    return poses_at_rest(problem.evaluate(_instruments_started(problem, state))).state
 
 
 def _instruments_started(problem: Problem, state: State) -> State:
@@ -92,7 +93,8 @@ def _instruments_started(problem: Problem, state: State) -> State:
     without_instruments = replace(problem, observation=others)
     if not n or (without_instruments.equations < 0).any():
         return state
-    matrices, seen = poses_at_rest(without_instruments, state).matrices, observation.only(columns)
+    at_rest, seen = poses_at_rest(without_instruments.evaluate(state)), observation.only(columns)
+    matrices = at_rest.state.matrices
 
     def missed(values: Array) -> Array:
         return seen.residuals(matrices, replace(external, instruments=values))[0].ravel()
@@ -149,51 +151,35 @@ def placed(problem: Problem, data: Measurements, parameters: Array, external: Ex
     return State(parameters, matrices, external=external)
 
 
-def poses_at_rest(problem: Problem, state: State) -> State:
-    """Return the state with each pose at its least squares, parameters and frames as they are.
+def poses_at_rest(linear: Linear) -> Linear:
+    """Return the conditions with each pose at its least squares, parameters and frames as they are.
 
     Each pose has a damping of its own (Levenberg–Marquardt). Poses that find no place remain
     where they came to; the search that follows moves them on.
     """
-    platform, size = problem.platform, problem.size
+    problem, platform, size = linear.problem, linear.problem.platform, linear.problem.size
     scale = np.array([size if unit == "m" else 1.0 for unit in platform.units])
-    units = [*["m"] * problem.leg_block.n_rows, *problem.observation.units]
-    arms = np.array([size if unit == "rad" else 1.0 for unit in units])
-
-    def lengths_at(state: State) -> tuple[State, Array, Array, Array]:
-        """Return the state with joints, conditions as lengths, by the pose, and their squares."""
-        linear = problem.evaluate(state)
-        value = linear.conditions * arms
-        by_pose = linear.by_pose * arms[:, None] * scale
-        return linear.state, value, by_pose, np.einsum("nk,nk->n", value, value)
-
-    state, value, B, cost = lengths_at(state)
-    damping, open_ = np.full(len(cost), 1e-6), np.ones(len(cost), dtype=bool)
+    arms = np.array([size if unit == "rad" else 1.0 for unit in problem.units])
+    damping, open_ = np.full(len(linear.conditions), 1e-6), np.ones(len(linear.conditions), bool)
     for _ in range(_STEPS):
+        B, value = linear.by_pose * arms[:, None] * scale, linear.conditions * arms
         square = B.transpose(0, 2, 1) @ B
         diagonal = np.einsum("nii->ni", square)
         least = 1e-12 * diagonal.max(axis=1, keepdims=True)
         diagonal += damping[:, None] * (diagonal + np.where(least > 0.0, least, 1.0))
         step = -np.linalg.solve(square, B.transpose(0, 2, 1) @ value[:, :, None])[:, :, 0]
         longest = np.abs(step).max(axis=1)
-        step *= np.minimum(1.0, _LARGEST / np.maximum(longest, 1e-300))[:, None]
-        step[~open_] = 0.0
-        moved = platform.displaced(state.matrices, step * scale)
-        trial, *trial_rows = lengths_at(replace(state, matrices=moved))
-        better = open_ & (trial_rows[-1] <= cost)
-        joints = zip(trial.joints, state.joints, strict=True)
-        state = replace(
-            state,
-            matrices=np.where(better[:, None, None], moved, state.matrices),
-            joints=tuple(np.where(better[:, None], new, old) for new, old in joints),
-        )
-        for old, new in zip((value, B, cost), trial_rows, strict=True):
-            old[better] = new[better]
-        damping = np.clip(np.where(better, 0.1 * damping, 10.0 * damping), 1e-9, 1e9)
         open_ &= (longest > _SMALL) & (damping < 1e9)
         if not open_.any():
             break
-    return state
+        step *= np.minimum(1.0, _LARGEST / np.maximum(longest, 1e-300))[:, None]
+        step[~open_] = 0.0
+        matrices = platform.displaced(linear.state.matrices, step * scale)
+        trial = problem.evaluate(replace(linear.state, matrices=matrices))
+        better = open_ & (lengths(trial.conditions * arms) <= lengths(value))
+        linear = linear.with_poses(better, trial)
+        damping = np.clip(np.where(better, 0.1 * damping, 10.0 * damping), 1e-9, 1e9)
+    return linear
 
 
 def check_start(problem: Problem, state: State) -> None:
@@ -204,10 +190,9 @@ def check_start(problem: Problem, state: State) -> None:
     Raises:
         MeasurementError: by how much they miss.
     """
-    linear = problem.evaluate(poses_at_rest(problem, state))
+    linear = poses_at_rest(problem.evaluate(state))
     size, setup = problem.size, problem.observation.setup
-    units = np.array([*["m"] * problem.leg_block.n_rows, *problem.observation.units])
-    worst = float(np.median(np.linalg.norm(linear.conditions[:, units == "m"], axis=1)))
+    worst = float(np.median(lengths(linear.conditions[:, np.array(problem.units) == "m"])))
     if worst > _CONTRADICTS * size:
         options = {
             "if the base is elsewhere in it: --unknown-frame": setup.unknown_frame,

@@ -67,13 +67,11 @@ class BlockRows:
     value: Array
     """Residuals, shape (N, k), [m] and [rad]."""
     by_pose: Array
-    """Derivatives by the platform's twist, (N, k, dof); no columns where poses are as measured."""
+    """Derivatives by the platform's twist, shape (N, k, dof)."""
     by_parameter: Array
     """Derivatives by the block's unknowns, those of all legs or external ones, shape (N, k, n)."""
     by_measured: Array
     """Derivatives by what was measured: readings, or quantities of the platform, (N, k, m)."""
-    noise_root: Array
-    """S, root of the noise, shape (N, k, s)."""
     joints: tuple[Array, ...] = ()
     """Joint positions of each leg, deformations behind them, shape (N, n_joints [+ n_deformed])."""
 

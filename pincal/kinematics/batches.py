@@ -30,6 +30,11 @@ def stacked(parts: Sequence[Any]) -> Any:
     return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
+def parted(rows: Any, count: int) -> Any:
+    """Return rows in equal parts, so many, shape (count, N, …): a view."""
+    return rows.reshape(count, len(rows) // count, *rows.shape[1:])
+
+
 def repeated(matrices: Array, times: int) -> Array:
     """Return matrices (N, i, j) so many times below each other, along poses in memory."""
     if times == 1:

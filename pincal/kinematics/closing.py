@@ -18,7 +18,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from pincal.errors import MechanismError
-from pincal.kinematics.batches import cross, least_squares, product, repeated, stacked
+from pincal.kinematics.batches import cross, least_squares, parted, product, repeated, stacked
 from pincal.kinematics.closed_forms import closed_form
 from pincal.kinematics.closure import Closure, LegClosure, each, evaluate, joint_range
 from pincal.model.checks import ROUNDING, wrapped
@@ -146,7 +146,7 @@ def close(
     are found in its working mode if not given; where NaN it counts as not reached.
     """
     if near is None:
-        by_leg = zip(legs, np.split(matrices, len(legs)), strict=True)
+        by_leg = zip(legs, parted(matrices, len(legs)), strict=True)
         starts = [start_joints(leg, poses) for leg, poses in by_leg]
         start, possible = (stacked(parts) for parts in zip(*starts, strict=True))
     else:
@@ -166,7 +166,7 @@ def close(
     searched = possible & ~closed
     if searched.any():
         attempts = _ATTEMPTS if near is None else 1
-        columns = (np.split(column, len(legs)) for column in (matrices, joints, closed, possible))
+        columns = (parted(column, len(legs)) for column in (matrices, joints, closed, possible))
         for leg, poses, *rows in zip(legs, *columns, strict=True):
             _search(leg, poses, attempts, *rows)
         homes = _homes(legs, len(matrices))
@@ -178,7 +178,7 @@ def close(
         closure = evaluate(legs, settled, matrices)
     joints = joints[:, :n]
     if near is None:
-        for leg, rows in zip(legs, np.split(joints, len(legs)), strict=True):
+        for leg, rows in zip(legs, parted(joints, len(legs)), strict=True):
             _turn_within_limits(leg, rows)
     reached = closed & in_home_modes(legs, closure)
     return ClosedLegs(np.where(reached[:, None], joints, np.nan), reached, closure)
@@ -271,9 +271,8 @@ def started(
     start = np.zeros((len(matrices), len(legs[0].leg.moving))) if near is None else near
 
     def driven(leg: LegClosure, joints: Array, rows: Array) -> Array:
-        joints = leg.deformed(
-            joints[:, : len(leg.leg.moving)].copy(), rows[:, len(leg.leg.sensors) :]
-        )
+        moving, influences = joints[:, : len(leg.leg.moving)], rows[:, len(leg.leg.sensors) :]
+        joints = leg.deformed(moving.copy(), influences)
         joints[:, leg.leg.active] = sensor_law(leg).position(rows)
         return joints
 
@@ -334,5 +333,5 @@ def by_leg(
     """
     values: dict[int, Any] = {}
     for places, group in groups:
-        values |= zip(places, np.split(value(group), len(places)), strict=True)
+        values |= zip(places, parted(value(group), len(places)), strict=True)
     return [values[place] for place in sorted(values)]

@@ -24,6 +24,7 @@ import numpy as np
 from pincal.kinematics.batches import (
     inverse_left_jacobian,
     left_null,
+    parted,
     point_velocity,
     product,
     solve,
@@ -400,18 +401,14 @@ def evaluate(legs: Sequence[LegClosure], joints: Array, matrices: Array) -> Clos
     """
     if legs[0].ends:
         return _tree(legs[0], joints, matrices)
-    along = legs[0].along(joints, legs[0].chain)
-    moved = motion(
-        [leg.chain for leg in legs], [leg.chain.begin(leg.parameters) for leg in legs], along
-    )
-    point = legs[0].point_at(joints)
-    if len(legs) > 1:  # none of them deforms
-        points, count = [leg.point_at(joints) for leg in legs], len(joints) // len(legs)
-        arms = np.concatenate([placed.arm for placed in points], axis=2)
-        twists = np.concatenate([placed.twists for placed in points], axis=2)
-        rows = np.repeat(arms, count, axis=2), np.repeat(twists, count, axis=2)
-        point = replace(point, arm=rows[0], twists=rows[1])
-    return Closure(legs[0], matrices, moved, point)
+    along, begun = legs[0].along(joints, legs[0].chain), [c.chain.begin(c.parameters) for c in legs]
+    moved = motion([leg.chain for leg in legs], begun, along)
+    points, count = [leg.point_at(joints) for leg in legs], len(joints) // len(legs)
+    if len(legs) == 1:
+        return Closure(legs[0], matrices, moved, points[0])
+    parts = zip(*((point.arm, point.twists) for point in points), strict=True)  # none deforms
+    arm, twists = (np.repeat(np.concatenate(part, axis=2), count, axis=2) for part in parts)
+    return Closure(legs[0], matrices, moved, replace(points[0], arm=arm, twists=twists))
 
 
 def _tree(leg: LegClosure, joints: Array, matrices: Array) -> Closure:
@@ -431,7 +428,7 @@ def each(function: Callable[..., Array], legs: Sequence[LegClosure], *columns: A
     """Return what a function gives of L alike legs and their rows, each below the one before."""
     if len(legs) == 1:
         return function(legs[0], *columns)
-    parts = zip(legs, *(np.split(column, len(legs)) for column in columns), strict=True)
+    parts = zip(legs, *(parted(column, len(legs)) for column in columns), strict=True)
     return np.concatenate([function(leg, *rows) for leg, *rows in parts])
 
 

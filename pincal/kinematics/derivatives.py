@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
-from pincal.kinematics.batches import chunks, least_squares, lengths, product, stacked
+from pincal.kinematics.batches import chunks, least_squares, lengths, parted, product, stacked
 from pincal.kinematics.closing import ClosedLegs, close, grouped, sensor_law, started
 from pincal.kinematics.closure import Closure, LegClosure, each, evaluate
 from pincal.model.checks import EXACT
@@ -119,7 +119,7 @@ def demands(
     """
     by_parameter, drive = closure.constraint_by_parameter, closure.drive
     columns = (closure.constraint, closure.constraint_by_pose, joints, by_parameter, drive, known)
-    parts = (np.split(column, len(legs)) for column in columns)
+    parts = (parted(column, len(legs)) for column in columns)
     return [
         Demand(value, pose, positions, *_by_own(leg, *geometry))
         for leg, value, pose, positions, *geometry in zip(legs, *parts, strict=True)
@@ -203,7 +203,7 @@ def _predicted(legs: Sequence[LegClosure], matrices: Array, influences: Array) -
     closed, known = _closed(legs, matrices, influences)
     of_legs = demands(legs, known, closed.closure, closed.joints)
     if not closed.reached.all():
-        for demand, reached in zip(of_legs, np.split(closed.reached, len(legs)), strict=True):
+        for demand, reached in zip(of_legs, parted(closed.reached, len(legs)), strict=True):
             for values in vars(demand).values():
                 values[~reached] = np.nan
     return of_legs

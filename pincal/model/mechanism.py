@@ -205,12 +205,14 @@ class Mechanism:
                     f"{key!r} is given by its id and among all of {parameter.owner}"
                 )
             new[parameter.owner] = {**of_leg, parameter.name: value}
-        legs = (leg.with_parameters(new[leg.name]) if leg.name in new else leg for leg in self.legs)
+        legs = tuple(leg.with_parameters(new.get(leg.name, {})) for leg in self.legs)
+        if legs == self.legs:
+            return self
         load = self.load
         if load is not None and self.loaded and not load.drawn:
             drawn = tuple((p.id, p.nominal) for p in self.parameters if p.id not in self.amplitudes)
             load = replace(load, drawn=drawn)
-        return replace(self, legs=tuple(legs), load=load)
+        return replace(self, legs=legs, load=load)
 
     @cached_property
     def parameters(self) -> Parameters:

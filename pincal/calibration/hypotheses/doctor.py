@@ -47,11 +47,6 @@ class Remedy:
         return all(outlier.weight == 0.0 for outlier in result.outliers)
 
     @property
-    def lacks_rows(self) -> bool:
-        """Whether some leg has fewer poses than its parameters need."""
-        return any(self.calibration.short_legs())
-
-    @property
     def mends(self) -> bool:
         """Whether the measurements themselves were put right: options do not do it."""
         return any(remark.code != "unknown-frame" for remark in self.findings)
@@ -87,7 +82,7 @@ def _stages(calibration: Calibration) -> Iterator[list[Remedy]]:
             mended = replace(in_setup, measurements=data).with_options(setup=frame)
             explained.append(_attempt((fault,), mended))
         yield explained
-        if not explained and first.lacks_rows:
+        if not explained and any(in_setup.short_legs()):
             return  # nothing else is wrong
         yield _rejecting([first, *explained])
     if not calibration.options.rough:

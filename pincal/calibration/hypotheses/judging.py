@@ -18,12 +18,13 @@ import numpy as np
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.options import Options
 from pincal.errors import MeasurementError
+from pincal.estimation.legs import LegBlock
 from pincal.estimation.observability.indices import DIFFER, changes_of
-from pincal.estimation.observation import Observation
-from pincal.estimation.problem import Problem
+from pincal.estimation.problem import Linear, Problem
 from pincal.estimation.start import aligned
 from pincal.estimation.system import LOSSES, NormalEquations, System
-from pincal.estimation.unknowns import External, State, unknowns
+from pincal.estimation.unknowns import BlockRows, External, State, unknowns
+from pincal.kinematics.batches import parted
 from pincal.kinematics.closing import home_mode, mode_sign
 from pincal.kinematics.closure import LegClosure
 from pincal.kinematics.configurations import inverse
@@ -263,7 +264,7 @@ def _placed(case: Case, calibrations: Sequence[Calibration]) -> list[Array]:
     converged = np.zeros(len(readings), dtype=bool)
     converged[known] = solution.converged[index.ravel()]
     reached[converged] = platform.matrices(solution.poses[index.ravel()][converged[known]])
-    parts = (np.split(values, len(calibrations)) for values in (reached, known, converged))
+    parts = (parted(values, len(calibrations)) for values in (reached, known, converged))
     return [
         _aligned(calibration, T, good & (2 * good.sum() >= max(known_rows.sum(), 6)))
         for calibration, T, known_rows, good in zip(calibrations, *parts, strict=True)
@@ -315,7 +316,7 @@ def _fit(hypothesis: Hypothesis, calibration: Calibration, matrices: Array) -> J
             bent[i] = (mode_sign(closure) * home_mode(leg, platform) < 0.0).sum()
             gap[i] = np.median(_missed(closed.value[served, of_leg])) / leg.size
             stroke[i] = np.median(moved) / leg.size
-    left = cache(partial(_nearest, calibration, matrices, used))
+    left = cache(partial(_nearest, calibration, matrices, block, closed))
     return Judged(hypothesis, calibration, matrices, counts, gap, stroke, bent, left)
 
 
@@ -324,27 +325,36 @@ def _missed(conditions: Array) -> Array:
     return np.nan_to_num(np.linalg.norm(conditions, axis=1), nan=np.inf)
 
 
-def _nearest(calibration: Calibration, matrices: Array, used: Mask, place: int) -> Array:
+def _nearest(
+    calibration: Calibration, matrices: Array, block: LegBlock, closed: BlockRows, place: int
+) -> Array:
     """Return what the machine near nominal that fits best leaves of a leg's closure, shape (N,).
 
     To first order, over the leg's size: Gauss–Newton steps from nominal, in the weights of where
     the last one ended, none farther than machines differ, at poses as measured.
     """
-    leg, rows = calibration.mechanism.legs[place], np.flatnonzero(used[:, place])
-    observation = Observation(calibration.mechanism, calibration.measurements.rows(rows), Setup())
-    roots = calibration.noise.poses.roots[rows]
+    leg, served = block.legs[place], np.flatnonzero(block.used[:, place])
+    rows, of_leg = block.data_rows[served], block.leg_rows[place]
+    roots, observation = calibration.noise.poses.roots[rows], calibration.observation.at(rows)
     problem = Problem(calibration.leg_block([place], rows, None, roots), observation)
-    differ, left = changes_of(leg, leg.size), np.full(len(used), np.nan)
+    nominal = best = Linear(
+        problem,
+        State(leg.nominal, matrices[rows]),
+        closed.value[served, of_leg],
+        closed.by_parameter[served, of_leg, block.columns[place]],
+        closed.by_pose[served, of_leg],
+        closed.by_measured[served, of_leg, block.reading_columns[place]],
+    )
+    differ, left = changes_of(leg, leg.size), np.full(len(matrices), np.nan)
     free = replace(unknowns([leg]), priors=differ)
     every = np.ones(len(rows), dtype=bool)
     system = System(problem, free, every, known=True, loss=LOSSES["huber"])
     with np.errstate(all="ignore"):
-        nominal = best = problem.evaluate(State(leg.nominal, matrices[rows]))
         for _ in range(_STEPS):
             weights, scale = system.weights(best)
             scaled = system.with_priors(differ / scale)
             step = NormalEquations.of(scaled.triangle(nominal, weights)).step()
             step /= max(1.0, float(np.abs(step / differ).max(initial=0.0)))
             best = replace(nominal, conditions=nominal.after(step))
-    left[rows] = _missed(best.conditions) / leg.size
+        left[rows] = _missed(best.conditions) / leg.size
     return left

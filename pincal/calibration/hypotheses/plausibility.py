@@ -279,18 +279,20 @@ def _still(case: Case, as_measured: Judged) -> tuple[Finding, ...]:
 def _turns(case: Case, as_measured: Judged) -> tuple[Finding, ...]:
     """Return readings that are whole turns off the nominal ones, of the first such leg."""
     mechanism = case.mechanism
-    if as_measured.nominal_readings is None or any(len(leg.active) > 1 for leg in mechanism.legs):
+    if len(mechanism.reading_names) > len(mechanism.legs):
         return ()
     for i, leg in enumerate(mechanism.legs):
         if leg.reading_units[0] != "rad":
             continue
-        measured, expected = case.readings[:, i], as_measured.nominal_readings[:, i]
+        measured, law = case.readings[:, i], sensor_law(nominal_legs(mechanism)[i])
+        position = law.position(measured[:, None])[:, 0] - leg.home[leg.active[0]]
+        far = np.abs(position) > np.pi + _PAST  # not at the cut
+        if not far.any() or as_measured.nominal_readings is None:
+            continue
+        expected = as_measured.nominal_readings[:, i]
         gain, _ = leg.sensors[0].constants(leg.nominal_by_name)
         turn = 2 * np.pi * (abs(gain) if leg.sensors[0].form == "reading" else 1 / abs(gain))
-        law, (joint,) = sensor_law(nominal_legs(mechanism)[i]), leg.active
-        position = law.position(measured[:, None])[:, 0] - leg.home[joint]
-        turned = np.nan_to_num(np.round((measured - expected) / turn)) != 0.0
-        off = np.flatnonzero(turned & (np.abs(position) > np.pi + _PAST))  # not at the cut
+        off = np.flatnonzero(far & (np.nan_to_num(np.round((measured - expected) / turn)) != 0.0))
         if len(off) and np.isfinite(measured - expected).sum() > 1:
             values = {"reading": measured[off[0]], "nominal": expected[off[0]]}
             return (finding("whole-turns", case.rows[off], leg=leg.name, **values),)

@@ -171,7 +171,7 @@ def _testable(fit: Fit) -> bool:
 
 def errors_of(fit: Fit, used: Index) -> dict[str, Array]:
     """Return the white rows of an error of 1 by measured quantity, (n_used, m, 1)."""
-    errors = np.where(fit.last.active[:, :, None], fit.last.by_measured, 0.0)
+    errors = np.where(fit.problem.active[:, :, None], fit.last.by_measured, 0.0)
     white = fit.last.white(errors)[used].transpose(2, 0, 1)[..., None]
     return dict(zip(fit.problem.quantities, white, strict=False))
 

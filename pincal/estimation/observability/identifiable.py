@@ -115,6 +115,10 @@ class HeldUnknowns:
 
     unknowns: Unknowns
     """Less these freedoms."""
+    observable: Unknowns
+    """Less only those that no noise, however small, would let be observed."""
+    at_rest: Linear
+    """Conditions at the nominal parameters, poses at least squares."""
     directions: Array
     """Directions of all unknowns, as far as machines may differ, shape (n, n_lost)."""
     groups: tuple[tuple[str, ...], ...]
@@ -128,42 +132,48 @@ class HeldUnknowns:
 
 
 def hold_unobservable(
-    mechanism: Mechanism, problem: Problem, unknowns: Unknowns, least: float = 1.0
+    mechanism: Mechanism, problem: Problem, free: Unknowns, held: HeldUnknowns | None, least: float
 ) -> HeldUnknowns:
     """Return the unknowns, gauge freedoms held, less what the measurements leave unobservable.
 
     Poses are unknowns. Of all parameters that fit as well, those nearest to the nominal ones, each
     change measured by what it alone would do to the measurements; then, where noise determines them
-    less than ``least`` times better than machines differ, by how much these differ.
+    less than ``least`` times better than machines differ, by how much these differ. What was held
+    at other noise, if it was, says what does not depend on that.
 
     Raises:
         ObservabilityError: no measured pose is one that the legs reach.
     """
-    J = jacobian_near(mechanism, problem, unknowns, generic=False)[1]
-    if not len(J):
-        raise ObservabilityError(
-            "the nominal legs reach none of the measured poses, so that nothing is determined; "
-            "compare the mechanism and its units with the measurements (pincal doctor)"
-        )
-    lost, lengths = lost_directions(J)
-    held = unknowns.held(lost * lengths) if len(lost) else unknowns
+    if held is None:
+        J = jacobian_near(mechanism, problem, free, generic=False)[1]
+        if not len(J):
+            raise ObservabilityError(
+                "the nominal legs reach none of the measured poses, so that nothing is determined; "
+                "compare the mechanism and its units with the measurements (pincal doctor)"
+            )
+        lost, lengths = lost_directions(J)
+        directions = free.map @ (lost / lengths).T
+        groups = identifiability(J, free.free_labels).groups if len(lost) else ()
+        observable = free.held(lost * lengths) if len(lost) else free
+        at_rest = poses_at_rest(problem.evaluate(problem.start(free.start)))
+    else:
+        observable, groups = held.observable, held.groups
+        directions = held.directions[:, : free.n_free - observable.n_free]
+        at_rest = replace(held.at_rest, problem=problem)
     # how many times better than machines differ noise determines the rest, the best first
     size, outside = mechanism.size, problem.observation.external.units
     differ = [size if unit == "m" else 1.0 for unit in outside]
     plausible = np.concatenate((plausible_changes(mechanism, problem.legs), differ))
-    scale = 1.0 / np.abs(held.map / plausible[:, None]).max(axis=0)
-    linear = problem.evaluate(poses_at_rest(problem, problem.start(held.start)))
-    rows = held.free_rows(linear.triangle) * scale
+    scale = 1.0 / np.abs(observable.map / plausible[:, None]).max(axis=0)
+    rows = observable.free_rows(at_rest.triangle) * scale
     _, information, axes = np.linalg.svd(rows, full_matrices=True)
     weak = axes[int((information > least).sum()) :]
-    weakest = information[information > least].min(initial=np.inf)
-    moved = [(lost / lengths) @ unknowns.map.T, (weak * scale) @ held.map.T]
-    directions = np.concatenate(moved).T
+    weakest = float(information[information > least].min(initial=np.inf))
+    directions = np.column_stack((directions, observable.map @ (weak * scale).T))
     directions = directions / np.abs(directions / plausible[:, None]).max(axis=0, initial=0.0)
-    groups = identifiability(J, unknowns.free_labels).groups if len(lost) else ()
-    names = taking_part(held.free_labels, weak) if len(weak) else ()
-    held = held.held(weak / scale) if len(weak) else held
-    return HeldUnknowns(held, directions, groups, names, least, float(weakest))
+    names = taking_part(observable.free_labels, weak) if len(weak) else ()
+    less = observable.held(weak / scale) if len(weak) else observable
+    return HeldUnknowns(less, observable, at_rest, directions, groups, names, least, weakest)
 
 
 @dataclass(frozen=True)
