@@ -279,7 +279,7 @@ def _still(case: Case, as_measured: Judged) -> tuple[Finding, ...]:
 def _turns(case: Case, as_measured: Judged) -> tuple[Finding, ...]:
     """Return readings that are whole turns off the nominal ones, of the first such leg."""
     mechanism = case.mechanism
-    if len(mechanism.reading_names) > len(mechanism.legs):
+    if any(len(leg.active) != 1 for leg in mechanism.legs):
         return ()
     for i, leg in enumerate(mechanism.legs):
         if leg.reading_units[0] != "rad":
