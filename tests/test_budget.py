@@ -16,9 +16,9 @@ from tools.counts import Counts, count, count_revision, main  # noqa: E402
 LINES = {
     "": 210,
     "architectures": 540,
-    "calibration": 5_648,
+    "calibration": 5_660,
     "cli": 2_150,
-    "design": 1_810,
+    "design": 1_792,
     "estimation": 4_565,
     "files": 2_730,
     "formats": 1_905,

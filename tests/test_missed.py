@@ -12,11 +12,11 @@ from measured import validated, workspace
 import pincal
 from pincal.calibration.calibrate import prepared, run
 from pincal.calibration.calibration import Calibration
+from pincal.calibration.promise import misses_of
 from pincal.calibration.result_parts import Missed
 from pincal.calibration.terms.candidates import with_terms
 from pincal.calibration.terms.kinds import parse_terms
 from pincal.calibration.validation import missed
-from pincal.design.platform_error import closing_twists
 
 
 def missed_by(values: np.ndarray, places: list[str]) -> Missed:
@@ -76,7 +76,7 @@ def test_positions_of_an_arm_are_missed_in_mm() -> None:
 
 
 def test_what_terms_depend_on_counts_where_platforms_are_missed() -> None:
-    """A warm machine without noise misses nothing, by twists and by readings."""
+    """A warm machine without noise misses nothing; taken as cold it does."""
     plain = pincal.load_mechanism("3RRR")
     poses = workspace("3RRR", 12)
     warm = {"temperature": np.linspace(15.0, 30.0, 12)}
@@ -88,11 +88,12 @@ def test_what_terms_depend_on_counts_where_platforms_are_missed() -> None:
     data = pincal.simulate(
         machine, machine, pincal.Plan(poses, influences=warm), pincal.Noise(0.0, 0.0, 0.0)
     ).measurements
-    there = pincal.Plan(data.poses, readings=data.readings, influences=warm)
-    assert np.abs(closing_twists(machine, there)).max() < 1e-11
-    cold = pincal.Plan(data.poses, readings=data.readings)
-    assert np.abs(closing_twists(machine, cold)).max() > 1e-4
-    assert Calibration(machine, data).influences is not None
+    calibration, start = Calibration(machine, data), machine.parameters.values
+    outside = calibration.observation.external.start
+    missed = misses_of(calibration, start, outside)["platform", "m"]
+    assert missed.max() < 1e-11
+    data = replace(data, influences={"temperature": np.full(12, 20.0)})
+    assert misses_of(Calibration(machine, data), start, outside)["platform", "m"].max() > 1e-4
 
 
 def test_held_out_rows_go_on_from_the_fit() -> None:

@@ -10,7 +10,6 @@ from pincal.calibration.promise import unseen
 from pincal.design.platform_error import (
     PlatformError,
     Unidentified,
-    closing_twists,
     platform_error,
     root_mean_squares,
     sizes,
@@ -158,20 +157,6 @@ def test_held_directions_give_the_numbers_of_all() -> None:
     limit = tuple(errors.expected.unseen * one for one in inside.limit)
     assert limit == pytest.approx(errors.inside.limit, rel=1e-9)
     assert result.expected_error(poses).position == found.position
-
-
-def test_closing_twists_are_the_misses_of_the_platform() -> None:
-    """What was added to exact poses, less sign, to second order; NaN where not measured."""
-    mechanism = pincal.load_mechanism("6UPS")
-    poses = pincal.sample_workspace(mechanism, 30, seed=0)
-    readings = pincal.inverse(mechanism, poses).readings
-    shift = 1e-6 * np.random.default_rng(0).standard_normal(poses.shape)
-    moved = mechanism.platform.moved(poses, shift)
-    readings[3, 2] = np.nan
-    found = closing_twists(mechanism, pincal.Plan(moved, readings=readings))
-    assert np.isnan(found[3]).all()
-    found[3] = -shift[3]
-    np.testing.assert_allclose(found, -shift, atol=1e-10)
 
 
 def test_what_is_printed(hexapod: tuple[pincal.Mechanism, np.ndarray, np.ndarray]) -> None:

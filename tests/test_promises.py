@@ -73,6 +73,22 @@ def test_no_limit_is_promised_where_the_model_lacks_something(
         assert found.values["size"] == pytest.approx(5e-4, rel=0.3)
 
 
+@pytest.mark.parametrize("noise", some_slow([None, NOISE], None))
+def test_unpromised_errors_are_those_of_rows_not_seen(noise: pincal.Noise | None) -> None:
+    """Eccentric drives, 20 poses: as far as 20 fits miss the row that each has not seen."""
+    one = machine("3RRR", 20)
+    result = pincal.calibrate(one.nominal, drawn(one, NOISE, 0, 3.0 * waves(one)), noise=noise)
+    assert not result.promises
+    of_fits = result.validated(folds=20, by="turn").validation
+    assert of_fits is not None
+    columns = ((of_fits.position, NOISE.position, 2), (of_fits.orientation, NOISE.orientation, 1))
+    for missed, column in zip(result.misses, columns, strict=True):
+        (_, unseen), sigma, axes = column
+        known = 0.0 if noise is None else axes * sigma**2
+        assert missed == pytest.approx(np.sqrt(unseen**2 - known), rel=0.05)
+    assert result.expected_error().position == pytest.approx(result.misses[0])
+
+
 @pytest.mark.slow
 def test_sound_data_are_promised() -> None:
     """Nothing contradicts sound data, noise given or not: 20 data sets, one false alarm allowed."""

@@ -15,13 +15,21 @@ from scipy.special import ndtri, stdtrit
 
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.fits import Fits
-from pincal.calibration.promise import exceeded, excess_of
+from pincal.calibration.promise import by_target, exceeded, excess_of
 from pincal.calibration.result import CalibrationResult
-from pincal.calibration.result_parts import HELD, IdentifiedParameter, LegResult, ResidualGroup
+from pincal.calibration.result_parts import (
+    CONTROLLED,
+    HELD,
+    IdentifiedParameter,
+    LegResult,
+    ResidualGroup,
+)
 from pincal.design.platform_error import CONFIDENCE
 from pincal.estimation.fit import Fit, Outlier
 from pincal.estimation.observability.indices import identifiability
 from pincal.estimation.observability.residuals import leg_residuals, redundancy
+from pincal.estimation.problem import Problem
+from pincal.estimation.unknowns import State
 from pincal.kinematics.batches import over_rows
 from pincal.model.measurements import Noise
 from pincal.model.parameter import Parameter, means
@@ -80,6 +88,7 @@ def assemble(fits: Fits) -> CalibrationResult:
         left=max(fit.distance for fit in fits.fits),
         converged=fits.converged,
         outliers=_merged_outliers(fits.fits),
+        misses=_misses(fits),
         gauge=free,
         gauge_directions=directions,
         frames_moved=motions,
@@ -112,6 +121,50 @@ def chi2_freedoms(fits: Sequence[Fit]) -> float:
             product = over_rows(Q[mine], AP)
             shared += (A**2).sum() - (AP**2).sum() - (QA**2).sum() + (product**2).sum()
     return total**2 / (total + 2.0 * shared) if total else 0.0
+
+
+def _misses(fits: Fits) -> tuple[float, float]:
+    """Return by how much rows are missed by fits without them, [m] and [rad]; NaN if unknown.
+
+    To first order these leave r₋ = (1 − H)⁻¹ r of a row, H = Q Qᵀ there (D. M. Allen 1974), and the
+    platform goes where legs close. Rows to verify with are in no fit, rejected ones do not count.
+    Root mean squares over targets and rows, less the instrument's noise where that is known.
+    """
+    calibration, mechanism = fits.calibration, fits.calibration.mechanism
+    observation, data = calibration.observation, calibration.measurements
+    block = calibration.leg_block(range(len(mechanism.legs)), np.arange(len(data)))
+    linear, n = fits.fits[0].last, block.n_rows
+    if not fits.latent:
+        state = State(fits.parameters, mechanism.platform.matrices(data.poses))
+        linear = Problem(block, observation).evaluate(state)
+    e, B = linear.conditions.copy(), linear.by_pose
+    counts: Mask = np.asarray(np.isfinite(data.readings).all(axis=1))
+    for fit in fits.fits:
+        names = [leg.name for leg in fit.problem.legs]
+        columns = np.r_[*(block.leg_rows[mechanism.leg_names.index(name)] for name in names)]
+        if fits.latent:
+            columns = np.arange(e.shape[1])
+        shares, axes = np.linalg.eigh(fit.Q @ fit.Q.transpose(0, 2, 1))
+        along = fit.last.residuals[fit.good][:, None] @ axes
+        along *= (shares / np.maximum(1.0 - shares, CONTROLLED))[:, None]  # of r₋ − r
+        back = fit.last.white.back[fit.good] @ (axes @ along.transpose(0, 2, 1))
+        e[np.ix_(fit.rows[fit.good], columns)] += back[:, :, 0]
+        counts[[outlier.row for outlier in fit.outliers if outlier.weight == 0.0]] = False
+    counts &= np.isfinite(e).all(axis=1) & np.isfinite(B).all(axis=(1, 2))
+    e, B, measured = e[counts], B[counts], observation.measured[counts]
+    missed = e[:, n:] - (B[:, n:] @ np.linalg.pinv(B[:, :n]) @ e[:, :n, None])[:, :, 0]
+    noise = np.zeros_like(missed)
+    if calibration.noise.known:
+        noise = observation.row_noise(data, calibration.noise.noise).sigma[counts]
+    noises = by_target(observation, np.where(measured, noise, np.nan))
+    squares: dict[str, list[Array]] = {"m": [], "rad": []}
+    for target, sizes in by_target(observation, np.where(measured, missed, np.nan)).items():
+        squares[target[1]].append(sizes**2 - noises[target] ** 2)
+    position, orientation = (
+        float(np.sqrt(np.maximum(np.nanmean(parts), 0.0))) if parts else np.nan
+        for parts in squares.values()
+    )
+    return position, orientation
 
 
 def systematic(fits: Fits) -> Array:

@@ -13,16 +13,16 @@ from pincal.design.platform_error import (
     PlatformError,
     Seen,
     Unidentified,
-    closing_twists,
     platform_error,
     root_mean_squares,
-    sizes,
 )
 from pincal.estimation.observability.gauge import unexplained
+from pincal.estimation.observation import Observation
 from pincal.estimation.unknowns import External
+from pincal.kinematics.forward import forward
 from pincal.model.measurements import Plan
-from pincal.model.mechanism import Mechanism
-from pincal.types import Array, Mask
+from pincal.model.setup import ORIGIN
+from pincal.types import Array
 
 if TYPE_CHECKING:
     from pincal.calibration.result import CalibrationResult
@@ -61,6 +61,10 @@ def expected_error(result: CalibrationResult, poses: Plan | Array | None) -> Pla
     The measured region is where no pose is more uncertain than the most uncertain one that was
     measured: what the model lacks there, the measurements show or parameters have taken up; beyond,
     it grows with the uncertainty.
+
+    Where something contradicts the model, errors are larger by what it lacks: at measured poses
+    they are what fits without these miss by. What is not measured, position or orientation, is as
+    many times larger as the other.
     """
     error = _by_covariance(result, measured_plan(result) if poses is None else poses)
     largest = most_uncertain(result)
@@ -70,14 +74,15 @@ def expected_error(result: CalibrationResult, poses: Plan | Array | None) -> Pla
     error = replace(error, outside=ratios * (1.0 - _SAME), uncovered=uncovered(result))
     if result.promises:
         return error
-    # how many times farther measured poses are missed than uncertainties say, 1 or more; what is
-    # not measured, position or orientation, is off by as much as the other
-    expected = root_mean_squares(_by_covariance(result, measured_plan(result)).sizes)
-    pairs = zip(result.misses, expected, strict=True)
-    ratios = np.array([seen / said if said > 0.0 else np.nan for seen, said in pairs])
-    ratios = np.where(np.isnan(ratios), np.nanmax([1.0, *ratios]), np.maximum(ratios, 1.0))
-    std = error.std * [ratios[int(unit == "rad")] for unit in error.units]
-    return replace(error, std=std, weights=error.weights * ratios[:, None] ** 2, promised=False)
+    measured = _by_covariance(result, measured_plan(result)).sizes
+    expected = np.array(root_mean_squares(measured))
+    lacks = np.sqrt(np.maximum(np.square(result.misses) - expected**2, 0.0))
+    std, lengths = error.std, np.array([unit == "m" for unit in error.units])
+    times = np.nanmax([1.0, *np.hypot(1.0, lacks[expected > 0.0] / expected[expected > 0.0])])
+    for lack, columns in zip(lacks, (lengths, ~lengths), strict=True):
+        beside = np.hypot(std, lack / np.sqrt(max(columns.sum(), 1)))
+        std = np.where(columns, std * times if np.isnan(lack) else beside, std)
+    return replace(error, std=std, promised=False)
 
 
 def most_uncertain(result: CalibrationResult) -> Array:
@@ -176,47 +181,44 @@ def measured_plan(result: CalibrationResult) -> Plan:
     return Plan(result.poses, readings=read)
 
 
-def misses(result: CalibrationResult) -> tuple[float, float]:
-    """Return by how much the platform misses poses that were measured in full, [m] and [rad]."""
-    held = result.validation
-    if held is not None and (held.position or held.orientation):
-        _, position = held.position or (np.nan, np.nan)
-        _, orientation = held.orientation or (np.nan, np.nan)
-        return position, orientation
-    twists = pose_misses(result.calibration, result.identified, result.outside)
-    twists[[outlier.row for outlier in result.outliers if outlier.weight == 0.0]] = np.nan
-    twists = twists[np.isfinite(twists).all(axis=1)]
-    if len(twists):
-        return root_mean_squares(sizes(result.nominal.platform.units, twists))
-    return _missed_targets(result), np.nan
+Misses = dict[tuple[str, str], Array]
+"""How far each target is missed, by target and unit, shape (N,), [m] or [rad]; NaN if unknown."""
 
 
-def _missed_targets(result: CalibrationResult) -> float:
-    """Return by how much targets are missed in the fit, [m], less the instrument's known noise."""
-    lengths = [part for part in result.observed if part.unit == "m"]
-    if not lengths or result.degrees_of_freedom < 1:
-        return np.nan
-    count = sum(part.n_residuals for part in (*result.legs, *result.observed))
-    squares = np.mean(np.concatenate([part.residuals for part in lengths]) ** 2)
-    squares *= count / result.degrees_of_freedom
-    if result.noise_source != "estimated":
-        squares -= np.mean(np.concatenate([part.sigma for part in lengths]) ** 2)
-    return float(np.sqrt(result.nominal.platform.space * max(squares, 0.0)))
+def misses_of(calibration: Calibration, parameters: Array, external: External) -> Misses:
+    """Return by how much parameters of all legs, (n,), miss targets at a calibration's rows.
 
-
-def pose_misses(calibration: Calibration, machine: Mechanism, external: External | None) -> Array:
-    """Return by how much a machine misses poses that were measured in full, shape (N, dof).
-
-    Twists, NaN where a pose was not, or something else was measured than poses. External says where
-    base and target are, if that was unknown.
+    NaN where a target was not measured, a reading is missing, or no pose belongs to the readings.
+    External says where base and targets are.
     """
-    setup, data = calibration.options.setup, calibration.measurements
-    twists = np.full(data.poses.shape, np.nan)
-    complete: Mask = np.asarray(np.isfinite(data.poses).all(axis=1))
-    if complete.any() and not setup.distances and len(setup.targets) <= 1:
-        poses = calibration.rows(complete).given_poses(external)
-        rows = data.rows(complete)
-        known = {name: rows.influences[name] for name in machine.influences}
-        plan = Plan(poses, readings=rows.readings, influences=known)
-        twists[complete] = closing_twists(machine, plan)
-    return twists
+    machine = calibration.identified(parameters)
+    observation, data = calibration.observation, calibration.measurements
+    complete = np.isfinite(data.readings).all(axis=1) & observation.measured.any(axis=1)
+    rows = np.flatnonzero(complete)
+    influences = None if calibration.influences is None else calibration.influences[rows]
+    guess = None  # measured in another frame
+    if calibration.options.setup.plain:
+        guess = np.where(np.isfinite(data.poses[rows]), data.poses[rows], machine.platform.home)
+    solution = forward(machine, data.readings[rows], guess, influences)
+    rows, poses = rows[solution.converged], solution.poses[solution.converged]
+    observed = observation.at(rows)
+    residuals = observed.residuals(machine.platform.matrices(poses), external)[0]
+    errors = np.full(observation.measured.shape, np.nan)
+    errors[rows] = np.where(observed.measured, residuals, np.nan)
+    return by_target(observation, errors)
+
+
+def by_target(observation: Observation, errors: Array) -> Misses:
+    """Return sizes of errors of measured quantities, (N, r), by target; NaN where none is known."""
+    platform, names = observation.platform, list(observation.names)
+    named = {(target, "m"): axes for target, axes in observation.setup.positions(platform).items()}
+    turns = zip(platform.freedoms, platform.units, strict=True)
+    named[ORIGIN, "rad"] = [name for name, unit in turns if unit == "rad"]
+    sizesby_target: Misses = {}
+    for target, of_target in named.items():
+        part = errors[:, [names.index(name) for name in of_target if name in names]]
+        known = np.isfinite(part).any(axis=1)
+        if known.any():
+            size = np.sqrt(np.nansum(part**2, axis=1))
+            sizesby_target[target] = np.where(known, size, np.nan)
+    return sizesby_target

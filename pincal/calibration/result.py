@@ -13,7 +13,7 @@ import numpy as np
 from pincal.attached import attached
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.options import FOLDS, By, Options
-from pincal.calibration.promise import excess_of, expected_error, misses
+from pincal.calibration.promise import excess_of, expected_error
 from pincal.calibration.result_parts import (
     IdentifiedParameter,
     LegResult,
@@ -96,6 +96,11 @@ class CalibrationResult:
     """Part of the covariance that is off by the same in all rows (type B), shape (n, n)."""
     outliers: tuple[Outlier, ...]
     """Rows that do not fit the others, the worst first."""
+    misses: tuple[float, float]
+    """By how much rows are missed by fits without them, to first order, [m] and [rad].
+
+    Root mean squares over targets, without rows that were rejected and the instrument's noise where
+    that is known; NaN where neither positions nor orientations were measured."""
     gauge: tuple[Finding, ...]
     """What was fixed by choice, since no such measurement can observe it."""
     gauge_directions: Array | None
@@ -248,7 +253,7 @@ class CalibrationResult:
         Where frames were fixed by choice, less what a motion of these explains. Infinite where what
         was held, being undetermined, moves the platform at a pose, and by more than where all that
         is seen of it was measured. While something contradicts the model, no limit is promised, and
-        no error is smaller than that with which the platform misses the measured poses.
+        errors at the measured poses are those of fits at rows that they have not seen (``misses``).
 
         Args:
             poses: Poses over which to take the mean, coordinates of shape (N, dof), or a plan;
@@ -258,16 +263,6 @@ class CalibrationResult:
             MechanismError: poses of a wrong shape, or not finite.
         """
         return expected_error(self, poses)
-
-    @cached_property
-    def misses(self) -> tuple[float, float]:
-        """By how much the platform misses poses that were measured in full, [m] and [rad].
-
-        Root mean squares, measuring noise included, without rows that were rejected; of held-out
-        rows where these were asked for. NaN where no pose was measured in full, or something else
-        than poses.
-        """
-        return misses(self)
 
     @property
     def poses(self) -> Array:

@@ -12,7 +12,7 @@ from pincal.types import Array, Index
 from pincal.words.numbers import SMALL, measured, shown_in
 
 HELD = "held nearest to nominal"
-_CONTROLLED = (
+CONTROLLED = (
     1e-3  # redundancy up to which a residual is what the fit made of it, whatever the noise
 )
 
@@ -106,7 +106,7 @@ class ResidualGroup:
     def standardised(self) -> Array:
         """Residuals over their standard deviations σ√(1−h), NaN where nothing checks one."""
         spread = self.sigma * np.sqrt(self.redundancy)
-        checked = (self.redundancy > _CONTROLLED) & (self.sigma > 0.0)
+        checked = (self.redundancy > CONTROLLED) & (self.sigma > 0.0)
         return np.where(checked, self.residuals, np.nan) / np.where(checked, spread, 1.0)
 
 

@@ -22,7 +22,7 @@ from pincal.calibration.calibration import Calibration
 from pincal.calibration.findings import MANY_ROWS, rounding, values_of
 from pincal.calibration.fits import Fits, fitted
 from pincal.calibration.options import FOLDS, By, clusters, folds_of
-from pincal.calibration.promise import UNEXPLAINED, exceeded
+from pincal.calibration.promise import UNEXPLAINED, exceeded, misses_of
 from pincal.calibration.result_parts import Missed, Validation
 from pincal.design.platform_error import CONFIDENCE, DRAWS
 from pincal.errors import MeasurementError
@@ -33,8 +33,6 @@ from pincal.estimation.solver import solve_poses
 from pincal.estimation.start import placed, poses_at_rest
 from pincal.estimation.system import UNLIKELY, suspected
 from pincal.kinematics.batches import CHUNK
-from pincal.kinematics.forward import forward
-from pincal.model.setup import ORIGIN
 from pincal.types import Array, Index, Mask
 from pincal.words.findings import finding
 
@@ -85,7 +83,9 @@ def _validated(fits_of_all: Fits, folds: int, by: By) -> tuple[Validation, list[
     calibration = fits_of_all.calibration
     groups = folds_of(calibration.measurements, folds, by)
     count, chances, of_folds = int(groups.max()) + 1, [], np.zeros(4)
-    at_fit = misses_of(calibration.rows(calibration.counts), fits_of_all)
+    at_fit = misses_of(
+        calibration.rows(calibration.counts), fits_of_all.parameters, fits_of_all.external
+    )
     misses = {target: np.full(len(groups), np.nan) for target in at_fit}
     dof = fits_of_all.degrees_of_freedom
     chi2 = sum(fit.chi2 for fit in fits_of_all.fits)
@@ -99,7 +99,7 @@ def _validated(fits_of_all: Fits, folds: int, by: By) -> tuple[Validation, list[
         predicted = predictions(fits, unseen)
         sums = _sums(predicted, len(unseen.measurements))
         chances.append(_chance(fits, sums, total))
-        for target, values in misses_of(unseen, fits).items():
+        for target, values in misses_of(unseen, fits.parameters, fits.external).items():
             misses.setdefault(target, np.full(len(groups), np.nan))[groups == fold] = values
         of_folds += sums.sum(axis=0)
     _, squares, unknown, equations = of_folds
@@ -238,45 +238,6 @@ def _chance(fits: Fits, sums: Array, total: float | None) -> float:
 def least_of_folds(chances: Sequence[float]) -> float:
     """Return the probability that the least of folds' is so small, by chance (Šidák 1967)."""
     return float(bdtrc(0, len(chances), min(chances)))
-
-
-Misses = dict[tuple[str, str], Array]
-
-
-def misses_of(calibration: Calibration, fits: Fits) -> Misses:
-    """Return by how much fits miss targets, by target and unit, each of shape (N,).
-
-    NaN where a target was not measured, a reading is missing, or no pose belongs to the readings.
-    """
-    observation, data = calibration.observation, calibration.measurements
-    machine = calibration.identified(fits.parameters)
-    platform, setup = machine.platform, calibration.options.setup
-    external = fits.external
-    complete = np.isfinite(data.readings).all(axis=1) & observation.measured.any(axis=1)
-    rows = np.flatnonzero(complete)
-    influences = None if calibration.influences is None else calibration.influences[rows]
-    guess = None  # measured in another frame
-    if setup.plain:
-        guess = np.where(np.isfinite(data.poses[rows]), data.poses[rows], platform.home)
-    solution = forward(machine, data.readings[rows], guess, influences)
-    rows, poses = rows[solution.converged], solution.poses[solution.converged]
-    observed = observation.at(rows)
-    errors = np.where(
-        observed.measured, observed.residuals(platform.matrices(poses), external)[0], np.nan
-    )
-    names = list(observation.names)
-    named = {(target, "m"): axes for target, axes in setup.positions(platform).items()}
-    turns = zip(platform.freedoms, platform.units, strict=True)
-    named[ORIGIN, "rad"] = [name for name, unit in turns if unit == "rad"]
-    misses: Misses = {}
-    for key, of_target in named.items():
-        column = [names.index(name) for name in of_target if name in names]
-        known = np.isfinite(errors[:, column]).any(axis=1)
-        if known.any():
-            values = np.full(len(data), np.nan)
-            values[rows[known]] = np.sqrt(np.nansum(errors[known][:, column] ** 2, axis=1))
-            misses[key] = values
-    return misses
 
 
 def missed(target: str, unit: str, fitted: Array, unseen: Array, places: Array) -> Missed:

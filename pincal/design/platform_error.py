@@ -7,7 +7,7 @@ known together. Where frames are not measured, motions of these frames are left 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -15,7 +15,7 @@ import numpy as np
 from pincal.blas import one_thread
 from pincal.estimation.observability.gauge import frame_motions, unexplained
 from pincal.estimation.observability.indices import NEGLIGIBLE
-from pincal.kinematics.configurations import leg_demands, legs_at
+from pincal.kinematics.configurations import legs_at
 from pincal.model.checks import counted
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
@@ -247,25 +247,6 @@ def _moving(gain: Array, lost: Array, least: Array | float = 0.0) -> Mask:
     largest = np.abs(gain).max(axis=(0, 2), initial=0.0) * np.abs(lost).max(initial=0.0)
     moved = np.abs(gain @ lost).max(axis=2, initial=0.0)
     return np.asarray(moved > np.maximum(NEGLIGIBLE * largest, least))
-
-
-def closing_twists(mechanism: Mechanism, measured: Plan) -> Array:
-    """Return how the platform misses measured poses: what closes all legs there, (N, dof).
-
-    Twists in base axes, to first order, of least squares where legs are redundant; NaN where a
-    pose, which is in the base frame, or a reading was not measured.
-    """
-    readings = measured.readings
-    twists = np.full(measured.poses.shape, np.nan)
-    if readings is None:
-        return twists
-    rows = np.flatnonzero(np.isfinite(np.hstack((measured.poses, readings))).all(axis=1))
-    complete = replace(measured.rows(rows), poses=measured.poses[rows], readings=readings[rows])
-    demands = leg_demands(mechanism, complete)
-    by_pose = np.concatenate([demand.pose for demand in demands], axis=1)
-    gaps = np.concatenate([demand.value for demand in demands], axis=1)
-    twists[rows] = -(np.linalg.pinv(by_pose) @ gaps[:, :, None])[:, :, 0]
-    return twists
 
 
 def sizes(units: tuple[str, ...], twists: Array) -> Array:

@@ -18,11 +18,12 @@ from pincal.attached import attached
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.fits import Fits, fitted
 from pincal.calibration.options import FOLDS, clusters, folds_of
+from pincal.calibration.promise import misses_of
 from pincal.calibration.result import CalibrationResult
 from pincal.calibration.terms.candidates import extended, with_columns
 from pincal.calibration.terms.kinds import Pair, term_text
 from pincal.calibration.terms.screen import Candidate, screen
-from pincal.calibration.validation import converged, misses_of, predictions
+from pincal.calibration.validation import converged, predictions
 from pincal.errors import PincalError
 from pincal.estimation.observability.courses import Slip, slips
 from pincal.types import Array, Mask
@@ -72,7 +73,7 @@ class Model:
         """
         unseen = replace(unseen, mechanism=self.fits.calibration.mechanism)
         errors = np.tile([0.0, 0.0, np.nan, np.nan], (len(unseen.measurements), 1))
-        misses = misses_of(unseen, self.fits)
+        misses = misses_of(unseen, self.fits.parameters, self.fits.external)
         for column, unit in ((2, "m"), (3, "rad")):
             if squares := [values**2 for (_, of), values in misses.items() if of == unit]:
                 errors[:, column] = _mean_of_known(squares)

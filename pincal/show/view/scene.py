@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
-from pincal.calibration.promise import pose_misses
 from pincal.calibration.result import CalibrationResult
 from pincal.errors import MeasurementError, MechanismError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
@@ -293,9 +292,9 @@ def misses_of(result: CalibrationResult) -> tuple[Array, Array, Mask]:
     """Return points as measured, predicted less measured, and which of them are outliers.
 
     Base frame, shape (n_rows, 3), [m]; NaN where unknown: by the residuals of x, y and z, or of
-    poses that were measured in full by what closes the legs.
+    poses that were measured in full by forward kinematics.
     """
-    calibration, platform, outside = result.calibration, result.nominal.platform, result.outside
+    platform, outside = result.nominal.platform, result.outside
     observed = {block.name: block for block in result.observed}
     axes = ("x", "y", "z")[: platform.space]
     measured, shifts = np.zeros((2, len(result.measurements), 3))
@@ -309,11 +308,12 @@ def misses_of(result: CalibrationResult) -> tuple[Array, Array, Mask]:
         matrices = platform.matrices(result.estimated_poses)
         measured = matrices[:, :3, 3] + matrices[:, :3, :3] @ offset - shifts
     else:
-        twists, lengths = pose_misses(calibration, result.identified, outside), platform.lengths
-        shifts[:, :lengths] = twists[:, [row < 3 for row in platform.twist_rows]]
-        whole = np.asarray(np.isfinite(shifts).all(axis=1))
-        if whole.any():
-            measured[whole, :lengths] = calibration.rows(whole).given_poses(outside)[:, :lengths]
+        data, lengths, machine = result.measurements, platform.lengths, result.identified
+        whole = np.asarray(np.isfinite(np.hstack((data.poses, data.readings))).all(axis=1))
+        known = {name: data.influences[name][whole] for name in machine.influences}
+        poses = forward(machine, data.readings[whole], data.poses[whole], known).poses
+        measured[:, :lengths] = np.where(whole[:, None], data.poses[:, :lengths], np.nan)
+        shifts[whole, :lengths] = poses[:, :lengths] - measured[whole, :lengths]
     return measured, shifts, np.isin(np.arange(len(shifts)), [row.row for row in result.outliers])
 
 
