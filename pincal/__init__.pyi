@@ -35,7 +35,7 @@ from .model.parameter import Parameter
 from .model.placement import Placement
 from .model.platform import Platform
 from .model.sensor import Sensor
-from .model.setup import Distance, Image, Instrument, Setup, Systematic, Target, Tracker
+from .model.setup import Contact, Distance, Image, Instrument, Setup, Systematic, Target, Tracker
 from .model.terms import Harmonic, Load, Power, Share, Term
 from .show.pictures.picture import picture
 from .show.view.view import view
@@ -53,6 +53,7 @@ __version__: str
 
 __all__ = [
     "CalibrationResult",
+    "Contact",
     "Corrections",
     "Distance",
     "Element",

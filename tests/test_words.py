@@ -222,6 +222,7 @@ SAID: dict[str, tuple[dict[str, Any], tuple[int, ...], tuple[str, ...], str]] = 
     "noise-too-large": ({"what": "position", "given": 0.1, "unit": "m", "most": 0.02, "size": 1.0}, (), (), "the noise of position is given as 0.1 m, more than 2 % of a leg's length (1 m). It is in metres"),
     "gauge-base-frame": ({"freedoms": 3, "unknown_frame": True}, (), (), "the base frame: 3 freedoms, since the frame of the measurements is unknown"),
     "gauge-platform-frame": ({"freedoms": 1}, (), (), "the platform's frame: 1 freedom, since"),
+    "gauge-scale": ({}, (), (), "the scale: 1 freedom, since points touched at unknown places"),
     "redundant-parameters": ({"count": 1, "groups": (("leg_1.l", "leg_1.L"),)}, (), (), "1 parameter is redundant, whatever is measured: leg_1.l and leg_1.L move together"),
 }  # fmt: skip
 #: Values of each hypothesis, and the clause that follows 'if'.

@@ -19,6 +19,7 @@ from pincal.calibration.findings import MANY_ROWS, findings_of, misaligned, valu
 from pincal.calibration.fits import Fits, fitted, with_found_tolerance
 from pincal.calibration.hypotheses.faults import zeros_found, zeros_measured
 from pincal.calibration.hypotheses.plausibility import (
+    check_contacts,
     check_copies,
     check_noise,
     explain_misfit,
@@ -194,6 +195,7 @@ def started(calibration: Calibration) -> Calibration:
     options = calibration.options
     check_noise(calibration.mechanism, options.noise)
     check_copies(calibration.measurements, every_pose=options.every_pose)
+    check_contacts(calibration.measurements, calibration.observation.setup)
     calibration = _with_terms(calibration)
     if options.setup.plain:
         calibration = replace(calibration, start=_start(calibration))

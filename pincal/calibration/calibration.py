@@ -109,18 +109,19 @@ class Calibration:
         Raises:
             MeasurementError: a parameter that does not exist, or is held twice.
         """
-        from_nominal = unknowns(
+        external = self.observation.external
+        free = unknowns(
             self.mechanism.legs,
-            self.observation.external.names,
+            external.names,
             fixed=self.options.fixed,
             tied=self.options.tied,
             priors=self.priors,
         )
-        if self.start is None:
-            return from_nominal
-        start = from_nominal.start.copy()
-        start[: len(self.start)] = self.start
-        return replace(from_nominal, start=start)
+        start, n = free.start.copy(), len(free.start) - len(external)
+        start[:n] = start[:n] if self.start is None else self.start
+        nominal = np.append(free.nominal[:n], external.coordinates(external.start))
+        priors = np.append(free.priors[:n], external.priors)
+        return replace(free, start=start, nominal=nominal, priors=priors)
 
     @property
     def priors(self) -> dict[str, float]:

@@ -266,7 +266,7 @@ def misaligned(
     size, own, space = mechanism.size, changes / scale, platform.space
     lengths = np.where(np.array(platform.units) == "m", 1.0, size)[:, None]
     A = (legs.gain * lengths).reshape(-1, len(own)) * scale
-    motions = frame_motions(platform, platform.matrices(legs.poses)) * lengths
+    motions = frame_motions(platform, platform.matrices(legs.poses))[:, :, :-1] * lengths
     of_base, of_platform = np.split(
         motions.reshape(len(A), -1), [motions.shape[2] - platform.dof], axis=1
     )

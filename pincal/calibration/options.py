@@ -38,8 +38,9 @@ def folds_of(data: Measurements, folds: int, by: By = "turn") -> Index:
             raise MeasurementError("runs are left out by a column 'run' with at least two in it")
         return np.array([names.index(run) for run in data.runs or ()])
     places = clusters(data)
-    sets = data.sets or ("",) * len(data)
-    groups: dict[str, dict[str, list[int]]] = {}
+    touched = data.contacts.values()  # each point is touched in other folds, too
+    sets = list(zip(data.sets or ("",) * len(data), *touched, strict=True))
+    groups: dict[tuple[str, ...], dict[str, list[int]]] = {}
     for row, (chosen, place) in enumerate(zip(sets, places, strict=True)):
         groups.setdefault(chosen, {}).setdefault(place, []).append(row)
     most = max(len(poses) for poses in groups.values())
@@ -182,8 +183,8 @@ class Options:
             )
         if not (self.latent or (self.setup.plain and self.setup.systematic == Systematic())):
             raise MeasurementError(
-                "unknown frames, targets, distances, instruments and systematic errors need all "
-                "legs at once; leave out --method per-leg"
+                "unknown frames, targets, distances, contacts, instruments and systematic errors "
+                "need all legs at once; leave out --method per-leg"
             )
         for name in ("fixed", "tied", "terms"):
             texts = getattr(self, name)

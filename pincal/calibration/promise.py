@@ -210,8 +210,10 @@ def misses_of(calibration: Calibration, parameters: Array, external: External) -
 
 def by_target(observation: Observation, errors: Array) -> Misses:
     """Return sizes of errors of measured quantities, (N, r), by target; NaN where none is known."""
-    platform, names = observation.platform, list(observation.names)
-    named = {(target, "m"): axes for target, axes in observation.setup.positions(platform).items()}
+    platform, names, setup = observation.platform, list(observation.names), observation.setup
+    named = {(target, "m"): axes for target, axes in setup.positions(platform).items()}
+    for name, axes in setup.contact_axes(platform).items():
+        named.setdefault((setup.touched[name][0], "m"), []).extend(axes)
     turns = zip(platform.freedoms, platform.units, strict=True)
     named[ORIGIN, "rad"] = [name for name, unit in turns if unit == "rad"]
     sizesby_target: Misses = {}

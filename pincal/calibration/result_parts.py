@@ -146,7 +146,7 @@ class Missed:
     """How far one target is missed, its position or its orientation."""
 
     target: str
-    """``"platform"``, or the name of a further target of the setup."""
+    """``"platform"``, or the name of a further target, or of a contact, of the setup."""
     unit: str
     """``"m"`` of its position, ``"rad"`` of the measured orientation."""
     poses: int

@@ -11,7 +11,7 @@ import numpy as np
 import typer
 
 import pincal
-from pincal import FileError, MeasurementError, Mechanism, Noise, Plan, SymmetryError
+from pincal import FileError, MeasurementError, Mechanism, Noise, Plan, Setup, SymmetryError
 from pincal.cli.app import command, remark, stdout, working, wrote
 from pincal.cli.options import (
     FORCE,
@@ -31,6 +31,7 @@ from pincal.files.measurements import read_poses
 from pincal.files.mechanism_folders import MECHANISM_FILES, write_mechanism
 from pincal.files.output import refuse_existing, refuse_existing_of, writing_together
 from pincal.files.table import write_table
+from pincal.files.yaml import read_setup
 from pincal.kinematics.collision import arm_free_of_collision
 from pincal.kinematics.configurations import check_reached
 from pincal.model.checks import listed
@@ -143,7 +144,7 @@ def _choose(
         count = _CONFIGURATIONS if together else _POSES
         candidates = pincal.sample_configurations(mechanism, count, options.seed)
     else:
-        candidates = read_poses(options.candidates, mechanism)
+        candidates = read_poses(options.candidates, mechanism, setup=setup)
     search: dict[str, Any] = {"noise": noise, "seed": options.seed, "starts": options.starts}
     if not together:
         protocol = options.protocol
@@ -206,7 +207,7 @@ def identifiability(
     setup = options.read_setup()
     measured = options.measured(mechanism, setup)
     if plan is not None:
-        poses = read_poses(plan, mechanism)
+        poses = read_poses(plan, mechanism, setup=setup)
         check_reached(mechanism, poses, str(plan))
     with working("sampling the workspace"):
         workspace = pincal.sample_configurations(mechanism, 1000, options.seed)
@@ -231,6 +232,9 @@ class SimulateOptions(TableOptions):
         "machine's size for lengths, 0.001 otherwise].",
     )
     seed: int = option(0, SEED)
+    setup_file: Path | None = option(
+        None, "Points of contact that targets touch in the plan.", name="setup", metavar="YAML"
+    )
     truth: Path | None = option(
         None,
         "Folder for the true mechanism. Without --disturb, if it exists, it is the truth.",
@@ -270,9 +274,10 @@ def simulate(
         outputs = [(truth, MECHANISM_FILES), *outputs] if truth is not None else outputs
         true_mechanism = pincal.disturb(mechanism, options.disturb, disturbed)
     refuse_existing_of(outputs, force=force)
-    planned = read_poses(plan, true_mechanism)
+    setup = Setup() if options.setup_file is None else read_setup(options.setup_file)
+    planned = read_poses(plan, true_mechanism, setup=setup)
     with working("simulating measurements"):
-        simulation = pincal.simulate(mechanism, true_mechanism, planned, noise, measured)
+        simulation = pincal.simulate(mechanism, true_mechanism, planned, noise, measured, setup)
     if not len(simulation.measurements):
         reason = simulation.unreachable[0][1]
         raise MeasurementError(f"{plan}: no planned pose can be measured ({reason})")

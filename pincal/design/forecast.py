@@ -9,7 +9,7 @@ to it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -57,8 +57,25 @@ def leg_rows(demand: Demand, mechanism: Mechanism, noise: Noise) -> Array:
     return white_rows(demand.pose[:, :, :0], root)(demand.parameter)
 
 
+def touching(mechanism: Mechanism, plan: Plan, setup: Setup, errors: Array | float = 0.0) -> Plan:
+    """Return a plan whose contacts touch, but for errors (N, 3): see ``Observation.touching``."""
+    if not setup.contacts:
+        return plan
+    readings = np.zeros((len(plan), len(mechanism.reading_names)))
+    data = Measurements(poses=plan.poses, readings=readings, contacts=plan.contacts)
+    observation = Observation(
+        mechanism, data, Setup(targets=setup.targets, contacts=setup.contacts)
+    )
+    return observation.touching(mechanism, plan, observation.external.start, errors)
+
+
 def information_rows(
-    mechanism: Mechanism, legs: Legs, noise: Noise, measured: Sequence[str] | None, setup: Setup
+    mechanism: Mechanism,
+    legs: Legs,
+    contacts: Mapping[str, tuple[str, ...]],
+    noise: Noise,
+    measured: Sequence[str] | None,
+    setup: Setup,
 ) -> tuple[Array, Array, tuple[str, ...], tuple[str, ...]]:
     """Return what configurations say of parameters and external unknowns, pose by pose.
 
@@ -87,7 +104,7 @@ def information_rows(
     if not set(names) & set(turning):
         coordinates[:, platform.lengths :] = np.nan
     readings = np.zeros((count, legs.reading.shape[2]))
-    data = Measurements(poses=coordinates, readings=readings, extra=columns)
+    data = Measurements(poses=coordinates, readings=readings, extra=columns, contacts=contacts)
     observation = Observation(mechanism, data, setup)
     start, chosen = observation.external.start, [observation.names.index(name) for name in names]
     value, *slopes = observation.residuals(matrices, start)
@@ -116,16 +133,17 @@ def null_directions(lengths: Array, axes: Array, rank: int) -> Array:
     return np.asarray(np.linalg.qr((axes[rank:] / lengths).T)[0])
 
 
-def apart_from_frames(mechanism: Mechanism, legs: Legs, lost: Array) -> tuple[Array, Array, Array]:
+def apart_from_frames(
+    mechanism: Mechanism, legs: Legs, lost: Array, setup: Setup
+) -> tuple[Array, Array, Array]:
     """Return freedoms of frames among lost directions, (n, n_lost), the others, these motions.
 
     Legs are at the poses to measure.
     """
-    platform, size = mechanism.platform, mechanism.size
     reached = Plan(legs.poses, readings=legs.readings)
-    near = legs_at(mechanism, nearby(mechanism, reached, GENERIC, size))
-    matrices = platform.matrices(near.poses)
-    gauge, undetermined, moved = split_frames(platform, matrices, near.gain, lost, size)
+    near = legs_at(mechanism, nearby(mechanism, reached, GENERIC, mechanism.size))
+    matrices, scaled = mechanism.platform.matrices(near.poses), bool(setup.contacts)
+    gauge, undetermined, moved = split_frames(mechanism, matrices, near.gain, lost, scaled=scaled)
     if gauge.shape[1]:  # which does not count: what is lost takes no part of it
         undetermined = undetermined - gauge @ np.linalg.lstsq(gauge, undetermined, rcond=None)[0]
     return gauge, undetermined, moved
@@ -222,17 +240,20 @@ def forecast(
     mechanism = as_mechanism(mechanism)
     noise, setup = as_noise(noise), read_setup(setup or Setup())
     plan = as_plan(mechanism, poses)
-    plan = plan.rows(~plan.verifying)  # no fit follows the others
+    plan = touching(mechanism, plan.rows(~plan.verifying), setup)  # no fit follows the others
     legs = legs_at(mechanism, plan)
     if not len(legs.poses):
         check_reached(mechanism, plan)
-    rows, systematic, unknowns, names = information_rows(mechanism, legs, noise, measured, setup)
+    contacts = plan.rows(legs.reached).contacts
+    rows, systematic, unknowns, names = information_rows(
+        mechanism, legs, contacts, noise, measured, setup
+    )
     flat, n = rows.reshape(-1, rows.shape[2]), legs.parameter.shape[2]
     rank = identifiability(flat, unknowns)
     lengths, s, axes = scaled_axes(flat)
     root = axes[: rank.rank] / lengths / s[: rank.rank, None]  # of the pseudo-inverse
     undetermined = null_directions(lengths, axes, rank.rank)
-    gauge, lost, frames = apart_from_frames(mechanism, legs, undetermined[:n])
+    gauge, lost, frames = apart_from_frames(mechanism, legs, undetermined[:n], setup)
     to_nominal = root[:, :n] @ nearest_to_nominal(mechanism, gauge).T
     # what is off in all rows comes on top, however many they are
     moved = to_nominal.T @ (root @ (flat.T @ systematic.reshape(len(flat), -1)))

@@ -9,12 +9,18 @@ the candidates; its efficiency is against the bound that no choice exceeds.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, get_args
 
 import numpy as np
 
 from pincal.blas import one_thread
-from pincal.design.forecast import apart_from_frames, information_rows, null_directions
+from pincal.design.forecast import (
+    apart_from_frames,
+    information_rows,
+    null_directions,
+    touching,
+)
 from pincal.design.optimal import Criterion, continuous_design, exchange
 from pincal.design.orbits import distinct
 from pincal.design.platform_error import seen_of
@@ -69,7 +75,9 @@ def select_configurations(
         raise MeasurementError(f"no goal {goal!r}; expected one of {', '.join(get_args(Goal))}")
     plan = as_plan(mechanism, candidates)
     originals = distinct(mechanism.platform, plan.poses, plan.readings)
-    plan = Plan(plan.poses, readings=plan.readings).rows(originals)
+    noise, setup = as_noise(search.noise), read_setup(setup or Setup())
+    plan = Plan(plan.poses, readings=plan.readings, contacts=plan.contacts).rows(originals)
+    plan = touching(mechanism, plan, setup)
     legs = legs_at(mechanism, plan)
     if not len(legs.poses):
         check_reached(mechanism, plan, "the candidates")
@@ -78,8 +86,10 @@ def select_configurations(
             f"{mechanism.name!r} reaches {len(legs.poses)} of {len(plan)} candidates, of which no "
             f"two are alike; {count} are to be chosen. Give more candidates"
         )
-    noise, setup = as_noise(search.noise), read_setup(setup or Setup())
-    white, _, unknowns, names = information_rows(mechanism, legs, noise, measured, setup)
+    plan = replace(plan.rows(legs.reached), poses=legs.poses, readings=legs.readings)
+    white, _, unknowns, names = information_rows(
+        mechanism, legs, plan.contacts, noise, measured, setup
+    )
     flat = white.reshape(-1, white.shape[2])
     identifiable = identifiability(flat, unknowns)
     rank, (lengths, _, axes) = identifiable.rank, scaled_axes(flat)
@@ -93,7 +103,8 @@ def select_configurations(
     rng, criterion = np.random.default_rng(search.seed), Criterion()
     if goal == "platform":
         n = legs.gain.shape[2]
-        frames = apart_from_frames(mechanism, legs, null_directions(lengths, axes, rank)[:n])[2]
+        lost = null_directions(lengths, axes, rank)[:n]
+        frames = apart_from_frames(mechanism, legs, lost, setup)[2]
         gain, units = seen_of(mechanism, legs.poses, legs.gain, frames)
         gain = gain[np.isfinite(gain).all(axis=(1, 2))]
         points = [leg.targets(np.eye(4)[None])[:, :3] for leg in nominal_legs(mechanism)]
@@ -105,6 +116,5 @@ def select_configurations(
         criterion = Criterion(directions[:, moving] * np.sqrt(values[moving]))
     design = continuous_design((blocks,), criterion)
     chosen, value = exchange((blocks,), count, design.priority, rng, search.starts, criterion)
-    plan = Plan(legs.poses, readings=legs.readings).rows(chosen)
-    efficiency = design.efficiency(value, count)
+    efficiency, plan = design.efficiency(value, count), plan.rows(chosen)
     return Selection(plan, goal, efficiency, len(blocks), rank=identifiable, measured=names)

@@ -9,21 +9,25 @@ planned poses, every leg kept taut, and read there.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
 from pincal.blas import one_thread
+from pincal.design.forecast import touching
 from pincal.design.platform_error import root_mean_squares, sizes
 from pincal.errors import MeasurementError
 from pincal.files.measurements import as_noise, read_poses
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
-from pincal.kinematics.configurations import command, inverse, planned_influences
+from pincal.files.yaml import read_setup
+from pincal.kinematics.configurations import as_plan, command, inverse, planned_influences
 from pincal.kinematics.forward import forward
 from pincal.kinematics.influences import by_name, influences_of
 from pincal.model.checks import generator_of, number_of
 from pincal.model.measurements import Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
+from pincal.model.setup import Setup
 from pincal.types import Array, Index
 from pincal.words.numbers import amount
 
@@ -79,8 +83,11 @@ def simulate(
     plan: Plan,
     noise: Noise | None = None,
     seed: int | np.random.Generator = 0,
+    setup: Setup | str | Path | None = None,
 ) -> Simulation:
     """Return what a measurement of the true mechanism at planned poses would give.
+
+    With contacts, the true mechanism is led until its targets touch, and no pose is measured.
 
     Args:
         mechanism: The nominal mechanism, which commands the poses.
@@ -88,15 +95,20 @@ def simulate(
         plan: Poses to command.
         noise: Standard deviations of what is measured.
         seed: Seed or generator.
+        setup: Says which columns of the plan have points that a target touches, if any do.
 
     Raises:
         MechanismError: poses of a wrong shape, or not finite; a homed sensor and a home pose
             out of its leg's reach.
     """
     mechanism, truth = as_mechanism(mechanism), as_mechanism(truth)
-    plan, noise = read_poses(plan, mechanism), as_noise(noise)
-    rng = generator_of(seed, MeasurementError)
+    setup, noise = read_setup(setup or Setup()), as_noise(noise)
+    plan, rng = read_poses(plan, mechanism, setup=setup), generator_of(seed, MeasurementError)
     count, platform = len(plan.poses), mechanism.platform
+    if setup.contacts:
+        missed = [c.noise for c in setup.contacts.values() if c.noise is not None]
+        errors = max(missed, default=noise.position) * rng.standard_normal((count, 3))
+        plan, mechanism = touching(truth, as_plan(truth, plan), setup, errors), truth
     if mechanism.redundant:
         poses, solution = plan.poses, inverse(truth, plan.poses, planned_influences(truth, plan))
         readings = solution.readings
@@ -112,11 +124,13 @@ def simulate(
     # One draw for each planned pose, so that a lost pose does not shift the others' noise.
     pose_noise = noise.of_poses(mechanism) * rng.standard_normal((count, platform.dof))
     reading_noise = noise.reading * rng.standard_normal((count, len(mechanism.reading_names)))
+    shown = np.nan if setup.contacts else platform.moved(measured.poses, pose_noise[rows])
     measurements = Measurements(
-        poses=platform.moved(measured.poses, pose_noise[rows]),
+        poses=np.broadcast_to(shown, measured.poses.shape),
         readings=readings[rows] + reading_noise[rows],
         sets=measured.sets,
         places=measured.places,
+        contacts=measured.contacts,
         influences={**measured.influences, **influences},
     )
     lost = tuple((row, reason) for row, reason in enumerate(reasons) if reason)

@@ -176,7 +176,7 @@ class Fit(SolverResult):
             return np.eye(len(self.root))
         by_free, W = self.unknowns.map @ self.root, linear.white.by_noise
         pulled = self._pulled[self._psi[3] > 0.0] @ by_free
-        prior = self.unknowns.prior_rows(self.parameters)[1] @ self.root
+        prior = self.unknowns.prior_rows(self.unknowns.start)[1] @ self.root
         meat = pulled.T @ pulled + prior.T @ prior
         for poses in linear.parts():
             fits = noises[poses] > 0.0

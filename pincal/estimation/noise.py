@@ -89,12 +89,17 @@ def noise_model(
     full, rows = bool(np.isfinite(data.poses).all()), _has_sigmas(mechanism, data, noise)
     source: Source = "given"
     freedoms: Freedoms = (np.inf, np.inf, np.inf)
+    if rows and any(contact.noise is None for contact in setup.contacts.values()):
+        raise MeasurementError(
+            "columns of standard deviations are given, and nothing says by how much contacts miss; "
+            "add 'noise' to each of them in the setup"
+        )
     if rows:
         _check_sigmas(mechanism, data, setup)
         source, general = "rows", Noise(_ASSUMED, _ASSUMED, 0.0)
-    elif noise is None and setup.tracker is not None:
+    elif noise is None and (setup.tracker or any(c.noise for c in setup.contacts.values())):
         raise MeasurementError(
-            "the setup says how well the tracker measures positions; give the noise of all else "
+            "the setup says how well a tracker or a contact measures; give the noise of all else "
             "that was measured, 0 for what is exact (--noise-orientation, --noise-reading)"
         )
     elif noise is not None:
@@ -273,7 +278,7 @@ def row_noise(
     Raises:
         MeasurementError: covariances that no errors have; a tracker and points measured in part.
     """
-    sigmas = _sigmas_by_name(names, data, platform)
+    sigmas = _sigmas_by_name(names, data, platform) | _of_contacts(data, setup, platform)
     none = np.full(len(data), np.nan)
     general = [noise.position if unit == "m" else noise.orientation for unit in units]
     sigma = np.column_stack([np.empty((len(data), 0)), *(sigmas.get(n, none) for n in names)])
@@ -299,6 +304,16 @@ def row_noise(
             covariance[known, place[first], place[second]] = values[known]
             covariance[known, place[second], place[first]] = values[known]
     return _rooted(covariance, data)
+
+
+def _of_contacts(data: Measurements, setup: Setup, platform: Platform) -> dict[str, Array]:
+    """Return by how much points are missed by contacts that say so, by quantity, (N,), [m]."""
+    sizes = {
+        quantity: setup.touched[point][2].noise
+        for point, axes in setup.contact_axes(platform).items()
+        for quantity in axes
+    }
+    return {name: np.full(len(data), size) for name, size in sizes.items() if size is not None}
 
 
 def _sigmas_by_name(

@@ -1,7 +1,8 @@
 """What is measured of the platform, predicted from its pose, with derivatives.
 
 Positions of targets u = T_frame_base (r + R t), single coordinates of them, orientations,
-single angles, distances |u − P|, and what further instruments read. Rows are predicted less
+single angles, distances |u − P|, by how much u misses a point that it touches, which may be an
+unknown, and what further instruments read. Rows are predicted less
 measured. Each follows the twist of the platform in the frame of the measurements, of which the
 twist in base axes and that of the frame itself are parts.
 
@@ -12,7 +13,7 @@ the difference, the least turn that makes it up, and has the noise of ω along h
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from copy import copy
 
 import numpy as np
@@ -21,8 +22,9 @@ from pincal.errors import MeasurementError
 from pincal.estimation.noise import RowNoise, row_noise
 from pincal.estimation.unknowns import BlockRows, External, ExternalUnknowns, State
 from pincal.kinematics.batches import inverse_left_jacobian, point_velocity, turn_between
+from pincal.kinematics.configurations import shifted
 from pincal.model.checks import wrapped
-from pincal.model.measurements import Measurements, Noise
+from pincal.model.measurements import Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import SINGLE_ANGLES
 from pincal.model.platform import Platform
@@ -85,11 +87,12 @@ class Observation:
         platform = self.platform = mechanism.platform
         self.setup = setup
         for name, purpose in setup.required.items():
-            if name not in data.extra:
+            if name not in {**data.extra, **data.contacts}:
                 raise MeasurementError(f"no column {name!r}, {purpose}")
         none, lengths = np.full(len(data), np.nan), platform.lengths
         scalars = dict(zip(platform.coordinates[:lengths], data.poses.T, strict=False))
         scalars |= {name: data.extra.get(name, none) for name in setup.columns(mechanism)}
+        scalars |= _contacts(platform, data, setup)
         units = {name: u for own in setup.instruments for name, u in own.columns.items()}
         conditions = [scalars.pop(name) for name in units]
         self.orientations = _orientations(platform, data)
@@ -125,6 +128,32 @@ class Observation:
         """Rows that were measured, shape (N, r)."""
         return self.measured
 
+    def touches(self) -> Iterator[tuple[str, Index, Mask]]:
+        """Yield each point that is touched, the columns of what misses it, and rows that touch."""
+        for name, axes in self.setup.contact_axes(self.platform).items():
+            columns = np.flatnonzero(np.isin(self.names, axes))
+            yield name, columns, self.measured[:, columns[0]]
+
+    def touching(
+        self, mechanism: Mechanism, plan: Plan, external: External, errors: Array | float = 0.0
+    ) -> Plan:
+        """Return the plan of these rows, platforms shifted until contacts touch but for errors.
+
+        Unknown points are where they are touched on the mean; errors are of shape (N, 3), [m].
+        """
+
+        def shifts(matrices: Array) -> Array:
+            value, missed = self.residuals(matrices, external)[0], np.zeros((len(matrices), 3))
+            for name, columns, rows in self.touches():
+                _, point, contact = self.setup.touched[name]
+                of_point = value[np.ix_(rows, columns)]
+                if contact.points[point] is None and rows.any():
+                    of_point = of_point - of_point.mean(axis=0)
+                missed[rows, : len(columns)] = of_point
+            return np.asarray((errors - missed) @ external.frame[:3, :3])
+
+        return shifted(mechanism, plan, shifts)
+
     @property
     def sigma(self) -> Array:
         """Standard deviations of the quantities, shape (N, r), [m] or [rad]."""
@@ -140,10 +169,16 @@ class Observation:
         return self._with(measured=self.measured & np.isin(self.names, list(names)))
 
     def anywhere(self) -> Observation:
-        """Return the observation with every quantity measured that is measured in some row."""
+        """Return the observation with every quantity measured that is measured in some row.
+
+        But for contacts: what is touched in no row may be anywhere.
+        """
         oriented = _oriented(self.orientations)[:, None, None]
+        somewhere: Mask = np.asarray(self.measured.any(axis=0))
+        for _, columns, _ in self.touches():
+            somewhere[columns] = False
         return self._with(
-            measured=np.broadcast_to(self.measured.any(axis=0), self.measured.shape),
+            measured=self.measured | somewhere,
             orientations=np.where(oriented, self.orientations, np.eye(3)),
         )
 
@@ -266,6 +301,13 @@ class Observation:
             with np.errstate(invalid="ignore", divide="ignore"):
                 unit = (ray / length)[:, None]
             rows.append((length, unit @ by_twist, unit @ by_external))
+        axes = self.platform.space
+        for place, (_, _, contact) in enumerate(self.setup.touched.values()):
+            u, D, E = points[contact.target]
+            by_external = E.copy()
+            by_external[:, :, self.external.points][:, :, 3 * place : 3 * place + 3] = -np.eye(3)
+            missed = u - external.points[place]
+            rows.append((missed[:, :axes], D[:, :axes], by_external[:, :axes]))
         return rows
 
     def _turned(self, R: Array, external: External) -> Predicted:
@@ -322,6 +364,23 @@ def _angles(single: dict[str, Array], data: Measurements, independent: Mask) -> 
         parts[:, place] &= ~np.isfinite(data.sigma_extra.get(name, np.nan))
     parts &= parts.sum(axis=1, keepdims=True) <= 3
     return np.where(np.isfinite(angles), angles, 0.0), parts
+
+
+def _contacts(platform: Platform, data: Measurements, setup: Setup) -> dict[str, Array]:
+    """Return zero for what misses a point that is touched, NaN where it is not, (N,) each."""
+    for column, contact in setup.contacts.items():
+        if strange := {*data.contacts[column]} - {"", *contact.points}:
+            line = data.place(data.contacts[column].index(min(strange)))
+            raise MeasurementError(
+                f"{line}: {column} {min(strange)!r} is no point of the setup, which has "
+                f"{', '.join(contact.points)}; add it there as 'unknown', or correct the name"
+            )
+    missed = dict[str, Array]()
+    for name, axes in setup.contact_axes(platform).items():
+        column, point, _ = setup.touched[name]
+        touching = np.array(data.contacts[column]) == point
+        missed |= dict.fromkeys(axes, np.where(touching, 0.0, np.nan))
+    return missed
 
 
 def _oriented(orientations: Array) -> Mask:

@@ -221,6 +221,11 @@ class Problem:
             raise TypeError("the poses have no start yet")
         return replace(self.first, parameters=parameters[: self.leg_block.n_parameters])
 
+    def values(self, state: State) -> Array:
+        """Return the values of all unknowns but poses at a state, shape (n,)."""
+        external = self.observation.external.coordinates(state.external)
+        return np.concatenate((state.parameters, external))
+
     def evaluate(self, state: State) -> Linear:
         """Return the conditions at a state: rows of the blocks below each elsewhere.
 

@@ -10,6 +10,7 @@ alignment of least absolute distances, and left out.
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -80,31 +81,44 @@ def align_start(
     arms = (matrices - guess.matrices)[:, :3, :3] @ state.external.offsets[0]
     matrices[known, :3, 3] = (guess.matrices[:, :3, 3] - arms)[known]
     state = replace(state, matrices=matrices, joints=())
-    return poses_at_rest(problem.evaluate(_instruments_started(problem, state))).state
+    return poses_at_rest(problem.evaluate(_outside_started(problem, state))).state
 
 
-def _instruments_started(problem: Problem, state: State) -> State:
-    """Return the state with the instruments' own parameters at least squares, if poses fix them."""
+def _outside_started(problem: Problem, state: State) -> State:
+    """Return the state with what instruments and contacts alone see at least squares.
+
+    If poses are fixed without them. What contacts touch is where most of their rows agree.
+    """
     from scipy.optimize import least_squares  # slow to load: when needed
 
-    observation, external, n = problem.observation, state.external, len(state.external.instruments)
-    columns = [name for instrument in observation.setup.instruments for name in instrument.columns]
+    observation, external = problem.observation, state.external
+    outside, contacts = observation.external, observation.setup.contact_axes(problem.platform)
+    columns = [name for device in observation.setup.instruments for name in device.columns]
+    columns += chain(*contacts.values())
     others = observation.only([name for name in observation.names if name not in columns])
-    without_instruments = replace(problem, observation=others)
-    if not n or (without_instruments.equations < 0).any():
+    without = replace(problem, observation=others)
+    if not columns or (without.equations < 0).any():
         return state
-    at_rest, seen = poses_at_rest(without_instruments.evaluate(state)), observation.only(columns)
+    at_rest, seen = poses_at_rest(without.evaluate(state)), observation.only(columns)
     matrices = at_rest.state.matrices
+    by_others, by_these = (part.residuals(matrices, external)[2] for part in (others, seen))
+    theirs = by_these.any(axis=(0, 1)) & ~by_others.any(axis=(0, 1)) & (outside.free >= 6)
+    by_free = np.eye(len(outside))[:, theirs]
+    if not theirs.any():
+        return state
 
     def missed(values: Array) -> Array:
-        return seen.residuals(matrices, replace(external, instruments=values))[0].ravel()
+        return seen.residuals(matrices, outside.moved(external, by_free @ values))[0].ravel()
 
     def slopes(values: Array) -> Array:
-        by_external = seen.residuals(matrices, replace(external, instruments=values))[2]
-        return by_external[:, :, -n:].reshape(-1, n)
+        moved = outside.moved(external, by_free @ values)
+        return seen.residuals(matrices, moved)[2][:, :, theirs].reshape(-1, by_free.shape[1])
 
-    values = least_squares(missed, external.instruments, slopes, x_scale="jac").x
-    return replace(state, external=replace(external, instruments=values))
+    values = np.zeros(by_free.shape[1])
+    for loss in ("linear", "soft_l1") if contacts else ("linear",):
+        scale = _CLOSES * problem.size
+        values = least_squares(missed, values, slopes, x_scale="jac", loss=loss, f_scale=scale).x
+    return replace(state, external=outside.moved(external, by_free @ values))
 
 
 def _well(mechanism: Mechanism, problem: Problem, state: State) -> Mask:
@@ -233,6 +247,10 @@ def aligned(
     observation, platform = problem.observation, problem.platform
     targets = observation.setup.targets
     measured = np.stack([target_positions(platform, data, name) for name in targets])
+    for name, _, rows in observation.touches():  # a known point is a position
+        _, point, contact = observation.setup.touched[name]
+        if contact.points[point] is not None:
+            measured[list(targets).index(contact.target), rows] = contact.points[point]
     known = agreeing = reached & np.isfinite(measured).all(axis=2)
     if known.any():  # those that miss the alignment of least absolute values by no gross multiple
         far = np.linalg.norm(measured - np.median(measured[known], axis=0), axis=2)
@@ -294,7 +312,8 @@ def _kabsch(nominal: Array, measured: Array, weights: Array, platform: Platform)
         raise MeasurementError(
             "the frame of the measurements is unknown and cannot be aligned: in no row with a "
             "measured position do the readings say where the nominal machine is. It needs as many "
-            "readings as the platform has freedoms; check their units, order and signs"
+            "readings as the platform has freedoms; check their units, order and signs. Points "
+            "that are touched at unknown places have no frame: leave it out"
         )
     least = platform.space
     for points in (nominal, measured):

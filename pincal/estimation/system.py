@@ -181,7 +181,7 @@ class System:
         Shape (n_free + 1, n_free + 1), by weights of rows, shape (N,), and the curvature of a loss
         along each row's residuals over its weight, (N,).
         """
-        r, J = self.unknowns.prior_rows(linear.state.parameters)
+        r, J = self.unknowns.prior_rows(self.problem.values(linear.state))
         n = self.unknowns.n_free
         R = np.concatenate((np.column_stack((J, r)), np.zeros((n + 1, n + 1))))
         for poses in linear.parts():
@@ -200,7 +200,7 @@ class System:
         """Return what is minimised, in own weights and rows if not in those of another state."""
         weights = self.weights(linear)[0] if weights is None else weights
         value = (frame or linear).whitened(linear.conditions)
-        prior, _ = self.unknowns.prior_rows(linear.state.parameters)
+        prior, _ = self.unknowns.prior_rows(self.problem.values(linear.state))
         return float(weights @ np.einsum("nm,nm->n", value, value) + prior @ prior)
 
     def solve(self, linear: Linear, weights: Array, scale: float) -> NormalEquations:

@@ -2,9 +2,10 @@
 
 Unknown are the parameters of legs, poses, and what is outside a mechanism: the base frame in the
 frame of the measurements, T_frame_base; offsets of targets in the platform frame; where an unknown
-target carries an orientation, how that is turned against the platform's; and the parameters of
-instruments. Fixed parameters, parameters tied to one value, and gauge freedoms are one thing: φ =
-φ₀ + T z with fewer z than φ. Priors are rows beside those of the measurements.
+target carries an orientation, how that is turned against the platform's; points that contacts
+touch; and the parameters of instruments. Fixed parameters, parameters tied to one value, and gauge
+freedoms are one thing: φ = φ₀ + T z with fewer z than φ. Priors are rows beside those of the
+measurements.
 """
 
 from __future__ import annotations
@@ -36,6 +37,8 @@ class External:
     """Positions of the targets in the platform frame, shape (n_targets, 3), [m]."""
     turn: Array = field(default_factory=lambda: np.eye(3))
     """R_platform_target of the measured orientation, shape (3, 3)."""
+    points: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    """Points that contacts touch, in the frame of the measurements, shape (n_points, 3), [m]."""
     instruments: Array = field(default_factory=lambda: np.zeros(0))
     """Parameters of the instruments, in their order, shape (n_own,)."""
 
@@ -80,7 +83,8 @@ class ExternalUnknowns:
     """Which of the external values are unknown, in which order, and how steps move them.
 
     All of them stand in one vector, six of the frame, three of each target and of the orientation's
-    turn, then those of instruments. The unknown ones are some of its entries.
+    turn, and each point of contacts, then those of instruments. The unknown ones are some of its
+    entries.
     """
 
     def __init__(self, platform: Platform, setup: Setup, oriented: bool) -> None:
@@ -93,15 +97,24 @@ class ExternalUnknowns:
         turns = np.array([not planar, not planar, True])
         free = [in_space & setup.unknown_frame, turns & setup.unknown_frame]
         free += [in_space & target.unknown for target in targets.values()]
-        free += [turns & self.turned, np.ones(len(own), dtype=bool)]
+        free += [turns & self.turned]
+        points, sigmas = setup.touched_places
+        free += [in_space & (sigma > 0.0) for sigma in sigmas]
+        free += [np.ones(len(own), dtype=bool)]
         self.free = np.flatnonzero(np.concatenate(free))
         """Places of the unknowns."""
         self.offsets = slice(6, 6 + 3 * len(targets))
         self.turn = slice(self.offsets.stop, self.offsets.stop + 3)
-        self.own = slice(self.turn.stop, self.turn.stop + len(own))
-        """Places of offsets of targets, of the turn, and of parameters of instruments."""
+        self.points = slice(self.turn.stop, self.turn.stop + points.size)
+        self.own = slice(self.points.stop, self.points.stop + len(own))
+        """Places of offsets of targets, the turn, points, and parameters of instruments."""
+        priors = np.full(self.own.stop, np.inf)
+        priors[self.points] = np.repeat(sigmas, 3)
+        self.priors = priors[self.free]
+        """Standard deviations with which the unknowns are known beforehand, infinite if not."""
         stems = [("tracker.", "m"), ("tracker.r", "rad")]
         stems += [(f"{owner(name)}.", "m") for name in targets] + [("target.r", "rad")]
+        stems += [(f"{name}.", "m") for name in setup.touched]
         every = [(f"{stem}{axis}", unit) for stem, unit in stems for axis in "xyz"]
         every += [(parameter.id, parameter.unit) for parameter in own]
         self.names = tuple(every[place][0] for place in self.free)
@@ -109,7 +122,7 @@ class ExternalUnknowns:
         self.units = tuple(every[place][1] for place in self.free)
         offsets = np.array([target.offset for target in targets.values()], dtype=float)
         nominal = np.array([parameter.nominal for parameter in own], dtype=float)
-        self.start = External(np.eye(4), offsets, np.eye(3), nominal)
+        self.start = External(np.eye(4), offsets, np.eye(3), points, nominal)
         """The values of the setup; the base frame is that of the measurements."""
 
     def __len__(self) -> int:
@@ -125,14 +138,15 @@ class ExternalUnknowns:
             frame,
             values.offsets + change[self.offsets].reshape(-1, 3),
             Rotation.from_rotvec(change[self.turn]).as_matrix() @ values.turn,
+            values.points + change[self.points].reshape(-1, 3),
             values.instruments + change[self.own],
         )
 
     def coordinates(self, values: External) -> Array:
         """Return the unknowns as numbers, shape (n,), [m] and, rotation vectors, [rad]."""
         turns = Rotation.from_matrix([values.frame[:3, :3], values.turn]).as_rotvec()
-        origin, offsets = values.frame[:3, 3], values.offsets.ravel()
-        return np.array([*origin, *turns[0], *offsets, *turns[1], *values.instruments])[self.free]
+        parts = [values.frame[:3, 3], turns[0], values.offsets.ravel(), turns[1]]
+        return np.concatenate([*parts, values.points.ravel(), values.instruments])[self.free]
 
     def coordinates_by_step(self, values: External) -> Array:
         """Return the derivative of the coordinates by steps, shape (n, n): see ``moved``."""
@@ -173,14 +187,11 @@ class Unknowns:
         """Number of free unknowns."""
         return self.map.shape[1]
 
-    def prior_rows(self, parameters: Array) -> tuple[Array, Array]:
-        """Return residuals of the priors in standard deviations and their Jacobian in z.
-
-        By parameters of the legs, shape (n_params,): external ones have no priors.
-        """
+    def prior_rows(self, values: Array) -> tuple[Array, Array]:
+        """Return residuals of the priors at values, (n,), in standard deviations, and by z."""
         known = np.flatnonzero(np.isfinite(self.priors))
         sigma = self.priors[known]
-        return (parameters[known] - self.nominal[known]) / sigma, self.map[known] / sigma[:, None]
+        return (values[known] - self.nominal[known]) / sigma, self.map[known] / sigma[:, None]
 
     def free_rows(self, J: Array) -> Array:
         """Return rows of all unknowns, shape (…, n), by the free ones, those of priors below."""

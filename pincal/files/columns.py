@@ -209,7 +209,7 @@ def columns_of(
     if plan.readings is not None:
         columns |= reading_columns(mechanism, plan.readings)
     columns |= _measured_columns(mechanism, plan, setup) if isinstance(plan, Measurements) else {}
-    columns |= plan.influences
+    columns |= {**plan.influences, **plan.contacts}
     return columns if plan.places is None else columns | {"pose": plan.places}
 
 

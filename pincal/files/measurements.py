@@ -45,10 +45,13 @@ def as_noise(noise: Noise | None) -> Noise:
     return must_be(noise, (Noise,), "noise, pincal.Noise(…)", MeasurementError)
 
 
-def read_poses(source: Any, mechanism: GivenMechanism, *, partial: bool = False) -> Plan:
+def read_poses(
+    source: Any, mechanism: GivenMechanism, *, partial: bool = False, setup: Setup | None = None
+) -> Plan:
     """Return a plan that is given as such, as poses, or by a table: see ``Plan.from_csv``.
 
-    Poses are coordinates of shape (N, dof), or a ``RigidTransform``.
+    Poses are coordinates of shape (N, dof), or a ``RigidTransform``. A setup says which columns
+    have names of points that are touched.
     """
     mechanism = as_mechanism(mechanism)
     platform = mechanism.platform
@@ -59,7 +62,8 @@ def read_poses(source: Any, mechanism: GivenMechanism, *, partial: bool = False)
     if not (isinstance(source, str | Path) or is_dataframe(source)):
         kind = "poses, a plan or its file"
         return Plan(array_of(source, ("N", platform.dof), kind, MeasurementError))
-    table = table_of(source, mechanism, known_columns(mechanism, {}))
+    contacts = {} if setup is None else setup.contacts
+    table = table_of(source, mechanism, known_columns(mechanism, dict.fromkeys(contacts, "")))
     commanded = mechanism.by_readings and any(name in table for name in mechanism.reading_names)
     return Plan(
         _poses(table, mechanism, partial=partial),
@@ -67,6 +71,7 @@ def read_poses(source: Any, mechanism: GivenMechanism, *, partial: bool = False)
         table.array(reading_units(mechanism)) if commanded else None,
         places=_names(table, "pose"),
         influences=_influences(table, mechanism),
+        contacts=_contacts(table, contacts),
         lines=table.file_lines,
         written=_way(table, mechanism),
     )
@@ -104,9 +109,10 @@ def read_measurements(
         must_be(source, (str, Path), "measurements", MeasurementError, expected)
     further = setup.columns(mechanism)
     level = {"z": "m"} if platform.space == 2 and "z" not in further else {}
-    known = known_columns(mechanism, further | level)
+    known = known_columns(mechanism, further | level | dict.fromkeys(setup.contacts, ""))
     table = table_of(source, mechanism, known, influences)
-    columns = (*platform.coordinates, *_TURNS, *further, *mechanism.reading_names)
+    measured = (*platform.coordinates, *_TURNS, *further, *setup.contacts)
+    columns = (*measured, *mechanism.reading_names)
     table = table.where_measured(columns)
     _check_columns(table, mechanism, setup, further)
     way = _way(table, mechanism)
@@ -137,6 +143,7 @@ def read_measurements(
             if f"sigma_{name}" in table
         },
         covariances=covariances_of(table, freedoms | further),
+        contacts=_contacts(table, setup.contacts),
         influences=_influences(table, mechanism) | _further_influences(table, unknown, influences),
         runs=_names(table, "run"),
         places=_names(table, "pose"),
@@ -155,7 +162,8 @@ def _check_columns(
         if name not in mechanism.followed
     }
     for name, owner in setup.required.items():
-        needed[name] = f"{owner}; expected '{name} [{further[name]}]'"
+        unit = f" [{further[name]}]" if name in further else ""
+        needed[name] = f"{owner}; expected '{name}{unit}'"
     for name, purpose in needed.items():
         if name not in table:
             raise MeasurementError(f"{table.path}: no column {name!r}, {purpose}")
@@ -259,6 +267,11 @@ def _names(table: TextTable, column: str) -> tuple[str, ...] | None:
         if column == "run" and not name:
             raise MeasurementError(f"{table.where(row)}: no run; name it in every row")
     return names
+
+
+def _contacts(table: TextTable, columns: Iterable[str]) -> dict[str, tuple[str, ...]]:
+    """Return the names of the points that are touched, by the columns of contacts."""
+    return {name: names for name in columns if (names := _names(table, name)) is not None}
 
 
 def _sets(table: TextTable, mechanism: Mechanism) -> tuple[str, ...] | None:

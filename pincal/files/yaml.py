@@ -15,7 +15,7 @@ from yaml.composer import Composer
 from pincal.errors import MeasurementError, PincalError, located
 from pincal.files.text import LARGEST_FILE, plain_number, read_text, why_no_number
 from pincal.model.checks import LARGEST, must_be
-from pincal.model.setup import Distance, Setup, Systematic, Target, Tracker
+from pincal.model.setup import Contact, Distance, Setup, Systematic, Target, Tracker
 
 T = TypeVar("T")
 Vector: TypeAlias = tuple[float, float, float]
@@ -263,6 +263,9 @@ def read_setup(source: Setup | str | Path) -> Setup:
         "frame": lambda part: part.choice("base", "unknown"),
         "targets": lambda part: {name: p.built(Target) for name, p in part.pairs().items()},
         "distances": lambda part: {name: _distance(p) for name, p in part.pairs().items()},
+        "contacts": lambda part: {
+            name: p.built(Contact, "points", points=_points) for name, p in part.pairs().items()
+        },
         "tracker": lambda part: part.built(Tracker),
         "systematic": lambda part: part.built(Systematic),
     }
@@ -271,6 +274,12 @@ def read_setup(source: Setup | str | Path) -> Setup:
         unknown = values.pop("frame", "base") == "unknown"
         del values["pincal_setup"]
         return Setup(**values, unknown_frame=unknown)
+
+
+def _points(entry: Entry) -> dict[str, Vector | None]:
+    """Return points by name: where they are, or None where it says ``unknown``."""
+    parts = entry.pairs().items()
+    return {name: None if p.value == "unknown" else p.vector() for name, p in parts}
 
 
 def _distance(entry: Entry) -> Distance:

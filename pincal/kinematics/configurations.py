@@ -8,7 +8,7 @@ the poses.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -170,7 +170,8 @@ def as_plan(mechanism: Mechanism, planned: Plan | Array) -> Plan:
     if not isinstance(planned, Plan):
         return Plan(numbers_of(planned, "poses", MechanismError))
     readings = planned.readings if mechanism.by_readings else None
-    return Plan(planned.poses, planned.sets, readings, influences=planned.influences)
+    influences, contacts = planned.influences, planned.contacts
+    return Plan(planned.poses, planned.sets, readings, influences=influences, contacts=contacts)
 
 
 def planned_influences(mechanism: Mechanism, plan: Plan) -> Array | None:
@@ -281,6 +282,25 @@ def command(mechanism: Mechanism, planned: Plan | Array) -> tuple[Array, Array, 
         return solution.poses, plan.readings, list(solution.reasons)
     solved = inverse(mechanism, plan.poses, planned_influences(mechanism, plan))
     return plan.poses, solved.readings, [solved.reason(row) for row in range(len(plan.poses))]
+
+
+def shifted(mechanism: Mechanism, planned: Plan | Array, shifts: Callable[[Array], Array]) -> Plan:
+    """Return configurations with the platform shifted, turned as it was; in reach or not.
+
+    Shifts follow from the poses ``T_base_platform``, (N, 4, 4): shape (N, 3), base axes, [m].
+    """
+    plan, platform = as_plan(mechanism, planned), mechanism.platform
+    poses = command(mechanism, plan)[0]
+    poses = np.where(np.isfinite(poses), poses, plan.poses)
+    matrices = platform.matrices(poses).copy()
+    matrices[:, :3, 3] += shifts(matrices)
+    moved = platform.from_matrices(matrices)
+    if plan.readings is None:
+        return replace(plan, poses=moved)
+    near = joints_at(mechanism, replace(plan, poses=poses)).joints
+    readings = inverse(mechanism, moved, influences_of(mechanism, plan), near).readings
+    readings = np.where(np.isfinite(readings), readings, plan.readings)
+    return replace(plan, poses=moved, readings=readings)
 
 
 def check_reached(mechanism: Mechanism, planned: Plan | Array, name: str = "the plan") -> None:

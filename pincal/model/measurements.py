@@ -78,6 +78,8 @@ class Plan:
     influences: Mapping[str, Array] = field(default_factory=dict, kw_only=True)
     """Influence quantities by column, on which terms depend (``Mechanism.influences``),
     each of shape (N,); NaN where not known, which counts as at its reference."""
+    contacts: Mapping[str, tuple[str, ...]] = field(default_factory=dict, kw_only=True)
+    """Names of the points touched by contacts of a setup, by column, length N; empty for none."""
     lines: tuple[int, ...] | None = field(default=None, kw_only=True)
     """Line of the file that holds each row, if they were read from one."""
     written: str | None = field(default=None, kw_only=True)
@@ -87,7 +89,7 @@ class Plan:
     def __post_init__(self) -> None:
         poses = array_of(self.poses, ("N", "dof"), "poses", MeasurementError)
         object.__setattr__(self, "poses", poses)
-        self._check({"readings": ("n_readings",)}, ("sets", "places"), ("influences",))
+        self._check({"readings": ("n_readings",)}, ("sets", "places"), ("influences", "contacts"))
 
     def _check(
         self,
@@ -100,9 +102,12 @@ class Plan:
         for name in (*arrays, *names, *columns):
             values = getattr(self, name)
             if name in columns:
+                by_column = must_be(values, Mapping, name, MeasurementError).items()
+                of_kind: Any = names_of if name == "contacts" else array_of
+                size: Any = count if name == "contacts" else (count,)
                 values = {
-                    column: array_of(entries, (count,), f"{name} {column!r}", MeasurementError)
-                    for column, entries in must_be(values, Mapping, name, MeasurementError).items()
+                    column: of_kind(entries, size, f"{name} {column!r}", MeasurementError)
+                    for column, entries in by_column
                 }
             elif values is not None and name in names:
                 values = names_of(values, count, name, MeasurementError)
@@ -187,7 +192,7 @@ class Plan:
 
         def selected(values: Any) -> Any:
             if isinstance(values, Mapping):
-                return {name: column[index] for name, column in values.items()}
+                return {name: selected(column) for name, column in values.items()}
             if isinstance(values, tuple):
                 return tuple(values[i] for i in index)
             return values[index] if isinstance(values, np.ndarray) else values

@@ -257,6 +257,34 @@ class Distance:
 
 
 @dataclass(frozen=True)
+class Contact:
+    """A target that is brought again and again to points that stand still: sockets, balls.
+
+    Which of them it touches in a row stands in the column of the contact's name.
+    """
+
+    points: Mapping[str, Point | None]
+    """Where they are in the frame of the measurements, [m], by name; None: to be identified."""
+    target: str = ORIGIN
+    tolerance: float = 0.0
+    """Standard deviation of each coordinate of the points whose place is known, [m]."""
+    noise: float | None = None
+    """By how much the target misses a point, along each axis, [m]; as positions if not given."""
+
+    def __post_init__(self) -> None:
+        points = dict(must_be(self.points, Mapping, "points of a contact", MeasurementError))
+        if not points:
+            raise MeasurementError("a contact has no points; name those that its target touches")
+        for name, point in points.items():
+            label = f"point {must_be(name, str, 'the name of a point', MeasurementError)!r}"
+            if point is not None:
+                points[name] = tuple(array_of(point, (3,), label, MeasurementError).tolist())
+        object.__setattr__(self, "points", points)
+        must_be(self.target, str, "target of a contact", MeasurementError)
+        _check_sizes(self, ("tolerance",) + ("noise",) * (self.noise is not None), "contact's")
+
+
+@dataclass(frozen=True)
 class Setup:
     """What measured numbers mean."""
 
@@ -265,6 +293,8 @@ class Setup:
     """``platform`` is the target of x, y, z; another target t of the columns t_x, t_y, t_z."""
     distances: Mapping[str, Distance] = field(default_factory=dict)
     """By column."""
+    contacts: Mapping[str, Contact] = field(default_factory=dict)
+    """By column: each row has the name of the point that is touched, or nothing."""
     instruments: tuple[Instrument, ...] = ()
     """Instruments of one's own, each with its columns and unknowns."""
     tracker: Tracker | None = None
@@ -274,22 +304,27 @@ class Setup:
 
     def __post_init__(self) -> None:
         must_be(self.unknown_frame, bool, "unknown_frame", MeasurementError)
-        for group, kind in (("targets", Target), ("distances", Distance)):
+        groups = (("targets", Target), ("distances", Distance), ("contacts", Contact))
+        for group, kind in groups:
             named = must_be(getattr(self, group), Mapping, group, MeasurementError)
             for name, entry in named.items():
                 must_be(name, str, f"a name in {group}", MeasurementError)
                 must_be(entry, kind, f"{group}, {name!r}", MeasurementError)
         object.__setattr__(self, "targets", {ORIGIN: Target(), **self.targets})
-        for column, entry in self.distances.items():
+        measured: dict[str, Distance | Contact] = {**self.distances, **self.contacts}
+        for column, entry in measured.items():
             if entry.target not in self.targets:
                 raise MeasurementError(
-                    f"distance {column!r} is to a target {entry.target!r}; expected one of "
+                    f"{column!r} is measured to a target {entry.target!r}; expected one of "
                     f"{', '.join(self.targets)}"
                 )
         must_be(self.tracker, (Tracker, type(None)), "tracker", MeasurementError)
         must_be(self.systematic, Systematic, "systematic", MeasurementError)
         object.__setattr__(self, "instruments", tuple(self.instruments))
         names = {"tracker", "target", *self.targets}
+        if shared := names & {*self.contacts, *self.touched}:
+            raise MeasurementError(f"{min(shared)!r} is a contact and a target; rename one of them")
+        names |= {*self.contacts, *self.touched}
         for instrument in self.instruments:
             must_be(instrument, Instrument, "an instrument", MeasurementError)
             if fault := _fault(instrument, names):
@@ -311,6 +346,7 @@ class Setup:
         named = {
             "targets": targets,
             "distances": self.distances,
+            "contacts": self.contacts,
             "instruments": [instrument.name for instrument in self.instruments],
         }
         return one_line(
@@ -324,17 +360,40 @@ class Setup:
     @property
     def plain(self) -> bool:
         """Whether poses are those of the platform in the base frame, and nothing else."""
-        further = self.distances or self.instruments or self.targets != {ORIGIN: Target()}
-        return not (self.unknown_frame or further)
+        further = (self.distances, self.contacts, self.instruments)
+        return not (self.unknown_frame or any(further) or self.targets != {ORIGIN: Target()})
 
     @property
     def required(self) -> dict[str, str]:
         """Columns that measurements must have, and whose they are."""
-        return dict.fromkeys(self.distances, "a distance that the setup names") | {
+        named = dict.fromkeys(self.distances, "a distance that the setup names")
+        named |= dict.fromkeys(self.contacts, "which says what is touched in each row")
+        return named | {
             column: f"which instrument {instrument.name!r} reads"
             for instrument in self.instruments
             for column in instrument.columns
         }
+
+    @property
+    def touched(self) -> dict[str, tuple[str, str, Contact]]:
+        """Column, name and contact of each point that is touched, as ``socket_A`` of ``A``."""
+        return {
+            f"{column}_{name}": (column, name, contact)
+            for column, contact in self.contacts.items()
+            for name in contact.points
+        }
+
+    @property
+    def touched_places(self) -> tuple[Array, Array]:
+        """Places of the points touched, (n, 3), [m], zero if unknown, and how well known, (n,)."""
+        points = [(contact, contact.points[name]) for _, name, contact in self.touched.values()]
+        sigmas = [np.inf if place is None else contact.tolerance for contact, place in points]
+        places = np.reshape([place or (0.0, 0.0, 0.0) for _, place in points], (-1, 3))
+        return places, np.array(sigmas)
+
+    def contact_axes(self, platform: Platform) -> dict[str, list[str]]:
+        """Return the quantities of each point touched: by how much it is missed."""
+        return {name: [f"{name}_{a}" for a in "xyz"[: platform.space]] for name in self.touched}
 
     def positions(self, platform: Platform) -> dict[str, list[str]]:
         """Return the columns of each target's position."""
@@ -366,14 +425,16 @@ class Setup:
                 f"an instrument is named {min(shared)!r}, as a leg of {mechanism.name!r}; choose "
                 "another name"
             )
-        groups: list[Mapping[str, str]] = [self.points(mechanism.platform)]
+        platform = mechanism.platform
+        groups: list[Mapping[str, str]] = [self.points(platform)]
         groups.append(dict.fromkeys(self.distances, "m"))
+        groups += [dict.fromkeys(axes, "m") for axes in self.contact_axes(platform).values()]
         groups += [item.columns for item in self.instruments]
-        named = [name for group in groups for name in group]
-        taken = {*mechanism.leg_names, *mechanism.reading_names, *mechanism.platform.freedoms}
+        named = [*self.contacts, *(name for group in groups for name in group)]
+        taken = {*mechanism.leg_names, *mechanism.reading_names, *platform.freedoms}
         taken |= RESERVED - {"x", "y", "z", "phi"}
         odd = {name for name in named if name.startswith("sigma_") or named.count(name) > 1}
-        if odd := odd | (taken | {*mechanism.platform.coordinates}).intersection(named):
+        if odd := odd | (taken | {*platform.coordinates}).intersection(named):
             raise MeasurementError(
                 f"the setup names a column {min(odd)!r}, which means something else in "
                 "measurements; choose another name"

@@ -210,7 +210,8 @@ def _unmeasured_lines(result: CalibrationResult) -> list[str]:
     """Return which coordinates of the platform no row measures, and what that means, in a line."""
     data, platform, setup = result.measurements, result.nominal.platform, result.options.setup
     missing = [bool(np.isnan(values).all()) for values in data.poses.T]
-    if not any(missing) or data.extra or setup.distances or setup.instruments:
+    elsewhere = data.extra or setup.distances or setup.contacts or setup.instruments
+    if not any(missing) or elsewhere:
         return []
     names = [name for name, lacks in zip(platform.coordinates, missing, strict=True) if lacks]
     if platform.turns == 3 and all(missing[platform.lengths :]):

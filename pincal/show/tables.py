@@ -174,7 +174,6 @@ def workspace_table(workspace: Workspace, inscribed: Inscribed | None = None) ->
 
 _MOST_SIGMAS = 1e6  # standard errors, above which their number says nothing
 _ERRORS = {"m": "position", "rad": "orientation"}
-_FRAMES = ", but for where the base and platform frames lie"
 _CHOSEN = (
     ". Values and ± depend on what was fixed by choice, of equal parameters those nearest to "
     "nominal; errors of the platform do not"
@@ -204,7 +203,9 @@ def accuracy_table(result: CalibrationResult, errors: WorkspaceErrors) -> Table:
             head: {(name, unit): values[unit == "rad"] for name, unit in names}
             for head, values in sizes.items()
         }
-        region = f" {errors.where}{_FRAMES * result.moves_frames}"
+        scale = "the scale and " * any(free.code == "gauge-scale" for free in result.gauge)
+        frames = f", but for {scale}where the base and platform frames lie"
+        region = f" {errors.where}{frames * result.moves_frames}"
     validation = result.validation
     for missed in validation.targets if validation and validation.fit <= MISSES else ():
         name = _ERRORS[missed.unit] + f" of {missed.target}" * (missed.target != ORIGIN)
@@ -255,8 +256,8 @@ def outside_table(result: CalibrationResult) -> Table:
         ["unknown", "start", *_HEADS[1:]],
         [(p.id, *_values(p)) for p in result.external],
         "tracker: where the base is in the frame of the measurements (rx, ry, rz a rotation "
-        "vector); others: where what was measured is on the platform; start: where the search "
-        "began, measured positions laid on those of the nominal machine"
+        "vector); others: where what was measured is on the platform, or what was touched; start: "
+        "where the search began, measured positions laid on those of the nominal machine"
         f"{_CHOSEN * bool(result.gauge)}",
     )
 

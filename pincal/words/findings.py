@@ -186,6 +186,11 @@ FINDINGS: dict[str, Wording] = {
         "how the platform's points lie in it",
         severity="info",
     ),
+    "gauge-scale": Wording(
+        "the scale: 1 freedom, since points touched at unknown places do not say how far apart "
+        "they are (places of two of them in the setup do)",
+        severity="info",
+    ),
     "redundant-parameters": Wording(
         "{count|counted('parameter is', 'parameters are')} redundant, whatever is measured: "
         "{groups|groups}",

@@ -39,6 +39,7 @@ from pincal.kinematics.closure import nominal_legs
 from pincal.model.checks import ROUNDING
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
+from pincal.model.setup import Setup
 from pincal.words.findings import finding, sentence, sentences
 
 _STILL = 1e-3  # readings that differ by less hardly move, of a leg's size and [rad]
@@ -341,6 +342,18 @@ def check_copies(data: Measurements, *, every_pose: bool = False) -> None:
         rows = tuple(sorted({row for pair in copies for row in pair}))
         copied = finding("rows-copied", rows, first=copies[0], pairs=len(copies))
         raise MeasurementError(sentence(copied))
+
+
+def check_contacts(data: Measurements, setup: Setup) -> None:
+    """Raise if a point at an unknown place is touched in no row, or in one alone."""
+    for column, point, contact in setup.touched.values():
+        count = data.contacts[column].count(point)
+        if count < 2 and contact.points[point] is None:
+            row = data.place(data.contacts[column].index(point)) if count else "no row"
+            raise MeasurementError(
+                f"{row}{' alone' * count} touches {column} {point!r}, whose place is unknown, "
+                "which says nothing of the machine. Touch it in several poses, or leave it out"
+            )
 
 
 def check_noise(mechanism: Mechanism, noise: Noise | None) -> None:

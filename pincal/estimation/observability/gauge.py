@@ -32,6 +32,7 @@ from pincal.finding import Finding
 from pincal.kinematics.batches import point_velocity
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Platform
+from pincal.model.setup import Setup
 from pincal.types import Array
 from pincal.words.findings import finding
 from pincal.words.wording import groups_in_words
@@ -39,15 +40,19 @@ from pincal.words.wording import groups_in_words
 _STILL = 1e-7  # motion of the platform below which it is none, of what each parameter would do
 
 
-def frame_motions(platform: Platform, matrices: Array) -> Array:
-    """Return the twists of the platform for unit motions of base and own frame, (N, dof, k)."""
+def frame_motions(platform: Platform, matrices: Array, *, scaled: bool = True) -> Array:
+    """Return the twists of the platform for unit motions of base and own frame, (N, dof, k).
+
+    The last is that of all lengths if they may grow, which contacts do not see, else none.
+    """
     base, body = np.zeros((2, len(matrices), 6, 6))
     base[:, :3] = point_velocity(matrices[:, :3, 3], tuple(range(6)))
     base[:, 3:, 3:] = np.eye(3)
     body[:, :3, :3] = body[:, 3:, 3:] = matrices[:, :3, :3]
     rows = list(platform.twist_rows)
     frame = [0, 1, 5] if platform.space == 2 else list(range(6))
-    return np.concatenate((base[:, :, frame], body[:, :, rows]), axis=2)[:, rows]
+    grown = scaled * np.pad(matrices[:, :3, 3:], ((0, 0), (0, 3), (0, 0)))
+    return np.concatenate((base[:, :, frame], body[:, :, rows], grown), axis=2)[:, rows]
 
 
 def unexplained(units: Sequence[str], twists: Array, motions: Array, size: float) -> Array:
@@ -68,9 +73,11 @@ def unexplained(units: Sequence[str], twists: Array, motions: Array, size: float
 
 
 def split_frames(
-    platform: Platform, matrices: Array, gain: Array, directions: Array, size: float
+    mechanism: Mechanism, matrices: Array, gain: Array, directions: Array, *, scaled: bool
 ) -> tuple[Array, Array, Array]:
     """Return the part of directions of parameters that only moves frames, the other part, and how.
+
+    If ``scaled``, frames may grow.
 
     Directions are columns of shape (n, k), the gain ∂(pose)/∂(parameter) is of shape (N, dof, n).
     How the former move the platform is said by combinations of the columns of ``frame_motions``,
@@ -85,11 +92,12 @@ def split_frames(
             "the legs do not hold the platform at any of these poses (type-2 singularities), so "
             "what parameters do to it is not determined; take other poses"
         )
-    gain, motions = gain[held], frame_motions(platform, matrices[held])
+    platform, gain = mechanism.platform, gain[held]
+    motions = frame_motions(platform, matrices[held], scaled=scaled)
     moved = gain @ directions
     scale = np.maximum(np.linalg.norm(moved, axis=(0, 1)), _STILL * _reach(gain, directions))
     scale[scale == 0.0] = 1.0
-    s, axes = _axes(unexplained(platform.units, moved, motions, size) / scale)
+    s, axes = _axes(unexplained(platform.units, moved, motions, mechanism.size) / scale)
     turned = directions / scale @ axes.T
     gauge, others = turned[:, s <= NEGLIGIBLE], turned[:, s > NEGLIGIBLE]
     far = _reach(gain, gauge)
@@ -154,10 +162,12 @@ def find_gauge(
     size, n_legs, gain = problem.size, legs.parameter.shape[2], legs.gain
     moved = (directions @ T.T)[:, :n_legs].T
     matrices = platform.matrices(legs.poses)
-    _, inside, frames = split_frames(platform, matrices, gain, moved, size)
+    scaled = bool(problem.observation.setup.contacts)
+    _, inside, frames = split_frames(mechanism, matrices, gain, moved, scaled=scaled)
     if inside.shape[1] and not strict and len(lost) < T.shape[1]:
         every_gain = np.pad(gain, ((0, 0), (0, 0), (0, len(T) - n_legs)))
-        gauge, *_ = split_frames(platform, matrices, every_gain, (directions @ T.T).T, size)
+        every = (directions @ T.T).T
+        gauge, *_ = split_frames(mechanism, matrices, every_gain, every, scaled=scaled)
         directions = np.asarray(np.linalg.lstsq(T, gauge, rcond=None)[0].T)
         moved = gauge[:n_legs]
     elif inside.shape[1]:
@@ -173,7 +183,7 @@ def find_gauge(
             f"what is measured leaves parameters undetermined at any poses: {lacking}"
         )
     n_still = len(directions) - frames.shape[1]
-    findings = _freedoms(frames.shape[1], mechanism, unknowns, directions @ T.T)
+    findings = _freedoms(frames, mechanism, problem.observation.setup)
     if n_still:
         groups = identifiability(gain.reshape(-1, n_legs), unknowns.labels[:n_legs]).groups
         findings.append(finding("redundant-parameters", count=n_still, groups=groups))
@@ -220,17 +230,19 @@ def _scale_gains(mechanism: Mechanism, lost: Array) -> tuple[str, ...]:
     return ()
 
 
-def _freedoms(
-    count: int, mechanism: Mechanism, unknowns: Unknowns, directions: Array
-) -> list[Finding]:
-    """Return which frames are free, and by how many freedoms."""
-    frame = np.array([name.startswith("tracker.") for name in unknowns.labels])
-    n_base = int(np.linalg.matrix_rank(directions[:, frame], tol=1e-6)) if frame.any() else 0
-    if count and "rad" not in mechanism.platform.units:  # a point has no frame of its own
-        return [finding("gauge-base-frame", freedoms=count, unknown_frame=n_base > 0)]
-    findings = []
-    if count and n_base:
-        findings.append(finding("gauge-base-frame", freedoms=n_base, unknown_frame=True))
+def _freedoms(frames: Array, mechanism: Mechanism, setup: Setup) -> list[Finding]:
+    """Return which frames are free, and by how many freedoms, and whether the scale is."""
+    least, findings = NEGLIGIBLE * np.abs(frames).max(initial=0.0), list[Finding]()
+    grows = bool((np.abs(frames[-1]) > least).any())
+    count, n_base = frames.shape[1] - grows, 0
+    if setup.unknown_frame or setup.contacts:
+        of_base = frames[: -1 - mechanism.platform.dof]
+        n_base = min(count, int(np.linalg.matrix_rank(of_base, tol=least)))
+    if "rad" not in mechanism.platform.units:  # a point has no frame of its own
+        n_base = count
+    if n_base:
+        unknown = setup.unknown_frame
+        findings.append(finding("gauge-base-frame", freedoms=n_base, unknown_frame=unknown))
     if count > n_base:
         findings.append(finding("gauge-platform-frame", freedoms=count - n_base))
-    return findings
+    return findings + [finding("gauge-scale")] * grows

@@ -149,9 +149,10 @@ def jacobian_near(
     every row that is measured in some row.
     """
     start, block = problem.start(unknowns.start), problem.leg_block
-    chosen = np.arange(len(start.matrices))
+    contacts, chosen = problem.observation.setup.contacts, np.arange(len(start.matrices))
     if generic:  # the same ones in whatever order rows were measured
-        chosen = np.lexsort((*start.matrices[:, :3, 3].T, *block.readings.T))[:GENERIC]
+        chosen = np.lexsort((*start.matrices[:, :3, 3].T, *block.readings.T))
+        chosen = chosen if contacts else chosen[:GENERIC]  # every point is touched
     plan = Plan(
         mechanism.platform.from_matrices(start.matrices[chosen]),
         readings=block.readings[chosen] if mechanism.by_readings else None,
@@ -160,9 +161,13 @@ def jacobian_near(
     values = (start.parameters[columns] for columns in block.columns)
     started = mechanism.with_parameters(dict(zip(mechanism.leg_names, values, strict=True)))
     size = problem.size
-    legs = legs_at(started, nearby(started, plan, GENERIC, size) if generic else plan)
+    plan = nearby(started, plan, GENERIC, size) if generic else plan
     observation = problem.observation.anywhere() if generic else problem.observation
-    rows = chosen[np.flatnonzero(legs.reached) % len(chosen)]
+    every = chosen[np.arange(len(plan)) % len(chosen)]
+    if contacts:  # frames and scale do not show where they touch exactly
+        plan = observation.at(every).touching(started, plan, start.external)
+    legs = legs_at(started, plan)
+    rows = every[legs.reached]
     matrices = mechanism.platform.matrices(legs.poses)
     _, seen_pose, by_external = observation.at(rows).residuals(matrices, start.external)
     per = np.array([1.0 / size if unit == "m" else 1.0 for unit in observation.units])[:, None]

@@ -30,6 +30,7 @@ from pincal.model.checks import ROUNDING
 from pincal.types import Array, Index
 
 _MUCH = 0.25  # of what a step takes up, that is left correlated from row to row
+_TAKEN = 1e-4  # of a step's squares: parameters take up one of which they leave no more
 _ALIKE = 1.75  # standard errors of a correlation from row to row, above which it is one
 
 
@@ -221,8 +222,8 @@ class Residuals:
             for rows in (along, turned @ W, self.Q.transpose(0, 2, 1) @ W)
         )
         information = squares - taken.transpose(0, 2, 1) @ taken
-        least = RANK_TOLERANCE * max(float(np.trace(squares[0])) if len(squares) else 0.0, 1e-300)
-        known = np.linalg.eigvalsh(information)[:, 0] > least
+        least = _TAKEN * np.trace(squares, axis1=1, axis2=2)
+        known = np.linalg.eigvalsh(information)[:, 0] > np.maximum(least, 1e-300)
         known[:1] = known[-1:] = False  # a row of its own is an outlier
         places = np.flatnonzero(known)
         if not len(places):
