@@ -56,7 +56,10 @@ sphinx_gallery_conf = gallery.settings(_DOCS)
 
 html_theme = "pydata_sphinx_theme"
 html_static_path = ["_static"]
+html_extra_path = [str(generated.VIEW)]
+html_search_scorer = str(_DOCS / "build_steps" / "search.js")
 html_css_files = ["pincal.css"]
+html_js_files = ["names.js"]
 html_title = f"pincal {release}"
 html_math_renderer = "mathml"
 html_show_sourcelink = False

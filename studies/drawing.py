@@ -18,8 +18,10 @@ import pincal
 from .study import Study
 
 Array = NDArray[np.float64]
-#: Okabe and Ito's colours, distinct in every common colour-blindness.
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+#: Those of pincal's own drawings: of legs; before and after; of what counts, and follows from it.
+COLOURS = ("#07a75a", "#0e11a3", "#ac5f71", "#7e7dfe", "#610f0a", "#1a5c4c", "#703e68", "#9f1042")
+BEFORE, AFTER = "#909090", "#4402fc"
+DOMAIN, CARRIED = "#520856", "#d8c3da"
 HATCHES = ("", "//", "..", "xx", "\\\\", "++", "oo")
 MARKERS = ("o", "^", "s", "D")
 
@@ -97,7 +99,7 @@ def draw_workspace(axes: Axes, workspace: pincal.Workspace, kept: Array | None =
         a, b = a * np.cos(b), a * np.sin(b)
     cells = np.full(workspace.inside.shape, np.nan)
     cells[workspace.inside] = 0.0 if kept is None else kept
-    colours = ListedColormap(["#A9CBE8"] if kept is None else [COLOURS[1], COLOURS[5]])
+    colours = ListedColormap([CARRIED] if kept is None else [DOMAIN, CARRIED])
     shape = (len(first) - 1, len(second) - 1)
     return axes.pcolormesh(
         a, b, cells.reshape(shape), cmap=colours, vmin=0, vmax=1, zorder=0, rasterized=True
@@ -112,11 +114,12 @@ def draw_poses(axes: Axes, mechanism: pincal.Mechanism, plan: pincal.Plan) -> No
         if not len(own):
             continue
         label = f"set {name}" if name != "all" else "every leg"
-        axes.plot(*own[:, :2].T, MARKERS[index], ms=4, color=COLOURS[index], label=label)
+        colour = COLOURS[index] if name != "all" else "#222222"
+        axes.plot(*own[:, :2].T, MARKERS[index], ms=4, color=colour, label=label)
         if own.shape[1] > 2:
             ends = own[:, :2] + size * np.stack((np.cos(own[:, 2]), np.sin(own[:, 2])), axis=1)
             strokes = list(np.stack((own[:, :2], ends), axis=1))
-            axes.add_collection(LineCollection(strokes, colors=COLOURS[index], lw=0.8))
+            axes.add_collection(LineCollection(strokes, colors=colour, lw=0.8))
 
 
 def draw_bars(axes: Axes, names: Sequence[str], series: Mapping[str, Sequence[float]]) -> Array:
@@ -125,7 +128,8 @@ def draw_bars(axes: Axes, names: Sequence[str], series: Mapping[str, Sequence[fl
     shifts = width * (np.arange(len(series)) - (len(series) - 1) / 2)
     places: Array = np.arange(len(names)) + shifts[:, None]
     for index, ((label, values), place) in enumerate(zip(series.items(), places, strict=True)):
-        bars = axes.bar(place, values, width, label=label, color=COLOURS[index])
+        colour = BEFORE if label == "before" else COLOURS[index]
+        bars = axes.bar(place, values, width, label=label, color=colour)
         for bar in bars:
             bar.set(hatch=HATCHES[index], edgecolor="white")
     axes.set_xticks(range(len(names)), names, fontsize=8)
@@ -145,7 +149,7 @@ def observability(selection: pincal.Selection, mechanism: pincal.Mechanism) -> F
 def times(seconds: Mapping[str, float], title: str = "") -> Figure:
     """Return bars of times, [s]."""
     figure, (axes,) = panels(1, 9, 0.34 * len(seconds) + 1)
-    bars = axes.barh(list(seconds), list(seconds.values()), color=COLOURS[0])
+    bars = axes.barh(list(seconds), list(seconds.values()), color=AFTER)
     axes.bar_label(bars, [f" {time:.3g} s" for time in seconds.values()], fontsize=8)
     axes.set_xscale("log")
     axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
@@ -163,14 +167,14 @@ def readings_of_three_legs(spaces: Mapping[str, Array]) -> Figure:
     figure = Figure(figsize=(13.2, 9.1), layout="constrained")
     first = next(iter(spaces.values()))
     cloud = figure.add_subplot(2, 3, 1, projection="3d")
-    cloud.scatter(*first.T, s=1, c=first.sum(axis=1), lw=0, rasterized=True)
+    cloud.scatter(*first.T, s=1, c=first.sum(axis=1), cmap="cividis", lw=0, rasterized=True)
     cloud.set(xlabel="ψ₁ [rad]", ylabel="ψ₂ [rad]", zlabel="ψ₃ [rad]")
     cloud.set_box_aspect(None, zoom=0.8)
     for place, (title, readings) in enumerate(spaces.items()):
         axes = figure.add_subplot(2, 3, place + 2)
         across = readings @ np.array([2.0, -1.0, -1.0]) / np.sqrt(6)
         up = readings @ np.array([0.0, 1.0, -1.0]) / np.sqrt(2)
-        axes.plot(across, up, ".", ms=1.5, color=COLOURS[place], rasterized=True)
+        axes.plot(across, up, ".", ms=1.5, color=DOMAIN, rasterized=True)
         axes.set(aspect="equal", title=title)
         axes.set(xlabel="(2ψ₁ − ψ₂ − ψ₃)/√6 [rad]", ylabel="(ψ₂ − ψ₃)/√2 [rad]")
     return figure

@@ -165,7 +165,7 @@ def simulated(study: Study) -> None:
     )
     figure, (axes,) = drawing.panels(1, 8.0, 3.6)
     for place, (before, colour, said) in enumerate(
-        (("before", drawing.COLOURS[1], "geometry alone"), ("after", drawing.COLOURS[0], "then"))
+        (("before", drawing.BEFORE, "geometry alone"), ("after", drawing.AFTER, "then"))
     ):
         at = np.arange(len(found)) + 0.36 * place - 0.18
         sizes = [1e6 * float(np.median(getattr(one, before))) for one in found.values()]

@@ -89,7 +89,7 @@ def _inscribed(study: Study) -> pincal.Inscribed:
     figure, (axes,) = drawing.panels(1, 6, 5)
     drawing.draw_mechanism(axes, study.mechanism, (0.0, float(circle.centre[1])))
     drawing.draw_workspace(axes, found)
-    axes.plot(*_rim(circle), color=drawing.COLOURS[1], lw=2)
+    axes.plot(*_rim(circle), color=drawing.DOMAIN, lw=2)
     axes.set_ylim(-0.2, 2.0)
     study.figure(
         "fig_2_maximal_inscribed_workspace",

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 import pincal
@@ -107,12 +108,19 @@ def parameters(study: Study, truth: pincal.Mechanism, outcomes: list[Outcome]) -
         the noise lets any estimator come."""
     )
     shown = [outcomes[index] for index in _SHOWN]
-    bars = {"before": np.abs(before).tolist()} | {one.way.name: one.single for one in shown}
-    figure, (axes,) = drawing.panels(1, 12, 4.6)
-    places = drawing.draw_bars(axes, [name.replace(" (", "\n(") for name in names], bars)
-    for place, one in zip(places[1:], shown, strict=True):
-        axes.hlines(one.bound, place - 0.1, place + 0.1, color="black", ls="--", lw=1)
-    axes.set(yscale="log", ylim=(1e-4, 3e-2), ylabel="|identified − real| [m], [rad], [1]")
+    units = np.array([leg.units[n] for leg in mechanism.legs for n in leg.parameter_names])
+    kinds = list(dict.fromkeys(units.tolist()))
+    figure = Figure(figsize=(12, 4.6), layout="constrained")
+    widths = [int((units == unit).sum()) for unit in kinds]
+    for axes, unit in zip(figure.subplots(1, len(kinds), width_ratios=widths), kinds, strict=True):
+        kind = np.flatnonzero(units == unit)
+        bars = {"before": np.abs(before)[kind].tolist()}
+        bars |= {one.way.name: np.array(one.single)[kind].tolist() for one in shown}
+        places = drawing.draw_bars(axes, [names[i].replace(" (", "\n(") for i in kind], bars)
+        for place, one in zip(places[1:], shown, strict=True):
+            bound = np.array(one.bound)[kind]
+            axes.hlines(bound, place - 0.1, place + 0.1, color="black", ls="--", lw=1)
+        axes.set(yscale="log", ylim=(1e-4, 3e-2), ylabel=f"|identified − real| [{unit}]")
     drawing.legend(figure)
     study.figure(
         "fig_5_parameter_errors",
@@ -154,7 +162,7 @@ def maps(
     for axes, (name, errors) in zip(panels, shown.items(), strict=True):
         picture = np.full(x.shape, np.nan)
         picture[inside] = 1e3 * errors
-        image = axes.pcolormesh(side, side + circle.centre[1], picture, norm=norm)
+        image = axes.pcolormesh(side, side + circle.centre[1], picture, norm=norm, cmap="cividis")
         drawing.from_above(axes, name)
     figure.colorbar(image, ax=panels, label="position error, root mean square [mm]")
     study.figure(

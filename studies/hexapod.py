@@ -240,14 +240,17 @@ def _workspaces(study: Study) -> tuple[dict[str, pincal.Workspace], dict[str, fl
         figure = Figure(figsize=(11, 5), layout="constrained")
         cloud = figure.add_subplot(1, 2, 1, projection="3d")
         points = clouds[name].positions
-        cloud.scatter(*points.T, c=points[:, 2], s=2, lw=0, cmap="viridis", rasterized=True)
+        cloud.scatter(*points.T, c=points[:, 2], s=2, lw=0, cmap="cividis", rasterized=True)
         cloud.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
         flat = figure.add_subplot(1, 2, 2)
         w = found[name]
         stay = w.test(w.positions @ Element(2 * np.pi / 3).matrix.T)
         drawing.draw_workspace(flat, w, stay.astype(float))
-        for colour, label in ((5, "stays under a rotation by 120°"), (1, "leaves")):
-            flat.plot([], [], "s", color=drawing.COLOURS[colour], label=label)
+        for colour, label in (
+            (drawing.CARRIED, "stays under a rotation by 120°"),
+            (drawing.DOMAIN, "leaves"),
+        ):
+            flat.plot([], [], "s", color=colour, label=label)
         drawing.from_above(flat, "z = 1.8 m")
         drawing.legend(figure)
         study.figure(

@@ -137,8 +137,7 @@ def measure_accuracies(study: Study, ways: list[Way], poses: Array, count: int) 
         axes = panels[place]
         for index, (name, found) in enumerate(after.items()):
             low, middle, high = 1e3 * np.percentile(found[:, place], [25, 50, 75])
-            colour = drawing.COLOURS[index % len(drawing.COLOURS)]
-            axes.barh(name, middle, color=colour)
+            axes.barh(name, middle, color=drawing.AFTER if index else drawing.BEFORE)
             ends = [[middle - low], [high - middle]]
             axes.errorbar(middle, name, xerr=ends, color="black", capsize=3)
             axes.annotate(f" {middle:.3g}", (high, index), va="center", size=8)
@@ -172,7 +171,8 @@ def draw_maps(study: Study, way: Way, planes: dict[float, pincal.Workspace]) -> 
         ends = np.concatenate([errors for _, errors in found.values()])
         norm = LogNorm(np.nanpercentile(ends, 1), np.nanmax(ends))
         for axes, (turn, (poses, errors)) in zip(row, found.items(), strict=True):
-            image = axes.scatter(*poses[:, :2].T, c=errors, norm=norm, s=4, lw=0, rasterized=True)
+            look = {"norm": norm, "cmap": "cividis", "s": 4, "lw": 0, "rasterized": True}
+            image = axes.scatter(*poses[:, :2].T, c=errors, **look)
             drawing.from_above(axes, f"{name}, φ = {turn:g} rad")
         figure.colorbar(image, ax=row, label="position error [mm]")
     study.figure(

@@ -7,6 +7,7 @@ import os
 import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from itertools import product
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -531,7 +532,7 @@ _AXE = """async () => {
 
 @pytest.mark.parametrize("theme", ["light", "dark"])
 def test_pages_can_be_used_by_everyone(theme: str, browser: Any, tmp_path: Path) -> None:
-    """No violation of axe's rules in view and report, contrast of text among them.
+    """No violation of axe's rules in view and report, also on a phone, contrast among them.
 
     Needs ``npm install --no-save axe-core``.
     """
@@ -544,9 +545,10 @@ def test_pages_can_be_used_by_everyone(theme: str, browser: Any, tmp_path: Path)
     data = pincal.simulate(mechanism, true, many, noise, 3).measurements
     result = pincal.calibrate(mechanism, data, noise=noise)
     pages = pincal.view(mechanism, poses, identified=true), result.report(date="today")
-    for page in pages:
+    for page, width in product(pages, (1280, 390)):
         path = page.save(tmp_path / "page.html", force=True)
-        context = browser.new_context(color_scheme=theme, bypass_csp=True)
+        size = {"width": width, "height": 800}
+        context = browser.new_context(color_scheme=theme, bypass_csp=True, viewport=size)
         shown = context.new_page()
         shown.goto(path.as_uri())
         shown.wait_for_timeout(500)

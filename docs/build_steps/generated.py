@@ -1,4 +1,4 @@
-"""Pages that are made of the code at every build: commands, names."""
+"""Pages that are made of the code at every build: commands, names, a view."""
 
 from __future__ import annotations
 
@@ -14,17 +14,19 @@ from build_steps.names import GROUPS, RETURNED
 from pincal.cli.app import app
 
 FOLDER = Path("reference") / "made"
+VIEW = FOLDER / "view"
 
 
 def write(docs: Path) -> None:
     """Write all of them, those alone that changed, so that Sphinx reads no more than it must."""
     folder = docs / FOLDER
-    folder.mkdir(exist_ok=True)
+    (docs / VIEW).mkdir(parents=True, exist_ok=True)
     pages = {
         "commands.md": commands(),
         "api.rst": names(),
         "contributing.md": from_the_top(docs.parent / "CONTRIBUTING.md"),
         "changelog.md": from_the_top(docs.parent / "CHANGELOG.md"),
+        "view/live.html": pincal.view("6UPS", identified=pincal.disturb("6UPS", 1e-3)).html(),
     }
     for name, text in pages.items():
         path = folder / name
@@ -70,13 +72,14 @@ def command(name: str, found: Any) -> str:
         lines += ["| argument | what |", "|---|---|"]
         lines += [_row((f"`{one.metavar}`", _code(one.help or ""))) for one in arguments] + [""]
     if options:
-        lines += ["| option | what | default |", "|---|---|---|"]
+        lines += [":::{dropdown} Options", "| option | what | default |"]
+        lines += ["|---|---|---|"]
         for one in options:
             spelled = ", ".join(f"`{opt}`" for opt in (*one.opts, *one.secondary_opts))
             takes = "" if one.is_flag or not one.metavar else f" `{one.metavar}`"
             cells = (spelled + takes.replace("|", "\\|"), _code(one.help or ""), _default(one))
             lines += [_row(cells)]
-        lines += [""]
+        lines += [":::", ""]
     return "\n".join(lines)
 
 

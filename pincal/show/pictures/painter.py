@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.patches import FancyArrowPatch
 from matplotlib.path import Path
 from scipy.spatial import ConvexHull
+from scipy.spatial.distance import cdist
 
 from pincal.show.pictures.dimensions import Dimension, symbol
 from pincal.show.style import DIMENSION
@@ -72,17 +74,14 @@ def _points(shape: Shape, T: Array, V: Array) -> Array:
 def _hull(points: Array) -> Array:
     """Return the corners of the convex hull of points in a plane, shape (n, 2), in order."""
     corners = points[ConvexHull(points).vertices]
-    first = int(np.lexsort(corners.round(9).T)[0])  # the lowest, whatever rounding errors are
-    return np.roll(corners, -first, axis=0)
+    return np.roll(corners, -int(np.lexsort(corners.round(9).T)[0]), axis=0)  # the lowest first
 
 
 _NAME_HEIGHT = 8.5  # of a parameter's name, [point]
-_LETTER = 0.58  # width of a letter of such a name, of its height
 _ALONG = (0.5, 0.35, 0.65, 0.2, 0.8, 0.05, 0.95)  # where a name is tried, by a dimension's length
 _NAME_DISTANCES = (1.0, -1.0, 1.8, -1.8, 2.8, -2.8, 4.0, -4.0)  # from it, in heights of the name
-#: What a name over another costs, and one that leaves the axes, in hidden points of lines.
-_OVERLAP, _OUTSIDE = 300.0, 100.0
-_RANK = 0.4  # what the next place costs
+#: Of a name over another, outside the axes, nearer to another's line; in hidden points of lines.
+_OVERLAP, _OUTSIDE, _ASTRAY = 300.0, 100.0, 8.0
 
 
 class Names:
@@ -106,28 +105,28 @@ class Names:
     def keep_off(self, line: Array) -> Array:
         """Let no name hide a line, shape (n, 2), if it can be helped; return 40 points of it."""
         places = np.linspace(0.0, len(line) - 1.0, 40)
-        columns = [np.interp(places, np.arange(len(line)), column) for column in line.T]
-        points = np.stack(columns, axis=1)
+        points = np.stack([np.interp(places, np.arange(len(line)), c) for c in line.T], axis=1)
         self._hidden = np.concatenate((self._hidden, points))
         return points
 
     def half(self, text: str, size: float) -> Array:
         """Return half the width and height of a name of a size in points, shape (2,), [m]."""
         shown = re.sub(r"[${}_]", "", re.sub(r"\\mathit|\\[a-z]+", "x", text).replace("x{", ""))
-        return 0.5 * size * self.point * np.array((_LETTER * (len(shown) + 0.8), 1.4))
+        return 0.5 * size * self.point * np.array((0.58 * (len(shown) + 0.8), 1.4))
 
-    def write(self, text: str, places: Array, size: float, **style: Any) -> None:
-        """Write a name at one of some places, shape (n, 2), the first that hides least."""
+    def write(
+        self, text: str, places: Array, size: float, cost: Array | float = 0.0, **style: Any
+    ) -> None:
+        """Write a name at the first of some places, shape (n, 2), that hides and costs least."""
         half = self.half(text, size)
         low, high = places - half, places + half
-        thick = 0.3 * half[1]  # links are no lines
-        inside = np.abs(self._hidden - places[:, None]) < half + thick
+        inside = np.abs(self._hidden - places[:, None]) < half + 0.3 * half[1]  # links are thick
         boxes = self._boxes
         over = (low[:, None] < boxes[:, 1]) & (boxes[:, 0] < high[:, None])
-        cost = inside.all(axis=2).sum(axis=1) + _OVERLAP * over.all(axis=2).sum(axis=1)
+        cost = cost + inside.all(axis=2).sum(axis=1) + _OVERLAP * over.all(axis=2).sum(axis=1)
         bottom, top = self._limits  # what is beside them is in the picture all the same
         outside = (low[:, 1] < bottom) | (high[:, 1] > top)
-        cost = cost + _OUTSIDE * outside + _RANK * np.arange(len(places))
+        cost = cost + _OUTSIDE * outside + 0.4 * np.arange(len(places))
         best = int(np.argmin(cost))
         room = 0.3 * size * self.point  # names that touch read as one
         self._boxes = np.concatenate((boxes, [[low[best] - room, high[best] + room]]))
@@ -143,14 +142,15 @@ def draw_dimensions(names: Names, dimensions: Sequence[Dimension], V: Array) -> 
         if dimension.kind == "reading":
             text = rf"$\psi$ ({text})" if text else r"$\psi$"
         half, places = names.half(text, _NAME_HEIGHT), []
-        for along in _ALONG:
+        for distance, along in product(_NAME_DISTANCES, _ALONG):  # on its line first
             index = int(along * (len(line) - 1))
             across = _across(line[min(index + 1, len(line) - 1)] - line[max(index - 1, 0)])
-            reach = 1.1 * float(np.abs(across) @ half)
-            places += [line[index] + k * reach * across for k in _NAME_DISTANCES]
+            places.append(line[index] + 1.1 * distance * float(np.abs(across) @ half) * across)
+        rest = np.vstack([[np.inf, np.inf], *(other for other in lines if other is not line)])
+        astray = cdist(places, rest).min(axis=1) < 1.2 * cdist(places, line).min(axis=1)
         ground = {"fc": "white", "ec": "none", "alpha": 0.75, "pad": 0.6}
         style = {"color": DIMENSION, "parse_math": True, "bbox": ground}
-        names.write(text, np.array(places), _NAME_HEIGHT, **style)
+        names.write(text, np.array(places), _NAME_HEIGHT, _ASTRAY * astray, **style)
 
 
 def _draw_line(names: Names, dimension: Dimension, V: Array) -> Array:

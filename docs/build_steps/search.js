@@ -1,0 +1,12 @@
+// Ranks what the search finds: how-tos before other pages, names and commands last.
+var Scorer = {
+  score: ([page, , , , score]) => score + (page.startsWith("how_to/") ? 5 : page.startsWith("reference/") ? -200 : 0),
+  objNameMatch: 11,
+  objPartialMatch: 6,
+  objPrio: { 0: 15, 1: 5, 2: -5 },
+  objPrioDefault: 0,
+  title: 15,
+  partialTitle: 7,
+  term: 5,
+  partialTerm: 2,
+};
