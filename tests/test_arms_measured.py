@@ -117,9 +117,9 @@ def test_outliers_are_listed_and_left_out() -> None:
         1,
         [
             ("degrees", "readings are in degrees under a radian header"),
-            ("sign", "elbow_joint has the other sign"),
+            ("sign", "elbow_joint has the opposite sign"),
             ("radians", "readings are in radians under a degree header"),
-            ("order", "shoulder_pan_joint and shoulder_lift_joint are exchanged"),
+            ("order", "shoulder_pan_joint and shoulder_lift_joint are swapped"),
             ("mm", "positions are in mm under a metre header"),
             ("rows", "no single fault"),
         ],

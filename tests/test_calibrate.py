@@ -290,7 +290,7 @@ def test_noise_scale_does_not_change_the_estimate(
         np.testing.assert_allclose(c.identified, d.identified, atol=1e-10)
     for a, c in zip(one.legs, unknown.legs, strict=True):  # some of it may be given to readings
         assert (np.abs(c.identified - a.identified) < a.std).all()
-    assert "not given" in unknown.warnings[0]
+    assert "no noise was given" in unknown.warnings[0]
     assert not one.warnings
     assert any("smaller than given" in text for text in ten.warnings)
 

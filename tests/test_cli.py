@@ -450,16 +450,16 @@ BAD = {
         measured(only([0, 1, 2, 3, 4, 5, 6, 7])),
     ),
     "readings-in-degrees": Case(
-        CALIBRATE, ["leg_1", "degrees", "radian", "header"], measured(in_degrees)
+        CALIBRATE, ["57.3", "degrees", "radian", "header"], measured(in_degrees)
     ),
     "readings-in-degrees-5R": Case(
-        "calibrate 5R t.csv", ["leg_1", "degrees", "radian"], measured(in_degrees, "5R")
+        "calibrate 5R t.csv", ["57.3", "degrees", "radian"], measured(in_degrees, "5R")
     ),
     "positions-in-millimetres": Case(
-        CALIBRATE, ["leg_1", "mm", "metre", "header"], measured(in_millimetres)
+        CALIBRATE, ["1000", "mm", "metre", "header"], measured(in_millimetres)
     ),
     "positions-in-millimetres-5R": Case(
-        "calibrate 5R t.csv", ["leg_1", "mm", "metre"], measured(in_millimetres, "5R")
+        "calibrate 5R t.csv", ["1000", "mm", "metre"], measured(in_millimetres, "5R")
     ),
     "readings-in-wrong-order": Case(CALIBRATE, ["leg_1", "order"], measured(legs_swapped)),
     "one-orientation": Case(f"{CALIBRATE} --strict", PHI, one_orientation),
@@ -854,7 +854,8 @@ def test_a_fit_that_chi2_contradicts_is_no_success(work: Path) -> None:
 def test_a_wrong_row_of_the_set_verify_is_named(work: Path) -> None:
     """One orientation off by 20 mrad, a row to verify with: calibrate, report and doctor name it.
 
-    The exit code is 1, and 0 without that row; the next command leaves it out, and then only that.
+    The exit code is 1, and 0 without that row; the next command leaves it out, and then only that;
+    held-out rows that fit are drawn hollow.
     """
     noise = ["--noise-position", 1e-4, "--noise-orientation", 1e-4]
     done("select", "3RRR", "-o", "verified.csv", "--count", 24, "--verify", 6)
@@ -876,6 +877,12 @@ def test_a_wrong_row_of_the_set_verify_is_named(work: Path) -> None:
     (outlier,) = pincal.load_result("mended").outliers
     assert outlier.row == row
     assert outlier.weight == 0.0
+    checked = pincal.load_result("mended")
+    hollow = [line for line in checked.plot.residuals().lines if line.get_mfc() == "none"]
+    (marks,) = [line.get_ydata() for line in hollow]
+    held_out = [k for k, line in enumerate(rows) if line[0] == "verify" and k != row]
+    assert np.flatnonzero(np.isfinite(marks)).tolist() == held_out
+    assert np.nanmax(marks) < 4.0
 
 
 def test_the_next_command_is_of_what_was_typed(work: Path) -> None:

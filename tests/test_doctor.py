@@ -196,7 +196,7 @@ def test_exchanged_columns_of_the_orientation_are_mended_as_they_were_written(
     names = {"yaw [rad]": "roll [rad]", "roll [rad]": "yaw [rad]"}
     frame.rename(columns=names).to_csv(tmp_path / "m.csv", index=False)
     outcome = done("doctor", "6UPS", tmp_path / "m.csv", *GIVEN, "-o", tmp_path / "mended.csv")
-    assert "yaw and roll are exchanged" in outcome.out
+    assert "yaw and roll are swapped" in outcome.out
     mended = pincal.Measurements.from_csv(tmp_path / "mended.csv", mechanism)
     assert np.abs(mended.poses - data.poses).max() < 1e-9
     assert mended.written == "zyx"

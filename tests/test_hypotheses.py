@@ -131,11 +131,14 @@ def order(*columns: int) -> Fault:
     return fault
 
 
-IN_MM, IN_M = "in mm under a metre header", "in metres under a mm header"
-IN_DEGREES, IN_RADIANS = "in degrees under a radian header", "in radians under a degree header"
-X, Y, Z = "x has the other sign", "y has the other sign", "z has the other sign"
+LARGE, SMALL = "times too large)", "times too small)"
+IN_MM = f"in mm under a metre header (1000 {LARGE}"
+IN_M = f"in metres under a mm header (1000 {SMALL}"
+IN_DEGREES = f"in degrees under a radian header (57.3 {LARGE}"
+IN_RADIANS = f"in radians under a degree header (57.3 {SMALL}"
+X, Y, Z = "x has the opposite sign", "y has the opposite sign", "z has the opposite sign"
 LEFT, RIGHT = ", as in a left-handed frame", " and the orientations are right"
-SWAPPED = "legs are exchanged: column leg_2 fits leg_1 and column leg_1 fits leg_2"
+SWAPPED = "legs are swapped: column leg_2 fits leg_1 and column leg_1 fits leg_2"
 TURNED = [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]
 #: For each fault: mechanisms, what makes it, and what must be named, all of it and nothing else.
 FAULTS: dict[str, tuple[list[str], Fault, list[str]]] = {
@@ -171,9 +174,9 @@ FAULTS: dict[str, tuple[list[str], Fault, list[str]]] = {
             f"are {IN_MM}"
         ],
     ),
-    "sign-of-all": (EVERY, scaled(1, 1, -1), ["the readings have the other sign"]),
-    "sign-of-leg-1": (EVERY, column(0, -1), ["the readings of leg_1 have the other sign"]),
-    "sign-of-leg-2": (EVERY, column(1, -1), ["the readings of leg_2 have the other sign"]),
+    "sign-of-all": (EVERY, scaled(1, 1, -1), ["the readings have the opposite sign"]),
+    "sign-of-leg-1": (EVERY, column(0, -1), ["the readings of leg_1 have the opposite sign"]),
+    "sign-of-leg-2": (EVERY, column(1, -1), ["the readings of leg_2 have the opposite sign"]),
     # A symmetric machine cannot tell a mirrored frame from legs in mirrored order.
     "legs-1-2": (TURNING, order(1, 0), [SWAPPED]),
     "legs-1-2-5R": (["5R"], order(1, 0), [X + LEFT, SWAPPED]),
@@ -181,7 +184,7 @@ FAULTS: dict[str, tuple[list[str], Fault, list[str]]] = {
         TURNING,
         order(1, 2, 0),
         [
-            "legs are exchanged: column leg_3 fits leg_1 and column leg_1 fits leg_2 and column "
+            "legs are swapped: column leg_3 fits leg_1 and column leg_1 fits leg_2 and column "
             "leg_2 fits leg_3"
         ],
     ),
@@ -193,7 +196,7 @@ FAULTS: dict[str, tuple[list[str], Fault, list[str]]] = {
         mirrored([1, 0, 0], [0, -1, 0], [0, 0, 1]),
         [
             Y + LEFT,
-            "legs are exchanged: "
+            "legs are swapped: "
             + " and ".join(f"column leg_{7 - i} fits leg_{i}" for i in range(1, 7)),
         ],
     ),
@@ -201,24 +204,24 @@ FAULTS: dict[str, tuple[list[str], Fault, list[str]]] = {
     "x-y-exchanged": (
         EVERY,
         mirrored([0, 1, 0], [1, 0, 0], [0, 0, 1]),
-        ["x and y are exchanged" + LEFT],
+        ["x and y are swapped" + LEFT],
     ),
     "x-z-exchanged": (
         ["6UPS"],
         mirrored([0, 0, 1], [0, 1, 0], [1, 0, 0]),
-        ["x and z are exchanged" + LEFT],
+        ["x and z are swapped" + LEFT],
     ),
     "only-y-z-exchanged": (
         ["6UPS"],
         seen(np.eye(3)[[0, 2, 1]], lambda R: R),
-        ["y and z are exchanged" + RIGHT],
+        ["y and z are swapped" + RIGHT],
     ),
-    "yaw-roll": (["6UPS"], angles("zyx", 2, 1, 0), ["yaw and roll are exchanged"]),
+    "yaw-roll": (["6UPS"], angles("zyx", 2, 1, 0), ["yaw and roll are swapped"]),
     "scalar-last": (
         ["6UPS"],
         angles("quaternion", 1, 2, 3, 0),
         [
-            "columns of the orientation are exchanged: qw is below qz, qx is below qw, "
+            "columns of the orientation are swapped: qw is below qz, qx is below qw, "
             "qy is below qx, qz is below qy"
         ],
     ),
@@ -229,19 +232,19 @@ FAULTS: dict[str, tuple[list[str], Fault, list[str]]] = {
     "inverse-rotation": (
         TURNING,
         seen(np.eye(3), lambda R: R.transpose(0, 2, 1)),
-        ["the orientations turn the other way (that of the base seen from the platform)"],
+        ["the orientations are inverted (those of the base in the platform's frame)"],
     ),
     "inverse-pose": (
         TURNING,
         base_in_platform,
-        ["the poses are those of the base in the platform's frame"],
+        ["the poses are inverted (those of the base in the platform's frame)"],
     ),
 }
 
 
 def named(message: str) -> list[str]:
     """Return the suspects that a message names."""
-    return re.findall(r"if (.*?)(?:, or by|\. [A-Z])", message)
+    return message.partition(": corrected for that, ")[0].split(", or ")
 
 
 #: A fault of each sort, tried in every run with the first of its mechanisms.
@@ -311,7 +314,7 @@ def late(rows: int) -> Fault:
     return fault
 
 
-BACKWARDS = "the orientations turn the other way (that of the base seen from the platform)"
+BACKWARDS = "the orientations are inverted (those of the base in the platform's frame)"
 
 
 @pytest.mark.parametrize("data", quick(1, [near_home, measured]))
@@ -321,16 +324,16 @@ BACKWARDS = "the orientations turn the other way (that of the base seen from the
         1,
         [
             ("3RRR", other_sign(0), X + RIGHT),
-            ("6UPS", other_sign(3), "azimuth has the other sign"),
+            ("6UPS", other_sign(3), "azimuth has the opposite sign"),
             ("3RRR", order(1, 0), SWAPPED),
-            ("5R", late(1), "the readings stand 1 row below the poses they belong to"),
+            ("5R", late(1), "the readings are 1 row below their poses"),
             ("6UPS", other_sign(0), X + RIGHT),
-            ("6UPS", other_sign(5), "torsion has the other sign"),
+            ("6UPS", other_sign(5), "torsion has the opposite sign"),
             ("6UPS", order(1, 0), SWAPPED),
             ("3RRR", other_sign(2), BACKWARDS),
-            ("3RRR", late(-1), "the readings stand 1 row above the poses they belong to"),
-            ("6UPS", late(2), "the readings stand 2 rows below the poses they belong to"),
-            ("6UPS", late(-2), "the readings stand 2 rows above the poses they belong to"),
+            ("3RRR", late(-1), "the readings are 1 row above their poses"),
+            ("6UPS", late(2), "the readings are 2 rows below their poses"),
+            ("6UPS", late(-2), "the readings are 2 rows above their poses"),
         ],
     ),
 )
@@ -388,7 +391,7 @@ def test_a_home_bent_to_the_other_side_is_named(kind: str, legs: tuple[int, ...]
         )
         changed[index] = leg.with_home(home.joints[0])
     wrong = replace(mechanism, legs=tuple(changed))
-    with pytest.raises(pincal.MeasurementError, match="bend the other way than in mech") as caught:
+    with pytest.raises(pincal.MeasurementError, match="bend the other way than at home") as caught:
         check_plausible(wrong, measured(kind, 5))
     blamed = re.findall(r"(leg_\d) \(elbow, in (\d+) of (\d+) rows\)", str(caught.value))
     assert [name for name, *_ in blamed] == [mechanism.leg_names[i] for i in legs]
@@ -425,7 +428,7 @@ def test_legs_that_are_interchangeable_are_not_said_to_be_exchanged() -> None:
     check_plausible(three, replace(data, readings=twins))
     with pytest.raises(pincal.MeasurementError) as caught:
         check_plausible(three, replace(data, readings=twins * [-1, 1, 1]))
-    assert named(str(caught.value)) == ["the readings of leg_1 have the other sign"]
+    assert named(str(caught.value)) == ["the readings of leg_1 have the opposite sign"]
 
 
 @pytest.mark.parametrize("kind", quick(1, EVERY))
@@ -436,7 +439,7 @@ def test_rows_not_measured_in_full_are_left_out(kind: str) -> None:
     data = put(data, "readings", np.s_[1::3, 0], np.nan)
     check_plausible(mechanism, data)
     wrong = replace(data, readings=-data.readings)
-    with pytest.raises(pincal.MeasurementError, match="if the readings have the other sign"):
+    with pytest.raises(pincal.MeasurementError, match=r"^the readings have the opposite sign"):
         check_plausible(mechanism, wrong)
     wrong = put(wrong, "poses", np.s_[2:, 1], np.nan)  # row 1 lacks its x already
     check_plausible(mechanism, wrong)
@@ -452,7 +455,7 @@ def test_a_leg_without_readings_is_not_judged(kind: str) -> None:
     )
     with pytest.raises(pincal.MeasurementError) as caught:
         check_plausible(mechanism, column(1, -1)(mechanism, data))
-    assert named(str(caught.value)) == ["the readings of leg_2 have the other sign"]
+    assert named(str(caught.value)) == ["the readings of leg_2 have the opposite sign"]
 
 
 @pytest.mark.parametrize("kind", EVERY)
@@ -533,9 +536,9 @@ def test_noise_in_the_wrong_unit_is_refused(kind: str) -> None:
 def test_calibration_asks_first() -> None:
     """A calibration raises before it fits, for measurements and for noise."""
     mechanism, data = nominal("3RRR"), measured("3RRR", 11)
-    with pytest.raises(pincal.MeasurementError, match="noise of position"):
+    with pytest.raises(pincal.MeasurementError, match="noise given for the position"):
         pincal.calibrate(mechanism, data, noise=pincal.Noise(0.1, 1e-4))
-    with pytest.raises(pincal.MeasurementError, match="the readings have the other sign"):
+    with pytest.raises(pincal.MeasurementError, match="the readings have the opposite sign"):
         pincal.calibrate(mechanism, replace(data, readings=-data.readings))
 
 

@@ -42,7 +42,7 @@ class Journey:
         self.commands += 1
         said = ("warning: ", "pincal: ")
         lines = [line for line in outcome.err.splitlines() if line.startswith(said)]
-        self.messages += [line for line in lines if "noise was not given" not in line]
+        self.messages += [line for line in lines if "no noise was given" not in line]
         return outcome
 
 

@@ -174,7 +174,7 @@ def test_clean_positions_alone_recover_the_platform(kind: str) -> None:
     result = pincal.calibrate(mechanism, data, noise=pincal.Noise(1e-4, 0, 1e-5))
     assert result.converged
     assert len(result.gauge) == 1
-    assert "platform's frame" in sentence(result.gauge[0])
+    assert "platform frame" in sentence(result.gauge[0])
     assert result.estimated_poses is not None
     position, orientation = platform_accuracy(result.identified, truth, result.estimated_poses)
     assert position < 1e-9
@@ -491,7 +491,7 @@ def test_refusals_say_true_numbers() -> None:
         pincal.calibrate(mechanism, seen, noise=NOISE, setup=FRAME)
     data = put(data, "poses", np.s_[:, 3:], np.nan)
     data = put(data, "readings", np.s_[:, :2], data.readings[:, 1::-1])
-    exchanged = "legs are exchanged: .* order of columns"
+    exchanged = "legs are swapped: .* order of columns"
     with pytest.raises(pincal.MeasurementError, match=exchanged) as refused:
         pincal.calibrate(mechanism, data, noise=NOISE)
     millimetres, percent = re.findall(
@@ -508,9 +508,9 @@ def test_parameters_that_move_too_far_are_doubted() -> None:
     assert not pincal.calibrate(mechanism, data, noise=NOISE).warnings
     data = put(data, "poses", np.s_[:, 0], data.poses[:, 0] + 0.1)
     result = pincal.calibrate(mechanism, data, noise=NOISE)
-    assert any("farther than a machine" in text for text in result.warnings)
+    assert any("more than a machine" in text for text in result.warnings)
     rough = pincal.calibrate(mechanism, data, noise=NOISE, rough=True)
-    assert not any("farther than a machine" in text for text in rough.warnings)
+    assert not any("more than a machine" in text for text in rough.warnings)
 
 
 def test_a_single_tilt_is_a_measurement() -> None:

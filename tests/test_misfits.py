@@ -84,11 +84,11 @@ ANYWHERE: list[tuple[str, Change, str, str]] = [
     ("5R", scaled(1.0, 180 / np.pi), "unit", "the readings are in degrees under"),
     ("3RRR", scaled(1.0, 180 / np.pi), "unit", "the readings are in degrees under"),
     ("6UPS", scaled(1.0, 1e3), "unit", "the readings are in mm under"),
-    ("5R", rolled(1), "rows-shifted", "stand 1 row below"),
-    *((kind, rolled(-1), "rows-shifted", "stand 1 row above") for kind in ("3RRR", "6UPS")),
+    ("5R", rolled(1), "rows-shifted", "1 row below their poses"),
+    *((kind, rolled(-1), "rows-shifted", "1 row above their poses") for kind in ("3RRR", "6UPS")),
     *((kind, order(1, 0), "legs-exchanged", "column leg_2 fits leg_1") for kind in KINDS[1:]),
-    ("3RRR", sign(1), "sign-of-readings", "the readings of leg_2 have the other sign"),
-    ("6UPS", sign(4), "sign-of-readings", "the readings of leg_5 have the other sign"),
+    ("3RRR", sign(1), "sign-of-readings", "the readings of leg_2 have the opposite sign"),
+    ("6UPS", sign(4), "sign-of-readings", "the readings of leg_5 have the opposite sign"),
     ("5R", zero(0, 0.3), "reading-offset", "leg_1 by about"),
     ("3RRR", zero(1, 0.3), "reading-offset", "leg_2 by about"),
     ("6UPS", zero(3, 0.2), "reading-offset", "leg_4 by about"),
@@ -212,7 +212,7 @@ def test_zeros_that_are_not_identified_are_refused() -> None:
     mechanism, _, data = machine("3RRR", 36)
     moved = replace(data, readings=data.readings + np.array([0.0, 0.3, 0.0]))
     for options in ({"fixed": ("gamma",)}, {"priors": {"gamma": 1e-3}}):
-        with pytest.raises(pincal.MeasurementError, match="zeros of readings are off: leg_2"):
+        with pytest.raises(pincal.MeasurementError, match="reading zeros are off: leg_2"):
             pincal.calibrate(mechanism, moved, **options)
 
 

@@ -115,7 +115,7 @@ def test_units_of_too_few_parameters_are_free() -> None:
     result = pincal.calibrate("5R", data, noise=NOISE, tolerance="auto")
     assert set(result.options.tolerance) == {"m"}
     text = str(result)
-    assert "how far gains are from the drawing is not said by 2 of them" in text
+    assert "2 gains do not show how far they are from the drawing" in text
 
 
 @pytest.mark.slow

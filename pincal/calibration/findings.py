@@ -67,7 +67,6 @@ def rounding(fits: Fits) -> bool:
 
 
 def _zeros(result: CalibrationResult) -> list[Finding]:
-    """Return that motors' zeros were found far from the drawing's."""
     pairs = zip(_of_legs(result), result.calibration.shift, strict=True)
     moved = [parameter for parameter, shift in pairs if shift]
     if not moved or result.options.rough:

@@ -152,16 +152,16 @@ class Options:
     )
     rough: bool = option(
         False,
-        "The nominal mechanism is known roughly: units, signs and the order of legs are not "
+        "The nominal mechanism is only roughly known: units, signs and the order of legs are not "
         "checked.",
     )
     strict: bool = option(
         False,
-        "Refuse by name what the measurements do not determine, in place of holding it as near to "
-        "nominal as can be.",
+        "Refuse what the measurements do not determine, by name, instead of holding it as near to "
+        "nominal as possible.",
     )
     folds: int = option(
-        FOLDS, "Held-out validation, and choice of terms; 0 leaves the validation out.", least=0
+        FOLDS, "Folds of held-out validation and of the choice of terms; 0: no validation.", least=0
     )
     progress: Progress = field(default=None, compare=False, repr=False)
     """Called with what is being done."""
@@ -251,7 +251,6 @@ def _parse_priors(priors: Mapping[str, Any] | Iterable[str]) -> Mapping[str, Any
 
 
 def _prior(name: str, sigma: float | str, parameters: Sequence[Parameter]) -> float:
-    """Return the standard deviation of a nominal value in SI."""
     if not isinstance(sigma, str):
         return sigma
     units = {

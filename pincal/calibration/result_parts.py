@@ -182,6 +182,9 @@ class Validation:
     """Probability of such a growth, or a larger one, if the model is right."""
     findings: tuple[Finding, ...]
     """That held-out rows miss by more than is expected, if they do."""
+    sigma: Array
+    """Standard deviations by which each held-out row is missed, as one normal number that is as
+    unlikely; NaN of other rows, shape (N,)."""
     targets: tuple[Missed, ...]
     """How far each measured target is missed at held-out rows: mean, root mean square, largest,
     and intervals by a bootstrap of poses."""
@@ -189,19 +192,22 @@ class Validation:
     @property
     def position(self) -> tuple[float, float] | None:
         """Root mean square by which positions of targets are missed, [m], in fit and held out."""
-        return self._missed("m")
+        return self.missed.get("m")
 
     @property
     def orientation(self) -> tuple[float, float] | None:
         """The same of the measured orientation, [rad]."""
-        return self._missed("rad")
+        return self.missed.get("rad")
 
-    def _missed(self, unit: str) -> tuple[float, float] | None:
-        squares = [(part.fit**2, part.rms**2) for part in self.targets if part.unit == unit]
-        if not squares:
-            return None
-        fit, held_out = np.sqrt(np.mean(squares, axis=0)).tolist()
-        return fit, held_out
+    @property
+    def missed(self) -> dict[str, tuple[float, float]]:
+        """Both by their units: those of what was measured."""
+        missed = {}
+        for unit in dict.fromkeys(part.unit for part in self.targets):
+            squares = [(part.fit**2, part.rms**2) for part in self.targets if part.unit == unit]
+            fit, held_out = np.sqrt(np.mean(squares, axis=0)).tolist()
+            missed[unit] = fit, held_out
+        return missed
 
     def __repr__(self) -> str:
         return (

@@ -75,7 +75,9 @@ def held_out(
         rows, total = [row.row for row in wrong], validation.rows + len(wrong)
         remark = finding("wrong-held-out", rows, total=total, **values_of(wrong[0]))
         validation = replace(validation, findings=(remark,))
-    return validation, tuple(wrong)
+    sigma = np.full(len(fitting), np.nan)
+    sigma[fitting] = validation.sigma
+    return replace(validation, sigma=sigma), tuple(wrong)
 
 
 def _validated(fits_of_all: Fits, folds: int, by: By) -> tuple[Validation, list[Outlier]]:
@@ -83,6 +85,7 @@ def _validated(fits_of_all: Fits, folds: int, by: By) -> tuple[Validation, list[
     calibration = fits_of_all.calibration
     groups = folds_of(calibration.measurements, folds, by)
     count, chances, of_folds = int(groups.max()) + 1, [], np.zeros(4)
+    sigma = np.full(len(groups), np.nan)
     at_fit = misses_of(
         calibration.rows(calibration.counts), fits_of_all.parameters, fits_of_all.external
     )
@@ -99,6 +102,7 @@ def _validated(fits_of_all: Fits, folds: int, by: By) -> tuple[Validation, list[
         predicted = predictions(fits, unseen)
         sums = _sums(predicted, len(unseen.measurements))
         chances.append(_chance(fits, sums, total))
+        sigma[groups == fold] = [as_one(row[0] / unit, int(row[3])) for row in sums]
         for target, values in misses_of(unseen, fits.parameters, fits.external).items():
             misses.setdefault(target, np.full(len(groups), np.nan))[groups == fold] = values
         of_folds += sums.sum(axis=0)
@@ -120,6 +124,7 @@ def _validated(fits_of_all: Fits, folds: int, by: By) -> tuple[Validation, list[
         expected=expected,
         p_value=p_value,
         findings=(worse,) if is_worse else (),
+        sigma=sigma,
         targets=tuple(
             missed(*target, values, misses[target], places)
             for target, values in at_fit.items()

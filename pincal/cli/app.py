@@ -95,10 +95,10 @@ app = typer.Typer(
     rich_markup_mode=None,  # so that [m] in a help text stays
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
-    help="Kinematic calibration of parallel robots: which poses to measure, what the parameters "
-    "are, and how sure that is.\n\nMECH is the name of a bundled mechanism (see 'pincal "
-    "mechanisms') or a mechanism folder. Tables are CSV files whose headers carry units, such as "
-    "'x [mm]', 'phi [deg]', 'leg_1 [rad]'. See it all at work with 'pincal demo'.",
+    help="Calibrate parallel robots and arms: choose the poses to measure, identify the "
+    "parameters, state how certain they are.\n\nMECH is the name of a bundled mechanism (see "
+    "'pincal mechanisms') or a mechanism folder. Tables are CSV files whose headers carry units: "
+    "'x [mm]', 'phi [deg]', 'leg_1 [rad]'. Every step on a simulated machine: 'pincal demo'.",
 )
 
 
@@ -111,7 +111,7 @@ def _main(
         raise typer.Exit
 
 
-_Quiet = Annotated[bool, typer.Option("--quiet", help="Say nothing but warnings and errors.")]
+_Quiet = Annotated[bool, typer.Option("--quiet", help="Print only warnings and errors.")]
 
 
 def command(function: Callable[..., None]) -> Callable[..., None]:

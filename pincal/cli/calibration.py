@@ -21,7 +21,7 @@ from pincal.cli.app import command, fail, remark, say, stdout, typed, warn, work
 from pincal.cli.options import FORCE, Force, Measured, Mech, SetupOptions, output_option, typed_name
 from pincal.errors import MisfitError
 from pincal.files.columns import columns_of
-from pincal.files.measurements import read_measurements
+from pincal.files.measurements import read_measurements, read_poses
 from pincal.files.mechanism_folders import mechanism_files
 from pincal.files.output import refuse_existing
 from pincal.files.table import write_table
@@ -30,6 +30,7 @@ from pincal.model.orientation import SINGLE_ANGLES
 from pincal.model.setup import ORIGIN
 from pincal.show import answers, tables
 from pincal.show.explanation import advice, explanation_lines, remedy_table, tried
+from pincal.show.misses import errors_at
 from pincal.show.report import report
 from pincal.words.numbers import reading_in
 
@@ -81,8 +82,11 @@ class CalibrateOptions:
     """What is checked, written and printed of a calibration."""
 
     by: By = option("region", "What is held out together: regions, rows in turn, or runs.")
+    workspace: Path | None = option(
+        None, "Poses over which errors are stated, in place of the whole workspace.", metavar="CSV"
+    )
     verbose: bool = option(False, "Print all tables, and all that was found.")
-    report: bool = option(True, "Draw no report.html.")
+    report: bool = option(True, "Do not draw report.html.")
     force: bool = option(False, FORCE)
 
 
@@ -97,26 +101,25 @@ def calibrate(
 ) -> None:
     """Identify the parameters from measurements.
 
-    All legs are identified at once, each pose an unknown of which any part, or none, was measured
-    (empty cells or no columns). Without noise options, repeated rows give the noise; else it is
-    estimated by group from the residuals. RESULT holds report.html to read,
-    result.json, residuals.csv and the calibrated mechanism; every command takes it as MECH. The
-    exit code is 1, and no mechanism is written, if the fit does not converge; 1 with all files
-    written, if χ² contradicts the noise given, or held-out rows the result; 3 if the result is
-    written and its report cannot be drawn.
+    All legs are identified at once; each pose is an unknown that may be measured in full, in part
+    or not at all (empty cells, no columns). Noise that is not given follows from repeated rows, or
+    else from the residuals. RESULT holds report.html, result.json, residuals.csv and the calibrated
+    mechanism; every command takes it as MECH. Exit codes: 1 if the fit does not converge (no
+    mechanism is written), or if χ² or held-out rows contradict it; 3 if only the report failed.
     """
     if options.poses != "own" and options.method != "per-leg":
         remark("--poses is for --method per-leg; all legs at once use every pose")
     calibration = known.calibration(mech, measurements, options)
     units = known.written_in(calibration.mechanism)
     refuse_existing(output, force=running.force, folder=RESULT_FILES)
+    over = running.workspace
+    poses = None if over is None else read_poses(over, calibration.mechanism)
     with working("identifying parameters") as progress:
         calibration = replace(calibration, options=replace(calibration.options, progress=progress))
         try:
             result, _, notes = run(calibration, options.folds, running.by)
-        except MisfitError:
-            remark(f"{_again('doctor')} tries what may be wrong, and says what works")
-            raise
+        except MisfitError as error:
+            raise MisfitError(f"{error}. To try what may be wrong: {_again('doctor')}") from error
         result.save(output, force=running.force)
         files = [*mechanism_files(mech), measurements, *filter(None, [known.setup_file])]
         errors, undrawn = None, ""
@@ -125,31 +128,33 @@ def calibrate(
             page = report(
                 result, command=typed(), files=files, notes=notes, units=known.units or ""
             )
+            if poses is not None and result.converged:
+                page.errors = errors_at(result, poses, f"poses of {over}")
             errors = page.errors
+            page.steps = answers.next_steps(result, errors, _again, shlex.quote(str(output)))
             if running.report:
                 progress("drawing the report")
                 page.save(output / REPORT)
         except Exception as error:  # whatever it is, the result is written and stays
             undrawn = f"{type(error).__name__}: {error}"
     with reading_in(units.printed):
-        warn(*answers.warnings(result))
         line, style = answers.verdict(result, errors)
         stdout.print(line, style=style)
         if errors is not None:
             stdout.print(tables.accuracy_table(result, errors))
             notes = [*answers.remarks(result, errors), *notes]
+        warn(*answers.warnings(result))
         details = [*tables.calibration_tables(result), *answers.supporting_lines(result, errors)]
         for part in (*details, *notes) if running.verbose else notes:
             stdout.print(part)
     wrote(output)
-    say(f"next: {'; '.join(answers.next_steps(result, errors, _again, str(output)))}")
+    say(f"next: {answers.next_steps(result, errors, _again, shlex.quote(str(output)))[0]}")
     if undrawn:
         fail(3, f"exit code 3: the report could not be drawn ({undrawn}); the result is written")
     _fail_if_contradicted(result)
 
 
 def _fail_if_contradicted(result: CalibrationResult) -> None:
-    """End with exit code 1 if the fit did not converge, or something contradicts its result."""
     if not result.converged:
         fail(1)
     if result.excess > 1.0:
@@ -160,7 +165,7 @@ def _fail_if_contradicted(result: CalibrationResult) -> None:
 
 @command
 def explain(mech: Mech, measurements: Measured, options: Options, known: InputOptions) -> None:
-    """Say what geometry does not explain, and which terms pay.
+    """Find what geometry does not explain.
 
     Every reading is tried with harmonics of its angle, a period that is searched for, polynomials,
     backlash, gravity (in space), and every other column of numbers; lengths with such columns, each
@@ -217,12 +222,12 @@ def doctor(
     ] = None,
     force: Force = False,
 ) -> None:
-    """Say why measurements do not fit, and what works.
+    """Find out why measurements do not fit.
 
-    Units, signs, orders, zeros, frames, shifted logs and bad rows are put right one by one, in the
-    order of how likely they are, and each is tried by a whole calibration, until one converges and
-    nothing contradicts it, rows held out included. Further columns of numbers are copied to
-    MENDED.csv. The exit code is 1 if none does, or several alike.
+    Units, signs, orders, zeros, frames, shifted logs and bad rows are corrected one at a time, the
+    likeliest first, and each is tried by a full calibration until one converges and nothing
+    contradicts it, held-out rows included. Further columns of numbers are copied to MENDED.csv. The
+    exit code is 1 if nothing works, or several corrections work equally well.
     """
     mechanism, setup = load_mechanism(mech), known.read_setup()
     if output is not None:
@@ -263,7 +268,6 @@ def doctor(
 def _say_cure(
     cure: Remedy, known: InputOptions, measurements: Path, output: Path | None, *, force: bool
 ) -> None:
-    """Say which command works, and write the measurements put right that it needs."""
     lines, mended = list[str](), None
     if cure.mends:
         mended = (measurements, output or Path("MENDED.csv"))
@@ -281,7 +285,6 @@ def _say_cure(
 
 
 def _cured(remedy: Remedy, known: InputOptions, mended: tuple[Path, Path] | None = None) -> str:
-    """Return the command of a remedy: what was typed, with the options that it adds."""
     options, as_typed = remedy.calibration.options, known.read_setup()
     words = ["--unknown-frame"] * (options.setup.unknown_frame and not known.unknown_frame)
     unknown_target = options.setup.targets[ORIGIN].unknown

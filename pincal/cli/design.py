@@ -67,15 +67,13 @@ class SelectOptions(PlanOptions):
         metavar="CSV",
     )
     collision: Path | None = option(
-        None, "Keep a serial arm free of itself, by this file's geometry.", metavar="ROBOT.urdf"
+        None, "Avoid self-collisions of an arm, by this file's geometry.", metavar="ROBOT.urdf"
     )
     goal: Goal = option("parameters", "Best for the parameters, or for the calibrated platform.")
     starts: int = option(5, "Starts of the search; the best is kept.", least=1)
-    verify: int = option(
-        0, "Random poses beside them, by which the calibration is checked.", least=0
-    )
+    verify: int = option(0, "Additional random poses to verify the calibration with.", least=0)
     reference: int | None = option(
-        None, "Measure one pose again every so many rows: that shows drift.", least=1
+        None, "Repeat one pose every so many rows, which shows drift.", least=1
     )
     force: bool = option(False, FORCE)
 
@@ -193,7 +191,7 @@ def identifiability(
         ),
     ] = None,
 ) -> None:
-    """Say beforehand what measurements will determine.
+    """Predict what measurements will determine.
 
     Prints the rank, what cannot be determined, the standard error of each parameter as 'pincal
     calibrate' will give it (the Cramér-Rao bound: no unbiased calibration is better), and

@@ -30,7 +30,7 @@ from pincal.words.wording import LISTED
 
 @command
 def mechanisms() -> None:
-    """List the mechanisms that come with pincal."""
+    """List the bundled mechanisms."""
     for name, folder in bundled().items():
         mechanism = pincal.load_mechanism(folder)
         coordinates = ", ".join(mechanism.platform.coordinates)
@@ -40,9 +40,9 @@ def mechanisms() -> None:
 
 @command
 def check(mech: Mech, options: TableOptions) -> None:
-    """Say whether a mechanism is sound.
+    """Check a mechanism.
 
-    Loops closed at home, parameters observable, symmetry.
+    Whether loops close at home and parameters are observable, and its symmetry.
     """
     mechanism = pincal.load_mechanism(mech)
     with reading_in(options.written_in(mechanism).printed):
@@ -203,7 +203,7 @@ def study(
     seed: Seed = 0,
     force: Force = False,
 ) -> None:
-    """Compute a paper's figures and tables anew.
+    """Recompute a paper's figures and tables.
 
     And what it lacks. 5R: divide and conquer; 3RRR: symmetrical observability; 6UPS: symmetrical
     workspace and, after its paper, the calibration. errors: errors that are no geometry,

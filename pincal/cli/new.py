@@ -68,7 +68,7 @@ def new(
     count: Annotated[int, typer.Option(min=1, help="Poses for the calibration.")] = 24,
     force: Force = False,
 ) -> None:
-    """Make a mechanism of your own from its dimensions.
+    """Create a mechanism from its dimensions.
 
     Writes a mechanism folder, and into it a picture with dimensions (picture.svg), poses to
     measure (plan.csv; six more to check the calibration), and a sheet to fill in (sheet.csv).
@@ -125,7 +125,7 @@ def demo(
     seed: Seed = 0,
     force: Force = False,
 ) -> None:
-    """See it all at work on a simulated machine.
+    """Run every step on a simulated machine.
 
     Samples the workspace, chooses poses on one leg and maps them to all, simulates measurements of
     a disturbed mechanism, calibrates each leg alone, as the papers do, and all together, and

@@ -113,13 +113,13 @@ class PageOptions:
     meshes: Path | None = option(
         None, "Your URDF: an arm's links as its meshes show them.", metavar="URDF"
     )
-    open: bool = option(True, "Print the address, open no browser.")
+    open: bool = option(True, "Print the address without opening a browser.")
     force: bool = option(False, FORCE)
 
 
 @command
 def view(mech: Mech, options: PageOptions, shown: Shown = None, magnify: Magnify = None) -> None:
-    """Look at a mechanism in the browser.
+    """Show a mechanism in the browser.
 
     The slider and the arrow keys go from pose to pose, the space bar plays. Without POSES.csv:
     home and some of the workspace. With RESULT the poses of its rows, and the calibrated machine,

@@ -61,7 +61,7 @@ def workspace(
     options: WorkspaceOptions,
     margins: Margins,
 ) -> None:
-    """Find a workspace: poses to choose from, or positions.
+    """Compute a workspace: poses to choose from, or positions.
 
     poses (default): --count poses spread over the workspace, candidates for 'pincal select',
     that every leg reaches in its working mode, within joint limits and margins from

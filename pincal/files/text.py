@@ -157,7 +157,7 @@ def why_no_number(text: str, units: str = "m or rad", place: str = "") -> str:
         return f"{named} is not a finite number, at most {LARGEST:g} in size"
     if not _BEGUN.match(text):
         return f"{named} is not a finite number"
-    return f"{named} is not a finite number: decimals take a point, units ({units}) are not written"
+    return f"{named} is not a finite number: one decimal point is expected, and no unit ({units})"
 
 
 def read_xml(path: Path, root: str) -> etree._Element:

@@ -233,7 +233,7 @@ class Target:
     offset: Point = (0.0, 0.0, 0.0)
     """In the platform frame, [m]; where the search starts if unknown."""
     unknown: bool = option(
-        False, "The point measured sits anywhere on the platform.", name="unknown_target"
+        False, "Where the measured point sits on the platform is unknown.", name="unknown_target"
     )
     """The offset is then identified; of ``platform``, also how the measured orientation is turned
     against the platform's."""
@@ -288,7 +288,7 @@ class Contact:
 class Setup:
     """What measured numbers mean."""
 
-    unknown_frame: bool = option(False, "The base is anywhere in the frame of measurements.")
+    unknown_frame: bool = option(False, "The pose of the base in the measurement frame is unknown.")
     targets: Mapping[str, Target] = field(default_factory=lambda: {ORIGIN: Target()})
     """``platform`` is the target of x, y, z; another target t of the columns t_x, t_y, t_z."""
     distances: Mapping[str, Distance] = field(default_factory=dict)

@@ -3,42 +3,44 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
+from markupsafe import Markup
 from scipy.special import gammaincinv
 
 from pincal.calibration.result import CalibrationResult
 from pincal.calibration.validation import MISSES
+from pincal.errors import MechanismError
+from pincal.estimation.fit import Outlier
 from pincal.estimation.observability.identifiable import WeakPair
+from pincal.formats.delta_printer import delta_printer
 from pincal.model.checks import counted
 from pincal.model.mechanism import Mechanism
 from pincal.show.misses import WorkspaceErrors, workspace_errors
-from pincal.show.tables import accuracy_table, calibration_tables
+from pincal.show.tables import ERRORS, accuracy_table, calibration_tables
 from pincal.words.findings import WORDINGS, sentence
 from pincal.words.numbers import amount, capital, listed, number, percent, rounded
 from pincal.words.table import Table
-from pincal.words.wording import NAMED, UNCOVERED, noise_in_words
+from pincal.words.wording import NOISE_SOURCES, UNCOVERED, clean, named, noise_in_words
 
-_MOST_PAIRS = 3  # weak pairs that are named
-_MARKS = {"bad": ("✗", "bold red"), "care": ("⚠", "bold yellow"), "good": ("✓", "bold green")}
-_UNDETERMINED = "Not determined anywhere, since what was held moves it at every pose"
-_FOLLOWED = "Something is wrong with rows, noise or model, and the parameters follow it"
-_NO_BETTER = "Parameters that fit no better than nominal ones correct nothing"
-_HELD = "The machine itself was held"
-_ONLY_FRAMES = "No parameter of it was identified, only where the frames lie"
-_LITTLE = (
-    "What the calibration corrects is little more than what it does not know: more or better "
-    "measurements are needed"
-)
-_NO_RESULT = (
-    "The search for the parameters ended without an answer: there is no calibrated mechanism."
-)
-_NOISE_SOURCES = {
-    "given": "as given",
-    "repeats": "from rows that were measured repeatedly",
-    "estimated": "estimated from the residuals, since none was given",
+_NEXT = {
+    "doctor": "Find out what is wrong",
+    "calibrate": "Leave wrong rows out",
+    "select": "Measure more poses",
+    "explain": "Find out what the model lacks",
 }
+_MOST_PAIRS = 3  # weak pairs that are named
+_WRONG_ROWS = {"wrong-rows", "wrong-held-out", "outliers"}
+_MARKS = {"bad": ("✗", "bold red"), "care": ("⚠", "bold yellow"), "good": ("✓", "bold green")}
+_UNDETERMINED = "Parameters that had to be held move the platform at every pose"
+_FOLLOWED = "Rows, noise or model are wrong, and distort the parameters"
+_NO_BETTER = "The identified parameters fit no better than the nominal ones"
+_HELD = "Only frames were identified"
+_ONLY_FRAMES = "All parameters of the machine were fixed"
+_LITTLE = "The correction is little larger than its uncertainty: measure more, or better"
+_NO_RESULT = "The fit did not converge: there is no calibrated mechanism."
 
 
 class Answer(NamedTuple):
@@ -49,19 +51,21 @@ class Answer(NamedTuple):
     tone: str
     """``"good"``, ``"care"``, ``"bad"``, or empty of what is neither."""
     parts: Sequence[str | list[str] | Table]
-    """Paragraphs, lists and tables."""
 
 
 def answers(
-    result: CalibrationResult, errors: WorkspaceErrors | None, notes: Sequence[str] = ()
+    result: CalibrationResult,
+    errors: WorkspaceErrors | None,
+    steps: Sequence[str],
+    notes: Sequence[str] = (),
 ) -> list[Answer]:
     """Return whether it is better, by how much, whether to rely on it, and what next.
 
     Errors are the platform's over the workspace, None if the fit did not converge; notes say what
-    was not done, and why.
+    was not done, and why; steps are the commands that come next.
     """
-    steps = next_steps(result, errors)
-    following = Answer("What next?", "Use it" if steps[1:] else "Look into it", "", [steps])
+    verdict = _NEXT.get(steps[0].split()[1], "Use it")
+    following = Answer("What next?", verdict, "", [*map(command_block, steps)])
     if errors is None:
         return [Answer("Is it better?", "There is no result", "bad", [_NO_RESULT]), following]
     better, tone, reason, by = _improvement(result, errors)
@@ -76,37 +80,40 @@ def answers(
 
 def verdict(result: CalibrationResult, errors: WorkspaceErrors | None) -> tuple[str, str]:
     """Return the verdict in a line, and its style in a terminal."""
-    better, *others, _ = answers(result, errors)
+    better, *others, _ = answers(result, errors, next_steps(result, errors))
     tones = {better.tone, *(answer.tone for answer in others)}
     mark, style = next(look for tone, look in _MARKS.items() if tone in tones)
     first, *following = [answer.verdict for answer in others or [better]]
     words = [first, *(text[:1].lower() + text[1:] for text in following)]
-    if result.converged and result.degrees_of_freedom:
-        words.append(f"χ² {rounded(result.reduced_chi2)}")
+    words += [f"χ² {rounded(result.reduced_chi2)}"] if errors and result.degrees_of_freedom else []
     return f"{mark} {result.nominal.name}: {' · '.join(words)}", style
 
 
 def _improvement(result: CalibrationResult, errors: WorkspaceErrors) -> tuple[str, str, str, str]:
-    """Return whether the platform's errors fall, its tone and reason, and by how much."""
     if not result.explained:
-        by = "No accuracy can be promised"
-        excess = f"{result.excess:.3g} times as large as the noise given makes them"
+        by = _held_out(result) or "No accuracy can be promised"
+        excess = f"{result.excess:.3g} times as large as the noise given"
         if not result.corrects:
             return "No", "bad", f"Residuals are {excess}. {_NO_BETTER}", by
         return "Not shown", "bad", f"Residuals fell, but are still {excess}. {_FOLLOWED}", by
     if not errors.determined:
-        return "Not determined", "bad", _UNDETERMINED, "Not determined"
+        why = _UNDETERMINED if errors.share else "No pose lies in the measured region"
+        return "Not determined", "bad", why, "Not determined"
     if not errors.moved:
         return _HELD, "good", _ONLY_FRAMES, _HELD
     sizes = np.array([errors.mean_before(), errors.mean_after(), errors.inside.limit])
     kind, unit = (0, "m") if result.nominal.platform.lengths else (1, "rad")
-    by = f"{number(sizes[0, kind], unit)} → {amount(sizes[1, kind], unit)}"
-    by += f" (95 %: ≤ {number(sizes[2, kind], unit)})" if result.promises else " or more"
-    before, after, limit = sizes[:, sizes[:2].any(axis=0)]  # of what moves and was measured
+    by = f"{number(sizes[0, kind], unit)} → "
+    expected = amount(sizes[1, kind], unit)
+    below = f"{expected} (95 %: ≤ {number(sizes[2, kind], unit)})"
+    by += below if result.promises else _held_out(result) or f"{expected} or more"
+    before, after, _ = sizes[:, sizes[:2].any(axis=0)]  # of what moves and was measured
     ratios = before / after
     if min(ratios) >= 2.0:
-        reason = f"Expect the platform's error to be smaller by a factor of {_factors(ratios)}"
-        reason += f", with 95 % confidence {_factors(before / limit)} at least" * result.promises
+        reason = f"The error falls by a factor of {rounded(sizes[0, kind] / sizes[1, kind])}"
+        if result.promises:
+            least = rounded(sizes[0, kind] / sizes[2, kind])
+            reason += f", with 95 % confidence of {least} or more"
         sound = result.promises and result.degrees_of_freedom
         return *(("Yes", "good") if sound else ("Probably", "care")), reason, by
     if max(ratios) > 1.0:
@@ -114,31 +121,29 @@ def _improvement(result: CalibrationResult, errors: WorkspaceErrors) -> tuple[st
     return "No sign of it", "bad", "The correction is smaller than its own uncertainty", by
 
 
-def _factors(ratios: Sequence[float]) -> str:
-    """Return factors in position and, where the platform turns, in orientation."""
-    position, *orientation = dict.fromkeys(map(rounded, ratios))
-    return f"{position} (position) and {orientation[0]} (orientation)" if orientation else position
+def _held_out(result: CalibrationResult) -> str:
+    validation = result.validation
+    if validation is None or validation.fit > MISSES or not validation.targets:
+        return ""
+    (unit, (_, missed)), *_ = validation.missed.items()
+    return f"{amount(missed, unit)} at held-out rows"
 
 
 def _reliable(result: CalibrationResult, notes: Sequence[str]) -> Answer:
-    """Return whether the result can be relied on: warnings, χ², held-out rows, outliers."""
-    lines = [_noise_line(result), *_tolerances(result), *check_lines(result)[:1]]
-    lines += _unmeasured_lines(result)
+    lines = [_noise_line(result), *check_lines(result)[:1], *_found_lines(result)]
     if result.outliers:
-        lines.append(f"{counted(len(result.outliers), 'row does', 'rows do')} not fit the others")
+        lines.append(f"not fitting the others: {_rows(result.outliers)}")
     shown, tone = "No problems found", "good"
     if result.validation is None:
-        shown, tone = "Not tested on rows left out", "care"
+        shown, tone = "Not tested on held-out rows", "care"
     if count := len(warnings(result)):
-        warned = "one warning" if count == 1 else f"{count} warnings"
-        shown, tone = f"With care: {warned}", "care"
-        if not result.promises:
-            shown, tone = f"Not as it is: {warned}", "bad"
+        trust, tone = ("With care", "care") if result.promises else ("Not yet reliable", "bad")
+        shown = f"{trust}: {counted(count, 'warning')}"
     lines = [f"{capital(line)}." for line in lines]
     return Answer("Can I rely on it?", shown, tone, [[*lines, *notes]])
 
 
-def _again(command: str, *added: str) -> str:
+def again(command: str, *added: str) -> str:
     """Return a command line of the same measurements, where what was typed is not known."""
     return " ".join(("pincal", command, "MECH", "DATA.csv", *added))
 
@@ -146,21 +151,14 @@ def _again(command: str, *added: str) -> str:
 def next_steps(
     result: CalibrationResult,
     errors: WorkspaceErrors | None,
-    again: Callable[..., str] = _again,
+    again: Callable[..., str] = again,
     folder: str = "RESULT",
 ) -> list[str]:
-    """Return the commands that come next.
-
-    Args:
-        result: What was found.
-        errors: The platform's over the workspace; None if they are not known.
-        again: Returns a command line of the same measurements, of its command and further words.
-        folder: Where the result is.
-    """
+    """Return the commands that come next: ``again`` makes them of the same measurements."""
     codes = {finding.code for finding in result.findings}
     if not result.converged or not result.corrects:
         return [again("doctor")]
-    if codes & {"wrong-rows", "wrong-held-out", "outliers"} and result.loss == "none":
+    if "model-lacks" not in codes and codes & _WRONG_ROWS and result.loss == "none":
         return [again("calibrate", "--loss", "reject")]
     if errors is not None and not errors.determined:
         platform, noise = result.nominal.platform, ""
@@ -168,9 +166,26 @@ def next_steps(
             noise = f" --noise-reading {result.noise.reading:.2g}"
         measure = "pose" if platform.turns == 3 else ",".join(platform.freedoms)
         return [f"pincal select {folder} --measure {measure}{noise} -o PLAN.csv"]
-    if not result.promises:
-        return [f"pincal select {folder} -o PLAN.csv" if "few-poses" in codes else again("explain")]
-    return [f"pincal view {folder}", f"pincal inverse {folder} POSES.csv -o READINGS.csv"]
+    if "few-poses" in codes:
+        return [f"pincal select {folder} -o PLAN.csv"]
+    return _uses(result, folder) if result.promises else [again("explain")]
+
+
+def _uses(result: CalibrationResult, folder: str) -> list[str]:
+    target = "-o CALIBRATED.xml"
+    if result.nominal.by_readings and len(result.legs) == 1:
+        target = "--original ROBOT.urdf -o CALIBRATED.urdf"
+    with suppress(MechanismError):
+        delta_printer(result.identified)
+        target = "-o printer.cfg"
+    steps = [f"pincal view {folder}", f"pincal inverse {folder} POSES.csv -o READINGS.csv"]
+    export = f"pincal export {folder} {target}"
+    return [*steps, export] if target.endswith("xml") else [export, *steps]
+
+
+def command_block(step: str) -> Markup:
+    """Return a command for a page, to be copied as a whole."""
+    return Markup("<pre><code>{}</code></pre>").format(clean(step))
 
 
 # What supports the answers, one line each
@@ -193,34 +208,26 @@ def _limit_lines(result: CalibrationResult, errors: WorkspaceErrors) -> list[str
     parts = [UNCOVERED[code] for code in errors.inside.uncovered]
     if errors.beyond is not None:
         parts.insert(0, f"outside the measured region ({percent(1.0 - errors.share)})")
-    return [f"no limit: {', '.join(parts)}"] if parts else []
-
-
-def _tolerances(result: CalibrationResult) -> list[str]:
-    return [sentence(finding) for finding in result.findings if finding.code == "tolerance-found"]
+    return [f"not covered: {', '.join(parts)}"] if parts else []
 
 
 def remarks(result: CalibrationResult, errors: WorkspaceErrors) -> list[str]:
     """Return what a terminal shows below the platform's errors."""
-    lines = [*rejected_lines(result), *_limit_lines(result, errors), *_tolerances(result)]
-    return [*lines, *_unmeasured_lines(result)]
+    return [*rejected_lines(result), *_limit_lines(result, errors), *_found_lines(result)]
 
 
-def _unmeasured_lines(result: CalibrationResult) -> list[str]:
-    """Return which coordinates of the platform no row measures, and what that means, in a line."""
+def _found_lines(result: CalibrationResult) -> list[str]:
+    """Return tolerances that were found, and which coordinates no row measures, in lines."""
+    lines = [sentence(finding) for finding in result.findings if finding.code == "tolerance-found"]
     data, platform, setup = result.measurements, result.nominal.platform, result.options.setup
     missing = [bool(np.isnan(values).all()) for values in data.poses.T]
     elsewhere = data.extra or setup.distances or setup.contacts or setup.instruments
     if not any(missing) or elsewhere:
-        return []
+        return lines
     names = [name for name, lacks in zip(platform.coordinates, missing, strict=True) if lacks]
     if platform.turns == 3 and all(missing[platform.lengths :]):
         names[-3:] = ["the orientation"]
-    follow, are = ("follow", "are") if len(names) > 1 else ("follows", "is")
-    return [
-        f"not measured: {listed(names)}, which {follow} from the readings at each pose and {are} "
-        "checked by no measurement"
-    ]
+    return [*lines, f"not measured: {listed(names)} (by the readings alone, not checked)"]
 
 
 def rejected_lines(result: CalibrationResult) -> list[str]:
@@ -228,12 +235,14 @@ def rejected_lines(result: CalibrationResult) -> list[str]:
     rejected = [outlier for outlier in result.outliers if outlier.weight == 0.0]
     if not rejected or result.loss == "none":
         return []
-    rows = sorted(outlier.row + 1 for outlier in rejected)
-    words = f"data row{'s' * (len(rows) > 1)} {listed(rows[:NAMED])}"
-    words += f" and {len(rows) - NAMED} more" * (len(rows) > NAMED)
     worst = rejected[0]
-    of_worst = f"data row {worst.row + 1}: " * (len(rows) > 1)
-    return [f"left out: {words} ({of_worst}{worst.quantity} off by {worst.off:.0f} σ)"]
+    of_worst = f"data row {worst.row + 1}: " * (len(rejected) > 1)
+    return [f"left out: {_rows(rejected)} ({of_worst}{worst.quantity} off by {worst.off:.0f} σ)"]
+
+
+def _rows(outliers: Sequence[Outlier]) -> str:
+    rows = sorted(outlier.row + 1 for outlier in outliers)
+    return f"data row{'s' * (len(rows) > 1)} {named(rows)}"
 
 
 def supporting_lines(result: CalibrationResult, errors: WorkspaceErrors | None) -> list[str]:
@@ -250,37 +259,35 @@ def supporting_lines(result: CalibrationResult, errors: WorkspaceErrors | None) 
 def gauge_line(result: CalibrationResult) -> str:
     """Return what no such measurement can determine, and how it was chosen."""
     freedoms = "; ".join(map(sentence, result.gauge))
-    return f"of equal parameters those nearest to nominal: {freedoms}"
+    return f"of equivalent parameters those nearest to nominal: {freedoms}"
 
 
 def method_line(result: CalibrationResult) -> str:
     """Return how parameters were identified."""
     options = result.options
+    legs = "all legs together, " * (len(result.legs) > 1)
     if options.latent:
-        return "all legs together, the poses estimated with the parameters"
+        return f"{legs}poses estimated with the parameters"
     if options.method == "all-legs":
-        return "all legs together, the poses taken as measured"
+        return f"{legs}poses taken as measured"
     has_sets = result.measurements.sets is not None and not options.every_pose
     poses = "the poses of its set" if has_sets else "all poses"
     return f"each leg alone by {poses}, taken as measured"
 
 
 def _noise_line(result: CalibrationResult) -> str:
-    """Return how residuals compare with the noise."""
-    dof, parts = result.degrees_of_freedom, list[str]()
+    dof, free, source = result.degrees_of_freedom, result.chi2_freedoms, result.noise_source
     if not dof:
-        parts = [
-            "as many unknowns as measured values: residuals vanish whatever the machine is, and "
-            "show nothing; measure more poses"
-        ]
-    elif result.noise_source != "estimated":
-        parts = [f"reduced χ² {rounded(result.reduced_chi2, 3)} on {dof} degrees of freedom"]
+        return (
+            "as many unknowns as measured values: residuals vanish whatever the machine, and prove "
+            "nothing; measure more poses"
+        )
+    parts = [f"noise {noise_line(result)}"] if source in ("estimated", "repeats") else []
+    if source != "estimated":
+        parts.append(f"reduced χ² {rounded(result.reduced_chi2, 3)}, {dof} degrees of freedom")
         if result.loss == "none":
-            free = result.chi2_freedoms
             low, high = 2.0 * gammaincinv(free / 2.0, (0.025, 0.975)) / free
-            parts.append(f"{low:.2f} to {high:.2f} is expected by the noise")
-    if dof and result.noise_source in ("estimated", "repeats"):
-        parts.insert(0, f"noise {noise_line(result)}")
+            parts.append(f"{low:.2f} to {high:.2f} is expected")
     return "; ".join(parts)
 
 
@@ -297,14 +304,14 @@ def noise_line(result: CalibrationResult) -> str:
         noise.reading,
         sorted(set(result.nominal.reading_units)),
     )
-    return f"{_NOISE_SOURCES[result.noise_source]}: σ {sizes}"
+    return f"{NOISE_SOURCES[result.noise_source]}: σ {sizes}"
 
 
 def region_lines(result: CalibrationResult, errors: WorkspaceErrors) -> list[str]:
     """Return what is to be expected outside the measured region, and what is compared."""
     if not result.explained:
         return []
-    begun = "the nominal model is taken with the zeros of motors as found"
+    begun = "nominal errors are with the zeros of motors as found"
     lines = [begun] if result.begun is not result.nominal else []
     return [*lines, *([sentence(errors.beyond)] if errors.beyond is not None else [])]
 
@@ -317,23 +324,21 @@ def check_lines(result: CalibrationResult) -> list[str]:
     rows = f"{folds} folds" if folds > 1 else f"{count} rows of the set verify"
     if validation.fit > MISSES:
         return [
-            "held-out rows show nothing: the fit misses even its own rows by "
-            f"{validation.fit:.3g} σ. Look at the warnings first ({rows})"
+            "held-out rows prove nothing: the fit misses even its own rows by "
+            f"{validation.fit:.3g} σ ({rows}). See the warnings first"
         ]
     compared = (
-        f"held-out rows miss by {validation.held_out:.2f} σ, those of the fit by "
-        f"{validation.fit:.2f} σ; {validation.expected:.2f} σ are expected held out ({rows})"
+        f"held-out error {validation.held_out:.2f} σ, {validation.expected:.2f} σ is expected; "
+        f"in the fit {validation.fit:.2f} σ ({rows})"
     )
     lines = [compared]
     for missed in validation.targets:
         unit, (low, high) = missed.unit, missed.rms_ends
-        what = "position" if unit == "m" else "orientation"
         ends = f" (95 %: {number(low, unit)} to {number(high, unit)})" if np.isfinite(high) else ""
         lines.append(
-            f"{what} of {missed.target!r} is missed by {amount(missed.rms, unit)}{ends} held out, "
-            f"root mean square of {counted(missed.poses, 'pose')}, by {number(missed.mean, unit)} "
-            f"on average and {number(missed.largest, unit)} at most; by {number(missed.fit, unit)} "
-            "in the fit"
+            f"held-out {ERRORS[unit]} error of {missed.target!r}: {amount(missed.rms, unit)}{ends} "
+            f"RMS of {counted(missed.poses, 'pose')}, {number(missed.mean, unit)} on average, "
+            f"{number(missed.largest, unit)} at most; in the fit {number(missed.fit, unit)}"
         )
     return lines
 
@@ -347,10 +352,8 @@ def weak_lines(pairs: Sequence[WeakPair], mechanism: Mechanism) -> list[str]:
         groups.setdefault(tuple(p.name if same_leg else p.id for p in parameters), []).append(pair)
     lines = []
     for names, (worst, *others) in list(groups.items())[:_MOST_PAIRS]:
-        parameters, owner = [mechanism.parameters[id_] for id_ in (worst.first, worst.second)], ""
-        if others:
-            legs = [pair.first.rpartition(".")[0] for pair in (worst, *others)]
-            owner = f" of {'every leg' if len(legs) == len(mechanism.legs) else ', '.join(legs)}"
+        parameters = [mechanism.parameters[id_] for id_ in (worst.first, worst.second)]
+        owner = f" of {len(others) + 1} legs" if others else ""
         shown = names if others else [p.id for p in parameters]
         known = [
             f"{amount(exact, p.unit)} instead of {number(std, p.unit)} for {name}"
@@ -358,8 +361,8 @@ def weak_lines(pairs: Sequence[WeakPair], mechanism: Mechanism) -> list[str]:
             if number(exact, p.unit) != number(std, p.unit)
         ]
         lines.append(
-            f"{shown[0]} and {shown[1]}{owner} are weakly determined together, correlation "
-            f"{worst.correlation:+.3f}: if the other one were known, the standard error would be "
+            f"{listed(shown)}{owner} are weakly determined together (correlation "
+            f"{worst.correlation:+.3f}): with the other known, the standard error would be "
             f"{' and '.join(known)}"
         )
     omitted = len(groups) - len(lines)

@@ -17,21 +17,17 @@ from matplotlib.transforms import Affine2D
 
 from pincal.calibration.result import CalibrationResult
 from pincal.calibration.result_parts import LegResult
-from pincal.design.platform_error import seen_of
 from pincal.errors import MeasurementError, WorkspaceError
-from pincal.kinematics.configurations import legs_at
 from pincal.model.measurements import Plan
 from pincal.model.setup import Image, image_of
-from pincal.show.misses import apart, level_poses, noisy_residuals
+from pincal.show.misses import apart, effects, level_poses, noisy_residuals
 from pincal.show.pictures.picture import shortened
 from pincal.show.style import EVERY, GROUND, IDENTIFIED, INK, NOMINAL, OUTLIER, leg_colour
 from pincal.show.view.scene import rounded_down
 from pincal.types import Array
 from pincal.words.numbers import SMALL, STORED, amount, per_si
 from pincal.words.wording import clean
-from pincal.workspace.sampling import sample_configurations
 
-_SAMPLES = 300  # of the workspace
 _MOST_BARS, _LEGEND = 30, 0.13  # their number; height of their legend, of all of them
 _NORMAL = 1.96  # standard deviations within which 95 of 100 normal numbers lie
 _NAMED = 6  # outliers that are named
@@ -50,20 +46,28 @@ class Plots:
         """Draw residuals after the calibration against the row of the measurements.
 
         Each over its own standard deviation after the fit, σ√(1−h). 95 % are expected in the bands,
-        which reach to ±1.96. Crosses at the upper edge: rows that do not fit the others.
+        which reach to ±1.96. Hollow: held-out rows, each by how many σ it is missed as a whole.
+        Crosses at the upper edge: rows that do not fit the others.
         """
-        ax, groups = ax or _axes(6.4, 4.2), noisy_residuals(self.result)
-        sizes = [np.nanmax(np.abs(group.standardised), initial=0.0) for group in groups]
+        ax, groups, held = (
+            ax or _axes(6.4, 4.2),
+            noisy_residuals(self.result),
+            self.result.validation,
+        )
+        lanes = [(shortened(group.name), group.rows, group.standardised) for group in groups]
+        if held is not None:
+            lanes.append(("held out", np.arange(len(held.sigma)), held.sigma))
+        sizes = [np.nanmax(np.abs(values), initial=0.0) for _, _, values in lanes]
         lane = max(6.0, 2.2 * float(max(sizes, default=0.0)))  # from one kind to the next
-        for index, group in enumerate(groups):
-            colour = leg_colour(index) if isinstance(group, LegResult) else EVERY
-            middle = -lane * index
+        for index, (_, rows, values) in enumerate(lanes):
+            colour = leg_colour(index) if isinstance([*groups, held][index], LegResult) else EVERY
+            fill, middle = "none" if index == len(groups) else None, -lane * index
             within = Affine2D().translate(0.0, middle) + ax.transData
-            ax.plot(group.rows + 1, group.standardised, "o", ms=2.5, color=colour, transform=within)
+            ax.plot(rows + 1, values, "o", ms=2.5, color=colour, mfc=fill, transform=within)
             ax.axhspan(middle - _NORMAL, middle + _NORMAL, color=GROUND, lw=0, alpha=0.5, zorder=0)
-        ax.set_yticks(-lane * np.arange(len(groups)), [shortened(group.name) for group in groups])
+        ax.set_yticks(-lane * np.arange(len(lanes)), [name for name, *_ in lanes])
         ax.set(xlabel="data row", ylabel="residual / (σ√(1−h)), bands ±1.96")
-        ax.set_ylim(lane * (0.5 - len(groups)), lane / 2)
+        ax.set_ylim(lane * (0.5 - len(lanes)), lane / 2)
         edge = ax.get_xaxis_transform()
         for rank, outlier in enumerate(self.result.outliers):
             place = outlier.row + 1, 1.0
@@ -128,25 +132,13 @@ class Plots:
     def parameters(self, ax: Axes | None = None) -> Axes:
         """Draw by how much the change of each parameter moves the platform, and its ± (95 %).
 
-        Root mean square of the position over the workspace. Grey: the measurements do not
+        Root mean square over the workspace. Grey: the measurements do not
         distinguish the nominal value from the identified one.
-
-        Raises:
-            WorkspaceError: no workspace was found.
         """
         ax = ax or _axes(6.4, 4.6)
-        result = self.result
-        columns = legs_at(result.identified, sample_configurations(result.nominal, _SAMPLES))
-        known = columns.poses, columns.gain, result.frames_moved
-        moved, _ = seen_of(result.identified, *known)
-        gain = per_si("m") * moved[:, : result.nominal.platform.lengths]
-        per_unit = np.sqrt((gain**2).sum(axis=1).mean(axis=0))  # of each parameter
-        parameters = [p for leg in result.legs for p in leg.parameters]
-        sizes = [
-            (factor * abs(p.change), factor * p.half, p.id)
-            for p, factor in zip(parameters, per_unit.tolist(), strict=True)
-            if 0.0 < p.std < np.inf
-        ]
+        moved, unit = effects(self.result)
+        scale = per_si(unit)
+        sizes = [(scale * change, scale * half, id_) for id_, (change, half) in moved.items()]
         if not sizes:
             raise MeasurementError("no parameter's change is determined")
         bars = sorted(sizes)[-_MOST_BARS:]
@@ -157,7 +149,7 @@ class Plots:
         ends = np.minimum(halves, changes), halves
         ax.errorbar(changes, places, xerr=ends, fmt="none", ecolor=EVERY, elinewidth=0.8, capsize=2)
         ax.set_yticks(places, [shortened(name) for *_, name in bars], fontsize=7)
-        ax.set_xlabel(f"moves the platform by [{SMALL['m']}]")
+        ax.set_xlabel(f"moves the platform by [{SMALL[unit]}]")
         changed = Patch(color=IDENTIFIED, label="changed by more than its ±")
         ax.legend(handles=[changed, Patch(color=NOMINAL, label="by less")], loc="lower right")
         ax.set_xlim(left=0.0)
@@ -257,7 +249,6 @@ def _seen_by_cameras(result: CalibrationResult) -> list[tuple[str, Image, Array]
 
 
 def _name_undrawn(axes: Axes, result: CalibrationResult) -> None:
-    """Say how many residuals nothing checks: they are not drawn."""
     unchecked = sum(
         int((~np.isfinite(group.standardised) & (group.sigma > 0.0)).sum())
         for group in noisy_residuals(result)

@@ -13,6 +13,7 @@ from pincal.calibration.terms.screen import Candidate
 from pincal.design.forecast import Forecast
 from pincal.design.platform_error import PlatformError
 from pincal.estimation.observability.courses import Slip
+from pincal.model.checks import counted
 from pincal.model.mechanism import Mechanism
 from pincal.model.setup import ORIGIN
 from pincal.show.answers import rejected_lines, unpromised, weak_lines
@@ -20,16 +21,8 @@ from pincal.show.tables import models_table, screen_table
 from pincal.words.faults import HYPOTHESES
 from pincal.words.numbers import POSES, SMALL, amount, chance, listed, measured
 from pincal.words.table import Table
-from pincal.words.wording import NAMED, filled, groups_in_words
+from pincal.words.wording import CAUSES, NAMED, filled, groups_in_words
 
-#: What a mechanic looks at, by kind of term; other kinds are columns.
-_CAUSES = {
-    "harmonics": "an eccentric gear, encoder or screw",
-    "period": "the pitch of a screw, or an eccentric gear with this ratio",
-    "polynomial": "the pitch of a screw or belt, a table of the drive that is off",
-    "backlash": "play, or friction that winds the drive up: it follows the side of approach",
-    "gravity": "something gives way under weight (1 kg if none is known): gear, bearing or link",
-}
 _KEEP = (
     "identified parameters predict rows that were held out no better; measure more poses, or better"
 )
@@ -96,12 +89,11 @@ def explanation_lines(explanation: Explanation) -> list[str]:
 
 
 def _seen_line(candidate: Candidate, mechanism: Mechanism) -> str:
-    """Return what residuals follow, its likely cause, and what these rows do not separate."""
     lengths = {parameter.id for parameter in mechanism.parameters if parameter.unit == "m"}
     cause = "warming, a load or a setting that is in this column"
     if candidate.reading == GROWTH or lengths.issuperset(parts_of(candidate.reading, mechanism)):
         cause = "lengths that grow with this column"
-    cause = _CAUSES.get(candidate.kind.name, cause)
+    cause = CAUSES.get(candidate.kind.name, cause)
     if candidate.spread:
         sizes, unit = np.hypot.reduce(candidate.values.reshape(-1, 2), axis=1), candidate.unit
         largest, (period,) = int(np.argmax(sizes)), candidate.kind.numbers
@@ -129,7 +121,6 @@ def _or_else(alternatives: Sequence[str]) -> str:
 
 
 def _slip_line(slip: Slip) -> str:
-    """Return what slipped or drifted, in which direction, and what to do."""
     subject, look = _SLIPPED[slip.what]
     alternatives = [_SLIPPED[kind][0].format(name=name).rstrip(",") for kind, name in slip.or_else]
     size, *others = slip.size.tolist()
@@ -207,12 +198,8 @@ def forecast_lines(forecast: Forecast, error: PlatformError) -> list[str]:
     lines = [f"rank {rank.rank} of {rank.n_params}"]
     if count:
         group_name = f" ({groups_in_words(rank.groups)})" if len(rank.groups) == 1 else ""
-        lines[0] += (
-            f": {count} {'is a freedom' if count == 1 else 'are freedoms'} of frames, or of "
-            f"redundant parameters{group_name}, which such measurements cannot determine. Of "
-            "equal parameters those nearest to nominal are meant, and errors of the platform are "
-            "what no motion of the base or platform frame explains"
-        )
+        lines[0] += f": {counted(count, 'freedom')} of frames or redundant parameters{group_name} "
+        lines[0] += "cannot be determined; errors of the platform are with frames aligned"
     else:
         lines[0] += f", condition {rank.condition:.3g}"
     if forecast.lost.shape[1]:
@@ -224,14 +211,12 @@ def forecast_lines(forecast: Forecast, error: PlatformError) -> list[str]:
     parts = [f"root mean square {listed(known)}"] if known else []
     parts += [f"{name} not determined" for name, size, _ in sizes if not size < np.inf]
     if error.position < np.inf:
-        parts[-1] += "; no calibration is better, and 'pincal calibrate' attains it"
+        parts[-1] += ", which no calibration can improve"
     return [*lines, f"platform over the workspace: {', '.join(parts)}"]
 
 
 def poses_line(accuracy: float, needed: float) -> str:
     """Return how many poses an accuracy [m] takes."""
     poses = f"{needed:,.0f} poses like these" if np.isfinite(needed) else "no number of poses"
-    text = f"for {amount(accuracy, 'm', 6)}: {poses}"
-    if 1e5 < needed < np.inf:
-        text += ", which nobody measures: that takes less noise, not more poses"
-    return text
+    noisy = ", too many to measure: reduce the noise instead" * (1e5 < needed < np.inf)
+    return f"for {amount(accuracy, 'm', 6)}: {poses}{noisy}"

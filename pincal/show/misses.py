@@ -17,7 +17,7 @@ from pincal.design.platform_error import PlatformError, root_mean_squares, seen_
 from pincal.design.simulate import platform_errors
 from pincal.errors import WorkspaceError
 from pincal.finding import Finding
-from pincal.kinematics.configurations import as_plan
+from pincal.kinematics.configurations import as_plan, legs_at
 from pincal.model.measurements import Plan
 from pincal.types import Array, Mask
 from pincal.words.findings import finding
@@ -25,8 +25,9 @@ from pincal.words.numbers import percent
 from pincal.workspace.criteria import in_workspace
 from pincal.workspace.sampling import sample_configurations
 
-_SAMPLES = 1000  # of the workspace
+_SAMPLES, _FEW_SAMPLES = 1000, 300  # of the workspace
 _ACROSS = {2: 45, 3: 25}  # cells of a map by the dimension of space
+_MEASURED = "measured poses"
 _MENTIONED = 0.01  # share of the workspace outside the measured region, below which it is not said
 
 
@@ -59,8 +60,8 @@ class WorkspaceErrors:
     """Of the identified one, at the same poses."""
     inside: PlatformError
     """Of those poses that lie in the measured region (see ``expected_error``)."""
-    sampled: bool = True
-    """Whether poses are of the workspace, or those of the measurements."""
+    region: str = "workspace"
+    """What the poses are of, in words."""
 
     @cached_property
     def share(self) -> float:
@@ -70,11 +71,9 @@ class WorkspaceErrors:
     @property
     def where(self) -> str:
         """Over which poses means are taken, for sentences."""
-        if not self.sampled:
-            return "over the measured poses"
-        if self.share == 1.0:
-            return "over the workspace"
-        return f"over the measured region, {percent(self.share)} of the workspace"
+        if self.share > 1.0 - _MENTIONED:
+            return f"over the {self.region}"
+        return f"over the measured region, {percent(self.share)} of the {self.region}"
 
     def mean_before(self) -> tuple[float, float]:
         """Return root mean squares of the nominal model's errors, [m] and [rad]."""
@@ -98,7 +97,7 @@ class WorkspaceErrors:
     def beyond(self) -> Finding | None:
         """What is to be expected outside the measured region; None if little lies there."""
         outside = np.isinf(self.expected.outside) | (self.expected.outside > 1.0)
-        if not self.sampled or outside.mean() < _MENTIONED:
+        if outside.mean() < _MENTIONED or self.region == _MEASURED:
             return None
         sizes = self.expected.sizes[outside]
         position, orientation = root_mean_squares(sizes)
@@ -122,11 +121,11 @@ def workspace_errors(result: CalibrationResult) -> WorkspaceErrors:
             return sampled
     except WorkspaceError:
         pass
-    return errors_at(result, measured_plan(result), sampled=False)
+    return errors_at(result, measured_plan(result), _MEASURED)
 
 
 def errors_at(
-    result: CalibrationResult, planned: Plan | Array, *, sampled: bool = True
+    result: CalibrationResult, planned: Plan | Array, region: str = "workspace"
 ) -> WorkspaceErrors:
     """Return the platform's errors at planned poses, coordinates of shape (N, dof), or a plan."""
     plan = as_plan(result.nominal, planned)
@@ -135,7 +134,7 @@ def errors_at(
     if not within.all():  # frames are those of other poses, the region is the same
         inside = replace(result.expected_error(plan.rows(within)), outside=expected.outside[within])
     moved, units = apart(result, plan)
-    return WorkspaceErrors(plan.poses, sizes(units, moved), expected, inside, sampled)
+    return WorkspaceErrors(plan.poses, sizes(units, moved), expected, inside, region)
 
 
 def apart(result: CalibrationResult, plan: Plan) -> tuple[Array, tuple[str, ...]]:
@@ -151,6 +150,28 @@ def apart(result: CalibrationResult, plan: Plan) -> tuple[Array, tuple[str, ...]
     differences = np.full((len(twists), len(units)), np.nan)
     differences[known] = seen[:, :, 0]
     return differences, units
+
+
+def effects(result: CalibrationResult) -> tuple[dict[str, tuple[float, float]], str]:
+    """Return by how much each parameter's change, and half its ±, move the platform; the unit.
+
+    Root mean squares of the position, or the orientation where it has none, over the workspace, or
+    the measured poses where none was found; of parameters that are determined.
+    """
+    try:
+        plan = sample_configurations(result.nominal, _FEW_SAMPLES)
+    except WorkspaceError:
+        plan = measured_plan(result)
+    legs = legs_at(result.identified, plan)
+    moved, units = seen_of(result.identified, legs.poses, legs.gain, result.frames_moved)
+    part = moved[:, [unit == units[0] for unit in units]]
+    per_unit = np.sqrt(np.square(part).sum(axis=1).mean(axis=0))  # of each parameter
+    parameters = [p for leg in result.legs for p in leg.parameters]
+    return {
+        p.id: (factor * abs(p.change), factor * p.half)
+        for p, factor in zip(parameters, per_unit.tolist(), strict=True)
+        if 0.0 < p.std < np.inf
+    }, units[0]
 
 
 def level_poses(

@@ -34,11 +34,10 @@ from pincal.show.pictures.picture import picture
 from pincal.show.view.scene import MOST_POSES
 from pincal.words.numbers import capital, reading_in
 from pincal.words.table import Table
-from pincal.words.wording import clean, rendered
+from pincal.words.wording import rendered
 
 _MOST_OUTLIERS = 50  # that are listed
 _HEIGHTS = {"residuals": 4.2, "images": 3.4, "parameters": 4.6}  # of charts, [inch]
-_FILES = "Files read, and their SHA-256"
 
 
 class Page:
@@ -81,10 +80,12 @@ class Report(Page):
     result: CalibrationResult
     errors: WorkspaceErrors | None
     """The platform's over the workspace; None if the fit did not converge."""
-    command: str = ""
+    command: str
     """As it was typed; empty if it was not."""
-    files: tuple[tuple[str, str], ...] = ()
+    files: tuple[tuple[str, str], ...]
     """Files that were read, and their SHA-256."""
+    steps: Sequence[str]
+    """Commands that come next."""
     notes: tuple[str, ...] = ()
     """What was not done, and why."""
     date: str = ""
@@ -102,7 +103,7 @@ class Report(Page):
                 description=result.nominal.description,
                 subtitle=" · ".join([*parts, result.message]),
                 warnings=answers.warnings(result),
-                answers=answers.answers(result, self.errors, self.notes),
+                answers=answers.answers(result, self.errors, self.steps, self.notes),
                 sections=[
                     {"name": name, "title": title, "parts": filter(None, parts)}
                     for name, title, *parts in _sections(self)
@@ -142,7 +143,8 @@ def report(
     )
     read = Units.of(units, result.nominal.counts, result.nominal.reading_names)
     errors = workspace_errors(result) if result.converged else None
-    return Report(result, errors, command, hashes, tuple(notes), date, read)
+    steps = answers.next_steps(result, errors)
+    return Report(result, errors, command, hashes, steps, tuple(notes), date, read)
 
 
 def _sections(report: Report) -> list[tuple[Any, ...]]:
@@ -157,10 +159,12 @@ def _sections(report: Report) -> list[tuple[Any, ...]]:
     reproduction = (
         "reproduction",
         "How to reproduce it",
-        Markup("<pre><code>{}</code></pre>").format(clean(report.command)),
+        answers.command_block(report.command),
         f"Made on {report.date} with pincal {__version__}, {libraries}, Python "
         f"{python_version()}. No random choice is involved.",
-        Table(_FILES, ["file", "SHA-256"], report.files) if report.files else None,
+        Table("Files read, and their SHA-256", ["file", "SHA-256"], report.files)
+        if report.files
+        else None,
     )
     if errors is None:
         return [measured, reproduction]
@@ -172,7 +176,7 @@ def _sections(report: Report) -> list[tuple[Any, ...]]:
             "parameters",
             "Parameters",
             tables.parameters_table(result),
-            _chart(result, "parameters") if errors.sampled and could_change else None,
+            _chart(result, "parameters") if could_change else None,
             _dimensions(result),
             tables.outside_table(result) if result.external else None,
             [f"{line}." for line in answers.weak_lines(result.weak, result.nominal)],
@@ -218,7 +222,6 @@ def _poses(result: CalibrationResult) -> Markup | None:
 
 
 def _dimensions(result: CalibrationResult) -> Markup:
-    """Return where the parameters of the first leg are, at home."""
     leg = result.legs[0].name
     kinds = {tuple(p.name for p in each.parameters) for each in result.legs}
     alike_legs = ", those of the others alike" if len(kinds) < len(result.legs) else ""
@@ -227,7 +230,6 @@ def _dimensions(result: CalibrationResult) -> Markup:
 
 
 def _measured(result: CalibrationResult) -> dict[str, str]:
-    """Return what was measured, and how it was used, as facts."""
     nominal, data = result.nominal, result.measurements
     readings = zip(nominal.reading_names, nominal.reading_units, strict=True)
     columns = dict(zip(nominal.platform.coordinates, data.poses.T, strict=True)) | dict(data.extra)
@@ -238,17 +240,13 @@ def _measured(result: CalibrationResult) -> dict[str, str]:
         "of the platform": ", ".join(map("".join, often.items())) or "nothing",
         "readings": ", ".join(f"{name} [{unit}]" for name, unit in readings),
         "noise": answers.noise_line(result),
-        "identified": answers.method_line(result),
     }
     for name, values in (("sets", data.sets), ("runs", data.runs)):
         if values is not None:
-            named = Counter("every leg" if value in ("", EVERY_LEG) else value for value in values)
+            named = Counter("fitted" if value in ("", EVERY_LEG) else value for value in values)
             facts[name] = ", ".join(f"{value} {count}" for value, count in named.items())
     if result.loss != "none":
         facts["robust loss"] = result.loss
-    if result.options.setup.plain:
-        positions = ", ".join(nominal.platform.coordinates[: nominal.platform.lengths])
-        facts["frame"] = f"positions {positions} are of the platform's frame in the base frame"
     if result.gauge:
         facts["fixed by choice"] = answers.gauge_line(result)
     return facts

@@ -13,12 +13,11 @@ from pincal.design.forecast import Forecast
 from pincal.design.select import Selection
 from pincal.model.checks import counted
 from pincal.model.mechanism import Mechanism
-from pincal.model.setup import ORIGIN
-from pincal.show.misses import WorkspaceErrors, readings_exact
+from pincal.show.misses import WorkspaceErrors, effects, readings_exact
 from pincal.symmetry.detect import SymmetryGroup, no_symmetries
-from pincal.words.numbers import SMALL, STORED, VALUES, chance, shown_in, uncertainty
+from pincal.words.numbers import SMALL, STORED, VALUES, chance, number, shown_in, uncertainty
 from pincal.words.table import Cell, Table, Value, quantity
-from pincal.words.wording import NAMED
+from pincal.words.wording import NAMED, named
 from pincal.workspace.inscribed import Inscribed
 from pincal.workspace.region import Workspace
 
@@ -26,7 +25,7 @@ from pincal.workspace.region import Workspace
 
 
 def nominal_table(mechanism: Mechanism) -> Table:
-    """Return the nominal parameters, one column a leg, or one row where legs are more."""
+    """Return a mechanism's parameters, one column a leg, or one row where legs are more."""
     names = dict.fromkeys(name for leg in mechanism.legs for name in leg.parameter_names)
     grid: list[list[Value]] = [["parameter", *mechanism.leg_names, "unit"]]
     for name in names:
@@ -37,7 +36,7 @@ def nominal_table(mechanism: Mechanism) -> Table:
     if len(mechanism.legs) > len(names):
         grid = [list(row) for row in zip(*grid, strict=True)]
     heads, *rows = grid
-    title = f"{mechanism.name}: nominal parameters"
+    title = f"{mechanism.name}: parameters"
     return Table(title, [*map(str, heads)], rows, mechanism.labelled)
 
 
@@ -172,76 +171,87 @@ def workspace_table(workspace: Workspace, inscribed: Inscribed | None = None) ->
 
 # Calibrations
 
-_MOST_SIGMAS = 1e6  # standard errors, above which their number says nothing
-_ERRORS = {"m": "position", "rad": "orientation"}
-_CHOSEN = (
-    ". Values and ± depend on what was fixed by choice, of equal parameters those nearest to "
-    "nominal; errors of the platform do not"
-)
+_SEEN = 1e-6  # of the largest effect, below which a parameter has none
+ERRORS = {"m": "position", "rad": "orientation"}
+_CHOSEN = ". Values and ± depend on what was fixed by choice; errors of the platform do not"
 _HEADS = ("nominal", "identified", "± 95 %", "unit")
 
 
 def calibration_tables(result: CalibrationResult) -> list[Table]:
     """Return all tables of a calibration that a terminal shows."""
-    tables = [parameters_table(result), residuals_table(result)]
-    tables[1:1] = [outside_table(result)] if result.external else []
-    tables += [outliers_table(result)] if result.outliers and result.loss != "none" else []
-    return tables
+    outside = [outside_table(result)] if result.external else []
+    outliers = [outliers_table(result)] if result.outliers and result.loss != "none" else []
+    return [parameters_table(result), *outside, residuals_table(result), *outliers]
 
 
 def accuracy_table(result: CalibrationResult, errors: WorkspaceErrors) -> Table:
     """Return the platform's errors: of the nominal and the calibrated machine, and held out.
 
-    Of the model alone where it can be promised; held-out rows miss by what they miss.
+    Of the model alone where it can be promised; held-out rows miss by what they miss, of which
+    the measuring noise is a part.
     """
-    names = [(_ERRORS[unit], unit) for unit in dict.fromkeys(errors.expected.units)]
-    rows, region = dict[str, dict[tuple[str, str], float]](), ""
+    units, region = list(dict.fromkeys(errors.expected.units)), ""
+    rows: dict[str, dict[str, str]] = {}
     if result.explained and errors.determined and errors.moved:
-        sizes = {"nominal": errors.mean_before(), "calibrated": errors.mean_after()}
-        sizes |= {"95 %: below": errors.inside.limit} if result.promises else {}
-        rows = {
-            head: {(name, unit): values[unit == "rad"] for name, unit in names}
-            for head, values in sizes.items()
-        }
-        scale = "the scale and " * any(free.code == "gauge-scale" for free in result.gauge)
-        frames = f", but for {scale}where the base and platform frames lie"
-        region = f" {errors.where}{frames * result.moves_frames}"
+        rows = {"nominal": {}, "calibrated": {}}
+        sizes = zip(errors.mean_before(), errors.mean_after(), errors.inside.limit, strict=True)
+        for unit, (before, after, limit) in zip(("m", "rad"), sizes, strict=True):
+            below = f"{number(after, unit)} (≤ {number(limit, unit)})"
+            rows["nominal"][unit] = number(before, unit)
+            rows["calibrated"][unit] = below if result.promises else f"≥ {number(after, unit)}"
+        scale = " and scale" * any(free.code == "gauge-scale" for free in result.gauge)
+        region = f" {errors.where}{f', frames{scale} aligned' * result.moves_frames}"
     validation = result.validation
-    for missed in validation.targets if validation and validation.fit <= MISSES else ():
-        name = _ERRORS[missed.unit] + f" of {missed.target}" * (missed.target != ORIGIN)
-        rows.setdefault("held out", {})[name, missed.unit] = missed.rms
-    names = list(dict.fromkeys([*names, *rows.get("held out", {})]))
+    if validation and validation.fit <= MISSES and validation.targets:
+        rows["held out"] = {
+            unit: f"{number(missed, unit)}{_noise_of(result, unit)}"
+            for unit, (_, missed) in validation.missed.items()
+        }
+        units = list(dict.fromkeys([*units, *rows["held out"]]))
     return Table(
-        f"RMS error of the platform{region}",
-        ["", *(f"{name} [{unit}]:.3g" for name, unit in names)],
-        [[head, *(row.get(name) for name in names)] for head, row in rows.items()],
-        "held out: rows not fitted, noise included" * ("held out" in rows),
+        f"RMS error{region}",
+        ["", *(f"{ERRORS[unit]} [{SMALL[unit]}]" for unit in units)],
+        [[head, *(row.get(unit) for unit in units)] for head, row in rows.items()],
     )
 
 
+def _noise_of(result: CalibrationResult, unit: str) -> str:
+    """Return the share of noise in how far targets are missed, and of which coordinates, if few."""
+    platform, sigmas = result.nominal.platform, {g.name: g.rms_noise for g in result.observed}
+    columns = list(result.options.setup.positions(platform).values())
+    if unit == "rad":
+        columns = [[*platform.freedoms[platform.lengths :]]]
+    measured = [name for names in columns for name in names if name in sigmas]
+    size = float(np.sqrt(sum(sigmas[name] ** 2 for name in measured) / len(columns)))
+    part = f" in {named(measured)}" if 0 < len(measured) < len(columns[0]) else ""
+    return f"{part} (noise {number(size, unit)})" if size else ""
+
+
 def parameters_table(result: CalibrationResult) -> Table:
-    """Return identified parameters with 95 % intervals and changes."""
-    rows: list[tuple[Value, ...]] = []
-    for leg in result.legs:
-        for p in leg.parameters:
-            change = quantity(p.change, p.unit, p.half, VALUES, "+")
-            moved = Cell(p.change, "") if p.given == "fixed" else change
-            sigmas = p.change / p.std if 0.0 < p.std < np.inf else np.nan
-            shown = "> 1e6" if abs(sigmas) >= _MOST_SIGMAS else f"{sigmas:+.1f}"
-            changed = moved, None if np.isnan(sigmas) else Cell(sigmas, shown)
-            rows.append((leg.name, p.name, *_values(p), *changed, p.given.replace("fixed", "")))
-    heads = ["leg", "parameter", *_HEADS, "change", "change [σ]", "given"]
-    if not any(row[-1] for row in rows):
-        rows, heads = [row[:-1] for row in rows], heads[:-1]
-    caption = "change [σ]: by how many standard errors the parameter moved"
-    caption += _CHOSEN * bool(result.gauge)
-    caption = "; ".join(filter(None, (caption, result.nominal.labelled)))
+    """Return identified parameters with 95 % intervals, those that move the platform most first."""
+    moved, unit = effects(result)
+    least = _SEEN * max(map(max, moved.values()), default=0.0)
+    ids = [id_ for id_ in moved if max(moved[id_]) > least]
+    ids.sort(key=lambda id_: -moved[id_][0])
+    rows = [
+        (p.id, *_values(p), quantity(p.change, p.unit, p.half, VALUES, "+"), moved[p.id][0])
+        for p in map(result.parameters.__getitem__, ids)
+    ]
+    heads = ["parameter", *_HEADS, "change", f"moves [{unit}]:.3g"]
+    lines = [f"moves: by how much the change moves the platform{_CHOSEN * bool(result.gauge)}"]
+    causes = {
+        p.id: p.given or ("no effect" if np.isfinite(p.std) else "not determined (± ∞)")
+        for leg in result.legs
+        for p in leg.parameters
+        if p.given or p.id not in ids
+    }
+    for cause in dict.fromkeys(causes.values()):
+        lines += [f"{cause}: {named([id_ for id_ in causes if causes[id_] == cause])}"]
     title = f"{result.nominal.name}: parameters, nominal and identified"
-    return Table(title, heads, rows, caption, grouped=True)
+    return Table(title, heads, rows, "; ".join(filter(None, (*lines, result.nominal.labelled))))
 
 
 def _values(p: IdentifiedParameter) -> tuple[Value, ...]:
-    """Return nominal and identified value, the 95 % interval, and the unit."""
     interval = Cell(None, "∞" if p.half else p.given or "held")
     if p.half > 0.0 and np.isfinite(p.std):
         interval = Cell(p.half, uncertainty(p.half, p.unit))
@@ -255,10 +265,9 @@ def outside_table(result: CalibrationResult) -> Table:
         "Outside the mechanism",
         ["unknown", "start", *_HEADS[1:]],
         [(p.id, *_values(p)) for p in result.external],
-        "tracker: where the base is in the frame of the measurements (rx, ry, rz a rotation "
-        "vector); others: where what was measured is on the platform, or what was touched; start: "
-        "where the search began, measured positions laid on those of the nominal machine"
-        f"{_CHOSEN * bool(result.gauge)}",
+        "tracker: pose of the base in the frame of the measurements (rx, ry, rz: rotation vector); "
+        "others: points on the platform, or touched; start: where the search began, aligned with "
+        f"the nominal machine{_CHOSEN * bool(result.gauge)}",
     )
 
 
@@ -271,17 +280,14 @@ def residuals_table(result: CalibrationResult) -> Table:
         for leg in legs
     ]
     rows += [(*_sizes(group), *(None for _ in ranks)) for group in result.observed]
-    caption = "σ: what the noise alone makes of residuals; condition: of the leg's whitened "
-    caption += "identification Jacobian, columns scaled"
+    caption = "σ: of the noise alone; condition: of the identification Jacobian, white and scaled"
     if exact:
-        caption = "Readings were taken as exact: the legs close by construction, and what the "
-        caption += "model leaves over is by how much the platform misses what was measured of it"
+        caption = "Readings are exact: legs close by construction, and residuals are the platform's"
     heads = ["of", "rows", "rms before", "rms after", "σ", "unit", *ranks]
     return Table("Residuals, of the platform at the estimated poses", heads, rows, caption)
 
 
 def _sizes(group: ResidualGroup) -> tuple[Value, ...]:
-    """Return name, rows, root mean squares before and after, σ, and the unit."""
     unit, sizes = group.unit, (group.rms_before, group.rms_after, group.rms_noise)
     shown = (Cell(size, f"{shown_in(size, unit):.4f}") for size in sizes)
     rows = len(np.unique(group.rows))
@@ -290,17 +296,15 @@ def _sizes(group: ResidualGroup) -> tuple[Value, ...]:
 
 def outliers_table(result: CalibrationResult, most: int = 20) -> Table:
     """Return the worst of the rows that do not fit."""
-    every = {leg.name for leg in result.legs}
     omitted = len(result.outliers) - most
     return Table(
         f"Rows that do not fit, the worst first (robust loss: {result.loss})",
-        ["data row", "residual [σ]:.1f", "weight:.2f", "of", "what"],
+        ["data row", "residual [σ]:.1f", "weight:.2f", "what"],
         [
             (
                 outlier.row + 1,
                 outlier.sigma,
                 Cell(0.0, "rejected") if outlier.weight == 0.0 else outlier.weight,
-                "all legs" if set(outlier.legs) == every else ", ".join(outlier.legs),
                 f"{outlier.quantity} off by {outlier.off:.1f} σ",
             )
             for outlier in result.outliers[:most]
@@ -314,11 +318,9 @@ def outliers_table(result: CalibrationResult, most: int = 20) -> Table:
 
 def screen_table(explanation: Explanation) -> Table:
     """Return what was tried, the least probable by chance first."""
-    candidates = explanation.candidates
-    caption = "amplitude: as one step of the fit would find it, at the scale in which the term is "
-    caption += "added"
-    if len(candidates) > NAMED:
-        caption += f"; {len(candidates) - NAMED} more are less clear"
+    candidates, omitted = explanation.candidates, len(explanation.candidates) - NAMED
+    caption = "amplitude: as one step of the fit would find it, in the scale of the term"
+    caption += f"; {omitted} more are less clear" * (omitted > 0)
     return Table(
         f"{explanation.result.nominal.name}: what geometry does not explain",
         ["reading", "term", "amplitudes", "off χ² [%]:.1f", "F:.3g", "chance"],
@@ -369,6 +371,5 @@ def models_table(explanation: Explanation) -> Table:
         "Models on rows held out",
         (*heads, *misses),
         rows,
-        "chance: when the term was added; free: parameters; held out: white residuals of rows that "
-        "the fit has not seen; ±: against the best",
+        "chance: when the term was added; free: parameters; ±: against the best",
     )

@@ -9,10 +9,8 @@ from pincal.finding import Finding
 from pincal.words.faults import FAULTS, HYPOTHESES, explanation
 from pincal.words.wording import Wording, filled
 
-_EXCESS = (
-    "no accuracy can be promised: residuals are {excess|g} times as large as the noise given "
-    "makes them"
-)
+_EXCESS = "no accuracy can be promised: residuals are {excess|g} times as large as the noise given"
+_FIRST = "See the other warnings first"
 _GIVE_NOISE = "Give the noise (--noise-position, --noise-orientation, --noise-reading)"
 _SOURCE = "{'repeated rows show' if source == 'repeats' else 'given'}"
 _CHI2 = "reduced χ² is {chi2|rounded(3)} where 1 is expected: the noise is "
@@ -21,48 +19,48 @@ _ASSUMED = "the uncertainties assume that noise"
 FINDINGS: dict[str, Wording] = {
     "not-converged": Wording(
         "the fit did not converge: {message}",
-        "Look at the units and at the working mode; give a better nominal mechanism, more poses, "
-        "or a robust loss (--loss reject)",
+        "Check the units and the working mode; give a better nominal mechanism, more poses, or a "
+        "robust loss (--loss reject)",
         "error",
     ),
-    "not-corrected": Wording(_EXCESS + ", and hardly fell", "Look at the warnings first", "error"),
-    "residuals-too-large": Wording(_EXCESS, "Look at the warnings first", "error"),
+    "not-corrected": Wording(_EXCESS + ", and hardly fell", _FIRST, "error"),
+    "residuals-too-large": Wording(_EXCESS, _FIRST, "error"),
     "no-noise": Wording(
-        "residuals are rounding errors: nothing was measured like that",
-        "Say how well you will measure (--noise-position, --noise-orientation, --noise-reading)",
+        "residuals are mere rounding errors: real measurements have noise",
+        _GIVE_NOISE,
         title="measurements without noise",
     ),
     "noise-estimated": Wording(
-        "the noise was not given: it was estimated from the residuals, "
+        "no noise was given; estimated from the residuals: "
         "{noise_in_words(position, orientation, reading, units)}",
-        f"{_GIVE_NOISE}, if it is known",
+        f"{_GIVE_NOISE} if it is known",
     ),
     "chi2-too-large": Wording(
-        f"{_CHI2}larger than {_SOURCE}, or the model lacks something; {_ASSUMED}",
-        "See what they follow (pincal explain), and look at outlying rows",
+        f"{_CHI2}larger than {_SOURCE}, or the model is incomplete; {_ASSUMED}",
+        "Run pincal explain, and check outlying rows",
         title="residuals larger than the noise",
     ),
     "chi2-too-small": Wording(
         f"{_CHI2}smaller than {_SOURCE}; {_ASSUMED}",
-        "Correct the noise, if it is known to be smaller",
+        "Correct the noise if it is known to be smaller",
     ),
     "noise-in-other-proportion": Wording(
-        "the noise is not in the proportion given ({p_value|chance}): residuals show "
+        "the proportions of the noise given are wrong ({p_value|chance}): residuals show "
         "{% for name, ratio in ratios.items() %}{(100 * ratio)|f(0)} % of it in {name}"
         "{', ' if not loop.last}{% endfor %}",
-        "Leave the noise out: it is then estimated by group",
+        "Leave the noise options out, so that it is estimated by group",
         title="noise in another proportion",
     ),
     "curved": Wording(
-        "within one standard error the problem is curved: the curved part of the residuals' change "
-        "is {curvature|g(2)} of the straight one",
+        "the problem is nonlinear within one standard error: the nonlinear part of the residuals' "
+        "change is {curvature|g(2)} of the linear part",
         "Measure more poses, or with less noise",
-        title="intervals of a curved problem",
+        title="intervals of a nonlinear problem",
     ),
     "beyond-measured": Wording(
         "{share|percent} of the workspace lies outside the measured region"
         "{% if undetermined < 1 %}: expect {size_in_words(position, orientation)} there, if the "
-        "model holds as it does where it was measured{% endif %}"
+        "model holds there as well{% endif %}"
         "{% if undetermined %}; {undetermined|percent} of that is not determined at all{% endif %}"
         ". No limit is promised there",
         "Measure there too (pincal select), or keep to the measured region",
@@ -74,64 +72,63 @@ FINDINGS: dict[str, Wording] = {
         title="terms were chosen by the same measurements",
     ),
     "model-lacks": Wording(
-        "{quantity}: residuals follow {TERMS[term][0]} ({p_value|chance}), and the model has "
-        "nothing for that: {TERMS[term][1]}",
-        "Model it (pincal explain says which term pays) or remove its cause; measure in a mixed "
-        "order",
-        title="residuals follow something",
+        "{quantity}: residuals follow {TERMS[term][0]} ({p_value|chance}), which the model does "
+        "not include; likely {TERMS[term][1]}",
+        "Model it (pincal explain names the term) or remove the cause; measure in random order",
+        title="residuals follow a pattern",
     ),
     "step": Wording(
         "{quantity} is off by {size|amount(unit)} from data row {row} on ({p_value|chance})",
-        "First see what physics explains (pincal explain); else look for an encoder that slipped, "
-        "or a target that was hit, and leave the shorter part out",
+        "Run pincal explain first; then look for an encoder that slipped or a target that was hit, "
+        "and leave the shorter part out",
         title="a step",
     ),
     "rows-alike": Wording(
-        "{quantity}: what one row is off by, the next is, too (correlation {correlation|f(2)}, "
-        "{p_value|chance}), and neither a step nor a steady drift explains that",
-        "Look for what moves slowly (air, warming, a base that settles); wait longer between rows, "
-        "and measure in a mixed order",
-        title="rows are off as those before",
+        "{quantity}: residuals of successive rows are correlated ({correlation|f(2)}, "
+        "{p_value|chance}), and neither a step nor a steady drift explains it",
+        "Look for slow changes (air, warming, a base that settles); wait longer between rows, and "
+        "measure in random order",
+        title="residuals correlated from row to row",
     ),
     "reference-moved": Wording(
-        "the pose '{pose}', measured {rows|length} times: {quantity} moved by {size|amount(unit)} "
+        "the pose '{pose}', measured {rows|length} times, moved: {quantity} by {size|amount(unit)} "
         "from data row {row} to {rows[-1]} ({p_value|chance})",
-        "Look for what warms up, a tracker or a base that moves; measure again when warm, or the "
-        "run in parts, named in a column run",
-        title="a pose moved that was measured again",
+        "Look for warming, or a tracker or base that moves; measure again when warm, or name the "
+        "parts of the run in a column run",
+        title="a repeated pose moved",
     ),
     "outliers": Wording(
-        "{rows|length} of {total} rows do{'es' if rows|length == 1} not fit the others, "
-        "{'' if rows|length == 1 else 'the worst '}data row {row} by {sigma|f(1)} standard "
-        "deviations ({quantity} off by {off|f(1)} σ)",
-        "{'First model what residuals follow: that may be why; then look at ' ~ them if lacking "
-        "else 'Look at ' ~ them ~ ', or use a robust loss (--loss reject)'}",
+        "{rows|length} of {total} rows do{'es' if rows|length == 1} not fit the others: "
+        "{'' if rows|length == 1 else 'worst '}data row {row}, by {sigma|f(1)} σ ({quantity} off "
+        "by {off|f(1)} σ)",
+        "{'First model what the residuals follow, which may be why; then check ' ~ them if "
+        "lacking else 'Check ' ~ them ~ ', or use a robust loss (--loss reject)'}",
     ),
     "wrong-rows": Wording(
         "{% if rows|length == 1 %}data row {row} does not fit the others, by{% else %}"
         "{rows|length} data rows of {total}, {rows[:6]|listed}"
         "{% if rows|length > 6 %} and {rows|length - 6} more{% endif %}, do not fit the others, "
-        "the first by{% endif %} {sigma|f(0)} standard deviations ({quantity} off by {off|f(0)} "
-        "σ): reduced χ² is {chi2|g} with {them}, {without|g} without, and what follows is with",
-        "Mend or remove {them}, or leave {them} out by --loss reject",
-        title="few rows spoil the fit",
+        "the first by{% endif %} {sigma|f(0)} σ ({quantity} off by {off|f(0)} σ): reduced χ² is "
+        "{chi2|g} with {them} and {without|g} without; this result includes {them}",
+        "Correct or remove {them}, or leave {them} out (--loss reject)",
+        title="a few rows spoil the fit",
     ),
     "many-outliers": Wording(
-        "{(100 * share)|f(0)} % of the rows do not fit the others, data row {row} least",
+        "{(100 * share)|f(0)} % of the rows do not fit the others, worst data row {row}",
         "Correct the noise or the model before leaving rows out (--loss reject)",
         title="many rows do not fit",
     ),
     "held-out-worse": Wording(
-        "held-out rows miss by {held_out|f(2)} standard deviations where {expected|f(2)} are "
-        "expected ({p_value|chance}): the model follows its rows more closely than the machine",
-        "Measure more poses, or fix parameters",
-        title="held-out rows miss by more than is expected",
+        "held-out rows miss by {held_out|f(2)} σ where {expected|f(2)} σ is expected "
+        "({p_value|chance}): the model fits its own rows better than the machine",
+        "Measure more poses, or hold parameters (--fixed)",
+        title="held-out rows miss by more than expected",
     ),
     "wrong-held-out": Wording(
-        "{rows|length} of {total} held-out rows do{'es' if rows|length == 1} not fit, "
-        "{'' if rows|length == 1 else 'the worst '}data row {row} by {sigma|f(0)} standard "
-        "deviations ({quantity} off by {off|f(0)} σ); the other held-out rows fit",
-        "Mend or remove {them}, or leave {them} out by --loss reject",
+        "{rows|length} of {total} held-out rows do{'es' if rows|length == 1} not fit: "
+        "{'' if rows|length == 1 else 'worst '}data row {row}, by {sigma|f(0)} σ ({quantity} off "
+        "by {off|f(0)} σ); the others fit",
+        "Correct or remove {them}, or leave {them} out (--loss reject)",
         title="held-out rows do not fit",
     ),
     "tolerance-found": Wording(
@@ -139,60 +136,58 @@ FINDINGS: dict[str, Wording] = {
         "{% if size|finite %}{kinds} differ from the drawing by {size|amount(unit)}, standard "
         "deviation of {count} (95 %: {low|amount(unit)} "
         "{'to ' ~ high|amount(unit) if high|finite else 'or more'})"
-        "{% else %}how far {kinds} are from the drawing is not said by {count} of them{% endif %}",
+        "{% else %}{count} {kinds} do not show how far they are from the drawing{% endif %}",
         "{% if not size|finite %}They are free; give their tolerance (--tolerance, --priors), if "
-        "it is known{% elif not low %}Measurements do not separate them from the drawing"
-        "{% endif %}",
+        "it is known{% elif not low %}They may be as drawn{% endif %}",
         "info",
     ),
     "few-poses": Wording(
-        "{legs|join(', ')}: {poses|counted('pose')} for {unknowns} parameters",
-        "Measure more: two or three times as many poses as parameters are advised",
+        "{legs|join(', ')}: only {poses|counted('pose')} for {unknowns} parameters",
+        "Measure {2 * unknowns - poses} more: twice as many poses as parameters are advised",
         title="few poses",
     ),
     "weakly-determined": Wording(
         "{% if parameters|length == 1 %}{parameter} is weakly determined, known{% else %}"
-        "{parameters|length} parameters are weakly determined, {parameter}{% endif %} to ± "
-        "{half|g(2)}{unit|si} only",
-        "Measure poses that determine more"
-        "{', hold it at nominal (leave out --strict)' if not held}, or say how well nominal "
+        "{parameters|length} parameters are weakly determined, {parameter}{% endif %} only to ± "
+        "{half|g(2)}{unit|si}",
+        "Measure poses that determine it better"
+        "{', hold it at nominal (leave out --strict)' if not held}, or give how well nominal "
         "values are known (--priors)",
     ),
     "undetermined-held": Wording(
-        "these measurements do not determine everything: {groups|groups}{'; ' if groups and weak}"
-        "{weak|listed ~ ' are weakly determined' if weak}",
-        "Held as near to nominal as can be, so that the machine is calibrated where it was "
-        "measured only",
+        "these measurements do not determine all parameters: {groups|groups}"
+        "{'; ' if groups and weak}{weak|listed ~ ' are weakly determined' if weak}",
+        "They were held near nominal; the calibration holds only where it was measured",
     ),
     "far-from-nominal": Wording(
-        "{parameter} moved by {'%+.3g' % change}{unit|si}, farther than a machine differs from its "
+        "{parameter} changed by {'%+.3g' % change}{unit|si}, more than a machine differs from its "
         "drawing",
         "Check units, the order of the readings, and the frame of the measurements"
         "{' (if unknown: --' ~ options|join(', --') ~ ')' if options}",
     ),
     "zeros-found": Wording(
-        "zeros of readings are far from the drawing's: {% for id, change, unit in changes %}"
+        "reading zeros are far from nominal: {% for id, change, unit in changes %}"
         "{loop|joint}{id} by {change|g}{unit|si or ' '}{% endfor %}",
-        "Nothing to do if the motors were zeroed anew; else look at the columns of these readings",
+        "Expected if the motors were zeroed anew; otherwise check the columns of these readings",
     ),
     "gauge-base-frame": Wording(
-        "the base frame: {freedoms|counted('freedom')}, since "
+        "the base frame ({freedoms|counted('freedom')}), since "
         "{% if unknown_frame %}the frame of the measurements is unknown{% else %}what was measured "
         "does not fix it{% endif %}",
         severity="info",
     ),
     "gauge-platform-frame": Wording(
-        "the platform's frame: {freedoms|counted('freedom')}, since what was measured does not say "
-        "how the platform's points lie in it",
+        "the platform frame ({freedoms|counted('freedom')}), since what was measured does not show "
+        "where the platform's points lie in it",
         severity="info",
     ),
     "gauge-scale": Wording(
-        "the scale: 1 freedom, since points touched at unknown places do not say how far apart "
+        "the scale (1 freedom), since points touched at unknown places do not say how far apart "
         "they are (places of two of them in the setup do)",
         severity="info",
     ),
     "redundant-parameters": Wording(
-        "{count|counted('parameter is', 'parameters are')} redundant, whatever is measured: "
+        "{count|counted('parameter is', 'parameters are')} redundant whatever is measured: "
         "{groups|groups}",
         severity="info",
     ),

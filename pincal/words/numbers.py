@@ -22,8 +22,8 @@ class ReadUnits(dict[str, str]):
         return _CHOSEN_UNITS.get({}).get(unit) or super().__getitem__(unit)
 
 
-#: Values of parameters: as in mechanism.yaml, but lengths in mm.
-VALUES = ReadUnits({"m": "mm", "rad": "rad", "1": ""})
+#: Values of parameters.
+VALUES = ReadUnits({"m": "mm", "rad": "deg", "1": ""})
 #: Small quantities: errors, residuals, standard deviations.
 SMALL = ReadUnits({"m": "mm", "rad": "mrad", "1": ""})
 #: Poses and readings.

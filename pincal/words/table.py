@@ -10,7 +10,6 @@ import io
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from math import isfinite
 from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
 
@@ -53,8 +52,6 @@ class Table:
     rows: Sequence[Sequence[Value]]
     caption: str = ""
     """What to know of it."""
-    grouped: bool = False
-    """Whether the first column heads groups of rows: said once in each."""
     heads: bool = True
     """Whether columns have heads; a list of facts has none."""
 
@@ -70,16 +67,12 @@ class Table:
         return [f"{name} [{SMALL[unit]}]" if unit else name for name, unit, _ in self._parts]
 
     def cells(self) -> list[list[str]]:
-        """Return all cells as text, those of a group's name but once."""
+        """Return all cells as text."""
         parts = self._parts
-        shown = [
+        return [
             [_text(value, unit, form) for (_, unit, form), value in zip(parts, row, strict=True)]
             for row in self.rows
         ]
-        if self.grouped:
-            for above, row in reversed(list(pairwise(shown))):
-                row[0] = "" if row[0] == above[0] else row[0]
-        return shown
 
     @property
     def aligned(self) -> tuple[Literal["left", "right"], ...]:
@@ -115,8 +108,8 @@ class Table:
                     overflow="fold",
                     min_width=max(map(len, words), default=1) if whole_words else None,
                 )
-            for row, after in zip(cells, [*cells[1:], [""]], strict=False):
-                table.add_row(*map(Text, row), end_section=self.grouped and bool(after[0]))
+            for row in cells:
+                table.add_row(*map(Text, row))
             return table
 
         unbounded = options.update(max_width=_WIDE)

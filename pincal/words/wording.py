@@ -54,8 +54,12 @@ def _template(words: str) -> Template:
 
 def group_in_words(group: tuple[str, ...]) -> str:
     """Return which parameters move together, by ids; one that is alone has no effect."""
-    *first, last = group if len(group) <= NAMED else (*group[:NAMED], f"{len(group) - NAMED} more")
-    return f"{', '.join(first)} and {last} move together" if first else f"{last} has no effect"
+    return f"{named(group)} move together" if group[1:] else f"{group[0]} has no effect"
+
+
+def named(words: Sequence[object]) -> str:
+    """Return words in a sentence, and how many more there are than can be read."""
+    return listed(words if len(words) <= NAMED else [*words[:NAMED], f"{len(words) - NAMED} more"])
 
 
 def groups_in_words(groups: Sequence[tuple[str, ...]], most: int = LISTED) -> str:
@@ -112,26 +116,39 @@ _FILTERS = {
 
 #: What a promise may leave out.
 UNCOVERED = {
-    "weight": "bending under weight",
-    "scale": "a wrong scale or temperature",
-    "time": "what slips or warms during the run",
+    "weight": "bending",
+    "scale": "scale",
+    "time": "drift",
+}
+NOISE_SOURCES = {
+    "given": "as given",
+    "repeats": "from rows that were measured repeatedly",
+    "estimated": "estimated from the residuals, since none was given",
+}
+#: What a mechanic looks at, by kind of term; other kinds are columns.
+CAUSES = {
+    "harmonics": "an eccentric gear, encoder or screw",
+    "period": "the pitch of a screw, or an eccentric gear with this ratio",
+    "polynomial": "the pitch of a screw or belt, a table of the drive that is off",
+    "backlash": "play, or friction that winds the drive up: it follows the side of approach",
+    "gravity": "something gives way under weight (1 kg if none is known): gear, bearing or link",
 }
 #: Words for codes in values of findings.
 _NAMES = {
     "TERMS": {
         "angle": (
-            "its own value",
-            "an eccentric disc, a gear or a lead that is not even is likely",
+            "the reading itself",
+            "an eccentric encoder disc, an uneven gear or lead screw",
         ),
-        "pose": ("the pose", "legs or base that bend, or an error of the tracker over its volume"),
-        "order": ("the order of the rows", "drift, of temperature or of a reference, is likely"),
-        "approach": ("the side from which it was approached", "play or friction is likely"),
+        "pose": ("the pose", "legs or a base that bend, or errors of the tracker over its volume"),
+        "order": ("the order of the rows", "drift of temperature or of a reference"),
+        "approach": ("the side of approach", "backlash or friction"),
     },
     "UNDER": {
-        "mm": "in mm under a metre header",
-        "m": "in metres under a mm header",
-        "deg": "in degrees under a radian header",
-        "rad": "in radians under a degree header",
+        "mm": "in mm under a metre header (1000 times too large)",
+        "m": "in metres under a mm header (1000 times too small)",
+        "deg": "in degrees under a radian header (57.3 times too large)",
+        "rad": "in radians under a degree header (57.3 times too small)",
     },
 }
 

@@ -65,7 +65,6 @@ def remedies(calibration: Calibration) -> Iterator[Remedy]:
 
 
 def _stages(calibration: Calibration) -> Iterator[list[Remedy]]:
-    """Yield what is tried, stage by stage."""
     setup = calibration.options.setup
     origin = replace(setup.targets[ORIGIN], unknown=True)
     framed = replace(setup, unknown_frame=True)

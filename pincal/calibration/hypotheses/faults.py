@@ -160,7 +160,6 @@ def _posed(platform: Platform, move: Callable[[Array, Array], tuple[Array, Array
 
 
 def _inverted(r: Array, R: Array) -> tuple[Array, Array]:
-    """Return poses of the base seen from the platform."""
     turns = R.transpose(0, 2, 1)
     return -(turns @ r[:, :, None])[:, :, 0], turns
 
@@ -175,7 +174,6 @@ def _scaled(data: Measurements, poses: Array, readings: Array) -> Measurements:
 
 
 def _read(change: Callable[[Array], Array]) -> Right:
-    """Return what changes the readings, shape (N, n_readings)."""
     return lambda data: replace(data, readings=change(data.readings))
 
 
@@ -184,7 +182,6 @@ def _readings_times(factors: Array | float) -> Right:
 
 
 def _ordered(order: Sequence[int]) -> Right:
-    """Return what puts columns of readings in an order."""
     return _read(partial(np.take, indices=order, axis=1))
 
 
@@ -208,12 +205,10 @@ def of_legs(hypothesis: Hypothesis, mechanism: Mechanism, legs: Sequence[int]) -
 
 
 def _swapped(count: int, i: int, j: int) -> list[int]:
-    """Return the order 0 … count - 1 with two of them exchanged."""
     return [{i: j, j: i}.get(k, k) for k in range(count)]
 
 
 def _minus(count: int, i: int) -> Array:
-    """Return factors of 1, of which one is -1, shape (count,)."""
     return np.where(np.arange(count) == i, -1.0, 1.0)
 
 

@@ -321,7 +321,6 @@ def _fit(hypothesis: Hypothesis, calibration: Calibration, matrices: Array) -> J
 
 
 def _missed(conditions: Array) -> Array:
-    """Return by how much rows miss, shape (N,)."""
     return np.nan_to_num(np.linalg.norm(conditions, axis=1), nan=np.inf)
 
 

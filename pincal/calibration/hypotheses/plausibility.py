@@ -221,7 +221,6 @@ def as_findings(
             values[key] = tuple(v for i in legs for v in every[mechanism.reading_columns[i]])
         values |= {
             "legs": tuple(names[i] for i in hypothesis.legs),
-            "questioned": tuple(names[i] for i in named_legs),
             "given": float(as_measured.misfits[named_legs].max()) if as_measured.placed else None,
             "left": float(judged.misfits[named_legs].max()),
             "other_side": as_measured.elsewhere,

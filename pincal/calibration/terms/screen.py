@@ -105,7 +105,6 @@ def screened(parts: Sequence[tuple[Residuals, Sequence[Candidate]]]) -> list[Can
 
 
 def _asked(residuals: Residuals, candidate: Candidate) -> Candidate:
-    """Return a candidate with what residuals say of it."""
     answer = residuals.amplitudes(candidate.rows)
     share = float(answer.inside / max(residuals.chi2, 1e-300))
     periods = 1.0 + candidate.searched * np.sqrt(0.5 * answer.rank * answer.F)
