@@ -57,16 +57,19 @@ def test_with_all_parameters_held_frame_and_target_are_found(
         [0.02, -0.03, 0.06], Rotation.from_rotvec([0.05, 0.1, 1.2])
     )
     path = measured(arm, frame, target, tmp_path / "eye.csv")
+    unknown: Any = {"unknown_frame": True, "unknown_target": True}  # as options, or of the setup
+    result = pincal.calibrate(arm, path, noise=NOISE, fixed="*", folds=0, **unknown)
     setup = pincal.Setup(unknown_frame=True, targets={"platform": pincal.Target(unknown=True)})
-    result = pincal.calibrate(arm, path, setup=setup, noise=NOISE, fixed="*", folds=0)
+    again = pincal.calibrate(arm, path, setup=setup, noise=NOISE, fixed="*", folds=0)
+    assert [u.identified for u in again.external] == [u.identified for u in result.external]
     assert result.converged
     np.testing.assert_array_equal(result.identified.parameters.values, arm.parameters.values)
     expected = np.concatenate(
         [np.concatenate((T.translation, T.rotation.as_rotvec())) for T in (frame, target)]
     )
     assert len(result.external) == 12
-    for unknown, value in zip(result.external, expected, strict=True):
-        assert abs(unknown.identified - value) < 5.0 * unknown.std < 2e-4, unknown.id
+    for found, value in zip(result.external, expected, strict=True):
+        assert abs(found.identified - value) < 5.0 * found.std < 2e-4, found.id
 
 
 @pytest.mark.slow

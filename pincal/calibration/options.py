@@ -194,16 +194,18 @@ class Options:
 
     @classmethod
     def of(cls, options: Options | None = None, **given: Any) -> Options:
-        """Return options from keywords.
+        """Return options from keywords; unknown_frame and unknown_target go into the setup.
 
         Raises:
             MeasurementError: unknown options or values.
         """
+        unknowns = {name: given.pop(f"unknown_{name}", False) for name in ("frame", "target")}
         known = [option.name for option in fields(cls)]
         if unknown := [name for name in given if name not in known]:
             raise MeasurementError(f"no option {unknown[0]!r}; expected some of {', '.join(known)}")
         given = {name: value for name, value in given.items() if value is not None}
-        return cls(**given) if options is None else replace(options, **given)
+        chosen = cls(**given) if options is None else replace(options, **given)
+        return replace(chosen, setup=chosen.setup.anywhere(**unknowns))
 
     def priors_of(self, parameters: Sequence[Parameter]) -> dict[str, float]:
         """Return the priors in SI, by name.
@@ -211,7 +213,19 @@ class Options:
         Raises:
             MeasurementError: no number, or one with a unit of another kind than the parameter's.
         """
-        return {name: _prior(name, sigma, parameters) for name, sigma in self.priors.items()}
+        priors: dict[str, float] = {}
+        for name, sigma in dict[str, Any](self.priors).items():
+            units = {p.unit for p in parameters if means(name, p.owner, p.name)}
+            dimensions = " ".join((units or {"m", "rad"}) - {"1"})
+            try:
+                priors[name] = in_si(sigma, dimensions) if isinstance(sigma, str) else sigma
+            except MeasurementError:
+                unit = f"; {name} is in {next(iter(units))}" if len(units) == 1 else ""
+                raise MeasurementError(
+                    f"--priors {f'{name}={sigma}'!r}: expected a name and a standard deviation, "
+                    f"such as l=0.0005 [m] or l=0.5mm{unit}"
+                ) from None
+        return priors
 
     @property
     def every_pose(self) -> bool:
@@ -248,22 +262,6 @@ def _parse_priors(priors: Mapping[str, Any] | Iterable[str]) -> Mapping[str, Any
             raise MeasurementError(f"--priors {name} is said twice; leave out one of them")
         by_name[name] = sigma
     return by_name
-
-
-def _prior(name: str, sigma: float | str, parameters: Sequence[Parameter]) -> float:
-    if not isinstance(sigma, str):
-        return sigma
-    units = {
-        parameter.unit for parameter in parameters if means(name, parameter.owner, parameter.name)
-    }
-    try:
-        return in_si(sigma, " ".join((units or {"m", "rad"}) - {"1"}))
-    except MeasurementError:
-        unit = f"; {name} is in {next(iter(units))}" if len(units) == 1 else ""
-        raise MeasurementError(
-            f"--priors {f'{name}={sigma}'!r}: expected a name and a standard deviation, such as "
-            f"l=0.0005 [m] or l=0.5mm{unit}"
-        ) from None
 
 
 def _tolerance(tolerance: Mapping[str, float] | str) -> Tolerance:

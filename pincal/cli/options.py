@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Iterable, Iterator
-from dataclasses import Field, dataclass, fields, replace
+from dataclasses import Field, dataclass, fields
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
@@ -15,7 +15,6 @@ from pincal import MeasurementError, Mechanism, PincalError, Setup, Target
 from pincal.files.text import in_si
 from pincal.files.yaml import read_setup
 from pincal.model.option import Option, option, option_of
-from pincal.model.setup import ORIGIN
 from pincal.model.units import Units
 
 FORCE = Option("Replace the output if it exists.")
@@ -156,12 +155,7 @@ class SetupOptions(TableOptions):
             MeasurementError: it says something else than it should.
         """
         setup = Setup() if self.setup_file is None else read_setup(self.setup_file)
-        if self.unknown_frame:
-            setup = replace(setup, unknown_frame=True)
-        if self.unknown_target:
-            target = replace(setup.targets[ORIGIN], unknown=True)
-            setup = replace(setup, targets={**setup.targets, ORIGIN: target})
-        return setup
+        return setup.anywhere(frame=self.unknown_frame, target=self.unknown_target)
 
 
 @dataclass(frozen=True)

@@ -249,7 +249,7 @@ class NormalEquations:
 
     def orthonormal(self, rows: Array) -> Array:
         """Return Q of rows of J, of the same shape (…, n)."""
-        scaled = (rows / self.lengths).reshape(-1, rows.shape[-1])
+        scaled = (rows / self.lengths).reshape(int(np.prod(rows.shape[:-1])), rows.shape[-1])
         return np.asarray(np.linalg.solve(self.R.T, scaled.T)).T.reshape(rows.shape)
 
     @property

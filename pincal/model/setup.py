@@ -7,7 +7,7 @@ is elsewhere, a reflector sits somewhere on the platform, a cable measures a dis
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import hypot
 from pathlib import Path
 from typing import Protocol, TypeAlias, runtime_checkable
@@ -356,6 +356,12 @@ class Setup:
             "tracker" if self.tracker else "",
             "systematic uncertainties" if self.systematic != Systematic() else "",
         )
+
+    def anywhere(self, *, frame: bool = False, target: bool = False) -> Setup:
+        """Return the setup with the frame unknown, or where on the platform the target sits."""
+        point = replace(self.targets[ORIGIN], unknown=target or self.targets[ORIGIN].unknown)
+        targets = {**self.targets, ORIGIN: point}
+        return replace(self, unknown_frame=frame or self.unknown_frame, targets=targets)
 
     @property
     def plain(self) -> bool:
