@@ -32,7 +32,7 @@ LINES = {
 """Most lines of each room; a room that is not listed may have none."""
 MOST = {
     "files": 160,
-    "page lines": 784,
+    "page lines": 780,
     "largest folder": 15,
     "vague names": 0.0115,
     "class names twice": 0,

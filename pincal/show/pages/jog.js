@@ -15,11 +15,8 @@ function Jog({ data, viewer, element, doubles, halt, draw, reset }) {
       wanted = null;
       const answer = await (await fetch(`moved?row=${from}&by=${by}`)).json();
       if (from !== pose) continue; // another pose is shown meanwhile
-      outside.hidden = !answer.problem;
-      if (!answer.problem) {
-        offset = by;
-        draw({ ...answer, matrices: answer.matrices.map(doubles) });
-      }
+      if (!answer.problem) offset = by;
+      draw({ ...answer, matrices: answer.matrices?.map(doubles) });
       write();
     }
     asking = null;
@@ -33,7 +30,6 @@ function Jog({ data, viewer, element, doubles, halt, draw, reset }) {
 
   function at(index) {
     [pose, wanted, offset] = [index, null, offset.map(() => 0)];
-    outside.hidden = true;
     write();
   }
 
@@ -49,8 +45,6 @@ function Jog({ data, viewer, element, doubles, halt, draw, reset }) {
     });
     return { input, value };
   });
-  const outside = element("p", "Out of reach.", fields);
-  outside.setAttribute("role", "status");
   const back = element("button", "reset", fields);
   back.addEventListener("click", reset);
   fields.classList.toggle("long", data.sliders.some(({ name }) => name.length > 4));

@@ -154,8 +154,11 @@
     return words.join(", ");
   }
 
-  function moved(state) { // by hand, off the pose
-    draw(state);
+  function moved(answer) { // by hand, off the pose
+    find("problem").textContent = "Out of reach.";
+    find("problem").hidden = !answer.problem;
+    if (answer.problem) return;
+    draw(answer);
     find("count").textContent = "moved by hand";
     find("set").hidden = true;
   }
