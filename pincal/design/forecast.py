@@ -9,7 +9,7 @@ to it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -63,19 +63,13 @@ def touching(mechanism: Mechanism, plan: Plan, setup: Setup, errors: Array | flo
         return plan
     readings = np.zeros((len(plan), len(mechanism.reading_names)))
     data = Measurements(poses=plan.poses, readings=readings, contacts=plan.contacts)
-    observation = Observation(
-        mechanism, data, Setup(targets=setup.targets, contacts=setup.contacts)
-    )
+    contacts = Setup(targets=setup.targets, contacts=setup.contacts)
+    observation = Observation(mechanism, data, contacts)
     return observation.touching(mechanism, plan, observation.external.start, errors)
 
 
 def information_rows(
-    mechanism: Mechanism,
-    legs: Legs,
-    contacts: Mapping[str, tuple[str, ...]],
-    noise: Noise,
-    measured: Sequence[str] | None,
-    setup: Setup,
+    mechanism: Mechanism, legs: Legs, noise: Noise, measured: Sequence[str] | None, setup: Setup
 ) -> tuple[Array, Array, tuple[str, ...], tuple[str, ...]]:
     """Return what configurations say of parameters and external unknowns, pose by pose.
 
@@ -104,7 +98,7 @@ def information_rows(
     if not set(names) & set(turning):
         coordinates[:, platform.lengths :] = np.nan
     readings = np.zeros((count, legs.reading.shape[2]))
-    data = Measurements(poses=coordinates, readings=readings, extra=columns, contacts=contacts)
+    data = Measurements(poses=coordinates, readings=readings, extra=columns, contacts=legs.contacts)
     observation = Observation(mechanism, data, setup)
     start, chosen = observation.external.start, [observation.names.index(name) for name in names]
     value, *slopes = observation.residuals(matrices, start)
@@ -244,10 +238,7 @@ def forecast(
     legs = legs_at(mechanism, plan)
     if not len(legs.poses):
         check_reached(mechanism, plan)
-    contacts = plan.rows(legs.reached).contacts
-    rows, systematic, unknowns, names = information_rows(
-        mechanism, legs, contacts, noise, measured, setup
-    )
+    rows, systematic, unknowns, names = information_rows(mechanism, legs, noise, measured, setup)
     flat, n = rows.reshape(-1, rows.shape[2]), legs.parameter.shape[2]
     rank = identifiability(flat, unknowns)
     lengths, s, axes = scaled_axes(flat)

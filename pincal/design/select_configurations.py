@@ -9,18 +9,12 @@ the candidates; its efficiency is against the bound that no choice exceeds.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any, get_args
 
 import numpy as np
 
 from pincal.blas import one_thread
-from pincal.design.forecast import (
-    apart_from_frames,
-    information_rows,
-    null_directions,
-    touching,
-)
+from pincal.design.forecast import apart_from_frames, information_rows, null_directions, touching
 from pincal.design.optimal import Criterion, continuous_design, exchange
 from pincal.design.orbits import distinct
 from pincal.design.platform_error import seen_of
@@ -86,10 +80,7 @@ def select_configurations(
             f"{mechanism.name!r} reaches {len(legs.poses)} of {len(plan)} candidates, of which no "
             f"two are alike; {count} are to be chosen. Give more candidates"
         )
-    plan = replace(plan.rows(legs.reached), poses=legs.poses, readings=legs.readings)
-    white, _, unknowns, names = information_rows(
-        mechanism, legs, plan.contacts, noise, measured, setup
-    )
+    white, _, unknowns, names = information_rows(mechanism, legs, noise, measured, setup)
     flat = white.reshape(-1, white.shape[2])
     identifiable = identifiability(flat, unknowns)
     rank, (lengths, _, axes) = identifiable.rank, scaled_axes(flat)
@@ -116,5 +107,6 @@ def select_configurations(
         criterion = Criterion(directions[:, moving] * np.sqrt(values[moving]))
     design = continuous_design((blocks,), criterion)
     chosen, value = exchange((blocks,), count, design.priority, rng, search.starts, criterion)
-    efficiency, plan = design.efficiency(value, count), plan.rows(chosen)
+    plan = Plan(legs.poses, readings=legs.readings, contacts=legs.contacts).rows(chosen)
+    efficiency = design.efficiency(value, count)
     return Selection(plan, goal, efficiency, len(blocks), rank=identifiable, measured=names)

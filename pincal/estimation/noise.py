@@ -278,7 +278,7 @@ def row_noise(
     Raises:
         MeasurementError: covariances that no errors have; a tracker and points measured in part.
     """
-    sigmas = _sigmas_by_name(names, data, platform) | _of_contacts(data, setup, platform)
+    sigmas = _sigmas_by_name(names, data, setup, platform)
     none = np.full(len(data), np.nan)
     general = [noise.position if unit == "m" else noise.orientation for unit in units]
     sigma = np.column_stack([np.empty((len(data), 0)), *(sigmas.get(n, none) for n in names)])
@@ -306,21 +306,14 @@ def row_noise(
     return _rooted(covariance, data)
 
 
-def _of_contacts(data: Measurements, setup: Setup, platform: Platform) -> dict[str, Array]:
-    """Return by how much points are missed by contacts that say so, by quantity, (N,), [m]."""
-    sizes = {
-        quantity: setup.touched[point][2].noise
-        for point, axes in setup.contact_axes(platform).items()
-        for quantity in axes
-    }
-    return {name: np.full(len(data), size) for name, size in sizes.items() if size is not None}
-
-
 def _sigmas_by_name(
-    names: Sequence[str], data: Measurements, platform: Platform
+    names: Sequence[str], data: Measurements, setup: Setup, platform: Platform
 ) -> dict[str, Array]:
     """Return each row's standard deviations by quantity, (N,); single angles' by those of turns."""
     sigmas = dict(data.sigma_extra)
+    for point, axes in setup.contact_axes(platform).items():
+        if (size := setup.touched[point][2].noise) is not None:
+            sigmas |= dict.fromkeys(axes, np.full(len(data), size))
     if data.sigma_poses is None:
         return sigmas
     by_freedom = dict(zip(platform.freedoms, data.sigma_poses.T, strict=True))

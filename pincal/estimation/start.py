@@ -115,9 +115,9 @@ def _outside_started(problem: Problem, state: State) -> State:
         return seen.residuals(matrices, moved)[2][:, :, theirs].reshape(-1, by_free.shape[1])
 
     values = np.zeros(by_free.shape[1])
+    how = {"x_scale": "jac", "f_scale": _CLOSES * problem.size}
     for loss in ("linear", "soft_l1") if contacts else ("linear",):
-        scale = _CLOSES * problem.size
-        values = least_squares(missed, values, slopes, x_scale="jac", loss=loss, f_scale=scale).x
+        values = least_squares(missed, values, slopes, loss=loss, **how).x
     return replace(state, external=outside.moved(external, by_free @ values))
 
 

@@ -71,7 +71,7 @@ def read_poses(
         table.array(reading_units(mechanism)) if commanded else None,
         places=_names(table, "pose"),
         influences=_influences(table, mechanism),
-        contacts=_contacts(table, contacts),
+        contacts={name: _names(table, name) or () for name in contacts if name in table},
         lines=table.file_lines,
         written=_way(table, mechanism),
     )
@@ -111,8 +111,8 @@ def read_measurements(
     level = {"z": "m"} if platform.space == 2 and "z" not in further else {}
     known = known_columns(mechanism, further | level | dict.fromkeys(setup.contacts, ""))
     table = table_of(source, mechanism, known, influences)
-    measured = (*platform.coordinates, *_TURNS, *further, *setup.contacts)
-    columns = (*measured, *mechanism.reading_names)
+    columns = (*platform.coordinates, *_TURNS, *further, *mechanism.reading_names)
+    columns += (*setup.contacts,)
     table = table.where_measured(columns)
     _check_columns(table, mechanism, setup, further)
     way = _way(table, mechanism)
@@ -143,7 +143,7 @@ def read_measurements(
             if f"sigma_{name}" in table
         },
         covariances=covariances_of(table, freedoms | further),
-        contacts=_contacts(table, setup.contacts),
+        contacts={name: _names(table, name) or () for name in setup.contacts if name in table},
         influences=_influences(table, mechanism) | _further_influences(table, unknown, influences),
         runs=_names(table, "run"),
         places=_names(table, "pose"),
@@ -267,11 +267,6 @@ def _names(table: TextTable, column: str) -> tuple[str, ...] | None:
         if column == "run" and not name:
             raise MeasurementError(f"{table.where(row)}: no run; name it in every row")
     return names
-
-
-def _contacts(table: TextTable, columns: Iterable[str]) -> dict[str, tuple[str, ...]]:
-    """Return the names of the points that are touched, by the columns of contacts."""
-    return {name: names for name in columns if (names := _names(table, name)) is not None}
 
 
 def _sets(table: TextTable, mechanism: Mechanism) -> tuple[str, ...] | None:

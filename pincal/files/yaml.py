@@ -263,9 +263,7 @@ def read_setup(source: Setup | str | Path) -> Setup:
         "frame": lambda part: part.choice("base", "unknown"),
         "targets": lambda part: {name: p.built(Target) for name, p in part.pairs().items()},
         "distances": lambda part: {name: _distance(p) for name, p in part.pairs().items()},
-        "contacts": lambda part: {
-            name: p.built(Contact, "points", points=_points) for name, p in part.pairs().items()
-        },
+        "contacts": lambda part: {name: _contact(p) for name, p in part.pairs().items()},
         "tracker": lambda part: part.built(Tracker),
         "systematic": lambda part: part.built(Systematic),
     }
@@ -276,10 +274,12 @@ def read_setup(source: Setup | str | Path) -> Setup:
         return Setup(**values, unknown_frame=unknown)
 
 
-def _points(entry: Entry) -> dict[str, Vector | None]:
-    """Return points by name: where they are, or None where it says ``unknown``."""
-    parts = entry.pairs().items()
-    return {name: None if p.value == "unknown" else p.vector() for name, p in parts}
+def _contact(entry: Entry) -> Contact:
+    def points(part: Entry) -> dict[str, Vector | None]:
+        named = part.pairs().items()
+        return {name: None if p.value == "unknown" else p.vector() for name, p in named}
+
+    return entry.built(Contact, "points", points=points)
 
 
 def _distance(entry: Entry) -> Distance:

@@ -158,6 +158,8 @@ class Legs:
     """∂e/∂x, shape (N, n_rows, dof)."""
     reading: Array
     """∂e/∂ψ, shape (N, n_rows, n_readings)."""
+    contacts: Mapping[str, tuple[str, ...]]
+    """Names of the points touched, by column, length N."""
 
     @property
     def gain(self) -> Array:
@@ -249,9 +251,10 @@ def legs_at(mechanism: Mechanism, planned: Plan | Array) -> Legs:
     ok = np.isfinite(rows[0]).all(axis=(1, 2)) & np.isfinite(rows[1]).all(axis=(1, 2))
     reached = np.zeros(len(solved), dtype=bool)
     reached[np.flatnonzero(solved)[ok]] = True
-    return Legs(
-        poses[ok], None if readings is None else readings[ok], reached, *(row[ok] for row in rows)
-    )
+    parameter, pose, reading = (row[ok] for row in rows)
+    readings = None if readings is None else readings[ok]
+    contacts = plan.rows(reached).contacts
+    return Legs(poses[ok], readings, reached, parameter, pose, reading, contacts)
 
 
 def leg_demands(mechanism: Mechanism, plan: Plan) -> list[Demand]:

@@ -89,7 +89,12 @@ class Plan:
     def __post_init__(self) -> None:
         poses = array_of(self.poses, ("N", "dof"), "poses", MeasurementError)
         object.__setattr__(self, "poses", poses)
-        self._check({"readings": ("n_readings",)}, ("sets", "places"), ("influences", "contacts"))
+        self._check({"readings": ("n_readings",)}, ("sets", "places"), ("influences",))
+        touched = must_be(self.contacts, Mapping, "contacts", MeasurementError).items()
+        contacts = {
+            n: names_of(p, len(self), f"contacts {n!r}", MeasurementError) for n, p in touched
+        }
+        object.__setattr__(self, "contacts", contacts)
 
     def _check(
         self,
@@ -102,12 +107,9 @@ class Plan:
         for name in (*arrays, *names, *columns):
             values = getattr(self, name)
             if name in columns:
-                by_column = must_be(values, Mapping, name, MeasurementError).items()
-                of_kind: Any = names_of if name == "contacts" else array_of
-                size: Any = count if name == "contacts" else (count,)
                 values = {
-                    column: of_kind(entries, size, f"{name} {column!r}", MeasurementError)
-                    for column, entries in by_column
+                    column: array_of(entries, (count,), f"{name} {column!r}", MeasurementError)
+                    for column, entries in must_be(values, Mapping, name, MeasurementError).items()
                 }
             elif values is not None and name in names:
                 values = names_of(values, count, name, MeasurementError)

@@ -236,13 +236,12 @@ def _freedoms(frames: Array, mechanism: Mechanism, setup: Setup) -> list[Finding
     grows = bool((np.abs(frames[-1]) > least).any())
     count, n_base = frames.shape[1] - grows, 0
     if setup.unknown_frame or setup.contacts:
-        of_base = frames[: -1 - mechanism.platform.dof]
-        n_base = min(count, int(np.linalg.matrix_rank(of_base, tol=least)))
+        n_base = int(np.linalg.matrix_rank(frames[: -1 - mechanism.platform.dof], tol=least))
     if "rad" not in mechanism.platform.units:  # a point has no frame of its own
         n_base = count
     if n_base:
-        unknown = setup.unknown_frame
-        findings.append(finding("gauge-base-frame", freedoms=n_base, unknown_frame=unknown))
+        free = setup.unknown_frame
+        findings.append(finding("gauge-base-frame", freedoms=n_base, unknown_frame=free))
     if count > n_base:
         findings.append(finding("gauge-platform-frame", freedoms=count - n_base))
     return findings + [finding("gauge-scale")] * grows
