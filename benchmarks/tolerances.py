@@ -1,18 +1,22 @@
 """What tolerances found with the parameters are worth: sizes, intervals, rows held out.
 
-    python benchmarks/tolerances.py [--sets 100] [--only 3RRR …]
+    python benchmarks/tolerances.py [--sets 100] [--only 3RRR …] [--framed 3RRR …]
 
 Machines are drawn 0.5 mm, 2 mrad and 0.001 (of gains) around their drawing, measured at 24 poses
 with noise of 100 µm, 100 µrad and 20 µrad, and calibrated with ``tolerance="auto"``. A line has,
 of each unit, the median size found over the true one and how often its 95 % interval holds that,
-and how often the parameters' intervals hold them. Of the real arms (where ``PINCAL_DATA`` is): root
-mean square of rows not used, of few rows at random, with free parameters and with tolerances found.
+and how often the parameters' intervals hold them. Machines that are ``--framed`` are seen in an
+unknown frame: the error expected of what is measured at 40 other poses, over the true one, root
+mean square of sets and median, tolerances given and found. Of the real arms (where ``PINCAL_DATA``
+is): root mean square of rows not used, of few rows at random, with free parameters and with
+tolerances found.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,8 +24,10 @@ from scipy.spatial.transform import Rotation
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 import motoman
+from arms import ARMS, loaded
 
 import pincal
+from pincal.design.platform_error import root_mean_squares
 
 SIZES = {"m": 5e-4, "rad": 2e-3, "1": 1e-3}
 NOISE = pincal.Noise(1e-4, 1e-4, 2e-5)
@@ -59,6 +65,54 @@ def drawn(name: str, sets: int) -> str:
     return f"| {name} | {' | '.join(cells)} | {100 * np.mean(within):.1f} % | {sets} |"
 
 
+def framed(name: str, sets: int) -> str:
+    """Return a line of machines drawn at random and seen in an unknown frame."""
+    drawing = loaded(name) if name in ARMS else pincal.load_mechanism(name)
+    platform, cells = drawing.platform, []
+    for tolerance in (SIZES, "auto"):
+        squares = []
+        for seed in range(sets):
+            draw = np.random.default_rng(seed)
+            truth = drawing.with_parameters(
+                {
+                    p.id: p.nominal + SIZES[p.unit] * draw.standard_normal()
+                    for p in drawing.parameters
+                }
+            )
+            frame, turn = np.eye(4), 0.5 * draw.standard_normal(3)
+            frame[: platform.space, 3] = draw.standard_normal(platform.space)
+            turn[:2] *= platform.space == 3
+            frame[:3, :3] = Rotation.from_rotvec(turn).as_matrix()
+            if drawing.by_readings:
+                plan = pincal.sample_configurations(drawing, POSES + 40, seed=seed)
+            else:
+                plan = pincal.Plan(pincal.sample_workspace(drawing, POSES + 40, seed=seed))
+            data = pincal.simulate(drawing, truth, plan, NOISE, seed=seed).measurements
+            seen, unseen = data.rows(np.arange(POSES)), data.rows(np.arange(POSES, len(data)))
+            seen = replace(
+                seen, poses=platform.from_matrices(frame @ platform.matrices(seen.poses))
+            )
+            result = pincal.calibrate(
+                drawing,
+                seen,
+                noise=NOISE,
+                tolerance=tolerance,
+                setup=pincal.Setup(unknown_frame=True),
+            )
+            true, poses = (
+                pincal.forward(machine, unseen.readings, unseen.poses).poses
+                for machine in (truth, result.identified)
+            )
+            off = result.outside.frame @ platform.matrices(poses) - frame @ platform.matrices(true)
+            plan = pincal.Plan(poses, readings=unseen.readings if drawing.by_readings else None)
+            expected = root_mean_squares(result.expected_error(plan).sizes)[0]
+            squares.append((expected**2, (off[:, :3, 3] ** 2).sum(axis=1).mean()))
+        promised, true = np.transpose(squares)
+        ratio = np.sqrt(promised.mean() / true.mean())
+        cells.append(f"{ratio:.2f}, {np.median(np.sqrt(promised / true)):.2f}")
+    return f"| {name}, unknown frame | {' | '.join(cells)} | {sets} |"
+
+
 def missed(side: str, count: int, seed: int, tolerance: object) -> float:
     """Return by how much rows not used are missed, root mean square, [m]; NaN if refused."""
     data = motoman.measurements(side)
@@ -92,7 +146,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--sets", type=int, default=100)
     parser.add_argument("--only", nargs="*", default=["5R", "3RRR", "6UPS", *motoman.SIDES])
+    parser.add_argument("--framed", nargs="*", default=["3RRR", "6UPS", "delta", "ur5"])
     given = parser.parse_args()
+    for name in given.framed:
+        print(framed(name, given.sets), flush=True)
     for name in given.only:
         if name not in motoman.SIDES:
             print(drawn(name, given.sets), flush=True)

@@ -1,11 +1,11 @@
 """What it costs to give no noise, where the model holds and where it lacks something.
 
-    python benchmarks/unknown_noise.py [--machines 42] [--only 3RRR …]
+    python benchmarks/unknown_noise.py [--machines 126] [--only 3RRR …]
 
 Machines are drawn at 1 mm and 1 mrad; their drives are eccentric (twice a turn) by 0 to 10 times
 the noise of what is measured, which no parameter holds. 60 rows are fitted with the noise given and
-with none; a line says by how many times farther the second misses the true positions of 30 others:
-median, mean and largest ratio over the machines.
+with none; a line says by how many times farther the second misses 30 others: mean and largest ratio
+over the machines and how many are above 1.03, of positions as measured and of the true ones.
 """
 
 from __future__ import annotations
@@ -48,8 +48,11 @@ def eccentric(mechanism: pincal.Mechanism, amplitude: float, seed: int) -> pinca
     return replace(truth, legs=tuple(legs))
 
 
-def ratio(mechanism: pincal.Mechanism, lacks: float, seed: int) -> float:
-    """Return how much farther a fit without a given noise misses than the same with it."""
+def ratios(mechanism: pincal.Mechanism, lacks: float, seed: int) -> tuple[float, float]:
+    """Return how much farther a fit without a given noise misses than the same with it.
+
+    Positions of unseen rows as measured, and the true ones.
+    """
     if mechanism.by_readings:
         plan = pincal.sample_configurations(mechanism, 90, seed=seed)
     else:
@@ -62,25 +65,30 @@ def ratio(mechanism: pincal.Mechanism, lacks: float, seed: int) -> float:
     for noise in (NOISE, None):
         identified = pincal.calibrate(mechanism, seen, noise=noise).identified
         poses = pincal.forward(identified, unseen.readings, unseen.poses).poses
-        missed.append(np.sqrt(np.mean((poses - clean)[:, :lengths] ** 2)))
-    return float(missed[1] / missed[0])
+        gaps = (poses - unseen.poses)[:, :lengths], (poses - clean)[:, :lengths]
+        missed.append([np.sqrt(np.mean(gap**2)) for gap in gaps])
+    measured, true = np.divide(missed[1], missed[0]).tolist()
+    return measured, true
 
 
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--machines", type=int, default=42)
+    parser.add_argument("--machines", type=int, default=126)
     parser.add_argument("--only", nargs="*", default=NAMES)
     given = parser.parse_args()
-    print("| machine | lacks [of noise] | machines | median | mean | largest |")
-    print("|---|---|---|---|---|---|")
+    print("| machine | lacks [of noise] | machines | as measured | the true positions |")
+    print("|---|---|---|---|---|")
     for name in given.only:
         mechanism = loaded(name) if name == "ur5" else pincal.load_mechanism(name)
         for place, lacks in enumerate(LACKS):
             seeds = range(place, given.machines, len(LACKS))
-            ratios = [ratio(mechanism, lacks, seed) for seed in seeds]
-            numbers = f"{np.median(ratios):.3f} | {np.mean(ratios):.3f} | {max(ratios):.3f}"
-            print(f"| {name} | {lacks:g} | {len(ratios)} | {numbers} |", flush=True)
+            both = np.array([ratios(mechanism, lacks, seed) for seed in seeds])
+            cells = [
+                f"{column.mean():.3f}, {column.max():.3f}, {(column > 1.03).sum()}"
+                for column in both.T
+            ]
+            print(f"| {name} | {lacks:g} | {len(both)} | {' | '.join(cells)} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -162,3 +162,25 @@ def drawn(
     readings = readings + noise.reading * rng.standard_normal(readings.shape)
     twists = noise.of_poses(one.nominal) * rng.standard_normal(still.shape)
     return pincal.Measurements(poses=one.coordinates(twists), readings=readings)
+
+
+def off(one: Machine, found: Array, more: Array | float = 0.0) -> Array:
+    """Return by how much the platform misses its poses with identified parameters, (N,) [m]."""
+    dof, h = one.dof, 1e-6 * np.abs(one.positions).max()
+    twists = np.zeros((len(one.positions), dof))
+    wanted = one.readings(found, twists)
+    for _ in range(8):
+        gap = one.readings(one.parameters, twists) + more - wanted
+        J = np.stack(
+            [
+                (
+                    one.readings(one.parameters, twists + d)
+                    - one.readings(one.parameters, twists - d)
+                )
+                / (2 * h)
+                for d in h * np.eye(dof)
+            ],
+            axis=2,
+        )
+        twists = twists - (np.linalg.pinv(J) @ gap[:, :, None])[:, :, 0]
+    return np.asarray(np.linalg.norm(twists[:, : one.positions.shape[1]], axis=1))
