@@ -230,9 +230,9 @@ BAD: dict[str, tuple[bytes, list[str]]] = {
     "cell-after-blank-rows": (table("", ROW, "", "1,2,x,4,5,6"), ["line 5", "'x'", "'phi'"]),
     "cell-comma-decimal": (
         table('"1,5",2,3,4,5,6'),
-        ["line 2", "'1,5'", "'x'", "decimals take a point"],
+        ["line 2", "'1,5'", "'x'", "one decimal point"],
     ),
-    "cell-with-unit": (table("0.02mm,2,3,4,5,6"), ["line 2", "'x'", "units (in the header) are"]),
+    "cell-with-unit": (table("0.02mm,2,3,4,5,6"), ["line 2", "'x'", "no unit (in the header)"]),
     "cell-comma-decimal-bare": (table("1,5,2,3,4,5,6"), ["line 2", "7 cells", "6"]),
     "cell-underscore": (table("1_0,2,3,4,5,6"), ["line 2", "'1_0'", "'x'"]),
     "row-short": (table(ROW, "1,2,3"), ["line 3", "3 cells", "6"]),
@@ -312,7 +312,7 @@ def test_points_and_commas_are_not_mixed(tmp_path: Path) -> None:
     for row in ("1.000,5;2;3;4;5;6", "1,5;2.5;3;4;5;6"):
         path = tmp_path / "mixed.csv"
         path.write_text(HEADER.replace(",", ";") + f"\n{row}\n")
-        with pytest.raises(MeasurementError, match="decimals take a point"):
+        with pytest.raises(MeasurementError, match="one decimal point"):
             pincal.Measurements.from_csv(path, THREE)
 
 
