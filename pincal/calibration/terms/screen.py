@@ -32,9 +32,9 @@ from pincal.types import Array, Index
 
 _PERIODS = (2, 250)  # in the travel of a reading that are searched for
 _FINE = 3  # rates that are tried in the width of a peak
-_STEPS = 3  # of Gauss and Newton from there to the peak
+_STEPS = 2  # of Gauss and Newton from there to the peak
 _BETWEEN = 0.9  # of a peak, that is seen at least at the nearest that is tried
-_ALIASES = 6  # peaks at most that are asked for as terms
+_ALIASES = 4  # peaks at most that are asked for as terms
 
 
 @dataclass(frozen=True)
