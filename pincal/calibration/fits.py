@@ -120,10 +120,8 @@ class Fits:
         if self.latent:
             return [np.arange(len(self.fits[0].unknowns.labels))]
         owners = np.array([p.owner for p in self.calibration.mechanism.parameters])
-        groups = [[leg.name for leg in fit.problem.legs] for fit in self.fits]
-        return [
-            np.concatenate([np.flatnonzero(owners == leg) for leg in group]) for group in groups
-        ]
+        groups = ([leg.name for leg in fit.problem.legs] for fit in self.fits)
+        return [np.flatnonzero(np.isin(owners, group)) for group in groups]
 
     @property
     def parameters(self) -> Array:
@@ -154,10 +152,9 @@ def fitted(calibration: Calibration, near: Fits | None = None, rows: Mask | None
 
 def _with_estimated_noise(fits: Fits) -> Fits:
     """Return fits at the noise that their residuals show, by group, with what that widens."""
-    calibration = fits.calibration
-    assumed, tie = assumed_noise(calibration.mechanism, exact=False), None
-    complete = bool(np.isfinite(calibration.measurements.poses).all())
-    exact = complete and not calibration.mechanism.redundant
+    calibration, mechanism = fits.calibration, fits.calibration.mechanism
+    assumed, tie = assumed_noise(mechanism, exact=False), None
+    exact = bool(np.isfinite(calibration.measurements.poses).all()) and not mechanism.redundant
     for _ in range(_REFITS):
         if not fits.sound:
             return fits
@@ -227,8 +224,9 @@ def _all_legs(
     if options.holds:
         fit, held = _fit_holding(calibration, system, start, former)
     else:
-        linear = problem.evaluate(start) if isinstance(start, State) else start
-        fit = robust_fit(mechanism, system, loss_of(options.loss), linear)
+        begun = start or problem.start(free.start)
+        linear = begun if isinstance(begun, Linear) else problem.evaluate(begun)
+        fit = robust_fit(mechanism, system, loss_of(options.loss), linear, near=bool(start))
     if former:  # whose search began where this one's would have
         fit = replace(fit, first=former.fits[0].first)
     return Fits(calibration, [fit], gauge, held)
@@ -271,21 +269,22 @@ def _fit_holding(
 ) -> tuple[Fit, HeldUnknowns]:
     """Return a fit with weak directions held, and what was: more of them until it converges."""
     held = held_before = former.held if former else None
-    least = held.least if held else 1.0
-    mechanism, options, free = calibration.mechanism, calibration.options, system.unknowns
-    problem = system.problem.at(np.flatnonzero(system.kept))
-    linear = None if isinstance(start, State) else start
+    least, problem, near = held.least if held else 1.0, system.problem, start is not None
+    mechanism, loss = calibration.mechanism, loss_of(calibration.options.loss)
+    nominal = held.nominal if held else problem.evaluate(problem.start(system.unknowns.start))
+    nominal = replace(nominal, problem=problem)
+    begin = start if isinstance(start, Linear) else nominal
     while True:
-        held = hold_unobservable(mechanism, problem, free, held, least)
+        held = hold_unobservable(mechanism, system, nominal, held, least)
         if isinstance(start, State):
-            linear = system.problem.evaluate(_within(held.unknowns, start))
+            begin = problem.evaluate(_within(held.unknowns, start))
         elif held_before and held.directions.shape[1] > held_before.directions.shape[1]:
-            linear = None  # at nominal values: there what is held besides is held
+            begin, near = nominal, False  # there what is held besides is held
         may_hold_more = held.weakest < _HELD_MORE * least and least < _HELD_MOST
         patience = _PATIENCE if may_hold_more else None
-        system = replace(system, unknowns=held.unknowns, max_evaluations=patience)
+        holding = replace(system, unknowns=held.unknowns, max_evaluations=patience)
         try:
-            fit = robust_fit(mechanism, system, loss_of(options.loss), linear)
+            fit = robust_fit(mechanism, holding, loss, begin, near=near)
             if fit.converged or not may_hold_more:
                 return fit, held
         except ObservabilityError:
@@ -315,7 +314,8 @@ def _measured(calibration: Calibration) -> Fits:
         problem, rows = calibration.measured_problem(names)
         free, counts = unknowns.part(names), calibration.counts[rows]
         system = System(problem, free, counts, calibration.noise.known, progress=options.progress)
-        fits.append(robust_fit(mechanism, system, loss_of(options.loss)))
+        begin = problem.evaluate(problem.start(free.start))
+        fits.append(robust_fit(mechanism, system, loss_of(options.loss), begin))
     return Fits(calibration, fits)
 
 

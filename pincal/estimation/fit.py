@@ -227,26 +227,25 @@ class Fit(SolverResult):
         return -self.noise_scale * (by_free @ by_free.T) @ follows
 
 
-def fit(system: System, start: Linear | None = None) -> Fit:
-    """Return the fit of a problem, from its start at nominal parameters if no other is given.
+def fit(system: System, begin: Linear, *, near: bool = False) -> Fit:
+    """Return the fit of a problem, from nominal parameters or from near the optimum.
 
     Raises:
         ObservabilityError: parameters are not determined, or by the noise only.
         MeasurementError: residuals that do not exist, or have no noise.
     """
     problem, unknowns = system.problem, system.unknowns
-    begin = start or problem.evaluate(problem.start(unknowns.start))
     first, evaluations = solve_poses(begin)
     check_rank(problem, unknowns, first)
     highest = system.cost(first)
-    near = first
-    if start is not None:  # where the last steps ended, which the search does not know of
+    start = first
+    if near:  # where the last steps ended, which the search does not know of
         highest *= 1.0 + ROWS_FOLLOW
     else:
-        near, easy_evaluations = _near_start(system, begin, first)
+        start, easy_evaluations = _near_start(system, begin, first)
         evaluations += easy_evaluations
     enough = SLOW if adjusts(problem) else 0.0  # the last steps go on from there
-    solution = last_steps(system, search(system, near, highest=highest, enough=enough))
+    solution = last_steps(system, search(system, start, highest=highest, enough=enough))
     if system.known:  # where the search starts, a pose may be nearer to a singularity than it is
         check_information(problem, unknowns, (first, solution.last))
     check_rank(problem, unknowns, solution.last, ended=True)

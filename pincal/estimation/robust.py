@@ -25,11 +25,11 @@ _LINEAR = 0.1  # share of the machine's size, or [rad], up to which noise acts l
 
 
 def robust_fit(
-    mechanism: Mechanism, system: System, loss: Loss | None, start: Linear | None = None
+    mechanism: Mechanism, system: System, loss: Loss | None, begin: Linear, *, near: bool = False
 ) -> Fit:
     """Return the fit of a problem, of least squares or under a loss, with rows that did not fit.
 
-    The search starts at the nominal parameters if no start is given.
+    The search begins at nominal parameters, or near the optimum under the same loss.
 
     Raises:
         ObservabilityError: parameters are not determined, weakly, or by the noise only; a search
@@ -37,14 +37,14 @@ def robust_fit(
         MeasurementError: residuals that do not exist, or have no noise.
     """
     if loss is None:
-        optimum = fit(system, start)
+        optimum = fit(system, begin, near=near)
         scale = judged = optimum.noise_scale
         squares, equations = optimum.last.squares, optimum.last.equations
         share = optimum.degrees_of_freedom / max(int(equations.sum()), 1)
         if share > 0.0:  # where every row misses by more, the noise given is wrong, and no row
             judged = max(scale, robust_scale(squares, equations, share))
     else:
-        optimum, scale = _under_loss(system, loss, start)
+        optimum, scale = _under_loss(system, loss, begin, near=near)
         judged = scale
     fit_is_good = optimum.chi2 <= _GOOD * max(optimum.degrees_of_freedom, 1)
     if fit_is_good or not system.known:
@@ -52,37 +52,38 @@ def robust_fit(
     return replace(optimum, outliers=_outliers(optimum, scale, judged, system.kept))
 
 
-def _under_loss(system: System, loss: Loss, start: Linear | None) -> tuple[Fit, float]:
+def _under_loss(system: System, loss: Loss, begin: Linear, *, near: bool) -> tuple[Fit, float]:
     """Return the fit under a loss, and the scale of the noise by which it rejects rows.
 
     From nominal parameters by Cauchy's loss, which forgets no row, then, if rows are rejected, by
-    Tukey's. A start is an optimum under the same loss, at other noise: it says the scale.
+    Tukey's. Near the optimum under the same loss, at other noise, the beginning says the scale.
     """
     problem, first = system.problem, None
-    if start is None:
-        coarse = fit(replace(system, loss=LOSSES["cauchy"]))
+    if not near:
+        coarse = fit(replace(system, loss=LOSSES["cauchy"]), begin)
         linear, scale, first = coarse.last, coarse.scale, coarse.first
     else:
-        linear, _ = solve_poses(start)
+        linear, _ = solve_poses(begin)
         _, scale = replace(system, loss=loss).weights(linear)
     # Rows whose pose was not found, or that move the machine by a good part of its size, have no
     # derivatives that say anything, and no loss bounds what they weigh.
     moved = (linear.white.noise @ linear.noise[:, :, None])[:, :, 0]
     largest = {"m": _LINEAR * problem.size, "rad": _LINEAR}
-    near = (np.abs(moved) <= [largest.get(unit, np.inf) for unit in problem.units]).all(axis=1)
-    near &= system.kept & ~unsolved(linear)
-    system = replace(system, held_scale=scale, kept=near)
+    sound = (np.abs(moved) <= [largest.get(unit, np.inf) for unit in problem.units]).all(axis=1)
+    sound &= system.kept & ~unsolved(linear)
+    system = replace(system, held_scale=scale, kept=sound)
     if first is not None or loss.name != "reject":
         fine = LOSSES["tukey"] if loss.name == "reject" else loss
-        optimum = fit(replace(system, loss=fine), linear)
+        optimum = fit(replace(system, loss=fine), linear, near=True)
         linear = optimum.last
     if loss.name == "reject":  # least squares of the rows that fit each other, until they stay
         rows = None
         for _ in range(_ROUNDS):
-            inliers = near & ~outlying(linear.squares / scale**2, linear.equations)
+            inliers = sound & ~outlying(linear.squares / scale**2, linear.equations)
             if rows is not None and (inliers == rows).all():
                 break
-            rows, optimum = inliers, fit(replace(system, kept=inliers), linear)
+            rows = inliers
+            optimum = fit(replace(system, kept=inliers), linear, near=True)
             linear = optimum.last
     return replace(optimum, first=first or optimum.first), scale
 

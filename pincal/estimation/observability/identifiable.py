@@ -24,7 +24,7 @@ from pincal.estimation.observability.indices import (
     plausible_changes,
 )
 from pincal.estimation.problem import Linear, Problem
-from pincal.estimation.start import poses_at_rest
+from pincal.estimation.system import System
 from pincal.estimation.unknowns import Unknowns
 from pincal.model.mechanism import Mechanism
 from pincal.types import Array
@@ -117,8 +117,8 @@ class HeldUnknowns:
     """Less these freedoms."""
     observable: Unknowns
     """Less only those that no noise, however small, would let be observed."""
-    at_rest: Linear
-    """Conditions at the nominal parameters, poses at least squares."""
+    nominal: Linear
+    """Conditions at the nominal parameters, where a search starts."""
     directions: Array
     """Directions of all unknowns, as far as machines may differ, shape (n, n_lost)."""
     groups: tuple[tuple[str, ...], ...]
@@ -132,20 +132,22 @@ class HeldUnknowns:
 
 
 def hold_unobservable(
-    mechanism: Mechanism, problem: Problem, free: Unknowns, held: HeldUnknowns | None, least: float
+    mechanism: Mechanism, system: System, nominal: Linear, held: HeldUnknowns | None, least: float
 ) -> HeldUnknowns:
     """Return the unknowns, gauge freedoms held, less what the measurements leave unobservable.
 
-    Poses are unknowns. Of all parameters that fit as well, those nearest to the nominal ones, each
-    change measured by what it alone would do to the measurements; then, where noise determines them
-    less than ``least`` times better than machines differ, by how much these differ. What was held
-    at other noise, if it was, says what does not depend on that.
+    Poses are unknowns, conditions those where a search starts. Of all parameters that fit as well,
+    those nearest to the nominal ones, each change measured by what it alone would do to the
+    measurements; then, where noise determines them less than ``least`` times better than machines
+    differ, by how much these differ. What was held at other noise says what noise does not change.
 
     Raises:
         ObservabilityError: no measured pose is one that the legs reach.
     """
+    free, problem = system.unknowns, system.problem
     if held is None:
-        J = jacobian_near(mechanism, problem, free, generic=False)[1]
+        rows = np.flatnonzero(system.kept)
+        J = jacobian_near(mechanism, problem.at(rows), free, generic=False)[1]
         if not len(J):
             raise ObservabilityError(
                 "the nominal legs reach none of the measured poses, so that nothing is determined; "
@@ -155,25 +157,23 @@ def hold_unobservable(
         directions = free.map @ (lost / lengths).T
         groups = identifiability(J, free.free_labels).groups if len(lost) else ()
         observable = free.held(lost * lengths) if len(lost) else free
-        at_rest = poses_at_rest(problem.evaluate(problem.start(free.start)))
     else:
         observable, groups = held.observable, held.groups
         directions = held.directions[:, : free.n_free - observable.n_free]
-        at_rest = replace(held.at_rest, problem=problem)
     # how many times better than machines differ noise determines the rest, the best first
     size, outside = mechanism.size, problem.observation.external.units
     differ = [size if unit == "m" else 1.0 for unit in outside]
     plausible = np.concatenate((plausible_changes(mechanism, problem.legs), differ))
     scale = 1.0 / np.abs(observable.map / plausible[:, None]).max(axis=0)
-    rows = observable.free_rows(at_rest.triangle) * scale
-    _, information, axes = np.linalg.svd(rows, full_matrices=True)
+    R = replace(system, unknowns=observable).triangle(nominal, system.kept.astype(float))
+    _, information, axes = np.linalg.svd(R[:-1, :-1] * scale)
     weak = axes[int((information > least).sum()) :]
     weakest = float(information[information > least].min(initial=np.inf))
     directions = np.column_stack((directions, observable.map @ (weak * scale).T))
     directions = directions / np.abs(directions / plausible[:, None]).max(axis=0, initial=0.0)
     names = taking_part(observable.free_labels, weak) if len(weak) else ()
     less = observable.held(weak / scale) if len(weak) else observable
-    return HeldUnknowns(less, observable, at_rest, directions, groups, names, least, weakest)
+    return HeldUnknowns(less, observable, nominal, directions, groups, names, least, weakest)
 
 
 @dataclass(frozen=True)
