@@ -110,12 +110,11 @@ def _improvement(result: CalibrationResult, errors: WorkspaceErrors) -> tuple[st
     before, after, _ = sizes[:, sizes[:2].any(axis=0)]  # of what moves and was measured
     ratios = before / after
     if min(ratios) >= 2.0:
-        reason = f"The error falls by a factor of {rounded(sizes[0, kind] / sizes[1, kind])}"
-        if result.promises:
-            least = rounded(sizes[0, kind] / sizes[2, kind])
-            reason += f", with 95 % confidence of {least} or more"
-        sound = result.promises and result.degrees_of_freedom
-        return *(("Yes", "good") if sound else ("Probably", "care")), reason, by
+        likely, least = (rounded(size) for size in sizes[0, kind] / sizes[1:, kind])
+        reason = f"The error falls by a factor of {likely}, with 95 % confidence of {least} or more"
+        if result.promises and result.degrees_of_freedom:
+            return "Yes", "good", reason, by
+        return "Probably", "care", "The error falls, but no limit can be promised", by
     if max(ratios) > 1.0:
         return "Hardly", "bad", _LITTLE, by
     return "No sign of it", "bad", "The correction is smaller than its own uncertainty", by
@@ -178,9 +177,9 @@ def _uses(result: CalibrationResult, folder: str) -> list[str]:
     with suppress(MechanismError):
         delta_printer(result.identified)
         target = "-o printer.cfg"
-    steps = [f"pincal view {folder}", f"pincal inverse {folder} POSES.csv -o READINGS.csv"]
-    export = f"pincal export {folder} {target}"
-    return [*steps, export] if target.endswith("xml") else [export, *steps]
+    export, view = f"pincal export {folder} {target}", f"pincal view {folder}"
+    inverse = f"pincal inverse {folder} POSES.csv -o READINGS.csv"
+    return [view, inverse, export] if target.endswith("xml") else [export, view, inverse]
 
 
 def command_block(step: str) -> Markup:

@@ -49,11 +49,8 @@ class Plots:
         which reach to ±1.96. Hollow: held-out rows, each by how many σ it is missed as a whole.
         Crosses at the upper edge: rows that do not fit the others.
         """
-        ax, groups, held = (
-            ax or _axes(6.4, 4.2),
-            noisy_residuals(self.result),
-            self.result.validation,
-        )
+        ax, result = ax or _axes(6.4, 4.2), self.result
+        groups, held = noisy_residuals(result), result.validation
         lanes = [(shortened(group.name), group.rows, group.standardised) for group in groups]
         if held is not None:
             lanes.append(("held out", np.arange(len(held.sigma)), held.sigma))
@@ -61,9 +58,10 @@ class Plots:
         lane = max(6.0, 2.2 * float(max(sizes, default=0.0)))  # from one kind to the next
         for index, (_, rows, values) in enumerate(lanes):
             colour = leg_colour(index) if isinstance([*groups, held][index], LegResult) else EVERY
-            fill, middle = "none" if index == len(groups) else None, -lane * index
+            fill, size = ("none", 4.0) if index == len(groups) else (None, 2.5)
+            middle = -lane * index
             within = Affine2D().translate(0.0, middle) + ax.transData
-            ax.plot(rows + 1, values, "o", ms=2.5, color=colour, mfc=fill, transform=within)
+            ax.plot(rows + 1, values, "o", ms=size, color=colour, mfc=fill, transform=within)
             ax.axhspan(middle - _NORMAL, middle + _NORMAL, color=GROUND, lw=0, alpha=0.5, zorder=0)
         ax.set_yticks(-lane * np.arange(len(lanes)), [name for name, *_ in lanes])
         ax.set(xlabel="data row", ylabel="residual / (σ√(1−h)), bands ±1.96")

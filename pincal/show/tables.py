@@ -187,8 +187,8 @@ def calibration_tables(result: CalibrationResult) -> list[Table]:
 def accuracy_table(result: CalibrationResult, errors: WorkspaceErrors) -> Table:
     """Return the platform's errors: of the nominal and the calibrated machine, and held out.
 
-    Of the model alone where it can be promised; held-out rows miss by what they miss, of which
-    the measuring noise is a part.
+    Held-out rows miss by what they miss, of which noise is a part; they stand for the calibrated
+    machine where nothing can be promised of it.
     """
     units, region = list(dict.fromkeys(errors.expected.units)), ""
     rows: dict[str, dict[str, str]] = {}
@@ -203,6 +203,8 @@ def accuracy_table(result: CalibrationResult, errors: WorkspaceErrors) -> Table:
         region = f" {errors.where}{f', frames{scale} aligned' * result.moves_frames}"
     validation = result.validation
     if validation and validation.fit <= MISSES and validation.targets:
+        if not result.promises:
+            rows.pop("calibrated", None)
         rows["held out"] = {
             unit: f"{number(missed, unit)}{_noise_of(result, unit)}"
             for unit, (_, missed) in validation.missed.items()
