@@ -254,7 +254,7 @@ def test_clean_positions_identify_the_arm(frame: bool) -> None:
     np.testing.assert_allclose(points, wanted, atol=1e-9)
     texts = list(map(sentence, result.gauge))
     assert "redundant" in texts[-1]
-    assert any("platform's frame: 3 freedoms" in text for text in texts)
+    assert any("platform frame (3 freedoms)" in text for text in texts)
 
 
 def test_a_target_on_the_last_axis() -> None:

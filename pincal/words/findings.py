@@ -187,7 +187,7 @@ FINDINGS: dict[str, Wording] = {
         severity="info",
     ),
     "redundant-parameters": Wording(
-        "{count|counted('parameter is', 'parameters are')} redundant whatever is measured: "
+        "{count|counted('parameter is', 'parameters are')} redundant, whatever is measured: "
         "{groups|groups}",
         severity="info",
     ),
