@@ -165,7 +165,7 @@ def test_parallel_machine_is_found_by_sockets(fixed: tuple[str, ...]) -> None:
 
 
 def test_derivatives_of_contacts_are_central_differences() -> None:
-    """By the pose and by all that is outside: frame, target, points; to 1e-7, none where no touch.
+    """By the pose and by all that is outside: frame, target, points; to 1e-7.
 
     Steps follow ``moved``: of a machine in an unknown frame with an unknown target.
     """
@@ -187,11 +187,12 @@ def test_derivatives_of_contacts_are_central_differences() -> None:
             robot.platform.displaced(matrices, np.tile(twist, (len(matrices), 1))), values
         )[0],
     )
-    missed = observation.residuals(matrices, values)[0] != 0.0
-    for column, quantity in enumerate(observation.names):
-        if quantity.startswith("socket_"):
-            touched = np.array(data.contacts["socket"]) == quantity[7]
-            assert np.array_equal(missed[:, column], touched)
+    seen = values.frame @ matrices
+    tips = seen[:, :3, 3] + seen[:, :3, :3] @ values.offsets[1]
+    places = values.points[[SOCKETS.index(name) for name in data.contacts["socket"]]]
+    columns = [observation.names.index(f"socket_{axis}") for axis in "xyz"]
+    missed = observation.residuals(matrices, values)[0][:, columns]
+    np.testing.assert_allclose(missed, tips - places, atol=1e-14)
 
 
 def _noisy(
@@ -286,6 +287,16 @@ def test_a_wrong_name_shows_as_rows_that_do_not_fit() -> None:
     assert all(outlier.quantity.startswith("measured socket") for outlier in result.outliers)
 
 
+def test_runs_with_sockets_of_their_own_are_not_held_out() -> None:
+    """No other row says where a socket is that one run alone touches: that is said."""
+    robot, _, data, _ = _arm(count=8)
+    runs = tuple("second" if name == "C" else "first" for name in data.contacts["socket"])
+    noise = pincal.Noise(1e-5, reading=1e-6)
+    result = pincal.calibrate(robot, replace(data, runs=runs), setup=_unknown(), noise=noise)
+    with pytest.raises(pincal.MeasurementError, match="is touched by rows alone"):
+        result.validated(by="run")
+
+
 def test_what_is_touched_is_said_where_it_is_not_understood() -> None:
     """Names that the setup has not, and points touched once or never, are refused by row."""
     robot, _, data, _ = _arm(count=3)
@@ -335,8 +346,8 @@ def test_sockets_from_plan_to_report(tmp_path: Path) -> None:
     done("simulate", *known, "-o", measured)
     written = [line.rpartition(",")[2] for line in measured.read_text().splitlines()]
     assert written == ["socket", *data.contacts["socket"]]
-    forecast = done("identifiability", *known, "--measure", "nothing")
-    assert "socket_C_z" in forecast.out
+    forecast = done("identifiability", *known, "--measure", "socket")
+    assert "measured: socket_x, socket_y, socket_z" in " ".join(forecast.out.split())
     done(
         "select",
         tmp_path / "arm",
@@ -346,7 +357,7 @@ def test_sockets_from_plan_to_report(tmp_path: Path) -> None:
         file,
         *noise,
         "--measure",
-        "nothing",
+        "socket",
         "--count",
         30,
         "-o",

@@ -360,12 +360,20 @@ def _of_platform(fit: Fit, shares: Array) -> list[ResidualGroup]:
     """Return what is left of what was measured of the platform; redundancies are (N, r)."""
     observation, n_legs = fit.problem.observation, fit.problem.leg_block.n_rows
     before, after = (linear.conditions[:, n_legs:] for linear in (fit.first, fit.last))
-    groups = []
-    for column, (name, unit) in enumerate(zip(observation.names, observation.units, strict=True)):
-        counted = observation.measured[:, column] & (fit.weights > 0.0)
+    groups, measured = (
+        [],
+        {n: (i, observation.measured[:, i]) for i, n in enumerate(observation.names)},
+    )
+    for point, columns, rows in observation.touches():  # point by point, in place of all together
+        for column, axis in zip(columns.tolist(), "xyz", strict=False):
+            measured.pop(observation.names[column], None)
+            measured[f"{point}_{axis}"] = column, rows
+    for name, (column, rows) in measured.items():
+        counted = rows & (fit.weights > 0.0)
         if counted.any():
+            quantity, unit = observation.names[column], observation.units[column]
             parts = (part[:, column] for part in (before, after, observation.sigma, shares))
-            groups.append(ResidualGroup(name, name, unit, **_columns(fit, counted, *parts)))
+            groups.append(ResidualGroup(name, quantity, unit, **_columns(fit, counted, *parts)))
     return groups
 
 

@@ -212,8 +212,7 @@ def by_target(observation: Observation, errors: Array) -> Misses:
     """Return sizes of errors of measured quantities, (N, r), by target; NaN where none is known."""
     platform, names, setup = observation.platform, list(observation.names), observation.setup
     named = {(target, "m"): axes for target, axes in setup.positions(platform).items()}
-    for name, axes in setup.contact_axes(platform).items():
-        named.setdefault((setup.touched[name][0], "m"), []).extend(axes)
+    named |= {(contact, "m"): axes for contact, axes in setup.contact_axes(platform).items()}
     turns = zip(platform.freedoms, platform.units, strict=True)
     named[ORIGIN, "rad"] = [name for name, unit in turns if unit == "rad"]
     sizesby_target: Misses = {}

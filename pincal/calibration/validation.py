@@ -84,6 +84,7 @@ def _validated(fits_of_all: Fits, folds: int, by: By) -> tuple[Validation, list[
     """Return errors at held-out rows, and the few rows to verify with that alone contradict."""
     calibration = fits_of_all.calibration
     groups = folds_of(calibration.measurements, folds, by)
+    _check_touched(calibration, groups)
     count, chances, of_folds = int(groups.max()) + 1, [], np.zeros(4)
     sigma = np.full(len(groups), np.nan)
     at_fit = misses_of(
@@ -132,6 +133,17 @@ def _validated(fits_of_all: Fits, folds: int, by: By) -> tuple[Validation, list[
         ),
     )
     return validation, strays
+
+
+def _check_touched(calibration: Calibration, groups: Index) -> None:
+    """Raise if a point at an unknown place is touched by rows of one fold alone, groups (N,)."""
+    for column, point, contact in calibration.options.setup.touched.values():
+        rows = np.array(calibration.measurements.contacts[column]) == point
+        if contact.points[point] is None and len(np.unique(groups[rows])) == 1:
+            raise MeasurementError(
+                f"{column} {point!r} is touched by rows alone that are held out together, and the "
+                "others do not say where it is"
+            )
 
 
 def converged(

@@ -88,7 +88,7 @@ def information_rows(
         raise MeasurementError(
             f"measured: expected names of {', '.join(offered)}; got {described(measured)}"
         )
-    names = offered if measured is None else tuple(measured)
+    names = setup.quantities(platform, offered if measured is None else measured)
     if unknown := [name for name in names if name not in offered]:
         raise MeasurementError(
             f"{mechanism.name!r} has no freedom {unknown[0]!r} to measure; it has "

@@ -311,8 +311,8 @@ def _sigmas_by_name(
 ) -> dict[str, Array]:
     """Return each row's standard deviations by quantity, (N,); single angles' by those of turns."""
     sigmas = dict(data.sigma_extra)
-    for point, axes in setup.contact_axes(platform).items():
-        if (size := setup.touched[point][2].noise) is not None:
+    for contact, axes in setup.contact_axes(platform).items():
+        if (size := setup.contacts[contact].noise) is not None:
             sigmas |= dict.fromkeys(axes, np.full(len(data), size))
     if data.sigma_poses is None:
         return sigmas

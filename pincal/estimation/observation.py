@@ -92,7 +92,8 @@ class Observation:
         none, lengths = np.full(len(data), np.nan), platform.lengths
         scalars = dict(zip(platform.coordinates[:lengths], data.poses.T, strict=False))
         scalars |= {name: data.extra.get(name, none) for name in setup.columns(mechanism)}
-        scalars |= _contacts(platform, data, setup)
+        missed, self._touched = _contacts(platform, data, setup)
+        scalars |= missed
         units = {name: u for own in setup.instruments for name, u in own.columns.items()}
         conditions = [scalars.pop(name) for name in units]
         self.orientations = _orientations(platform, data)
@@ -130,9 +131,10 @@ class Observation:
 
     def touches(self) -> Iterator[tuple[str, Index, Mask]]:
         """Yield each point that is touched, the columns of what misses it, and rows that touch."""
-        for name, axes in self.setup.contact_axes(self.platform).items():
-            columns = np.flatnonzero(np.isin(self.names, axes))
-            yield name, columns, self.measured[:, columns[0]]
+        axes = self.setup.contact_axes(self.platform)
+        for place, (name, (contact, _, _)) in enumerate(self.setup.touched.items()):
+            columns = np.flatnonzero(np.isin(self.names, axes[contact]))
+            yield name, columns, np.asarray((self._touched == place).any(axis=1))
 
     def touching(
         self, mechanism: Mechanism, plan: Plan, external: External, errors: Array | float = 0.0
@@ -185,7 +187,7 @@ class Observation:
     def at(self, rows: Index) -> Observation:
         """Return the observation at some rows."""
         arrays = ("measured", "orientations", "_values", "_angles", "_follow_turn", "_conditions")
-        parts = {name: getattr(self, name)[rows] for name in arrays}
+        parts = {name: getattr(self, name)[rows] for name in (*arrays, "_touched")}
         return self._with(noise=self.noise.rows(rows), **parts)
 
     def with_noise(self, noise: RowNoise) -> Observation:
@@ -302,11 +304,11 @@ class Observation:
                 unit = (ray / length)[:, None]
             rows.append((length, unit @ by_twist, unit @ by_external))
         axes = self.platform.space
-        for place, (_, _, contact) in enumerate(self.setup.touched.values()):
+        for contact, places in zip(self.setup.contacts.values(), self._touched.T, strict=True):
             u, D, E = points[contact.target]
-            by_external = E.copy()
-            by_external[:, :, self.external.points][:, :, 3 * place : 3 * place + 3] = -np.eye(3)
-            missed = u - external.points[place]
+            by_external, chosen = E.copy(), np.eye(len(external.points))[places]
+            by_external[:, :, self.external.points] = -np.kron(chosen[:, None], np.eye(3))
+            missed = u - external.points[places]
             rows.append((missed[:, :axes], D[:, :axes], by_external[:, :axes]))
         return rows
 
@@ -366,21 +368,27 @@ def _angles(single: dict[str, Array], data: Measurements, independent: Mask) -> 
     return np.where(np.isfinite(angles), angles, 0.0), parts
 
 
-def _contacts(platform: Platform, data: Measurements, setup: Setup) -> dict[str, Array]:
-    """Return zero for what misses a point that is touched, NaN where it is not, (N,) each."""
-    for column, contact in setup.contacts.items():
-        if strange := {*data.contacts[column]} - {"", *contact.points}:
-            line = data.place(data.contacts[column].index(min(strange)))
+def _contacts(
+    platform: Platform, data: Measurements, setup: Setup
+) -> tuple[dict[str, Array], Index]:
+    """Return zero for what misses a point that is touched, NaN where none is, (N,) each.
+
+    And the places of these points among those of all contacts, (N, n_contacts); -1 for none.
+    """
+    every, missed = [*setup.touched], dict[str, Array]()
+    touched = np.full((len(data), len(setup.contacts)), -1)
+    for places, (column, contact) in zip(touched.T, setup.contacts.items(), strict=True):
+        names = data.contacts[column]
+        if strange := {*names} - {"", *contact.points}:
             raise MeasurementError(
-                f"{line}: {column} {min(strange)!r} is no point of the setup, which has "
-                f"{', '.join(contact.points)}; add it there as 'unknown', or correct the name"
+                f"{data.place(names.index(min(strange)))}: {column} {min(strange)!r} is no point "
+                f"of the setup, which has {', '.join(contact.points)}; add it there as 'unknown', "
+                "or correct the name"
             )
-    missed = dict[str, Array]()
-    for name, axes in setup.contact_axes(platform).items():
-        column, point, _ = setup.touched[name]
-        touching = np.array(data.contacts[column]) == point
-        missed |= dict.fromkeys(axes, np.where(touching, 0.0, np.nan))
-    return missed
+        places[:] = [every.index(f"{column}_{name}") if name else -1 for name in names]
+        zeros = np.where(places >= 0, 0.0, np.nan)
+        missed |= dict.fromkeys(setup.contact_axes(platform)[column], zeros)
+    return missed, touched
 
 
 def _oriented(orientations: Array) -> Mask:

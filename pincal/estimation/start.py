@@ -323,7 +323,7 @@ def _kabsch(nominal: Array, measured: Array, weights: Array, platform: Platform)
                 "the frame of the measurements is unknown and cannot be aligned: "
                 f"{len(nominal)} rows with a position that could show it, all "
                 f"{'at one place' if least == 2 else 'on a line'} or too few; measure positions "
-                "that span the workspace"
+                "that span the workspace (a tip in sockets is a contact of the setup)"
             )
     middles = [np.average(points, axis=0, weights=weights) for points in (nominal, measured)]
     frame = np.eye(4)

@@ -397,9 +397,14 @@ class Setup:
         places = np.reshape([place or (0.0, 0.0, 0.0) for _, place in points], (-1, 3))
         return places, np.array(sigmas)
 
+    def quantities(self, platform: Platform, names: Iterable[str]) -> tuple[str, ...]:
+        """Return names of quantities, in place of a contact's those that it stands for."""
+        axes = self.contact_axes(platform)
+        return tuple(name for part in names for name in axes.get(part, [part]))
+
     def contact_axes(self, platform: Platform) -> dict[str, list[str]]:
-        """Return the quantities of each point touched: by how much it is missed."""
-        return {name: [f"{name}_{a}" for a in "xyz"[: platform.space]] for name in self.touched}
+        """Return the quantities of each contact: by how much what is touched is missed."""
+        return {name: [f"{name}_{a}" for a in "xyz"[: platform.space]] for name in self.contacts}
 
     def positions(self, platform: Platform) -> dict[str, list[str]]:
         """Return the columns of each target's position."""
