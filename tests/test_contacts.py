@@ -287,6 +287,21 @@ def test_a_wrong_name_shows_as_rows_that_do_not_fit() -> None:
     assert all(outlier.quantity.startswith("measured socket") for outlier in result.outliers)
 
 
+def test_where_another_socket_begins_is_no_step() -> None:
+    """Sockets one after the other, two at known places: no step is named, of 0.3 m or another.
+
+    With a step between the two the scale would be free, and shrink the residuals.
+    """
+    robot, _, data, sockets = _arm()
+    shaken = data.readings + 2e-5 * np.random.default_rng(3).standard_normal(data.readings.shape)
+    known = {name: tuple(sockets[place]) for place, name in enumerate("AB")}
+    noise = pincal.Noise(1e-5, reading=2e-5)
+    setup = _setup({**known, "C": None})
+    result = pincal.calibrate(robot, replace(data, readings=shaken), setup=setup, noise=noise)
+    assert result.converged
+    assert {remark.code for remark in result.findings}.isdisjoint({"step", "model-lacks"})
+
+
 def test_runs_with_sockets_of_their_own_are_not_held_out() -> None:
     """No other row says where a socket is that one run alone touches: that is said."""
     robot, _, data, _ = _arm(count=8)
