@@ -124,7 +124,7 @@ def test_nothing_that_works_is_said(tmp_path: Path) -> None:
     replace(data, readings=noise).to_csv(tmp_path / "m.csv", mechanism)
     outcome = run("doctor", "5R", str(tmp_path / "m.csv"), *GIVEN, "-o", str(tmp_path / "n.csv"))
     assert outcome.code == 1
-    assert "nothing of this makes the measurements fit the mechanism" in outcome.out
+    assert "none of these makes the measurements fit the mechanism" in outcome.out
     assert not (tmp_path / "n.csv").exists()
 
 
@@ -135,7 +135,7 @@ def test_what_fits_alike_is_not_chosen_in_silence(tmp_path: Path) -> None:
     swapped(data).to_csv(tmp_path / "m.csv", mechanism)
     outcome = run("doctor", "5R", str(tmp_path / "m.csv"), "-o", str(tmp_path / "n.csv"))
     assert outcome.code == 1
-    assert "2 of these work alike" in outcome.out
+    assert "2 of these work equally well" in outcome.out
     assert not (tmp_path / "n.csv").exists()
 
 

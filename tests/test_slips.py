@@ -146,7 +146,7 @@ def test_explain_says_slips_in_words(tmp_path: Path) -> None:
     out = done("explain", "3RRR", tmp_path / "d.csv", *noise, *more).out
     assert f"from data row {ROW + 1} on the frame of the measurements" in out
     assert "in the axes of the measurements): look for a tracker, a tripod or a base" in out
-    assert "mend that first" in out
+    assert "fix that first" in out
 
 
 def test_one_row_is_no_slip() -> None:

@@ -347,7 +347,7 @@ def test_the_term_that_is_there_is_named_first_and_pays(tmp_path: Path) -> None:
     data.to_csv(tmp_path / "d.csv", machine)
     out = done("explain", "3RRR", tmp_path / "d.csv", *NOISE).out
     assert "leg_3 follows temperature" in out
-    assert "these terms pay" in out
+    assert "these terms help" in out
     command = next(line for line in out.splitlines() if "pincal calibrate" in line)
     assert "--terms leg_3=temperature -o RESULT" in command
     words = shlex.split(command)[1:-1]

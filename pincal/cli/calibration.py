@@ -249,8 +249,8 @@ def doctor(
     short = [(count, least) for _, count, _, least in tries[0].calibration.short_legs()]
     if cures:
         stdout.print(
-            f"{len(cures)} of these work alike, and the measurements do not say which "
-            "is true: look at the machine, and mend the source"
+            f"{len(cures)} of these work equally well, and the measurements cannot decide: look at "
+            "the machine, and correct the source"
         )
     elif short:
         lacking, advised = (max(n * least - count for count, least in short) for n in (1, 2))
@@ -259,7 +259,7 @@ def doctor(
             f"next: pincal select {shlex.quote(mech)} -o PLAN.csv",
         )
     else:
-        stdout.print("nothing of this makes the measurements fit the mechanism")
+        stdout.print("none of these makes the measurements fit the mechanism")
         if any(remedy.result and remedy.result.converged for remedy in tries):
             stdout.print(f"the mechanism may lack a term: {_again('explain')} looks for it")
     fail(1)

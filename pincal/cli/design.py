@@ -113,7 +113,7 @@ def select(
         plan, candidates, table = _choose(mechanism, options, noise, progress)
     if options.verify:
         plan = with_verification(mechanism, plan, candidates, options.verify, options.seed)
-        remark(f"{options.verify} more poses, of the set 'verify', check the fit and are not in it")
+        remark(f"{options.verify} more poses, in the set 'verify', are kept for verification")
     plan = in_turns(plan, options.seed)
     if options.reference is not None:
         count = len(plan)

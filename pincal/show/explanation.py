@@ -23,18 +23,16 @@ from pincal.words.numbers import POSES, SMALL, amount, chance, listed, measured
 from pincal.words.table import Table
 from pincal.words.wording import CAUSES, NAMED, filled, groups_in_words
 
-_KEEP = (
-    "identified parameters predict rows that were held out no better; measure more poses, or better"
-)
+_KEEP = "identified parameters predict held-out rows no better; measure more poses, or better"
 _VERDICTS = {
     "as drawn": f"keep the nominal machine: {_KEEP}",
     "rigid alignment": "rigid alignment only: keep the nominal machine, and find where it stands; "
     + _KEEP,
-    "not compared": "models cannot be compared: the rows without any fold do not determine the "
+    "not compared": "models cannot be compared: the rows without one fold do not determine the "
     "geometry; measure more poses",
-    "geometry": "geometry is enough: no term predicts rows that were held out better",
-    "terms": "these terms pay: held-out rows miss by {held_out:.2f} σ instead of {before:.2f} σ by "
-    "geometry alone",
+    "geometry": "geometry is enough: no term predicts held-out rows better",
+    "terms": "these terms help: held-out rows miss by {held_out:.2f} σ instead of {before:.2f} σ "
+    "with geometry alone",
 }
 #: What slipped, and what to do about it.
 _SLIPPED = {
@@ -53,8 +51,8 @@ _SLIPPED = {
     ),
 }
 _MEND = (
-    "mend that first: measure what came after a slip again, or name the parts in a column run; "
-    "while it is there other terms may only follow it"
+    "fix that first: repeat what was measured after a slip, or name the parts in a column run; "
+    "until then other terms may only mimic it"
 )
 
 
@@ -71,19 +69,19 @@ def explanation_lines(explanation: Explanation) -> list[str]:
     if not visible:
         least = min((candidate.corrected for candidate in candidates), default=1.0)
         lines.append(
-            "nothing that was tried is seen in the residuals: the least probable of "
-            f"{len(candidates)} has a chance of {least:.2g}, their number taken in"
+            f"no term is significant: the least probable of {len(candidates)} has p = {least:.2g}, "
+            "corrected for their number"
         )
     lines += [
-        f"fold {fold + 1} is left out of the comparison, the other rows do not determine it: {why}"
+        f"fold {fold + 1} is not compared, since the other rows do not determine it: {why}"
         for fold, why in explanation.lost
     ]
     sizes = {"held_out": explanation.model.held_out, "before": explanation.models[1].held_out}
     lines.append(_VERDICTS[explanation.verdict].format(**sizes))
     if visible and explanation.verdict == "geometry" and not result.promises:
         lines.append(
-            "but no limit is promised while residuals follow something: with --terms "
-            f"{term_text(*visible[0].pair)} it is modelled"
+            "but no limit is promised while residuals follow a pattern; --terms "
+            f"{term_text(*visible[0].pair)} models it"
         )
     return lines
 

@@ -34,8 +34,8 @@ FAULTS: dict[str, Wording] = {
     "not-this-mechanism": _error(
         "{leg}: the measurements miss the nominal mechanism by {(100 * gap)|f(1)} % of a leg's "
         "length (median), and no single fault in units, signs, order, zeros or frame explains it",
-        "Check the units, the order and signs of the readings, the frame of the poses, and that "
-        "this is the right mechanism; if its dimensions are known only roughly, add --rough",
+        "Check these, and that this is the right mechanism; if its dimensions are known only "
+        "roughly, add --rough",
     ),
     "readings-do-not-follow": _error(
         "{leg}: the readings do not follow the poses (mechanisms near the nominal one miss them by "
@@ -143,7 +143,7 @@ HYPOTHESES: dict[str, Wording] = {
 
 
 _MISSED = (
-    ": corrected for that, the measurements miss the nominal mechanism by {left|percent} of a "
+    ": corrected for that, measurements miss the nominal mechanism by {left|percent} of a "
     "leg's length (median); as they are, {% if other_side > 0.5 %}{other_side|percent} of the "
     "poses lie across a singularity from home{% elif given is none %}readings and poses do not fit "
     "at all{% else %}by {given|percent}{% endif %}"

@@ -129,9 +129,9 @@ NOISE_SOURCES = {
 CAUSES = {
     "harmonics": "an eccentric gear, encoder or screw",
     "period": "the pitch of a screw, or an eccentric gear with this ratio",
-    "polynomial": "the pitch of a screw or belt, a table of the drive that is off",
-    "backlash": "play, or friction that winds the drive up: it follows the side of approach",
-    "gravity": "something gives way under weight (1 kg if none is known): gear, bearing or link",
+    "polynomial": "the pitch of a screw or belt, or a wrong table in the drive",
+    "backlash": "play, or friction that winds up the drive, by the side of approach",
+    "gravity": "something yields under weight (1 kg if unknown): gear, bearing or link",
 }
 #: Words for codes in values of findings.
 _NAMES = {
