@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 GROUPS = {
-    "Mechanisms": "load_mechanism new_mechanism Mechanism Leg Joint Placement Parameter Platform "
-    "generate",
+    "Mechanisms": "load_mechanism new_mechanism Mechanism Leg End Joint Placement Parameter "
+    "Platform generate",
     "Sensors and terms": "Sensor Term Harmonic Power Share Load",
     "Kinematics": "inverse forward margins identification_jacobian",
     "Workspace": "sample_workspace sample_configurations compute_workspace Workspace Grid "
     "Orientations Margins free_of_collision largest_inscribed Inscribed",
     "Symmetry": "symmetry_group Element cyclic dihedral",
     "Poses to measure": "select_poses Selection select_configurations Plan forecast indices",
-    "Measurements": "Measurements Noise Setup Target Distance Tracker Systematic Instrument Image",
+    "Measurements": "Measurements Noise Setup Target Distance Contact Tracker Systematic "
+    "Instrument Image",
     "Calibration": "calibrate Options Loss CalibrationResult load_result explain "
     "Explanation corrections Corrections",
     "Simulation": "disturb simulate accuracy",
