@@ -185,7 +185,7 @@ def costs(study: Study, ways: list[Way], seconds: dict[str, float]) -> None:
         N = {each}. Only own parameters appear in a leg's equations, so that the regressor of all
         is block-diagonal: what divides the cost by n² is not to invert its zeros.""",
         {
-            "": ["traditional", "divide and conquer"],
+            "way": ["traditional", "divide and conquer"],
             "regressor": ["CᵀC, N n × N n", "n of CᵀC, N × N"],
             "cost of inversion": ["∝ N³ n³", "∝ N³ n"],
             "here": [(each * legs) ** 3, each**3 * legs],

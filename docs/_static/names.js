@@ -1,7 +1,8 @@
-// Names of the theme's buttons, for those who hear the page: as they are written, or by what they open.
+// Names of what the theme shows without any, for those who hear the page.
 document.addEventListener("DOMContentLoaded", () => {
-  document.querySelectorAll(".search-button__button").forEach((one) => one.removeAttribute("aria-label"));
-  document.querySelectorAll("summary:has(.toctree-toggle)").forEach((one) => {
-    one.ariaLabel = `pages below ${one.closest("li").querySelector("a").textContent.trim()}`;
-  });
+  const text = (one) => one.textContent.replace(/\s+/g, " ").trim();
+  const name = (selector, from) => document.querySelectorAll(selector).forEach((one) => (one.ariaLabel = from(one)));
+  name(".search-button__button", text);
+  name(".sphx-glr-thumbcontainer a", text);
+  name("summary:has(.toctree-toggle)", (one) => `pages below ${text(one.closest("li").querySelector("a"))}`);
 });
