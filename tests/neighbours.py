@@ -182,3 +182,103 @@ def skeleton(leg: pincal.Leg, joints: np.ndarray) -> np.ndarray:
     pin.framesForwardKinematics(model, data, q)
     tip = data.oMf[model.getFrameId(leg_links(leg)[-1])].translation
     return np.array([*(data.oMi[index].translation for index in indices), tip])
+
+
+def vector(*numbers: float) -> str:
+    """Return numbers with all digits, as attributes of XML have them."""
+    return " ".join(repr(float(number)) for number in numbers)
+
+
+def four_bar(folder: Path) -> Path:
+    """Write a four-bar that is closed as drawn; its coupler is the platform."""
+    crank, knee = 0.3 * np.exp(0.7j), 0.4 + 0.65j
+    place = lambda w: vector(w.real, w.imag, 0.0)  # noqa: E731
+    joints = [
+        joint("crank", "base", "l1"),
+        joint("knee", "l1", "coupler", place(crank)),
+        joint("end", "coupler", "coupler_end", place(knee - crank), "fixed"),
+        joint("foot", "base", "l3", "0.9 0 0"),
+        joint("follower_end", "l3", "l3_end", place(knee - 0.9), "fixed"),
+    ]
+    yaml = "closed_loop: [[end, follower_end]]\nname_mot: [crank]\ntype: [3d]\nplatform: coupler\n"
+    return written(folder, urdf("four_bar", joints, "base"), yaml)
+
+
+def coupled_five_bar(folder: Path) -> Path:
+    """Write a five-bar whose left shoulder is turned by a crank over a rod: a loop within a leg."""
+    joints = [one.replace('"mot1"', '"shoulder"') for one in FIVE_BAR]
+    joints += [
+        joint("mot1", "base", "k1", "-0.1 -0.3 0"),
+        joint("pin", "k1", "k2", "0.08 0.02 0"),
+        joint("rod_end", "k2", "k3", "0 0.31 0", "fixed"),
+        joint("horn", "a1", "h1", "0.08 0.03 0", "fixed"),
+    ]
+    loops = "[[closedloop1_A, closedloop1_B], [rod_end, horn]]"
+    yaml = f"closed_loop: {loops}\ntype: [3d, 3d]\nname_mot: [mot1, mot2]\nplatform: b2\n"
+    return written(folder, urdf("coupled", joints, "base"), yaml)
+
+
+def delta_rods() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return a delta's feet and arms at zero, (3, 3), and its rods' ends, (3, 2, 3) each."""
+    feet, arms, knees, points = [], [], [], []
+    for turn in 2 * np.pi * np.arange(3) / 3:
+        out, side = np.array([np.cos(turn), np.sin(turn), 0.0]), [-np.sin(turn), np.cos(turn), 0.0]
+        feet.append(0.2 * out)
+        arms.append(0.12 * out - [0.0, 0.0, 0.09])
+        knees.append([h * np.array(side) for h in (0.04, -0.045)])
+        points.append([0.05 * out + h * np.array(side) for h in (0.04, -0.045)])
+    return tuple(map(np.array, (feet, arms, knees, points)))  # type: ignore[return-value]
+
+
+def six_rod_delta(folder: Path) -> Path:
+    """Write a delta of six rods with a ball at either end; the first rod carries the platform."""
+    joints, balls, loops = [], [], []
+    for i, (foot, arm, knees, points) in enumerate(zip(*delta_rods(), strict=True)):
+        axis = vector(-foot[1] / 0.2, foot[0] / 0.2, 0.0)
+        joints.append(joint(f"leg{i}_mot", "base", f"arm{i}", vector(*foot), axis=axis))
+        for j, (knee, point) in enumerate(zip(knees, points, strict=True)):
+            rod = point - np.array([0.0, 0.0, 0.4]) - foot - arm - knee
+            name = f"leg{i}_{'ab'[j]}"
+            joints.append(joint(f"{name}_ball", f"arm{i}", f"{name}_rod", vector(*arm + knee)))
+            joints.append(joint(f"{name}_end", f"{name}_rod", f"{name}_tip", vector(*rod), "fixed"))
+            balls.append(f"{name}_ball")
+            if not i + j:
+                joints.append(joint("ball", f"{name}_tip", "plate"))
+                joints.append(joint("plate_top", "plate", "top", vector(*-point), "fixed"))
+                balls.append("ball")
+            else:
+                joints.append(
+                    joint(f"point{i}{j}", "top", f"point{i}{j}_link", vector(*point), "fixed")
+                )
+                loops.append([f"{name}_end", f"point{i}{j}"])
+    yaml = (
+        f"closed_loop: {loops}\ntype: {['3d'] * 5}\nname_mot: [mot]\njoint_name: {balls}\n"
+        f"joint_type: {['SPHERICAL'] * len(balls)}\nplatform: top\n"
+    )
+    return written(folder, urdf("delta", joints, "base"), yaml)
+
+
+ANKLE = [([0.0, 0.03, -0.1], [-0.05, 0.02, 0.0], [-0.05, 0.05, 0.0])]
+ANKLE += [([0.0, -0.03, -0.18], [-0.05, -0.02, 0.0], [-0.05, -0.05, 0.0])]
+"""Of an ankle: motors on the shin, their horns, and where rods meet the foot, 0.35 m below."""
+
+
+def ankle(folder: Path) -> Path:
+    """Write a humanoid's ankle: a foot on a universal joint, and two rods with balls to motors."""
+    joints = [
+        joint("pitch", "shin", "cross", "0 0 -0.35", axis="0 1 0"),
+        joint("roll", "cross", "foot", axis="1 0 0"),
+    ]
+    for i, (motor, horn, heel) in enumerate(ANKLE):
+        rod = np.array(heel) - [0.0, 0.0, 0.35] - motor - horn
+        joints += [
+            joint(f"mot{i}", "shin", f"horn{i}", vector(*motor), axis="0 1 0"),
+            joint(f"ball{i}", f"horn{i}", f"rod{i}", vector(*horn)),
+            joint(f"rod_end{i}", f"rod{i}", f"tip{i}", vector(*rod), "fixed"),
+            joint(f"heel{i}", "foot", f"heel{i}_link", vector(*heel), "fixed"),
+        ]
+    yaml = (
+        "closed_loop: [[rod_end0, heel0], [rod_end1, heel1]]\ntype: [3d, 3d]\nname_mot: [mot]\n"
+        "joint_name: [ball0, ball1]\njoint_type: [SPHERICAL, SPHERICAL]\nplatform: foot\n"
+    )
+    return written(folder, urdf("ankle", joints, "shin"), yaml)

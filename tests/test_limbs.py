@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import neighbours
 import numpy as np
 import pytest
+from command_line import done
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
@@ -356,3 +358,110 @@ def test_a_platform_that_only_turns() -> None:
         elbow = Rotation.from_rotvec(np.outer(readings[:, number], u)).apply(w)
         np.testing.assert_allclose(np.einsum("ni,nij,j->n", elbow, R, v), 0.0, atol=1e-9)
     assert recovered(mechanism, readings) < 1e-8
+
+
+def four_bar_gaps(readings: Array, poses: Array) -> Array:
+    """Return by how much poses of the imported four-bar miss the cosine law."""
+    crank, knee = 0.3 * np.exp(0.7j), 0.4 + 0.65j
+    rods = 0.3, abs(knee - crank), abs(knee - 0.9), 0.9
+    expected = four_bar_pose(readings[:, 0] + 0.7, *rods)
+    expected[:, 2] -= np.angle(knee - crank)  # frames are along x as drawn
+    return poses - expected
+
+
+def coupled_gaps(readings: Array, poses: Array) -> Array:
+    """Return by how much rod and conducted link of the imported five-bar miss their ends."""
+    x, y, phi = poses.T
+    right = 0.1 + np.exp(1j * readings[:, 1]) * (0.1 + 0.2j)
+    end = x + 1j * y + np.exp(1j * phi) * (-0.2 + 0.2j)
+    reach, knee, conducted = end + 0.1, abs(-0.1 + 0.2j), abs(0.2 + 0.2j)
+    cosine = (np.abs(reach) ** 2 + knee**2 - conducted**2) / (2 * np.abs(reach) * knee)
+    shoulder = np.angle(reach) + np.arccos(cosine) - np.angle(-0.1 + 0.2j)
+    horn = -0.1 + np.exp(1j * shoulder) * (0.08 + 0.03j)
+    pin = -0.1 - 0.3j + np.exp(1j * readings[:, 0]) * (0.08 + 0.02j)
+    return np.stack((np.abs(right - x - 1j * y), np.abs(horn - pin) - 0.31))
+
+
+def delta_gaps(readings: Array, poses: Array) -> Array:
+    """Return by how much the imported delta's rods miss their lengths."""
+    T, gaps = pincal.Platform.at_origin("spatial").matrices(poses), []
+    for i, (foot, arm, knees, points) in enumerate(zip(*neighbours.delta_rods(), strict=True)):
+        axis = np.array([-foot[1], foot[0], 0.0]) / 0.2
+        turns = Rotation.from_rotvec(np.outer(readings[:, i], axis))
+        for knee, point in zip(knees, points, strict=True):
+            drawn = np.linalg.norm(point - (0.0, 0.0, 0.4) - foot - arm - knee)
+            rods = T[:, :3, :3] @ point + T[:, :3, 3] - foot - turns.apply(arm + knee)
+            gaps.append(np.linalg.norm(rods, axis=1) - drawn)
+    return np.stack(gaps)
+
+
+def ankle_gaps(readings: Array, poses: Array) -> Array:
+    """Return by how much the imported ankle's rods, and its universal joint, miss their places."""
+    T, gaps = pincal.Platform.at_origin("spatial").matrices(poses), []
+    for i, (motor, horn, heel) in enumerate(map(np.array, of_rod) for of_rod in neighbours.ANKLE):
+        drawn = np.linalg.norm(heel - (0.0, 0.0, 0.35) - motor - horn)
+        turns = Rotation.from_rotvec(np.outer(readings[:, i], Y))
+        rods = T[:, :3, :3] @ heel + T[:, :3, 3] - motor - turns.apply(horn)
+        gaps.append(np.linalg.norm(rods, axis=1) - drawn)
+    return np.stack((*gaps, T[:, 1, 0], *(T[:, :3, 3] + (0.0, 0.0, 0.35)).T))
+
+
+@pytest.mark.parametrize(
+    ("write", "gaps", "reach"),
+    [
+        (neighbours.four_bar, four_bar_gaps, 0.5),
+        (neighbours.coupled_five_bar, coupled_gaps, 0.2),
+        pytest.param(neighbours.six_rod_delta, delta_gaps, 0.3, marks=pytest.mark.slow),
+        pytest.param(neighbours.ankle, ankle_gaps, 0.25, marks=pytest.mark.slow),
+    ],
+)
+def test_imported_loops(write, gaps, reach: float, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    """Limbs of a user's URDF close where the drawing's dimensions do, and are identified.
+
+    The identified machine goes where the true one does, and so does the user's URDF with its
+    origins. Not every parameter need be determined.
+    """
+    file = write(tmp_path / "cad")
+    done("import", file, "-o", tmp_path / "mechanism")
+    mechanism = pincal.load_mechanism(tmp_path / "mechanism")
+    rng = np.random.default_rng(5)
+    readings = rng.uniform(-reach, reach, (40, len(mechanism.reading_names)))
+    nominal = pincal.forward(mechanism, readings)
+    np.testing.assert_allclose(gaps(readings, nominal.poses), 0.0, atol=1e-9)
+    errors = {p.id: p.nominal + 1e-4 * rng.standard_normal() for p in mechanism.parameters}
+    true = mechanism.with_parameters(errors)
+    poses = pincal.forward(true, readings).poses
+    data = pincal.Measurements(readings=readings[:30], poses=poses[:30])
+    noise = pincal.Noise(position=1e-7, orientation=1e-7, reading=1e-7)
+    identified = pincal.calibrate(mechanism, data, noise=noise).identified
+    matrices = mechanism.platform.matrices
+    found = pincal.forward(identified, readings[30:]).poses
+    np.testing.assert_allclose(matrices(found), matrices(poses[30:]), atol=1e-8)
+    if "spatial" in str(mechanism.platform):
+        return  # balls' axes that miss each other have no place in a URDF
+    true.save(tmp_path / "true")
+    done("export", tmp_path / "true", "--original", file, "-o", tmp_path / "robot.urdf")
+    (tmp_path / "robot.yaml").write_text(file.with_suffix(".yaml").read_text())
+    done("import", tmp_path / "robot.urdf", "-o", tmp_path / "again")
+    moved = pincal.forward(tmp_path / "again", readings).poses
+    shifts = np.linalg.inv(matrices(poses)) @ matrices(moved)  # a link of its own is the platform
+    np.testing.assert_allclose(shifts, shifts[:1] + 0.0 * shifts, atol=1e-9)
+
+
+def test_trees_go_to_mujoco_and_come_back(tmp_path: Path) -> None:
+    """MuJoCo closes all loops of an exported six-rod delta at home; imported, it moves alike."""
+    mujoco = pytest.importorskip("mujoco")
+    mechanism = six_rods()
+    mechanism.save(tmp_path / "six")
+    done("export", tmp_path / "six", "-o", tmp_path / "six.xml")
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "six.xml"))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_forward(model, data)
+    assert model.neq == 6
+    np.testing.assert_allclose(data.efc_pos[: 3 * model.neq], 0.0, atol=1e-9)
+    done("import", tmp_path / "six.xml", "-o", tmp_path / "again")
+    home = np.array([leg.home[0] for leg in mechanism.legs])
+    readings = home + np.random.default_rng(1).uniform(-0.2, 0.2, (10, 3))
+    poses = [pincal.forward(name, readings).poses for name in (mechanism, tmp_path / "again")]
+    np.testing.assert_allclose(*map(mechanism.platform.matrices, poses), atol=1e-9)

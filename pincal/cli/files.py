@@ -218,7 +218,7 @@ def _say_what_it_is(mechanism: Mechanism) -> None:
     for leg in mechanism.legs:
         driven = {sensor.joint for sensor in leg.sensors}
         joints = ", ".join(f"{joint.name}{'*' * (joint.name in driven)}" for joint in leg.moving)
-        say(f"{leg.name}: {joints}; closes a {leg.closes}; {len(leg.parameters)} parameters")
+        say(f"{leg.name}: {joints}; {leg.closing}; {len(leg.parameters)} parameters")
     stdout.print("* driven: its position is read")
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -102,10 +103,10 @@ def displaced(
     """Return a leg with small displacements, its parameters, at each joint that moves and the tip.
 
     And at its platform point, if it closes one: along axes, not about them. Their names begin with
-    the stems, one for each moving joint and for the tip; those that are held have none.
+    the stems, one for each moving joint and for the tip; those that are held have none. Further
+    ends are displaced as the tip and its point are, or a frame of the leg that they meet.
     """
-    names = (*(joint.name for joint in leg.moving), leg.joints[-1].name)
-    stem_of = dict(zip(names, stems, strict=True))
+    stem_of = _stems(leg, stems)
     parameters: list[tuple[str, float]] = []
 
     def moved(joint: Joint, stem: str, axes: Sequence[str]) -> Joint:
@@ -122,10 +123,25 @@ def displaced(
         moved(joint, stem_of[joint.name], axes) if joint.name in stem_of else joint
         for joint in leg.joints
     )
-    point = leg.point
-    if leg.closes == "point":
-        point = moved(point, "point", [axis for axis in axes if axis in "xyz"])
-    return replace(leg, joints=joints, point=point, parameters=tuple(parameters))
+    along = [axis for axis in axes if axis in "xyz"]
+    ends = [
+        end.moved(partial(moved, stem="point" + f"_{place}" * (place > 1), axes=along))
+        if end.closes == "point"
+        else end
+        for place, end in enumerate(leg.every_end, 1)
+    ]
+    point, further = ends[0].point or leg.point, tuple(ends[1:])
+    return replace(leg, joints=joints, point=point, ends=further, parameters=tuple(parameters))
+
+
+def _stems(leg: Leg, stems: Sequence[str]) -> dict[str, str]:
+    """Return what names of displacements begin with, by joint; of further ends by their place."""
+    names = (*(joint.name for joint in leg.moving), leg.joints[-1].name)
+    stem_of = dict(zip(names, stems, strict=True))
+    for place, end in enumerate(leg.ends, 2):
+        for name, stem in zip(end.frames, ("tip", "hook"), strict=False):
+            stem_of.setdefault(name, f"{stem}_{place}")
+    return stem_of
 
 
 def joints_along(tree: Tree, steps: Sequence[Step], normal: Array | None = None) -> list[Joint]:

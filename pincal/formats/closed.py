@@ -7,8 +7,10 @@ these displacements each leg keeps those that its closure can distinguish (``ind
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from os.path import commonprefix
 
 import numpy as np
@@ -16,12 +18,19 @@ from scipy.spatial.transform import Rotation
 
 from pincal.errors import MechanismError, located
 from pincal.files.tree import Step, Tree
-from pincal.formats.arm import displaced, with_tip
-from pincal.formats.limbs import Limb, limb_along, paths_to_platform, point_platform
+from pincal.formats.arm import displaced
+from pincal.formats.limbs import (
+    Limb,
+    leg_of,
+    limbs_of,
+    onto_normal,
+    plane_of,
+    point_platform,
+)
 from pincal.kinematics.assembly import assembled, independent, opening
 from pincal.model.checks import ALIKE, EXACT, ROUNDING, listed
 from pincal.model.consistency import ROUGH, identifiers
-from pincal.model.leg import Closing, Joint, Leg
+from pincal.model.leg import Joint, Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.placement import placement_of
 from pincal.model.platform import Platform
@@ -89,33 +98,42 @@ def closed_mechanism(
         platform = platform or tree.platform
         if platform is not None:
             platform = tree.link(platform, "the platform")
-        paths, platform, loose = paths_to_platform(tree, platform)
+        limbs, platform, loose = limbs_of(tree, platform)
         driven = " (driven)" if set(tree.active) & set(loose) else ""
         remarks = [f"{listed(loose)}: in no loop, left out{driven}"] * bool(loose)
-        normal = _normal(tree, paths)
-        kind, limbs = _limbs(tree, paths, platform, normal)
+        normal = plane_of(tree, [step for limb in limbs for step in limb.steps])
+        kind, bare = _legs(tree, limbs, platform, normal)
         if normal is not None and abs(normal[2]) < 1.0 - EXACT:
             remarks.append("planar, but not across z: the base frame was turned to have z across")
-        bare, free = [], Platform.at_origin(kind)
-        for name, limb in zip(_leg_names(limbs), limbs, strict=True):
-            leg = _leg(tree, name, limb, [point for _, point in limbs])
-            bare.append(_without_idle(leg, remarks))
+        bare, free = [_without_idle(leg, remarks) for leg in bare], Platform.at_origin(kind)
         axes = _PLANAR if kind in ("point", "planar") else _SPATIAL
         closed, placed = _closed(tree, bare, free)
-        legs = []
-        for leg, of_joints in zip(closed, _stems(closed), strict=True):
-            for joint in leg.moving:
-                if joint.limited and not joint.lower <= joint.home <= joint.upper:
-                    place = f"{joint.home:.6g}, outside its limits"
-                    remarks.append(f"{leg.name}: {joint.name!r} closes the loops at {place}")
-            stems = (*of_joints, "tip")
-            every = displaced(leg, stems, axes)
-            order = sorted(every.parameter_names, key=every.units.__getitem__)  # m before rad
-            distinct = independent(every, placed, tuple(order), tree.slack)
-            held = set(every.parameter_names).difference(distinct)
-            legs.append(displaced(leg, stems, axes, held=held))
+        remarks += _outside_limits(closed)
+        legs = tuple(_displaced(closed, placed, axes, tree.slack))
         name = re.sub(r"\W+", "_", tree.name)[:100] or "mechanism"
-        return Mechanism(name, placed, tuple(legs), f"From {tree.source}."), tuple(remarks)
+        return Mechanism(name, placed, legs, f"From {tree.source}."), tuple(remarks)
+
+
+def _displaced(
+    legs: Sequence[Leg], platform: Platform, axes: Sequence[str], slack: float
+) -> Iterator[Leg]:
+    """Yield legs with those displacements as parameters that their closures can distinguish."""
+    for leg, of_joints in zip(legs, _stems(legs), strict=True):
+        stems = (*of_joints, "tip")
+        every = displaced(leg, stems, axes)
+        order = sorted(every.parameter_names, key=every.units.__getitem__)  # m before rad
+        distinct = independent(every, platform, tuple(order), slack)
+        yield displaced(leg, stems, axes, held=set(every.parameter_names).difference(distinct))
+
+
+def _outside_limits(legs: Sequence[Leg]) -> list[str]:
+    """Return a sentence for each joint that closes the loops outside its limits."""
+    return [
+        f"{leg.name}: {joint.name!r} closes the loops at {joint.home:.6g}, outside its limits"
+        for leg in legs
+        for joint in leg.moving
+        if joint.limited and not joint.lower <= joint.home <= joint.upper
+    ]
 
 
 def _closed(tree: Tree, legs: list[Leg], platform: Platform) -> tuple[tuple[Leg, ...], Platform]:
@@ -131,46 +149,50 @@ def _closed(tree: Tree, legs: list[Leg], platform: Platform) -> tuple[tuple[Leg,
     return assembled(legs, platform, tree.slack)
 
 
-def _limbs(
-    tree: Tree, paths: list[list[Step]], platform: str | None, normal: Array | None
-) -> tuple[str, list[Limb]]:
-    """Return the kind of platform and the legs, in frames whose z is across the plane if planar."""
+def _legs(
+    tree: Tree, limbs: list[Limb], platform: str | None, normal: Array | None
+) -> tuple[str, list[Leg]]:
+    """Return the kind of platform and the legs, in frames whose z is across the plane if planar.
+
+    They have sensors, and no parameters.
+    """
     driven, turn = set(tree.active), np.eye(3)
     if platform is None:
-        limbs, kind = point_platform(tree, paths[0], driven, normal), "point"
+        legs, kind = point_platform(tree, limbs[0].ends[0], driven, normal), "point"
     else:
-        paths, kind = _with_drives(tree, paths, "spatial" if normal is None else "planar")
+        limbs, kind = _guiding(tree, limbs, "spatial" if normal is None else "planar")
         link = tree.pose_at_zero(platform)[:3, :3]
         if kind in ("point", "translational"):
-            turn = link.T @ (turn if normal is None else _onto(normal))
+            turn = link.T @ (turn if normal is None else onto_normal(normal))
         elif normal is not None:
-            turn = _onto(link.T @ normal)
-        limbs = [limb_along(tree, path, platform, driven, normal) for path in paths]
-    return kind, [_in_frames(limb, normal, turn, tree.slack) for limb in limbs]
+            turn = onto_normal(link.T @ normal)
+        legs = [leg_of(tree, limb, platform, driven, normal) for limb in limbs]
+    legs = [_in_frames(leg, normal, turn, tree.slack) for leg in legs]
+    named = zip(_leg_names(legs), legs, strict=True)
+    points = Counter(point.name for leg in legs for point in leg.points)
+    return kind, [_with_sensors(tree, name, leg, points) for name, leg in named]
 
 
-def _with_drives(tree: Tree, paths: list[list[Step]], kind: str) -> tuple[list[list[Step]], str]:
-    """Return the paths with a drive, and the kind of platform, which one without a drive may say.
+def _guiding(tree: Tree, limbs: list[Limb], kind: str) -> tuple[list[Limb], str]:
+    """Return the limbs that are legs, and the kind of platform, which one without a drive may say.
 
-    A path in which the platform floats, as one over the drive that carries the base, is no leg.
+    A way on which the platform floats, as one over the drive that carries the base, is no leg.
     """
-    legs, idle, kinds = [], [], []
-    for path in paths:
-        undriven = [step for step in path if step[0].joint.name not in tree.active]
-        freedoms = _freedoms(undriven)
-        if len(undriven) < len(path) and freedoms != "spatial":
-            legs.append(path)
+    legs = []
+    for limb in limbs:
+        undriven = [step for step in limb.steps if step[0].joint.name not in tree.active]
+        freedoms = None if len(limb.ends) > 1 or limb.loops else _freedoms(undriven)
+        guides = len(undriven) == len(limb.steps) and freedoms
+        if guides or freedoms == "spatial":
+            kind = kind if freedoms == "spatial" else freedoms or kind
         else:
-            idle.append(path)
-            kinds.append(freedoms)
-    unclear = idle if len(idle) > 1 or not legs else idle[: kinds.count(None)]
-    if unclear:
-        names = ", ".join(edge.joint.name for edge, _ in unclear[0])
+            legs.append(limb)
+    if not {bond.joint.name for limb in legs for bond in limb.bonds} & set(tree.active):
         raise MechanismError(
-            f"no driven joint in the leg {names}; each leg needs one whose position is read: name "
-            "it under name_mot (YAML) or give it an actuator (MJCF)"
+            "no driven joint between base and platform: name one under name_mot (YAML) or give it "
+            "an actuator (MJCF). Or is another link the base or the platform (--base, --platform)?"
         )
-    return legs, next((of_path for of_path in kinds if of_path), kind)
+    return legs, kind
 
 
 def _freedoms(path: list[Step]) -> str | None:
@@ -181,80 +203,75 @@ def _freedoms(path: list[Step]) -> str | None:
     return _FREEDOMS.get((kinds.count("prismatic"), kinds.count("revolute")))
 
 
-def _normal(tree: Tree, paths: list[list[Step]]) -> Array | None:
-    """Return the normal of the plane in which all joints move, in the root's frame, shape (3,)."""
-    axes: dict[str, list[Array]] = {"revolute": [], "prismatic": []}
-    for edge in (edge for path in paths for edge, _ in path if edge.closes == "frame"):
-        axes[edge.joint.kind].append(tree.pose_at_zero(edge.child)[:3, :3] @ edge.joint.axis)
-    if not axes["revolute"]:
-        return None
-    slack = max(EXACT, tree.slack)
-    normal = axes["revolute"][0]
-    nearest = np.round(normal)  # along an axis of the root's frame
-    if np.linalg.norm(np.cross(normal, nearest)) < slack and nearest.any():
-        normal = nearest
-    parallel = all(np.linalg.norm(np.cross(normal, axis)) < slack for axis in axes["revolute"])
-    if not (parallel and all(abs(normal @ axis) < slack for axis in axes["prismatic"])):
-        return None
-    return np.asarray(normal * np.sign(normal[np.argmax(np.abs(normal))]))
-
-
-def _onto(normal: Array, slack: float = 0.0) -> Array:
-    """Return the smallest turn of z onto a unit vector, (3, 3), none within a slack."""
-    if normal[2] > 1.0 - EXACT or np.hypot(normal[0], normal[1]) < slack:
-        return np.eye(3)
-    if normal[2] < EXACT - 1.0:
-        return np.diag([1.0, -1.0, -1.0])
-    return Rotation.align_vectors(normal, (0.0, 0.0, 1.0))[0].as_matrix()
-
-
-def _in_frames(limb: Limb, normal: Array | None, C_platform: Array, slack: float) -> Limb:
+def _in_frames(leg: Leg, normal: Array | None, C_platform: Array, slack: float) -> Leg:
     """Return a leg in the plane, z of every frame across it, in a base frame that has it so.
 
     In space only its platform's frame is turned; ``C_platform`` is how that is in its link.
     """
-    joints, point = list(limb[0]), limb[1]
-    if point is not None and not np.array_equal(C_platform, np.eye(3)):
+
+    def in_platform(point: Joint) -> Joint:
         origin = point.placement.origin()
         origin[:3] = C_platform.T @ origin[:3]
-        point = replace(point, placement=placement_of(origin))
+        return replace(point, placement=placement_of(origin))
+
+    if not np.array_equal(C_platform, np.eye(3)):
+        ends = tuple(end if end.closes == "frame" else end.moved(in_platform) for end in leg.ends)
+        point = leg.point if leg.closes == "frame" else in_platform(leg.point)
+        leg = replace(leg, point=point, ends=ends)
     if normal is None:
-        return tuple(joints), point
-    C, R = _onto(normal), np.eye(3)
-    for i, joint in enumerate(joints):
-        origin = joint.placement.origin()
-        R = R @ origin[:3, :3]
-        last = i == len(joints) - 1 and point is None
-        C_child = C_platform if last else _onto(R.T @ normal, max(EXACT, slack))
-        if not (np.array_equal(C, np.eye(3)) and np.array_equal(C_child, np.eye(3))):
-            origin[:3] = C.T @ origin[:3]
-            origin[:3, :3] = origin[:3, :3] @ C_child
-            x, y, z = (float(v) for v in np.round(C_child.T @ joint.axis, 12))
-            joint = replace(joint, placement=placement_of(origin), axis=(x, y, z))
-        x, y, z = joint.axis
-        axis = (0.0, 0.0, float(np.sign(z)))
-        if joint.kind == "prismatic":
-            axis = (x / float(np.hypot(x, y)), y / float(np.hypot(x, y)), 0.0) if z else joint.axis
-        if np.abs(origin[:2, 2]).max() > ROUNDING or joint.axis != axis:
-            upright = Rotation.align_vectors((0.0, 0.0, np.sign(origin[2, 2])), origin[:3, 2])[0]
-            origin[:3, :3] = upright.as_matrix() @ origin[:3, :3]
-            joint = replace(joint, placement=placement_of(origin), axis=axis)
-        joints[i] = joint
-        C = C_child
-    return tuple(joints), point
+        return leg
+    joints: list[Joint] = []
+    turns = {-1: (onto_normal(normal), np.eye(3))}  # of each link: how its frame is turned, is
+    tips = [end.tip for end in leg.every_end if end.point and end.closes == "frame"]
+    for i, (joint, carrier) in enumerate(zip(leg.joints, leg.carriers, strict=True)):
+        C, R = turns[carrier]
+        R = R @ joint.placement.origin()[:3, :3]
+        C_child = onto_normal(R.T @ normal, max(EXACT, slack))
+        if joint.name in tips:
+            C_child = C_platform
+        joints.append(_upright(joint, C, C_child))
+        turns[i] = C_child, R
+    return replace(leg, joints=tuple(joints))
 
 
-def _leg(tree: Tree, name: str, limb: Limb, points: Sequence[Joint | None]) -> Leg:
-    """Return a leg without parameters, whose platform point has a name of its own among points."""
-    joints = [replace(joint, mass=0.0, centre=Joint.centre) for joint in limb[0]]  # frames turned
-    point = limb[1]
+def _upright(joint: Joint, C: Array, C_child: Array) -> Joint:
+    """Return a joint between links whose frames are turned, in the plane but for cut digits."""
+    origin = joint.placement.origin()
+    if not (np.array_equal(C, np.eye(3)) and np.array_equal(C_child, np.eye(3))):
+        origin[:3] = C.T @ origin[:3]
+        origin[:3, :3] = origin[:3, :3] @ C_child
+        x, y, z = (float(v) for v in np.round(C_child.T @ joint.axis, 12))
+        joint = replace(joint, placement=placement_of(origin), axis=(x, y, z))
+    x, y, z = joint.axis
+    axis = (0.0, 0.0, float(np.sign(z)))
+    if joint.kind == "prismatic":
+        axis = (x / float(np.hypot(x, y)), y / float(np.hypot(x, y)), 0.0) if z else joint.axis
+    if np.abs(origin[:2, 2]).max() > ROUNDING or joint.axis != axis:
+        upright = Rotation.align_vectors((0.0, 0.0, np.sign(origin[2, 2])), origin[:3, 2])[0]
+        origin[:3, :3] = upright.as_matrix() @ origin[:3, :3]
+        joint = replace(joint, placement=placement_of(origin), axis=axis)
+    return joint
+
+
+def _with_sensors(tree: Tree, name: str, leg: Leg, shared: Counter[str]) -> Leg:
+    """Return a named leg with its sensors, whose platform points have names of their own."""
+
+    def renamed(point: Joint, place: int = 1) -> Joint:
+        if shared[point.name] > 1 or point.name == "point":
+            return replace(point, name=f"{name}_point" + f"_{place}" * (place > 1))
+        return point
+
+    joints = [replace(joint, mass=0.0, centre=Joint.centre) for joint in leg.joints]  # turned
     driven = [joint.name for joint in joints if joint.name in tree.active]
-    closes: Closing = "frame" if point is None else "point"
-    point = point or Joint("point", "fixed")
-    shared = [p.name for p in points if p is not None].count(point.name) > 1
-    if shared or point.name == "point":
-        point = replace(point, name=f"{name}_point")
-    return Leg(name, with_tip(joints), tuple(map(Sensor, driven)), (), point, closes)
+    ends = (end.moved(partial(renamed, place=i)) for i, end in enumerate(leg.ends, 2))
+    return replace(
+        leg,
+        name=name,
+        joints=tuple(joints),
+        sensors=tuple(map(Sensor, driven)),
+        point=renamed(leg.point),
+        ends=tuple(ends),
+    )
 
 
 def _without_idle(leg: Leg, remarks: list[str]) -> Leg:
@@ -268,18 +285,18 @@ def _without_idle(leg: Leg, remarks: list[str]) -> Leg:
     return replace(leg, joints=tuple(joints))
 
 
-def _leg_names(limbs: Sequence[Limb]) -> list[str]:
+def _leg_names(legs: Sequence[Leg]) -> list[str]:
     """Return what the names of each leg's joints begin with, or otherwise numbers."""
     names = []
-    for joints, _ in limbs:
-        moving = [joint.name for joint in joints if joint.kind != "fixed"]
+    for leg in legs:
+        moving = [joint.name for joint in leg.moving]
         stem = commonprefix(moving)  # noqa: RUF071 (by letters, as meant)
         if any(len(name) > len(stem) and name[len(stem)] not in "_-./ " for name in moving):
             stem = re.sub(r"[^_\-./ ]*$", "", stem)
         names.append(re.sub(r"\W", "_", stem).strip("_"))
     if identifiers(names) == tuple(names) and "platform" not in names:
         return names
-    return [f"leg_{index + 1}" for index in range(len(limbs))]
+    return [f"leg_{index + 1}" for index in range(len(legs))]
 
 
 def _stems(legs: Sequence[Leg]) -> list[list[str]]:

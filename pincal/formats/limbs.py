@@ -1,38 +1,56 @@
-"""Limbs: the graph of bodies, cut at base and platform, and the joints that lie between these.
+"""Limbs: the graph of bodies, cut at base and platform; each piece is a leg, a tree with ends.
 
-A limb whose last joints, all passive, meet in a point of the platform (three revolute axes; in the
-plane, one) closes that point; any other closes a frame.
+Its spanning tree from the base gives the joints. Each bond with the platform is an end, and so is
+each bond that closes a loop within. An end whose last joints, all passive, meet in a point (three
+revolute axes; in the plane, one) closes that point; any other closes a frame.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from itertools import accumulate
-from typing import TypeAlias
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from pincal.errors import MechanismError
 from pincal.files.tree import Edge, Step, Tree, route
-from pincal.formats.arm import joints_along
+from pincal.formats.arm import joints_along, with_tip
 from pincal.model.checks import EXACT, listed
-from pincal.model.leg import Joint
-from pincal.model.placement import Placement
+from pincal.model.leg import Closing, End, Joint, Leg
+from pincal.model.placement import Placement, placement_of
 from pincal.types import Array
 
 _IN_EACH_LEG = ([0, 3], [0, 4], [1, 3], [1, 4])  # drives among five joints of a loop
-Limb: TypeAlias = tuple[tuple[Joint, ...], Joint | None]
-"""Joints of a leg, and the point of the platform that it closes, if it is no frame."""
 
 
-def paths_to_platform(
-    tree: Tree, platform: str | None = None
-) -> tuple[list[list[Step]], str | None, list[str]]:
-    """Return what moves on each path from base to platform, a link of it, and joints in no loop.
+@dataclass(frozen=True)
+class Limb:
+    """What lies between base and platform in one piece: ways from the base."""
 
-    The link is None if there is but one loop, and then its one path goes round, back to the base.
+    ends: list[list[Step]]
+    """To the platform, one or more."""
+    loops: list[tuple[list[Step], list[Step]]]
+    """To a body of the limb, by the bond that closes the loop, and by the others."""
+
+    @property
+    def steps(self) -> list[Step]:
+        """Steps over all its bonds, each once."""
+        ways = [*self.ends, *(way for loop in self.loops for way in loop)]
+        return list(dict.fromkeys(step for way in ways for step in way))
+
+    @property
+    def bonds(self) -> list[Edge]:
+        """All its bonds."""
+        return [edge for edge, _ in self.steps]
+
+
+def limbs_of(tree: Tree, platform: str | None) -> tuple[list[Limb], str | None, list[str]]:
+    """Return the limbs between base and platform, a link of this, and joints that are left out.
+
+    The link is None if there is but one loop, and then its one way goes round, back to the base.
     """
     graph = _Graph(tree)
     base = graph.body[tree.root]
@@ -43,16 +61,18 @@ def paths_to_platform(
             "<equality> of MJCF), or import a serial arm with --tip LINK"
         )
     goal = graph.platform(base, platform)
-    paths = graph.paths(base, goal)
-    passed = [edge for path in paths for edge, _ in path]
-    tree.check_joints(sorted(edge.joint.name for edge in passed))
-    if lost := [bond.joint.name for bond in graph.bonds if bond not in passed]:
+    if goal == base:
+        limbs = [Limb([graph.round(base)], [])]
+    else:
+        limbs = [graph.limb(bonds, base, goal) for bonds in graph.pieces({base, goal})]
+    passed = {edge.joint.name for limb in limbs if limb.ends for edge in limb.bonds}
+    tree.check_joints(sorted(passed))
+    if lost := [bond.joint.name for bond in graph.bonds if bond.joint.name not in passed]:
         raise MechanismError(
             f"{listed(lost)} lie on no way from the base {tree.root!r} to the platform "
-            f"{graph.named(goal)}; expected serial legs between these two. Is another link the "
-            "base or the platform (--base, --platform)?"
+            f"{graph.named(goal)}; is another link the base or the platform (--base, --platform)?"
         )
-    return paths, platform or (None if goal == base else goal), loose
+    return limbs, platform or (None if goal == base else goal), loose
 
 
 class _Graph:
@@ -98,7 +118,7 @@ class _Graph:
         return loose
 
     def platform(self, base: str, link: str | None) -> str:
-        """Return the platform's body: where paths meet besides the base, or else the base."""
+        """Return the platform's body: where ways meet besides the base, or else the base."""
         degrees = self.degrees()
         if link is not None:
             body = self.body[link]
@@ -107,59 +127,166 @@ class _Graph:
                 raise MechanismError(f"{link!r} cannot be the platform: {fault}")
             return body
         meeting = [name for name, count in degrees.items() if count > 2 and name != base]
+        named = self.body.get("platform")
+        if len(meeting) > 1 and named in degrees and named != base:
+            return str(named)
         if len(meeting) > 1:
             places = listed(self.named(name) for name in meeting)
             raise MechanismError(
-                f"ways meet in {len(meeting)} bodies ({places}); expected one, the platform, and "
-                "legs that are serial chains from the base to it. Is another link the base "
-                "(--base)? Mechanisms with loops within a leg, or two platforms, cannot be "
-                "calibrated"
+                f"ways meet in {len(meeting)} bodies ({places}), each of which may be the "
+                "platform: name it with --platform LINK, or the base, if it is another link "
+                "(--base)"
             )
         return meeting[0] if meeting else base
 
-    def paths(self, base: str, goal: str) -> list[list[Step]]:
-        """Return the paths from base to goal, in the order of the bonds; each is passed once."""
-        unused = list(self.bonds)
-        paths = []
+    def round(self, base: str) -> list[Step]:
+        """Return the one loop that there is, from the base back to it."""
+        body, unused, way = base, list(self.bonds), list[Step]()
+        while not way or body != base:
+            edge = next((bond for bond in unused if body in self.ends(bond)), None)
+            if edge is None:
+                raise MechanismError(
+                    f"the base {self.tree.root!r} lies in no loop; is another link the base "
+                    "(--base)?"
+                )
+            unused.remove(edge)
+            parent, child = self.ends(edge)
+            way.append((edge, parent == body))
+            body = child if parent == body else parent
+        return way
+
+    def pieces(self, cut: set[str]) -> list[list[Edge]]:
+        """Return the bonds of each piece into which the graph falls where it is cut."""
+        pieces: list[list[Edge]] = []
         for bond in self.bonds:
-            if bond not in unused or base not in self.ends(bond):
-                continue
-            path: list[Step] = []
-            body, onward = base, [bond]
-            while not path or body != goal:
-                if len(onward) != 1:
-                    names = ", ".join(edge.joint.name for edge, _ in path)
-                    raise MechanismError(
-                        f"the way {names} from the base leads to {self.named(body)}, where "
-                        f"{len(onward)} ways go on; expected a serial chain to the platform "
-                        f"{self.named(goal)}"
-                    )
-                edge = onward[0]
-                unused.remove(edge)
-                parent, child = self.ends(edge)
-                path.append((edge, parent == body))
-                body = child if parent == body else parent
-                onward = [bond for bond in unused if body in self.ends(bond)]
-            paths.append(path)
-        return paths
+            joined, separate = [bond], list[list[Edge]]()
+            inner = set(self.ends(bond)) - cut
+            for piece in pieces:
+                touches = any(inner.intersection(self.ends(edge)) for edge in piece)
+                joined, separate = (
+                    (piece + joined, separate) if touches else (joined, [*separate, piece])
+                )
+            pieces = [*separate, joined]
+        return sorted(pieces, key=lambda piece: self.bonds.index(piece[0]))
+
+    def limb(self, bonds: Sequence[Edge], base: str, goal: str) -> Limb:
+        """Return the limb of a piece's bonds; without ends if it is not between base and goal.
+
+        Its tree grows along joints first, and along what closes loops where it must.
+        """
+        ways: dict[str, list[Step]] = {base: []}
+        limb, unused = Limb([], []), sorted(bonds, key=self.tree.loops.__contains__)
+        while True:
+            joined = [(bond, *self.ends(bond)) for bond in unused]
+            grows = [(b, p in ways) for b, p, c in joined if (p in ways) != (c in ways)]
+            grows = [(b, f) for b, f in grows if goal not in self.ends(b)] or grows
+            if not grows:
+                break
+            bond, forward = grows[0]
+            start, end = self.ends(bond)[:: 1 if forward else -1]
+            unused.remove(bond)
+            if end == goal:
+                limb.ends.append([*ways[start], (bond, forward)])
+            else:
+                ways[end] = [*ways[start], (bond, forward)]
+        for bond in unused if limb.ends else ():
+            parent, child = self.ends(bond)
+            limb.loops.append(([*ways[parent], (bond, True)], ways[child]))
+        return limb
+
+
+def leg_of(tree: Tree, limb: Limb, platform: str, driven: set[str], normal: Array | None) -> Leg:
+    """Return the leg, without parameters and sensors, that a limb is.
+
+    In a plane if there is a normal, in the root's frame.
+    """
+    main, *further = [_platform_end(tree, way, platform, driven, normal) for way in limb.ends]
+    joints: list[Joint] = []
+    ends: list[End] = []
+    for way, point in further:
+        tip = _hang(joints, way)
+        ends.append(End(tip, point or Joint("point", "fixed"), "point" if point else "frame"))
+    for near, far in limb.loops:
+        ends.append(_loop_end(tree, near, far, joints, driven, normal))
+    way, point = main
+    if way[-1].kind != "fixed" or way[-1].name in (joint.name for joint in joints):
+        way = [*way, Joint("tip", "fixed")]
+    _hang(joints, way)
+    met = point or Joint("point", "fixed")
+    return Leg("limb", tuple(joints), (), (), met, "point" if point else "frame", (), tuple(ends))
+
+
+def _hang(joints: list[Joint], way: Iterable[Joint]) -> str:
+    """Hang the joints of a way, where they are not yet, on those that are; return its last one."""
+    parent = ""
+    for joint in way:
+        if all(joint.name != hung.name for hung in joints):
+            before = joints[-1].name if joints else ""
+            joints.append(joint if parent == before else replace(joint, parent=parent))
+        parent = joint.name
+    return parent
+
+
+def _loop_end(
+    tree: Tree,
+    near: Sequence[Step],
+    far: Sequence[Step],
+    joints: list[Joint],
+    driven: set[str],
+    normal: Array | None,
+) -> End:
+    """Return the end that closes a loop within a leg, whose two ways are hung on its joints.
+
+    A loop in a plane closes x and y of a frame whose z is across it.
+    """
+    stem = sum(1 for a, b in zip(near, far, strict=False) if a == b)
+    plane = plane_of(tree, [*near[stem:], *far[stem:]])
+    bond, _ = near[-1]
+    way, place = _to_point(_joints_to(tree, near, bond.child, plane), driven, tree.slack, plane)
+    fixed = [edge for edge in (*tree.edges, *tree.loops) if not edge.moves]
+    passable = [*fixed, *(edge for edge, _ in far)]
+    onto = joints_along(tree, route(passable, tree.root, bond.child), plane)
+    hook = np.eye(4)
+    if place is not None:
+        hook[:3, 3] = place
+    closes: Closing | tuple[str, ...] = "frame" if place is None else "point"
+    if plane is not None and normal is None:
+        hook[:3, :3] = onto_normal(tree.pose_at_zero(bond.child)[:3, :3].T @ plane)
+        closes = ("x", "y") if place is not None else ("x", "y", "rz")
+    if not np.array_equal(hook, np.eye(4)) or not onto or onto[-1].kind != "fixed":
+        if place is None:
+            way = [*way, Joint(f"{bond.joint.name}_end", "fixed", placement_of(hook))]
+        onto = [*onto, Joint(f"{bond.joint.name}_hook", "fixed", placement_of(hook))]
+    tip = _hang(joints, way)
+    return End(tip, _hang(joints, onto), closes)
+
+
+def _platform_end(
+    tree: Tree, path: Sequence[Step], platform: str, driven: set[str], normal: Array | None
+) -> tuple[list[Joint], Joint | None]:
+    """Return the joints along a way to a link of the platform, and the point if it closes one."""
+    joints, place = _to_point(_joints_to(tree, path, platform, normal), driven, tree.slack, normal)
+    return joints, None if place is None else _point(tree, platform, path[-1], place)
 
 
 def _joints_to(
     tree: Tree, path: Sequence[Step], link: str | None, normal: Array | None
-) -> tuple[Joint, ...]:
+) -> list[Joint]:
     """Return the joints along a path, from the root to a link, or to where the path ends."""
     edge, forward = path[-1]
     passable = [edge for edge in (*tree.edges, *tree.loops) if not edge.moves]
     passable += [edge for edge, _ in path]
     end = link or (edge.child if forward else edge.parent)
-    return tuple(joints_along(tree, route(passable, tree.root, end), normal))
+    return joints_along(tree, route(passable, tree.root, end), normal)
 
 
-def limb_along(
-    tree: Tree, path: Sequence[Step], platform: str, driven: set[str], normal: Array | None
-) -> Limb:
-    """Return the leg along a path to a link of the platform, in a plane if there is a normal."""
-    joints = _joints_to(tree, path, platform, normal)
+def _to_point(
+    joints: list[Joint], driven: set[str], slack: float, normal: Array | None
+) -> tuple[list[Joint], Array | None]:
+    """Return a way's joints less the last passive ones, if these meet in a point, and where.
+
+    The point is seen from the last frame, shape (3,); None if the way closes a frame.
+    """
     moving = [i for i, joint in enumerate(joints) if joint.kind != "fixed"]
     count = 3 if normal is None else 1
     last = moving[-count:]
@@ -170,7 +297,7 @@ def limb_along(
     turned = [frames[i - last[0]] for i in last]
     origins = np.stack([frame[:3, 3] for frame in turned])
     axes = np.stack([frame[:3, :3] @ joints[i].axis for frame, i in zip(turned, last, strict=True)])
-    centre = _meeting_point(origins, axes, tree.slack) if normal is None else origins[0]
+    centre = _meeting_point(origins, axes, slack) if normal is None else origins[0]
     if centre is None:
         return joints, None
     place = (np.linalg.inv(frames[-1]) @ np.append(centre, 1.0))[:3] + 0.0
@@ -178,7 +305,7 @@ def limb_along(
     stem = first.name.removesuffix("_x")
     if [joints[i].name for i in last] == [f"{stem}_{axis}" for axis in "xyz"]:
         first = replace(first, name=stem)
-    return _to_point(joints[: last[0]], first, centre), _point(tree, platform, path[-1], place)
+    return _up_to(joints[: last[0]], first, centre), place
 
 
 def _point(tree: Tree, platform: str, last: Step, place: Array) -> Joint:
@@ -207,23 +334,24 @@ def _meeting_point(origins: Array, axes: Array, slack: float) -> Array | None:
     return np.asarray(origins[0] if near else centre)
 
 
-def _to_point(joints: Sequence[Joint], dropped: Joint, centre: Array) -> tuple[Joint, ...]:
+def _up_to(joints: Sequence[Joint], dropped: Joint, centre: Array) -> list[Joint]:
     """Return a leg's joints up to a point, in the frame that carries the dropped joint."""
     if joints and joints[-1].kind == "fixed" and not centre.any():
-        return tuple(joints)  # the point is where this one already is
+        return list(joints)  # the point is where this one already is
     x, y, z = map(float, centre)
-    return (*joints, Joint(dropped.name, "fixed", Placement((), (x, y, z), dropped.placement.rpy)))
+    placement = Placement((), (x, y, z), dropped.placement.rpy)
+    return [*joints, Joint(dropped.name, "fixed", placement)]
 
 
 def point_platform(
     tree: Tree, path: Sequence[Step], driven: set[str], normal: Array | None
-) -> list[Limb]:
+) -> list[Leg]:
     """Return two legs of two joints, one driven, that meet in a point of a planar loop."""
     if normal is None:
         raise MechanismError(
             "one loop, which leaves open what the platform is; name it with --platform LINK"
         )
-    limbs: list[Limb] = []
+    legs: list[Leg] = []
     names, middle = [edge.joint.name for edge, _ in path], path[len(path) // 2][0]
     drives = [name for name in names if name in driven]
     places = list(map(names.index, drives))
@@ -238,5 +366,33 @@ def point_platform(
         joints = _joints_to(tree, side[:3], None, normal)
         last = max(i for i, joint in enumerate(joints) if joint.kind != "fixed")
         centre = np.array(joints[last].placement.xyz)
-        limbs.append((_to_point(joints[:last], joints[last], centre), Joint("point", "fixed")))
-    return limbs
+        to_point = _up_to(joints[:last], joints[last], centre)
+        legs.append(Leg("limb", with_tip(to_point), (), (), Joint("point", "fixed")))
+    return legs
+
+
+def plane_of(tree: Tree, steps: Iterable[Step]) -> Array | None:
+    """Return the normal of the plane in which all joints move, in the root's frame, shape (3,)."""
+    axes: dict[str, list[Array]] = {"revolute": [], "prismatic": []}
+    for edge in (edge for edge, _ in steps if edge.closes == "frame"):
+        axes[edge.joint.kind].append(tree.pose_at_zero(edge.child)[:3, :3] @ edge.joint.axis)
+    if not axes["revolute"]:
+        return None
+    slack = max(EXACT, tree.slack)
+    normal = axes["revolute"][0]
+    nearest = np.round(normal)  # along an axis of the root's frame
+    if np.linalg.norm(np.cross(normal, nearest)) < slack and nearest.any():
+        normal = nearest
+    parallel = all(np.linalg.norm(np.cross(normal, axis)) < slack for axis in axes["revolute"])
+    if not (parallel and all(abs(normal @ axis) < slack for axis in axes["prismatic"])):
+        return None
+    return np.asarray(normal * np.sign(normal[np.argmax(np.abs(normal))]))
+
+
+def onto_normal(normal: Array, slack: float = 0.0) -> Array:
+    """Return the smallest turn of z onto a unit vector, (3, 3), none within a slack."""
+    if normal[2] > 1.0 - EXACT or np.hypot(normal[0], normal[1]) < slack:
+        return np.eye(3)
+    if normal[2] < EXACT - 1.0:
+        return np.diag([1.0, -1.0, -1.0])
+    return Rotation.align_vectors(normal, (0.0, 0.0, 1.0))[0].as_matrix()

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -27,7 +27,7 @@ from pincal.files.tree import Edge, Tree, at_home, turns, with_ranges
 from pincal.files.urdf_writing import numbers_text, xml_text
 from pincal.kinematics.assembly import assembled
 from pincal.model.checks import LARGEST
-from pincal.model.leg import Closing, Joint, JointKind, Leg
+from pincal.model.leg import Closing, End, Joint, JointKind, Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import turns_in_series
 from pincal.model.placement import Placement, placement_of
@@ -244,27 +244,44 @@ def mjcf(mechanism: Mechanism) -> str:
     etree.SubElement(root, "compiler", angle="radian", autolimits="true")
     base = etree.SubElement(etree.SubElement(root, "worldbody"), "body", name="base")
     equality, actuators = (etree.SubElement(root, tag) for tag in ("equality", "actuator"))
-    carried = _chain(base, "on_platform", freedoms, thickness)
+    carried = [base, *_chain(base, "on_platform", freedoms, thickness)][-1]
     for leg in mechanism.legs:
         stem = f"{leg.name}_" * shared
         joints = [replace(joint, name=stem + joint.name) for joint in leg.joints]
-        end = _chain(base, f"{leg.name}_link", joints, thickness)
+        bodies = _chain(base, f"{leg.name}_link", joints, thickness, leg.carriers)
         for sensor in leg.sensors:
             name = stem + sensor.joint
             etree.SubElement(actuators, "position", name=name, joint=name)
         if serial:
-            carried = end
+            carried = bodies[-1]
             continue
-        sites = {"site1": f"{leg.name}_tip", "site2": f"{leg.name}_end"}
-        etree.SubElement(end, "site", name=sites["site1"])
-        point = _written_pose(_point(leg, mechanism.platform))
-        etree.SubElement(carried, "site", {"name": sites["site2"], **point})
-        tag = {"point": "connect", "frame": "weld"}[leg.closes]
-        etree.SubElement(equality, tag, {"name": leg.name, **sites})
+        _close(leg, mechanism.platform, bodies, carried, equality)
     carried.set("name", _PLATFORM)
     home = numbers_text(joint.home for joint in (*freedoms, *placed) if joint.kind != "fixed")
     etree.SubElement(etree.SubElement(root, "keyframe"), "key", name="home", qpos=home)
     return xml_text(root)
+
+
+def _close(
+    leg: Leg,
+    platform: Platform,
+    bodies: Sequence[etree._Element],
+    carried: etree._Element,
+    equality: etree._Element,
+) -> None:
+    """Add sites where ends of a leg meet the platform's body or its own, and what closes them."""
+    for place, end in enumerate(leg.every_end, 1):
+        name = leg.name + f"_{place}" * (place > 1)
+        sites = {"site1": f"{name}_tip", "site2": f"{name}_end"}
+        etree.SubElement(bodies[leg.index(end.tip)], "site", name=sites["site1"])
+        met, pose = carried, dict[str, str]()
+        if isinstance(end.meets, str):
+            met = bodies[leg.index(end.meets)]
+        else:
+            pose = _written_pose(_point(leg, end, platform))
+        etree.SubElement(met, "site", {"name": sites["site2"], **pose})
+        tag = "weld" if end.closes == "frame" or "rz" in end.closes else "connect"
+        etree.SubElement(equality, tag, {"name": name, **sites})
 
 
 def _freedoms(platform: Platform) -> list[Joint]:
@@ -276,20 +293,27 @@ def _freedoms(platform: Platform) -> list[Joint]:
     return [replace(edge.joint, home=float(home[row])) for edge, row in rows]
 
 
-def _point(leg: Leg, platform: Platform) -> Placement:
-    """Return where a platform point is; in the plane at the height of the leg's tip."""
-    x, y, z = leg.point.placement.xyz
+def _point(leg: Leg, end: End, platform: Platform) -> Placement:
+    """Return where the platform point of an end is; in the plane at the height of the tip."""
+    placement = end.point.placement if end.point else Placement()
+    x, y, z = placement.xyz
     if platform.space == 2:
-        z = float(leg.link_placements(leg.home[None])[0, -1, 2, 3])
-    return Placement((), (x, y, z), leg.point.placement.rpy)
+        z = float(leg.link_placements(leg.home[None])[0, leg.index(end.tip), 2, 3])
+    return Placement((), (x, y, z), placement.rpy)
 
 
 def _chain(
-    body: etree._Element, name: str, joints: Iterable[Joint], thickness: float
-) -> etree._Element:
-    """Hang a body with each joint, and a rod to it, on the one before; return the last one."""
+    base: etree._Element,
+    name: str,
+    joints: Sequence[Joint],
+    thickness: float,
+    carriers: Sequence[int] | None = None,
+) -> list[etree._Element]:
+    """Hang a body with each joint, and a rod to it, on that before or that of its carrier."""
+    bodies: list[etree._Element] = []
     for index, joint in enumerate(joints):
-        parent, placement = body, joint.placement
+        carrier = index - 1 if carriers is None else carriers[index]
+        parent, placement = bodies[carrier] if carrier >= 0 else base, joint.placement
         pose = {"name": f"{name}_{index + 1}", **_written_pose(placement)}
         body = etree.SubElement(parent, "body", pose)
         etree.SubElement(body, "inertial", pos="0 0 0", mass="0.1", diaginertia="0.001 0.001 0.001")
@@ -303,7 +327,8 @@ def _chain(
             shape = {"fromto": f"0 0 0 {numbers_text(placement.xyz)}", "size": f"{thickness:.6g}"}
             looks = {"type": "capsule", "contype": "0", "conaffinity": "0", "mass": "0"}
             etree.SubElement(parent, "geom", {**shape, **looks})
-    return body
+        bodies.append(body)
+    return bodies
 
 
 def _written_pose(placement: Placement) -> dict[str, str]:

@@ -125,8 +125,9 @@ def calibrated_urdf(original: str | Path, mechanism: Mechanism) -> bytes:
     placements: dict[str, Array] = {}
     shifts: list[tuple[str, Array]] = []
     for calibrated in _legs_of(path, urdf, mechanism):
-        if calibrated.closes == "point" and calibrated.point.name in urdf:
-            placements[calibrated.point.name] = calibrated.point.placement.origin()
+        for point in (end.point for end in calibrated.every_end if end.closes == "point"):
+            if point is not None and point.name in urdf:
+                placements[point.name] = point.placement.origin()
         if any(_named(urdf, joint.name) for joint in calibrated.moving):
             chain = _of_chain(path, urdf, calibrated)
             placements |= chain
@@ -195,9 +196,9 @@ def _of_chain(path: Path, urdf: Edges, leg: Leg) -> dict[str, Array]:
     """Return the origins of a leg's joints by name, (4, 4), base first."""
     carriers = {edge.child: _named(urdf, name) for name, edge in urdf.items()}
     origins: dict[str, Array] = {}
-    previous: str | None = None
-    for joint in leg.joints:
-        name = _named(urdf, joint.name)
+    on: dict[int, str | None] = {-1: None}  # by which joint each link goes, or that before
+    for index, joint in enumerate(leg.joints):
+        name, previous = _named(urdf, joint.name), on[leg.carriers[index]]
         if name is None or name in origins:
             held = joint is leg.joints[-1] and leg.closes == "frame"  # see ``_shift``
             zeros = dict.fromkeys(joint.placement.parameter_units, 0.0)
@@ -208,10 +209,10 @@ def _of_chain(path: Path, urdf: Edges, leg: Leg) -> dict[str, Array]:
                     f"the URDF that the mechanism was made from, or hold {', '.join(zeros)} "
                     "(--fixed)"
                 )
-            previous = previous if name in origins else joint.name
+            on[index] = previous if name in origins else joint.name
             continue
         drawn, carrier = urdf[name].joint, carriers.get(urdf[name].parent)
-        if origins and carrier != previous:
+        if previous and carrier != previous:
             raise MechanismError(
                 f"{path}: joint {name!r} cannot be placed: it hangs on {carrier!r} there, on "
                 f"{previous!r} in the mechanism"
@@ -224,7 +225,7 @@ def _of_chain(path: Path, urdf: Edges, leg: Leg) -> dict[str, Array]:
                     "in the mechanism, whose frames were turned on import"
                 )
         origins[name] = joint.placement.origin()
-        previous = name
+        on[index] = name
     return origins
 
 

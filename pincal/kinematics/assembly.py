@@ -28,7 +28,7 @@ from pincal.types import Array
 _STEPS, _LARGEST = 100, 0.3  # of Newton's method: how many, and how far at once
 _CLOSED = 1e-10  # gap, of the size, of what is closed
 _SINGULAR = 1e-10  # of singular values, over the size: none
-_CONFIGURATIONS = 120
+_CONFIGURATIONS, _ABOUT = 120, 0.3  # how many, and how far about home, [rad] or of the size
 _DEPENDS = 1e-7  # of a column, what others leave of it
 
 
@@ -146,6 +146,30 @@ def _fitted(closures: Sequence[LegClosure], joints: Sequence[Array], platform: P
     return matrix[None]
 
 
+def _closed_at_random(closure: LegClosure) -> tuple[Array, Array]:
+    """Return joints (N, n_joints) and poses (N, 4, 4) about home at which a tree's ends meet."""
+    leg, platform, rng = closure.leg, closure.platform, np.random.default_rng(0)
+    shares = rng.uniform(-_ABOUT, _ABOUT, (_CONFIGURATIONS, platform.dof + len(leg.moving)))
+    lengths = [leg.size if unit == "m" else 1.0 for unit in platform.units]
+    scale = np.concatenate((lengths, leg.scales))
+    moves = shares * scale
+    moves[:, platform.dof + np.array(leg.idle, dtype=int)] = 0.0
+    poses = np.repeat(platform.home_pose.as_matrix(), _CONFIGURATIONS, axis=0)
+    joints = np.tile(leg.home, (_CONFIGURATIONS, 1))
+    for _ in range(_STEPS // 5):
+        poses = platform.displaced(poses, moves[:, : platform.dof])
+        joints = joints + moves[:, platform.dof :]
+        part = closure.evaluate(joints, poses)
+        J = np.concatenate((part.pose, part.by_joints), axis=2) * scale / leg.size
+        J[:, :, platform.dof + np.array(leg.idle, dtype=int)] = 0.0
+        inverse = np.linalg.pinv(J, rcond=_DEPENDS)
+        moves = -scale * (inverse @ (part.gap / leg.size)[:, :, None])[:, :, 0]
+        longest = np.abs(moves / scale).max(axis=1, keepdims=True)
+        moves *= _LARGEST / np.maximum(longest, _LARGEST)
+    near = np.abs(part.gap).max(axis=1) <= _CLOSED * leg.size
+    return joints[near], poses[near]
+
+
 def independent(
     leg: Leg, platform: Platform, order: tuple[str, ...], slack: float = 0.0
 ) -> tuple[str, ...]:
@@ -156,7 +180,9 @@ def independent(
     """
     closure, rng = LegClosure(leg, platform), np.random.default_rng(0)
     joints = rng.uniform(*joint_range(leg), (_CONFIGURATIONS, len(leg.moving)))
-    if leg.closes == "frame":
+    if leg.ends:
+        joints, poses = _closed_at_random(closure)
+    elif leg.closes == "frame":
         poses = closure.frame(joints)
     else:  # the platform is where the leg puts it, turned at random
         twists = rng.uniform(-np.pi, np.pi, (_CONFIGURATIONS, platform.dof))

@@ -31,6 +31,7 @@ Group = TypeVar("Group")
 
 _SAMPLES = 20_000
 _ABOUT = 0.3  # [rad], or of the size, how far about home a tree starts anew
+_ALIKE = 8  # nearest tips, of which that counts that is bent as home is
 _OUT_OF_REACH = 3.0  # times the widest gap between sampled tips: farther tips are out of reach
 
 
@@ -50,9 +51,16 @@ def start_joints(closure: LegClosure, matrices: Array, attempt: int = 0) -> tupl
         moves = min(attempt, 1) * rng.uniform(-1.0, 1.0, joints.shape) * _ABOUT * closure.leg.scales
         return joints + moves, np.full(len(joints), attempt <= 1)
     tree, joints, reach = _samples(closure.leg, closure.platform)
-    distance, nearest = tree.query(_places(closure, matrices), [attempt + 1])
-    index = np.minimum(nearest[:, 0], len(joints) - 1)  # none is near where a target is infinite
-    return joints[index], distance[:, 0] <= reach
+    turning = [i for i in closure.leg.passive if not closure.leg.moving[i].limited]
+    count = _ALIKE if turning and not attempt else 1  # of one mode, and yet bent otherwise
+    columns = list(range(attempt + 1, attempt + 1 + count))
+    distance, nearest = tree.query(_places(closure, matrices), columns)
+    index = np.minimum(nearest, len(joints) - 1)  # none is near where a target is infinite
+    if count > 1:
+        bent = np.abs(wrapped(joints[index][:, :, turning] - closure.leg.home[turning])).sum(axis=2)
+        bent[distance > 2.0 * distance[:, :1] + reach / _OUT_OF_REACH] = np.inf
+        index = np.take_along_axis(index, bent.argmin(axis=1)[:, None], axis=1)
+    return joints[index[:, 0]], distance[:, 0] <= reach
 
 
 @lru_cache(maxsize=64)

@@ -151,9 +151,14 @@ class Leg:
 
     def __repr__(self) -> str:
         reads = f"reads {listed(sensor.joint for sensor in self.sensors)}"
-        closes, count = f"closes a {self.closes}", counted(len(self.parameters), "parameter")
-        closes += f" and {counted(len(self.ends), 'further end')}" * bool(self.ends)
-        return one_line("Leg", repr(self.name), self.joint_letters, reads, closes, count)
+        count = counted(len(self.parameters), "parameter")
+        return one_line("Leg", repr(self.name), self.joint_letters, reads, self.closing, count)
+
+    @property
+    def closing(self) -> str:
+        """What it closes, in words."""
+        further = counted(len(self.ends), "further end")
+        return f"closes a {self.closes}" + f" and {further}" * bool(self.ends)
 
     @property
     def joint_letters(self) -> str:
@@ -370,9 +375,12 @@ class Leg:
     def size(self) -> float:
         """Length of the stretched leg, [m]: the scale against which gaps are small.
 
-        Its reach if it has no length at home, a metre if it has none anywhere.
+        Its reach if it has no length at home, a metre if it has none anywhere. One that closes a
+        frame and is a joint with corrections, such as an ankle's, is as long as it is far away.
         """
-        return self._stretched(lambda joint: abs(joint.home)) or self.reach or 1.0
+        far = float(np.linalg.norm(self.joints[0].placement.xyz)) * (self.closes == "frame")
+        lengths = self._stretched(lambda joint: abs(joint.home)), self.reach, far, 1.0
+        return next(length for length in lengths if length > 0.01 * far)
 
     @cached_property
     def reach(self) -> float:

@@ -264,7 +264,7 @@ def mechanism_text(mechanism: Mechanism) -> str:
     lines.append(f"platform {platform.kind}, at home {home}")
     for leg in mechanism.legs:
         read = ", ".join(leg.reading_names) or "nothing"
-        lines.append(f"{leg.name}: {leg.joint_letters}, reads {read}, closes a {leg.closes}")
+        lines.append(f"{leg.name}: {leg.joint_letters}, reads {read}, {leg.closing}")
     return "\n".join([*lines, "", str(tables.nominal_table(mechanism))])
 
 
