@@ -22,7 +22,7 @@ LINES = {
     "estimation": 4_691,
     "files": 2_741,
     "formats": 2_118,
-    "kinematics": 3_354,
+    "kinematics": 3_370,
     "model": 3_355,
     "show": 3_682,
     "symmetry": 1_370,

@@ -90,7 +90,7 @@ def strut(number: int, *, spins: bool) -> Leg:
     """Return a UPS leg of a Tricept, whose slide may spin about itself."""
     angle = 2 * np.pi * number / 3
     foot = 0.5 * np.array([np.cos(angle), np.sin(angle), 0.0])
-    point = 0.4 * foot + np.array([0.0, 0.01 * number, 0.0])
+    point = 0.4 * foot + np.array([0.0, 0.03 * (number + 1), 0.0])
     rod = point + np.array(Z) - foot
     length = float(np.linalg.norm(rod))
     second = float(np.arcsin(rod[0] / length))

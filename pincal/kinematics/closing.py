@@ -30,7 +30,7 @@ from pincal.types import Array, Mask
 Group = TypeVar("Group")
 
 _SAMPLES = 20_000
-_ABOUT = 0.3  # [rad], or of the size, how far about home a tree starts anew
+_WAY, _ABOUT = 10, 0.3  # steps of a tree on its way from home, the largest, [rad] or of the size
 _ALIKE = 8  # nearest tips, of which that counts that is bent as home is
 _OUT_OF_REACH = 3.0  # times the widest gap between sampled tips: farther tips are out of reach
 
@@ -47,9 +47,8 @@ def start_joints(closure: LegClosure, matrices: Array, attempt: int = 0) -> tupl
         joints, possible = form.joints(closure.targets(matrices))
         return joints, possible & (attempt == 0)
     if closure.leg.ends:  # few of random positions are near such that close its loops
-        rng, joints = np.random.default_rng(attempt), np.tile(closure.leg.home, (len(matrices), 1))
-        moves = min(attempt, 1) * rng.uniform(-1.0, 1.0, joints.shape) * _ABOUT * closure.leg.scales
-        return joints + moves, np.full(len(joints), attempt <= 1)
+        joints = _followed(closure, matrices)
+        return joints, np.full(len(joints), attempt == 0)
     tree, joints, reach = _samples(closure.leg, closure.platform)
     turning = [i for i in closure.leg.passive if not closure.leg.moving[i].limited]
     count = _ALIKE if turning and not attempt else 1  # of one mode, and yet bent otherwise
@@ -61,6 +60,23 @@ def start_joints(closure: LegClosure, matrices: Array, attempt: int = 0) -> tupl
         bent[distance > 2.0 * distance[:, :1] + reach / _OUT_OF_REACH] = np.inf
         index = np.take_along_axis(index, bent.argmin(axis=1)[:, None], axis=1)
     return joints[index[:, 0]], distance[:, 0] <= reach
+
+
+def _followed(closure: LegClosure, matrices: Array) -> Array:
+    """Return joint positions that follow poses (N, 4, 4) on straight ways from home."""
+    leg, platform, count = closure.leg, closure.platform, len(matrices)
+    homes, joints = np.tile(platform.home, (count, 1)), np.tile(leg.home, (count, 1))
+    start, twists = (
+        platform.matrices(homes),
+        platform.twists_between(homes, platform.from_matrices(matrices)),
+    )
+    for share in np.linspace(0.0, 1.0, _WAY + 1)[1:]:
+        poses = platform.displaced(start, share * twists)
+        step = _newton_step(closure, closure.evaluate(closure.deformed(joints), poses))
+        step = np.nan_to_num(step[:, : len(leg.moving)] / leg.scales, posinf=0.0, neginf=0.0)
+        longest = np.abs(step).max(axis=1, keepdims=True)
+        joints = joints + step * leg.scales * _ABOUT / np.maximum(longest, _ABOUT)
+    return joints
 
 
 @lru_cache(maxsize=64)
