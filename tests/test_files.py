@@ -654,6 +654,16 @@ def test_fault_in_yaml_is_told_by_line_and_key(case: str, folder: Path) -> None:
     assert "more)" not in message or case == "unlike"
 
 
+@pytest.mark.parametrize(
+    "data", [b"", b"\n", b"\0" * 100, b"\xff\xfe", b"null", b"<robot>\0</robot>"]
+)
+def test_what_is_no_xml_is_refused(data: bytes, folder: Path) -> None:
+    """Nothing, zeros and marks of other encodings in the place of a URDF are named with a line."""
+    (folder / LEG).write_bytes(data)
+    with pytest.raises(MechanismError, match=rf"{LEG}, line \d: the file does not parse: "):
+        pincal.load_mechanism(folder)
+
+
 def test_fault_in_xml_is_told_by_its_line(folder: Path) -> None:
     """A URDF that does not parse is named with the line, once."""
     (folder / LEG).write_text('<robot name="a">\n<link name="b">\n</robot>\n')

@@ -162,9 +162,9 @@ def why_no_number(text: str, units: str = "m or rad", place: str = "") -> str:
 
 def read_xml(path: Path, root: str) -> etree._Element:
     """Return the root element of a file, of that name; nothing is resolved and nothing fetched."""
-    text = read_bytes(path, LARGEST_FILE["XML"], MechanismError)
     parser = etree.XMLParser(resolve_entities=False, no_network=True, huge_tree=False, recover=True)
-    element = etree.fromstring(text or b" ", parser)
+    with suppress(etree.XMLSyntaxError):  # of nothing, which the log says, too
+        element = etree.fromstring(read_bytes(path, LARGEST_FILE["XML"], MechanismError), parser)
     for fault in parser.error_log.filter_from_fatals():  # a prefix without a namespace is none
         raise MechanismError(
             f"{path}, line {fault.line}: the file does not parse: {fault.message.strip()}"
