@@ -632,7 +632,7 @@ FAULTS = {
     "misspelt": ("  sensors:", "  sensor:", [", line 15", "legs.leg_1.sensor'", "'sensors'?"]),
     "misspelt-choice": ("offset: gamma", "ofset: gamma", [", line 16", "mean 'offset'?"]),
     "unlike": ("form: joint", "quark: joint", [", line 16", "expected joint, form, gain"]),
-    "decimal-comma": ("    l: 1.5", "    l: 0,02", [", line 18", "take a point", "'0,02'"]),
+    "decimal-comma": ("    l: 1.5", "    l: 0,02", [", line 18", "one decimal point", "'0,02'"]),
     "unit": ("- {x: l}", "- {x: 0.02mm}", [", line 30", "elbow.0.x: '0.02mm'", "m or rad"]),
     "key-number": ("{shoulder:", "{shoulder: 0,5, q:", [", line 14", "decimals take a point"]),
     "missing": ("  tip: leg_1_tip\n", "", [", line 10", "'legs.leg_1.tip' is missing"]),
