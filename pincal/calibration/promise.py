@@ -22,6 +22,7 @@ from pincal.estimation.unknowns import External
 from pincal.kinematics.forward import forward
 from pincal.model.measurements import Plan
 from pincal.model.setup import ORIGIN
+from pincal.model.terms import Load
 from pincal.types import Array
 
 if TYPE_CHECKING:
@@ -99,14 +100,14 @@ def most_uncertain(result: CalibrationResult) -> Array:
 def uncovered(result: CalibrationResult) -> tuple[str, ...]:
     """Return what a promise does not cover: nothing was said of it, and it can hide in parameters.
 
-    ``"weight"`` that bends the machine without terms for it, a wrong ``"scale"`` of the instrument
-    or the machine's temperature, and what changes with ``"time"`` where no pose was measured again.
+    ``"weight"`` that nobody said, or that has no terms, a wrong ``"scale"`` of the instrument or
+    the machine's temperature, and what changes with ``"time"`` where no pose was measured again.
     """
     observation = result.calibration.observation
     columns = zip(observation.units, observation.measured.T, strict=True)
     lengths = any(unit == "m" and column.any() for unit, column in columns)
     named = {
-        "weight": not result.nominal.loaded,
+        "weight": not result.nominal.loaded or (result.nominal.load or Load()).assumed,
         "scale": lengths and not result.options.setup.systematic.relative,
         "time": not any(result.measurements.places or ()),
     }

@@ -206,6 +206,11 @@ class Load:
     """Parameters of the machine whose loads these are, by id: those of the drawing, so that loads
     of a row are the same before and after calibration. The mechanism's own if empty."""
 
+    @property
+    def assumed(self) -> bool:
+        """Whether it is 1 kg at the origin, as stands for a weight that nobody said."""
+        return (self.mass, self.centre) == (1.0, (0.0, 0.0, 0.0))
+
     def __post_init__(self) -> None:
         if not 0.0 <= self.mass < np.inf:
             raise MechanismError(f"the load's mass is {self.mass!r}; expected 0 or more [kg]")
