@@ -491,7 +491,7 @@ def test_refusals_say_true_numbers() -> None:
         pincal.calibrate(mechanism, seen, noise=NOISE, setup=FRAME)
     data = put(data, "poses", np.s_[:, 3:], np.nan)
     data = put(data, "readings", np.s_[:, :2], data.readings[:, 1::-1])
-    exchanged = "legs are swapped: .* order of columns"
+    exchanged = "legs are swapped: .* order of the columns"
     with pytest.raises(pincal.MeasurementError, match=exchanged) as refused:
         pincal.calibrate(mechanism, data, noise=NOISE)
     millimetres, percent = re.findall(

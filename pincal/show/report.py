@@ -80,12 +80,12 @@ class Report(Page):
     result: CalibrationResult
     errors: WorkspaceErrors | None
     """The platform's over the workspace; None if the fit did not converge."""
-    command: str
+    command: str = ""
     """As it was typed; empty if it was not."""
-    files: tuple[tuple[str, str], ...]
+    files: tuple[tuple[str, str], ...] = ()
     """Files that were read, and their SHA-256."""
-    steps: Sequence[str]
-    """Commands that come next."""
+    steps: Sequence[str] = ()
+    """Commands that come next; of no known file if none are given."""
     notes: tuple[str, ...] = ()
     """What was not done, and why."""
     date: str = ""
@@ -94,7 +94,7 @@ class Report(Page):
 
     @cached_property
     def _page(self) -> str:
-        result = self.result
+        result, steps = self.result, self.steps or answers.next_steps(self.result, self.errors)
         parts = [self.date, f"{len(result.measurements)} rows", answers.method_line(result)]
         with reading_in(self.units.printed):
             return rendered(
@@ -103,7 +103,7 @@ class Report(Page):
                 description=result.nominal.description,
                 subtitle=" · ".join([*parts, result.message]),
                 warnings=answers.warnings(result),
-                answers=answers.answers(result, self.errors, self.steps, self.notes),
+                answers=answers.answers(result, self.errors, steps, self.notes),
                 sections=[
                     {"name": name, "title": title, "parts": filter(None, parts)}
                     for name, title, *parts in _sections(self)
@@ -143,8 +143,7 @@ def report(
     )
     read = Units.of(units, result.nominal.counts, result.nominal.reading_names)
     errors = workspace_errors(result) if result.converged else None
-    steps = answers.next_steps(result, errors)
-    return Report(result, errors, command, hashes, steps, tuple(notes), date, read)
+    return Report(result, errors, command, hashes, (), tuple(notes), date, read)
 
 
 def _sections(report: Report) -> list[tuple[Any, ...]]:
