@@ -450,13 +450,15 @@ class Leg:
         def moved(joint: Joint) -> Joint:
             return replace(joint, placement=joint.placement.moved(old, new, self.name))
 
-        return replace(
+        leg = replace(
             self,
             joints=tuple(moved(joint) for joint in self.joints),
             point=moved(self.point),
             ends=tuple(end.moved(moved) for end in self.ends),
             parameters=tuple(new.items()),
         )
+        vars(leg)["idle"] = self.idle  # as drawn: small corrections do not free a strut's spin
+        return leg
 
     def with_limits(self, limits: Mapping[str, tuple[float, float]]) -> Leg:
         """Return the leg with other limits of some joints, by name, [rad] or [m]."""
