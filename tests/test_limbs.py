@@ -358,6 +358,12 @@ def test_a_platform_that_only_turns() -> None:
         elbow = Rotation.from_rotvec(np.outer(readings[:, number], u)).apply(w)
         np.testing.assert_allclose(np.einsum("ni,nij,j->n", elbow, R, v), 0.0, atol=1e-9)
     assert recovered(mechanism, readings) < 1e-8
+    noise = pincal.Noise(orientation=1e-5, reading=1e-6)
+    data = pincal.simulate(mechanism, mechanism, poses, noise, seed=1).measurements
+    held = {"fixed": "*", "noise": noise, "folds": 0}
+    found = pincal.calibrate(mechanism, data, unknown_target=True, **held)  # no position to align
+    turn = [u for u in found.external if u.unit == "rad"]
+    assert all(abs(u.identified) < 5.0 * u.std < 1e-4 for u in turn)
 
 
 def four_bar_gaps(readings: Array, poses: Array) -> Array:

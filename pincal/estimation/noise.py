@@ -327,8 +327,8 @@ def _sigmas_by_name(
 def target_positions(platform: Platform, data: Measurements, target: str) -> Array:
     """Return measured positions of a target, shape (N, 3); NaN where not measured, z 0 in plane."""
     measured, none = np.zeros((3, len(data))), np.full(len(data), np.nan)
-    columns = [data.extra.get(f"{target}_{axis}", none) for axis in "xyz"[: platform.space]]
-    columns = [*data.poses.T[: platform.lengths]] if target == ORIGIN else columns
+    columns = [*data.poses.T[: platform.lengths]] if target == ORIGIN else []
+    columns = columns or [data.extra.get(f"{target}_{a}", none) for a in "xyz"[: platform.space]]
     measured[: len(columns)] = columns
     return measured.T
 
