@@ -414,7 +414,7 @@ def test_measurements_of_another_machine_are_refused(kind: str) -> None:
     """Readings that belong to other poses raise instead of fitting nonsense; nobody is blamed."""
     mechanism, data = nominal(kind), measured(kind, 15)
     random = np.random.default_rng(0).permutation(data.readings) + 0.3
-    with pytest.raises(pincal.MeasurementError, match=r"no single fault .* Check the units"):
+    with pytest.raises(pincal.MeasurementError, match=r"no single fault .* Check these"):
         check_plausible(mechanism, replace(data, readings=random))
 
 

@@ -153,7 +153,7 @@ def test_a_coordinate_that_is_not_measured_is_said_in_a_line(tables: Path) -> No
     given = ("--noise-position", "0.1mm", "--noise-reading", "1e-5")
     outcome = calibrated("3RRR", tables / "no_phi.csv", *given, "-o", tables / "no_phi")
     assert outcome.code == 0
-    said = "not measured: phi (by the readings alone, not checked)"
+    said = "not measured: phi (forecast from the readings, not checked)"
     assert said in " ".join(outcome.out.split())
     whole = calibrated(
         "3RRR", tables / "six.csv", *given, "--noise-orientation", "0.1mrad", "-o", tables / "six"

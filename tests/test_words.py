@@ -273,9 +273,9 @@ def test_what_each_hypothesis_says(code: str) -> None:
     one = finding(code, **(COMMON | values))
     assert filled(HYPOTHESES[code].says, one).startswith(words)
     text = sentence(one)
-    miss = "measurements miss the nominal mechanism by 0.01 % of a leg's length (median)"
+    miss = "measurements fit the mechanism to 0.01 % of a leg's length (median)"
     assert text.startswith(words)
-    assert f": corrected for that, {miss}; as they are, by 5.1 %. " in text
+    assert f": corrected for that, {miss}; as they are, they miss it by 5.1 %. " in text
     assert text.endswith(HYPOTHESES[code].remedy)
 
 
@@ -288,8 +288,8 @@ def test_hypotheses_that_explain_alike_are_one_sentence() -> None:
     assert text == (
         "the readings have the opposite sign, or the readings of leg_1 are in mm under a metre "
         "header (1000 times too large) and the poses are in another frame than the base: corrected "
-        "for that, measurements miss the nominal mechanism by 0.01 % of a leg's length "
-        "(median); as they are, by 5.1 %. Change their sign, or the sensor's 'direction' in "
+        "for that, measurements fit the mechanism to 0.01 % of a leg's length "
+        "(median); as they are, they miss it by 5.1 %. Change their sign, or the sensor's 'direction' in "
         "mechanism.yaml; or: Correct the units in the headers; or: Give --unknown-frame (in Python "
         "Setup(unknown_frame=True))"
     )

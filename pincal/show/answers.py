@@ -111,7 +111,7 @@ def _improvement(result: CalibrationResult, errors: WorkspaceErrors) -> tuple[st
     ratios = before / after
     if min(ratios) >= 2.0:
         likely, least = (rounded(size) for size in sizes[0, kind] / sizes[1:, kind])
-        reason = f"The error falls by a factor of {likely}, with 95 % confidence of {least} or more"
+        reason = f"The error falls by a factor of {likely} (at least {least}, with 95 % confidence)"
         if result.promises and result.degrees_of_freedom:
             return "Yes", "good", reason, by
         return "Probably", "care", "The error falls, but no limit can be promised", by
@@ -226,7 +226,7 @@ def _found_lines(result: CalibrationResult) -> list[str]:
     names = [name for name, lacks in zip(platform.coordinates, missing, strict=True) if lacks]
     if platform.turns == 3 and all(missing[platform.lengths :]):
         names[-3:] = ["the orientation"]
-    return [*lines, f"not measured: {listed(names)} (by the readings alone, not checked)"]
+    return [*lines, f"not measured: {listed(names)} (forecast from the readings, not checked)"]
 
 
 def rejected_lines(result: CalibrationResult) -> list[str]:
@@ -320,7 +320,7 @@ def check_lines(result: CalibrationResult) -> list[str]:
     if (validation := result.validation) is None:
         return []
     folds, count = validation.folds, validation.rows
-    rows = f"{folds} folds" if folds > 1 else f"{count} rows of the set verify"
+    rows = f"{folds} folds" if folds > 1 else f"{count} rows reserved for verification"
     if validation.fit > MISSES:
         return [
             "held-out rows prove nothing: the fit misses even its own rows by "

@@ -143,10 +143,10 @@ HYPOTHESES: dict[str, Wording] = {
 
 
 _MISSED = (
-    ": corrected for that, measurements miss the nominal mechanism by {left|percent} of a "
+    ": corrected for that, measurements fit the mechanism to {left|percent} of a "
     "leg's length (median); as they are, {% if other_side > 0.5 %}{other_side|percent} of the "
     "poses lie across a singularity from home{% elif given is none %}readings and poses do not fit "
-    "at all{% else %}by {given|percent}{% endif %}"
+    "at all{% else %}they miss it by {given|percent}{% endif %}"
 )
 
 

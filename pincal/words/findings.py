@@ -128,8 +128,8 @@ FINDINGS: dict[str, Wording] = {
         "{rows|length} of {total} held-out rows do{'es' if rows|length == 1} not fit: "
         "{'' if rows|length == 1 else 'worst '}data row {row}, by {sigma|f(0)} σ ({quantity} off "
         "by {off|f(0)} σ); the others fit",
-        "Correct or remove {them}, or leave {them} out (--loss reject)",
-        title="held-out rows do not fit",
+        "Measure {them} again, or leave {them} out (--loss reject)",
+        title="a held-out row does not fit",
     ),
     "tolerance-found": Wording(
         "{% set kinds = {'m': 'lengths', 'rad': 'angles', '1': 'gains'}[unit] %}"

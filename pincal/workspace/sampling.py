@@ -116,9 +116,9 @@ def sample_configurations(
         rows = np.flatnonzero(solution.converged)
         if criteria:
             rows = rows[criteria.at_readings(solution.poses[rows], drawn[rows])]
-            if len(rows) < _RARE * len(drawn):  # joints without limits turn round: nearer
-                low, high = 0.5 * (low + home), 0.5 * (high + home)
-                halved += 1
+        if len(rows) < _RARE * len(drawn):  # joints without limits turn round: nearer
+            low, high = 0.5 * (low + home), 0.5 * (high + home)
+            halved += 1
         poses.append(solution.poses[rows])
         readings.append(drawn[rows])
         total += len(rows)
