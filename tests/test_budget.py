@@ -23,7 +23,7 @@ LINES = {
     "files": 2_741,
     "formats": 2_118,
     "kinematics": 3_370,
-    "model": 3_362,
+    "model": 3_372,
     "show": 3_682,
     "symmetry": 1_370,
     "words": 866,

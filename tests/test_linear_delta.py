@@ -103,7 +103,7 @@ def test_clean_heights_give_all_that_heights_can_tell() -> None:
     mechanism, truth = pincal.load_mechanism("linear_delta"), drawn(2)
     data = probed(mechanism, truth, pincal.Noise(0.0, 0.0, 0.0))
     result = pincal.calibrate(mechanism, data, noise=PROBE)
-    assert "base frame: 3 freedoms" in sentence(result.gauge[0])
+    assert "base frame (3 freedoms)" in sentence(result.gauge[0])
     found, wanted = (delta_printer(one) for one in (result.identified, truth))
     assert abs(found.radius - wanted.radius) < 1e-8
     np.testing.assert_allclose(found.arms, wanted.arms, atol=1e-8)

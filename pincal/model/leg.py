@@ -80,7 +80,12 @@ Closing = Literal["point", "frame"]
 
 @dataclass(frozen=True)
 class End:
-    """Where a leg meets the platform, or itself: a loop within it."""
+    """Where a leg meets the platform, or itself: a loop within it.
+
+    >>> import pincal
+    >>> pincal.End("coupler_tip", "hook", ("x", "y")).frames
+    ('coupler_tip', 'hook')
+    """
 
     tip: str
     """The joint whose frame it is."""

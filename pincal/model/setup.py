@@ -261,6 +261,11 @@ class Contact:
     """A target that is brought again and again to points that stand still: sockets, balls.
 
     Which of them it touches in a row stands in the column of the contact's name.
+
+    >>> import pincal
+    >>> sockets = pincal.Contact({"A": None, "B": (0.3, 0.1, 0.05)}, noise=2e-5)
+    >>> pincal.Setup(contacts={"socket": sockets}).contacts["socket"].points["B"]
+    (0.3, 0.1, 0.05)
     """
 
     points: Mapping[str, Point | None]
