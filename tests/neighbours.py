@@ -200,7 +200,7 @@ def four_bar(folder: Path) -> Path:
         joint("foot", "base", "l3", "0.9 0 0"),
         joint("follower_end", "l3", "l3_end", place(knee - 0.9), "fixed"),
     ]
-    yaml = "closed_loop: [[end, follower_end]]\nname_mot: [crank]\ntype: [3d]\nplatform: coupler\n"
+    yaml = "closed_loop: [[end, follower_end]]\nname_mot: [crank]\ntype: [3d]\n"
     return written(folder, urdf("four_bar", joints, "base"), yaml)
 
 
