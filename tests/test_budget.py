@@ -21,7 +21,7 @@ LINES = {
     "design": 1_819,
     "estimation": 4_691,
     "files": 2_741,
-    "formats": 2_124,
+    "formats": 2_128,
     "kinematics": 3_370,
     "model": 3_372,
     "show": 3_682,

@@ -118,10 +118,7 @@ class _Graph:
         return loose
 
     def platform(self, base: str, link: str | None) -> str:
-        """Return the platform's body: where ways meet besides the base, or else the base.
-
-        Of a four-bar it is the coupler, which no joint ties to the base.
-        """
+        """Return the platform's body: where ways meet, a four-bar's coupler, or else the base."""
         degrees = self.degrees()
         if link is not None:
             body = self.body[link]
@@ -140,10 +137,17 @@ class _Graph:
                 "platform: name it with --platform LINK, or the base, if it is another link "
                 "(--base)"
             )
-        if meeting or len(self.bonds) != 4 or any(b.joint.kind == "prismatic" for b in self.bonds):
-            return meeting[0] if meeting else base
-        beside = {body for bond in self.bonds if base in self.ends(bond) for body in self.ends(bond)}
-        return next(iter(degrees.keys() - beside), base) if beside else base
+        return meeting[0] if meeting else self.coupler(base)
+
+    def coupler(self, base: str) -> str:
+        """Return the body of a four-bar that no joint ties to the base, or else the base."""
+        on_base = {
+            name for bond in self.bonds for name in self.ends(bond) if base in self.ends(bond)
+        }
+        slides = any(bond.joint.kind == "prismatic" for bond in self.bonds)
+        if slides or len(self.bonds) != 4 or not on_base:
+            return base
+        return next(iter(self.degrees().keys() - on_base))
 
     def round(self, base: str) -> list[Step]:
         """Return the one loop that there is, from the base back to it."""
