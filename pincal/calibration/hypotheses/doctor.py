@@ -18,7 +18,6 @@ from pincal.calibration.hypotheses.plausibility import check_noise, hypotheses_o
 from pincal.calibration.result import CalibrationResult
 from pincal.errors import MeasurementError, PincalError
 from pincal.finding import Finding
-from pincal.model.setup import ORIGIN
 
 _FEW = 0.25  # of the rows: more that do not fit are no outliers
 
@@ -66,9 +65,7 @@ def remedies(calibration: Calibration) -> Iterator[Remedy]:
 
 def _stages(calibration: Calibration) -> Iterator[list[Remedy]]:
     setup = calibration.options.setup
-    origin = replace(setup.targets[ORIGIN], unknown=True)
-    framed = replace(setup, unknown_frame=True)
-    placed = replace(framed, targets={**setup.targets, ORIGIN: origin})
+    framed, placed = setup.anywhere(frame=True), setup.anywhere(frame=True, target=True)
     setups = [setup] + [framed] * (framed != setup) + [placed] * (placed != framed)
     for known in setups:  # the less is known of frame and target
         in_setup = calibration.with_options(setup=known)
@@ -77,8 +74,8 @@ def _stages(calibration: Calibration) -> Iterator[list[Remedy]]:
         explained = []
         for fault, judged in hypotheses_of(in_setup):
             data = judged.hypothesis.right(calibration.measurements)
-            frame = replace(known, unknown_frame=known.unknown_frame or judged.free)
-            mended = replace(in_setup, measurements=data).with_options(setup=frame)
+            judged_setup = known.anywhere(frame=judged.free)
+            mended = replace(in_setup, measurements=data).with_options(setup=judged_setup)
             explained.append(_attempt((fault,), mended))
         yield explained
         if not explained and any(in_setup.short_legs()):

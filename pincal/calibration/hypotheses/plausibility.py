@@ -125,7 +125,7 @@ def explanations(case: Case, as_measured: Judged) -> list[Judged]:
 def _stages(case: Case, as_measured: Judged) -> Iterator[list[Judged]]:
     """Yield hypotheses with their fits, the simplest first; a base nearly in place is none."""
     every, framed = list(faults(case)), case.few(_ROWS_FRAMED)
-    setup = replace(case.calibration.options.setup, unknown_frame=True)
+    setup = case.calibration.options.setup.anywhere(frame=True)
     framed = replace(framed, calibration=case.calibration.with_options(setup=setup))
     single = [hypothesis for hypothesis in every if hypothesis.faults == 1]
     if case.alone and (nominal := as_measured.nominal_readings) is not None:
