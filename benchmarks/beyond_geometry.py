@@ -26,6 +26,7 @@ from scipy.spatial.transform import Rotation
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 import cramer_rao
+from pages import write_table
 
 import pincal
 from pincal.calibration.promise import unseen
@@ -34,7 +35,6 @@ from pincal.design.order import in_turns
 from pincal.design.platform_error import platform_error
 
 Array = NDArray[np.float64]
-PAGE = Path(__file__).parents[1] / "docs" / "beyond_geometry.md"
 NOISE = pincal.Noise(2e-5, 5e-5, 2e-5)
 WEIGHT = np.array([0.0, -9.81 * 50.0, 0.0])  # of what the platform carries, upright, [N]
 SIZE = 1e-3  # of the machines' differences from their drawing
@@ -375,9 +375,6 @@ HEAD = (
     "| with what `explain` adds |\n"
     f"|---{'|---:' * 3}{'|---' * 4}|"
 )
-_BLOCK = re.compile(
-    r"(<!-- made by benchmarks/beyond_geometry\.py -->\n).*?(<!-- end -->)", re.DOTALL
-)
 
 
 def main() -> None:
@@ -394,9 +391,7 @@ def main() -> None:
         print(table, often, sep="\n", flush=True)
         lines.append(table)
     if given.write:
-        page = PAGE.read_text(encoding="utf-8")
-        text = "\n".join([HEAD, *lines])
-        PAGE.write_text(_BLOCK.sub(lambda m: f"{m[1]}{text}\n{m[2]}", page), encoding="utf-8")
+        write_table("beyond_geometry.md", "beyond_geometry.py", [HEAD, *lines])
 
 
 if __name__ == "__main__":

@@ -14,7 +14,6 @@ alone. ``--write`` puts the table into docs/accuracy.md.
 from __future__ import annotations
 
 import argparse
-import re
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -27,12 +26,12 @@ from scipy.spatial.transform import Rotation
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 import correlated
 from cramer_rao import KINDS, Machine, drawn, machine, off, values_of
+from pages import write_table
 
 import pincal
 
 Array = NDArray[np.float64]
 Error = Callable[[Machine], Array]
-PAGE = Path(__file__).parents[1] / "docs" / "accuracy.md"
 NOISE = pincal.Noise(2e-5, 5e-5, 2e-5)
 SCALE = 3e-4
 PER_RADIAN = 0.3  # [m] of a strut
@@ -132,9 +131,6 @@ HEAD = (
     "| machine | error | limit promised [%] | promises broken [%] | by more than a fifth [%] "
     "| intervals cover [%] |\n|---|---|---|---|---|---|"
 )
-_BLOCK = re.compile(
-    r"(<!-- made by benchmarks/broken_promises\.py -->\n).*?(<!-- end -->)", re.DOTALL
-)
 
 
 def main() -> None:
@@ -156,9 +152,7 @@ def main() -> None:
             lines.append(line(one, name, given.sets))
             print(lines[-1], flush=True)
     if given.write:
-        page = PAGE.read_text(encoding="utf-8")
-        text = "\n".join(lines)
-        PAGE.write_text(_BLOCK.sub(lambda m: f"{m[1]}{text}\n{m[2]}", page), encoding="utf-8")
+        write_table("accuracy.md", "broken_promises.py", lines)
 
 
 if __name__ == "__main__":
