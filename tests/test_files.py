@@ -23,7 +23,7 @@ import pincal
 from pincal import FileError, MechanismError, PincalError
 from pincal.files import mechanism_folders
 from pincal.files.mechanism_folders import bundled
-from pincal.files.urdf_writing import leg_links, leg_urdf
+from pincal.files.urdf_writing import leg_links, leg_urdf, platform_urdf
 from pincal.kinematics.closure import LegClosure
 from pincal.model.consistency import home_gap
 from pincal.workspace.criteria import in_workspace
@@ -218,6 +218,14 @@ def test_readers_agree_on_the_tip(sample: pincal.Mechanism) -> None:
                 np.testing.assert_allclose(tip, own, rtol=0.0, atol=1e-12)
 
 
+def test_names_in_written_files_are_of_one_frame_each(sample: pincal.Mechanism) -> None:
+    """Pinocchio finds every joint and link of a leg and of the platform by its name alone."""
+    for text in (*map(leg_urdf, sample.legs), platform_urdf(sample.name, sample.legs)):
+        model = pin.buildModelFromXML(text)
+        names = [frame.name for frame in model.frames]
+        assert [model.getFrameId(name) for name in names] == list(range(len(names)))
+
+
 def test_written_legs_load_elsewhere_with_visuals(sample: pincal.Mechanism, tmp_path: Path) -> None:
     """The URDF files load in Pinocchio and yourdfpy, every link with a visual."""
     saved = sample.save(tmp_path / "m")
@@ -239,7 +247,7 @@ def test_platform_loads_elsewhere_with_its_points(sample: pincal.Mechanism, tmp_
     """The platform's URDF loads in yourdfpy and has each platform point where the leg has it."""
     robot = yourdfpy.URDF.load(str(sample.save(tmp_path / "m") / PLATFORM))
     for leg in sample.legs:
-        origin = robot.get_transform(leg.point.name, "platform")
+        origin = robot.get_transform(f"{leg.point.name}_link", "platform")
         np.testing.assert_allclose(origin, leg.point.placement.origin(), atol=1e-15)
     assert all(link.visuals for link in robot.robot.links)
 
@@ -362,7 +370,13 @@ BAD: dict[str, tuple[list[Edit], list[str]]] = {
         [YAML, "leg_1", "'wrist'"],
     ),
     "frame-on-a-frame": (
-        [(PLATFORM, '"platform"/>\n    <child link="b_2"', '"b_1"/>\n    <child link="b_2"')],
+        [
+            (
+                PLATFORM,
+                '"platform"/>\n    <child link="b_2_link"',
+                '"b_1_link"/>\n    <child link="b_2_link"',
+            )
+        ],
         ["b_2"],
     ),
     # mechanism.yaml

@@ -155,13 +155,24 @@ def test_a_centre_leg_without_a_drive_holds_a_tricept() -> None:
     assert recovered(mechanism, plan.readings) < 1e-8
 
 
-def test_a_spin_about_a_strut_is_idle() -> None:
-    """A strut that may spin demands what it does without: the spin is held, its readings equal."""
+def test_a_spin_about_a_strut_is_idle(tmp_path: Path) -> None:
+    """A strut that may spin demands what it does without: the spin is held, its readings equal.
+
+    Corrected, and loaded again, it is held still: a tip that misses the axis does not free it.
+    """
     spinning, plain = tricept(), tricept(spins=False)
     assert [leg.idle for leg in spinning.legs] == [[3], [3], [3], []]
     plan = pincal.sample_configurations(plain, 10)
     poses = pincal.forward(spinning, plan.readings).poses
     np.testing.assert_allclose(poses, plan.poses, atol=1e-12)
+    leg = spinning.legs[0]
+    tip = replace(leg.joints[-1], placement=Placement.of({"off": 0.0}, x="off"))
+    values = (*leg.parameters, ("off", 0.0))
+    leg = replace(leg, joints=(*leg.joints[:-1], tip), parameters=values)
+    corrected = replace(spinning, legs=(leg.with_parameters({"off": 1e-3}), *spinning.legs[1:]))
+    corrected.save(tmp_path / "corrected")
+    assert pincal.load_mechanism(tmp_path / "corrected").legs == corrected.legs
+    assert corrected.legs[0].idle == [3]
 
 
 def six_rods() -> Mechanism:

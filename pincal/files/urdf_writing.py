@@ -58,9 +58,9 @@ def platform_urdf(name: str, legs: tuple[Leg, ...]) -> str:
     """Return a platform's URDF: one fixed frame for each platform point."""
     robot = etree.Element("robot", name=f"{name}_platform")
     size = max(_size(leg) for leg in legs)
-    root = "platform"
-    points = {point.name: point for leg in legs for point in leg.points}
-    while root in points:
+    points, root = {point.name: point for leg in legs for point in leg.points}, "platform"
+    links = {name: f"{name}_link" for name in points}
+    while root in (*points, *links.values()):
         root += "_"
     platform = etree.SubElement(robot, "link", name=root)
     _visual(platform, "grey", "cylinder", radius=1.5 * size, length=size)
@@ -68,9 +68,9 @@ def platform_urdf(name: str, legs: tuple[Leg, ...]) -> str:
         if not np.allclose(point.placement.xyz, 0.0):
             _rod(platform, point.placement.xyz, size)
     for point in points.values():
-        link = etree.SubElement(robot, "link", name=point.name)
+        link = etree.SubElement(robot, "link", name=links[point.name])
         _visual(link, "grey", "sphere", radius=1.2 * size)
-        joint_element(robot, point, root, point.name)
+        joint_element(robot, point, root, links[point.name])
     return xml_text(robot)
 
 

@@ -271,6 +271,7 @@ def _with_sensors(tree: Tree, name: str, leg: Leg, shared: Counter[str]) -> Leg:
         sensors=tuple(map(Sensor, driven)),
         point=renamed(leg.point),
         ends=tuple(ends),
+        held=None,
     )
 
 
@@ -282,7 +283,7 @@ def _without_idle(leg: Leg, remarks: list[str]) -> Leg:
         held = idle.placement.origin() @ idle.motion(np.array([idle.home]))[0]
         fixed = Joint(idle.name, "fixed", placement_of(held), parent=idle.parent)
         joints[leg.index(idle.name)] = fixed
-    return replace(leg, joints=tuple(joints))
+    return replace(leg, joints=tuple(joints), held=())
 
 
 def _leg_names(legs: Sequence[Leg]) -> list[str]:

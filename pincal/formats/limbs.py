@@ -223,7 +223,8 @@ def leg_of(tree: Tree, limb: Limb, platform: str, driven: set[str], normal: Arra
         way = [*way, Joint("tip", "fixed")]
     _hang(joints, way)
     met = point or Joint("point", "fixed")
-    return Leg("limb", tuple(joints), (), (), met, "point" if point else "frame", (), tuple(ends))
+    closes: Closing = "point" if point else "frame"
+    return Leg("limb", tuple(joints), (), (), met, closes, ends=tuple(ends), held=())
 
 
 def _hang(joints: list[Joint], way: Iterable[Joint]) -> str:
@@ -377,7 +378,7 @@ def point_platform(
         last = max(i for i, joint in enumerate(joints) if joint.kind != "fixed")
         centre = np.array(joints[last].placement.xyz)
         to_point = _up_to(joints[:last], joints[last], centre)
-        legs.append(Leg("limb", with_tip(to_point), (), (), Joint("point", "fixed")))
+        legs.append(Leg("limb", with_tip(to_point), (), (), Joint("point", "fixed"), held=()))
     return legs
 
 

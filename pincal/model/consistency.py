@@ -49,7 +49,7 @@ def identifiers(names: Iterable[str]) -> tuple[str, ...]:
 
 def check_leg(leg: Leg) -> None:
     """Raise MechanismError if joints, sensors, parameters and terms do not go together."""
-    topics = (_joint_faults, _tree_faults, _term_faults, _parameter_faults)
+    topics = (_joint_faults, _tree_faults, _held_faults, _term_faults, _parameter_faults)
     for fault in chain.from_iterable(faults(leg) for faults in topics):
         raise MechanismError(f"{leg.name}: {fault}")
     for joint in (*leg.joints, *leg.points):
@@ -95,6 +95,12 @@ def _tree_faults(leg: Leg) -> Iterator[str]:
                 f"the end at {end.tip!r} closes {', '.join(end.closes)}; expected 'point' or "
                 f"'frame', or of a loop within the leg some of {', '.join(TWIST)}"
             )
+
+
+def _held_faults(leg: Leg) -> Iterator[str]:
+    free = {joint.name for joint in leg.moving}.difference(sensor.joint for sensor in leg.sensors)
+    for name in sorted({*(leg.held or ())} - free):
+        yield f"joint {name!r} cannot be held: it is read, or does not move"
 
 
 def _parameter_faults(leg: Leg) -> Iterator[str]:

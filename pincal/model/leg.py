@@ -150,9 +150,14 @@ class Leg:
     Share(10.0, 20.0), of="temperature"))``; the amplitude is a parameter too."""
     ends: tuple[End, ...] = ()
     """Further ends of a tree, beside that of the last joint."""
+    held: tuple[str, ...] | None = None
+    """Joints that nobody reads and that move no end, such as a strut's spin: they stay at home. By
+    the rank of motions about home if not given; corrections do not free what the drawing holds."""
 
     def __post_init__(self) -> None:
         check_leg(self)
+        if self.held is None:
+            object.__setattr__(self, "held", tuple(self.moving[i].name for i in self._unmoving()))
 
     def __repr__(self) -> str:
         reads = f"reads {listed(sensor.joint for sensor in self.sensors)}"
@@ -188,10 +193,11 @@ class Leg:
 
     @cached_property
     def idle(self) -> list[int]:
-        """Indices of joints that nobody reads and that move no end, such as a strut's spin.
+        """Indices of the joints that are held among the moving joints."""
+        return [i for i, joint in enumerate(self.moving) if joint.name in (self.held or ())]
 
-        They stay at home. By the rank of motions at configurations about home.
-        """
+    def _unmoving(self) -> list[int]:
+        """Return joints that nobody reads and that move no end, by the rank of motions."""
         idle: list[int] = []
         free = [i for i in range(len(self.moving)) if i not in self.active]
         shares = np.random.default_rng(0).uniform(-1.0, 1.0, (_PLACES, len(self.moving)))
@@ -455,15 +461,13 @@ class Leg:
         def moved(joint: Joint) -> Joint:
             return replace(joint, placement=joint.placement.moved(old, new, self.name))
 
-        leg = replace(
+        return replace(
             self,
             joints=tuple(moved(joint) for joint in self.joints),
             point=moved(self.point),
             ends=tuple(end.moved(moved) for end in self.ends),
             parameters=tuple(new.items()),
         )
-        vars(leg)["idle"] = self.idle  # as drawn: small corrections do not free a strut's spin
-        return leg
 
     def with_limits(self, limits: Mapping[str, tuple[float, float]]) -> Leg:
         """Return the leg with other limits of some joints, by name, [rad] or [m]."""
