@@ -39,6 +39,7 @@ WHY = {
     "pandas": "extra `pandas`: tables in and out as DataFrames",
     "mujoco": "extra `mujoco`: reads MJCF, its own format: defaults, includes, frames, replicas, "
     "all notations of orientations; a reader by hand knew some of them, and lost joints in silence",
+    "opencv-python-headless": "extra `camera`: dictionaries of markers, and finding them in photos",
     "example-robot-data": "tests and examples: twenty and more arms as URDFs with their meshes",
     "hypothesis": "properties and fuzzed files",
     "playwright": "drives Debian's Chromium, which `.ci/run` installs; without one the tests of "

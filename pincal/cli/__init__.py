@@ -12,5 +12,6 @@ from pincal.cli.app import main
 
 __all__ = ["main"]
 
-for module in ("mechanisms", "new", "view", "workspace", "design", "calibration", "files"):
+MODULES = "mechanisms new view workspace design calibration photos files"
+for module in MODULES.split():
     import_module(f"{__name__}.{module}")

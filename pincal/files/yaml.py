@@ -140,7 +140,7 @@ class Entry:
         keys = self.keys(needed, [key for key in readers if key not in needed])
         return {key: readers[key](part) for key, part in keys.items()}
 
-    def built(self, kind: type[T], *needed: str, **readers: Callable[[Entry], Any]) -> T:
+    def built(self, kind: type[T], /, *needed: str, **readers: Callable[[Entry], Any]) -> T:
         """Return a dataclass whose fields are the keys, read by their types or by readers."""
         hints = get_type_hints(kind).items()
         by_field = {name: readers.get(name) or _BY_TYPE[hint] for name, hint in hints}

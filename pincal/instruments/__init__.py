@@ -1,0 +1,1 @@
+"""Instruments that need more than a column: boards, what photos show of them."""

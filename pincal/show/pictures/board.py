@@ -1,0 +1,71 @@
+"""A board on paper: in true size, as vectors, with a bar to check the print by a calliper."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.patches import PathPatch
+from matplotlib.path import Path as Outline
+
+from pincal.errors import MeasurementError
+from pincal.instruments.board import CHEQUERED, Board
+from pincal.show.pictures.files import drawing
+
+PAPERS = {
+    "a4": (0.210, 0.297),
+    "letter": (0.2159, 0.2794),
+    "a3": (0.297, 0.420),
+    "a2": (0.420, 0.594),
+    "a1": (0.594, 0.841),
+    "a0": (0.841, 1.189),
+}
+"""Width and height, [m]."""
+_MARGIN, _FOOT = 0.004, 0.018  # [m]; the foot has the bar and what the board is
+_INCH = 0.0254  # [m]
+
+
+def board_figure(board: Board, paper: str = "") -> Figure:
+    """Return a page that shows a board in true size.
+
+    Args:
+        board: The board.
+        paper: One of ``PAPERS``; the smallest A size on which it fits, or a page as large as the
+            board, if not given.
+
+    Raises:
+        MeasurementError: the paper is too small for the board.
+    """
+    needed = np.add(board.size, (2 * _MARGIN, _MARGIN + _FOOT))
+    sizes = [PAPERS[paper]] if paper else [PAPERS[name] for name in PAPERS if name != "letter"]
+    turned = [side for size in sizes for side in (size, size[::-1])]
+    page = next((np.array(side) for side in turned if (needed - 1e-6 <= side).all()), needed)
+    if paper and page is needed:
+        width, height = 1e3 * needed
+        raise MeasurementError(
+            f"the board needs {width:.0f} x {height:.0f} mm, and {paper} is smaller; take smaller "
+            "or fewer squares, or another paper"
+        )
+    left, bottom = (page[0] - board.size[0]) / 2, (page[1] + _FOOT - _MARGIN - board.size[1]) / 2
+    length = 0.01 * np.floor(min(0.1, 0.5 * page[0]) / 0.01)
+    bar = (_MARGIN + 0.002 - left, -0.010, length, 0.002)
+    x, y, width, height = np.vstack((board.black, bar)).T
+    corners = [(x, y), (x + width, y), (x + width, y + height), (x, y + height), (x, y)]
+    vertices = np.array(corners).transpose(2, 0, 1).reshape(-1, 2)
+    vertices += (left, bottom)
+    codes = [Outline.MOVETO, *[Outline.LINETO] * 3, Outline.CLOSEPOLY] * len(x)
+    marker = f", markers {1e3 * board.marker:g} mm of {board.dictionary}, from {board.first}"
+    side = f"{'squares' if board.kind in CHEQUERED else 'cells'} of {1e3 * board.square:g} mm"
+    texts = (
+        f"The bar is {1e3 * length:.0f} mm long: print at 100 %, measure it.",
+        f"{board.name}: {board.kind} {board.squares[0]}x{board.squares[1]}, {side}"
+        f"{marker * bool(board.markers)}",
+    )
+    with drawing():
+        figure = Figure(tuple(page / _INCH))
+        axes = figure.add_axes((0, 0, 1, 1), xlim=(0, page[0]), ylim=(0, page[1]))
+        axes.axis("off")
+        axes.add_patch(PathPatch(Outline(vertices, codes), color="black", linewidth=0))
+        for number, text in enumerate(texts):
+            place = (_MARGIN + 0.005 + length, bottom - 0.0082 - 0.003 * number)
+            axes.text(*place, text, fontsize=6.0)
+    return figure
