@@ -28,7 +28,7 @@ from .kinematics.configurations import inverse
 from .kinematics.derivatives import identification_jacobian
 from .kinematics.forward import forward
 from .kinematics.singularity import margins
-from .model.leg import End, Joint, Leg
+from .model.leg import End, Follows, Joint, Leg
 from .model.measurements import Measurements, Noise, Plan
 from .model.mechanism import Mechanism
 from .model.parameter import Parameter
@@ -60,6 +60,7 @@ __all__ = [
     "End",
     "Explanation",
     "FileError",
+    "Follows",
     "Grid",
     "Harmonic",
     "Image",

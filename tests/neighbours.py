@@ -204,6 +204,14 @@ def four_bar(folder: Path) -> Path:
     return written(folder, urdf("four_bar", joints, "base"), yaml)
 
 
+def geared_five_bar(folder: Path) -> Path:
+    """Write a five-bar of one drive: the right crank is geared to the left one."""
+    gear = '<mimic joint="mot1" multiplier="-1.5" offset="0.1"/><axis'
+    joints = [one.replace("<axis", gear) if '"mot2"' in one else one for one in FIVE_BAR]
+    yaml = FIVE_BAR_YAML.replace("'mot1', 'mot2'", "'mot1'").replace("[0.1, 0.1]", "[0.1]")
+    return written(folder, urdf("geared", joints, "base"), f"{yaml}platform: b2\n")
+
+
 def coupled_five_bar(folder: Path) -> Path:
     """Write a five-bar whose left shoulder is turned by a crank over a rod: a loop within a leg."""
     joints = [one.replace('"mot1"', '"shoulder"') for one in FIVE_BAR]

@@ -318,8 +318,11 @@ BAD: dict[str, tuple[list[Edit], list[str]]] = {
         [LEG, "line", "'elbow'", "child"],
     ),
     "joint-mimic": (
-        [(LEG, AXIS, f'{AXIS}<mimic joint="elbow"/>')],
-        [LEG, "line", "'shoulder'", "mimics"],
+        [
+            (LEG, '"elbow" type="revolute">', '"elbow" type="revolute"><mimic joint="knee"/>'),
+            (YAML, ", elbow: -1.047197551197}", "}"),
+        ],
+        ["leg_1", "'elbow'", "follows 'knee'"],
     ),
     "joint-name-twice": (
         [

@@ -399,6 +399,15 @@ def coupled_gaps(readings: Array, poses: Array) -> Array:
     return np.stack((np.abs(right - x - 1j * y), np.abs(horn - pin) - 0.31))
 
 
+def geared_gaps(readings: Array, poses: Array) -> Array:
+    """Return by how much the geared five-bar's distal links miss its cranks."""
+    x, y, phi = poses.T
+    left = -0.1 + np.exp(1j * readings[:, 0]) * (-0.1 + 0.2j)
+    right = 0.1 + np.exp(1j * (0.1 - 1.5 * readings[:, 0])) * (0.1 + 0.2j)
+    end = x + 1j * y + np.exp(1j * phi) * (-0.2 + 0.2j)
+    return np.stack((np.abs(right - x - 1j * y), np.abs(end - left) - abs(0.2 + 0.2j)))
+
+
 def delta_gaps(readings: Array, poses: Array) -> Array:
     """Return by how much the imported delta's rods miss their lengths."""
     T, gaps = pincal.Platform.at_origin("spatial").matrices(poses), []
@@ -428,6 +437,7 @@ def ankle_gaps(readings: Array, poses: Array) -> Array:
     [
         (neighbours.four_bar, four_bar_gaps, 0.5),
         (neighbours.coupled_five_bar, coupled_gaps, 0.2),
+        (neighbours.geared_five_bar, geared_gaps, 0.2),
         pytest.param(neighbours.six_rod_delta, delta_gaps, 0.3, marks=pytest.mark.slow),
         pytest.param(neighbours.ankle, ankle_gaps, 0.25, marks=pytest.mark.slow),
     ],
@@ -463,6 +473,49 @@ def test_imported_loops(write, gaps, reach: float, tmp_path: Path) -> None:  # t
     moved = pincal.forward(tmp_path / "again", readings).poses
     shifts = np.linalg.inv(matrices(poses)) @ matrices(moved)  # a link of its own is the platform
     np.testing.assert_allclose(shifts, shifts[:1] + 0.0 * shifts, atol=1e-9)
+
+
+def test_gears_go_to_mujoco_and_come_back(tmp_path: Path) -> None:
+    """MuJoCo closes loops and gears of an exported five-bar at home; imported, it moves alike."""
+    mujoco = pytest.importorskip("mujoco")
+    done("import", neighbours.geared_five_bar(tmp_path / "cad"), "-o", tmp_path / "geared")
+    done("export", tmp_path / "geared", "-o", tmp_path / "geared.xml")
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "geared.xml"))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_forward(model, data)
+    assert (model.eq_type == mujoco.mjtEq.mjEQ_JOINT).sum() == 1
+    np.testing.assert_allclose(data.efc_pos, 0.0, atol=1e-9)
+    done("import", tmp_path / "geared.xml", "-o", tmp_path / "again")
+    readings = np.linspace(-0.2, 0.2, 9)[:, None]
+    poses = [pincal.forward(tmp_path / name, readings).poses for name in ("geared", "again")]
+    np.testing.assert_allclose(*poses, atol=1e-9)
+
+
+def test_an_arm_with_a_geared_elbow(tmp_path: Path) -> None:
+    """A palletizer's forearm that turns back as the upper arm turns keeps its direction."""
+    joint = neighbours.joint
+    joints = [joint("pan", "base", "post"), joint("lift", "post", "upper", axis="0 1 0")]
+    gear = '<mimic joint="lift" multiplier="-1" offset="0.5"/>'
+    joints.append(joint("elbow", "upper", "fore", "0 0 0.6", axis="0 1 0", limit=gear))
+    joints.append(joint("flange", "fore", "tool", "0.4 0 0", "fixed"))
+    (tmp_path / "arm.urdf").write_text(neighbours.urdf("arm", joints, "base"))
+    done("import", tmp_path / "arm.urdf", "--tip", "tool", "-o", tmp_path / "arm")
+    readings = np.random.default_rng(0).uniform(-1.0, 1.0, (20, 2))
+    T = Platform.at_origin("spatial").matrices(pincal.forward(tmp_path / "arm", readings).poses)
+    turn = Rotation.from_euler("ZY", np.stack((readings[:, 0], np.full(20, 0.5)), axis=1))
+    np.testing.assert_allclose(T[:, :3, :3], turn.as_matrix(), atol=1e-12)
+    reach = 0.6 * np.sin(readings[:, 1]) + 0.4 * np.cos(0.5)
+    along = np.stack((np.cos(readings[:, 0]), np.sin(readings[:, 0])), axis=1)
+    np.testing.assert_allclose(T[:, :2, 3], reach[:, None] * along, atol=1e-12)
+    mechanism = pincal.load_mechanism(tmp_path / "arm")
+    assert {"elbow_x", "elbow_rx"} < set(mechanism.legs[0].parameter_names)
+    rng = np.random.default_rng(1)
+    errors = {p.id: 1e-3 * rng.standard_normal() for p in mechanism.parameters}
+    poses = pincal.forward(mechanism.with_parameters(errors), readings).poses
+    data = pincal.Measurements(readings=readings[:15], poses=poses[:15])
+    identified = pincal.calibrate(mechanism, data, noise=EXACT, folds=0).identified
+    np.testing.assert_allclose(pincal.forward(identified, readings).poses, poses, atol=1e-8)
 
 
 def test_trees_go_to_mujoco_and_come_back(tmp_path: Path) -> None:

@@ -684,7 +684,7 @@ CONNECT = '<connect site1="sa" site2="sb"/>'
         ((("EQUALITY", '<joint joint1="f1" joint2="f2"/>'),), "form no loop"),
         (
             (("EQUALITY", f'{CONNECT}<joint joint1="f1" joint2="f2"/>'),),
-            "an <equality> couples joint 'f1'",
+            "name it with --platform LINK",
         ),
         (
             (

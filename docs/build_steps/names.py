@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 GROUPS = {
-    "Mechanisms": "load_mechanism new_mechanism Mechanism Leg End Joint Placement Parameter "
-    "Platform generate",
+    "Mechanisms": "load_mechanism new_mechanism Mechanism Leg End Follows Joint Placement "
+    "Parameter Platform generate",
     "Sensors and terms": "Sensor Term Harmonic Power Share Load",
     "Kinematics": "inverse forward margins identification_jacobian",
     "Workspace": "sample_workspace sample_configurations compute_workspace Workspace Grid "

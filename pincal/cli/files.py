@@ -217,7 +217,9 @@ def _say_what_it_is(mechanism: Mechanism) -> None:
     say(f"{platform.kind} platform, at home {', '.join(home)}")
     for leg in mechanism.legs:
         driven = {sensor.joint for sensor in leg.sensors}
-        joints = ", ".join(f"{joint.name}{'*' * (joint.name in driven)}" for joint in leg.moving)
+        marks = dict.fromkeys(driven, "*")
+        marks |= {j.name: f" (follows {j.leader.joint})" for j in leg.articulated if j.follows}
+        joints = ", ".join(joint.name + marks.get(joint.name, "") for joint in leg.articulated)
         say(f"{leg.name}: {joints}; {leg.closing}; {len(leg.parameters)} parameters")
     stdout.print("* driven: its position is read")
 

@@ -152,7 +152,7 @@ def _joint_fault(
             return (
                 f"unknown joint {name!r}; {urdf} has {chain}, the platform point is {known[-1]!r}"
             )
-    moving = [joint.name for joint in joints if joint.kind != "fixed"]
+    moving = [j.name for j in joints if j.kind != "fixed" and j.follows is None]
     if set(home) == set(moving):
         return ""
     return (
@@ -272,7 +272,7 @@ def _described_leg(leg: Leg) -> dict[str, Any]:
         "platform_point": leg.point.name,
         **({} if leg.closes == "point" else {"closes": leg.closes}),
         **({"ends": [_described_end(end, leg) for end in leg.ends]} if leg.ends else {}),
-        "home": {joint.name: joint.home for joint in leg.moving},
+        "home": leg.homes,
         **_filled({"held": leg.held}),
         "sensors": [
             _filled(vars(sensor) | {"terms": _described_terms(sensor.terms, leg.name)})

@@ -13,7 +13,7 @@ import numpy as np
 
 from pincal.errors import MechanismError
 from pincal.model.checks import listed
-from pincal.model.leg import Closing, Joint
+from pincal.model.leg import Closing, Follows, Joint
 from pincal.model.placement import Placement
 from pincal.types import Array
 
@@ -88,6 +88,12 @@ class Tree:
             if name in self.refused:
                 raise MechanismError(self.refused[name])
 
+    @property
+    def geared(self) -> set[str]:
+        """Names of joints that follow others, and of those that are followed."""
+        followers = [edge.joint for edge in self.edges if edge.joint.follows]
+        return {name for joint in followers for name in (joint.name, joint.leader.joint)}
+
     def edges_to(self, links: Iterable[str]) -> list[Edge]:
         """Return the edges on the ways from the root to some links, in the file's order."""
         ways = [route(self.edges, self.root, link) for link in links]
@@ -150,6 +156,41 @@ def with_ranges(tree: Tree) -> Tree:
                 f"{joint.name!r} slides without a range in the file; ±{reach:.3g} m is taken"
             )
     return replace(tree, edges=tuple(edges), remarks=remarks)
+
+
+def coupled(tree: Tree) -> Tree:
+    """Return a tree whose joints follow such as move on their own, driven ones where there are.
+
+    What follows what is one freedom, within the limits of all; of several drives the first is read.
+    """
+    joints = {edge.joint.name: edge.joint for edge in tree.edges}
+    laws = {name: _followed(joints, name) for name in joints}
+    for leader in joints.keys() & {laws[name].joint for name in tree.geared & joints.keys()}:
+        group = [name for name in joints if laws[name].joint == leader]
+        first = next((name for name in group if name in tree.active), leader)
+        lead, ends = laws[first], list[Array]()
+        for name in group:
+            ratio = laws[name].ratio / lead.ratio
+            law = Follows(first, ratio, laws[name].offset - ratio * lead.offset)
+            limits = np.array([joints[name].lower, joints[name].upper])
+            ends.append(np.sort((limits - law.offset) / ratio))
+            joints[name] = replace(joints[name], follows=None if name == first else law)
+        lower, upper = np.max(ends, axis=0)[0], np.min(ends, axis=0)[1]
+        joints[first] = replace(joints[first], lower=float(lower), upper=float(upper))
+    edges = tuple(replace(edge, joint=joints[edge.joint.name]) for edge in tree.edges)
+    active = tuple(n for n in tree.active if n not in joints or joints[n].follows is None)
+    return replace(tree, edges=edges, active=active)
+
+
+def _followed(joints: Mapping[str, Joint], name: str) -> Follows:
+    """Return how a joint follows one that moves on its own, itself maybe, or one that is absent."""
+    law = Follows(name)
+    for _ in joints:
+        if law.joint not in joints or (ahead := joints[law.joint].follows) is None:
+            return law
+        offset = law.ratio * ahead.offset + law.offset
+        law = Follows(ahead.joint, law.ratio * ahead.ratio, offset)
+    raise MechanismError(f"joint {name!r} follows itself")
 
 
 def turns(joint: Joint, parent: str, child: str, axes: str) -> tuple[Edge, ...]:

@@ -18,7 +18,7 @@ from pincal.errors import MechanismError
 from pincal.files.text import plain_number, read_xml, why_no_number
 from pincal.files.tree import Edge, Tree, hung, root_of, turns, with_ranges
 from pincal.model.checks import LARGEST
-from pincal.model.leg import End, Joint, JointKind
+from pincal.model.leg import End, Follows, Joint, JointKind
 from pincal.model.placement import Placement, placement_of
 
 Triple = tuple[float, float, float]
@@ -138,6 +138,9 @@ def read_leg(
     names = [name for end in ends for name in end.frames]
     last, *end_links = [tree.link(name, "an end of a leg") for name in (tip, *names)]
     edges = tree.edges_to((last, *end_links))
+    leaders = {edge.joint.leader.joint for edge in edges}
+    led = [edge.child for edge in tree.edges if edge.joint.name in leaders]
+    edges = tree.edges_to((last, *end_links, *led))
     joints, carriers = hung(edges, last)
     tree.check_joints(joint.name for joint in joints)
     if all(joint.kind == "fixed" for joint in joints):
@@ -196,8 +199,6 @@ def _joint(element: etree._Element, place: str, kind: str | None) -> Joint:
         raise MechanismError(
             f"{place}: joint {name!r} is of type {kind!r}; a leg may have {', '.join(_KINDS)}"
         )
-    if element.find("mimic") is not None and kind != "fixed":
-        raise MechanismError(f"{place}: joint {name!r} mimics another; a leg's joints are its own")
     placement = Placement(
         xyz=_triple(element.find("origin"), "xyz", place, (0.0, 0.0, 0.0)),
         rpy=_turn(element, place),
@@ -210,7 +211,16 @@ def _joint(element: etree._Element, place: str, kind: str | None) -> Joint:
         raise MechanismError(f"{place}: joint {name!r} has an axis of length zero")
     x, y, z = (axis if abs(norm - 1.0) <= 1e-12 else axis / norm).tolist()
     lower, upper = (-np.inf, np.inf) if kind == "continuous" else _limits(element, name, place)
-    return Joint(name, _KINDS[kind], placement, (x, y, z), lower, upper)
+    joint = Joint(name, _KINDS[kind], placement, (x, y, z), lower, upper)
+    if (mimic := element.find("mimic")) is None:
+        return joint
+    ratio, offset = (
+        _number(mimic.get(key, default), place)
+        for key, default in (("multiplier", "1"), ("offset", "0"))
+    )
+    if ratio == 0.0:
+        return replace(joint, lower=offset, upper=offset)
+    return replace(joint, follows=Follows(str(mimic.get("joint")), ratio, offset))
 
 
 def _check_parts(element: etree._Element, place: str) -> None:

@@ -96,6 +96,10 @@ def joint_element(robot: etree._Element, joint: Joint, parent: str, child: str) 
     if not continuous:
         limits = {"lower": numbers_text([joint.lower]), "upper": numbers_text([joint.upper])}
         etree.SubElement(element, "limit", {"effort": "0", "velocity": "0", **limits})
+    if joint.follows:
+        name, ratio, offset = joint.follows
+        law = {"multiplier": numbers_text([ratio]), "offset": numbers_text([offset])}
+        etree.SubElement(element, "mimic", {"joint": name, **law})
 
 
 def _rod(link: etree._Element, end: Triple, size: float) -> None:

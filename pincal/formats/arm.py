@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from pincal.errors import MechanismError
-from pincal.files.tree import Step, Tree, route, turns
+from pincal.files.tree import Step, Tree, coupled, route, turns
 from pincal.files.urdf import read_urdf
 from pincal.kinematics.closure import LegClosure
 from pincal.model.checks import must_be
@@ -55,7 +55,9 @@ def serial_arm(tree: Tree, tip: str, base: str | None = None) -> Mechanism:
                 f"{tree.source}: joint {stem!r} lets link {floor!r} float, and an arm stands on a "
                 f"base; import it with --base {floor}"
             )
+    tree = coupled(tree)
     tree.check_joints(names)
+    steps = route(tree.edges, foot, tree.link(tip, "the tip"))
     path, joints = Path(tree.source), tuple(joints_along(tree, steps))
     try:
         return arm(re.sub(r"\W", "_", tree.name), joints, f"Serial arm to {tip} of {path.name}.")
@@ -66,10 +68,11 @@ def serial_arm(tree: Tree, tip: str, base: str | None = None) -> Mechanism:
 
 def arm(name: str, joints: tuple[Joint, ...], description: str = "") -> Mechanism:
     """Return a serial arm of joints, base first; six displacements are at each and at the tool."""
-    moving = [joint.name for joint in joints if joint.kind != "fixed"]
+    articulated = [joint for joint in joints if joint.kind != "fixed"]
+    moving = [joint.name for joint in articulated if joint.follows is None]
     if not moving:
         raise MechanismError(f"{name}: no joint moves")
-    stems = plain = identifiers((_TOOL, *moving))[1:]
+    stems = plain = identifiers((_TOOL, *(joint.name for joint in articulated)))[1:]
     bare = tuple(stem.removesuffix("_joint") for stem in plain)
     if len({_TOOL, *bare}) > len(bare):
         stems = bare
@@ -136,7 +139,7 @@ def displaced(
 
 def _stems(leg: Leg, stems: Sequence[str]) -> dict[str, str]:
     """Return what names of displacements begin with, by joint; of further ends by their place."""
-    names = (*(joint.name for joint in leg.moving), leg.joints[-1].name)
+    names = (*(joint.name for joint in leg.articulated), leg.joints[-1].name)
     stem_of = dict(zip(names, stems, strict=True))
     for place, end in enumerate(leg.ends, 2):
         for name, stem in zip(end.frames, ("tip", "hook"), strict=False):

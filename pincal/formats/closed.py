@@ -17,7 +17,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pincal.errors import MechanismError, located
-from pincal.files.tree import Step, Tree
+from pincal.files.tree import Step, Tree, coupled
 from pincal.formats.arm import displaced
 from pincal.formats.limbs import (
     Limb,
@@ -95,6 +95,7 @@ def closed_mechanism(
     with located(tree.source, MechanismError):
         if base is not None:
             tree = replace(tree, root=tree.link(base, "the base"))
+        tree = coupled(tree)
         platform = platform or tree.platform
         if platform is not None:
             platform = tree.link(platform, "the platform")
@@ -166,7 +167,8 @@ def _legs(
             turn = link.T @ (turn if normal is None else onto_normal(normal))
         elif normal is not None:
             turn = onto_normal(link.T @ normal)
-        legs = [leg_of(tree, limb, platform, driven, normal) for limb in limbs]
+        read = driven | tree.geared
+        legs = [leg_of(tree, limb, platform, read, normal) for limb in limbs]
     legs = [_in_frames(leg, normal, turn, tree.slack) for leg in legs]
     named = zip(_leg_names(legs), legs, strict=True)
     points = Counter(point.name for leg in legs for point in leg.points)
@@ -304,7 +306,7 @@ def _stems(legs: Sequence[Leg]) -> list[list[str]]:
     """Return for each leg its joints' names less its own, if all are alike; else joint_1, …."""
     stems = []
     for leg in legs:
-        bare = [joint.name.removeprefix(leg.name) for joint in leg.moving]
+        bare = [joint.name.removeprefix(leg.name) for joint in leg.articulated]
         stems.append([re.sub(r"\W", "_", s).strip("_").removesuffix("_joint") for s in bare])
     first = stems[0]
     plain = all(stem.isidentifier() and stem.isascii() for stem in first)

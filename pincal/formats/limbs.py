@@ -65,6 +65,7 @@ def limbs_of(tree: Tree, platform: str | None) -> tuple[list[Limb], str | None, 
         limbs = [Limb([graph.round(base)], [])]
     else:
         limbs = [graph.limb(bonds, base, goal) for bonds in graph.pieces({base, goal})]
+    graph.check_leaders()
     passed = {edge.joint.name for limb in limbs if limb.ends for edge in limb.bonds}
     tree.check_joints(sorted(passed))
     if lost := [bond.joint.name for bond in graph.bonds if bond.joint.name not in passed]:
@@ -117,6 +118,14 @@ class _Graph:
             self.bonds = [bond for bond in self.bonds if bond not in hanging]
         return loose
 
+    def check_leaders(self) -> None:
+        """Raise if a joint of a loop follows one that is in none."""
+        names = {bond.joint.name for bond in self.bonds}
+        for joint in (bond.joint for bond in self.bonds if bond.joint.leader.joint not in names):
+            raise MechanismError(
+                f"joint {joint.name!r} follows {joint.leader.joint!r}, which is no joint of a loop"
+            )
+
     def platform(self, base: str, link: str | None) -> str:
         """Return the platform's body: where ways meet, a four-bar's coupler, or else the base."""
         degrees = self.degrees()
@@ -166,13 +175,19 @@ class _Graph:
         return way
 
     def pieces(self, cut: set[str]) -> list[list[Edge]]:
-        """Return the bonds of each piece into which the graph falls where it is cut."""
+        """Return the bonds of each piece into which the graph falls where it is cut.
+
+        Joints that follow another one are in one piece with it.
+        """
         pieces: list[list[Edge]] = []
         for bond in self.bonds:
             joined, separate = [bond], list[list[Edge]]()
-            inner = set(self.ends(bond)) - cut
             for piece in pieces:
-                touches = any(inner.intersection(self.ends(edge)) for edge in piece)
+                touches = any(
+                    not cut.issuperset({*self.ends(bond)}.intersection(self.ends(edge)))
+                    or bond.joint.leader.joint == edge.joint.leader.joint
+                    for edge in piece
+                )
                 joined, separate = (
                     (piece + joined, separate) if touches else (joined, [*separate, piece])
                 )
@@ -366,7 +381,8 @@ def point_platform(
     names, middle = [edge.joint.name for edge, _ in path], path[len(path) // 2][0]
     drives = [name for name in names if name in driven]
     places = list(map(names.index, drives))
-    if len(path) != 5 or middle.joint.kind == "prismatic" or places not in _IN_EACH_LEG:
+    geared = tree.geared.intersection(names)
+    if geared or len(path) != 5 or middle.joint.kind == "prismatic" or places not in _IN_EACH_LEG:
         raise MechanismError(
             f"one loop of {len(path)} joints ({', '.join(names)}; driven: "
             f"{', '.join(drives) or 'none'}) has no platform that can be recognised; name it with "

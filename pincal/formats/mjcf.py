@@ -27,7 +27,7 @@ from pincal.files.tree import Edge, Tree, at_home, turns, with_ranges
 from pincal.files.urdf_writing import numbers_text, xml_text
 from pincal.kinematics.assembly import assembled
 from pincal.model.checks import LARGEST
-from pincal.model.leg import Closing, End, Joint, JointKind, Leg
+from pincal.model.leg import Closing, End, Follows, Joint, JointKind, Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import turns_in_series
 from pincal.model.placement import Placement, placement_of
@@ -61,6 +61,9 @@ def read_mjcf(path: Path) -> Tree:
             edges.append(Edge(Joint(site, "fixed", placement), links[body], site))
     of_joint = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
     driven = model.actuator_trnid[np.isin(model.actuator_trntype, of_joint), 0]
+    follows, refused = _coupled(model, joints, path)
+    joint_of = {edge: replace(edge.joint, follows=follows.get(edge.joint.name)) for edge in edges}
+    edges = [replace(edge, joint=joint) for edge, joint in joint_of.items()]
     tree = Tree(
         name=title or path.stem,
         source=str(path),
@@ -69,7 +72,7 @@ def read_mjcf(path: Path) -> Tree:
         loops=tuple(_loops(model, links)),
         active=tuple(dict.fromkeys(joints[i] for i in driven)),
         homed=model.nkey > 0,
-        refused=_coupled(model, joints, path),
+        refused=refused,
     )
     return with_ranges(tree)
 
@@ -204,21 +207,32 @@ def _loops(model: mujoco.MjModel, links: list[str]) -> Iterator[Edge]:
         yield Edge(joint, links[ends[0]], links[ends[1]], second, closes)
 
 
-def _coupled(model: mujoco.MjModel, joints: list[str], path: Path) -> dict[str, str]:
-    """Return why joints cannot move on their own, by name; a tendon through space couples all."""
-    coupled: list[int] = []
+def _coupled(
+    model: mujoco.MjModel, joints: list[str], path: Path
+) -> tuple[dict[str, Follows], dict[str, str]]:
+    """Return what joints follow, by name, and why others cannot move on their own.
+
+    Positions count from where the file draws them, as the coefficients of such a coupling do. A
+    tendon through space couples all joints.
+    """
+    coupled, follows = list[int](), dict[str, Follows]()
     for i in np.flatnonzero(model.eq_active0):
         if model.eq_type[i] == mujoco.mjtEq.mjEQ_JOINT:
-            coupled.append(model.eq_obj1id[i])
+            follower, leader = model.eq_obj1id[i], model.eq_obj2id[i]
+            offset, ratio, *curved = map(float, model.eq_data[i, :5])
+            if leader < 0 or ratio == 0.0 or any(curved):
+                coupled.append(follower)
+            else:
+                follows[joints[follower]] = Follows(joints[leader], ratio, offset)
         elif model.eq_type[i] == mujoco.mjtEq.mjEQ_TENDON:
             for tendon in {model.eq_obj1id[i], model.eq_obj2id[i]} - {-1}:
                 first = model.tendon_adr[tendon]
                 along = slice(first, first + model.tendon_num[tendon])
                 fixed = (model.wrap_type[along] == mujoco.mjtWrap.mjWRAP_JOINT).all()
                 coupled += model.wrap_objid[along].tolist() if fixed else range(model.njnt)
-    return {
-        joints[i]: f"{path}: an <equality> couples joint {joints[i]!r} to others, and joints of "
-        "a leg move on their own"
+    return follows, {
+        joints[i]: f"{path}: an <equality> couples joint {joints[i]!r} to others, and not by a "
+        "ratio to one of them"
         for i in coupled
     }
 
@@ -249,17 +263,27 @@ def mjcf(mechanism: Mechanism) -> str:
         stem = f"{leg.name}_" * shared
         joints = [replace(joint, name=stem + joint.name) for joint in leg.joints]
         bodies = _chain(base, f"{leg.name}_link", joints, thickness, leg.carriers)
-        for sensor in leg.sensors:
-            name = stem + sensor.joint
-            etree.SubElement(actuators, "position", name=name, joint=name)
+        _drive(leg, stem, equality, actuators)
         if serial:
             carried = bodies[-1]
             continue
         _close(leg, mechanism.platform, bodies, carried, equality)
     carried.set("name", _PLATFORM)
-    home = numbers_text(joint.home for joint in (*freedoms, *placed) if joint.kind != "fixed")
+    of_legs = (joint.position(leg.homes) for leg in mechanism.legs for joint in leg.articulated)
+    home = numbers_text((*(joint.home for joint in freedoms), *of_legs))
     etree.SubElement(etree.SubElement(root, "keyframe"), "key", name="home", qpos=home)
     return xml_text(root)
+
+
+def _drive(leg: Leg, stem: str, equality: etree._Element, actuators: etree._Element) -> None:
+    """Add what drives the joints of a leg, and what couples those that follow others."""
+    for name in (stem + sensor.joint for sensor in leg.sensors):
+        etree.SubElement(actuators, "position", name=name, joint=name)
+    for joint in (joint for joint in leg.joints if joint.follows):
+        leader, ratio, offset = joint.leader
+        pair = {"joint1": stem + joint.name, "joint2": stem + leader}
+        coefficients = numbers_text((offset, ratio, 0.0, 0.0, 0.0))
+        etree.SubElement(equality, "joint", {**pair, "polycoef": coefficients})
 
 
 def _close(

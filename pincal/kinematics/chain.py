@@ -2,7 +2,8 @@
 
 Configurations of the chain are linear in the leg's joints and parameters,
 ``q = J joints + S parameters``; a tie, such as an azimuth that turns a point but not
-what follows, is a row of S with several entries. A parameter that deforms from row to row is at
+what follows, is a row of S with several entries, and a geared joint is a row of J in the column of
+the joint that it follows. A parameter that deforms from row to row is at
 p + ε: its deformation ε is one more joint, whose column of J is the parameter's of S. On the
 platform's side a chain of parameters alone leads to the leg's platform point.
 """
@@ -37,7 +38,7 @@ class Chain:
     ) -> None:
         """Make the chain of some joints of a leg."""
         elements, rows, tip = _elements(leg, joints)
-        named = [joint.name for joint in joints]
+        named = _leaders(leg, joints)
         self.columns = [i for i, joint in enumerate(leg.moving) if joint.name in named]
         """Which of the leg's moving joints move its tip, in order."""
         by_joint, self.by_parameter = np.split(rows, [rows.shape[1] - len(leg.parameters)], axis=1)
@@ -123,6 +124,12 @@ def point_chain(leg: Leg, end: int) -> Chain:
     return Chain(leg, () if point is None else (point,), spatial=True, copies=1)
 
 
+def _leaders(leg: Leg, joints: Sequence[Joint]) -> list[str]:
+    """Return the names of the leg's moving joints that some joints are, or follow, in order."""
+    led = {joint.leader.joint for joint in joints}
+    return [joint.name for joint in leg.moving if joint.name in led]
+
+
 def _elements(
     leg: Leg, joints: Sequence[Joint]
 ) -> tuple[tuple[Elementary, ...], Array, tuple[float, ...]]:
@@ -130,7 +137,7 @@ def _elements(
 
     The tip is a constant placement behind the last one.
     """
-    columns = [joint.name for joint in joints if joint.kind != "fixed"]
+    columns = _leaders(leg, joints)
     behind, width = len(columns), len(columns) + len(leg.parameters)
     elements: list[Elementary] = []
     rows: list[Array] = []
@@ -156,13 +163,15 @@ def _elements(
         context = f"{leg.name}, joint {joint.name!r}"
         pending = pending @ joint.placement.rest(leg.nominal_by_name, context)
         if joint.kind != "fixed":
-            turn, column = "r" if joint.turns else "", columns.index(joint.name)
+            name, ratio, offset = joint.leader
+            turn, column = "r" if joint.turns else "", columns.index(name)
+            pending = pending @ joint.motion(np.array([offset]))[0]
             for letter, component in zip("xyz", joint.axis, strict=True):
                 if abs(component) == 1.0:
-                    add(Elementary(turn + letter, _key(pending)), column, component)
+                    add(Elementary(turn + letter, _key(pending)), column, ratio * component)
                     break
             else:
-                add(Elementary(turn or "t", _key(pending), joint.axis), column, 1.0)
+                add(Elementary(turn or "t", _key(pending), joint.axis), column, ratio)
     return tuple(elements), np.reshape(rows, (len(rows), width)), _key(pending)
 
 

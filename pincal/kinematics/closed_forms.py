@@ -190,7 +190,8 @@ class ClosedForm:
 def closed_form(closure: LegClosure) -> ClosedForm | None:
     """Return the closed form of a leg, or None if it has none."""
     leg, space, small = closure.leg, closure.platform.space, ROUNDING * closure.size
-    kinds, pointing = [joint.kind for joint in leg.moving], ["revolute"] * (space - 1)
+    kinds = [joint.kind * (joint.follows is None) for joint in leg.articulated]
+    pointing = ["revolute"] * (space - 1)
     rod = kinds[1:] == pointing
     if closure.projects or not (rod or kinds == [*pointing, "prismatic"]):
         return None

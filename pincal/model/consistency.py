@@ -98,7 +98,15 @@ def _tree_faults(leg: Leg) -> Iterator[str]:
 
 
 def _held_faults(leg: Leg) -> Iterator[str]:
-    free = {joint.name for joint in leg.moving}.difference(sensor.joint for sensor in leg.sensors)
+    """Yield which joints are held, or followed, and cannot be."""
+    moving = {joint.name for joint in leg.moving}
+    for joint in leg.articulated:
+        if joint.leader.joint not in moving or not abs(joint.leader.ratio) > 0.0:
+            yield (
+                f"joint {joint.name!r} follows {joint.leader.joint!r} times "
+                f"{joint.leader.ratio:g}; expected a joint of the leg that moves on its own"
+            )
+    free = moving.difference(sensor.joint for sensor in leg.sensors)
     for name in sorted({*(leg.held or ())} - free):
         yield f"joint {name!r} cannot be held: it is read, or does not move"
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -22,6 +22,21 @@ from pincal.types import Array
 JointKind = Literal["revolute", "prismatic", "fixed"]
 _ABOUT, _PLACES = 0.3, 4  # [rad], or of the size, how far about home idle joints are looked for
 _IDLE = 1e-7  # of singular values over the size: none
+
+
+class Follows(NamedTuple):
+    """Gears: a joint's position is ratio times that of another one, plus an offset.
+
+    >>> import pincal
+    >>> pincal.Joint("elbow", "revolute", follows=pincal.Follows("shoulder", -2.0))
+    Joint('elbow', revolute about (0, 0, 1), as 'shoulder' times -2)
+    """
+
+    joint: str
+    """Name of the joint that is followed, which moves on its own."""
+    ratio: float = 1.0
+    offset: float = 0.0
+    """[rad] or [m]."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +59,8 @@ class Joint:
     """Of that mass, in the joint's own frame, [m]."""
     parent: str | None = None
     """Joint of the leg whose link carries this one: the one before if not given, "" the base."""
+    follows: Follows | None = None
+    """Joint of the leg that it moves with, if it does not move on its own; then it has no home."""
 
     def __repr__(self) -> str:
         place = f"at {self.placement!r}" if self.placement != Placement() else ""
@@ -51,6 +68,8 @@ class Joint:
             return one_line("Joint", repr(self.name), self.kind, place)
         motion = f"{self.kind} {'about' if self.turns else 'along'} {triple(self.axis)}"
         limits = f"from {self.lower:.4g} to {self.upper:.4g}, home {self.home:.4g}"
+        if self.follows:
+            limits = f"as {self.follows.joint!r} times {self.follows.ratio:.4g}"
         return one_line("Joint", repr(self.name), motion, limits, place)
 
     @property
@@ -63,6 +82,15 @@ class Joint:
     def turns(self) -> bool:
         """Whether positions are angles."""
         return self.kind == "revolute"
+
+    @property
+    def leader(self) -> Follows:
+        """What its position is, by that of a joint which moves on its own: its own, or another."""
+        return self.follows or Follows(self.name)
+
+    def position(self, moving: Mapping[str, Any]) -> Any:
+        """Return its position, by those of joints that move on their own, of any shape."""
+        return self.leader.ratio * moving[self.leader.joint] + self.leader.offset
 
     def motion(self, positions: Array) -> Array:
         """Return its motion by its positions, shape (N,) to (N, 4, 4)."""
@@ -172,12 +200,17 @@ class Leg:
 
     @property
     def joint_letters(self) -> str:
-        """Kinds of the moving joints, base first: R for revolute, P for prismatic."""
-        return "".join("R" if joint.turns else "P" for joint in self.moving)
+        """Kinds of the joints that move, base first: R for revolute, P for prismatic."""
+        return "".join("R" if joint.turns else "P" for joint in self.articulated)
 
     @cached_property
     def moving(self) -> tuple[Joint, ...]:
-        """Joints that move, base first."""
+        """Joints that move on their own, base first."""
+        return tuple(joint for joint in self.articulated if joint.follows is None)
+
+    @cached_property
+    def articulated(self) -> tuple[Joint, ...]:
+        """Joints that move, base first, those that follow others included."""
         return tuple(joint for joint in self.joints if joint.kind != "fixed")
 
     @cached_property
@@ -222,8 +255,8 @@ class Leg:
                 for place in self.path(name):
                     if (joint := self.joints[place]).kind == "fixed":
                         continue
-                    column = [moving.name for moving in self.moving].index(joint.name)
-                    axis = T[:, place, :3, :3] @ joint.axis
+                    column = [moving.name for moving in self.moving].index(joint.leader.joint)
+                    axis = joint.leader.ratio * (T[:, place, :3, :3] @ joint.axis)
                     along = np.cross(axis, tips - T[:, place, :3, 3]) if joint.turns else axis
                     motions[0, :, :, column] += sign * along
                     motions[1, :, :, column] += sign * self.size * axis * joint.turns
@@ -365,6 +398,11 @@ class Leg:
         parameters = tuple(item for item in self.parameters if item[0] in used)
         return replace(self, sensors=sensors, parameters=parameters, terms=())
 
+    @property
+    def homes(self) -> dict[str, float]:
+        """Home positions of the joints that move on their own, by name, [rad] or [m]."""
+        return {joint.name: joint.home for joint in self.moving}
+
     @cached_property
     def home(self) -> Array:
         """Home positions of the moving joints, shape (n_joints,), [rad] or [m]."""
@@ -414,14 +452,15 @@ class Leg:
         Fixed joints count, the last link is the tip. Joints are positions of the moving ones, shape
         (N, n_joints), [rad] or [m]; where they are NaN, so are the links that they move.
         """
-        positions = iter(np.asarray(joints, dtype=np.float64).T)
+        columns = np.asarray(joints, dtype=np.float64).T
+        positions = {joint.name: q for joint, q in zip(self.moving, columns, strict=True)}
         T_base = np.broadcast_to(np.eye(4), (len(joints), 4, 4))
         placements: list[Array] = []
         for joint, carrier in zip(self.joints, self.carriers, strict=True):
             T_base_link = placements[carrier] if carrier >= 0 else T_base
             T_base_link = T_base_link @ joint.placement.origin()
             if joint.kind != "fixed":
-                T_base_link = T_base_link @ joint.motion(next(positions))
+                T_base_link = T_base_link @ joint.motion(joint.position(positions))
             placements.append(T_base_link)
         return np.stack(placements, axis=1)
 
