@@ -23,6 +23,8 @@ from .estimation.observability.indices import indices
 from .estimation.system import Loss
 from .files.mechanism_folders import load_mechanism
 from .formats.corrections import Corrections, corrections
+from .instruments.camera import Camera, Markers
+from .instruments.lens import Lens
 from .kinematics.collision import free_of_collision
 from .kinematics.configurations import inverse
 from .kinematics.derivatives import identification_jacobian
@@ -53,6 +55,7 @@ __version__: str
 
 __all__ = [
     "CalibrationResult",
+    "Camera",
     "Contact",
     "Corrections",
     "Distance",
@@ -68,9 +71,11 @@ __all__ = [
     "Instrument",
     "Joint",
     "Leg",
+    "Lens",
     "Load",
     "Loss",
     "Margins",
+    "Markers",
     "MeasurementError",
     "Measurements",
     "Mechanism",

@@ -167,7 +167,7 @@ def test_instruments_that_are_wrong_are_refused() -> None:
         pincal.Setup(instruments=(3,))  # type: ignore[arg-type]
     with pytest.raises(pincal.MeasurementError, match="no other instrument has"):
         pincal.Setup(instruments=(Station(), Station()))
-    with pytest.raises(pincal.MeasurementError, match="expected m or rad"):
+    with pytest.raises(pincal.MeasurementError, match="expected m, rad or px"):
         pincal.Setup(instruments=(Station(columns={"range": "mm"}),))
     with pytest.raises(pincal.MeasurementError, match=r"expected 'other\.x'"):
         pincal.Setup(instruments=(Station(name="other"),))

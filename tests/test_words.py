@@ -188,7 +188,7 @@ SAID: dict[str, tuple[dict[str, Any], tuple[int, ...], tuple[str, ...], str]] = 
     "not-corrected": ({"excess": 100.0}, (), (), "no accuracy can be promised: residuals are 100 times as large as the noise given, and hardly fell"),
     "residuals-too-large": ({"excess": 4.0}, (), (), "no accuracy can be promised: residuals are 4 times"),
     "no-noise": ({}, (), (), "residuals are mere rounding errors: real measurements have noise"),
-    "noise-estimated": ({"position": 1e-4, "orientation": None, "reading": 0.0, "units": ["rad"]}, (), (), "0.1 mm in position, readings exact"),
+    "noise-estimated": ({"position": 1e-4, "orientation": None, "reading": 0.0, "units": ["rad"], "pixel": None}, (), (), "0.1 mm in position, readings exact"),
     "chi2-too-large": ({"chi2": 4.0, "dof": 30, "source": "given"}, (), (), "reduced χ² is 4 where 1 is expected: the noise is larger than given, or the model is incomplete; the uncertainties assume that noise"),
     "chi2-too-small": ({"chi2": 0.1, "dof": 30, "source": "repeats"}, (), (), "the noise is smaller than repeated rows show; the uncertainties"),
     "noise-in-other-proportion": ({"ratios": {"positions": 1.4, "readings": 0.4}, "p_value": 1e-5}, (), (), "the proportions of the noise given are wrong (p = 1e-05): residuals show 140 % of it in positions, 40 % of it in readings"),

@@ -91,6 +91,7 @@ def _noise(result: CalibrationResult) -> list[Finding]:
                 position=noise.position if noise and "m" in units else None,
                 orientation=noise.orientation if noise and "rad" in units else None,
                 reading=noise.reading if noise else 0.0,
+                pixel=noise.pixel if noise and "px" in units else None,
                 units=sorted(set(result.nominal.reading_units)),
             )
         ]
@@ -111,7 +112,7 @@ def _proportion(fits: Fits) -> list[Finding]:
         return []
     moments = fits.moments
     readings = any(fit.problem.leg_block.sigma.any() for fit in fits.fits)
-    testable = np.array([True, True, readings and noise.source != "rows"])
+    testable = np.array([True, True, readings and noise.source != "rows", True])[: len(moments.F)]
     groups = np.flatnonzero(testable & (np.diagonal(moments.F) > 0.0))
     F = moments.F[np.ix_(groups, groups)]
     variances, spread = np.linalg.pinv(F) @ moments.q[groups], 2.0 * np.linalg.pinv(F)
@@ -120,7 +121,7 @@ def _proportion(fits: Fits) -> list[Finding]:
     p_value = float(chdtrc(len(groups), excesses @ np.linalg.pinv(spread) @ excesses))
     if p_value >= FALSE_ALARM or len(groups) < 2 or not excesses.max() > 0.0:
         return []
-    names = ("positions", "orientations", "readings")
+    names = ("positions", "orientations", "readings", "pixels")
     ratios = {names[g]: float(np.sqrt(max(v, 0.0))) for g, v in zip(groups, variances, strict=True)}
     return [finding("noise-in-other-proportion", ratios=ratios, p_value=p_value)]
 

@@ -136,7 +136,7 @@ def apart_from_frames(
     """
     reached = Plan(legs.poses, readings=legs.readings)
     near = legs_at(mechanism, nearby(mechanism, reached, GENERIC, mechanism.size))
-    matrices, scaled = mechanism.platform.matrices(near.poses), bool(setup.contacts)
+    matrices, scaled = mechanism.platform.matrices(near.poses), setup.frameless
     gauge, undetermined, moved = split_frames(mechanism, matrices, near.gain, lost, scaled=scaled)
     if gauge.shape[1]:  # which does not count: what is lost takes no part of it
         undetermined = undetermined - gauge @ np.linalg.lstsq(gauge, undetermined, rcond=None)[0]

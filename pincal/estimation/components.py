@@ -20,7 +20,7 @@ from pincal.kinematics.batches import over_rows
 from pincal.model.measurements import Noise
 from pincal.types import Array, Index
 
-_R = 2  # readings, behind positions and orientations
+_R = 2  # readings, behind positions and orientations; pixels behind them where cameras see
 _BEFOREHAND = 1.0  # spread of variances about what is assumed of them, over the largest
 _TIED = 1e-6  # the same where that is not to be left
 _SENSOR = 0.25  # how far a sensor's own noise moves the platform, over the noise of that
@@ -35,16 +35,16 @@ Tie = tuple[int, float]  # positions or orientations, and how much of their nois
 
 @dataclass(frozen=True)
 class Moments:
-    """What residuals of fits say of the variances of positions, orientations and readings."""
+    """What residuals of fits say of the variances of g groups: see ``_relative``."""
 
     F: Array
-    """Shape (3, 3), of variances relative to the assumed ones."""
+    """Shape (g, g), of variances relative to the assumed ones."""
     q: Array
-    """rᵀ M V_g M r, shape (3,)."""
+    """rᵀ M V_g M r, shape (g,)."""
     scale: float
     """χ² over degrees of freedom."""
     parts: tuple[tuple[Array, Array, Array], ...]
-    """Of each fit V_g Q, Q R = J, shape (3, n_good, m, n_free); Qᵀ V_g Q, (3, n_free, n_free); and
+    """Of each fit V_g Q, Q R = J, shape (g, n_good, m, n_free); Qᵀ V_g Q, (g, n_free, n_free); and
     R⁻ᵀ Tᵀ, whose columns squared are variances of unknowns, (n_free, n)."""
 
     @classmethod
@@ -64,11 +64,11 @@ class Moments:
         return not self.scale > _ROUNDING**2
 
     def information(self, assumed: Array) -> Array:
-        """Return the information on variances, with that assumed beforehand, shape (3, 3)."""
+        """Return the information on variances, with that assumed beforehand, shape (g, g)."""
         return self.F / (2.0 * max(self.scale, 1e-300) ** 2) + assumed
 
     def variances(self, assumed: Array) -> Array:
-        """Return the likeliest variances of groups, none below zero, relative, shape (3,).
+        """Return the likeliest variances of groups, none below zero, relative, shape (g,).
 
         Where residuals say little, by the information that is assumed beforehand.
         """
@@ -88,7 +88,7 @@ class Moments:
         """Return of each fit the degrees of freedom of the unknowns' variances, shape (n,).
 
         A variance is v = Σ_g s_g v_g, v_g the part of group g: 2 v² / var(v), var(v) = vᵀ cov(s) v
-        (Satterthwaite 1946); the covariance is that of the relative variances, shape (3, 3).
+        (Satterthwaite 1946); the covariance is that of the relative variances, shape (g, g).
         """
         freedoms = []
         for _, P, by_rows in self.parts:
@@ -116,7 +116,7 @@ class Moments:
 def assumed_information(
     noise: Noise, unit: Noise, scale: float, *, exact: bool, tie: Tie | None = None
 ) -> Array:
-    """Return what is assumed of variances before residuals are seen, as information, shape (3, 3).
+    """Return what is assumed of variances before residuals are seen, as information, shape (g, g).
 
     Those of positions and orientations are alike, each over its unit; readings are exact, or alike
     too where they cannot be exact, or tied to others.
@@ -130,19 +130,27 @@ def assumed_information(
     """
     sizes, ratio = _relative(noise, unit)
     largest = ratio[: 3 if noise.reading > 0.0 else 2].max() * max(scale, 1e-300)
-    rows = np.array([[1.0, -1.0, 0.0], [0.0 if exact else -1.0, 0.0, 1.0]])
+    rows = np.zeros((len(sizes) - 1, len(sizes)))
+    rows[0, :2], rows[1, _R], rows[1, 0] = (1.0, -1.0), 1.0, 0.0 if exact else -1.0
+    rows[2:, 0], rows[2:, _R + 1 :] = -1.0, 1.0
     rows *= ratio / (_BEFOREHAND * largest)
     if tie is not None:
         group, factor = tie
         share = (factor * sizes[group] / sizes[_R]) ** 2
-        rows[1] = (np.eye(3)[_R] - share * np.eye(3)[group]) * ratio[_R] / (_TIED * largest)
+        axes = np.eye(len(sizes))
+        rows[1] = (axes[_R] - share * axes[group]) * ratio[_R] / (_TIED * largest)
     return np.asarray(rows.T @ rows)
 
 
 def _relative(noise: Noise, unit: Noise) -> tuple[Array, Array]:
-    """Return standard deviations of groups, and variances over the squares of their units, (3,)."""
-    sizes = np.array([noise.position, noise.orientation, noise.reading or unit.reading])
-    return sizes, (sizes / [unit.position, unit.orientation, unit.reading]) ** 2
+    """Return standard deviations of groups, and variances over the squares of their units, (g,).
+
+    Positions, orientations, readings and, where cameras see, pixels.
+    """
+    count = 4 if noise.pixel else 3
+    sizes = [noise.position, noise.orientation, noise.reading or unit.reading, noise.pixel]
+    units = [unit.position, unit.orientation, unit.reading, unit.pixel]
+    return np.array(sizes[:count]), (np.divide(sizes[:count], units[:count])) ** 2
 
 
 def estimated_noise(
@@ -160,13 +168,15 @@ def estimated_noise(
     """
     assumed = assumed_information(noise, unit, moments.scale, exact=exact, tie=tie)
     _, ratio = _relative(noise, unit)
-    least = np.full(3, moments.scale / _LARGEST_STEP)
+    least = np.full(len(ratio), moments.scale / _LARGEST_STEP)
     least[_R] *= noise.reading > 0.0  # of a size that is not known yet
     variance = np.clip(moments.variances(assumed), least, moments.scale * _LARGEST_STEP)
     floor = _SMALLEST**2 * (ratio * variance).max() / ratio
-    noisy = np.array([True, True, not exact or bool(variance[_R] > floor[_R])])
-    p, o, r = np.sqrt(np.where(noisy, np.maximum(variance, floor), 0.0))
-    return Noise(float(noise.position * p), float(noise.orientation * o), float(reading * r))
+    noisy = np.ones(len(ratio), dtype=bool)
+    noisy[_R] = not exact or bool(variance[_R] > floor[_R])
+    factors = np.append(np.sqrt(np.where(noisy, np.maximum(variance, floor), 0.0)), 0.0)
+    sizes = (noise.position, noise.orientation, reading, noise.pixel)
+    return Noise(*(float(size * factor) for size, factor in zip(sizes, factors, strict=False)))
 
 
 def tie_of(fit: Fit, noise: Noise) -> Tie | None:
@@ -183,8 +193,7 @@ def tie_of(fit: Fit, noise: Noise) -> Tie | None:
     moving = np.array(problem.platform.units) == unit
     if not (units and moving.any()):
         return None
-    by_reading = linear.by_measured[:, :n_legs, : problem.leg_block.n_readings]
-    moved = np.linalg.pinv(linear.by_pose[:, :n_legs]) @ by_reading  # least squares of the legs
+    moved = np.linalg.pinv(linear.by_pose[:, :n_legs]) @ linear.by_measured  # least squares of legs
     lever = float(np.sqrt(np.median((moved**2).sum(axis=2), axis=0)[moving].mean()))
     far = lever * noise.reading > _SENSORS_ONLY * (noise.position, noise.orientation)[group]
     return (group, _SENSOR / lever) if far else None
@@ -194,11 +203,15 @@ def _moments(fit: Fit, reading: float) -> tuple[Array, Array, tuple[Array, Array
     """Return what a fit says of the variances of groups: F and q of ``Moments``, and a part."""
     linear, rows, Q, problem = fit.last, fit.good, fit.Q, fit.problem
     n_readings = problem.leg_block.n_readings
-    by_reading = np.where(problem.active[:, :, None], linear.by_measured[:, :, :n_readings], 0.0)
+    n_legs = problem.leg_block.n_rows
+    by_reading = np.zeros((*problem.active.shape, n_readings))
+    by_reading[:, :n_legs] = linear.by_measured
+    by_reading[~problem.active] = 0.0
     W = linear.white.by_noise[:, :, n_readings : len(problem.quantities)]
-    units = list(problem.quantities.values())[n_readings:]
-    lengths = np.array([unit == "m" for unit in units], dtype=bool)
-    groups = (W[:, :, lengths], W[:, :, ~lengths], linear.white(reading * by_reading))
+    units = np.array([*problem.quantities.values()][n_readings:], dtype=str)
+    of_groups = [W[:, :, units == unit] for unit in ("m", "rad", "px")]
+    of_groups.insert(_R, linear.white(reading * by_reading))
+    groups = of_groups if "px" in units else of_groups[:3]
     V = np.stack([part[rows] @ part[rows].transpose(0, 2, 1) for part in groups])
     residuals = linear.residuals[rows] - Q @ fit.normal.c
     VQ = V @ Q

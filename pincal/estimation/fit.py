@@ -303,15 +303,14 @@ def _evened(problem: Problem, linear: Linear) -> Problem | None:
         return None
     legs, observation = problem.leg_block, problem.observation
     lengths = np.array([unit == "m" for unit in observation.units], dtype=bool)
-    of_legs = np.linalg.norm(linear.noise_root[:, : legs.n_rows], axis=2)
+    of_legs = np.linalg.norm(linear.reading_root, axis=2)
     observed = (observation.sigma * np.where(lengths, 1.0, problem.size))[observation.measured]
     noisy = [values[values > 0.0] for values in (observed, of_legs) if (values > 0.0).any()]
     if not noisy:
         return None
     typical = float(np.median(noisy[0]))
     sigma = np.maximum(observation.sigma, np.where(lengths, typical, typical / problem.size))
-    by_reading = linear.by_measured[:, : legs.n_rows, : legs.n_readings]
-    slopes = np.median(np.linalg.norm(by_reading, axis=1), axis=0)
+    slopes = np.median(np.linalg.norm(linear.by_measured, axis=1), axis=0)
     floors = typical / np.maximum(slopes, 1e-300)
     readings = np.maximum(legs.sigma, np.where(np.isfinite(floors), floors, 0.0))
     even = (sigma <= _UNEVEN * observation.sigma) | ~observation.measured

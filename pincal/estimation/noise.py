@@ -23,10 +23,11 @@ from pincal.model.platform import Platform
 from pincal.model.setup import ORIGIN, POLAR, Setup, Tracker
 from pincal.types import Array, Index, Mask
 
-Freedoms = tuple[float, float, float]
+Freedoms = tuple[float, ...]
 Source = Literal["given", "rows", "repeats", "estimated"]
 _ENOUGH = 30  # rows that repeat others; fewer say less about the noise than the residuals do
 _ASSUMED = 1e-4  # of the mechanism's size, and [rad]: where an estimate of the noise begins
+_ASSUMED_PIXEL = 0.5  # the same of pixels
 
 
 @dataclass(frozen=True)
@@ -63,8 +64,9 @@ class NoiseModel:
     readings: Array
     """Shape (N, n_readings)."""
     source: Source
-    freedoms: Freedoms = (np.inf, np.inf, np.inf)
-    """Degrees of freedom with which variances of positions, orientations and readings are known."""
+    freedoms: Freedoms = (np.inf,) * 4
+    """Degrees of freedom with which variances of positions, orientations and readings are known;
+    none is of pixels, which repeated rows do not show."""
 
     @property
     def known(self) -> bool:
@@ -86,9 +88,9 @@ def noise_model(
     """
     _check_tracker(mechanism, data, setup)
     _check_covariances(mechanism, data, setup)
-    full, rows = bool(np.isfinite(data.poses).all()), _has_sigmas(mechanism, data, noise)
+    full, rows = bool(np.isfinite(data.poses).all()), _has_sigmas(mechanism, data, noise, setup)
     source: Source = "given"
-    freedoms: Freedoms = (np.inf, np.inf, np.inf)
+    freedoms: Freedoms = (np.inf,) * 4
     if rows and any(contact.noise is None for contact in setup.contacts.values()):
         raise MeasurementError(
             "columns of standard deviations are given, and nothing says by how much contacts miss; "
@@ -104,10 +106,10 @@ def noise_model(
         )
     elif noise is not None:
         general = noise
-    elif (repeated := _noise_of_repeats(mechanism, data)) is not None:
+    elif not setup.pixels and (repeated := _noise_of_repeats(mechanism, data)) is not None:
         source, (general, freedoms) = "repeats", repeated
     else:
-        source, general = "estimated", assumed_noise(mechanism, exact=full)
+        source, general = "estimated", assumed_noise(mechanism, exact=full, sees=bool(setup.pixels))
     platform = mechanism.platform
     poses = row_noise(platform.freedoms, platform.units, data, general, setup, platform)
     readings = data.sigma_readings
@@ -115,17 +117,22 @@ def noise_model(
     return NoiseModel(general, poses, readings, source, freedoms)
 
 
-def assumed_noise(mechanism: Mechanism, *, exact: bool) -> Noise:
-    """Return noise, by the mechanism's size, from which an estimate begins."""
+def assumed_noise(mechanism: Mechanism, *, exact: bool, sees: bool = True) -> Noise:
+    """Return noise, by the mechanism's size, from which an estimate begins; of pixels if seen."""
     size = max(leg.size for leg in mechanism.legs)
     metric = "m" in mechanism.reading_units
     reading = 0.0 if exact and not mechanism.redundant else _ASSUMED * (size if metric else 1.0)
-    return Noise(_ASSUMED * size, _ASSUMED, reading)
+    return Noise(_ASSUMED * size, _ASSUMED, reading, _ASSUMED_PIXEL * sees)
 
 
-def _has_sigmas(mechanism: Mechanism, data: Measurements, noise: Noise | None) -> bool:
-    """Return whether rows have standard deviations of their own; those of readings not alone."""
-    rows = data.sigma_poses is not None or bool(data.sigma_extra)
+def _has_sigmas(
+    mechanism: Mechanism, data: Measurements, noise: Noise | None, setup: Setup
+) -> bool:
+    """Return whether rows have standard deviations of their own; those of readings not alone.
+
+    Those of pixels go with noise that is given of all else, too.
+    """
+    rows = data.sigma_poses is not None or bool(data.sigma_extra.keys() - setup.pixels)
     if data.sigma_readings is not None and np.isfinite(data.poses).all() and not rows:
         raise MeasurementError(
             "the measurements give standard deviations of readings but none of poses; add columns "
@@ -136,7 +143,7 @@ def _has_sigmas(mechanism: Mechanism, data: Measurements, noise: Noise | None) -
             "the measurements have columns of standard deviations, and the noise is given as "
             "well; leave out one of them"
         )
-    return rows or data.sigma_readings is not None
+    return rows or data.sigma_readings is not None or (noise is None and bool(data.sigma_extra))
 
 
 def _check_tracker(mechanism: Mechanism, data: Measurements, setup: Setup) -> None:
@@ -280,7 +287,7 @@ def row_noise(
     """
     sigmas = _sigmas_by_name(names, data, setup, platform)
     none = np.full(len(data), np.nan)
-    general = [noise.position if unit == "m" else noise.orientation for unit in units]
+    general = [noise.of_unit(unit) for unit in units]
     sigma = np.column_stack([np.empty((len(data), 0)), *(sigmas.get(n, none) for n in names)])
     sigma = np.where(np.isfinite(sigma), sigma, general)
     if setup.tracker is None and not data.covariances:

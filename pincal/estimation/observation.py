@@ -115,7 +115,8 @@ class Observation:
         """Which quantity is measured in which row, shape (N, r)."""
         self._values = np.where(self.measured, table, 0.0)
         self._values[:, len(scalars) :] = 0.0  # of which predictions are less what was measured
-        self._conditions = table[:, len(known) :]
+        self.conditions = table[:, len(known) :]
+        """What instruments read, shape (N, …); NaN where they did not."""
         self._angle_names = tuple(angles)
         self._angles, self._follow_turn = _angles(angles, data, oriented | (platform.turns < 3))
         """Measured single angles, [rad], and which have the noise of a turn, (N, angles)."""
@@ -186,7 +187,7 @@ class Observation:
 
     def at(self, rows: Index) -> Observation:
         """Return the observation at some rows."""
-        arrays = ("measured", "orientations", "_values", "_angles", "_follow_turn", "_conditions")
+        arrays = ("measured", "orientations", "_values", "_angles", "_follow_turn", "conditions")
         parts = {name: getattr(self, name)[rows] for name in (*arrays, "_touched")}
         return self._with(noise=self.noise.rows(rows), **parts)
 
@@ -207,12 +208,21 @@ class Observation:
         """
         return row_noise(self.names, self.units, data, noise, self.setup, self.platform)
 
-    def noise_root(self, state: State) -> Array:
+    @property
+    def single(self) -> Mask:
+        """Which quantities have noise of their own: pixels, shape (r,)."""
+        return np.array([unit == "px" and self.noise.correlation is None for unit in self.units])
+
+    def noise_root(self, state: State, quantities: Index | None = None) -> Array:
         """Return the root of the rows' noise, shape (N, r, r); zero where nothing is measured.
 
+        Of some quantities, whose noise is not that of others, if these are given.
         Parts of an orientation follow the turn that is its noise, others their own.
         """
-        roots = self.noise.roots
+        measured, noise = self.measured, self.noise
+        if quantities is not None:
+            measured, noise = measured[:, quantities], RowNoise(noise.sigma[:, quantities])
+        roots = noise.roots
         if self._follow_turn.any():
             external = state.external
             predicted = external.frame[:3, :3] @ state.matrices[:, :3, :3] @ external.turn
@@ -223,7 +233,7 @@ class Observation:
                 along = self._angle(column, predicted)[2]
                 rows = self._follow_turn[:, column] & along.any(axis=1)
                 roots[rows, self.names.index(name)] = (along[rows, None] @ by_turn[rows])[:, 0]
-        return np.where(self.measured[:, :, None], roots, 0.0)
+        return np.where(measured[:, :, None], roots, 0.0)
 
     def systematic(self, matrices: Array, external: External) -> Array:
         """Return by how much all is off for one standard uncertainty of what is off in all rows.
@@ -235,7 +245,7 @@ class Observation:
         errors = [np.zeros((len(matrices), r, 0))]
         if setup.systematic.relative:
             lengths = np.array([unit == "m" for unit in self.units], dtype=bool)
-            lengths[r - self._conditions.shape[1] :] = False
+            lengths[r - self.conditions.shape[1] :] = False
             value = self.residuals(matrices, external)[0] + self._values
             errors.append(setup.systematic.relative * np.where(lengths, value, 0.0)[:, :, None])
         if setup.systematic.target:
@@ -343,15 +353,16 @@ class Observation:
         return row, np.where(follows, along + missed * by_turn, slope), along
 
     def _instruments(self, seen: Array, external: External) -> list[Predicted]:
-        rows, columns, values = [], self._conditions, external.instruments
-        places = self.external.own.start
-        for instrument in self.setup.instruments:
-            k, n = len(instrument.columns), len(instrument.parameters)
-            value, by_pose, by_own = evaluated(instrument, seen, values[:n], columns[:, :k])
+        rows, columns = [], self.conditions
+        for instrument, places in zip(
+            self.setup.instruments, self.external.of_instruments, strict=True
+        ):
+            k, values = len(instrument.columns), external.instruments[places]
+            value, by_pose, by_own = evaluated(instrument, seen, values, columns[:, :k])
             by_external = np.zeros((*value.shape, self.external.own.stop))
-            by_external[:, :, places : places + n] = by_own
+            by_external[:, :, self.external.own.start + places] = by_own
             rows.append((value, by_pose, by_external))
-            columns, values, places = columns[:, k:], values[n:], places + n
+            columns = columns[:, k:]
         return rows
 
 

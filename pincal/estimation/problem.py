@@ -18,12 +18,14 @@ import numpy as np
 
 from pincal.estimation.legs import LegBlock
 from pincal.estimation.observation import Observation
-from pincal.estimation.rows import WhiteRows, white_rows
+from pincal.estimation.rows import WhiteRows, turned_rows, white_rows
 from pincal.estimation.unknowns import State
 from pincal.kinematics.batches import block_diagonal, chunks
 from pincal.model.leg import Leg
 from pincal.model.platform import Platform
 from pincal.types import Array, Index, Mask
+
+_MANY = 2  # times the freedoms of a pose: from so many on, rows with noise of their own are turned
 
 
 @dataclass(frozen=True)
@@ -40,7 +42,7 @@ class Linear:
     by_pose: Array
     """B: derivatives by the platform's twist, shape (N, k, dof)."""
     by_measured: Array
-    """Derivatives by readings, then by what was measured of the platform, shape (N, k, m)."""
+    """Derivatives of the legs' rows by readings, shape (N, k of legs, n_readings)."""
 
     @property
     def equations(self) -> Index:
@@ -48,17 +50,26 @@ class Linear:
         return self.problem.equations
 
     @cached_property
+    def reading_root(self) -> Array:
+        """How the legs' rows follow the noise of readings, shape (N, k of legs, n_readings)."""
+        legs = self.problem.leg_block
+        return np.where(legs.active[:, :, None], self.by_measured * legs.sigma[:, None], 0.0)
+
+    @cached_property
     def noise_root(self) -> Array:
         """S: root of the noise, of readings and of what was measured of the platform, (N, k, s).
 
         Where poses are taken as measured, their noise takes part in the legs' rows.
         """
-        legs = self.problem.leg_block
-        by_reading = self.by_measured[:, : legs.n_rows, : legs.n_readings] * legs.sigma[:, None]
-        of_readings = np.where(legs.active[:, :, None], by_reading, 0.0)
-        if legs.pose_roots is not None:
-            return np.concatenate((of_readings, self.by_pose @ legs.pose_roots), axis=2)
-        return block_diagonal((of_readings, self.problem.observation.noise_root(self.state)))
+        return self._noise_of(None)
+
+    def _noise_of(self, quantities: Index | None) -> Array:
+        """Return the root of the noise of legs and some measured quantities, all if None."""
+        roots = self.problem.leg_block.pose_roots
+        if roots is not None:
+            return np.concatenate((self.reading_root, self.by_pose @ roots), axis=2)
+        observed = self.problem.observation.noise_root(self.state, quantities)
+        return block_diagonal((self.reading_root, observed))
 
     def after(self, step: Array) -> Array:
         """Return the conditions after a step of the unknowns (n,), to first order, (N, k)."""
@@ -100,13 +111,28 @@ class Linear:
         Raises:
             MeasurementError: conditions without noise.
         """
-        noise, idle = self.noise_root, ~self.problem.active
+        problem, n_rows = self.problem, self.problem.leg_block.n_rows
+        dof, width = self.by_pose.shape[2] * problem.latent, self.by_measured.shape[2]
+        single = np.flatnonzero(problem.observation.single * problem.latent)
+        turns = len(single) > _MANY * self.by_pose.shape[2]
+        joint = np.setdiff1d(np.arange(len(problem.observation.units)), single)
+        quantities = joint if turns else None
+        noise, rows = self._noise_of(quantities), np.arange(self.conditions.shape[1])
+        if turns:
+            rows = np.append(np.arange(n_rows), n_rows + joint)
+        idle = ~problem.active[:, rows]
         if idle.any():
             size = float(np.median(np.abs(noise[noise != 0.0]))) if noise.any() else 1.0
             idle_noise = np.where(idle[:, :, None], size * np.eye(idle.shape[1]), 0.0)
             noise = np.concatenate((noise, idle_noise[:, :, idle.any(axis=0)]), axis=2)
-        dof = self.by_pose.shape[2] * self.problem.latent
-        return white_rows(self.by_pose[:, :, :dof], noise)
+        if not turns:
+            return white_rows(self.by_pose[:, :, :dof], noise)
+        observation, count = problem.observation, width + len(joint)
+        further = width + len(observation.units) + np.arange(noise.shape[2] - count)
+        columns = np.concatenate((np.arange(width), width + joint, further))
+        sigma = np.where(observation.measured[:, single], observation.sigma[:, single], 1.0)
+        places = (rows, n_rows + single), (columns, width + single)
+        return turned_rows(self.by_pose, noise, sigma, *places)
 
     def whitened(self, conditions: Array) -> Array:
         """Return conditions of shape (N, k), as those at another state, in these rows, (N, m)."""
@@ -124,8 +150,7 @@ class Linear:
 
     def jacobian_of(self, poses: slice) -> Array:
         """Return the derivatives of the residuals at some poses, shape (N, m, n)."""
-        reduced, scale = self.white.reduced[poses], self.white.scale[poses]
-        return np.asarray(reduced @ self.by_parameter[poses]) / scale
+        return self.white.at(poses)(self.by_parameter[poses])
 
     def parts(self) -> Iterator[slice]:
         """Return poses, so many at once as memory holds well."""
@@ -245,5 +270,5 @@ class Problem:
             conditions=np.concatenate([part.value for part in parts], axis=1),
             by_parameter=block_diagonal([part.by_parameter for part in parts]),
             by_pose=np.concatenate([part.by_pose for part in parts], axis=1),
-            by_measured=block_diagonal([part.by_measured for part in parts]),
+            by_measured=legs.by_measured,
         )

@@ -12,19 +12,51 @@ Gauss–Helmert model. At pose n the conditions e(x, m; φ) = 0 are, to first or
 The left null space N of B frees the rows of the pose, L Lᵀ = (NᵀS)(NᵀS)ᵀ whitens them: what is
 left is L⁻¹Nᵀe with the Jacobian L⁻¹NᵀA. A measured quantity of variance zero is exact; one that
 was not measured is a row with noise only.
+
+Many rows whose noise is theirs alone, as those of points in a photograph, are whitened first, and
+turned by Householder's reflections until dof of them follow the pose: these join the other rows,
+the rest is free of it. That is linear in their number.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from pincal.errors import MeasurementError
-from pincal.kinematics.batches import product, solve
+from pincal.kinematics.batches import block_diagonal, product, solve
 from pincal.model.checks import ROUNDING
-from pincal.types import Array
+from pincal.types import Array, Index
+
+_OF_POSES = ("reduced", "scale", "range", "triangle", "root")  # what ``WhiteRows`` has of each pose
+
+
+@dataclass(frozen=True)
+class TurnedRows:
+    """Rows whose noise is theirs alone, among others, turned so that dof of them follow the pose.
+
+    Their places, and those of their noise, are integer arrays: of others, then of theirs.
+    """
+
+    rows: tuple[Index, Index]
+    columns: tuple[Index, Index]
+    sigma: Array
+    """Standard deviations, shape (N, j)."""
+    vectors: Array
+    """Of Householder's reflections, shape (N, dof, j)."""
+    factors: Array
+    """Theirs, shape (N, dof)."""
+
+    def __call__(self, rows: Array) -> tuple[Array, Array]:
+        """Return others with dof of these below, and what is free of the pose, of (N, k, n)."""
+        turned = rows[:, self.rows[1]] / self.sigma[:, :, None]
+        for v, factor in zip(self.vectors.swapaxes(0, 1), self.factors.T, strict=True):
+            turned -= v[:, :, None] * (factor[:, None, None] * (v[:, None] @ turned))
+        dof = self.factors.shape[1]
+        return np.concatenate((rows[:, self.rows[0]], turned[:, :dof]), axis=1), turned[:, dof:]
 
 
 @dataclass(frozen=True)
@@ -39,17 +71,43 @@ class WhiteRows:
     """Orthonormal basis Q of the range of B, shape (N, k, dof)."""
     triangle: Array
     """R of B = Q R, shape (N, dof, dof)."""
-    noise: Array
-    """S, shape (N, k, s)."""
+    root: Array
+    """S, shape (N, k, s); these five of the others where some rows were turned."""
+    turned: TurnedRows | None = None
 
     def __call__(self, rows: Array) -> Array:
         """Return rows freed of the pose and whitened, shape (N, m, n), from shape (N, k, n)."""
-        return np.asarray(self.reduced @ rows) / self.scale
+        if self.turned is None:
+            return np.asarray(self.reduced @ rows) / self.scale
+        joined, free = self.turned(rows)
+        return np.concatenate((self.reduced @ joined / self.scale, free), axis=1)
+
+    def at(self, poses: slice) -> WhiteRows:
+        """Return what does so at some poses."""
+        parts = {name: getattr(self, name)[poses] for name in _OF_POSES}
+        if (turned := self.turned) is not None:
+            parts_of_turned = {
+                name: getattr(turned, name)[poses] for name in ("sigma", "vectors", "factors")
+            }
+            turned = replace(turned, **parts_of_turned)
+        return WhiteRows(**parts, turned=turned)
 
     @property
     def whitener(self) -> Array:
         """L⁻¹Nᵀ, shape (N, m, k)."""
         return self.reduced / self.scale
+
+    @cached_property
+    def noise(self) -> Array:
+        """S of all rows, shape (N, k, s)."""
+        if self.turned is None:
+            return self.root
+        (rows, single_rows), (columns, single) = self.turned.rows, self.turned.columns
+        n_rows, n_columns = len(rows) + len(single_rows), len(columns) + len(single)
+        noise = np.zeros((len(self.root), n_rows, n_columns))
+        noise[:, rows[:, None], columns] = self.root[:, : len(rows), : len(columns)]
+        noise[:, single_rows, single] = self.turned.sigma
+        return noise
 
     @cached_property
     def by_noise(self) -> Array:
@@ -72,9 +130,37 @@ class WhiteRows:
 
         δx = −R⁻¹ Qᵀ (e − S Wᵀ L⁻¹Nᵀe).
         """
-        noise = self.by_noise.transpose(0, 2, 1) @ self(rows)
-        residual = rows - self.noise @ noise
+        joined = rows if self.turned is None else self.turned(rows)[0]
+        W = self.reduced @ self.root / self.scale
+        noise = W.transpose(0, 2, 1) @ (self.reduced @ joined / self.scale)
+        residual = joined - self.root @ noise
         return -solve(self.triangle, self.range.transpose(0, 2, 1) @ residual)
+
+
+def turned_rows(
+    pose: Array, noise: Array, sigma: Array, rows: tuple[Index, Index], columns: tuple[Index, Index]
+) -> WhiteRows:
+    """Return what ``white_rows`` does of rows some of which have noise of their own.
+
+    Args:
+        pose: B of all rows, shape (N, k, dof).
+        noise: S of the others, shape (N, i, s).
+        sigma: Standard deviations of these, above zero, shape (N, j), j ≥ dof.
+        rows: Places of the others, and of these, shapes (i,) and (j,).
+        columns: Places of the noise of the others, and of these, shapes (s,) and (j,).
+    """
+    (h, factors), dof = (
+        np.linalg.qr(pose[:, rows[1]] / sigma[:, :, None], mode="raw"),
+        pose.shape[2],
+    )
+    triangle = np.triu(h[:, :, :dof].transpose(0, 2, 1))
+    vectors = np.triu(h, 1)
+    vectors[:, range(dof), range(dof)] = 1.0
+    unit = np.broadcast_to(np.eye(dof), (len(pose), dof, dof))
+    joined = white_rows(
+        np.concatenate((pose[:, rows[0]], triangle), axis=1), block_diagonal((noise, unit))
+    )
+    return replace(joined, turned=TurnedRows(rows, columns, sigma, vectors, factors))
 
 
 def white_rows(pose: Array, noise: Array) -> WhiteRows:
@@ -94,8 +180,9 @@ def white_rows(pose: Array, noise: Array) -> WhiteRows:
     finite = np.asarray(np.isfinite(columns).all(axis=(1, 2)))
     if not finite.all():
         rows = white_rows(pose[finite], noise[finite])
-        spread = dict[str, Array]()
-        for name, part in vars(rows).items():
+        spread = dict[str, Any]()
+        for name in _OF_POSES:
+            part = getattr(rows, name)
             spread[name] = np.full((len(finite), *part.shape[1:]), np.nan)
             spread[name][finite] = part
         return WhiteRows(**spread)

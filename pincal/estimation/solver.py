@@ -196,9 +196,9 @@ def adjusted(linear: Linear) -> Linear:
             break
         legs = replace(block, readings=block.readings + block.sigma * noise)
         corrected = replace(problem, leg_block=legs).evaluate(linear.state)
-        by_reading = corrected.noise_root[:, :, : block.n_readings]
-        back = (by_reading @ noise[:, :, None])[:, :, 0]
-        at_adjusted = replace(corrected, conditions=corrected.conditions - back)
+        conditions = corrected.conditions.copy()
+        conditions[:, : block.n_rows] -= (corrected.reading_root @ noise[:, :, None])[:, :, 0]
+        at_adjusted = replace(corrected, conditions=conditions)
     return at_adjusted
 
 

@@ -9,6 +9,7 @@ alignment of least absolute distances, and left out.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import chain
 
@@ -101,22 +102,28 @@ def _outside_started(problem: Problem, state: State) -> State:
         return state
     at_rest, seen = poses_at_rest(without.evaluate(state)), observation.only(columns)
     matrices = at_rest.state.matrices
-    by_others, by_these = (part.residuals(matrices, external)[2] for part in (others, seen))
+    external = outside.begun(external, matrices, observation.conditions)
+    by_others = others.residuals(matrices, external)[2]
+    _, by_pose, by_these = seen.residuals(matrices, external)
     theirs = by_these.any(axis=(0, 1)) & ~by_others.any(axis=(0, 1)) & (outside.free >= 6)
     by_free = np.eye(len(outside))[:, theirs]
     if not theirs.any():
         return state
 
+    lengths_of_rows = _arms(problem, seen.units, by_pose)
+
     def missed(values: Array) -> Array:
-        return seen.residuals(matrices, outside.moved(external, by_free @ values))[0].ravel()
+        moved = outside.moved(external, by_free @ values)
+        return (lengths_of_rows * seen.residuals(matrices, moved)[0]).ravel()
 
     def slopes(values: Array) -> Array:
         moved = outside.moved(external, by_free @ values)
-        return seen.residuals(matrices, moved)[2][:, :, theirs].reshape(-1, by_free.shape[1])
+        rows = seen.residuals(matrices, moved)[2][:, :, theirs]
+        return (lengths_of_rows[:, None] * rows).reshape(-1, by_free.shape[1])
 
     values = np.zeros(by_free.shape[1])
     how = {"x_scale": "jac", "f_scale": _CLOSES * problem.size}
-    for loss in ("linear", "soft_l1") if contacts else ("linear",):
+    for loss in ("linear", "soft_l1") if contacts or seen.setup.pixels else ("linear",):
         values = least_squares(missed, values, slopes, loss=loss, **how).x
     return replace(state, external=outside.moved(external, by_free @ values))
 
@@ -173,7 +180,7 @@ def poses_at_rest(linear: Linear) -> Linear:
     """
     problem, platform, size = linear.problem, linear.problem.platform, linear.problem.size
     scale = np.array([size if unit == "m" else 1.0 for unit in platform.units])
-    arms = np.array([size if unit == "rad" else 1.0 for unit in problem.units])
+    arms = _arms(problem, problem.units, linear.by_pose)
     damping, open_ = np.full(len(linear.conditions), 1e-6), np.ones(len(linear.conditions), bool)
     for _ in range(_STEPS):
         B, value = linear.by_pose * arms[:, None] * scale, linear.conditions * arms
@@ -194,6 +201,16 @@ def poses_at_rest(linear: Linear) -> Linear:
         linear = linear.with_poses(better, trial)
         damping = np.clip(np.where(better, 0.1 * damping, 10.0 * damping), 1e-9, 1e9)
     return linear
+
+
+def _arms(problem: Problem, units: Sequence[str], by_pose: Array) -> Array:
+    """Return what makes lengths of residuals, shape (k,): of pixels by how poses move them."""
+    arms = np.array([problem.size if unit == "rad" else 1.0 for unit in units])
+    pixels = np.array([unit == "px" for unit in units], dtype=bool)
+    moved = np.linalg.norm(by_pose[:, pixels, :3], axis=2)
+    if (moved := moved[moved > 0.0]).size:
+        arms[pixels] = 1.0 / np.median(moved)
+    return arms
 
 
 def check_start(problem: Problem, state: State) -> None:

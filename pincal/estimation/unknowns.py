@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import qr
@@ -89,8 +90,8 @@ class ExternalUnknowns:
 
     def __init__(self, platform: Platform, setup: Setup, oriented: bool) -> None:
         """Say what is unknown of a setup in which orientations are measured or not."""
-        planar, targets = platform.space == 2, setup.targets
-        own = [parameter for instrument in setup.instruments for parameter in instrument.parameters]
+        self.setup, planar, targets = setup, platform.space == 2, setup.targets
+        devices = setup.device_parameters
         self.turned = oriented and targets[ORIGIN].unknown
         """Whether the measured orientation is turned against the platform's."""
         in_space = np.array([True, True, not planar])
@@ -100,33 +101,58 @@ class ExternalUnknowns:
         free += [turns & self.turned]
         points, sigmas = setup.touched_places
         free += [in_space & (sigma > 0.0) for sigma in sigmas]
-        free += [np.ones(len(own), dtype=bool)]
+        free += [np.ones(len(devices), dtype=bool)]
         self.free = np.flatnonzero(np.concatenate(free))
         """Places of the unknowns."""
         self.offsets = slice(6, 6 + 3 * len(targets))
         self.turn = slice(self.offsets.stop, self.offsets.stop + 3)
         self.points = slice(self.turn.stop, self.turn.stop + points.size)
-        self.own = slice(self.points.stop, self.points.stop + len(own))
+        self.own = slice(self.points.stop, self.points.stop + len(devices))
         """Places of offsets of targets, the turn, points, and parameters of instruments."""
         priors = np.full(self.own.stop, np.inf)
         priors[self.points] = np.repeat(sigmas, 3)
+        priors[self.own] = [sigma for _, sigma in devices.values()]
         self.priors = priors[self.free]
         """Standard deviations with which the unknowns are known beforehand, infinite if not."""
         stems = [("tracker.", "m"), ("tracker.r", "rad")]
         stems += [(f"{owner(name)}.", "m") for name in targets] + [("target.r", "rad")]
         stems += [(f"{name}.", "m") for name in setup.touched]
         every = [(f"{stem}{axis}", unit) for stem, unit in stems for axis in "xyz"]
-        every += [(parameter.id, parameter.unit) for parameter in own]
+        every += [(parameter.id, parameter.unit) for parameter, _ in devices.values()]
         self.names = tuple(every[place][0] for place in self.free)
         """Ids of the unknowns."""
         self.units = tuple(every[place][1] for place in self.free)
         offsets = np.array([target.offset for target in targets.values()], dtype=float)
-        nominal = np.array([parameter.nominal for parameter in own], dtype=float)
+        nominal = np.array([parameter.nominal for parameter, _ in devices.values()], dtype=float)
         self.start = External(np.eye(4), offsets, np.eye(3), points, nominal)
         """The values of the setup; the base frame is that of the measurements."""
 
     def __len__(self) -> int:
         return len(self.names)
+
+    @cached_property
+    def of_instruments(self) -> list[Index]:
+        """Places of each instrument's parameters among those of all, of which some are shared."""
+        ids = list(self.setup.device_parameters)
+        return [
+            np.array([ids.index(parameter.id) for parameter in instrument.parameters], np.intp)
+            for instrument in self.setup.instruments
+        ]
+
+    def begun(self, values: External, poses: Array, measured: Array) -> External:
+        """Return values with those of instruments from which a search begins, by nominal poses.
+
+        Poses are T_frame_platform, (N, 4, 4), measured what all instruments read, (N, r).
+        """
+        begun, known, seen = values.instruments.copy(), dict[str, float](), values.frame @ poses
+        for instrument, places in zip(self.setup.instruments, self.of_instruments, strict=True):
+            width = len(instrument.columns)
+            if begin := getattr(instrument, "begin", None):
+                begun[places] = begin(seen, measured[:, :width], known)
+                ids = (parameter.id for parameter in instrument.parameters)
+                known |= dict(zip(ids, begun[places].tolist(), strict=True))
+            measured = measured[:, width:]
+        return replace(values, instruments=begun)
 
     def moved(self, values: External, step: Array) -> External:
         """Return values after a step, shape (n,): twists of the frame about its own origin."""

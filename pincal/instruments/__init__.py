@@ -1,1 +1,1 @@
-"""Instruments that need more than a column: boards, what photos show of them."""
+"""Instruments that need more than a column: cameras, their lenses, boards, what photos show."""

@@ -45,6 +45,12 @@ class Noise:
         unit="m rad",
         name="noise_reading",
     )
+    pixel: float = option(
+        0.2,
+        "Standard deviation of each coordinate that a camera sees [px].",
+        unit="px",
+        name="noise_pixel",
+    )
 
     def __post_init__(self) -> None:
         for name, entry in vars(self).items():
@@ -58,8 +64,11 @@ class Noise:
 
     def of_poses(self, mechanism: Mechanism) -> Array:
         """Return the standard deviation of each platform coordinate, shape (dof,)."""
-        units = mechanism.platform.units
-        return np.array([self.position if unit == "m" else self.orientation for unit in units])
+        return np.array([self.of_unit(unit) for unit in mechanism.platform.units])
+
+    def of_unit(self, unit: str) -> float:
+        """Return the standard deviation of what is measured in m, rad or px of the platform."""
+        return {"m": self.position, "rad": self.orientation, "px": self.pixel}[unit]
 
 
 @dataclass(frozen=True, eq=False)

@@ -32,7 +32,12 @@ class Instrument(Protocol):
     """Anything that reads the platform's pose, in its own columns and with its own unknowns.
 
     One that says where it stands is drawn there by a view of the result: by a method
-    ``stand(values)`` that returns T_frame_instrument, shape (4, 4), at values of its parameters.
+    ``stand(values)`` that returns T_frame_instrument, shape (4, 4), at values of its parameters;
+    None if the platform holds it. Further, if it has them: ``priors``, standard deviations of
+    nominal values by id; ``shared``, owners of parameters that other instruments have, too;
+    ``begin(poses, measured, known)``, values from which a search begins, at poses of the nominal
+    machine and values by id that others share; ``visible(poses, values)``, which columns it could
+    measure at poses, shape (N, r), for plans and simulations.
 
     Example:
         >>> import numpy as np, pincal
@@ -55,7 +60,7 @@ class Instrument(Protocol):
 
     @property
     def columns(self) -> Mapping[str, str]:
-        """Its columns in the measurements, and their units: m or rad."""
+        """Its columns in the measurements, and their units: m, rad or px."""
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -375,6 +380,32 @@ class Setup:
         return not (self.unknown_frame or any(further) or self.targets != {ORIGIN: Target()})
 
     @property
+    def pixels(self) -> set[str]:
+        """Columns that cameras measure, in pixels."""
+        every = (column for device in self.instruments for column in device.columns.items())
+        return {name for name, unit in every if unit == "px"}
+
+    @property
+    def device_parameters(self) -> dict[str, tuple[Parameter, float]]:
+        """Parameters of all instruments by id, shared ones once, and their standard deviations."""
+        parameters = dict[str, tuple[Parameter, float]]()
+        for instrument in self.instruments:
+            priors: Mapping[str, float] = getattr(instrument, "priors", {})
+            for parameter in instrument.parameters:
+                entry = parameter, priors.get(parameter.id, np.inf)
+                if parameters.setdefault(parameter.id, entry) != entry:
+                    raise MeasurementError(
+                        f"parameter {parameter.id!r} is shared by instruments that say different "
+                        "things of it; give one name to what is one, another to what is not"
+                    )
+        return parameters
+
+    @property
+    def frameless(self) -> bool:
+        """Whether what measures has neither a frame of its own nor a measure of length."""
+        return bool(self.contacts or self.pixels)
+
+    @property
     def required(self) -> dict[str, str]:
         """Columns that measurements must have, and whose they are."""
         named = dict.fromkeys(self.distances, "a distance that the setup names")
@@ -467,8 +498,8 @@ def _fault(instrument: Instrument, names: set[str]) -> str:
             "instrument has"
         )
     for column, unit in instrument.columns.items():
-        if unit not in ("m", "rad"):
-            return f"column {column!r} of instrument {name!r} is in {unit!r}; expected m or rad"
+        if unit not in ("m", "rad", "px"):
+            return f"column {column!r} of instrument {name!r} is in {unit!r}; expected m, rad or px"
     image = image_of(instrument)
     pairs = image.points.values() if image else ()
     if unknown := sorted({c for pair in pairs for c in pair} - set(instrument.columns)):
@@ -477,7 +508,7 @@ def _fault(instrument: Instrument, names: set[str]) -> str:
             f"{listed(instrument.columns)}"
         )
     for parameter in instrument.parameters:
-        if parameter.owner != name:
+        if parameter.owner not in (name, *getattr(instrument, "shared", ())):
             return (
                 f"parameter {parameter.id!r} is of instrument {name!r}; expected "
                 f"'{name}.{parameter.name}'"

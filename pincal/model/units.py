@@ -26,6 +26,7 @@ UNITS: dict[str, tuple[str, float]] = {
     "deg": ("rad", pi / 180),
     "°": ("rad", pi / 180),
     "turn": ("rad", 2 * pi),
+    "px": ("px", 1.0),
 }
 #: Names that are printed otherwise than they are typed.
 PRINTED = {"deg": "°", "um": "µm", "μm": "µm"}
@@ -67,9 +68,9 @@ class Units:
             if unit == COUNTS:
                 continue
             dimension = UNITS.get(unit, ("1", 1.0))[0]
-            if dimension == "1" or dimension in names:
+            if dimension not in ("m", "rad") or dimension in names:
                 fault = {"m": "a second unit of length", "rad": "a second unit of angle"}
-                known = (name for name, (kind, _) in UNITS.items() if kind != "1")
+                known = (name for name, (kind, _) in UNITS.items() if kind in ("m", "rad"))
                 raise MeasurementError(
                     f"--units {text}: {unit!r} is {fault.get(dimension, 'not a known unit')}; give "
                     "at most one unit of length and one of angle, such as mm,deg "

@@ -302,6 +302,7 @@ def noise_line(result: CalibrationResult) -> str:
         noise.orientation if "rad" in measured else None,
         noise.reading,
         sorted(set(result.nominal.reading_units)),
+        noise.pixel if "px" in measured else None,
     )
     return f"{NOISE_SOURCES[result.noise_source]}: σ {sizes}"
 

@@ -32,7 +32,7 @@ FINDINGS: dict[str, Wording] = {
     ),
     "noise-estimated": Wording(
         "no noise was given; estimated from the residuals: "
-        "{noise_in_words(position, orientation, reading, units)}",
+        "{noise_in_words(position, orientation, reading, units, pixel|default(none))}",
         f"{_GIVE_NOISE} if it is known",
     ),
     "chi2-too-large": Wording(

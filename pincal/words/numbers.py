@@ -23,16 +23,16 @@ class ReadUnits(dict[str, str]):
 
 
 #: Values of parameters.
-VALUES = ReadUnits({"m": "mm", "rad": "deg", "1": ""})
+VALUES = ReadUnits({"m": "mm", "rad": "deg", "1": "", "px": "px"})
 #: Small quantities: errors, residuals, standard deviations.
-SMALL = ReadUnits({"m": "mm", "rad": "mrad", "1": ""})
+SMALL = ReadUnits({"m": "mm", "rad": "mrad", "1": "", "px": "px"})
 #: Poses and readings.
-POSES = ReadUnits({"m": "mm", "rad": "°", "1": ""})
+POSES = ReadUnits({"m": "mm", "rad": "°", "1": "", "px": "px"})
 #: As they are stored.
-STORED = ReadUnits({"m": "m", "rad": "rad", "1": "1"})
+STORED = ReadUnits({"m": "m", "rad": "rad", "1": "1", "px": "px"})
 _LAST = 1e-6  # last digit shown of values whose uncertainty is not known, [m], [rad]
 #: Below what nobody measures, [1], [m], [rad].
-_FINEST = {"1": 1e-9, "m": 1e-7, "rad": 1e-7}
+_FINEST = {"1": 1e-9, "m": 1e-7, "rad": 1e-7, "px": 1e-4}
 
 
 @contextmanager

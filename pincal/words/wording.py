@@ -71,11 +71,16 @@ def groups_in_words(groups: Sequence[tuple[str, ...]], most: int = LISTED) -> st
 
 
 def noise_in_words(
-    position: float | None, orientation: float | None, reading: float, units: Sequence[str]
+    position: float | None,
+    orientation: float | None,
+    reading: float,
+    units: Sequence[str],
+    pixel: float | None = None,
 ) -> str:
     """Return standard deviations of what was measured, readings in [units]; 0 is exact."""
     parts = [] if position is None else [f"{amount(position, 'm')} in position"]
     parts += [] if orientation is None else [f"{amount(orientation, 'rad')} in orientation"]
+    parts += [] if pixel is None else [f"{amount(pixel, 'px')} in images"]
     read = listed((SMALL[unit] for unit in units), "or")
     parts.append(f"{number(reading, units[0])} {read} in readings" if reading else "readings exact")
     return ", ".join(parts)

@@ -17,6 +17,7 @@ import numpy as np
 from pincal.estimation.fit import Fit
 from pincal.estimation.observability.residuals import Residuals
 from pincal.estimation.system import CLEAR, FALSE_ALARM
+from pincal.kinematics.batches import block_diagonal
 from pincal.kinematics.influences import sides
 from pincal.model.setup import ORIGIN
 from pincal.types import Array, Index
@@ -171,7 +172,10 @@ def _testable(fit: Fit) -> bool:
 
 def errors_of(fit: Fit, used: Index) -> dict[str, Array]:
     """Return the white rows of an error of 1 by measured quantity, (n_used, m, 1)."""
-    errors = np.where(fit.problem.active[:, :, None], fit.last.by_measured, 0.0)
+    linear, r = fit.last, fit.last.conditions.shape[1] - fit.problem.leg_block.n_rows
+    by_measured = np.broadcast_to(-np.eye(r), (len(linear.conditions), r, r))
+    errors = block_diagonal((linear.by_measured, by_measured))
+    errors = np.where(fit.problem.active[:, :, None], errors, 0.0)
     white = fit.last.white(errors)[used].transpose(2, 0, 1)[..., None]
     return dict(zip(fit.problem.quantities, white, strict=False))
 

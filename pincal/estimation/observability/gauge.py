@@ -43,7 +43,8 @@ _STILL = 1e-7  # motion of the platform below which it is none, of what each par
 def frame_motions(platform: Platform, matrices: Array, *, scaled: bool = True) -> Array:
     """Return the twists of the platform for unit motions of base and own frame, (N, dof, k).
 
-    The last is that of all lengths if they may grow, which contacts do not see, else none.
+    The last is that of all lengths if they may grow, which contacts and cameras do not see, else
+    none.
     """
     base, body = np.zeros((2, len(matrices), 6, 6))
     base[:, :3] = point_velocity(matrices[:, :3, 3], tuple(range(6)))
@@ -162,7 +163,7 @@ def find_gauge(
     size, n_legs, gain = problem.size, legs.parameter.shape[2], legs.gain
     moved = (directions @ T.T)[:, :n_legs].T
     matrices = platform.matrices(legs.poses)
-    scaled = bool(problem.observation.setup.contacts)
+    scaled = problem.observation.setup.frameless
     _, inside, frames = split_frames(mechanism, matrices, gain, moved, scaled=scaled)
     if inside.shape[1] and not strict and len(lost) < T.shape[1]:
         every_gain = np.pad(gain, ((0, 0), (0, 0), (0, len(T) - n_legs)))
@@ -182,7 +183,7 @@ def find_gauge(
         raise ObservabilityError(
             f"what is measured leaves parameters undetermined at any poses: {lacking}"
         )
-    n_still = len(directions) - frames.shape[1]
+    n_still = _n_of_legs(problem.observation.setup, moved) - frames.shape[1]
     findings = _freedoms(frames, mechanism, problem.observation.setup)
     if n_still:
         groups = identifiability(gain.reshape(-1, n_legs), unknowns.labels[:n_legs]).groups
@@ -194,6 +195,11 @@ def find_gauge(
     weights = np.concatenate((1.0 / of_legs**2, np.array(counts) / (DIFFER * scales) ** 2))
     nearest = (directions @ T.T * weights) @ T
     return Gauge(nearest, tuple(findings), moved if findings else None, frames)
+
+
+def _n_of_legs(setup: Setup, lost: Array) -> int:
+    """Return how many lost directions are of legs: camera and markers may move together."""
+    return int(np.linalg.matrix_rank(lost, rtol=NEGLIGIBLE)) if setup.pixels else lost.shape[1]
 
 
 def _undetermined(J: Array, unknowns: Unknowns, n_lost: int, gain: Array) -> str:
@@ -235,7 +241,7 @@ def _freedoms(frames: Array, mechanism: Mechanism, setup: Setup) -> list[Finding
     least, findings = NEGLIGIBLE * np.abs(frames).max(initial=0.0), list[Finding]()
     grows = bool((np.abs(frames[-1]) > least).any())
     count, n_base = frames.shape[1] - grows, 0
-    if setup.unknown_frame or setup.contacts:
+    if setup.unknown_frame or setup.frameless:
         n_base = int(np.linalg.matrix_rank(frames[: -1 - mechanism.platform.dof], tol=least))
     if "rad" not in mechanism.platform.units:  # a point has no frame of its own
         n_base = count

@@ -1,0 +1,344 @@
+"""A camera: pixels of points that a platform carries past it, or that it is carried past.
+
+A point P of the markers is at X = R_b s P + t_b in the frame of what holds them. In the axes of a
+camera at (R, t) in the frame of what holds that, it is at
+
+        Rᵀ (T X − t),       T = T_frame_platform, or its inverse if the platform holds the camera,
+
+and its lens makes pixels of that. Camera, lens and markers may each be known, or not, or roughly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from pincal.errors import MeasurementError
+from pincal.instruments.lens import Lens
+from pincal.instruments.placing import placed_by_rays
+from pincal.model.checks import array_of, must_be, number_of
+from pincal.model.parameter import Parameter
+from pincal.model.setup import Image, Point, Residuals
+from pincal.types import Array, Mask
+
+_PLACE = (("x", "m"), ("y", "m"), ("z", "m"), ("rx", "rad"), ("ry", "rad"), ("rz", "rad"))
+_AXES = "xyz"
+_STEEPEST = np.cos(np.radians(75.0))  # angle from the normal at which markers are still read
+
+
+@dataclass(frozen=True)
+class Markers:
+    """Points that cameras see, as on a board or a tool, in a frame of their own.
+
+    Example:
+        >>> import pincal
+        >>> board = pincal.Markers({"a": (0, 0, 0), "b": (0.1, 0, 0), "c": (0, 0.1, 0)}, scale=1e-3)
+        >>> [parameter.id for parameter in board.parameters][5:]
+        ['board.rz', 'board.scale']
+    """
+
+    points: Mapping[str, Point | None]
+    """Where they are in the frame of the markers, [m], by name; None: to be identified."""
+    name: str = "board"
+    """The owner of what is unknown of them. Cameras share markers by this name."""
+    at: Point = (0.0, 0.0, 0.0)
+    """Where the frame of the markers is on the platform, or in the frame of the measurements if the
+    platform holds the camera, [m]; where the search may begin if that is unknown."""
+    rotation: Point = (0.0, 0.0, 0.0)
+    """How that frame is turned there: a rotation vector, [rad]."""
+    known: bool = False
+    """Whether place and rotation are known. They are no unknowns if all points are."""
+    tolerance: float = 0.0
+    """Standard deviation of each coordinate of a known point, [m]."""
+    scale: float = 0.0
+    """Standard deviation of all lengths between points together, relative: of a print's pitch."""
+    normal: Point | None = None
+    """Direction from which they can be read, in their frame; any if not said."""
+
+    def __post_init__(self) -> None:
+        error, label = MeasurementError, f"markers {self.name!r}"
+        points = dict(must_be(self.points, Mapping, f"points of {label}", error))
+        if not points:
+            raise error(f"{label} have no points; name those that a camera sees")
+        for name, point in points.items():
+            if point is not None:
+                where = f"point {name!r} of {label}"
+                points[name] = tuple(array_of(point, (3,), where, error).tolist())
+        object.__setattr__(self, "points", {str(name): point for name, point in points.items()})
+        for name in ("at", "rotation", *["normal"] * (self.normal is not None)):
+            values = array_of(getattr(self, name), (3,), f"{name} of {label}", error)
+            object.__setattr__(self, name, tuple(values.tolist()))
+        for name in ("tolerance", "scale"):
+            if not 0.0 <= number_of(getattr(self, name), f"{name} of {label}", error) < np.inf:
+                raise error(f"the {name} of {label} is {getattr(self, name)}; expected 0 or more")
+
+    @cached_property
+    def priors(self) -> dict[str, float]:
+        """Of each number of the markers that is unknown its standard deviation, infinite if so."""
+        unplaced = not self.known and any(point is not None for point in self.points.values())
+        sigmas = dict.fromkeys((name for name, _ in _PLACE), np.inf) if unplaced else {}
+        if self.scale:
+            sigmas["scale"] = self.scale
+        for name, point in self.points.items():
+            sigma = np.inf if point is None else self.tolerance
+            if sigma:
+                sigmas |= dict.fromkeys((f"{name}_{axis}" for axis in _AXES), sigma)
+        return sigmas
+
+    @cached_property
+    def values(self) -> dict[str, float]:
+        """Nominal values of all numbers of the markers; points that are unknown at zero."""
+        points = [point or (0.0, 0.0, 0.0) for point in self.points.values()]
+        numbers = [*self.at, *self.rotation, 1.0, *np.ravel(points)]
+        of_points = (f"{name}_{axis}" for name in self.points for axis in _AXES)
+        names = [*(name for name, _ in _PLACE), "scale", *of_points]
+        return dict(zip(names, map(float, numbers), strict=True))
+
+    def placed_at(self, places: Array) -> dict[str, float]:
+        """Return where frame and points are, by id, if the points are at places, (M, 3), [m].
+
+        In the frame of what holds them; NaN where that is not known.
+        """
+        listed = np.array([point is not None for point in self.points.values()])
+        points = np.reshape([point or (0.0, 0.0, 0.0) for point in self.points.values()], (-1, 3))
+        usable, place = (
+            listed & np.isfinite(places).all(axis=1),
+            np.array([*self.at, *self.rotation]),
+        )
+        if "x" in self.priors and usable.sum() >= 3:
+            middles = places[usable].mean(axis=0), points[usable].mean(axis=0)
+            arms = places[usable] - middles[0], points[usable] - middles[1]
+            turn, _ = Rotation.align_vectors(*arms)
+            place = np.concatenate((middles[0] - turn.apply(middles[1]), turn.as_rotvec()))
+        numbers, frame = _numbers_of(self.name, place), _matrix(place)
+        inside = (places - frame[:3, 3]) @ frame[:3, :3]
+        for name, point, is_listed in zip(self.points, inside, listed, strict=True):
+            if not is_listed and np.isfinite(point).all():
+                ids = (f"{self.name}.{name}_{axis}" for axis in _AXES)
+                numbers |= dict(zip(ids, point.tolist(), strict=True))
+        return numbers
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """What is unknown of them."""
+        units = {**dict(_PLACE), "scale": "1"}
+        return tuple(
+            Parameter(self.name, name, units.get(name, "m"), self.values[name])
+            for name in self.priors
+        )
+
+
+@dataclass(frozen=True)
+class Camera:
+    """An instrument that measures where points are in its image.
+
+    Its columns are ``front_P1_u [px]`` and ``front_P1_v [px]`` of camera ``front`` and point P1,
+    which tables of corners fill (``Setup.corners``).
+
+    Example:
+        >>> import pincal
+        >>> board = pincal.Markers({"a": (0.0, 0.0, 0.0), "b": (0.1, 0.0, 0.0)})
+        >>> lens = pincal.Lens((1600, 1200), focal=1500.0)
+        >>> front = pincal.Camera("front", lens, board, at=(0, -2, 1), towards=(0, 0, 0.5))
+        >>> list(front.columns)
+        ['front_a_u', 'front_a_v', 'front_b_u', 'front_b_v']
+    """
+
+    name: str
+    lens: Lens
+    markers: Markers
+    on_platform: bool = False
+    """Whether the platform holds the camera, and markers are in the room; else the reverse."""
+    at: Point | None = None
+    """Where it is in the frame of the measurements, or in that of the platform if this holds it,
+    [m]; found from the nominal machine if not said."""
+    towards: Point | None = None
+    """A point on its axis, the image's lower side being down (−z) there; or give a rotation."""
+    rotation: Point | None = None
+    """How its axes (right, down, ahead) are turned there: a rotation vector, [rad]."""
+    known: bool = False
+    """Whether place and rotation are known."""
+    columns: dict[str, str] = field(init=False, repr=False, compare=False)
+    """Its columns in the measurements, and their unit."""
+    parameters: tuple[Parameter, ...] = field(init=False, repr=False, compare=False)
+    """Its unknowns: its place, then those of lens and markers."""
+
+    def __post_init__(self) -> None:
+        error = MeasurementError
+        must_be(self.lens, Lens, f"lens of camera {self.name!r}", error)
+        must_be(self.markers, Markers, f"markers of camera {self.name!r}", error)
+        if self.towards is not None and self.rotation is None and self.at is not None:
+            object.__setattr__(self, "rotation", _looking(self.at, self.towards))
+        if self.known and (self.at is None or self.rotation is None):
+            raise error(
+                f"camera {self.name!r}: its place is known, and not said; give 'at', and 'towards' "
+                "or 'rotation'"
+            )
+        place = [*(self.at or (0.0,) * 3), *(self.rotation or (0.0,) * 3)]
+        array_of(place, (6,), f"place of camera {self.name!r}", error)
+        numbers = zip(_PLACE, place, strict=True)
+        placed = [Parameter(self.name, n, unit, float(v)) for (n, unit), v in numbers]
+        unknown = (*placed * (not self.known), *self.lens.parameters, *self.markers.parameters)
+        object.__setattr__(self, "parameters", unknown)
+        columns = [f"{self.name}_{point}_{axis}" for point in self.markers.points for axis in "uv"]
+        object.__setattr__(self, "columns", dict.fromkeys(columns, "px"))
+
+    @property
+    def shared(self) -> tuple[str, ...]:
+        """Owners of parameters that other cameras may share."""
+        return self.lens.name, self.markers.name
+
+    @property
+    def priors(self) -> dict[str, float]:
+        """Standard deviations of nominal values by id, of what is known roughly."""
+        owners = {self.lens.name: self.lens.sigmas, self.markers.name: self.markers.priors}
+        every = ((f"{o}.{n}", s) for o, sigmas in owners.items() for n, s in sigmas.items())
+        return {id_: sigma for id_, sigma in every if np.isfinite(sigma)}
+
+    @property
+    def image(self) -> Image:
+        """What its columns are in its image."""
+        pairs = {p: (f"{self.name}_{p}_u", f"{self.name}_{p}_v") for p in self.markers.points}
+        return Image(self.lens.size, pairs, 1.0, (0.0, 0.0))
+
+    @cached_property
+    def _numbers(self) -> tuple[Array, Array]:
+        """All numbers, of place, lens and markers, and which of them the parameters are."""
+        place = [*(self.at or (0.0,) * 3), *(self.rotation or (0.0,) * 3)]
+        markers = self.markers.values
+        every = np.array([*place, *self.lens.values, *markers.values()])
+        names = [f"{self.name}.{name}" for name, _ in _PLACE]
+        names += [f"{self.lens.name}.{name}" for name in self.lens.names]
+        names += [f"{self.markers.name}.{name}" for name in markers]
+        return every, np.array([names.index(p.id) for p in self.parameters], dtype=int)
+
+    def _parts(self, values: Array) -> tuple[Array, Array, Array, float, Array]:
+        """Return place of the camera, lens, place of the markers, their scale, and points."""
+        every, places = self._numbers
+        numbers = every.copy()
+        numbers[places] = values
+        place, lens, markers = np.split(numbers, [6, 6 + len(self.lens.values)])
+        return place, lens, markers[:6], float(markers[6]), markers[7:].reshape(-1, 3)
+
+    def stand(self, values: Array) -> Array | None:
+        """Return T_frame_camera, shape (4, 4); none if the platform holds it."""
+        return None if self.on_platform else _matrix(self._parts(values)[0])
+
+    def _carried(self, poses: Array, values: Array) -> tuple[Array, Array, Array]:
+        """Return T, (N, 4, 4), markers X in their holder's frame, (M, 3), and T X, (N, M, 3)."""
+        _, _, on_holder, scale, points = self._parts(values)
+        T: Array = np.linalg.inv(poses) if self.on_platform else poses  # type: ignore[assignment]
+        X = scale * points @ _matrix(on_holder)[:3, :3].T + on_holder[:3]
+        return T, X, X @ T[:, :3, :3].transpose(0, 2, 1) + T[:, None, :3, 3]
+
+    def evaluate(self, poses: Array, values: Array, measured: Array) -> Residuals:
+        """Return predicted less measured pixels, with derivatives: see ``Instrument``.
+
+        NaN where a point is behind a pinhole.
+        """
+        place, lens, on_holder, scale, points = self._parts(values)
+        T, X, moved = self._carried(poses, values)
+        (N, M), turned = moved.shape[:2], points @ _matrix(on_holder)[:3, :3].T
+        R, ray = _matrix(place)[:3, :3], moved - place[:3]
+        pixels, by_seen, by_lens = self.lens.project(ray @ R, lens)
+        by_moved = by_seen @ R.T  # by T X, (N, M, 2, 3)
+        by_X = by_moved @ T[:, None, :3, :3]
+        if self.on_platform:  # the room moves past it, the other way round
+            arms, by_shift = X - poses[:, None, :3, 3], -by_X
+        else:
+            arms, by_shift = moved - poses[:, None, :3, 3], by_moved
+        by_twist = np.concatenate((by_shift, np.cross(arms[:, :, None], by_shift)), axis=3)
+        every, places = self._numbers
+        by_every = np.zeros((N, M, 2, len(every)))
+        by_every[..., :3] = -by_moved
+        by_every[..., 3:6] = -np.cross(ray[:, :, None], by_moved) @ _left(place[3:])
+        by_markers = by_every[..., 6 + len(lens) :]  # a view
+        by_every[..., 6 : 6 + len(lens)] = by_lens
+        by_markers[..., :3] = by_X
+        by_markers[..., 3:6] = np.cross(scale * turned[:, None], by_X) @ _left(on_holder[3:])
+        by_markers[..., 6] = (by_X * turned[:, None]).sum(axis=3)
+        if (places >= 6 + len(lens) + 7).any():
+            by_points = scale * by_X @ _matrix(on_holder)[:3, :3]
+            for m in range(M):
+                by_markers[:, m, :, 7 + 3 * m : 10 + 3 * m] = by_points[:, m]
+        rows = (N, 2 * M)
+        by_parameters = by_every[..., places].reshape(*rows, len(places))
+        return pixels.reshape(rows) - measured, by_twist.reshape(*rows, 6), by_parameters
+
+    def visible(self, poses: Array, values: Array) -> Mask:
+        """Return which columns it could measure at poses, shape (N, r).
+
+        Of points in its image, in focus, that are seen from the side on which they are printed.
+        """
+        place, lens, on_holder, *_ = self._parts(values)
+        T, _, moved = self._carried(poses, values)
+        R, ray = _matrix(place)[:3, :3], moved - place[:3]
+        visible = self.lens.sees(ray @ R, lens)
+        if self.markers.normal is not None:
+            normal = _matrix(on_holder)[:3, :3] @ self.markers.normal
+            normals = T[:, :3, :3] @ (normal / np.linalg.norm(normal))
+            cosines = -(ray * normals[:, None]).sum(axis=2) / np.linalg.norm(ray, axis=2)
+            visible &= cosines > _STEEPEST
+        return np.repeat(visible, 2, axis=1)
+
+    def begin(self, poses: Array, measured: Array, known: Mapping[str, float]) -> Array:
+        """Return values of its parameters from which a search may begin, shape (p,).
+
+        Args:
+            poses: T_frame_platform of the nominal machine, shape (N, 4, 4).
+            measured: Pixels, shape (N, r), NaN where not seen.
+            known: Values by id that other cameras share with it.
+        """
+        values = np.array([known.get(p.id, p.nominal) for p in self.parameters])
+        if self.known or self.at is not None:
+            return values
+        board, ids = self.markers, [parameter.id for parameter in self.parameters]
+        T, X, _ = self._carried(poses, values)
+        rays = self.lens.rays(measured.reshape(len(poses), -1, 2))
+        unknown = {f"{board.name}.{name}" for name in board.priors if name != "scale"}
+        begun = placed_by_rays(T, rays, None if unknown - {*known} else X)
+        if begun is None:
+            return values
+        changes = _numbers_of(self.name, begun[0])
+        if unknown - {*known}:
+            changes |= board.placed_at(begun[1])
+        return np.array([changes.get(id_, value) for id_, value in zip(ids, values, strict=True)])
+
+
+def _numbers_of(name: str, place: Array) -> dict[str, float]:
+    """Return a position and a rotation vector, shape (6,), by the ids of their numbers."""
+    ids = (f"{name}.{axis}" for axis, _ in _PLACE)
+    return dict(zip(ids, place.tolist(), strict=True))
+
+
+def _matrix(place: Array) -> Array:
+    """Return the transform of a position and a rotation vector, shapes (6,) and (4, 4)."""
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = Rotation.from_rotvec(place[3:]).as_matrix(), place[:3]
+    return matrix
+
+
+def _left(vector: Array) -> Array:
+    """Return the turn of a change of a rotation vector, shape (3, 3): its left Jacobian."""
+    x, y, z = vector
+    S, angle = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]), float(np.linalg.norm(vector))
+    if angle < 1e-4:
+        return np.eye(3) + S / 2 + S @ S / 6
+    a, b = (1 - np.cos(angle)) / angle**2, (angle - np.sin(angle)) / angle**3
+    return np.asarray(np.eye(3) + a * S + b * S @ S)
+
+
+def _looking(at: Point, towards: Point) -> Point:
+    """Return the rotation vector of a camera that looks from a point towards another, upright."""
+    ahead = np.subtract(towards, at) / np.linalg.norm(np.subtract(towards, at))
+    right = np.cross(ahead, (0.0, 0.0, 1.0))
+    if np.linalg.norm(right) < 1e-6:  # straight up or down: y is up in the image
+        right = np.array([1.0, 0.0, 0.0])
+    right = right / np.linalg.norm(right)
+    axes = np.column_stack((right, np.cross(ahead, right), ahead))
+    x, y, z = Rotation.from_matrix(axes).as_rotvec().tolist()
+    return x, y, z

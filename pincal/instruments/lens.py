@@ -1,0 +1,246 @@
+"""Lenses: where a point in front of a camera is in its image, with derivatives.
+
+A pinhole with the distortion of D. C. Brown (1971) and A. E. Conrady (1919), or an equidistant
+fisheye (J. Kannala and S. Brandt 2006); coefficients have OpenCV's names, order and signs. Axes of
+a camera point right, down and ahead; pixels are counted from the centre of the upper left one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from pincal.errors import MeasurementError
+from pincal.model.checks import array_of, count_of, must_be, number_of
+from pincal.model.parameter import Parameter
+from pincal.types import Array, Mask
+
+PLANE = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+FISHEYE = ("k1", "k2", "k3", "k4")
+_COUNTS = {False: (0, 4, 5, 8), True: (0, 4)}  # of coefficients that OpenCV knows, by fisheye
+_USUAL_FOCAL = 0.8  # focal length over the longer side of the image, if nobody says it
+_NEWTON = 30  # steps from a pixel to its ray
+_NEAR = 1e-13
+
+
+@dataclass(frozen=True)
+class Lens:
+    """A lens and its sensor: known, known roughly, or unknown.
+
+    Example:
+        >>> import pincal
+        >>> lens = pincal.Lens((1600, 1200), focal=1500.0, unknown={"fx": 20.0, "fy": 20.0})
+        >>> lens.project([[0.1, -0.2, 1.0]])[0].round(1).tolist()
+        [[949.5, 299.5]]
+    """
+
+    size: tuple[int, int]
+    """Width and height of the image, [px]."""
+    focal: float | tuple[float, float] | None = None
+    """Focal length, or one along each side of a pixel, [px]; 0.8 of the longer side if not said."""
+    centre: tuple[float, float] | None = None
+    """Where the axis meets the image, [px]; its middle if not said."""
+    distortion: tuple[float, ...] | None = None
+    """Coefficients in OpenCV's order: k1, k2, p1, p2[, k3[, k4, k5, k6]], of a fisheye k1 to k4.
+    None: without distortion if the lens is known, else unknown (k1 to k3, p1, p2)."""
+    fisheye: bool = False
+    """Whether images are formed by angles (equidistant) and not on a plane."""
+    unknown: bool | Mapping[str, float] = False
+    """Whether all is to be identified, or how well it is known: standard deviations by name (fx,
+    fy, cx, cy, k1, …), infinite for what is unknown; what is not named is known."""
+    name: str = "lens"
+    """The owner of its parameters. Cameras with one lens share it by this name."""
+    focus: tuple[float, float] | None = None
+    """Nearest and farthest distance at which points are sharp, [m]; any if not said."""
+    sigmas: dict[str, float] = field(init=False, repr=False, compare=False)
+    """Standard deviations of what is not known, infinite where it is unknown."""
+
+    def __post_init__(self) -> None:
+        def keep(name: str, value: object) -> None:
+            object.__setattr__(self, name, value)
+
+        error = MeasurementError
+        size = tuple(count_of(side, "size of an image [px]", error, 1) for side in self.size)
+        if len(size) != 2:
+            raise error(f"size of an image is {self.size!r}; expected width and height in px")
+        focal = _USUAL_FOCAL * max(size) if self.focal is None else self.focal
+        pair = (focal, focal) if np.ndim(focal) == 0 else focal
+        f = array_of(pair, (2,), "focal length [px]", error)
+        if not (f > 0.0).all():
+            raise error(f"the focal length of lens {self.name!r} is {self.focal}; it is above 0")
+        middle = [(side - 1) / 2 for side in size] if self.centre is None else self.centre
+        known = self.distortion is not None or not self.unknown
+        usual = () if known else (0.0,) * (4 if self.fisheye else 5)
+        d = usual if self.distortion is None else self.distortion
+        if len(d) not in _COUNTS[must_be(self.fisheye, bool, "fisheye of a lens", error)]:
+            raise error(
+                f"lens {self.name!r} has {len(d)} coefficients of distortion; expected "
+                f"{' or '.join(map(str, _COUNTS[self.fisheye]))}, in OpenCV's order "
+                f"{', '.join(FISHEYE if self.fisheye else PLANE)}"
+            )
+        keep("size", size)
+        keep("focal", tuple(f.tolist()))
+        keep("centre", tuple(array_of(middle, (2,), "centre of an image [px]", error).tolist()))
+        keep("distortion", tuple(number_of(k, "a coefficient of distortion", error) for k in d))
+        keep("sigmas", self._sigmas())
+
+    def _sigmas(self) -> dict[str, float]:
+        """Return standard deviations of what is not known, checked."""
+        sigmas, error = self.unknown, MeasurementError
+        if isinstance(sigmas, bool):
+            sigmas = dict.fromkeys(self.names, np.inf) if sigmas else {}
+        for name, sigma in must_be(sigmas, Mapping, "unknown of a lens", error).items():
+            if name not in self.names or not sigma > 0.0:
+                raise error(
+                    f"unknown of lens {self.name!r}: {name}: {sigma}; expected standard deviations "
+                    f"above 0 of some of {', '.join(self.names)}"
+                )
+        return dict(sigmas)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of all its numbers, known or not."""
+        coefficients = FISHEYE if self.fisheye else PLANE
+        return ("fx", "fy", "cx", "cy", *coefficients[: len(self.distortion or ())])
+
+    @property
+    def values(self) -> Array:
+        """Nominal values of all its numbers, shape (n,)."""
+        parts = (self.focal, self.centre, self.distortion)
+        return np.concatenate([np.array(part, dtype=np.float64) for part in parts])
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Those of its numbers that are to be identified."""
+        return tuple(
+            Parameter(self.name, name, "px" if name[0] in "fc" else "1", value)
+            for name, value in zip(self.names, self.values.tolist(), strict=True)
+            if name in self.sigmas
+        )
+
+    def project(self, points: Array, values: Array | None = None) -> tuple[Array, Array, Array]:
+        """Return pixels of points, (…, 2), and derivatives by points and by the lens's numbers.
+
+        NaN behind a pinhole. Shapes (…, 2, 3), [px/m], and (…, 2, n).
+
+        Args:
+            points: In axes of the camera, shape (…, 3), [m].
+            values: Of all numbers of the lens, shape (n,); nominal ones if not given.
+        """
+        values = self.values if values is None else values
+        points = np.asarray(points, dtype=float)
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            plane, by_point, by_lens = (self._by_angle if self.fisheye else self._on_plane)(
+                points, values[4:]
+            )
+        f = values[:2]
+        by_values = np.zeros((*plane.shape, len(values)))
+        by_values[..., 0, 0], by_values[..., 1, 1] = plane[..., 0], plane[..., 1]
+        by_values[..., 0, 2] = by_values[..., 1, 3] = 1.0
+        by_values[..., 4:] = f[:, None] * by_lens
+        return f * plane + values[2:4], f[:, None] * by_point, by_values
+
+    def _on_plane(self, points: Array, k: Array) -> tuple[Array, Array, Array]:
+        """Return what a pinhole makes of points at focal length 1: see ``project``."""
+        depth = np.where(points[..., 2] > 0.0, points[..., 2], np.nan)
+        x, y = (points[..., :2] / depth[..., None]).T
+        a1, a2, p1, p2, a3, b1, b2, b3 = np.append(k, np.zeros(8 - len(k))).tolist()
+        s = x * x + y * y
+        top, bottom = 1 + s * (a1 + s * (a2 + s * a3)), 1 + s * (b1 + s * (b2 + s * b3))
+        radial = top / bottom
+        slope = (a1 + s * (2 * a2 + 3 * s * a3)) - radial * (b1 + s * (2 * b2 + 3 * s * b3))
+        slope /= bottom
+        u = x * radial + 2 * p1 * x * y + p2 * (s + 2 * x * x)
+        v = y * radial + p1 * (s + 2 * y * y) + 2 * p2 * x * y
+        across = 2 * x * y * slope + 2 * p1 * x + 2 * p2 * y
+        u_x = radial + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x
+        v_y = radial + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x
+        z = depth.T
+        by_point = np.array(
+            [
+                [u_x / z, across / z, -(u_x * x + across * y) / z],
+                [across / z, v_y / z, -(across * x + v_y * y) / z],
+            ]
+        )
+        upper, lower = (np.array((s, s * s, s**3)) * c for c in (1 / bottom, -radial / bottom))
+        columns = [(x * c, y * c) for c in upper[:2]]
+        columns += [(2 * x * y, s + 2 * y * y), (s + 2 * x * x, 2 * x * y)]
+        columns += [(x * c, y * c) for c in (upper[2], *lower)]
+        by_lens = np.array(columns[: len(k)]).reshape(len(k), 2, *x.shape).swapaxes(0, 1)
+        return np.array((u, v)).T, _last(by_point), _last(by_lens)
+
+    def _by_angle(self, points: Array, k: Array) -> tuple[Array, Array, Array]:
+        """Return what a fisheye makes of points at focal length 1: see ``project``."""
+        x, y, z = points.T
+        rho = np.hypot(x, y)
+        square, angle = rho * rho + z * z, np.arctan2(rho, z)
+        a = np.append(k, np.zeros(4 - len(k)))
+        t = angle * angle
+        bent = angle * (1 + t * (a[0] + t * (a[1] + t * (a[2] + t * a[3]))))
+        slope = 1 + t * (3 * a[0] + t * (5 * a[1] + t * (7 * a[2] + 9 * t * a[3])))
+        on_axis = rho == 0.0
+        safe = np.where(on_axis, 1.0, rho)
+        g = np.where(on_axis, 1.0 / z, bent / safe)
+        h = np.where(on_axis, 0.0, (slope * z / square - g) / safe**2)
+        down = -slope / square
+        by_point = np.array(
+            [[g + x * x * h, x * y * h, x * down], [x * y * h, g + y * y * h, y * down]]
+        )
+        powers = np.array([angle ** (2 * i + 3) for i in range(len(k))]).reshape(len(k), *x.shape)
+        powers = np.where(on_axis, 0.0, powers / safe)
+        return (
+            np.array((x * g, y * g)).T,
+            _last(by_point),
+            _last(np.array((x * powers, y * powers))),
+        )
+
+    def rays(self, pixels: Array) -> Array:
+        """Return unit vectors that point from the camera to what is seen, (…, 2) to (…, 3).
+
+        By Newton's method on the nominal lens; NaN where no direction has such a pixel.
+        """
+        f, centre, k = np.split(self.values, [2, 4])
+        wanted = (np.asarray(pixels, dtype=float) - centre) / f
+        around = np.linalg.norm(wanted, axis=-1)
+        if self.fisheye:
+            around, ahead = np.minimum(around, np.pi), np.ones_like(around)
+            safe = np.where(around > 0.0, around, 1.0)
+            flat = wanted / safe[..., None]
+            angle = around.copy()
+            for _ in range(_NEWTON):
+                t, powers = angle * angle, np.arange(1, len(k) + 1)
+                series = (k * t[..., None] ** powers).sum(axis=-1)
+                slope = (k * (2 * powers + 1) * t[..., None] ** powers).sum(axis=-1)
+                angle = angle - (angle * (1 + series) - around) / (1 + slope)
+            return np.concatenate(
+                (flat * np.sin(angle)[..., None], (ahead * np.cos(angle))[..., None]), axis=-1
+            )
+        ray = np.concatenate((wanted, np.ones((*around.shape, 1))), axis=-1)
+        for _ in range(_NEWTON):
+            plane, by_point, _ = self._on_plane(ray, k)
+            missed = plane - wanted
+            step = np.linalg.solve(by_point[..., :2], missed[..., None])[..., 0]
+            ray[..., :2] -= np.clip(np.nan_to_num(step), -1.0, 1.0)
+            if not np.nanmax(np.abs(step), initial=0.0) > _NEAR:
+                break
+        ray[~(np.abs(missed).max(axis=-1) < 1e-6)] = np.nan
+        return ray / np.linalg.norm(ray, axis=-1, keepdims=True)
+
+    def sees(self, points: Array, values: Array | None = None) -> Mask:
+        """Return which points are in the image and sharp, shape (…, 3) to (…)."""
+        pixels, by_point, _ = self.project(points, values)
+        far = np.linalg.norm(points, axis=-1)
+        near, farthest = self.focus or (0.0, np.inf)
+        with np.errstate(invalid="ignore"):
+            inside = ((pixels >= -0.5) & (pixels <= np.array(self.size) - 0.5)).all(axis=-1)
+            # where distortion folds the image over, its derivative changes its sign
+            upright = np.linalg.det(by_point[..., :2]) > 0.0
+        return np.asarray(inside & (upright | self.fisheye) & (far >= near) & (far <= farthest))
+
+
+def _last(array: Array) -> Array:
+    """Return an array (2, k, …) of which the first axes come last: (…, 2, k)."""
+    return np.moveaxis(array.transpose(0, 1, *range(array.ndim - 1, 1, -1)), (0, 1), (-2, -1))

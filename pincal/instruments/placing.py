@@ -1,0 +1,138 @@
+"""Where a camera is, by the rays on which a moving machine carries points past it.
+
+With T_i the nominal poses, p_m points in the frame of the platform (or the room, if the platform
+holds the camera and T_i are inverse poses), and e = R d rays turned into the camera's holder's
+axes, R_i p_m + t_i − t is along e. For a rotation R of the camera that is linear in all else, its
+place t and the points: the rotation alone is sought, from the 24 of a cube (variable projection).
+No point needs to be known, and no pose of a board in a photograph is needed.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from pincal.types import Array
+
+_POINTS, _POSES = 8, 40  # with which a rotation is sought
+_BEST = 3  # rotations of a cube from which the search goes on
+_DRAWS = 4  # sets of poses, some of which may hold gross errors
+_GROSS = 5.0  # times the median angle, from which a ray is left out
+_ROUNDS = 3
+_STILL = 1e-6  # motion of the platform over its distance, below which it stands still
+
+
+def placed_by_rays(T: Array, rays: Array, points: Array | None) -> tuple[Array, Array] | None:
+    """Return place and rotation vector of a camera, (6,), and points, (M, 3), NaN if never seen.
+
+    None where too little was seen, or the machine's positions do not change.
+
+    Args:
+        T: Poses of what carries the points, shape (N, 4, 4).
+        rays: Unit vectors in axes of the camera, shape (N, M, 3); NaN where not seen.
+        points: Where the points are in the frame that moves, shape (M, 3), if known.
+    """
+    counts = np.isfinite(rays[..., 0])
+    often = np.argsort(-counts.sum(axis=0), kind="stable")[:_POINTS]
+    rows = np.flatnonzero(counts[:, often].sum(axis=1))
+    extent = np.ptp(T[rows, :3, 3], axis=0) if len(rows) else np.zeros(3)
+    if len(rows) < 4 or not extent.max() > _STILL:
+        return None
+    draw, candidates = np.random.default_rng(0), []
+    usual = None if points is None else points[often]
+    for _ in range(_DRAWS if len(rows) > _POSES // 4 else 1):
+        drawn = draw.choice(rows, min(_POSES, max(4, len(rows) // 2)), replace=False)
+        part = _Rays(
+            T[drawn], rays[np.ix_(drawn, often)], None if points is None else points[often]
+        )
+        cube = Rotation.create_group("O").as_rotvec()
+        order = np.argsort([part.cost(turn) for turn in cube])[:_BEST]
+        candidates += [part.sought(cube[place]) for place in order]
+    bundle = _Rays(T[rows], rays[np.ix_(rows, often)], usual)
+    turn = min(candidates, key=bundle.cost)
+    for _ in range(_ROUNDS):
+        bundle = bundle.without(turn)
+        turn = bundle.sought(turn)
+    place = np.concatenate((bundle.solution(turn)[0], turn))
+    if points is not None:
+        return place, points
+    final = _Rays(T, rays, None)
+    return place, final.points_from(place)
+
+
+class _Rays:
+    """Rays that points are seen along at poses: their misses for a rotation of the camera."""
+
+    def __init__(self, T: Array, rays: Array, points: Array | None) -> None:
+        self.T, self.points = T, points
+        self.seen = np.isfinite(rays[..., 0])
+        self.rays = np.where(self.seen[:, :, None], rays, 0.0)
+
+    def _across(self, turn: Array) -> Array:
+        """Return what takes the part across rays, shape (N, M, 3, 3); zero where not seen."""
+        e = self.rays @ Rotation.from_rotvec(turn).as_matrix().T
+        across = np.eye(3) - e[..., :, None] * e[..., None, :]
+        return np.where(self.seen[:, :, None, None], across, 0.0)
+
+    def solution(self, turn: Array) -> tuple[Array, Array, Array]:
+        """Return the place, (3,), points, (M, 3), and what rays then miss, (N, M, 3)."""
+        A, (R, t) = self._across(turn), (self.T[:, :3, :3], self.T[:, :3, 3])
+        M = A.shape[1]
+        AR = A @ R[:, None]
+        if self.points is not None:
+            fixed = (R @ self.points.T).transpose(0, 2, 1) + t[:, None]
+            b = (A @ fixed[..., None]).sum(axis=(0, 1))[:, 0]
+            place = np.linalg.lstsq(A.sum(axis=(0, 1)), b, rcond=1e-9)[0]
+            return place, self.points, (A @ (fixed - place)[..., None])[..., 0]
+        normal, right = np.zeros((M + 1, 3, M + 1, 3)), np.zeros((M + 1, 3))
+        normal[0, :, 0] = A.sum(axis=(0, 1))
+        At = (A @ t[:, None, :, None])[..., 0]
+        right[0] = At.sum(axis=(0, 1))
+        coupled = AR.sum(axis=0)
+        for m in range(M):
+            normal[m + 1, :, m + 1] = np.einsum("nji,njk->ik", R, AR[:, m])
+            normal[0, :, m + 1], normal[m + 1, :, 0] = -coupled[m], -coupled[m].T
+            right[m + 1] = -np.einsum("nji,nj->i", R, At[:, m])
+        size = 3 * (M + 1)
+        x = np.linalg.lstsq(normal.reshape(size, size), right.ravel(), rcond=1e-9)[0].reshape(-1, 3)
+        y = (R @ x[1:].T).transpose(0, 2, 1) + (t - x[0])[:, None]
+        return x[0], x[1:], (A @ y[..., None])[..., 0]
+
+    def cost(self, turn: Array) -> float:
+        """Return the median distance of rays from their points; infinite if most are behind."""
+        place, points, missed = self.solution(turn)
+        e = self.rays @ Rotation.from_rotvec(turn).as_matrix().T
+        y = (self.T[:, :3, :3] @ points.T).transpose(0, 2, 1) + (self.T[:, :3, 3] - place)[:, None]
+        ahead = np.einsum("nmi,nmi->nm", e, y)[self.seen] > 0.0
+        if ahead.mean() < 0.5:
+            return np.inf
+        return float(np.median(np.linalg.norm(missed, axis=2)[self.seen]))
+
+    def sought(self, turn: Array) -> Array:
+        """Return the rotation vector near one at which rays miss their points least."""
+        misses = least_squares(
+            lambda step: self.solution(_after(step, turn))[2].ravel(), np.zeros(3), max_nfev=15
+        )
+        return _after(misses.x, turn)
+
+    def without(self, turn: Array) -> _Rays:
+        """Return these rays less those that miss their points by far more than most."""
+        missed = np.linalg.norm(self.solution(turn)[2], axis=2)
+        usual = np.median(missed[self.seen])
+        good = self.seen & (missed <= _GROSS * usual)
+        return _Rays(self.T, np.where(good[:, :, None], self.rays, np.nan), self.points)
+
+    def points_from(self, place: Array) -> Array:
+        """Return points by the rays of a camera that is placed, (M, 3); NaN if seen too rarely."""
+        A, R = self._across(place[3:]), self.T[:, None, :3, :3]
+        normal = (R.transpose(0, 1, 3, 2) @ A @ R).sum(axis=0)
+        at = (place[:3] - self.T[:, :3, 3])[:, None, :, None]
+        right = (R.transpose(0, 1, 3, 2) @ A @ at).sum(axis=0)
+        points = np.linalg.pinv(normal, rcond=1e-9, hermitian=True) @ right
+        return np.where(self.seen.sum(axis=0)[:, None] > 1, points[..., 0], np.nan)
+
+
+def _after(step: Array, turn: Array) -> Array:
+    """Return the rotation vector of a turn followed by a small one."""
+    return (Rotation.from_rotvec(step) * Rotation.from_rotvec(turn)).as_rotvec()

@@ -1,0 +1,222 @@
+"""Cameras: pixels of points on a platform, or in the room, by an independent projection.
+
+Pixels of the truth are made here from the textbook's formulas, one point after the other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from differences import assert_derivative
+from scipy.spatial.transform import Rotation
+
+import pincal
+from pincal.estimation.rows import turned_rows, white_rows
+
+Array = np.ndarray
+BOARD = {f"p{i}{j}": (0.03 * i, 0.03 * j, 0.0) for i in range(3) for j in range(3)}
+LENSES = {
+    "pinhole": {"distortion": ()},
+    "brown": {"distortion": (-0.2, 0.1, 0.01, -0.02, 0.03)},
+    "rational": {"distortion": (-0.2, 0.1, 0.01, -0.02, 0.03, 0.1, -0.05, 0.02)},
+    "fisheye": {"distortion": (0.1, -0.05, 0.02, 0.01), "fisheye": True},
+}
+
+
+def _lens(kind: str, **more: object) -> pincal.Lens:
+    given = {"focal": (1500.0, 1480.0), "centre": (810.0, 590.0)} | LENSES[kind]
+    return pincal.Lens((1600, 1200), **(given | more))
+
+
+def _pixel(lens: pincal.Lens, point: Array) -> tuple[float, float]:
+    """Return where one point is in the image."""
+    X, Y, Z = point
+    k = [*lens.distortion, *[0.0] * 8]
+    if lens.fisheye:
+        r, t = np.hypot(X, Y), np.arctan2(np.hypot(X, Y), Z)
+        bent = t + sum(k[i] * t ** (2 * i + 3) for i in range(4))
+        x, y = X / r * bent, Y / r * bent
+    else:
+        a, b = X / Z, Y / Z
+        s = a**2 + b**2
+        c = (1 + k[0] * s + k[1] * s**2 + k[4] * s**3) / (1 + k[5] * s + k[6] * s**2 + k[7] * s**3)
+        x = a * c + 2 * k[2] * a * b + k[3] * (s + 2 * a**2)
+        y = b * c + k[2] * (s + 2 * b**2) + 2 * k[3] * a * b
+    return lens.focal[0] * x + lens.centre[0], lens.focal[1] * y + lens.centre[1]
+
+
+def _motion(at: Array, rotation: Array) -> Array:
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = Rotation.from_rotvec(rotation).as_matrix(), at
+    return T
+
+
+def _pixels(camera: pincal.Camera, poses: Array) -> dict[str, Array]:
+    """Return what a camera sees at poses, (N, 4, 4), column by column."""
+    markers, seen = camera.markers, dict[str, list[float]]()
+    T_holder_camera = _motion(camera.at, camera.rotation)
+    for T in poses:
+        carried = np.linalg.inv(T) if camera.on_platform else T
+        T_camera_markers = np.linalg.inv(T_holder_camera) @ carried
+        T_camera_markers = T_camera_markers @ _motion(markers.at, markers.rotation)
+        for name, point in markers.points.items():
+            pixel = _pixel(camera.lens, (T_camera_markers @ [*point, 1.0])[:3])
+            for axis, value in zip("uv", pixel, strict=True):
+                seen.setdefault(f"{camera.name}_{name}_{axis}", []).append(value)
+    return {name: np.array(values) for name, values in seen.items()}
+
+
+def _camera(kind: str = "brown", **more: object) -> pincal.Camera:
+    """Return a true camera in the room, which sees a board on the platform of a 6-UPS."""
+    board = pincal.Markers(BOARD, at=(0.02, -0.03, 0.05), rotation=(0.1, -0.2, 0.3), known=True)
+    given = {"at": (0.6, -1.2, 2.3), "towards": (0.0, 0.0, 1.85), "known": True}
+    return pincal.Camera("front", _lens(kind), board, **(given | more))
+
+
+def _in_hand(kind: str = "brown") -> pincal.Camera:
+    """Return a true camera on the platform, which sees a board in the room."""
+    board = pincal.Markers(BOARD, at=(0.1, 0.0, 1.2), rotation=(0.1, 0.1, 0.2), known=True)
+    where = {"at": (0.02, 0.01, -0.01), "towards": (0.05, 0.1, -0.5)}
+    return pincal.Camera("hand", _lens(kind), board, on_platform=True, known=True, **where)
+
+
+def _measured(
+    *cameras: pincal.Camera, noise: float = 0.0, count: int = 30, seed: int = 0
+) -> tuple[pincal.Mechanism, pincal.Measurements]:
+    """Return a true 6-UPS and what cameras see of it, with its exact readings."""
+    nominal, rng = pincal.load_mechanism("6UPS"), np.random.default_rng(seed)
+    truth = pincal.disturb(nominal, 3e-4, seed=1)
+    sizes = np.array([0.08, 0.08, 0.08, 0.25, 0.25, 0.25])
+    poses = truth.platform.home + sizes * rng.uniform(-1.0, 1.0, (count, 6))
+    readings = pincal.inverse(truth, poses).readings
+    matrices, pixels = truth.platform.transforms(poses).as_matrix(), dict[str, Array]()
+    for camera in cameras:
+        pixels |= _pixels(camera, matrices)
+    pixels = {name: uv + noise * rng.standard_normal(count) for name, uv in pixels.items()}
+    nothing = np.full_like(poses, np.nan)
+    return truth, pincal.Measurements(poses=nothing, readings=readings, extra=pixels)
+
+
+def _unknown(camera: pincal.Camera, points: Mapping[str, object] = BOARD) -> pincal.Camera:
+    """Return a camera and a board of which nothing is known but points and the lens."""
+    board = pincal.Markers(dict(points))
+    return pincal.Camera(camera.name, camera.lens, board, on_platform=camera.on_platform)
+
+
+@pytest.mark.parametrize("kind", LENSES)
+def test_lens_is_the_textbooks(kind: str) -> None:
+    """Pixels to 1e-9 px, derivatives by differences, rays back to the points they come from."""
+    lens, rng = _lens(kind), np.random.default_rng(0)
+    points = rng.uniform(-0.3, 0.3, (5, 3, 3)) + np.array([0.0, 0.0, 1.0])
+    pixels, by_point, by_lens = lens.project(points)
+    for pixel, point in zip(pixels.reshape(-1, 2), points.reshape(-1, 3), strict=True):
+        np.testing.assert_allclose(pixel, _pixel(lens, point), atol=1e-9)
+    assert_derivative(by_point, lambda step: lens.project(points + step)[0])
+    sizes = np.maximum(np.abs(lens.values), 0.1)
+    assert_derivative(
+        by_lens * sizes, lambda step: lens.project(points, lens.values + sizes * step)[0], 1e-3
+    )
+    units = points / np.linalg.norm(points, axis=2, keepdims=True)
+    np.testing.assert_allclose(lens.rays(pixels), units, atol=1e-12)
+    assert lens.sees(points).tolist() == [
+        [0 <= u + 0.5 <= 1600 and 0 <= v + 0.5 <= 1200 for u, v in row] for row in pixels
+    ]
+
+
+@pytest.mark.parametrize("kind", ["brown", "fisheye"])
+@pytest.mark.parametrize("make", [_camera, _in_hand])
+def test_derivatives_of_a_camera(make, kind: str) -> None:  # type: ignore[no-untyped-def]
+    """By the platform's twist and by all unknowns, points and scale among them; to 1e-7."""
+    true = make(kind)
+    points = BOARD | {"q": None}
+    board = replace(true.markers, points=points, known=False, tolerance=1e-3, scale=1e-3)
+    camera = replace(true, known=False, markers=board, lens=_lens(kind, unknown=True))
+    rng = np.random.default_rng(0)
+    values = np.array([p.nominal for p in camera.parameters])
+    values += 0.01 * rng.standard_normal(len(values)) * np.where(values == 0.0, 1.0, values)
+    home = pincal.load_mechanism("6UPS").platform.home_pose.as_matrix().reshape(4, 4)
+    poses = home @ np.array([_motion(*rng.uniform(-0.1, 0.1, (2, 3))) for _ in range(3)])
+    nothing = np.zeros((3, len(camera.columns)))
+    residuals, by_twist, by_own = camera.evaluate(poses, values, nothing)
+    assert np.isfinite(residuals).all()
+
+    def moved(step: Array) -> Array:
+        there = poses.copy()
+        there[:, :3, 3] += step[:3]
+        there[:, :3, :3] = Rotation.from_rotvec(step[3:]).as_matrix() @ poses[:, :3, :3]
+        return camera.evaluate(there, values, nothing)[0]
+
+    assert_derivative(by_twist, moved)
+    sizes = np.maximum(np.abs(values), 0.1)
+    assert_derivative(
+        by_own * sizes, lambda step: camera.evaluate(poses, values + sizes * step, nothing)[0]
+    )
+
+
+@pytest.mark.parametrize("make", [pytest.param(_camera, marks=pytest.mark.slow), _in_hand])
+def test_known_camera_finds_the_machine(make) -> None:  # type: ignore[no-untyped-def]
+    """Without noise every parameter is the truth's to 1e-9, lens, camera and board being known."""
+    truth, data = _measured(make())
+    noise, setup = pincal.Noise(pixel=1e-6), pincal.Setup(instruments=(make(),))
+    result = pincal.calibrate("6UPS", data, noise=noise, setup=setup)
+    assert not result.gauge
+    for parameter in truth.parameters:
+        assert result[parameter.id].identified == pytest.approx(parameter.nominal, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("make", "points", "free"),
+    [
+        (_camera, BOARD, {"gauge-base-frame": 6, "gauge-platform-frame": 6}),
+        pytest.param(
+            _in_hand,
+            dict.fromkeys(BOARD),
+            {"gauge-base-frame": 6, "gauge-platform-frame": 6, "gauge-scale": 1},
+            marks=pytest.mark.slow,
+        ),
+    ],
+)
+def test_camera_and_board_anywhere(make, points, free) -> None:  # type: ignore[no-untyped-def]
+    """Where nothing says where they are, that is found; poses not seen are predicted to 1e-6 px.
+
+    Frames that nothing shows are named, as is the scale where no point is known.
+    """
+    _, data = _measured(make())
+    camera = _unknown(make(), points)
+    noise, setup = pincal.Noise(pixel=0.1), pincal.Setup(instruments=(camera,))
+    result = pincal.calibrate("6UPS", data, noise=noise, setup=setup)
+    assert {f.code: f.values.get("freedoms", 1) for f in result.gauge} == free
+    _, unseen = _measured(make(), seed=5)
+    poses = pincal.forward(result.identified, unseen.readings).poses
+    matrices = result.identified.platform.transforms(poses).as_matrix()
+    values = np.array([result[p.id].identified for p in camera.parameters])
+    missed = camera.evaluate(matrices, values, np.column_stack([*unseen.extra.values()]))[0]
+    assert np.abs(missed).max() < 1e-6
+
+
+def test_rows_turned_are_rows_whitened() -> None:
+    """Of rows with noise of their own, turned or not: the same squares, products, and steps."""
+    rng = np.random.default_rng(0)
+    pose, few = rng.standard_normal((4, 30, 6)), rng.standard_normal((4, 8, 9))
+    sigma = rng.uniform(0.5, 2.0, (4, 22))
+    noise = np.zeros((4, 30, 31))
+    noise[:, :8, :9] = few
+    noise[:, range(8, 30), range(9, 31)] = sigma
+    plain, rows = white_rows(pose, noise), rng.standard_normal((4, 30, 5))
+    places, columns = (np.arange(8), np.arange(8, 30)), (np.arange(9), np.arange(9, 31))
+    turned = turned_rows(pose, few, sigma, places, columns)
+    for white in (plain, turned):
+        eye = np.broadcast_to(np.eye(24), (4, 24, 24))
+        np.testing.assert_allclose(white.by_noise @ white.by_noise.swapaxes(1, 2), eye, atol=1e-12)
+        np.testing.assert_allclose(white(pose), 0.0, atol=1e-12)
+    squares = [white(rows).swapaxes(1, 2) @ white(rows) for white in (plain, turned)]
+    np.testing.assert_allclose(*squares, atol=1e-12)
+    np.testing.assert_allclose(plain.poses_by(rows), turned.poses_by(rows), atol=1e-12)
+    explained = [
+        white.noise @ white.by_noise.swapaxes(1, 2) @ white(rows) for white in (plain, turned)
+    ]
+    np.testing.assert_allclose(*explained, atol=1e-12)
+    np.testing.assert_allclose(turned.at(slice(1, 3))(rows[1:3]), turned(rows)[1:3])
