@@ -49,7 +49,7 @@ from .workspace.criteria import Margins
 from .workspace.grid import Grid
 from .workspace.inscribed import Inscribed, largest_inscribed
 from .workspace.region import Workspace, compute_workspace
-from .workspace.sampling import sample_configurations, sample_workspace
+from .workspace.sampling import sample_configurations, sample_contacts, sample_workspace
 
 __version__: str
 
@@ -123,6 +123,7 @@ __all__ = [
     "new_mechanism",
     "picture",
     "sample_configurations",
+    "sample_contacts",
     "sample_workspace",
     "select_configurations",
     "select_poses",

@@ -7,8 +7,8 @@ GROUPS = {
     "Parameter Platform generate",
     "Sensors and terms": "Sensor Term Harmonic Power Share Load",
     "Kinematics": "inverse forward margins identification_jacobian",
-    "Workspace": "sample_workspace sample_configurations compute_workspace Workspace Grid "
-    "Orientations Margins free_of_collision largest_inscribed Inscribed",
+    "Workspace": "sample_workspace sample_configurations sample_contacts compute_workspace "
+    "Workspace Grid Orientations Margins free_of_collision largest_inscribed Inscribed",
     "Symmetry": "symmetry_group Element cyclic dihedral",
     "Poses to measure": "select_poses Selection select_configurations Plan forecast indices",
     "Measurements": "Measurements Noise Setup Target Distance Contact Tracker Systematic "

@@ -140,7 +140,7 @@ def _choose(
     if options.candidates is None:
         progress("sampling the workspace")
         count = _CONFIGURATIONS if together else _POSES
-        candidates = pincal.sample_configurations(mechanism, count, options.seed)
+        candidates = _sampled(mechanism, setup, count, options.seed)
     else:
         candidates = read_poses(options.candidates, mechanism, setup=setup)
     search: dict[str, Any] = {"noise": noise, "seed": options.seed, "starts": options.starts}
@@ -173,6 +173,21 @@ def _choose(
         **search,
     )
     return choice.plan, candidates, tables.selection_table(choice, mechanism.name)
+
+
+def _sampled(mechanism: Mechanism, setup: Setup, count: int, seed: int) -> Plan:
+    """Return configurations of the workspace, at the points of contacts if the setup has any."""
+    if not setup.contacts:
+        return pincal.sample_configurations(mechanism, count, seed)
+    plan, placed = pincal.sample_contacts(mechanism, setup, count, seed)
+    planned = [
+        f"{column} {point} at ({', '.join(f'{x:.3g}' for x in contact.points[point] or ())}) m"
+        for column, point, contact in placed.touched.values()
+        if setup.contacts[column].points[point] is None
+    ]
+    if planned:
+        remark(f"planned with {listed(planned)}: give places in the setup if they are elsewhere")
+    return plan
 
 
 @command
@@ -210,7 +225,11 @@ def identifiability(
     with working("sampling the workspace"):
         workspace = pincal.sample_configurations(mechanism, 1000, options.seed)
         if plan is None:
-            poses = pincal.sample_configurations(mechanism, _FORECAST, options.seed + 1)
+            if setup.contacts:  # the same points as 'select' plans
+                poses = _sampled(mechanism, setup, _CONFIGURATIONS, options.seed)
+                poses = poses.rows(np.arange(len(poses)) < _FORECAST)
+            else:
+                poses = pincal.sample_configurations(mechanism, _FORECAST, options.seed + 1)
     expected = pincal.forecast(mechanism, poses, noise, measured, setup)
     error = expected.platform_error(workspace)
     with reading_in(units.printed):

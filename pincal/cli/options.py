@@ -173,6 +173,8 @@ class PlanOptions(SetupOptions):
         """Return what is measured of the platform, as ``--measure`` says it."""
         platform = mechanism.platform
         of_kind = {"pose": ("m", "rad"), "position": ("m",), "orientation": ("rad",), "nothing": ()}
+        if self.measure is None and setup.contacts:  # which need no pose
+            return tuple(setup.required)
         measure = self.measure or "pose"
         if measure not in of_kind:
             return tuple(measure.replace(" ", "").split(","))

@@ -89,4 +89,5 @@ def with_verification(
         (*plan.serving, *(VERIFY,) * count),
         readings,
         places=None if plan.places is None else (*plan.places, *("",) * count),
+        contacts={name: names + chosen.contacts[name] for name, names in plan.contacts.items()},
     )

@@ -20,7 +20,7 @@ from pincal.kinematics.batches import block_diagonal, chunks, least_squares
 from pincal.kinematics.closing import by_leg, close_legs, sensor_law
 from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.derivatives import Demand, leg_demands_at, nearest_closure
-from pincal.kinematics.forward import LOADS, forward, with_loads
+from pincal.kinematics.forward import LOADS, forward, reading_range, with_loads
 from pincal.kinematics.influences import Influences, influence_columns, influences_of
 from pincal.model.checks import ROUNDING, ROWS, array_of, numbers_of
 from pincal.model.leg import Leg
@@ -30,6 +30,7 @@ from pincal.model.platform import Poses
 from pincal.types import Array, Mask
 
 _CLOSES = 0.01  # of a leg's size, where readings and poses were measured
+_NOWHERE = "no readings lead there"
 _ABOUT = 0.05  # of the mechanism's size, and [rad], by which configurations are moved about
 
 
@@ -231,7 +232,11 @@ def legs_at(mechanism: Mechanism, planned: Plan | Array) -> Legs:
     Raises:
         MechanismError: poses or readings of a wrong shape, or not finite.
     """
-    plan = as_plan(mechanism, planned)
+    plan, count = as_plan(mechanism, planned), len(planned)
+    known = np.arange(count)
+    if plan.readings is not None:  # that lead there
+        known = np.flatnonzero(np.isfinite(plan.readings).all(axis=1))
+        plan = plan.rows(known)
     poses, readings = plan.poses, plan.readings
     solved = np.ones(len(poses), dtype=bool)
     if mechanism.by_readings and readings is None:  # those with which some configuration is there
@@ -249,11 +254,11 @@ def legs_at(mechanism: Mechanism, planned: Plan | Array) -> Legs:
         block_diagonal([row.reading for row in demands]),
     )
     ok = np.isfinite(rows[0]).all(axis=(1, 2)) & np.isfinite(rows[1]).all(axis=(1, 2))
-    reached = np.zeros(len(solved), dtype=bool)
-    reached[np.flatnonzero(solved)[ok]] = True
+    places, reached = np.flatnonzero(solved)[ok], np.zeros(count, dtype=bool)
+    reached[known[places]] = True
     parameter, pose, reading = (row[ok] for row in rows)
     readings = None if readings is None else readings[ok]
-    contacts = plan.rows(reached).contacts
+    contacts = plan.rows(places).contacts
     return Legs(poses[ok], readings, reached, parameter, pose, reading, contacts)
 
 
@@ -281,8 +286,11 @@ def command(mechanism: Mechanism, planned: Plan | Array) -> tuple[Array, Array, 
     """
     plan = as_plan(mechanism, planned)
     if plan.readings is not None:
-        solution = forward(mechanism, plan.readings, plan.poses, influences_of(mechanism, plan))
-        return solution.poses, plan.readings, list(solution.reasons)
+        known, home = np.isfinite(plan.readings), reading_range(mechanism)[2]
+        readings = np.where(known, plan.readings, home)
+        solution = forward(mechanism, readings, plan.poses, influences_of(mechanism, plan))
+        reasons = np.where(known.all(axis=1), solution.reasons, _NOWHERE)
+        return solution.poses, plan.readings, reasons.tolist()
     solved = inverse(mechanism, plan.poses, planned_influences(mechanism, plan))
     return plan.poses, solved.readings, [solved.reason(row) for row in range(len(plan.poses))]
 
@@ -290,7 +298,8 @@ def command(mechanism: Mechanism, planned: Plan | Array) -> tuple[Array, Array, 
 def shifted(mechanism: Mechanism, planned: Plan | Array, shifts: Callable[[Array], Array]) -> Plan:
     """Return configurations with the platform shifted, turned as it was; in reach or not.
 
-    Shifts follow from the poses ``T_base_platform``, (N, 4, 4): shape (N, 3), base axes, [m].
+    Readings are NaN where none take it there. Shifts follow from the poses ``T_base_platform``,
+    (N, 4, 4): shape (N, 3), base axes, [m].
     """
     plan, platform = as_plan(mechanism, planned), mechanism.platform
     poses = command(mechanism, plan)[0]
@@ -302,7 +311,6 @@ def shifted(mechanism: Mechanism, planned: Plan | Array, shifts: Callable[[Array
         return replace(plan, poses=moved)
     near = joints_at(mechanism, replace(plan, poses=poses)).joints
     readings = inverse(mechanism, moved, influences_of(mechanism, plan), near).readings
-    readings = np.where(np.isfinite(readings), readings, plan.readings)
     return replace(plan, poses=moved, readings=readings)
 
 

@@ -218,6 +218,7 @@ def remarks(result: CalibrationResult, errors: WorkspaceErrors) -> list[str]:
 def _found_lines(result: CalibrationResult) -> list[str]:
     """Return tolerances that were found, and which coordinates no row measures, in lines."""
     lines = [sentence(finding) for finding in result.findings if finding.code == "tolerance-found"]
+    lines += touched_line(result)
     data, platform, setup = result.measurements, result.nominal.platform, result.options.setup
     missing = [bool(np.isnan(values).all()) for values in data.poses.T]
     elsewhere = data.extra or setup.distances or setup.contacts or setup.instruments
@@ -227,6 +228,21 @@ def _found_lines(result: CalibrationResult) -> list[str]:
     if platform.turns == 3 and all(missing[platform.lengths :]):
         names[-3:] = ["the orientation"]
     return [*lines, f"not measured: {listed(names)} (forecast from the readings, not checked)"]
+
+
+def touched_line(result: CalibrationResult) -> list[str]:
+    """Return how many points targets touch in how many rows, and which they miss most."""
+    missed: dict[str, float] = {}
+    rows: dict[str, int] = {}
+    for point in result.options.setup.touched:
+        blocks = [b for b in result.observed if b.name.rpartition("_")[0] == point]
+        rows[point] = max((len(block.rows) for block in blocks), default=0)
+        missed[point] = float(np.sqrt(sum(block.rms_after**2 for block in blocks)))
+    if not rows:
+        return []
+    worst = max(missed, key=lambda point: missed[point])
+    shown = f"{worst} by {amount(missed[worst], 'm')} RMS"
+    return [f"touched: {len(rows)} points in {sum(rows.values())} rows, missed most: {shown}"]
 
 
 def rejected_lines(result: CalibrationResult) -> list[str]:

@@ -8,7 +8,8 @@ if it can be driven to from home so.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import lru_cache, partial
 from typing import Any
 
@@ -20,14 +21,17 @@ from scipy.spatial import KDTree
 from pincal.blas import one_thread
 from pincal.errors import WorkspaceError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
+from pincal.files.yaml import read_setup
 from pincal.kinematics.closing import close
 from pincal.kinematics.closure import nominal_legs
+from pincal.kinematics.configurations import shifted
 from pincal.kinematics.forward import forward, reading_range
 from pincal.kinematics.singularity import margins
 from pincal.model.checks import count_of, generator_of
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Platform
+from pincal.model.setup import Point, Setup
 from pincal.types import Array, Mask
 from pincal.workspace.axes import MOST
 from pincal.workspace.criteria import Margins, as_margins, criteria_of, in_workspace
@@ -133,6 +137,66 @@ def sample_configurations(
         f"only {total} of {count} configurations of {mechanism.name!r} found between the limits of "
         f"the active joints and near home, where {reason}. Look at home and limits: 'pincal check'"
     )
+
+
+@one_thread()
+def sample_contacts(
+    mechanism: GivenMechanism, setup: Setup, count: int, seed: int | np.random.Generator = 0
+) -> tuple[Plan, Setup]:
+    """Return configurations whose targets sit in the points of contacts, and where these are.
+
+    Each of ``count`` configurations is led to the point next to its target, turned as it is; those
+    that count there are returned. A point at no known place is planned amid the targets' positions,
+    far from the others.
+
+    Args:
+        mechanism: The mechanism.
+        setup: Its contacts and targets; places are in the base frame.
+        count: Number of configurations that are led to a point.
+        seed: Seed or generator.
+
+    Raises:
+        WorkspaceError: a setup without contacts, or a point that is out of reach.
+    """
+    mechanism, setup = as_mechanism(mechanism), read_setup(setup)
+    platform, planned = mechanism.platform, sample_configurations(mechanism, count, seed)
+    if not setup.contacts:
+        raise WorkspaceError("the setup has no contacts, whose points targets could touch")
+    matrices, contacts, names, gaps = platform.matrices(planned.poses), {}, [], []
+    for column, contact in setup.contacts.items():
+        tips = matrices[:, :3, 3] + matrices[:, :3, :3] @ setup.targets[contact.target].offset
+        places = _amid(contact.points, tips)
+        contacts[column] = replace(contact, points=places)
+        names += [(column, name) for name in places]
+        gaps += [place - tips for place in map(np.array, places.values())]
+    moves = np.array(gaps)
+    nearest = np.argmin(np.linalg.norm(moves, axis=2), axis=0)
+    touched = {c: tuple(names[k][1] * (names[k][0] == c) for k in nearest) for c in contacts}
+    moved = shifted(mechanism, planned, lambda _: moves[nearest, range(count)])
+    if moved.readings is None:
+        counts: Mask = in_workspace(mechanism, moved.poses)
+    else:
+        low, high, _ = reading_range(mechanism)
+        counts = np.all((moved.readings >= low) & (moved.readings <= high), axis=1)
+    for column, name in (names[k] for k in {*range(len(names))} - {*nearest[counts]}):
+        raise WorkspaceError(
+            f"{mechanism.name!r} brings no target to {column} {name!r}; set it within reach"
+        )
+    plan = Plan(moved.poses, readings=moved.readings, contacts=touched)
+    return plan.rows(np.flatnonzero(counts)), replace(setup, contacts=contacts)
+
+
+def _amid(points: Mapping[str, Point | None], tips: Array) -> dict[str, Point]:
+    """Return where points are, those at no known place amid positions (N, 3), far from others."""
+    far = np.linalg.norm(tips - np.median(tips, axis=0), axis=1)
+    amid = tips[np.argsort(far)[len(far) // 4 : -(-3 * len(far) // 4)]]
+    places = {name: place for name, place in points.items() if place is not None}
+    for name in points:
+        if name not in places:
+            others = np.array([*places.values()] or [tips[np.argmin(far)]])
+            x, y, z = amid[np.argmax(KDTree(others).query(amid)[0])].tolist()
+            places[name] = (x, y, z)
+    return places
 
 
 @one_thread()

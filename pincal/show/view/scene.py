@@ -22,12 +22,13 @@ from pincal.model.mechanism import Mechanism
 from pincal.model.setup import ORIGIN
 from pincal.show.style import DIMENSION, EVERY, GROUND, IDENTIFIED, OUTLIER, leg_colour
 from pincal.show.view.bodies import Body, body
-from pincal.types import Array, Mask
+from pincal.types import Array, Index, Mask
 
 MOST_POSES = 2000
 _TOWARDS_VIEWER = np.array([0.45, -0.85, 0.42])  # of a mechanism in space: slightly from above
 _SEEN = 0.03  # of the scene's size: errors of a machine that are seen
 _LONG, _LONGEST = 0.08, 0.5  # of the scene's size: a long arrow; where it is cut
+_TOUCHED = 7  # pixels of a point that targets touch
 _HEAD = 0.2  # of an arrow's length
 
 
@@ -258,6 +259,8 @@ def calibrated(shown: Scene, result: CalibrationResult) -> Scene:
         axes = np.stack((np.broadcast_to(T[:3, 3], (3, 3)), ends), axis=1)
         text = f"{name}, {np.linalg.norm(T[:3, 3]):.3g} m from the base frame"
         layers.append(Layer(f"stations/{number}", text, axes, DIMENSION))
+    for number, (name, place, _, _) in enumerate(touched_points(result), 1):
+        layers.append(Layer(f"touched/{number}", name, place[None], IDENTIFIED, pixels=_TOUCHED))
     misses = np.where(known, np.linalg.norm(shifts, axis=1), np.nan)
     return replace(shown, layers=(*shown.layers, *layers), misses=misses)
 
@@ -292,7 +295,7 @@ def misses_of(result: CalibrationResult) -> tuple[Array, Array, Mask]:
     """Return points as measured, predicted less measured, and which of them are outliers.
 
     Base frame, shape (n_rows, 3), [m]; NaN where unknown: by the residuals of x, y and z, or of
-    poses that were measured in full by forward kinematics.
+    poses that were measured in full by forward kinematics. Of rows that touch, the point touched.
     """
     platform, outside = result.nominal.platform, result.outside
     observed = {block.name: block for block in result.observed}
@@ -314,7 +317,26 @@ def misses_of(result: CalibrationResult) -> tuple[Array, Array, Mask]:
         poses = forward(machine, data.readings[whole], data.poses[whole], known).poses
         measured[:, :lengths] = np.where(whole[:, None], data.poses[:, :lengths], np.nan)
         shifts[whole, :lengths] = poses[:, :lengths] - measured[whole, :lengths]
+    for _, place, rows, missed in touched_points(result):
+        measured[rows], shifts[rows] = place, missed
     return measured, shifts, np.isin(np.arange(len(shifts)), [row.row for row in result.outliers])
+
+
+def touched_points(result: CalibrationResult) -> list[tuple[str, Array, Index, Array]]:
+    """Return name, place, rows and misses of each point that targets touch, base frame, [m]."""
+    setup, outside = result.options.setup, result.outside
+    frame, places = (
+        (np.eye(4), setup.touched_places[0]) if outside is None else (outside.frame, outside.points)
+    )
+    blocks = {block.name: block for block in result.observed}
+    points = []
+    for name, place in zip(setup.touched, places, strict=True):
+        axes = [f"{name}_{axis}" for axis in "xyz"[: result.nominal.platform.space]]
+        missed = np.zeros((len(blocks[axes[0]].rows), 3))
+        missed[:, : len(axes)] = np.column_stack([blocks[axis].residuals for axis in axes])
+        turn, origin = frame[:3, :3], frame[:3, 3]
+        points.append((name, (place - origin) @ turn, blocks[axes[0]].rows, missed @ turn))
+    return points
 
 
 def stations(result: CalibrationResult) -> list[tuple[str, Array]]:
