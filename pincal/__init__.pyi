@@ -1,6 +1,7 @@
 """The names of ``pincal``, and where each is: imported when it is first used."""
 
 from .architectures.new import new_mechanism
+from .architectures.pulley import over_pulley
 from .calibration.calibrate import calibrate, explain
 from .calibration.options import Options
 from .calibration.result import CalibrationResult
@@ -121,6 +122,7 @@ __all__ = [
     "load_result",
     "margins",
     "new_mechanism",
+    "over_pulley",
     "picture",
     "sample_configurations",
     "sample_contacts",

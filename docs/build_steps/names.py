@@ -4,7 +4,7 @@ from __future__ import annotations
 
 GROUPS = {
     "Mechanisms": "load_mechanism new_mechanism Mechanism Leg End Follows Joint Placement "
-    "Parameter Platform generate",
+    "Parameter Platform generate over_pulley",
     "Sensors and terms": "Sensor Term Harmonic Power Share Load",
     "Kinematics": "inverse forward margins identification_jacobian",
     "Workspace": "sample_workspace sample_configurations sample_contacts compute_workspace "

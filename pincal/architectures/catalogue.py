@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from pincal.architectures.dimension import Architecture, Corner, Values, angle, length, text
+from pincal.architectures.pulley import over_pulley
 from pincal.errors import MechanismError
 from pincal.files.mechanism_folders import load_mechanism
 from pincal.files.table import is_dataframe, read_table
@@ -158,7 +159,7 @@ _LABELS = {
     f"{letter}_{axis}": f"{label}, {axis}"
     for letter, label in (("A", "anchor"), ("b", "platform's corner"))
     for axis in "xyz"
-} | {"k": "gain of the reading"}
+} | {"k": "gain of the reading", "r": "radius of the pulley"}
 _WITHIN, _TURN = 0.8, pi / 9  # of the room that a platform has in its frame; from upright
 
 
@@ -226,7 +227,10 @@ def _spatial(d: Values) -> Mechanism:
         sides = d["platform_length"], d["platform_width"], d["platform_height"]
         corners.append(np.multiply((x, y, side), sides) / 2)
     home = Platform("spatial", (0.0, 0.0, d["height"], 0.0, 0.0, 0.0))
-    return _robot(np.array(anchors), np.array(corners), home)
+    robot, radius = _robot(np.array(anchors), np.array(corners), home), d["pulley_radius"]
+    if radius:
+        robot = replace(robot, legs=tuple(over_pulley(leg, radius) for leg in robot.legs))
+    return robot
 
 
 def _in_plane(d: Values) -> tuple[Array, Array]:
@@ -265,6 +269,7 @@ _EIGHT = (
     length("platform_width", "width of the platform", 0.2, "frame_width", below="frame_width"),
     length("platform_height", "height of the platform", 1.0, "platform_width"),
     length("height", "height of the platform's middle at home", 0.5, "upper"),
+    length("pulley_radius", "radius of the swivelling pulleys", 0.0, least=0.0),
     text("cables", "way of the cables", "turned", "crossed", "straight"),
 )
 

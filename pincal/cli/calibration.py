@@ -168,9 +168,9 @@ def explain(mech: Mech, measurements: Measured, options: Options, known: InputOp
     """Find what geometry does not explain.
 
     Every reading is tried with harmonics of its angle, a period that is searched for, polynomials,
-    backlash, gravity (in space), and every other column of numbers; lengths with such columns, each
-    alone and all as one, and links with gravity. Models are compared on poses that their fits have
-    not seen. --terms says which kinds to try.
+    backlash, gravity (in space), pulleys of cables, and every other column of numbers; lengths with
+    such columns, each alone and all as one, and links with gravity. Models are compared on poses
+    that their fits have not seen. --terms says which kinds to try.
     """
     if options.folds < 2:
         raise MeasurementError("--folds: expected 2 or more: models are compared on held-out rows")

@@ -114,6 +114,10 @@ def _platform(entry: Entry) -> Platform:
     return platform
 
 
+def _texts(entry: Entry | None) -> dict[str, str]:
+    return {name: part.text() for name, part in entry.pairs().items()} if entry else {}
+
+
 def _drawn(entry: Entry) -> tuple[tuple[str, float], ...]:
     return tuple((name, part.number()) for name, part in entry.pairs().items())
 
@@ -126,13 +130,12 @@ def read_mechanism(folder: Path) -> Mechanism:
     platform = _platform(keys["platform"])
     points = read_points(inside(folder, keys["platform"].pairs()["urdf"].text()))
     legs = tuple(_leg(leg, folder, points) for leg in keys["legs"].items(least=1))
-    labels = keys["labels"].pairs() if "labels" in keys else {}
     mechanism = Mechanism(
         keys["name"].text(),
         platform,
         legs,
         keys["description"].text() if "description" in keys else "",
-        tuple((name, label.text()) for name, label in labels.items()),
+        tuple(_texts(keys.get("labels")).items()),
         keys["load"].built(Load, drawn=_drawn) if "load" in keys else None,
     )
     identified = (folder.parent / "result.json").is_file()  # at the nominal home
@@ -164,7 +167,7 @@ def _joint_fault(
 def _leg(entry: Entry, folder: Path, points: Mapping[str, Joint]) -> Leg:
     """Return a leg, of its keys and its URDF."""
     needed = ("name", "urdf", "tip", "platform_point", "home", "sensors", "parameters")
-    keys = entry.keys((*needed, "placements"), ("closes", "terms", "ends", "held"))
+    keys = entry.keys((*needed, "placements"), ("closes", "terms", "ends", "held", "ratios"))
     name = keys["name"].name()
     point, placements = points[keys["platform_point"].choice(*points)], keys["placements"].pairs()
     home = {joint: part.number() for joint, part in keys["home"].pairs().items()}
@@ -173,12 +176,13 @@ def _leg(entry: Entry, folder: Path, points: Mapping[str, Joint]) -> Leg:
         if not parameter.isidentifier():
             parameters[parameter].refuse("a parameter's name is letters, digits and _")
     of_parameters = keys["terms"].pairs() if "terms" in keys else {}
+    ratios = _texts(keys.get("ratios"))
     sensors = tuple(_sensor(item, name) for item in keys["sensors"].items())
     ends = _ends(keys.get("ends"), points)
     path = inside(folder, keys["urdf"].text())
     joints, ends = read_leg(path, keys["tip"].text(), ends)
     met = [end.meets for end in ends if isinstance(end.meets, Joint)]
-    named = (*placements, *home, *(sensor.joint for sensor in sensors))
+    named = (*placements, *home, *ratios, *(sensor.joint for sensor in sensors))
     if fault := _joint_fault(named, home, (*joints, *met, point), path.name):
         raise MechanismError(f"{name}: {fault}")
 
@@ -186,13 +190,14 @@ def _leg(entry: Entry, folder: Path, points: Mapping[str, Joint]) -> Leg:
         place = f"{name}, placement of {joint.name!r}"
         coordinates = _coordinates(placements.get(joint.name), place)
         placement = replace(joint.placement, coordinates=coordinates)
-        return replace(joint, placement=placement, home=home.get(joint.name, 0.0))
+        at_home = home.get(joint.name, 0.0)
+        return replace(joint, placement=placement, home=at_home, ratio=ratios.get(joint.name, ""))
 
     return Leg(
         name=name,
         joints=tuple(map(placed, joints)),
         sensors=sensors,
-        parameters=tuple((parameter, part.number()) for parameter, part in parameters.items()),
+        parameters=_drawn(keys["parameters"]),
         point=placed(point),
         closes=keys["closes"].choice("point", "frame") if "closes" in keys else "point",
         terms=tuple(
@@ -287,7 +292,12 @@ def _described_leg(leg: Leg) -> dict[str, Any]:
             for joint in (*leg.joints, *leg.points)
             if joint.placement.coordinates
         },
-        **({"terms": of_parameters} if of_parameters else {}),
+        **_filled(
+            {
+                "ratios": {joint.name: joint.ratio for joint in leg.joints if joint.ratio},
+                "terms": of_parameters,
+            }
+        ),
     }
 
 

@@ -6,6 +6,9 @@ what follows, is a row of S with several entries, and a geared joint is a row of
 the joint that it follows. A parameter that deforms from row to row is at
 p + ε: its deformation ε is one more joint, whose column of J is the parameter's of S. On the
 platform's side a chain of parameters alone leads to the leg's platform point.
+
+If the ratio of gears is a parameter, a position is the product of a joint's and a parameter, the
+only one that is not linear: what each of the two moves is in proportion to the other.
 """
 
 from __future__ import annotations
@@ -21,8 +24,8 @@ from pincal.model.leg import Joint, Leg
 from pincal.model.placement import Placement
 from pincal.types import Array, Index
 
-Begun = tuple[Array, Motion | None]
-"""What parameters put into the moving joints, and where these begin, if not at the base."""
+Begun = tuple[Array, Array, Motion | None]
+"""What parameters put into the moving joints, ratios, and where these begin if not at the base."""
 _forest = lru_cache(maxsize=64)(Forest)
 
 
@@ -37,14 +40,15 @@ class Chain:
         self, leg: Leg, joints: Sequence[Joint], spatial: bool, copies: int | None = None
     ) -> None:
         """Make the chain of some joints of a leg."""
-        elements, rows, tip = _elements(leg, joints)
+        elements, rows, geared, tip = _elements(leg, joints)
         named = _leaders(leg, joints)
         self.columns = [i for i, joint in enumerate(leg.moving) if joint.name in named]
         """Which of the leg's moving joints move its tip, in order."""
         by_joint, self.by_parameter = np.split(rows, [rows.shape[1] - len(leg.parameters)], axis=1)
         deformed = [leg.parameter_names.index(name) for name in leg.deformed]
         varying = np.concatenate((by_joint, self.by_parameter[:, deformed]), axis=1)
-        self.standing = int(next(iter(np.flatnonzero(varying.any(axis=1))), 0))
+        moving_rows = [*np.flatnonzero(varying.any(axis=1)), *(row for row, *_ in geared)]
+        self.standing = int(min(moving_rows, default=0))
         """How many elementary joints stand still."""
         standing, moving = elements[: self.standing], elements[self.standing :]
         start = moving[0].placement if moving else ()
@@ -59,9 +63,12 @@ class Chain:
             for column, row in np.argwhere(varying.T)
         ]
         """Of joints, then deformations: which moving elementary joint follows which, how much."""
+        self.geared = tuple((row - self.standing, i, p, sign) for row, i, p, sign in geared)
+        """Moving elementary joints that follow a joint by a parameter: see ``_elements``."""
         self.moving = np.flatnonzero(self.by_parameter.any(axis=0))
         """Parameters that move the tip, in order."""
-        self.form = (self.forest, rows.tobytes(), rows.shape, tuple(deformed), self.standing)
+        shape = (rows.tobytes(), rows.shape, tuple(deformed), self.standing, self.geared)
+        self.form = (self.forest, *shape)
         """What alike chains have in common, wherever they begin."""
 
     def begin(self, parameters: Array) -> Begun:
@@ -79,10 +86,12 @@ class Chain:
 
 @lru_cache(maxsize=256)  # the same parameters are asked for several times in turn
 def _begun(chain: Chain, parameters: bytes) -> Begun:
-    values, s = chain.by_parameter @ np.frombuffer(parameters), chain.standing
+    amounts, s = np.frombuffer(parameters), chain.standing
+    values, ratios = chain.by_parameter @ amounts, amounts[[p for _, _, p, _ in chain.geared]]
     if chain.still is None:
-        return values, None
-    return values[s:], chain.still.motion(values[None, None, :s], chain.rates[:, :s])
+        return values, ratios, None
+    still = chain.still.motion(values[None, None, :s], chain.rates[:, :s])
+    return values[s:], ratios, still
 
 
 def motion(chains: Sequence[Chain], begun: Sequence[Begun], joints: Array) -> Motion:
@@ -91,15 +100,22 @@ def motion(chains: Sequence[Chain], begun: Sequence[Begun], joints: Array) -> Mo
     Joints of each stand below those of the one before, shape (L N, n_joints …): see
     ``Chain.motion``.
     """
-    values = np.stack([values_of_leg for values_of_leg, _ in begun])
+    values = np.stack([values_of_leg for values_of_leg, _, _ in begun])
     q = np.empty((len(chains), len(joints) // len(chains), values.shape[1]))
     q[:] = values[:, None]
     moving = joints.reshape(*q.shape[:2], joints.shape[1])
     for row, column, entry in chains[0].entries:
         if column < joints.shape[1]:
             q[:, :, row] += entry * moving[:, :, column]
+    products, joint_count = [], len(chains[0].columns)
+    for place, (row, column, parameter, sign) in enumerate(chains[0].geared):
+        ratio = np.repeat([[ratios[place]] for _, ratios, _ in begun], q.shape[1], axis=1)
+        q[:, :, row] += sign * ratio * moving[:, :, column]
+        products.append((column, row, sign * ratio.ravel()))
+        products.append((joint_count + parameter, row, sign * moving[:, :, column].ravel()))
     rates = chains[0].rates[:, chains[0].standing :]
-    return chains[0].forest.motion(q, rates, [base for _, base in begun])
+    moved = chains[0].forest.motion(q, rates, [base for _, _, base in begun])
+    return replace(moved, products=tuple(products)) if products else moved
 
 
 @lru_cache(maxsize=64)  # a chain keeps its forest, of some megabytes
@@ -132,15 +148,17 @@ def _leaders(leg: Leg, joints: Sequence[Joint]) -> list[str]:
 
 def _elements(
     leg: Leg, joints: Sequence[Joint]
-) -> tuple[tuple[Elementary, ...], Array, tuple[float, ...]]:
+) -> tuple[tuple[Elementary, ...], Array, list[tuple[int, int, int, float]], tuple[float, ...]]:
     """Return n elementary joints, how they follow leg joints, then parameters, (n, k), and the tip.
 
-    The tip is a constant placement behind the last one.
+    The tip is a constant placement behind the last one; before it stand the joints that follow
+    another one by a parameter: which elementary joint, which leg joint, which parameter, sign.
     """
     columns = _leaders(leg, joints)
     behind, width = len(columns), len(columns) + len(leg.parameters)
     elements: list[Elementary] = []
     rows: list[Array] = []
+    geared: list[tuple[int, int, int, float]] = []
     pending = np.eye(4)  # constant placement in front of the next elementary joint
 
     def add(element: Elementary, column: int, sign: float) -> None:
@@ -164,15 +182,22 @@ def _elements(
         pending = pending @ joint.placement.rest(leg.nominal_by_name, context)
         if joint.kind != "fixed":
             name, ratio, offset = joint.leader
-            turn, column = "r" if joint.turns else "", columns.index(name)
             pending = pending @ joint.motion(np.array([offset]))[0]
-            for letter, component in zip("xyz", joint.axis, strict=True):
-                if abs(component) == 1.0:
-                    add(Elementary(turn + letter, _key(pending)), column, ratio * component)
-                    break
-            else:
-                add(Elementary(turn or "t", _key(pending), joint.axis), column, ratio)
-    return tuple(elements), np.reshape(rows, (len(rows), width)), _key(pending)
+            column, (element, sign) = columns.index(name), _motion(joint, _key(pending))
+            add(element, column, 0.0 if joint.ratio else sign * ratio)
+            if joint.ratio:
+                parameter = leg.parameter_names.index(joint.ratio)
+                geared.append((len(rows) - 1, column, parameter, sign))
+    return tuple(elements), np.reshape(rows, (len(rows), width)), geared, _key(pending)
+
+
+def _motion(joint: Joint, placement: tuple[float, ...]) -> tuple[Elementary, float]:
+    """Return the elementary joint of a joint that moves, and the sign of its axis."""
+    turn = "r" if joint.turns else ""
+    for letter, component in zip("xyz", joint.axis, strict=True):
+        if abs(component) == 1.0:
+            return Elementary(turn + letter, placement), component
+    return Elementary(turn or "t", placement, joint.axis), 1.0
 
 
 def _key(matrix: Array) -> tuple[float, ...]:

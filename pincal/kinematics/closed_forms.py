@@ -246,13 +246,100 @@ def _arm(columns: Array) -> Array:
     return np.cross(columns[:3, -1], columns[3:, -1])
 
 
+@dataclass(frozen=True)
+class OffsetSlide:
+    """Where a slide passes its universal joint at a distance, as a cable its pulley's middle.
+
+    In the plane through the first axis that holds the target, the slide is tangent to a circle
+    about the second one; as that turns by θ, a gear may move the slide by θ times its ratio.
+    """
+
+    closure: LegClosure
+    centre: Array
+    """On the first axis, beside the second one, base frame, shape (3,), [m]."""
+    frame: Array
+    """Columns: at zero from the first axis to the second one, that one, the first; (3, 3)."""
+    offset: float
+    """How far the axes are apart, [m]."""
+    ratio: float
+    """Of the gear, [m/rad]."""
+    way: complex
+    """Direction of the slide at zero, its angle counted from the first axis."""
+    past: complex
+    """The tip at zero from the second axis, along the slide and past it, [m]."""
+    side: float
+    """Sign at home of the target's distance from the first axis."""
+    mode: float
+    """Sign at home of the tip's distance along the slide from the tangent point."""
+
+    def joints(self, targets: Array) -> tuple[Array, Mask]:
+        """Return joint positions that take the tip to targets, (N, 3), and what is in reach."""
+        home = self.closure.leg.home
+        x, y, height = self.frame.T @ (targets - self.centre).T
+        radial = self.side * np.hypot(x, y) - self.offset
+        square = radial**2 + height**2 - self.past.imag**2
+        free = self.mode * np.sqrt(np.clip(square, 0.0, None))
+        turn = np.angle((height + 1j * radial) / ((free + 1j * self.past.imag) * self.way))
+        swivel = home[0] + wrapped(np.arctan2(self.side * y, self.side * x) - home[0])
+        turn = home[1] + wrapped(turn - home[1])
+        slide = free - self.past.real - self.ratio * turn
+        return np.stack((swivel, turn, slide), axis=1), square >= 0.0
+
+
+@lru_cache(maxsize=256)
+def offset_slide(closure: LegClosure) -> OffsetSlide | None:
+    """Return the closed form of a slide that passes its universal joint, or None if it is none."""
+    leg, small = closure.leg, ROUNDING * closure.size
+    kinds = [joint.kind for joint in leg.moving]
+    if closure.projects or closure.platform.space == 2 or kinds != ["revolute"] * 2 + ["prismatic"]:
+        return None
+    joints = np.stack((np.zeros(3), leg.home))
+    zero, home = closure.motion(joints).twists().transpose(2, 0, 1)[:, :, :3]
+    tip, (first, second), slide = closure.tips(joints)[0], zero[3:, :2].T, zero[:3, 2]
+    if (ratio := _ratio(closure, slide)) is None:
+        return None
+    arm = np.cross(zero[:3, 1] - ratio * slide, second)  # from the second axis
+    to_tip = np.cross(zero[:3, 0], first)  # from the first one, at a right angle
+    frame = np.stack((np.cross(second, first), second, first), axis=1)
+    skew = max(abs(first @ second), abs(second @ slide))
+    if skew > ROUNDING or max(abs(second @ to_tip), abs(second @ arm)) > small:
+        return None
+    offset = float((to_tip - arm) @ frame[:, 0])
+    centre = tip - arm - offset * frame[:, 0]
+    tip_at, way = (complex(vector @ first, vector @ frame[:, 0]) for vector in (arm, slide))
+    to_tip_home = np.cross(home[:3, 0], first)
+    radial = np.cross(home[3:, 1], first)
+    arm_home = np.cross(home[:3, 1] - ratio * home[:3, 2], home[3:, 1])
+    side, mode = _sign(float(to_tip_home @ radial)), _sign(float(arm_home @ home[:3, 2]))
+    past = tip_at / way
+    return OffsetSlide(closure, centre, frame, offset, ratio, way, past, side, mode)
+
+
+def _ratio(closure: LegClosure, slide: Array) -> float | None:
+    """Return by how much turns of the second joint move a slide along its way, (3,), [m/rad].
+
+    None if joints that follow move anything else.
+    """
+    leg, ratio = closure.leg, 0.0
+    links = leg.link_placements(np.zeros((1, len(leg.moving))))[0]
+    for joint in (joint for joint in leg.articulated if joint.follows):
+        along = float(links[leg.index(joint.name), :3, :3] @ joint.axis @ slide)
+        second = joint.leader.joint == leg.moving[1].name
+        if not second or joint.turns or abs(along) < 1.0 - ROUNDING:
+            return None
+        ratio += along * closure.by_name.get(joint.ratio, joint.leader.ratio)
+    return ratio
+
+
 def is_line(closure: LegClosure) -> bool:
     """Return whether a leg is a driven slide on a universal joint, which only measures a length.
 
     The joint's two ways of pointing somewhere are one line; turned about it, it is no other leg.
+    That over a pulley bends to the side of home.
     """
     form = closed_form(closure)
-    return closure.leg.active == [2] and form is not None and form.frame is None
+    straight = form is not None and form.frame is None
+    return closure.leg.active == [2] and (straight or offset_slide(closure) is not None)
 
 
 @dataclass(frozen=True)

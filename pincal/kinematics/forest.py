@@ -148,6 +148,8 @@ class Motion:
     """Of the joints in each motion, shape (k, n)."""
     begun: Array | None
     """Twists at the base's origin by what moves where each chain begins, (L, 3 or 6, k)."""
+    products: tuple[tuple[int, int, Array], ...] = ()
+    """Motions that move a joint by what differs from row to row: which, which joint, (N,)."""
 
     def twists_at_tip(self, motions: slice | list[int]) -> Array:
         """Return twists at the tip in some motions, linear first, shape (3 or 6, s, N)."""
@@ -155,6 +157,10 @@ class Motion:
         twists = np.empty((len(self.columns), len(rates), self.columns.shape[2]))
         for twist, row in zip(twists, self.columns, strict=True):
             np.matmul(rates, row, out=twist)
+        places = np.arange(len(self.rates))[motions].tolist()
+        for motion, joint, amounts in self.products:
+            if motion in places:
+                twists[:, places.index(motion)] += self.columns[:, joint] * amounts
         if self.begun is not None and (begun := self.begun[:, :, motions]).any():
             by_chain = twists.reshape(*twists.shape[:2], len(begun), -1)
             by_chain += begun.transpose(1, 2, 0)[..., None]
@@ -167,7 +173,11 @@ class Motion:
         carried on.
         """
         at_origin = wrench(self.tips, force)
-        power = self.rates[after:] @ np.einsum("rjn,rn->jn", self.columns, at_origin)
+        by_joint = np.einsum("rjn,rn->jn", self.columns, at_origin)
+        power = self.rates[after:] @ by_joint
+        for motion, joint, amounts in self.products:
+            if motion >= after:
+                power[motion - after] += by_joint[joint] * amounts
         if self.begun is not None:
             legs = len(self.begun)
             by_chain = at_origin.reshape(len(at_origin), legs, -1).swapaxes(0, 1)

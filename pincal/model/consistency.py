@@ -106,6 +106,12 @@ def _held_faults(leg: Leg) -> Iterator[str]:
                 f"joint {joint.name!r} follows {joint.leader.joint!r} times "
                 f"{joint.leader.ratio:g}; expected a joint of the leg that moves on its own"
             )
+    for joint in (joint for joint in leg.joints if joint.ratio):
+        ratio = leg.nominal_by_name.get(joint.ratio)
+        if not joint.follows or ratio != joint.leader.ratio:
+            yield f"joint {joint.name!r} follows none by the parameter {joint.ratio!r}, {ratio}"
+        if joint.ratio in leg.deformed:
+            yield f"parameter {joint.ratio!r} is the ratio of gears, and has no terms"
     free = moving.difference(sensor.joint for sensor in leg.sensors)
     for name in sorted({*(leg.held or ())} - free):
         yield f"joint {name!r} cannot be held: it is read, or does not move"

@@ -61,6 +61,8 @@ class Joint:
     """Joint of the leg whose link carries this one: the one before if not given, "" the base."""
     follows: Follows | None = None
     """Joint of the leg that it moves with, if it does not move on its own; then it has no home."""
+    ratio: str = ""
+    """Parameter that is the ratio of what it follows; empty if that is a constant."""
 
     def __repr__(self) -> str:
         place = f"at {self.placement!r}" if self.placement != Placement() else ""
@@ -331,6 +333,8 @@ class Leg:
         units: dict[str, str] = {}
         for joint in (*self.joints, *self.points):
             units |= joint.placement.parameter_units
+            if joint.ratio:
+                units.setdefault(joint.ratio, "1" if joint.turns else "m")
         return units
 
     @cached_property
@@ -498,7 +502,11 @@ class Leg:
             return self
 
         def moved(joint: Joint) -> Joint:
-            return replace(joint, placement=joint.placement.moved(old, new, self.name))
+            law = joint.follows and joint.leader._replace(
+                ratio=new.get(joint.ratio, joint.leader.ratio)
+            )
+            placement = joint.placement.moved(old, new, self.name)
+            return replace(joint, placement=placement, follows=law)
 
         return replace(
             self,

@@ -8,7 +8,7 @@ import numpy as np
 
 from pincal.calibration.hypotheses.doctor import Remedy
 from pincal.calibration.terms.choice import LEVEL, Explanation
-from pincal.calibration.terms.kinds import GROWTH, READINGS, parts_of, term_text
+from pincal.calibration.terms.kinds import GROWTH, PULLEY, READINGS, parts_of, term_text
 from pincal.calibration.terms.screen import Candidate
 from pincal.design.forecast import Forecast
 from pincal.design.platform_error import PlatformError
@@ -92,6 +92,10 @@ def _seen_line(candidate: Candidate, mechanism: Mechanism) -> str:
     if candidate.reading == GROWTH or lengths.issuperset(parts_of(candidate.reading, mechanism)):
         cause = "lengths that grow with this column"
     cause = CAUSES.get(candidate.kind.name, cause)
+    if candidate.kind == PULLEY:
+        radii = np.unique(np.round(np.abs(candidate.values), 3))
+        shown = dict.fromkeys(amount(radius, "m", 2) for radius in radii[[0, -1]])
+        cause += f", of a radius of {' to '.join(shown)} as one step finds it"
     if candidate.spread:
         sizes, unit = np.hypot.reduce(candidate.values.reshape(-1, 2), axis=1), candidate.unit
         largest, (period,) = int(np.argmax(sizes)), candidate.kind.numbers

@@ -194,8 +194,9 @@ def canonical(leg: Leg) -> Leg:
     """Return the same leg with positive axes and no constant turn about a joint's own axis."""
     parameters, joints = leg.nominal_by_name, []
     sensors = {sensor.joint: sensor for sensor in leg.sensors}
+    followed = {joint.follows.joint for joint in leg.articulated if joint.follows}
     for joint in leg.joints:
-        if joint.kind != "fixed":
+        if joint in leg.moving and joint.name not in followed:
             joint, sensor = _flip_axis(joint, sensors.get(joint.name), parameters)
             joint, sensor = _absorb_turn(joint, sensor, parameters, leg.name)
             if sensor is not None:

@@ -112,6 +112,8 @@ def differences(first: StandingLeg, element: Element, second: StandingLeg) -> It
     equal = {
         "sequence of joints": [j.kind for j in leg.moving] == [j.kind for j in image.moving],
         "active joint": leg.active == image.active,
+        "gears": [j.leader.joint == j.name for j in leg.articulated]
+        == [j.leader.joint == j.name for j in image.articulated],
         "end": leg.closes == image.closes,
         "reach of the pose that home is carried to": second.reached,
     }
@@ -119,6 +121,8 @@ def differences(first: StandingLeg, element: Element, second: StandingLeg) -> It
         yield Difference(unlike[0], None)
         return
     space, Q = first.closure.platform.space, element.matrix
+    ratios = [[abs(j.leader.ratio) for j in shape.articulated] for shape in (leg, image)]
+    yield Difference("ratios of gears", float(np.ptp(ratios, axis=0).max(initial=0.0)), "m")
     names = [*(joint.name for joint in image.moving), image.point.name]
     shifts = applied(element.base, np.vstack((first.points, first.tip)))
     shifts = shifts - np.vstack((second.points, second.tip))

@@ -134,7 +134,8 @@ NOISE_SOURCES = {
 CAUSES = {
     "harmonics": "an eccentric gear, encoder or screw",
     "period": "the pitch of a screw, or an eccentric gear with this ratio",
-    "polynomial": "the pitch of a screw or belt, or a wrong table in the drive",
+    "polynomial": "the pitch of a screw or belt, layers of cable on a drum, or a wrong table",
+    "pulley": "the cable runs over a pulley that the model has not",
     "backlash": "play, or friction that winds up the drive, by the side of approach",
     "gravity": "something yields under weight (1 kg if unknown): gear, bearing or link",
 }

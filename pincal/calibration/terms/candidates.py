@@ -6,9 +6,11 @@ import logging
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 
+from pincal.architectures.pulley import is_cable, over_pulley
 from pincal.calibration.calibration import Calibration, located, with_followed_influences
 from pincal.calibration.terms.kinds import (
     BACKLASH,
@@ -18,6 +20,7 @@ from pincal.calibration.terms.kinds import (
     OF_ONES_OWN,
     PERIOD,
     POLYNOMIAL,
+    PULLEY,
     Kind,
     Pair,
     check_place,
@@ -37,6 +40,7 @@ from pincal.types import Array
 
 _log = logging.getLogger(__name__)
 _NOTHING = np.zeros(0)
+_POINT = 1e-6  # [m], the radius at which the search for a pulley's begins
 _TRUE = 1e-3  # [rad], to which a joint's axis is known to stand
 
 
@@ -57,10 +61,8 @@ def with_terms(
         MeasurementError: an unknown place, a kind that it cannot have, or a column that was not
             measured.
     """
-    parts = {pair: [(place, pair[1]) for place in parts_of(pair[0], mechanism)] for pair in kinds}
-    pairs = list(dict.fromkeys(single for part in parts.values() for single in part))
-    for place, kind in pairs:
-        check_place(place, kind, mechanism)
+    parts = {pair: _single_pairs(pair, mechanism) for pair in kinds}
+    pairs = list(dict.fromkeys(chain.from_iterable(parts.values())))
     data = with_influences(mechanism, measurements, [kind for _, kind in pairs])
     idle = {(place, GRAVITY) for place in idle_places(mechanism, data)}
     wanted = [(place, kind) for place, kind in pairs if (place, kind.name) not in idle]
@@ -74,9 +76,21 @@ def with_terms(
                 ids[pair] += (id_,)
                 labels.append((id_, label))
                 extended_leg = longer
+        if (pair := (leg.name, Kind(PULLEY))) in wanted and is_cable(extended_leg):
+            extended_leg = over_pulley(extended_leg, _POINT, _new_name(extended_leg, "r"))
+            ids[pair] = extended_leg.parameter_ids[-1:]
+            labels.append((ids[pair][0], "radius of the pulley"))
         legs.append(extended_leg)
     named = {pair: sum((ids[single] for single in part), ()) for pair, part in parts.items()}
     return replace(mechanism, legs=tuple(legs), labels=tuple(labels)), named
+
+
+def _single_pairs(pair: Pair, mechanism: Mechanism) -> list[Pair]:
+    """Return the single places that are meant, each with the kind, which it can have."""
+    pairs = [(place, pair[1]) for place in parts_of(pair[0], mechanism)]
+    for place, kind in pairs:
+        check_place(place, kind, mechanism)
+    return pairs
 
 
 def _lacking(
@@ -90,7 +104,7 @@ def _lacking(
     places += [(n, f"{leg.name}.{n}", unit, _NOTHING) for n, unit in leg.placed.items()]
     for key, place, unit, values in places:
         stem = key if isinstance(key, str) else place * several
-        for kind in (kind for wanted_place, kind in wanted if wanted_place == place):
+        for kind in (k for wanted_place, k in wanted if wanted_place == place and k != PULLEY):
             for name, basis, of, label in _bases(kind, place, unit, values, data):
                 term = Term(_identifier(stem, name), basis, of=of)
                 yield (
@@ -165,9 +179,7 @@ def _with_amplitude(leg: Leg, terms: Mapping[int | str, Term]) -> Leg:
         by_amplitude.setdefault(term.parameter, {})[place] = _what(term)
     if not terms or {i: _what(term) for i, term in terms.items()} in by_amplitude.values():
         return leg
-    name = next(iter(terms.values())).parameter
-    while name in leg.parameter_names:
-        name += "_term"
+    name = _new_name(leg, next(iter(terms.values())).parameter)
     named = {place: replace(term, parameter=name) for place, term in terms.items()}
     sensors = tuple(
         replace(sensor, terms=(*sensor.terms, named[i])) if i in named else sensor
@@ -180,6 +192,13 @@ def _with_amplitude(leg: Leg, terms: Mapping[int | str, Term]) -> Leg:
         terms=(*leg.terms, *of_parameters),
         parameters=(*leg.parameters, (name, 0.0)),
     )
+
+
+def _new_name(leg: Leg, name: str) -> str:
+    """Return a parameter's name that the leg does not have yet."""
+    while name in leg.parameter_names:
+        name += "_term"
+    return name
 
 
 def extended(calibration: Calibration, pairs: Sequence[Pair]) -> Calibration:

@@ -1,9 +1,9 @@
 """What a machine may lack, and where: kinds of term of readings, lengths and angles.
 
 Said as ``leg_1=harmonics:1,2``: a kind is ``harmonics:1,2``, ``period:5mm``, ``polynomial:2,3``,
-``backlash``, ``gravity``, or the name of a column of the measurements, such as ``temperature``. Its
-place is a reading, a length or angle by its id (``leg_1.l``) or its name in all legs (``l``),
-``growth`` for all lengths as one, or, if none is said, every reading.
+``backlash``, ``pulley``, ``gravity``, or the name of a column of the measurements, such as
+``temperature``. Its place is a reading, a length or angle by its id (``leg_1.l``) or its name in
+all legs (``l``), ``growth`` for all lengths as one, or, if none is said, every reading.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from pincal.architectures.pulley import is_cable
 from pincal.calibration.options import AUTO
 from pincal.errors import MeasurementError
 from pincal.files.text import in_si
@@ -22,10 +23,12 @@ from pincal.model.mechanism import Mechanism
 from pincal.model.terms import APPROACH, LOAD, Load
 
 HARMONICS, POLYNOMIAL, BACKLASH, GRAVITY = "harmonics", "polynomial", "backlash", "gravity"
+PULLEY = "pulley"
+"""The cable runs over a pulley that swivels about the upright: its radius is the amplitude."""
 PERIOD = "period"
 """Sine and cosine of a period that is given, such as ``period:5mm``; searched for if it is not."""
 OF_ONES_OWN = {BACKLASH: APPROACH, GRAVITY: LOAD}
-_OF_READINGS = (HARMONICS, PERIOD, POLYNOMIAL, BACKLASH)
+_OF_READINGS = (HARMONICS, PERIOD, POLYNOMIAL, BACKLASH, PULLEY)
 _KINDS = (*_OF_READINGS, GRAVITY)
 _NUMBERS = {HARMONICS: (1.0, 2.0), POLYNOMIAL: (2.0, 3.0)}
 _KNOWN: dict[str, Callable[[float], bool]] = {  # the finest gratings have 100,000 periods a turn
@@ -64,8 +67,8 @@ class Kind(str):
         if not name or "," in name or not known:
             raise MeasurementError(
                 f"terms {text!r}: expected harmonics:1,2 (periods in a turn, up to 100,000), "
-                "period:5mm, polynomial:2,3 (powers, 2 to 20), backlash, gravity, or a column of "
-                "the measurements; several as options of their own"
+                "period:5mm, polynomial:2,3 (powers, 2 to 20), backlash, pulley, gravity, or a "
+                "column of the measurements; several as options of their own"
             )
         if name != PERIOD:
             texts = [f"{value:.12g}" for value in values]
@@ -129,6 +132,9 @@ def every_pair(mechanism: Mechanism, measurements: Measurements) -> list[Pair]:
     kinds = [Kind.of(name) for name in dict.fromkeys(names)]
     every = [READINGS] * (len(mechanism.reading_names) > 1)
     pairs = [(name, kind) for kind in kinds for name in (*mechanism.reading_names, *every)]
+    names = cables(mechanism)
+    every = [READINGS] * (1 < len(names) == len(mechanism.legs))
+    pairs += [(name, Kind(PULLEY)) for name in (*names, *every)]
     long = lengths(mechanism)
     for kind in kinds:
         if kind.name == GRAVITY:
@@ -136,6 +142,15 @@ def every_pair(mechanism: Mechanism, measurements: Measurements) -> list[Pair]:
         elif kind.name not in _KINDS:
             pairs += [(name, kind) for name in [GROWTH] * (len(long) > 1) + _with_names(long)]
     return pairs
+
+
+def cables(mechanism: Mechanism, *, over_pulleys: bool = False) -> list[str]:
+    """Return the names of cables in space that are straight, or those over pulleys too."""
+    if mechanism.platform.space == 2:
+        return []
+    pulleys = [over_pulleys and any(j.ratio for j in leg.joints) for leg in mechanism.legs]
+    pairs = zip(mechanism.legs, pulleys, strict=True)
+    return [leg.name for leg, over_pulley in pairs if over_pulley or is_cable(leg)]
 
 
 def _with_names(ids: Sequence[str]) -> list[str]:
@@ -212,6 +227,8 @@ def check_place(place: str, kind: Kind, mechanism: Mechanism) -> None:
             f"{kind.name} is of readings; lengths and angles follow a column of the measurements, "
             "or gravity"
         )
+    elif kind == PULLEY and place not in cables(mechanism, over_pulleys=True):
+        problem = "pulleys are of cables in space: a universal joint at the anchor and a line"
     elif kind.name == PERIOD != kind:
         for period in kind.partition(":")[2].split(","):
             in_si(period, mechanism.reading_units[readings.index(place)])

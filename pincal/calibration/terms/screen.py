@@ -220,6 +220,8 @@ def _columns(extended: Calibration, fit: Fit, used: Index) -> tuple[list[str], A
     for leg, columns in zip(legs.legs, before.columns, strict=True):
         fitted = fit.parameters[columns]
         values += [fitted, np.zeros(len(leg.parameters) - len(fitted))]
-    state = State(np.concatenate(values), state.matrices, state.joints, state.external)
+    over_pulleys = [leg.joints for leg in legs.legs] != [leg.joints for leg in before.legs]
+    joints = () if over_pulleys else state.joints
+    state = State(np.concatenate(values), state.matrices, joints, state.external)
     problem = replace(fit.problem, leg_block=legs, first=None)
     return names, problem.evaluate(state).jacobian[used]

@@ -232,13 +232,18 @@ def _pistons(
     """Yield path, shape and placements of the rods of prismatic joints, and of their cylinders.
 
     Together they reach back from the slider to where it is at zero; a cylinder is half as long as
-    both at home, a cable has none. Joints have shape (N, n_joints), links (N, n, 4, 4).
+    both at home, a cable has none. What a pulley has wrapped of it is taken off. Joints have shape
+    (N, n_joints), links (N, n, 4, 4).
     """
-    moving, read = [joint.name for joint in leg.moving], {sensor.joint for sensor in leg.sensors}
+    read = {sensor.joint for sensor in leg.sensors}
+    positions = {joint.name: q for joint, q in zip(leg.moving, joints.T, strict=True)}
     for place, joint in enumerate(leg.joints):
-        if joint.kind != "prismatic":
+        if joint.kind != "prismatic" or joint.ratio:
             continue
-        axis, strokes = np.array(joint.axis), joints[:, moving.index(joint.name)]
+        axis, strokes = np.array(joint.axis), joint.position(positions)
+        before = leg.joints[max(leg.carriers[place], 0)]
+        if before.ratio and before.kind == "prismatic":
+            strokes = strokes + before.position(positions) * float(axis @ before.axis)
         cable = joint.name in _CABLES
         inside = 0.0 if cable else 0.5 * joint.home
         drawn = strokes - inside * ((strokes - inside) * inside > 0.0)
