@@ -33,7 +33,7 @@ DONE_BY = {
     "Plan.to_csv": "pincal.files.columns.write_plan",
     "Plan.to_dataframe": "pincal.files.columns.dataframe_of",
     "Selection.__str__": "pincal.show.tables.selection_text",
-    "Setup.from_yaml": "pincal.files.yaml.read_setup",
+    "Setup.from_yaml": "pincal.instruments.setup_file.read_setup",
 }
 """Function or class that is called with what a method is called with, its object first."""
 

@@ -7,9 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import done
 from differences import assert_derivative
 from scipy.spatial.transform import Rotation
 
@@ -195,6 +197,81 @@ def test_camera_and_board_anywhere(make, points, free) -> None:  # type: ignore[
     values = np.array([result[p.id].identified for p in camera.parameters])
     missed = camera.evaluate(matrices, values, np.column_stack([*unseen.extra.values()]))[0]
     assert np.abs(missed).max() < 1e-6
+
+
+SETUP = """\
+pincal_setup: 1
+corners: corners.csv
+boards:
+  board: {points: {POINTS}, at: [0.02, -0.03, 0.05], rotation: [0.1, -0.2, 0.3], known: true}
+lenses:
+  main: {size: [1600, 1200], focal: [1500, 1480], centre: [810, 590], unknown: {fx: 5, fy: 5},
+         distortion: [-0.2, 0.1, 0.01, -0.02, 0.03]}
+cameras:
+  front: {at: [0.6, -1.2, 2.3], towards: [0, 0, 1.85], known: true}
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Return a folder with measurements by photographs, and corners of these in another table."""
+    camera, robot = _camera(), pincal.load_mechanism("6UPS")
+    _, data = _measured(camera, noise=0.1, count=16)
+    points = ", ".join(f"{name}: {list(point)}" for name, point in BOARD.items())
+    (tmp_path / "setup.yaml").write_text(SETUP.replace("{POINTS}", f"{{{points}}}"))
+    header = ",".join(["image", *(f"{name} [m]" for name in robot.reading_names)])
+    rows = [",".join([f"{i}.jpg", *map(repr, row)]) for i, row in enumerate(data.readings.tolist())]
+    (tmp_path / "data.csv").write_text("\n".join([header, *rows]))
+    lines = ["image,camera,point,u [px],v [px]"]
+    for i in range(len(data)):
+        for name in BOARD if i != 3 else list(BOARD)[1:]:
+            u, v = (data.extra[f"front_{name}_{axis}"][i] for axis in "uv")
+            lines.append(f"{i}.jpg,front,{name},{float(u)!r},{float(v)!r}")
+    (tmp_path / "corners.csv").write_text("\n".join(lines))
+    return tmp_path
+
+
+def test_corners_are_read_beside_the_measurements(folder: Path) -> None:
+    """By the photograph's name; a point that was not seen is NaN; unknown lens numbers are said."""
+    _, data = _measured(_camera(), noise=0.1, count=16)
+    setup = pincal.Setup.from_yaml(folder / "setup.yaml")
+    read = pincal.Measurements.from_csv(folder / "data.csv", "6UPS", setup, partial=True)
+    wanted = data.extra["front_p00_u"].copy()
+    wanted[3] = np.nan
+    np.testing.assert_array_equal(read.extra["front_p00_u"], wanted)
+    np.testing.assert_array_equal(read.extra["front_p21_v"], data.extra["front_p21_v"])
+    (camera,) = setup.instruments
+    assert camera == replace(_camera(), lens=camera.lens, markers=camera.markers)
+    assert camera.priors == {"main.fx": 5.0, "main.fy": 5.0}
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("0.jpg,", "x.jpg,", "line 2: image 'x.jpg' is in no row of"),
+        ("1.jpg,front,p00", "0.jpg,front,p00", "point 'p00' was seen in this row before, in line"),
+        ("image", "photo", "nothing says to which rows corners belong; add a column 'row'"),
+        ("front", "back", "no corner is of a point that a camera of the setup sees"),
+        ("u [px]", "w [px]", r"no column 'u \[px\]' of corners"),
+    ],
+)
+def test_corners_that_are_wrong(folder: Path, old: str, new: str, message: str) -> None:
+    """Are refused by file, line and what to do."""
+    corners, setup = folder / "corners.csv", pincal.Setup.from_yaml(folder / "setup.yaml")
+    corners.write_text(corners.read_text().replace(old, new))
+    with pytest.raises(pincal.MeasurementError, match=message):
+        pincal.Measurements.from_csv(folder / "data.csv", "6UPS", setup, partial=True)
+
+
+@pytest.mark.slow
+def test_command_calibrates_by_a_camera(folder: Path) -> None:
+    """Its result, with the camera in it, is read back and is the same."""
+    given = ["--setup", folder / "setup.yaml", "--noise-pixel", "0.1", "-o", folder / "out"]
+    done("calibrate", "6UPS", folder / "data.csv", *given)
+    result = pincal.load_result(folder / "out")
+    (camera,) = result.options.setup.instruments
+    assert camera == pincal.Setup.from_yaml(folder / "setup.yaml").instruments[0]
+    assert "main.fx" in str(result)
 
 
 def test_rows_turned_are_rows_whitened() -> None:

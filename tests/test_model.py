@@ -18,7 +18,7 @@ from pincal import MeasurementError, MechanismError
 from pincal.files.columns import reading_columns, write_plan
 from pincal.files.measurements import read_measurements, read_poses, read_readings
 from pincal.files.mechanism_folders import as_mechanism, bundled
-from pincal.files.yaml import read_setup
+from pincal.instruments.setup_file import read_setup
 
 THREE = pincal.load_mechanism("3RRR")
 POSES, READINGS = np.zeros((4, 3)), np.ones((4, 3))

@@ -312,8 +312,9 @@ def _external(
     if not len(outside):
         return ()
     began = fits.fits[0].first.state.external
-    # of instruments, what their makers say
-    began = replace(began, instruments=outside.start.instruments)
+    # of instruments, what their makers say, unless these find where a search begins
+    if not all(hasattr(device, "begin") for device in outside.setup.instruments):
+        began = replace(began, instruments=outside.start.instruments)
     start, estimates = (outside.coordinates(external) for external in (began, values))
     D = outside.coordinates_by_step(values)
     std = _standard_errors(D @ covariance @ D.T, D @ by_systematic, D @ held)

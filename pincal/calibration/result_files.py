@@ -10,6 +10,7 @@ import json
 import math
 import warnings
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast, get_origin
 
@@ -31,6 +32,8 @@ from pincal.files.columns import write_plan
 from pincal.files.mechanism_folders import load_mechanism, write_mechanism
 from pincal.files.table import write_table
 from pincal.files.text import LARGEST_FILE, plain, read_text
+from pincal.instruments.camera import Camera, Markers
+from pincal.instruments.lens import Lens
 from pincal.kinematics.configurations import planned_influences
 from pincal.kinematics.influences import by_name
 from pincal.model.measurements import Plan
@@ -81,6 +84,25 @@ def _frozen(data: Any) -> Any:
     return data
 
 
+def _checked(converter: Converter, data: dict[str, Any], kind: type) -> Any:
+    """Return a part of a camera of its plain data."""
+    parts = {"lens": Lens, "markers": Markers}
+    values = {
+        name: converter.structure(value, parts[name]) if name in parts else _numbers(value)
+        for name, value in data.items()
+    }
+    return kind(**values)
+
+
+def _numbers(data: Any) -> Any:
+    """Return plain data with tuples for lists, and infinity for its name."""
+    if isinstance(data, dict):
+        return {name: _numbers(value) for name, value in data.items()}
+    return (
+        tuple(map(_numbers, data)) if isinstance(data, list) else np.inf if data == "inf" else data
+    )
+
+
 def _converter() -> Converter:
     """Return what makes plain data of a result and back, but for the mechanism and code."""
     converter = Converter(forbid_extra_keys=True)
@@ -98,8 +120,11 @@ def _converter() -> Converter:
         lambda kind: kind == Tolerance, lambda data, _: converter.structure(data, dict[str, float])
     )
     converter.register_structure_hook_func(
-        lambda kind: kind == tuple[Instrument, ...], lambda *_: ()
+        lambda kind: kind == tuple[Instrument, ...],
+        lambda data, _: tuple(converter.structure(camera, Camera) for camera in data),
     )
+    for kind in (Lens, Markers, Camera):  # which check what they are made of
+        converter.register_structure_hook(kind, partial(_checked, converter))
     converter.register_structure_hook_func(lambda kind: kind is Any, lambda data, _: _frozen(data))
     return converter
 
@@ -133,7 +158,8 @@ def save_result(
         MeasurementError: instruments of one's own, which are code, not data.
         PincalError: the mechanism that would be written does not reproduce the fit.
     """
-    if custom := [instrument.name for instrument in result.options.setup.instruments]:
+    devices = result.options.setup.instruments
+    if custom := [device.name for device in devices if not isinstance(device, Camera)]:
         raise MeasurementError(
             f"instrument {custom[0]!r} is code, which a result's folder does not hold; save the "
             "calibrated mechanism (result.identified.save) and the report"

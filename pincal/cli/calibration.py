@@ -42,6 +42,7 @@ class InputOptions(SetupOptions):
     noise_position: float | None = option(None, option_of(Noise, "position"))
     noise_orientation: float | None = option(None, option_of(Noise, "orientation"))
     noise_reading: float | None = option(None, option_of(Noise, "reading"))
+    noise_pixel: float | None = option(None, option_of(Noise, "pixel"))
 
     def calibration(self, mech: str, path: Path, options: Options) -> Calibration:
         """Return the calibration to be done, by measurements in a file."""
@@ -60,18 +61,22 @@ class InputOptions(SetupOptions):
             MeasurementError: it is given of some of what was measured.
         """
         sigmas = {"m": self.noise_position, "rad": self.noise_orientation, "": self.noise_reading}
+        sigmas |= {"px": self.noise_pixel}
         if set(sigmas.values()) == {None}:
             return None
         platform = mechanism.platform
         columns = zip(platform.coordinates, platform.units, data.poses.T, strict=True)
         units = {name: unit for name, unit, values in columns if np.isfinite(values).any()}
-        units |= {name: "rad" if name in SINGLE_ANGLES else "m" for name in data.extra}
+        others = dict.fromkeys(SINGLE_ANGLES, "rad") | dict.fromkeys(setup.pixels, "px")
+        known = setup.pixels & data.sigma_extra.keys()
+        units |= {name: others.get(name, "m") for name in data.extra.keys() - known}
         tracked = {*platform.coordinates[: platform.lengths], *setup.points(platform)}
         measured = {units[name] for name in units if setup.tracker is None or name not in tracked}
         if any(sigmas[unit] is None for unit in measured):
-            names = {"m": "--noise-position", "rad": "--noise-orientation"}
+            names = {"m": "position", "rad": "orientation", "px": "pixel"}
             raise MeasurementError(
-                f"give {' and '.join(names[unit] for unit in sorted(measured))} with the other "
+                f"give {' and '.join(f'--noise-{names[unit]}' for unit in sorted(measured))} "
+                "with the other "
                 "noise options, or none of them (the scale is then estimated)"
             )
         return Noise(*(sigma or 0.0 for sigma in sigmas.values()))

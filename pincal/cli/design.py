@@ -31,7 +31,7 @@ from pincal.files.measurements import read_poses
 from pincal.files.mechanism_folders import MECHANISM_FILES, write_mechanism
 from pincal.files.output import refuse_existing, refuse_existing_of, writing_together
 from pincal.files.table import write_table
-from pincal.files.yaml import read_setup
+from pincal.instruments.setup_file import read_setup
 from pincal.kinematics.collision import arm_free_of_collision
 from pincal.kinematics.configurations import check_reached
 from pincal.model.checks import listed

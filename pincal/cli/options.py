@@ -13,7 +13,7 @@ import typer
 
 from pincal import MeasurementError, Mechanism, PincalError, Setup, Target
 from pincal.files.text import in_si
-from pincal.files.yaml import read_setup
+from pincal.instruments.setup_file import read_setup
 from pincal.model.option import Option, option, option_of
 from pincal.model.units import Units
 

@@ -33,7 +33,7 @@ from pincal.estimation.observation import Observation
 from pincal.estimation.rows import white_rows
 from pincal.files.measurements import as_noise
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
-from pincal.files.yaml import read_setup
+from pincal.instruments.setup_file import read_setup
 from pincal.kinematics.batches import block_diagonal
 from pincal.kinematics.configurations import Legs, as_plan, check_reached, legs_at, nearby
 from pincal.kinematics.derivatives import Demand

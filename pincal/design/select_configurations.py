@@ -23,7 +23,7 @@ from pincal.errors import MeasurementError, ObservabilityError
 from pincal.estimation.observability.indices import NEGLIGIBLE, identifiability, scaled_axes
 from pincal.files.measurements import as_noise
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
-from pincal.files.yaml import read_setup
+from pincal.instruments.setup_file import read_setup
 from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.configurations import as_plan, check_reached, legs_at
 from pincal.model.checks import count_of

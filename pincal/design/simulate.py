@@ -19,7 +19,7 @@ from pincal.design.platform_error import root_mean_squares, sizes
 from pincal.errors import MeasurementError
 from pincal.files.measurements import as_noise, read_poses
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
-from pincal.files.yaml import read_setup
+from pincal.instruments.setup_file import read_setup
 from pincal.kinematics.configurations import as_plan, command, inverse, planned_influences
 from pincal.kinematics.forward import forward
 from pincal.kinematics.influences import by_name, influences_of

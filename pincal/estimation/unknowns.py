@@ -27,6 +27,8 @@ from pincal.model.platform import Platform
 from pincal.model.setup import ORIGIN, Setup
 from pincal.types import Array, Index
 
+_PIXELS = 1e3  # order of focal lengths, [px]
+
 
 @dataclass(frozen=True)
 class External:
@@ -129,6 +131,10 @@ class ExternalUnknowns:
 
     def __len__(self) -> int:
         return len(self.names)
+
+    def sizes(self, size: float) -> Array:
+        """Return how large each unknown may be, (n,), of a machine of some size, [m]."""
+        return np.array([{"m": size, "px": _PIXELS}.get(unit, 1.0) for unit in self.units])
 
     @cached_property
     def of_instruments(self) -> list[Index]:

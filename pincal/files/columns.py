@@ -82,7 +82,7 @@ def known_columns(mechanism: Mechanism, further: Mapping[str, str]) -> dict[str,
     units |= {name: unit for names, unit in WAYS.values() for name in names}
     units |= {**reading_units(mechanism), **further}
     units |= {f"sigma_{name}": unit for name, unit in units.items()}
-    named = ("set", "run", "pose", *mechanism.influences, *mechanism.followed)
+    named = ("set", "run", "pose", "image", *mechanism.influences, *mechanism.followed)
     return {**dict.fromkeys(named, ""), **units}
 
 

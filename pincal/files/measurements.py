@@ -21,10 +21,10 @@ from pincal.files.columns import (
     table_of,
     unknown_columns,
 )
+from pincal.files.corners import read_corners
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.files.table import TextTable, is_dataframe
 from pincal.files.text import plain_number
-from pincal.files.yaml import read_setup
 from pincal.model.checks import array_of, must_be
 from pincal.model.measurements import EVERY_LEG, VERIFY, Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism
@@ -97,7 +97,8 @@ def read_measurements(
     ``influences`` are further columns to read, on which no term depends yet; None for all columns
     of numbers that differ.
     """
-    mechanism, setup = as_mechanism(mechanism), read_setup(setup or Setup())
+    mechanism, setup = as_mechanism(mechanism), setup or Setup()
+    setup = setup if isinstance(setup, Setup) else Setup.from_yaml(setup)
     platform = mechanism.platform
     if isinstance(source, Measurements):
         for name, count in (("poses", platform.dof), ("readings", len(mechanism.reading_names))):
@@ -113,7 +114,8 @@ def read_measurements(
     table = table_of(source, mechanism, known, influences)
     columns = (*platform.coordinates, *_TURNS, *further, *mechanism.reading_names)
     columns += (*setup.contacts,)
-    table = table.where_measured(columns)
+    whole_table, table = table, table.where_measured(columns)
+    pixels, sigma_pixels = read_corners(setup, whole_table, table.lines)
     _check_columns(table, mechanism, setup, further)
     way = _way(table, mechanism)
     if platform.turns == 3 and partial and way is None:
@@ -126,8 +128,8 @@ def read_measurements(
     extra = {
         name: table.numbers(name, unit, blank=True)
         for name, unit in further.items()
-        if name in table or not partial
-    }
+        if name in table or not (partial or name in pixels)
+    } | pixels
     if not partial and not np.isfinite(np.column_stack((poses, *extra.values()))).any():
         raise MeasurementError(f"{table.path}: nothing of the platform is measured")
     return Measurements(
@@ -141,7 +143,8 @@ def read_measurements(
             name: _sigma(table, name, unit, blank=partial)
             for name, unit in further.items()
             if f"sigma_{name}" in table
-        },
+        }
+        | sigma_pixels,
         covariances=covariances_of(table, freedoms | further),
         contacts={name: _names(table, name) or () for name in setup.contacts if name in table},
         influences=_influences(table, mechanism) | _further_influences(table, unknown, influences),

@@ -12,10 +12,9 @@ from typing import Any, NoReturn, TypeAlias, TypeVar, get_type_hints
 import yaml
 from yaml.composer import Composer
 
-from pincal.errors import MeasurementError, PincalError, located
+from pincal.errors import PincalError
 from pincal.files.text import LARGEST_FILE, plain_number, read_text, why_no_number
-from pincal.model.checks import LARGEST, must_be
-from pincal.model.setup import Contact, Distance, Setup, Systematic, Target, Tracker
+from pincal.model.checks import LARGEST
 
 T = TypeVar("T")
 Vector: TypeAlias = tuple[float, float, float]
@@ -212,6 +211,7 @@ _BY_TYPE: dict[Any, Callable[[Entry], Any]] = {
     str: Entry.text,
     str | float: Entry.name_or_number,
     Vector: Entry.vector,
+    Vector | None: Entry.vector,
 }
 
 
@@ -251,37 +251,3 @@ def _unparsed(error: yaml.MarkedYAMLError, text: str) -> str:
     fault = fault.replace("found character that", f"found character {character!r} that")
     tab = "; indent by blanks, not by tabs" if character == "\t" else ""
     return f"{place}: the YAML does not parse: {fault}{tab}"
-
-
-def read_setup(source: Setup | str | Path) -> Setup:
-    """Return a setup that is given as such or by its YAML file: see ``Setup.from_yaml``."""
-    if isinstance(source, Setup):
-        return source
-    path = Path(must_be(source, (Setup, str, Path), "a setup or its file", MeasurementError))
-    readers: Readers = {
-        "pincal_setup": lambda part: part.choice(1),
-        "frame": lambda part: part.choice("base", "unknown"),
-        "targets": lambda part: {name: p.built(Target) for name, p in part.pairs().items()},
-        "distances": lambda part: {name: _distance(p) for name, p in part.pairs().items()},
-        "contacts": lambda part: {name: _contact(p) for name, p in part.pairs().items()},
-        "tracker": lambda part: part.built(Tracker),
-        "systematic": lambda part: part.built(Systematic),
-    }
-    with located(path, MeasurementError):
-        values = read_yaml(path, MeasurementError).values(readers, ("pincal_setup",))
-        unknown = values.pop("frame", "base") == "unknown"
-        del values["pincal_setup"]
-        return Setup(**values, unknown_frame=unknown)
-
-
-def _contact(entry: Entry) -> Contact:
-    def points(part: Entry) -> dict[str, Vector | None]:
-        named = part.pairs().items()
-        return {name: None if p.value == "unknown" else p.vector() for name, p in named}
-
-    return entry.built(Contact, "points", points=points)
-
-
-def _distance(entry: Entry) -> Distance:
-    values = entry.values({"from": Entry.vector, "target": Entry.name}, ("from",))
-    return Distance(values.pop("from"), **values)

@@ -307,6 +307,10 @@ class Setup:
     """By column: each row has the name of the point that is touched, or nothing."""
     instruments: tuple[Instrument, ...] = ()
     """Instruments of one's own, each with its columns and unknowns."""
+    corners: str | None = None
+    """File of what cameras saw: a table with the columns ``point``, ``u [px]``, ``v [px]`` and
+    ``row`` (of the measurements, from 1) or ``image`` (a column of these), further ``camera`` and
+    ``sigma [px]``. Without one, pixels are in columns of the measurements."""
     tracker: Tracker | None = None
     """What measures positions by a range and angles, if their noise is to be said so."""
     systematic: Systematic = field(default_factory=Systematic)
@@ -328,6 +332,7 @@ class Setup:
                     f"{column!r} is measured to a target {entry.target!r}; expected one of "
                     f"{', '.join(self.targets)}"
                 )
+        must_be(self.corners, (str, type(None)), "corners", MeasurementError)
         must_be(self.tracker, (Tracker, type(None)), "tracker", MeasurementError)
         must_be(self.systematic, Systematic, "systematic", MeasurementError)
         object.__setattr__(self, "instruments", tuple(self.instruments))
@@ -407,13 +412,15 @@ class Setup:
 
     @property
     def required(self) -> dict[str, str]:
-        """Columns that measurements must have, and whose they are."""
+        """Columns that tables of measurements must have, and whose they are; not of corners."""
+        apart = self.pixels if self.corners else set()
         named = dict.fromkeys(self.distances, "a distance that the setup names")
         named |= dict.fromkeys(self.contacts, "which says what is touched in each row")
         return named | {
             column: f"which instrument {instrument.name!r} reads"
             for instrument in self.instruments
             for column in instrument.columns
+            if column not in apart
         }
 
     @property

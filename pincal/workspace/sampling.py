@@ -21,7 +21,7 @@ from scipy.spatial import KDTree
 from pincal.blas import one_thread
 from pincal.errors import WorkspaceError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
-from pincal.files.yaml import read_setup
+from pincal.instruments.setup_file import read_setup
 from pincal.kinematics.closing import close
 from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.configurations import shifted

@@ -190,9 +190,10 @@ def find_gauge(
         findings.append(finding("redundant-parameters", count=n_still, groups=groups))
     # how much the square of each unknown's change counts: frames not, targets hardly
     outside, of_legs = problem.observation.external, plausible_changes(mechanism)
-    scales = np.array([size if unit == "m" else 1.0 for unit in outside.units])
     counts = [0.0 if name.startswith("tracker.") else _TARGETS for name in outside.names]
-    weights = np.concatenate((1.0 / of_legs**2, np.array(counts) / (DIFFER * scales) ** 2))
+    weights = np.concatenate(
+        (1.0 / of_legs**2, np.array(counts) / (DIFFER * outside.sizes(size)) ** 2)
+    )
     nearest = (directions @ T.T * weights) @ T
     return Gauge(nearest, tuple(findings), moved if findings else None, frames)
 

@@ -161,8 +161,7 @@ def hold_unobservable(
         observable, groups = held.observable, held.groups
         directions = held.directions[:, : free.n_free - observable.n_free]
     # how many times better than machines differ noise determines the rest, the best first
-    size, outside = mechanism.size, problem.observation.external.units
-    differ = [size if unit == "m" else 1.0 for unit in outside]
+    differ = problem.observation.external.sizes(mechanism.size)
     plausible = np.concatenate((plausible_changes(mechanism, problem.legs), differ))
     scale = 1.0 / np.abs(observable.map / plausible[:, None]).max(axis=0)
     R = replace(system, unknowns=observable).triangle(nominal, system.kept.astype(float))

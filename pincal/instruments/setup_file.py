@@ -1,0 +1,124 @@
+"""Setups in YAML: how a platform is measured, by which instruments, and of what boards."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TypeVar
+
+from pincal.errors import MeasurementError, located
+from pincal.files.yaml import Entry, Readers, Vector, read_yaml
+from pincal.instruments.board import read_board
+from pincal.instruments.camera import Camera, Markers
+from pincal.instruments.lens import Lens
+from pincal.model.checks import must_be
+from pincal.model.setup import Contact, Distance, Setup, Systematic, Target, Tracker
+
+T = TypeVar("T", Lens, Markers)
+
+
+def read_setup(source: Setup | str | Path) -> Setup:
+    """Return a setup that is given as such or by its YAML file: see ``Setup.from_yaml``."""
+    if isinstance(source, Setup):
+        return source
+    path = Path(must_be(source, (Setup, str, Path), "a setup or its file", MeasurementError))
+    readers: Readers = {
+        "pincal_setup": lambda part: part.choice(1),
+        "frame": lambda part: part.choice("base", "unknown"),
+        "targets": lambda part: {name: p.built(Target) for name, p in part.pairs().items()},
+        "distances": lambda part: {name: _distance(p) for name, p in part.pairs().items()},
+        "contacts": lambda part: {name: _contact(p) for name, p in part.pairs().items()},
+        "tracker": lambda part: part.built(Tracker),
+        "systematic": lambda part: part.built(Systematic),
+        "corners": lambda part: str(path.parent / part.text()),
+        "boards": lambda part: {n: _board(p, n, path.parent) for n, p in part.pairs().items()},
+        "lenses": lambda part: {n: _lens(p, n) for n, p in part.pairs().items()},
+        "cameras": Entry.pairs,
+    }
+    with located(path, MeasurementError):
+        values = read_yaml(path, MeasurementError).values(readers, ("pincal_setup",))
+        unknown = values.pop("frame", "base") == "unknown"
+        del values["pincal_setup"]
+        boards, lenses = values.pop("boards", {}), values.pop("lenses", {})
+        cameras = values.pop("cameras", {}).items()
+        values["instruments"] = tuple(_camera(p, name, boards, lenses) for name, p in cameras)
+        return Setup(**values, unknown_frame=unknown)
+
+
+def _points(part: Entry) -> dict[str, Vector | None]:
+    named = part.pairs().items()
+    return {name: None if p.value == "unknown" else p.vector() for name, p in named}
+
+
+def _contact(entry: Entry) -> Contact:
+    return entry.built(Contact, "points", points=_points)
+
+
+def _board(entry: Entry, name: str, folder: Path) -> Markers:
+    """Return markers by their points, or by the file of a printed board."""
+    if isinstance(entry.value, str):
+        board = read_board(folder / entry.text())
+        return Markers(board.points, name, scale=board.scale_sigma, normal=(0.0, 0.0, 1.0))
+    place = dict.fromkeys(("at", "rotation", "normal"), Entry.vector)
+    numbers = dict.fromkeys(("tolerance", "scale"), Entry.number)
+    readers: Readers = {"points": _points, "file": Entry.text, "known": Entry.flag}
+    values = entry.values({**readers, **place, **numbers})
+    if "file" in values:
+        board = read_board(folder / values.pop("file"))
+        printed = {"points": board.points, "scale": board.scale_sigma, "normal": (0.0, 0.0, 1.0)}
+        values = printed | values
+    elif "points" not in values:
+        entry.refuse("points by name, or the file of a board is expected")
+    return Markers(name=name, **values)
+
+
+def _lens(entry: Entry, name: str) -> Lens:
+    def pair(part: Entry) -> tuple[float, float]:
+        first, second = (item.number() for item in part.items(2, 2))
+        return first, second
+
+    readers: Readers = {
+        "size": lambda part: tuple(int(number) for number in pair(part)),
+        "focal": lambda part: pair(part) if isinstance(part.value, list) else part.number(),
+        "centre": pair,
+        "distortion": lambda part: tuple(item.number() for item in part.items(0, 8)),
+        "fisheye": Entry.flag,
+        "unknown": lambda part: (
+            part.value
+            if isinstance(part.value, bool)
+            else {key: p.number() for key, p in part.pairs().items()}
+        ),
+        "focus": pair,
+    }
+    return Lens(name=name, **entry.values(readers, ("size",)))
+
+
+def _camera(
+    entry: Entry, name: str, boards: Mapping[str, Markers], lenses: Mapping[str, Lens]
+) -> Camera:
+    """Return a camera whose lens and board are said by name, or the only ones."""
+    readers: Readers = {
+        "lens": lambda part: _named(part, lenses, "lens"),
+        "board": lambda part: _named(part, boards, "board"),
+        "on": lambda part: part.choice("room", "platform") == "platform",
+        "known": Entry.flag,
+        **dict.fromkeys(("at", "towards", "rotation"), Entry.vector),
+    }
+    values = entry.values(readers)
+    for key, known in (("lens", lenses), ("board", boards)):
+        if key not in values and len(known) != 1:
+            entry.fail(f"key {f'cameras.{name}.{key}'!r} is missing: there are {len(known)}")
+        values.setdefault(key, *known.values())
+    markers, on_platform = values.pop("board"), values.pop("on", False)
+    return Camera(name, values.pop("lens"), markers, on_platform, **values)
+
+
+def _named(entry: Entry, known: Mapping[str, T], kind: str) -> T:
+    if (name := entry.text()) not in known:
+        entry.refuse(f"expected the name of a {kind}: {', '.join(known) or 'none is said'}")
+    return known[name]
+
+
+def _distance(entry: Entry) -> Distance:
+    values = entry.values({"from": Entry.vector, "target": Entry.name}, ("from",))
+    return Distance(values.pop("from"), **values)
