@@ -11,9 +11,10 @@ from scipy.spatial.transform import Rotation
 import pincal
 from pincal import Options
 from pincal.calibration.calibration import Calibration
-from pincal.calibration.hypotheses.plausibility import implausible, said
+from pincal.calibration.hypotheses.plausibility import implausible
 from pincal.calibration.validation import Validation
 from pincal.design.simulate import platform_errors
+from pincal.words.findings import sentences
 
 NOISE = pincal.Noise(1e-4, 1e-4, 5e-5)
 EXACT = pincal.Noise(0.0, 0.0, 0.0)
@@ -34,7 +35,7 @@ def check_plausible(
     """Raise if measurements cannot come from a mechanism like the nominal one."""
     options = Options(setup=setup or pincal.Setup())
     if faults := implausible(Calibration(mechanism, data, options)):
-        raise pincal.MeasurementError(said(faults))
+        raise pincal.MeasurementError(sentences(faults)[0])
 
 
 #: Poses that are sampled at least: few cost hardly less than these, the workspace's box the most.

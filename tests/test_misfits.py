@@ -15,9 +15,10 @@ import pincal
 from pincal import Options
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.findings import misaligned
-from pincal.calibration.hypotheses.plausibility import explain_misfit, said
+from pincal.calibration.hypotheses.plausibility import explain_misfit
 from pincal.estimation.observability.indices import DIFFER, plausible_changes
 from pincal.show.misses import errors_at
+from pincal.words.findings import sentences
 
 FRAME = pincal.Setup(unknown_frame=True)
 PLAIN = pincal.Setup()
@@ -125,14 +126,14 @@ def test_faults_are_named_in_known_and_unknown_frames(
     assert misfit(mechanism, data, setup) == ()
     found = misfit(mechanism, change(mechanism, data), setup)
     assert code in [one.code for one in found]
-    assert words in said(found)
+    assert words in sentences(found)[0]
     assert len(found) <= 2
     if code == "reading-offset":
         wrong = change(mechanism, data).readings - data.readings
         assert found[0].values["offsets"][0][1] == pytest.approx(wrong.sum() / 36, abs=0.06)
     with pytest.raises(pincal.MeasurementError) as caught:
         check_plausible(mechanism, change(mechanism, data), setup)
-    assert str(caught.value) == said(found)
+    assert str(caught.value) == sentences(found)[0]
 
 
 @pytest.mark.parametrize("kind", quick(1, KINDS))
@@ -146,7 +147,7 @@ def test_poses_in_another_frame_are_recognised(kind: str) -> None:
         check_plausible(mechanism, moved)
     (one,) = misfit(mechanism, rolled(1)(mechanism, moved))
     assert one.code == "rows-shifted"
-    assert "--unknown-frame" in said((one,))
+    assert "--unknown-frame" in sentences((one,))[0]
 
 
 @pytest.mark.parametrize("kind", quick(1, KINDS))
@@ -225,7 +226,7 @@ def test_one_bad_row_is_found(kind: str) -> None:
     data = put(data, "poses", (10, 0), data.poses[10, 0] + 3e-3)
     (one,) = misfit(mechanism, data)
     assert (one.code, one.rows) == ("bad-rows", (10,))
-    assert said((one,)).startswith("data row 11 misses the nominal mechanism")
+    assert sentences((one,))[0].startswith("data row 11 misses the nominal mechanism")
 
 
 def test_plausible_changes_follow_the_declared_order() -> None:
@@ -272,4 +273,4 @@ def test_parameters_that_moved_as_one_body(kind: str, what: str) -> None:
     assert one.values["frame"] == {"base": "base", "target": "platform"}[what]
     assert one.values["shift"] == pytest.approx(0.01, rel=0.35)
     (said_before,) = [text for text in result.warnings if "frame, by" in text]
-    assert said(found).split(" frame, by")[1] == said_before.split(" frame, by")[1]
+    assert sentences(found)[0].split(" frame, by")[1] == said_before.split(" frame, by")[1]

@@ -132,7 +132,7 @@ def test_one_error_gives_the_numbers_of_all(name: str, setup: pincal.Setup | Non
     np.testing.assert_allclose(found.sizes, errors.expected.sizes, rtol=same)
     assert root_mean_squares(inside.sizes) == pytest.approx(errors.mean_after(), rel=same)
     wider = unseen(result.reduced_chi2, result.chi2_freedoms)
-    limit = tuple(wider * one for one in inside.limit)
+    limit = tuple(np.hypot(wider * np.array(inside.limit), errors.inside.hidden))
     assert limit == pytest.approx(errors.inside.limit, rel=same, abs=1e-15)
 
 
@@ -154,7 +154,7 @@ def test_held_directions_give_the_numbers_of_all() -> None:
     region = poses[errors.expected.within]
     inside = platform_error(result.identified, result.covariance, region, held, result.frames_moved)
     assert root_mean_squares(inside.sizes) == pytest.approx(errors.mean_after(), rel=1e-9)
-    limit = tuple(errors.expected.unseen * one for one in inside.limit)
+    limit = tuple(np.hypot(errors.expected.unseen * np.array(inside.limit), errors.inside.hidden))
     assert limit == pytest.approx(errors.inside.limit, rel=1e-9)
     assert result.expected_error(poses).position == found.position
 
@@ -175,3 +175,25 @@ def test_a_limit_takes_in_what_residuals_cannot_show() -> None:
     assert unseen(0.5, 100.0) == 1.0
     assert unseen(1.0, 1e6) == pytest.approx(1.0, abs=2e-3)
     assert unseen(np.nan, 0.0) == 1.0
+
+
+def test_errors_that_look_like_noise_move_the_platform() -> None:
+    """By what χ² leaves beyond the noise: of measured poses, and of readings by forward alone."""
+    mechanism = pincal.load_mechanism("3RRR")
+    poses = pincal.sample_workspace(mechanism, 60, seed=0)
+    data = pincal.simulate(mechanism, mechanism, pincal.Plan(poses), NOISE, seed=2).measurements
+    result = pincal.calibrate(mechanism, data, noise=NOISE)
+    inside = poses[result.expected_error(poses).within]
+    readings = pincal.inverse(result.identified, inside).readings
+    moves = [
+        (pincal.forward(result.identified, readings + step, inside).poses - inside)[:, None] / 1e-6
+        for step in 1e-6 * np.eye(3)
+    ]
+    by_readings = np.concatenate(moves, axis=1) * NOISE.reading
+    variances = (by_readings**2).sum(axis=1) + NOISE.of_poses(mechanism) ** 2
+    noise = np.sqrt([variances[:, :2].sum(axis=1).mean(), variances[:, 2].mean()])
+    c = unseen(result.reduced_chi2, result.chi2_freedoms)
+    error = result.expected_error(inside)
+    assert c > 1.05
+    assert error.hidden == pytest.approx(np.sqrt(c**2 - 1.0) * noise, rel=1e-3)
+    assert error.limit[0] > error.hidden[0] > 0.0

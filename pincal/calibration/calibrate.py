@@ -24,7 +24,6 @@ from pincal.calibration.hypotheses.plausibility import (
     check_noise,
     explain_misfit,
     implausible,
-    said,
 )
 from pincal.calibration.options import AUTO, FOLDS, By, Options
 from pincal.calibration.result import CONTRADICTING, CalibrationResult
@@ -42,7 +41,7 @@ from pincal.finding import Finding
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
 from pincal.types import Array
-from pincal.words.findings import finding
+from pincal.words.findings import finding, sentences
 
 
 def calibrate(
@@ -235,7 +234,7 @@ def _start(calibration: Calibration) -> Array | None:
     faults = implausible(calibration)
     start = zeros_found(calibration, faults)
     if faults and start is None:
-        raise MisfitError(said(faults))
+        raise MisfitError(sentences(faults)[0])
     return start
 
 
@@ -245,7 +244,7 @@ def explained_error(calibration: Calibration, error: Exception) -> Exception:
     if isinstance(error, ObservabilityError):  # a few strange rows are no reason for that
         faults = tuple(fault for fault in faults if fault.severity == "error")
     if faults:
-        return MisfitError(said(faults))
+        return MisfitError(sentences(faults)[0])
     if isinstance(error, np.linalg.LinAlgError):
         return ObservabilityError(
             "the search went where the parameters are not determined; look for rows that are "

@@ -255,9 +255,7 @@ def misaligned(
     """
     rows = np.linspace(0, len(poses) - 1, min(_ROWS_MOVED, len(poses))).astype(int)
     plan = Plan(poses[rows], readings=readings[rows] if mechanism.by_readings else None)
-    if not np.isfinite(plan.poses).all() or (
-        mechanism.by_readings and np.isnan(readings[rows]).any()
-    ):
+    if not all(np.isfinite(part).all() for part in (plan.poses, plan.readings) if part is not None):
         return ()
     legs = legs_at(mechanism, plan)
     if not len(legs.gain) or not np.isfinite(legs.gain).all() or not changes.all():

@@ -15,10 +15,14 @@ from pincal.design.platform_error import (
     Unidentified,
     platform_error,
     root_mean_squares,
+    seen_of,
+    sizes,
 )
 from pincal.estimation.observability.gauge import unexplained
 from pincal.estimation.observation import Observation
 from pincal.estimation.unknowns import External
+from pincal.kinematics.batches import least_squares
+from pincal.kinematics.configurations import legs_at
 from pincal.kinematics.forward import forward
 from pincal.model.measurements import Plan
 from pincal.model.setup import ORIGIN
@@ -67,14 +71,15 @@ def expected_error(result: CalibrationResult, poses: Plan | Array | None) -> Pla
     they are what fits without these miss by. What is not measured, position or orientation, is as
     many times larger as the other.
     """
-    error = _by_covariance(result, measured_plan(result) if poses is None else poses)
+    poses = measured_plan(result) if poses is None else poses
+    error = _by_covariance(result, poses)
     largest = most_uncertain(result)
     known = np.where(largest == 0.0, np.inf, np.nan_to_num(largest))  # 0: it does not turn
     with np.errstate(divide="ignore", invalid="ignore"):
         ratios = np.where(np.isinf(error.sizes), np.inf, error.sizes / known).max(axis=1)
     error = replace(error, outside=ratios * (1.0 - _SAME), uncovered=uncovered(result))
     if result.promises:
-        return error
+        return replace(error, hidden=_hidden(result, poses, error.unseen))
     measured = _by_covariance(result, measured_plan(result)).sizes
     expected = np.array(root_mean_squares(measured))
     lacks = np.sqrt(np.maximum(np.square(result.misses) - expected**2, 0.0))
@@ -84,6 +89,26 @@ def expected_error(result: CalibrationResult, poses: Plan | Array | None) -> Pla
         beside = np.hypot(std, lack / np.sqrt(max(columns.sum(), 1)))
         std = np.where(columns, std * times if np.isnan(lack) else beside, std)
     return replace(error, std=std, promised=False)
+
+
+def _hidden(result: CalibrationResult, poses: Plan | Array, scale: float) -> tuple[float, float]:
+    """Return errors of the machine that residuals cannot show, root mean squares, [m] and [rad].
+
+    Conditions B δx + D δψ = 0 of poses and readings have noise of covariance K. What else the
+    machine is off by and no parameter holds, as clearance, stands in the same conditions; χ² leaves
+    the two together up to a scale (``unseen``), which leaves (scale² - 1) K to the machine. That
+    moves the platform wherever it goes, parameters apart: through B⁻¹ D by the readings' share.
+    """
+    noise, legs = result.calibration.noise, legs_at(result.identified, poses)
+    of_readings = np.sqrt(np.nanmean(noise.readings**2, axis=0))
+    of_poses = np.diag(np.sqrt(np.nanmean(noise.poses.sigma**2, axis=0)))
+    by_readings = least_squares(legs.pose, legs.reading * of_readings)
+    known = np.isfinite(by_readings).all(axis=(1, 2))  # not at a type-2 singularity
+    twists = np.broadcast_to(of_poses, (known.sum(), *of_poses.shape))
+    twists = np.concatenate((by_readings[known], twists), axis=2)
+    moved, units = seen_of(result.identified, legs.poses[known], twists, seen_by(result))
+    parts = root_mean_squares(sizes(units, np.linalg.norm(moved, axis=2)))
+    return parts[0] * (scale**2 - 1.0) ** 0.5, parts[1] * (scale**2 - 1.0) ** 0.5
 
 
 def most_uncertain(result: CalibrationResult) -> Array:
@@ -197,9 +222,8 @@ def misses_of(calibration: Calibration, parameters: Array, external: External) -
     complete = np.isfinite(data.readings).all(axis=1) & observation.measured.any(axis=1)
     rows = np.flatnonzero(complete)
     influences = None if calibration.influences is None else calibration.influences[rows]
-    guess = None  # measured in another frame
-    if calibration.options.setup.plain:
-        guess = np.where(np.isfinite(data.poses[rows]), data.poses[rows], machine.platform.home)
+    poses = np.where(np.isfinite(data.poses[rows]), data.poses[rows], machine.platform.home)
+    guess = poses if calibration.options.setup.plain else None  # measured in another frame
     solution = forward(machine, data.readings[rows], guess, influences)
     rows, poses = rows[solution.converged], solution.poses[solution.converged]
     observed = observation.at(rows)
@@ -216,11 +240,11 @@ def by_target(observation: Observation, errors: Array) -> Misses:
     named |= {(contact, "m"): axes for contact, axes in setup.contact_axes(platform).items()}
     turns = zip(platform.freedoms, platform.units, strict=True)
     named[ORIGIN, "rad"] = [name for name, unit in turns if unit == "rad"]
-    sizesby_target: Misses = {}
+    sizes_by_target: Misses = {}
     for target, of_target in named.items():
         part = errors[:, [names.index(name) for name in of_target if name in names]]
         known = np.isfinite(part).any(axis=1)
         if known.any():
             size = np.sqrt(np.nansum(part**2, axis=1))
-            sizesby_target[target] = np.where(known, size, np.nan)
-    return sizesby_target
+            sizes_by_target[target] = np.where(known, size, np.nan)
+    return sizes_by_target

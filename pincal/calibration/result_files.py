@@ -88,19 +88,10 @@ def _checked(converter: Converter, data: dict[str, Any], kind: type) -> Any:
     """Return a part of a camera of its plain data."""
     parts = {"lens": Lens, "markers": Markers}
     values = {
-        name: converter.structure(value, parts[name]) if name in parts else _numbers(value)
+        name: converter.structure(value, parts[name]) if name in parts else _frozen(value)
         for name, value in data.items()
     }
     return kind(**values)
-
-
-def _numbers(data: Any) -> Any:
-    """Return plain data with tuples for lists, and infinity for its name."""
-    if isinstance(data, dict):
-        return {name: _numbers(value) for name, value in data.items()}
-    return (
-        tuple(map(_numbers, data)) if isinstance(data, list) else np.inf if data == "inf" else data
-    )
 
 
 def _converter() -> Converter:

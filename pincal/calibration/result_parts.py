@@ -12,9 +12,8 @@ from pincal.types import Array, Index
 from pincal.words.numbers import SMALL, measured, shown_in
 
 HELD = "held nearest to nominal"
-CONTROLLED = (
-    1e-3  # redundancy up to which a residual is what the fit made of it, whatever the noise
-)
+CONTROLLED = 1e-3
+"""Redundancy up to which a residual is what the fit made of it, whatever the noise."""
 
 
 def _rms(values: Array) -> float:

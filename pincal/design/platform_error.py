@@ -63,6 +63,8 @@ class PlatformError:
     unseen: float = 1.0
     """Factor of the limit for what residuals cannot show: errors of the model, up to the largest
     scale that χ² leaves possible at 95 %."""
+    hidden: tuple[float, float] = (0.0, 0.0)
+    """Root mean squares of the machine's errors up to that scale, beside noise, [m] and [rad]."""
     promised: bool = True
     """Whether a limit is promised: not where something contradicts the model or its noise."""
     outside: Array = field(default_factory=lambda: np.zeros(0))
@@ -119,8 +121,9 @@ class PlatformError:
         if self.degrees_of_freedom is not None:
             dof = max(self.degrees_of_freedom, 1)
             squares *= dof / rng.chisquare(dof, (DRAWS, 1))
-        position, orientation = np.sqrt(np.quantile(squares @ self.weights.T, CONFIDENCE, axis=0))
-        return self.unseen * float(position), self.unseen * float(orientation)
+        of_parameters = np.sqrt(np.quantile(squares @ self.weights.T, CONFIDENCE, axis=0))
+        position, orientation = np.hypot(self.unseen * of_parameters, self.hidden).tolist()
+        return position, orientation
 
     def __repr__(self) -> str:
         return f"PlatformError({self._shown(self.position, self.orientation)}, {self.poses} poses)"
@@ -187,14 +190,11 @@ def platform_error(
     determined = np.isfinite(std).all(axis=1)
     values, axes = np.linalg.eigh(covariance)
     root = axes * np.sqrt(values.clip(0.0))
-    weights = []
+    known, weights = determined[rows], []
+    moves = np.concatenate((gain[known] @ root, held_moves[rows[known]]), axis=2)
     for unit in ("m", "rad"):
-        of_unit = [name == unit for name in units]
-        gain_of_unit = gain[determined[rows]][:, of_unit]
-        moves_of_unit = held_moves[rows[determined[rows]]][:, of_unit]
-        G = np.concatenate((gain_of_unit @ root, moves_of_unit), axis=2)
-        G = G.reshape(-1, G.shape[2])
-        weights.append(np.linalg.eigvalsh(G.T @ G).clip(0.0) / max(len(gain_of_unit), 1))
+        G = moves[:, [name == unit for name in units]].reshape(-1, moves.shape[2])
+        weights.append(np.linalg.eigvalsh(G.T @ G).clip(0.0) / max(len(moves), 1))
     return PlatformError(std, units, np.array(weights), degrees_of_freedom)
 
 

@@ -112,8 +112,8 @@ def simulate(
     if mechanism.redundant:
         poses, solution = plan.poses, inverse(truth, plan.poses, planned_influences(truth, plan))
         readings = solution.readings
-        causes = [solution.reason(row) for row in range(count)]
-        reasons = [f"true mechanism: {reason}" if reason else "" for reason in causes]
+        causes = map(solution.reason, range(count))
+        reasons = [cause and f"true mechanism: {cause}" for cause in causes]
     else:
         _, readings, poses, reasons = _driven(mechanism, truth, plan)
     rows = np.flatnonzero([not reason for reason in reasons])

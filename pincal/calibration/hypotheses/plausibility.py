@@ -40,7 +40,7 @@ from pincal.model.checks import ROUNDING
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
 from pincal.model.setup import Setup
-from pincal.words.findings import finding, sentence, sentences
+from pincal.words.findings import finding, sentence
 
 _STILL = 1e-3  # readings that differ by less hardly move, of a leg's size and [rad]
 _FOLLOWS = 0.5  # of the stroke: what is left of readings that follow the nominal ones
@@ -78,11 +78,6 @@ def hypotheses_of(calibration: Calibration) -> list[tuple[Finding, Judged]]:
     explaining = _explaining(case)
     findings = as_findings(case.mechanism, judge_as_measured(case), explaining)
     return list(zip(findings, explaining, strict=True))
-
-
-def said(findings: tuple[Finding, ...]) -> str:
-    """Return findings of one cause as one message."""
-    return sentences(findings)[0]
 
 
 def _faults(
@@ -238,13 +233,9 @@ def _strange(case: Case, as_measured: Judged) -> tuple[Finding, ...]:
     worst, leg = max(legs, key=lambda pair: as_measured.gap[pair[0]])
     if as_measured.gap[worst] > DIFFER:
         return (finding("not-this-mechanism", leg=leg.name, gap=float(as_measured.gap[worst])),)
+    counts = np.stack((as_measured.bent, as_measured.rows), axis=1).astype(int).tolist()
     bent = tuple(
-        (
-            leg.name,
-            tuple(leg.moving[j].name for j in leg.passive),
-            int(as_measured.bent[i]),
-            int(as_measured.rows[i]),
-        )
+        (leg.name, tuple(leg.moving[j].name for j in leg.passive), *counts[i])
         for i, leg in legs
         if not as_measured.as_home[i]
     )

@@ -116,8 +116,8 @@ class Scene:
 
     @property
     def size(self) -> float:
-        """Diagonal of the bounds, [m]."""
-        return float(np.linalg.norm(np.ptp(self.bounds(), axis=0)))
+        """Diagonal of the bounds, [m]; the mechanism's size where all axes meet in one point."""
+        return float(np.linalg.norm(np.ptp(self.bounds(), axis=0))) or self.mechanism.size
 
     @property
     def level(self) -> float:
@@ -128,7 +128,7 @@ class Scene:
     def ground(self) -> Layer:
         """Return lines on the ground under all that is drawn, at steps of 1, 2 or 5 decades."""
         low, high = self.bounds()[:, :2]
-        step = rounded_down(max(float((high - low).max()), 1e-9) / 6)
+        step = rounded_down((float((high - low).max()) or self.size) / 6)
         begin, end = np.floor(low / step) * step, np.ceil(high / step) * step
         lines = []
         for axis in (0, 1):
