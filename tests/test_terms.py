@@ -157,7 +157,7 @@ def test_gravity_bends_an_arm_and_is_identified() -> None:
     assert pincal.calibrate(arm, data, **given).reduced_chi2 > 3.0 * result.reduced_chi2
 
 
-def test_a_weight_that_nobody_said_is_taken_up_by_amplitudes() -> None:
+def test_a_weight_that_nobody_said_is_taken_up_by_amplitudes(tmp_path: Path) -> None:
     """Of a machine that sags under 7 kg, 1 kg and amplitudes seven times as large do the same."""
     plain = pincal.load_mechanism("linear_delta")
     machine = replace(extended(plain, FORMS["gravity"]), load=Load(7.0))
@@ -168,6 +168,12 @@ def test_a_weight_that_nobody_said_is_taken_up_by_amplitudes() -> None:
     assert result.identified.load is not None
     assert result.identified.load.mass == 1.0
     assert "weight" in result.expected_error().uncovered  # links may weigh, too
+    kept = pincal.load_mechanism(result.identified.save(tmp_path / "kept")).load
+    assert kept is not None
+    assert kept.assumed
+    told = replace(plain, load=Load(1.0))
+    same = pincal.calibrate(told, unaware, noise=EXACT, terms=["gravity"])
+    assert "weight" not in same.expected_error().uncovered  # 1 kg that somebody said
     readings = pincal.inverse(truth, data.poses[:5]).readings
     reached = pincal.forward(result.identified, readings, data.poses[:5]).poses
     np.testing.assert_allclose(reached, data.poses[:5], atol=1e-9)

@@ -246,6 +246,7 @@ def inside(folder: Path, name: str) -> Path:
 def mechanism_yaml(mechanism: Mechanism) -> str:
     """Return the text of a mechanism's ``mechanism.yaml``."""
     platform, load = mechanism.platform, mechanism.load
+    weight = load and vars(load) | {"drawn": dict(load.drawn), "assumed": load.assumed or None}
     kind: Any = platform.kind
     if kind not in KINDS:
         kind = {"name": platform.kind, "freedoms": platform.twist}
@@ -257,7 +258,7 @@ def mechanism_yaml(mechanism: Mechanism) -> str:
         "platform": {"kind": kind, "urdf": "platform.urdf", "home": home},
         "legs": [_described_leg(leg) for leg in mechanism.legs],
         "labels": dict(mechanism.labels),
-        "load": None if load is None else vars(load) | {"drawn": dict(load.drawn)},
+        "load": weight and _filled(weight),
     }
     header = "# A mechanism of pincal. Lengths in m, angles in rad. See docs/mechanism_files.md\n"
     return header + yaml.dump(_filled(keys), Dumper=_Dumper, sort_keys=False, width=100)

@@ -205,11 +205,8 @@ class Load:
     drawn: tuple[tuple[str, float], ...] = ()
     """Parameters of the machine whose loads these are, by id: those of the drawing, so that loads
     of a row are the same before and after calibration. The mechanism's own if empty."""
-
-    @property
-    def assumed(self) -> bool:
-        """Whether it is 1 kg at the origin, as stands for a weight that nobody said."""
-        return (self.mass, self.centre) == (1.0, (0.0, 0.0, 0.0))
+    assumed: bool = False
+    """Whether it stands for a weight that nobody said, to which amplitudes are in proportion."""
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.mass < np.inf:

@@ -115,7 +115,7 @@ def weighed(mechanism: Mechanism, measurements: Measurements, kinds: Sequence[Ki
             f"{LOAD}_{mechanism.reading_names[0]} …, or say it in mechanism.yaml: 'load: "
             "{mass: …, centre: […], gravity: […]}'"
         )
-    return replace(mechanism, load=Load(1.0))
+    return replace(mechanism, load=Load(1.0, assumed=True))
 
 
 def every_pair(mechanism: Mechanism, measurements: Measurements) -> list[Pair]:
