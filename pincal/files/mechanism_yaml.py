@@ -270,11 +270,10 @@ def _described_leg(leg: Leg) -> dict[str, Any]:
         name: _described_terms((term for owner, term in leg.terms if owner == name), leg.name)
         for name in leg.deformed
     }
-    links = leg_links(leg)
     return {
         "name": leg.name,
         "urdf": f"{leg.name}.urdf",
-        "tip": links[-1],
+        "tip": leg_links(leg)[-1],
         "platform_point": leg.point.name,
         **({} if leg.closes == "point" else {"closes": leg.closes}),
         **({"ends": [_described_end(end, leg) for end in leg.ends]} if leg.ends else {}),
