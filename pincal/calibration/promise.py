@@ -80,8 +80,7 @@ def expected_error(result: CalibrationResult, poses: Plan | Array | None) -> Pla
     error = replace(error, outside=ratios * (1.0 - _SAME), uncovered=uncovered(result))
     if result.promises:
         return replace(error, hidden=_hidden(result, poses, error.unseen))
-    measured = _by_covariance(result, measured_plan(result)).sizes
-    expected = np.array(root_mean_squares(measured))
+    expected = np.array(root_mean_squares(_by_covariance(result, measured_plan(result)).sizes))
     lacks = np.sqrt(np.maximum(np.square(result.misses) - expected**2, 0.0))
     std, lengths = error.std, np.array([unit == "m" for unit in error.units])
     times = np.nanmax([1.0, *np.hypot(1.0, lacks[expected > 0.0] / expected[expected > 0.0])])
@@ -245,6 +244,5 @@ def by_target(observation: Observation, errors: Array) -> Misses:
         part = errors[:, [names.index(name) for name in of_target if name in names]]
         known = np.isfinite(part).any(axis=1)
         if known.any():
-            size = np.sqrt(np.nansum(part**2, axis=1))
-            sizes_by_target[target] = np.where(known, size, np.nan)
+            sizes_by_target[target] = np.where(known, np.sqrt(np.nansum(part**2, axis=1)), np.nan)
     return sizes_by_target
