@@ -16,15 +16,15 @@ from tools.counts import Counts, count, count_revision, main  # noqa: E402
 LINES = {
     "": 210,
     "architectures": 638,
-    "calibration": 5_760,
-    "cli": 2_250,
-    "design": 1_820,
-    "estimation": 4_892,
-    "files": 2_910,
+    "calibration": 5_833,
+    "cli": 2_280,
+    "design": 1_870,
+    "estimation": 4_963,
+    "files": 3_064,
     "formats": 2_175,
-    "instruments": 1_082,
+    "instruments": 1_083,
     "kinematics": 3_510,
-    "model": 3_491,
+    "model": 3_544,
     "show": 3_796,
     "symmetry": 1_374,
     "words": 872,
@@ -32,7 +32,7 @@ LINES = {
 }
 """Most lines of each room; a room that is not listed may have none."""
 MOST = {
-    "files": 170,
+    "files": 171,
     "page lines": 780,
     "largest folder": 15,
     "vague names": 0.0115,

@@ -33,7 +33,7 @@ from pincal.estimation.unknowns import State
 from pincal.kinematics.batches import over_rows
 from pincal.model.measurements import Noise
 from pincal.model.parameter import Parameter, means
-from pincal.model.setup import Systematic
+from pincal.model.setup import ROW, Systematic
 from pincal.types import Array, Mask
 
 _UNMOVED = 0.1  # of a standard error: what is held and moves a value by less leaves its interval
@@ -361,20 +361,26 @@ def _of_platform(fit: Fit, shares: Array) -> list[ResidualGroup]:
     """Return what is left of what was measured of the platform; redundancies are (N, r)."""
     observation, n_legs = fit.problem.observation, fit.problem.leg_block.n_rows
     before, after = (linear.conditions[:, n_legs:] for linear in (fit.first, fit.last))
-    groups, measured = (
-        [],
-        {n: (i, observation.measured[:, i]) for i, n in enumerate(observation.names)},
-    )
+    groups, columns_of = list[ResidualGroup](), enumerate(observation.names)
+    measured = {name: (i, observation.measured[:, i]) for i, name in columns_of}
+    between = observation.setup.between
     for point, columns, rows in observation.touches():  # point by point, in place of all together
         for column, axis in zip(columns.tolist(), "xyz", strict=False):
             measured.pop(observation.names[column], None)
-            measured[f"{point}_{axis}"] = column, rows
+            if not point.startswith(f"{ROW}_"):  # what is where a row stood
+                measured[f"{point}_{axis}"] = column, rows
     for name, (column, rows) in measured.items():
         counted = rows & (fit.weights > 0.0)
         if counted.any():
             quantity, unit = observation.names[column], observation.units[column]
             parts = (part[:, column] for part in (before, after, observation.sigma, shares))
-            groups.append(ResidualGroup(name, quantity, unit, **_columns(fit, counted, *parts)))
+            fields = _columns(fit, counted, *parts)
+            if name in between:  # all of a kind together
+                name = quantity = name.partition("_")[0]
+                if groups and groups[-1].name == name:
+                    former = vars(groups.pop())
+                    fields = {key: np.append(former[key], part) for key, part in fields.items()}
+            groups.append(ResidualGroup(name, quantity, unit, **fields))
     return groups
 
 

@@ -21,6 +21,7 @@ from pincal.calibration.hypotheses.faults import zeros_found, zeros_measured
 from pincal.calibration.hypotheses.plausibility import (
     check_contacts,
     check_copies,
+    check_distances,
     check_noise,
     explain_misfit,
     implausible,
@@ -108,8 +109,9 @@ def prepared(
         partial=asked.latent,  # all legs at once need no complete poses
         influences=columns_of_terms(asked.terms),
     )
+    completed = replace(asked, setup=asked.setup.of_rows(data.contacts))
     # a copy of the measurements: the user's may be changed
-    return with_followed_influences(Calibration(machine, replace(data), asked))
+    return with_followed_influences(Calibration(machine, replace(data), completed))
 
 
 @one_thread()
@@ -195,6 +197,7 @@ def started(calibration: Calibration) -> Calibration:
     check_noise(calibration.mechanism, options.noise)
     check_copies(calibration.measurements, every_pose=options.every_pose)
     check_contacts(calibration.measurements, calibration.observation.setup)
+    check_distances(calibration)
     calibration = _with_terms(calibration)
     if options.setup.plain:
         calibration = replace(calibration, start=_start(calibration))

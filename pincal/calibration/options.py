@@ -38,8 +38,8 @@ def folds_of(data: Measurements, folds: int, by: By = "turn") -> Index:
             raise MeasurementError("runs are left out by a column 'run' with at least two in it")
         return np.array([names.index(run) for run in data.runs or ()])
     places = clusters(data)
-    touched = data.contacts.values()  # each point is touched in other folds, too
-    sets = list(zip(data.sets or ("",) * len(data), *touched, strict=True))
+    # each point is touched in other folds, too
+    sets = list(zip(data.sets or ("",) * len(data), *data.touched, strict=True))
     groups: dict[tuple[str, ...], dict[str, list[int]]] = {}
     for row, (chosen, place) in enumerate(zip(sets, places, strict=True)):
         groups.setdefault(chosen, {}).setdefault(place, []).append(row)

@@ -25,7 +25,7 @@ from pincal.kinematics.batches import least_squares
 from pincal.kinematics.configurations import legs_at
 from pincal.kinematics.forward import forward
 from pincal.model.measurements import Plan
-from pincal.model.setup import ORIGIN
+from pincal.model.setup import ORIGIN, ROW
 from pincal.model.terms import Load
 from pincal.types import Array
 
@@ -236,7 +236,8 @@ def by_target(observation: Observation, errors: Array) -> Misses:
     """Return sizes of errors of measured quantities, (N, r), by target; NaN where none is known."""
     platform, names, setup = observation.platform, list(observation.names), observation.setup
     named = {(target, "m"): axes for target, axes in setup.positions(platform).items()}
-    named |= {(contact, "m"): axes for contact, axes in setup.contact_axes(platform).items()}
+    touched = setup.contact_axes(platform).items()
+    named |= {(contact, "m"): axes for contact, axes in touched if contact != ROW}
     turns = zip(platform.freedoms, platform.units, strict=True)
     named[ORIGIN, "rad"] = [name for name, unit in turns if unit == "rad"]
     sizes_by_target: Misses = {}

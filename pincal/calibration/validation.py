@@ -33,6 +33,8 @@ from pincal.estimation.solver import solve_poses
 from pincal.estimation.start import placed, poses_at_rest
 from pincal.estimation.system import UNLIKELY, suspected
 from pincal.kinematics.batches import CHUNK
+from pincal.kinematics.forward import forward
+from pincal.model.setup import ROW, TO
 from pincal.types import Array, Index, Mask
 from pincal.words.findings import finding
 
@@ -93,11 +95,13 @@ def _validated(fits_of_all: Fits, folds: int, by: By) -> tuple[Validation, list[
     misses = {target: np.full(len(groups), np.nan) for target in at_fit}
     dof = fits_of_all.degrees_of_freedom
     chi2 = sum(fit.chi2 for fit in fits_of_all.fits)
-    total = chi2 if (groups >= 0).all() else None  # rows to verify with are in no fit
+    # rows to verify with are in no fit, nor is what relates rows of two folds
+    open_ends = [(groups < 0).any(), calibration.observation.setup.between]
+    total = None if any(open_ends) else chi2
     unit = 1.0 if calibration.noise.known else max(chi2 / max(dof, 1), 1e-300)
     for fold in range(count):
         calibration.options.report(f"held-out rows, fold {fold + 1} of {count}")
-        seen_rows, unseen = groups != fold, calibration.rows(groups == fold)
+        seen_rows, unseen = groups != fold, held_rows(calibration, groups == fold)
         fold_calibration = calibration.rows(seen_rows).at_this_noise()
         fits = converged(fold_calibration, f"fold {fold + 1} of {count}", fits_of_all, seen_rows)
         predicted = predictions(fits, unseen)
@@ -113,7 +117,7 @@ def _validated(fits_of_all: Fits, folds: int, by: By) -> tuple[Validation, list[
     expected = float(fit * np.sqrt(1.0 + unknown / equations))
     p_value = least_of_folds(chances)
     is_worse = p_value < UNLIKELY and fit <= MISSES and not rounding(fits_of_all)
-    rows, may_be_wrong = np.flatnonzero(groups == 0), is_worse and total is None
+    rows, may_be_wrong = np.flatnonzero(groups == 0), is_worse and open_ends[0]
     strays = _strays(fits, predicted, sums, unit, rows) if may_be_wrong else []
     worse = finding("held-out-worse", held_out=held, expected=expected, p_value=p_value)
     places = np.array(clusters(calibration.measurements))
@@ -135,11 +139,25 @@ def _validated(fits_of_all: Fits, folds: int, by: By) -> tuple[Validation, list[
     return validation, strays
 
 
+def held_rows(calibration: Calibration, rows: Mask) -> Calibration:
+    """Return the calibration on rows held out, measured from others, whose points the fit knows."""
+    unseen, every = calibration.rows(rows), calibration.measurements.contacts
+    if ROW not in every:
+        return unseen
+    part, index = unseen.measurements, np.flatnonzero(rows)
+    contacts, theirs = dict(part.contacts), {every[ROW][row] for row in index}
+    for column in (name for name in every if name.endswith(TO)):
+        names = (every[column][row] for row in index)
+        contacts[column] = tuple("" if name in theirs else name for name in names)
+    contacts[ROW] = ("",) * len(index)
+    return replace(unseen, measurements=replace(part, contacts=contacts))
+
+
 def _check_touched(calibration: Calibration, groups: Index) -> None:
     """Raise if a point at an unknown place is touched by rows of one fold alone, groups (N,)."""
     for column, point, contact in calibration.options.setup.touched.values():
         rows = np.array(calibration.measurements.contacts[column]) == point
-        if contact.points[point] is None and len(np.unique(groups[rows])) == 1:
+        if column != ROW and contact.points[point] is None and len(np.unique(groups[rows])) == 1:
             raise MeasurementError(
                 f"{column} {point!r} is touched by rows alone that are held out together, and the "
                 "others do not say where it is"
@@ -169,6 +187,12 @@ def predictions(fits_of_all: Fits, unseen: Calibration) -> list[tuple[Fit, Index
         (fit,) = fits_of_all.fits
         problem, external = unseen.latent_problem, fit.last.state.external
         state = placed(problem, unseen.measurements, fit.parameters, external)
+        if problem.observation.setup.between:  # no pose is measured that could be near
+            readings, machine = unseen.measurements.readings, unseen.identified(fit.parameters)
+            solution = forward(machine, readings, influences=unseen.influences)
+            matrices = problem.platform.matrices(solution.poses)
+            reached = solution.converged[:, None, None]
+            state = replace(state, matrices=np.where(reached, matrices, state.matrices))
         linear, _ = solve_poses(poses_at_rest(problem.evaluate(state)))
         return [(fit, np.arange(len(unseen.measurements)), linear)]
     parts = []

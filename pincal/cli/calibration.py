@@ -24,7 +24,8 @@ from pincal.files.columns import columns_of
 from pincal.files.measurements import read_measurements, read_poses
 from pincal.files.mechanism_folders import mechanism_files
 from pincal.files.output import refuse_existing
-from pincal.files.table import write_table
+from pincal.files.pairs import with_pairs
+from pincal.files.table import TextTable, write_table
 from pincal.model.option import option, option_of
 from pincal.model.orientation import SINGLE_ANGLES
 from pincal.model.setup import ORIGIN
@@ -43,6 +44,15 @@ class InputOptions(SetupOptions):
     noise_orientation: float | None = option(None, option_of(Noise, "orientation"))
     noise_reading: float | None = option(None, option_of(Noise, "reading"))
     noise_pixel: float | None = option(None, option_of(Noise, "pixel"))
+    pairs: Path | None = option(
+        None,
+        "Distances between rows, by calliper: row a, row b, distance [mm].",
+        metavar="PAIRS.csv",
+    )
+
+    def table(self, path: Path) -> Path | TextTable:
+        """Return a file of measurements, or its table with the distances of pairs."""
+        return path if self.pairs is None else with_pairs(path, self.pairs)
 
     def calibration(self, mech: str, path: Path, options: Options) -> Calibration:
         """Return the calibration to be done, by measurements in a file."""
@@ -50,9 +60,9 @@ class InputOptions(SetupOptions):
         priors = options.priors_of(mechanism.parameters)
         folds = options.folds or FOLDS  # of a choice of terms, also without held-out validation
         options = replace(options, setup=self.read_setup(), priors=priors, folds=folds)
-        calibration = prepared(mechanism, path, options)
+        calibration = prepared(mechanism, self.table(path), options)
         noise = self.noise_of(mechanism, calibration.measurements, options.setup)
-        return replace(calibration, options=replace(options, noise=noise))
+        return replace(calibration, options=replace(calibration.options, noise=noise))
 
     def noise_of(self, mechanism: Mechanism, data: Measurements, setup: Setup) -> Noise | None:
         """Return the noise given, or None if none was; a tracker says itself how well it measures.
@@ -126,7 +136,8 @@ def calibrate(
         except MisfitError as error:
             raise MisfitError(f"{error}. To try what may be wrong: {_again('doctor')}") from error
         result.save(output, force=running.force)
-        files = [*mechanism_files(mech), measurements, *filter(None, [known.setup_file])]
+        files = [*mechanism_files(mech), measurements]
+        files += filter(None, [known.setup_file, known.pairs])
         errors, undrawn = None, ""
         try:
             progress("sampling the workspace for the platform's errors")
@@ -237,7 +248,8 @@ def doctor(
     mechanism, setup = load_mechanism(mech), known.read_setup()
     if output is not None:
         refuse_existing(output, force=force)
-    data = read_measurements(measurements, mechanism, setup, partial=True, influences=None)
+    table = known.table(measurements)
+    data = read_measurements(table, mechanism, setup, partial=True, influences=None)
     options = Options(noise=known.noise_of(mechanism, data, setup), setup=setup)
     tries: list[Remedy] = []
     with working("trying what may be wrong") as progress:

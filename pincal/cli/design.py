@@ -24,7 +24,7 @@ from pincal.cli.options import (
     output_option,
 )
 from pincal.design.orbits import selection_group
-from pincal.design.order import in_turns, with_reference, with_verification
+from pincal.design.order import in_turns, with_distances, with_reference, with_verification
 from pincal.design.select import Goal, Protocol
 from pincal.files.columns import columns_of
 from pincal.files.measurements import read_poses
@@ -71,11 +71,26 @@ class SelectOptions(PlanOptions):
     )
     goal: Goal = option("parameters", "Best for the parameters, or for the calibrated platform.")
     starts: int = option(5, "Starts of the search; the best is kept.", least=1)
+    distances: int = option(
+        0,
+        "Distances from each pose to others, by calliper or tape, in place of positions.",
+        least=0,
+    )
     verify: int = option(0, "Additional random poses to verify the calibration with.", least=0)
     reference: int | None = option(
         None, "Repeat one pose every so many rows, which shows drift.", least=1
     )
     force: bool = option(False, FORCE)
+
+    def read_setup(self) -> Setup:
+        """Return the setup; distances say of a machine what positions in an unknown frame say."""
+        return super().read_setup().anywhere(frame=self.distances > 0)
+
+    def measured(self, mechanism: Mechanism, setup: Setup) -> tuple[str, ...]:
+        """Return what is measured of the platform, or what distances stand for."""
+        platform = mechanism.platform
+        every = super().measured(mechanism, setup)
+        return platform.freedoms[: platform.lengths] if self.distances else every
 
 
 @command
@@ -98,7 +113,8 @@ def select(
     The sets take turns in the plan, in a random order, so that what drifts while you measure is
     no leg's error. --verify adds poses of the set 'verify', which 'pincal calibrate' predicts.
     --reference N measures the pose in the middle again every N rows; in the column 'pose' its rows
-    have one name, 'reference'.
+    have one name, 'reference'. --distances N measures N others from each pose instead of positions:
+    columns 'distance_1_to' … name their rows.
     """
     mechanism = pincal.load_mechanism(mech)
     if mechanism.influences:
@@ -119,6 +135,7 @@ def select(
         count = len(plan)
         plan = with_reference(mechanism, plan, options.reference)
         remark(f"one pose is measured {len(plan) - count} times more, as the pose 'reference'")
+    plan = with_distances(plan, options.distances)
     write_table(output, columns_of(mechanism, plan), units=units, force=options.force)
     stdout.print(table)
     wrote(output)
@@ -218,10 +235,11 @@ def identifiability(
     mechanism = pincal.load_mechanism(mech)
     units = options.written_in(mechanism)
     setup = options.read_setup()
-    measured = options.measured(mechanism, setup)
     if plan is not None:
         poses = read_poses(plan, mechanism, setup=setup)
+        setup = setup.of_rows(poses.contacts)
         check_reached(mechanism, poses, str(plan))
+    measured = options.measured(mechanism, setup)
     with working("sampling the workspace"):
         workspace = pincal.sample_configurations(mechanism, 1000, options.seed)
         if plan is None:

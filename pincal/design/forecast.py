@@ -40,7 +40,7 @@ from pincal.kinematics.derivatives import Demand
 from pincal.model.checks import described
 from pincal.model.measurements import Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism
-from pincal.model.setup import Setup
+from pincal.model.setup import ROW, Setup
 from pincal.types import Array
 
 
@@ -59,12 +59,12 @@ def leg_rows(demand: Demand, mechanism: Mechanism, noise: Noise) -> Array:
 
 def touching(mechanism: Mechanism, plan: Plan, setup: Setup, errors: Array | float = 0.0) -> Plan:
     """Return a plan whose contacts touch, but for errors (N, 3): see ``Observation.touching``."""
-    if not setup.contacts:
+    contacts = {name: contact for name, contact in setup.contacts.items() if name != ROW}
+    if not contacts:
         return plan
     readings = np.zeros((len(plan), len(mechanism.reading_names)))
     data = Measurements(poses=plan.poses, readings=readings, contacts=plan.contacts)
-    contacts = Setup(targets=setup.targets, contacts=setup.contacts)
-    observation = Observation(mechanism, data, contacts)
+    observation = Observation(mechanism, data, Setup(targets=setup.targets, contacts=contacts))
     return observation.touching(mechanism, plan, observation.external.start, errors)
 
 
@@ -100,7 +100,8 @@ def information_rows(
     readings = np.zeros((count, legs.reading.shape[2]))
     data = Measurements(poses=coordinates, readings=readings, extra=columns, contacts=legs.contacts)
     observation = Observation(mechanism, data, setup)
-    start, chosen = observation.external.start, [observation.names.index(name) for name in names]
+    start = observation.at_touch(matrices, observation.external.start)
+    chosen = [observation.names.index(name) for name in names]
     value, *slopes = observation.residuals(matrices, start)
     by_pose, by_external = (rows[:, chosen] for rows in slopes)
     predicted = {name: value[:, observation.names.index(name)] for name in columns}
@@ -234,6 +235,7 @@ def forecast(
     mechanism = as_mechanism(mechanism)
     noise, setup = as_noise(noise), read_setup(setup or Setup())
     plan = as_plan(mechanism, poses)
+    setup = setup.of_rows(plan.contacts)
     plan = touching(mechanism, plan.rows(~plan.verifying), setup)  # no fit follows the others
     legs = legs_at(mechanism, plan)
     if not len(legs.poses):

@@ -11,6 +11,31 @@ from pincal.kinematics.configurations import as_plan, joints_at
 from pincal.model.checks import count_of
 from pincal.model.measurements import EVERY_LEG, VERIFY, Plan
 from pincal.model.mechanism import Mechanism
+from pincal.model.setup import ROW, TO
+
+
+def with_distances(plan: Plan, count: int) -> Plan:
+    """Return a plan whose rows, called 1, 2, …, are each measured from so many others.
+
+    Rows far from each other in the plan and near ones alike, no pair twice.
+
+    Raises:
+        ObservabilityError: there are not as many others.
+    """
+    rows = len(plan)
+    if 2 * count > rows - 1:
+        raise ObservabilityError(
+            f"{rows} poses have at most {(rows - 1) // 2} distances each, no pair measured twice; "
+            f"{count} were asked for"
+        )
+    names = tuple(str(1 + row) for row in range(rows))
+    steps = np.linspace(1, (rows - 1) // 2, count).round().astype(int).tolist()
+    columns = {
+        f"distance_{slot}{TO}": tuple(np.roll(names, -step).tolist())
+        for slot, step in enumerate(steps, start=1)
+    }
+    return replace(plan, contacts={**plan.contacts, ROW: names, **columns}) if count else plan
+
 
 REFERENCE = "reference"
 """Name of the pose that is measured again and again."""

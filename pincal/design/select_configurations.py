@@ -71,6 +71,7 @@ def select_configurations(
     originals = distinct(mechanism.platform, plan.poses, plan.readings)
     noise, setup = as_noise(search.noise), read_setup(setup or Setup())
     plan = Plan(plan.poses, readings=plan.readings, contacts=plan.contacts).rows(originals)
+    setup = setup.of_rows(plan.contacts)
     plan = touching(mechanism, plan, setup)
     legs = legs_at(mechanism, plan)
     if not len(legs.poses):

@@ -17,6 +17,7 @@ from pincal.blas import one_thread
 from pincal.design.forecast import touching
 from pincal.design.platform_error import root_mean_squares, sizes
 from pincal.errors import MeasurementError
+from pincal.estimation.observation import Observation
 from pincal.files.measurements import as_noise, read_poses
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.instruments.setup_file import read_setup
@@ -27,7 +28,7 @@ from pincal.model.checks import generator_of, number_of
 from pincal.model.measurements import Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
-from pincal.model.setup import Setup
+from pincal.model.setup import ROW, Setup
 from pincal.types import Array, Index
 from pincal.words.numbers import amount
 
@@ -87,7 +88,8 @@ def simulate(
 ) -> Simulation:
     """Return what a measurement of the true mechanism at planned poses would give.
 
-    With contacts, the true mechanism is led until its targets touch, and no pose is measured.
+    With contacts, the true mechanism is led until its targets touch, and no pose is measured, nor
+    is it with distances between rows. Instruments are where their nominal values say.
 
     Args:
         mechanism: The nominal mechanism, which commands the poses.
@@ -104,8 +106,8 @@ def simulate(
     mechanism, truth = as_mechanism(mechanism), as_mechanism(truth)
     setup, noise = read_setup(setup or Setup()), as_noise(noise)
     plan, rng = read_poses(plan, mechanism, setup=setup), generator_of(seed, MeasurementError)
-    count, platform = len(plan.poses), mechanism.platform
-    if setup.contacts:
+    count, platform, setup = len(plan.poses), mechanism.platform, setup.of_rows(plan.contacts)
+    if not {ROW}.issuperset(setup.contacts):
         missed = [c.noise for c in setup.contacts.values() if c.noise is not None]
         errors = max(missed, default=noise.position) * rng.standard_normal((count, 3))
         plan, mechanism = touching(truth, as_plan(truth, plan), setup, errors), truth
@@ -125,16 +127,36 @@ def simulate(
     pose_noise = noise.of_poses(mechanism) * rng.standard_normal((count, platform.dof))
     reading_noise = noise.reading * rng.standard_normal((count, len(mechanism.reading_names)))
     shown = np.nan if setup.contacts else platform.moved(measured.poses, pose_noise[rows])
+    extra, units = _observed(truth, measured, setup), setup.columns(mechanism)
+    for name in extra:
+        sigma = noise.of_unit(units[name])
+        extra[name] = extra[name] + (sigma * rng.standard_normal(count))[rows]
     measurements = Measurements(
         poses=np.broadcast_to(shown, measured.poses.shape),
         readings=readings[rows] + reading_noise[rows],
         sets=measured.sets,
         places=measured.places,
+        extra=extra,
         contacts=measured.contacts,
         influences={**measured.influences, **influences},
     )
     lost = tuple((row, reason) for row, reason in enumerate(reasons) if reason)
     return Simulation(measurements, rows, lost)
+
+
+def _observed(truth: Mechanism, plan: Plan, setup: Setup) -> dict[str, Array]:
+    """Return distances, and what instruments read, at true poses, (N,) each."""
+    columns = [*setup.distances, *(name for device in setup.instruments for name in device.columns)]
+    if not columns or not len(plan):
+        return {}
+    readings = np.zeros((len(plan), len(truth.reading_names)))
+    zeros = dict.fromkeys(columns, np.zeros(len(plan)))
+    data = Measurements(poses=plan.poses, readings=readings, extra=zeros, contacts=plan.contacts)
+    observation, matrices = Observation(truth, data, setup), truth.platform.matrices(plan.poses)
+    external = observation.at_touch(matrices, observation.external.start)
+    values = observation.residuals(matrices, external)[0]
+    values = np.where(observation.measured, values, np.nan).T
+    return {name: values[observation.names.index(name)] for name in columns}
 
 
 def _driven(

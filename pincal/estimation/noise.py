@@ -20,12 +20,13 @@ from pincal.model.measurements import SMALLEST_SIGMA, Measurements, Noise
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import SINGLE_ANGLES
 from pincal.model.platform import Platform
-from pincal.model.setup import ORIGIN, POLAR, Setup, Tracker
+from pincal.model.setup import ORIGIN, POLAR, ROW, Setup, Tracker
 from pincal.types import Array, Index, Mask
 
 Freedoms = tuple[float, ...]
 Source = Literal["given", "rows", "repeats", "estimated"]
 _ENOUGH = 30  # rows that repeat others; fewer say less about the noise than the residuals do
+_MARKED = 0.01  # of the least noise of a distance between rows: how well these mark a point
 _ASSUMED = 1e-4  # of the mechanism's size, and [rad]: where an estimate of the noise begins
 _ASSUMED_PIXEL = 0.5  # the same of pixels
 
@@ -91,7 +92,8 @@ def noise_model(
     full, rows = bool(np.isfinite(data.poses).all()), _has_sigmas(mechanism, data, noise, setup)
     source: Source = "given"
     freedoms: Freedoms = (np.inf,) * 4
-    if rows and any(contact.noise is None for contact in setup.contacts.values()):
+    unsaid = [name for name, c in setup.contacts.items() if c.noise is None and name != ROW]
+    if rows and unsaid:
         raise MeasurementError(
             "columns of standard deviations are given, and nothing says by how much contacts miss; "
             "add 'noise' to each of them in the setup"
@@ -285,7 +287,7 @@ def row_noise(
     Raises:
         MeasurementError: covariances that no errors have; a tracker and points measured in part.
     """
-    sigmas = _sigmas_by_name(names, data, setup, platform)
+    sigmas = _sigmas_by_name(names, data, setup, platform) | _of_marks(data, noise, setup, platform)
     none = np.full(len(data), np.nan)
     general = [noise.of_unit(unit) for unit in units]
     sigma = np.column_stack([np.empty((len(data), 0)), *(sigmas.get(n, none) for n in names)])
@@ -329,6 +331,17 @@ def _sigmas_by_name(
     turns = [name for name in platform.coordinates[platform.lengths :] if name in names]
     middle = np.sqrt((data.sigma_poses[:, platform.lengths :] ** 2).mean(axis=1))
     return dict.fromkeys((*turns, *SINGLE_ANGLES), middle) | sigmas | by_freedom
+
+
+def _of_marks(
+    data: Measurements, noise: Noise, setup: Setup, platform: Platform
+) -> dict[str, Array]:
+    """Return how well rows mark a point: as distances between them have all the noise, exactly."""
+    none = np.full(1, noise.position)
+    sigmas = [data.sigma_extra.get(name, none) for name in setup.between]
+    least = float(np.nanmin(np.concatenate([*sigmas, [np.inf]])))
+    axes = setup.contact_axes(platform).get(ROW, [])
+    return dict.fromkeys(axes, np.full(len(data), _MARKED * least))
 
 
 def target_positions(platform: Platform, data: Measurements, target: str) -> Array:

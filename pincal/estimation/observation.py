@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from copy import copy
+from dataclasses import replace
 
 import numpy as np
 
@@ -28,7 +29,7 @@ from pincal.model.measurements import Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import SINGLE_ANGLES
 from pincal.model.platform import Platform
-from pincal.model.setup import ORIGIN, Setup, evaluated
+from pincal.model.setup import ORIGIN, ROW, TO, Setup, evaluated
 from pincal.types import Array, Index, Mask
 
 Predicted = tuple[Array, Array, Array]
@@ -93,6 +94,8 @@ class Observation:
         scalars = dict(zip(platform.coordinates[:lengths], data.poses.T, strict=False))
         scalars |= {name: data.extra.get(name, none) for name in setup.columns(mechanism)}
         missed, self._touched = _contacts(platform, data, setup)
+        related, self._led = _led(data, setup)
+        scalars |= related
         scalars |= missed
         units = {name: u for own in setup.instruments for name, u in own.columns.items()}
         conditions = [scalars.pop(name) for name in units]
@@ -157,6 +160,15 @@ class Observation:
 
         return shifted(mechanism, plan, shifts)
 
+    def at_touch(self, matrices: Array, external: External) -> External:
+        """Return the values with unknown points where poses (N, 4, 4) touch them on the mean."""
+        missed, points = self.residuals(matrices, external)[0], external.points.copy()
+        for place, (name, columns, rows) in enumerate(self.touches()):
+            _, point, contact = self.setup.touched[name]
+            if contact.points[point] is None and rows.any():
+                points[place, : len(columns)] += missed[np.ix_(rows, columns)].mean(axis=0)
+        return replace(external, points=points)
+
     @property
     def sigma(self) -> Array:
         """Standard deviations of the quantities, shape (N, r), [m] or [rad]."""
@@ -167,6 +179,14 @@ class Observation:
         """Names of what the columns of the noise belong to, each with its unit, m or rad."""
         return {f"measured {name}": u for name, u in zip(self.names, self.units, strict=True)}
 
+    def named(self, quantity: str, row: int) -> str:
+        """Return the name of a quantity in a row, with the row from which it is measured."""
+        name = quantity.removeprefix("measured ")
+        if name not in self.setup.between:
+            return quantity
+        row_point = [*self.setup.touched][self._led[row, self.setup.between.index(name)]]
+        return f"{name.partition('_')[0]} to {row_point.replace('_', ' ', 1)}"
+
     def only(self, names: Sequence[str]) -> Observation:
         """Return the observation with nothing measured but the quantities named."""
         return self._with(measured=self.measured & np.isin(self.names, list(names)))
@@ -174,10 +194,12 @@ class Observation:
     def anywhere(self) -> Observation:
         """Return the observation with every quantity measured that is measured in some row.
 
-        But for contacts: what is touched in no row may be anywhere.
+        But for contacts, and what is measured from other rows: what is touched in no row may be
+        anywhere.
         """
         oriented = _oriented(self.orientations)[:, None, None]
         somewhere: Mask = np.asarray(self.measured.any(axis=0))
+        somewhere[np.isin(self.names, self.setup.between)] = False
         for _, columns, _ in self.touches():
             somewhere[columns] = False
         return self._with(
@@ -188,7 +210,7 @@ class Observation:
     def at(self, rows: Index) -> Observation:
         """Return the observation at some rows."""
         arrays = ("measured", "orientations", "_values", "_angles", "_follow_turn", "conditions")
-        parts = {name: getattr(self, name)[rows] for name in (*arrays, "_touched")}
+        parts = {name: getattr(self, name)[rows] for name in (*arrays, "_touched", "_led")}
         return self._with(noise=self.noise.rows(rows), **parts)
 
     def with_noise(self, noise: RowNoise) -> Observation:
@@ -306,21 +328,36 @@ class Observation:
         for target, (u, D, E) in points.items():  # of the platform itself what it moves along
             axes = self.platform.lengths if target == ORIGIN else self.platform.space
             rows.append((u[:, :axes], D[:, :axes], E[:, :axes]))
+        led_to = iter(self._led.T)
         for distance in self.setup.distances.values():
             point, by_twist, by_external = points[distance.target]
-            ray = point - np.array(distance.point)
+            if distance.point is None:
+                places = next(led_to)
+                by_external = by_external - self._by_point(places)
+                ray = point - external.points[places]
+            else:
+                ray = point - np.array(distance.point)
             length = np.linalg.norm(ray, axis=1)[:, None]
             with np.errstate(invalid="ignore", divide="ignore"):
                 unit = (ray / length)[:, None]
+            if distance.along is not None:
+                unit = np.broadcast_to(np.eye(3)[distance.along], unit.shape)
+                length = ray[:, distance.along, None]
             rows.append((length, unit @ by_twist, unit @ by_external))
         axes = self.platform.space
         for contact, places in zip(self.setup.contacts.values(), self._touched.T, strict=True):
             u, D, E = points[contact.target]
-            by_external, chosen = E.copy(), np.eye(len(external.points))[places]
-            by_external[:, :, self.external.points] = -np.kron(chosen[:, None], np.eye(3))
-            missed = u - external.points[places]
+            by_external, missed = E - self._by_point(places), u - external.points[places]
             rows.append((missed[:, :axes], D[:, :axes], by_external[:, :axes]))
         return rows
+
+    def _by_point(self, places: Index) -> Array:
+        """Return how points at some places, (N,), follow the external values, shape (N, 3, n)."""
+        by_external = np.zeros((len(places), 3, self.external.own.stop))
+        first = self.external.points.start + 3 * np.maximum(places, 0)
+        for axis in range(3):
+            by_external[np.arange(len(places)), axis, first + axis] = 1.0
+        return by_external
 
     def _turned(self, R: Array, external: External) -> Predicted:
         """Return rows of single angles and of orientations, less what was measured."""
@@ -390,6 +427,8 @@ def _contacts(
     touched = np.full((len(data), len(setup.contacts)), -1)
     for places, (column, contact) in zip(touched.T, setup.contacts.items(), strict=True):
         names = data.contacts[column]
+        if column == ROW:  # of which only those that others are measured from are points
+            names = tuple(name if name in contact.points else "" for name in names)
         if strange := {*names} - {"", *contact.points}:
             raise MeasurementError(
                 f"{data.place(names.index(min(strange)))}: {column} {min(strange)!r} is no point "
@@ -400,6 +439,19 @@ def _contacts(
         zeros = np.where(places >= 0, 0.0, np.nan)
         missed |= dict.fromkeys(setup.contact_axes(platform)[column], zeros)
     return missed, touched
+
+
+def _led(data: Measurements, setup: Setup) -> tuple[dict[str, Array], Index]:
+    """Return what is measured from other rows, (N,) each, and the places of these rows' points.
+
+    Shape (N, n_between), among those of all contacts; -1 for none.
+    """
+    place = {name: index for index, name in enumerate(setup.touched)}
+    columns = [data.contacts[f"{name}{TO}"] for name in setup.between]
+    led = [[place.get(f"{ROW}_{name}", -1) for name in names] for names in columns]
+    places = np.reshape(led, (len(led), len(data))).astype(np.intp)
+    pairs = zip(setup.between, places, strict=True)
+    return {n: np.where(led_to >= 0, data.extra[n], np.nan) for n, led_to in pairs}, places.T
 
 
 def _oriented(orientations: Array) -> Mask:

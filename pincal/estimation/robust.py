@@ -14,6 +14,7 @@ from pincal.estimation.problem import Linear
 from pincal.estimation.solver import solve_poses, unsolved
 from pincal.estimation.system import LOSSES, Loss, System, outlying, robust_scale, suspected
 from pincal.model.mechanism import Mechanism
+from pincal.model.setup import ROW
 from pincal.types import Mask
 from pincal.words.numbers import listed
 from pincal.words.wording import NAMED
@@ -130,6 +131,9 @@ def _outliers(fit: Fit, scale: float, judged: float, counted: Mask) -> tuple[Out
     listed_rows = (left_out | suspected(far, equations)) & (linear.equations > 0) & counted
     quantities = tuple(fit.problem.quantities)
     noise = np.abs(linear.noise[:, : len(quantities)]) / scale
+    observation = fit.problem.observation
+    marked = [place for place, name in enumerate(quantities) if name.startswith(f"measured {ROW}_")]
+    noise[:, marked] = 0.0  # where a row stood, which follows what is measured from there
     worst = noise.argmax(axis=1)
     outliers = [
         Outlier(
@@ -137,7 +141,7 @@ def _outliers(fit: Fit, scale: float, judged: float, counted: Mask) -> tuple[Out
             legs=tuple(leg.name for leg in fit.problem.legs),
             sigma=as_one(float(relative[i]), int(equations[i])),
             weight=float(fit.weights[i]),
-            quantity=quantities[worst[i]],
+            quantity=observation.named(quantities[worst[i]], int(i)),
             off=float(noise[i, worst[i]]),
         )
         for i in np.flatnonzero(listed_rows)

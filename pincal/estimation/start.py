@@ -96,13 +96,14 @@ def _outside_started(problem: Problem, state: State) -> State:
     outside, contacts = observation.external, observation.setup.contact_axes(problem.platform)
     columns = [name for device in observation.setup.instruments for name in device.columns]
     columns += chain(*contacts.values())
-    others = observation.only([name for name in observation.names if name not in columns])
+    dependent = {*columns, *observation.setup.between}  # what is where contacts touch
+    others = observation.only([name for name in observation.names if name not in dependent])
     without = replace(problem, observation=others)
     if not columns or (without.equations < 0).any():
         return state
     at_rest, seen = poses_at_rest(without.evaluate(state)), observation.only(columns)
     matrices = at_rest.state.matrices
-    external = outside.begun(external, matrices, observation.conditions)
+    external = seen.at_touch(matrices, outside.begun(external, matrices, observation.conditions))
     by_others = others.residuals(matrices, external)[2]
     _, by_pose, by_these = seen.residuals(matrices, external)
     theirs = by_these.any(axis=(0, 1)) & ~by_others.any(axis=(0, 1)) & (outside.free >= 6)

@@ -23,13 +23,14 @@ from pincal.files.columns import (
 )
 from pincal.files.corners import read_corners
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
-from pincal.files.table import TextTable, is_dataframe
+from pincal.files.pairs import related_columns, with_pairs
+from pincal.files.table import TextTable, is_dataframe, read_table
 from pincal.files.text import plain_number
 from pincal.model.checks import array_of, must_be
 from pincal.model.measurements import EVERY_LEG, VERIFY, Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import SINGLE_ANGLES, WAYS, columns_of, rotation_of
-from pincal.model.setup import Setup
+from pincal.model.setup import ROW, TO, Setup
 from pincal.types import Array
 from pincal.words.numbers import amount
 
@@ -62,8 +63,10 @@ def read_poses(
     if not (isinstance(source, str | Path) or is_dataframe(source)):
         kind = "poses, a plan or its file"
         return Plan(array_of(source, ("N", platform.dof), kind, MeasurementError))
-    contacts = {} if setup is None else setup.contacts
-    table = table_of(source, mechanism, known_columns(mechanism, dict.fromkeys(contacts, "")))
+    contacts = dict.fromkeys(() if setup is None else setup.contacts, "")
+    table, related = related_columns(read_table(source))
+    contacts |= {name: "" for name in related if name == ROW or name.endswith(TO)}
+    table = table_of(table, mechanism, known_columns(mechanism, contacts | related))
     commanded = mechanism.by_readings and any(name in table for name in mechanism.reading_names)
     return Plan(
         _poses(table, mechanism, partial=partial),
@@ -91,11 +94,12 @@ def read_measurements(
     *,
     partial: bool = False,
     influences: Collection[str] | None = (),
+    pairs: Any = None,
 ) -> Measurements:
     """Return measurements that are given as such or by a table: see ``Measurements.from_csv``.
 
     ``influences`` are further columns to read, on which no term depends yet; None for all columns
-    of numbers that differ.
+    of numbers that differ. ``pairs`` is a table of distances: see ``with_pairs``.
     """
     mechanism, setup = as_mechanism(mechanism), setup or Setup()
     setup = setup if isinstance(setup, Setup) else Setup.from_yaml(setup)
@@ -108,12 +112,16 @@ def read_measurements(
     if not (is_dataframe(source) or isinstance(source, TextTable)):
         expected = "Measurements, a CSV file or a DataFrame"
         must_be(source, (str, Path), "measurements", MeasurementError, expected)
+    table = read_table(source) if pairs is None else with_pairs(source, pairs)
+    source, related = related_columns(table)
+    setup = setup.of_rows({name: source.text[name] for name, unit in related.items() if not unit})
     further = setup.columns(mechanism)
     level = {"z": "m"} if platform.space == 2 and "z" not in further else {}
-    known = known_columns(mechanism, further | level | dict.fromkeys(setup.contacts, ""))
+    named = (*setup.contacts, *(name for name in related if name.endswith(TO)))
+    known = known_columns(mechanism, further | level | dict.fromkeys(named, ""))
     table = table_of(source, mechanism, known, influences)
     columns = (*platform.coordinates, *_TURNS, *further, *mechanism.reading_names)
-    columns += (*setup.contacts,)
+    columns += tuple(name for name in setup.contacts if name != ROW)
     whole_table, table = table, table.where_measured(columns)
     pixels, sigma_pixels = read_corners(setup, whole_table, table.lines)
     _check_columns(table, mechanism, setup, further)
@@ -132,7 +140,7 @@ def read_measurements(
     } | pixels
     if not partial and not np.isfinite(np.column_stack((poses, *extra.values()))).any():
         raise MeasurementError(f"{table.path}: nothing of the platform is measured")
-    return Measurements(
+    data = Measurements(
         poses=poses,
         sets=_sets(table, mechanism),
         readings=table.array(reading_units(mechanism), blank=partial),
@@ -146,13 +154,14 @@ def read_measurements(
         }
         | sigma_pixels,
         covariances=covariances_of(table, freedoms | further),
-        contacts={name: _names(table, name) or () for name in setup.contacts if name in table},
+        contacts={name: _names(table, name) or () for name in named if name in table},
         influences=_influences(table, mechanism) | _further_influences(table, unknown, influences),
         runs=_names(table, "run"),
         places=_names(table, "pose"),
         lines=table.file_lines,
         written=way,
     )
+    return data.rows(np.arange(len(data)))  # which are related to none that was skipped
 
 
 def _check_columns(

@@ -28,6 +28,7 @@ def read_setup(source: Setup | str | Path) -> Setup:
         "targets": lambda part: {name: p.built(Target) for name, p in part.pairs().items()},
         "distances": lambda part: {name: _distance(p) for name, p in part.pairs().items()},
         "contacts": lambda part: {name: _contact(p) for name, p in part.pairs().items()},
+        "mark": Entry.name,
         "tracker": lambda part: part.built(Tracker),
         "systematic": lambda part: part.built(Systematic),
         "corners": lambda part: str(path.parent / part.text()),

@@ -14,7 +14,7 @@ from pincal.errors import MeasurementError
 from pincal.model.checks import LARGEST, array_of, counted, must_be, names_of, number_of, one_line
 from pincal.model.mechanism import Mechanism
 from pincal.model.option import option
-from pincal.model.setup import Setup
+from pincal.model.setup import ROW, TO, Setup
 from pincal.types import Array, Index, Mask
 
 EVERY_LEG = "all"
@@ -198,7 +198,7 @@ class Plan:
         return f"row {row + 1}" if self.lines is None else f"line {self.lines[row]}"
 
     def rows(self, chosen: Index | Mask) -> Self:
-        """Return some rows, by index or mask."""
+        """Return some rows, by index or mask, related to each other only."""
         index = np.arange(len(self))[chosen]
 
         def selected(values: Any) -> Any:
@@ -208,9 +208,19 @@ class Plan:
                 return tuple(values[i] for i in index)
             return values[index] if isinstance(values, np.ndarray) else values
 
-        return replace(
-            self, **{column.name: selected(getattr(self, column.name)) for column in fields(self)}
-        )
+        parts = {column.name: selected(getattr(self, column.name)) for column in fields(self)}
+        among = {"", *parts["contacts"].get(ROW, ())}
+        parts["contacts"] |= {
+            column: tuple(name if name in among else "" for name in names)
+            for column, names in parts["contacts"].items()
+            if column.endswith(TO)
+        }
+        return replace(self, **parts)
+
+    @property
+    def touched(self) -> list[tuple[str, ...]]:
+        """Names of points that targets touch, by contact, without those that only name rows."""
+        return [names for n, names in self.contacts.items() if n != ROW and not n.endswith(TO)]
 
     @property
     def serving(self) -> tuple[str, ...]:
@@ -274,9 +284,11 @@ class Measurements(Plan):
         setup: Setup | None = None,
         *,
         partial: bool = False,
+        pairs: str | Path | Any = None,
     ) -> Measurements:
         """Return the measurements of a table: poses, readings, sets and standard deviations.
 
         Arguments and errors are those of ``Plan.from_csv``; ``setup`` says what else was measured
-        than the platform's pose.
+        than the platform's pose, ``pairs`` is a table of distances between rows: ``row a``,
+        ``row b``, ``distance [mm]``.
         """

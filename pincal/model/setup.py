@@ -6,7 +6,7 @@ is elsewhere, a reflector sits somewhere on the platform, a cable measures a dis
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import hypot
 from pathlib import Path
@@ -248,16 +248,26 @@ class Target:
         must_be(self.unknown, bool, "unknown of a target", MeasurementError)
 
 
+ROW = "row"
+"""The contact of points at which rows stood, by their names: what others are measured from."""
+TO = "_to"
+"""Ends the column that says from which row another column is measured."""
+
+
 @dataclass(frozen=True)
 class Distance:
-    """A measured distance from a known point to a target."""
+    """A measured distance from a known point to a target, or from where the target stood."""
 
-    point: Point
-    """In the frame of the measurements, [m]."""
+    point: Point | None
+    """In the frame of the measurements, [m]; None: where it stood in the row that a column names
+    (see ``Setup.of_rows``)."""
     target: str = ORIGIN
+    along: int | None = None
+    """Axis of that frame along which it is measured, 0 to 2; None: all the way."""
 
     def __post_init__(self) -> None:
-        _set_point(self, "point", "point of a distance")
+        if self.point is not None:
+            _set_point(self, "point", "point of a distance")
         must_be(self.target, str, "target of a distance", MeasurementError)
 
 
@@ -305,6 +315,8 @@ class Setup:
     """By column."""
     contacts: Mapping[str, Contact] = field(default_factory=dict)
     """By column: each row has the name of the point that is touched, or nothing."""
+    mark: str = ORIGIN
+    """Target that marks where rows stood, such as a pen, of distances between them."""
     instruments: tuple[Instrument, ...] = ()
     """Instruments of one's own, each with its columns and unknowns."""
     corners: str | None = None
@@ -324,6 +336,8 @@ class Setup:
             for name, entry in named.items():
                 must_be(name, str, f"a name in {group}", MeasurementError)
                 must_be(entry, kind, f"{group}, {name!r}", MeasurementError)
+        if self.mark not in {ORIGIN, *self.targets}:
+            raise MeasurementError(f"mark is {self.mark!r}; expected one of {listed(self.targets)}")
         object.__setattr__(self, "targets", {ORIGIN: Target(), **self.targets})
         measured: dict[str, Distance | Contact] = {**self.distances, **self.contacts}
         for column, entry in measured.items():
@@ -377,6 +391,33 @@ class Setup:
         point = replace(self.targets[ORIGIN], unknown=target or self.targets[ORIGIN].unknown)
         targets = {**self.targets, ORIGIN: point}
         return replace(self, unknown_frame=frame or self.unknown_frame, targets=targets)
+
+    def of_rows(self, names: Mapping[str, Sequence[str]]) -> Setup:
+        """Return the setup with all that rows are measured from each other.
+
+        In the column ``distance_1`` from the row whose name stands in that of ``distance_1_to``;
+        ``dx_1``, ``dy_1``, ``dz_1`` are coordinates less those of that row.
+
+        Args:
+            names: Names by column, ``row`` and those ending in ``_to``, empty for none.
+        """
+        columns = [name for name in names if name.endswith(TO)]
+        if not columns:
+            return self
+        rows = dict.fromkeys(name for column in columns for name in names[column] if name)
+        if not rows:
+            return self
+        between = {}
+        for column in columns:
+            axis = {"dx": 0, "dy": 1, "dz": 2}.get(column.partition("_")[0])
+            between[column.removesuffix(TO)] = Distance(None, self.mark, axis)
+        contacts = {**self.contacts, ROW: Contact(dict.fromkeys(rows), self.mark)}
+        return replace(self, distances={**self.distances, **between}, contacts=contacts)
+
+    @property
+    def between(self) -> list[str]:
+        """Columns that are measured from another row."""
+        return [name for name, distance in self.distances.items() if distance.point is None]
 
     @property
     def plain(self) -> bool:

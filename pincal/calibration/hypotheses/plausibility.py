@@ -36,11 +36,13 @@ from pincal.estimation.unknowns import External
 from pincal.finding import Finding
 from pincal.kinematics.closing import sensor_law
 from pincal.kinematics.closure import nominal_legs
+from pincal.kinematics.forward import forward
 from pincal.model.checks import ROUNDING
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
-from pincal.model.setup import Setup
+from pincal.model.setup import ROW, TO, Setup
 from pincal.words.findings import finding, sentence
+from pincal.words.numbers import amount
 
 _STILL = 1e-3  # readings that differ by less hardly move, of a leg's size and [rad]
 _FOLLOWS = 0.5  # of the stroke: what is left of readings that follow the nominal ones
@@ -337,6 +339,8 @@ def check_copies(data: Measurements, *, every_pose: bool = False) -> None:
 def check_contacts(data: Measurements, setup: Setup) -> None:
     """Raise if a point at an unknown place is touched in no row, or in one alone."""
     for column, point, contact in setup.touched.values():
+        if column == ROW:
+            continue
         count = data.contacts[column].count(point)
         if count < 2 and contact.points[point] is None:
             row = data.place(data.contacts[column].index(point)) if count else "no row"
@@ -344,6 +348,41 @@ def check_contacts(data: Measurements, setup: Setup) -> None:
                 f"{row}{' alone' * count} touches {column} {point!r}, whose place is unknown, "
                 "which says nothing of the machine. Touch it in several poses, or leave it out"
             )
+
+
+_MISTAKEN = {25.4: "inches", 10.0: "centimetres", 1e3: "metres", 1 / 25.4: "millimetres"}
+"""What a length is in that is so many times too short, its unit taken for mm, or for inches."""
+_ABOUT = 0.1  # relative, within which it is that
+
+
+def check_distances(calibration: Calibration) -> None:
+    """Raise if distances between rows are the nominal mechanism's but for a unit.
+
+    Raises:
+        MeasurementError: the first of them.
+    """
+    observation, data = calibration.observation, calibration.measurements
+    between = [name for name in observation.setup.between if name.startswith("distance")]
+    if not between or not np.isfinite(data.readings).all():
+        return
+    solution = forward(calibration.mechanism, data.readings)
+    matrices = calibration.mechanism.platform.matrices(solution.poses)
+    missed = observation.residuals(
+        matrices, observation.at_touch(matrices, observation.external.start)
+    )[0]
+    for column in between:
+        measured, place = data.extra[column], observation.names.index(column)
+        nominal = missed[:, place] + measured
+        for factor, unit in _MISTAKEN.items():
+            wrong = np.abs(nominal - factor * measured) < _ABOUT * factor * measured
+            if (wrong := wrong & observation.measured[:, place]).any():
+                row = int(np.argmax(wrong))
+                rows = " and ".join(data.contacts[name][row] for name in (f"{column}{TO}", ROW))
+                raise MeasurementError(
+                    f"rows {rows} are {amount(float(measured[row]), 'm')} apart, by the nominal "
+                    f"machine {amount(float(nominal[row]), 'm')}, {factor:.3g} times as much; is "
+                    f"it in {unit}? Correct it, or the unit in the header"
+                )
 
 
 def check_noise(mechanism: Mechanism, noise: Noise | None) -> None:

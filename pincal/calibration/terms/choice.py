@@ -23,7 +23,7 @@ from pincal.calibration.result import CalibrationResult
 from pincal.calibration.terms.candidates import extended, with_columns
 from pincal.calibration.terms.kinds import Pair, term_text
 from pincal.calibration.terms.screen import Candidate, screen
-from pincal.calibration.validation import converged, predictions
+from pincal.calibration.validation import converged, held_rows, predictions
 from pincal.errors import PincalError
 from pincal.estimation.observability.courses import Slip, slips
 from pincal.types import Array, Mask
@@ -210,7 +210,7 @@ def _errors_of_fold(models: Sequence[Model], seen: Mask, pairs: Sequence[Pair]) 
         for model in models[:2]
     )
     grown, _ = _grown(geometry, pairs, len(models) - 2)
-    unseen, errors = models[1].fits.calibration.rows(~seen), list[Array]()
+    unseen, errors = held_rows(models[1].fits.calibration, ~seen), list[Array]()
     for model in (Model("", drawn), Model("", geometry), *grown):
         try:
             errors.append(model.errors(unseen))

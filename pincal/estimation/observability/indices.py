@@ -168,8 +168,9 @@ def jacobian_near(
         plan = observation.at(every).touching(started, plan, start.external)
     legs = legs_at(started, plan)
     rows = every[legs.reached]
-    matrices = mechanism.platform.matrices(legs.poses)
-    _, seen_pose, by_external = observation.at(rows).residuals(matrices, start.external)
+    matrices, observation = mechanism.platform.matrices(legs.poses), observation.at(rows)
+    touching = observation.at_touch(matrices, start.external)
+    _, seen_pose, by_external = observation.residuals(matrices, touching)
     per = np.array([1.0 / size if unit == "m" else 1.0 for unit in observation.units])[:, None]
     # ┌ A          0        ┐  legs            ┌ B ┐
     # └ 0  by external      ┘  what is seen    └ B ┘

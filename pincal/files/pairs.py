@@ -1,0 +1,145 @@
+"""What rows were measured from each other: columns beside the rows, or a table of pairs.
+
+The distance between where the platform stood in rows 3 and 17, by calliper on plotted marks or by
+tape, stands in row 17 in ``distance_1 [mm]``, and 3 in ``distance_1_to``; of another row in
+``distance_2`` and ``distance_2_to``. A table of pairs, ``row a, row b, distance [mm]``, becomes
+such columns. Columns ``dx``, ``dy``, ``dz`` are coordinates of b less those of a: heights of steps.
+"""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections import defaultdict
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pincal.errors import MeasurementError
+from pincal.files.table import TextTable, read_table
+from pincal.model.setup import ROW, TO
+from pincal.types import Array
+
+_KINDS = ("distance", "dx", "dy", "dz")
+_LEADS = re.compile(rf"(distance|d[xyz])(_\w+)?{TO}")
+_ENDS = ("row a", "row b")
+
+
+def related_columns(table: TextTable) -> tuple[TextTable, dict[str, str]]:
+    """Return a table that names its rows, and its columns that relate them, with their units.
+
+    Rows that no column ``row`` names are called 1, 2, ….
+
+    Raises:
+        MeasurementError: a row that is named twice or not at all.
+    """
+    columns = [name.removesuffix(TO) for name in table.units if _LEADS.fullmatch(name)]
+    if not columns:
+        return table, {}
+    if ROW not in table:
+        numbers = [str(1 + row) for row in range(len(table.lines))]
+        units, text = {ROW: None, **table.units}, {ROW: numbers, **table.text}
+        table = replace(table, units=units, text=text)
+    _check_names(table, columns)
+    known = {name: unit for c in columns for name, unit in ((c, "m"), (f"{c}{TO}", ""))}
+    return table, {**known, ROW: ""}
+
+
+def _check_names(table: TextTable, columns: Sequence[str]) -> None:
+    """Raise if rows do not have a name each, or columns name no other row."""
+    names = [cell.strip() for cell in table.text[ROW]]
+    places = {name: row for row, name in enumerate(names)}
+    for row, name in enumerate(names):
+        if not name or places[name] != row:
+            raise MeasurementError(f"{table.where(row)}: row {name!r}; give each row its own name")
+    for column in columns:
+        for row, cell in enumerate(table.text[f"{column}{TO}"]):
+            if places.get(cell.strip(), row) == row and cell.strip():
+                raise MeasurementError(
+                    f"{table.where(row)}: {column}{TO} is {cell.strip()!r}; expected the name of "
+                    "another row, as in the column 'row', or its number if there is none"
+                )
+
+
+def with_pairs(measurements: Any, pairs: Any) -> TextTable:
+    """Return a table of measurements with columns of the distances that a table of pairs has.
+
+    Args:
+        measurements: Table of rows, with a column ``row`` of their names, or numbered 1, 2, ….
+        pairs: Table with the columns ``row a``, ``row b``, one or more of ``distance [mm]``,
+            ``dx [mm]``, ``dy [mm]``, ``dz [mm]`` (of b less a), and ``sigma [mm]`` if known.
+
+    Raises:
+        MeasurementError: a column or number that is missing, a row that does not exist, a pair that
+            was typed twice.
+    """
+    table, typed = read_table(measurements), read_table(pairs)
+    names = [cell.strip() for cell in table.text.get(ROW, map(str, range(1, 1 + len(table.lines))))]
+    place = {name: row for row, name in enumerate(names)}
+    cells: dict[str, list[str]] = defaultdict(lambda: [""] * len(names))
+    hosted = [0] * len(names)
+    for a, b, kind, value, sigma in _pairs(typed, place, table.path):
+        host, partner = (b, a) if hosted[place[b]] <= hosted[place[a]] else (a, b)
+        hosted[place[host]] += 1
+        slots = (f"{kind}_{slot}" for slot in itertools.count(1))
+        column = next(n for n in slots if n not in table and not cells[n][place[host]])
+        reverse = host == a and kind != "distance"
+        cells[column][place[host]] = repr(-value if reverse else value)
+        cells[f"{column}{TO}"][place[host]] = partner
+        if sigma is not None:
+            cells[f"sigma_{column}"][place[host]] = repr(sigma)
+    units = {name: None if name.endswith(TO) else "m" for name in cells}
+    rows: dict[str, None] = {} if ROW in table else {ROW: None}
+    text = {**dict.fromkeys(rows, names), **table.text, **cells}
+    return replace(table, units={**rows, **table.units, **units}, text=text)
+
+
+def _filled(values: Mapping[str, Array], row: int) -> list[tuple[str, float]]:
+    """Return what stands in a row of some columns, without blank cells."""
+    return [(n, float(column[row])) for n, column in values.items() if np.isfinite(column[row])]
+
+
+def _kinds_of(table: TextTable) -> list[str]:
+    """Return the columns of what is measured between rows; raises if one is missing."""
+    kinds = [kind for kind in _KINDS if kind in table]
+    if missing := [end for end in (*_ENDS, *_KINDS[: not kinds]) if end not in table]:
+        raise MeasurementError(
+            f"{table.path}: no column {missing[0]!r}; expected row a, row b, distance [mm]. The "
+            f"file has {', '.join(table.units)}"
+        )
+    return kinds
+
+
+def _pairs(
+    table: TextTable, names: Collection[str], measured: Path
+) -> Iterator[tuple[str, str, str, float, float | None]]:
+    """Yield rows a and b, the kind of what is measured between them, it, [m], and its σ if known.
+
+    Rows of names are those of the file ``measured``.
+    """
+    values = {kind: table.numbers(kind, "m", blank=True) for kind in _kinds_of(table)}
+    sigma = table.numbers("sigma", "m").tolist() if "sigma" in table else [None] * len(table.lines)
+    first: dict[tuple[object, ...], int] = {}
+    for line, ends in enumerate(zip(*(table.text[end] for end in _ENDS), strict=True)):
+        a, b = map(str.strip, ends)
+        if a == b or not {a, b} <= {*names}:
+            strange = b if a in names else a
+            fault = "measured from itself" if a == b else f"no row of {measured}"
+            raise MeasurementError(
+                f"{table.where(line)}: row {strange!r} is {fault}; expected two rows, by its "
+                "column 'row', or by their numbers if it has none"
+            )
+        for kind, value in _filled(values, line):
+            before = first.setdefault((kind, frozenset((a, b)), abs(value)), line)
+            if before != line:
+                raise MeasurementError(
+                    f"{table.where(line)}: the {kind} of rows {a} and {b} is the same as in "
+                    f"{table.counted} {table.lines[before]}; a pair typed twice counts twice: "
+                    "leave one out (one measured again differs in its last digit)"
+                )
+            yield a, b, kind, value, sigma[line]
+    if not first:
+        raise MeasurementError(f"{table.path}: no distance is filled in")

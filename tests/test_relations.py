@@ -1,0 +1,245 @@
+"""Distances between poses: a calliper on plotted marks calibrates, no pose being measured.
+
+Readings are closed forms of a five-bar and a linear delta, distances those of points: nothing of
+the data is computed by pincal.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import done
+from cramer_rao import Machine
+from differences import assert_derivative
+from scipy.spatial.transform import Rotation
+
+import pincal
+from pincal.estimation.observation import Observation
+
+Array = np.ndarray
+MARKS, NOISE = 20, 5e-5
+
+
+def _five_bar(seed: int) -> tuple[pincal.Mechanism, Array, Array, Array]:
+    """Return nominal five-bar, true parameters, points that it goes to, and readings there."""
+    robot, rng = pincal.load_mechanism("5R"), np.random.default_rng(seed)
+    true = robot.parameters.values + 1e-3 * rng.standard_normal(len(robot.parameters))
+    points = pincal.sample_workspace(robot, 60, seed=seed)
+    machine = Machine(robot, true, points, Rotation.identity(len(points)))
+    readings = machine.readings(true, np.zeros((len(points), 2)))
+    ok = np.isfinite(readings).all(axis=1)
+    return robot, true, points[ok], readings[ok]
+
+
+def _delta(seed: int) -> tuple[pincal.Mechanism, Array, Array, Array]:
+    """Return nominal delta, true parameters, points and ways of the carriages from their ends."""
+    robot, rng = pincal.load_mechanism("linear_delta"), np.random.default_rng(seed)
+    true = robot.parameters.values + 1e-3 * rng.standard_normal(len(robot.parameters))
+    points, readings = pincal.sample_workspace(robot, 60, seed=seed), []
+    for index, leg in enumerate(robot.legs):
+        n = len(leg.parameter_names)
+        p = dict(zip(leg.parameter_names, true[n * index : n * (index + 1)], strict=True))
+        tower = p["radius"] * np.array([np.cos(p["angle"]), np.sin(p["angle"])])
+        level = ((points[:, :2] - tower) ** 2).sum(axis=1)
+        top = p["endstop"] + np.sqrt(p["arm"] ** 2 - p["radius"] ** 2)
+        readings.append(top - points[:, 2] - np.sqrt(p["arm"] ** 2 - level))
+    return robot, true, points, np.stack(readings, axis=1)
+
+
+KINDS = {"5R": _five_bar, "linear_delta": _delta}
+
+
+def _pairs(points: Array, noise: float, seed: int) -> list[tuple[int, int, float]]:
+    """Return rows a and b, from 1, of all pairs of points, and their distances with noise."""
+    rng = np.random.default_rng(seed)
+    a, b = np.triu_indices(len(points), 1)
+    apart = np.linalg.norm(points[a] - points[b], axis=1) + noise * rng.standard_normal(len(a))
+    return [*zip((a + 1).tolist(), (b + 1).tolist(), apart.tolist(), strict=True)]
+
+
+def _written(
+    folder: Path, robot: pincal.Mechanism, readings: Array, pairs: list[tuple[int, int, float]]
+) -> tuple[Path, Path]:
+    """Return files of readings and of pairs."""
+    rows, table = folder / "rows.csv", folder / "pairs.csv"
+    nothing = np.full((len(readings), robot.platform.dof), np.nan)
+    pincal.Measurements(poses=nothing, readings=readings).to_csv(rows, robot, force=True)
+    lines = (f"{a},{b},{1e3 * apart!r}" for a, b, apart in pairs)
+    table.write_text("\n".join(["row a,row b,distance [mm]", *lines]))
+    return rows, table
+
+
+def _measured(
+    folder: Path, kind: str, noise: float, seed: int
+) -> tuple[pincal.Mechanism, Array, pincal.Measurements, Array, Array]:
+    """Return nominal machine, true parameters, measurements, and readings and points elsewhere."""
+    robot, true, points, readings = KINDS[kind](seed)
+    files = _written(folder, robot, readings[:MARKS], _pairs(points[:MARKS], noise, seed))
+    data = pincal.Measurements.from_csv(files[0], robot, pairs=files[1], partial=True)
+    return robot, true, data, readings[MARKS:], points[MARKS:]
+
+
+def _error(machine: pincal.Mechanism, readings: Array, points: Array) -> float:
+    """Return the RMS error of where readings take a machine, frames aligned (W. Kabsch 1976)."""
+    solution = pincal.forward(machine, readings)
+    ok = solution.converged
+    reached, wanted = solution.poses[ok], points[ok]
+    reached, wanted = reached - reached.mean(axis=0), wanted - wanted.mean(axis=0)
+    U, _, Vt = np.linalg.svd(wanted.T @ reached)
+    sign = np.ones(len(U))
+    sign[-1] = np.linalg.det(U @ Vt)
+    missed = wanted - reached @ ((U * sign) @ Vt).T
+    return float(np.sqrt((missed**2).sum(axis=1).mean()))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_machine_is_found_by_distances_alone(kind: str, tmp_path: Path) -> None:
+    """Exact distances of 20 marks: the machine goes elsewhere as the true one does, to 1e-9.
+
+    But for where its base is; that is named.
+    """
+    robot, _, data, readings, points = _measured(tmp_path, kind, 0.0, 1)
+    result = pincal.calibrate(robot, data, noise=pincal.Noise(1e-6))
+    assert result.converged
+    assert result.reduced_chi2 < 1e-12
+    assert [free.code for free in result.gauge] == ["gauge-base-frame"]
+    assert _error(robot, readings, points) > 1e-4
+    assert _error(result.identified, readings, points) < 1e-9
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+def test_errors_are_as_forecast(kind: str, tmp_path: Path) -> None:
+    """Of 20 sets with 0.05 mm of noise: true errors of the platform within 1.3 of the forecast."""
+    squares, forecasts, promised = [], [], []
+    noise = pincal.Noise(NOISE)
+    for seed in range(20):
+        robot, _, data, readings, points = _measured(tmp_path, kind, NOISE, seed)
+        result = pincal.calibrate(robot, data, noise=noise)
+        assert result.converged
+        squares.append(_error(result.identified, readings, points) ** 2)
+        poses = pincal.forward(robot, data.readings).poses
+        plan = pincal.Plan(poses, contacts=data.contacts)
+        forecast = pincal.forecast(robot, plan, noise, (*data.extra, "row"))
+        reached = pincal.forward(robot, readings)
+        places = reached.poses[reached.converged]
+        forecasts.append(forecast.platform_error(places).position ** 2)
+        promised.append(result.expected_error(places).position ** 2)
+    for expected in (forecasts, promised):
+        assert 1 / 1.3 < np.sqrt(np.mean(squares) / np.mean(expected)) < 1.3
+
+
+def test_derivatives_are_central_differences(tmp_path: Path) -> None:
+    """Distances and heights of steps by the pose and by all that is outside, to 1e-7."""
+    robot, _, points, readings = KINDS["linear_delta"](0)
+    rows, table = _written(tmp_path, robot, readings[:6], _pairs(points[:6], 0.0, 0))
+    lines = table.read_text().splitlines()
+    steps = ["row a,row b,distance [mm],dz [mm],dx [mm]", *(f"{x},1.0,2.0" for x in lines[1:])]
+    table.write_text("\n".join(steps))
+    data = pincal.Measurements.from_csv(rows, robot, pairs=table, partial=True)
+    targets = {"pen": pincal.Target((0.01, 0.02, -0.03), unknown=True)}
+    setup = pincal.Setup(unknown_frame=True, targets=targets, mark="pen")
+    observation = Observation(robot, data, setup.of_rows(data.contacts))
+    outside, rng = observation.external, np.random.default_rng(0)
+    values = outside.moved(outside.start, 0.1 * rng.standard_normal(len(outside)))
+    matrices = robot.platform.matrices(points[:6])
+    _, by_pose, by_outside = observation.residuals(matrices, values)
+    assert len({name[:2] for name in observation.setup.between}) == 3
+    assert_derivative(
+        by_outside, lambda step: observation.residuals(matrices, outside.moved(values, step))[0]
+    )
+    assert_derivative(
+        by_pose,
+        lambda twist: observation.residuals(
+            robot.platform.displaced(matrices, np.tile(twist, (len(matrices), 1))), values
+        )[0],
+    )
+
+
+def test_heights_of_steps_are_those_of_the_second_row(tmp_path: Path) -> None:
+    """Columns dz, dx, dy and distances say the same of exact points: nothing is left of a fit."""
+    robot, _, points, readings = KINDS["linear_delta"](3)
+    rows, table = tmp_path / "rows.csv", tmp_path / "pairs.csv"
+    _written(tmp_path, robot, readings[:MARKS], [])
+    lines = ["row a,row b,dx [mm],dy [mm],dz [mm]"]
+    for a, b, _ in _pairs(points[:MARKS], 0.0, 0)[::2]:
+        cells = (1e3 * (points[b - 1] - points[a - 1])).tolist()
+        lines.append(",".join(map(repr, (a, b, *cells))))
+    table.write_text("\n".join(lines))
+    data = pincal.Measurements.from_csv(rows, robot, pairs=table, partial=True)
+    result = pincal.calibrate(robot, data, noise=pincal.Noise(1e-6))
+    assert result.converged
+    assert result.reduced_chi2 < 1e-12
+    assert {part.name for part in result.observed} == {"dx", "dy", "dz"}
+
+
+def test_wrong_pairs_are_named(tmp_path: Path) -> None:
+    """A pair typed twice, of one row, of no row, in inches: refused, by its rows.
+
+    One that is 3 mm off is named by both of its rows, and left out by a robust loss.
+    """
+    robot, _, points, readings = KINDS["linear_delta"](2)
+    pairs = _pairs(points[:MARKS], NOISE, 2)
+    a, b, apart = pairs[7]
+
+    def calibrated(
+        changed: list[tuple[int, int, float]], **options: object
+    ) -> pincal.CalibrationResult:
+        rows, table = _written(tmp_path, robot, readings[:MARKS], changed)
+        data = pincal.Measurements.from_csv(rows, robot, pairs=table, partial=True)
+        return pincal.calibrate(robot, data, noise=pincal.Noise(NOISE), **options)
+
+    for changed, message in (
+        (
+            [*pairs, (b, a, apart)],
+            "line 192: the distance of rows 9 and 1 is the same as in line 9",
+        ),
+        ([*pairs, (4, 4, apart)], "line 192: row '4' is measured from itself"),
+        ([*pairs, (4, 40, apart)], "line 192: row '40' is no row of"),
+        ([], "a header but no rows"),
+        ([*pairs[:7], (a, b, apart / 25.4), *pairs[8:]], "25.4 times as much; is it in inches?"),
+    ):
+        with pytest.raises(pincal.MeasurementError) as error:
+            calibrated(changed)
+        assert message in " ".join(str(error.value).split())
+    off = [*pairs[:7], (a, b, apart + 3e-3), *pairs[8:]]
+    (outlier,) = calibrated(off).outliers
+    assert {f"row {outlier.row + 1}", outlier.quantity} in (
+        {"row 1", "distance to row 9"},
+        {"row 9", "distance to row 1"},
+    )
+    assert 0.9 < calibrated(off, loss="reject").reduced_chi2 < 1.2
+
+
+@pytest.mark.slow
+def test_distances_from_plan_to_report(tmp_path: Path) -> None:
+    """A plan with distances is forecast, simulated, calibrated, explained and diagnosed.
+
+    Half of its rows were not measured: what was measured from them is no more.
+    """
+    robot, noise = pincal.load_mechanism("5R"), ("--noise-position", "50um")
+    robot.save(tmp_path / "bar")
+    bar, plan, measured = tmp_path / "bar", tmp_path / "plan.csv", tmp_path / "measured.csv"
+    done("select", bar, "--distances", 6, "--count", 24, *noise, "-o", plan)
+    assert "distance_6_to" in plan.read_text().partition("\n")[0]
+    forecast = " ".join(done("identifiability", bar, plan, *noise).out.split())
+    assert "distance_6" in forecast
+    done("simulate", bar, plan, *noise, "-o", measured)
+    lines = measured.read_text().splitlines()
+    assert not {"x [m]", "y [m]"} & set(lines[0].split(","))
+    half = tmp_path / "half.csv"
+    cells = [line.split(",") for line in lines]
+    for row in cells[1::3]:
+        row[:] = ["" if "[" in name else cell for name, cell in zip(cells[0], row, strict=True)]
+    half.write_text("\n".join(map(",".join, cells)))
+    for table in (measured, half):
+        out = done("calibrate", bar, table, *noise, "-o", tmp_path / "result", "--force").out
+        assert "frames aligned" in out
+        result = pincal.load_result(tmp_path / "result")
+        assert [part.name for part in result.observed] == ["distance"]
+        assert result.validation is not None
+        assert not result.contradictions
+    assert "works" in done("doctor", bar, measured, *noise).out
+    assert "geometry" in done("explain", bar, measured, *noise).out
