@@ -3,17 +3,25 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
+import numpy as np
+import typer
+
 from pincal import MeasurementError
-from pincal.cli.app import command, remark, say, wrote
+from pincal.cli.app import command, counting, remark, say, stdout, wrote
 from pincal.cli.options import FORCE, named_after, output_option
 from pincal.files.output import writing_together
-from pincal.instruments.board import SHARE, Board, BoardKind
+from pincal.files.table import read_table, write_table
+from pincal.instruments.board import SHARE, Board, BoardKind, read_board
+from pincal.instruments.detect import PhotoPoints, checked, points_in
+from pincal.model.checks import counted, listed
 from pincal.model.option import option
-from pincal.show.pictures.board import board_figure
+from pincal.show.pictures.board import board_figure, contact_sheet
 from pincal.show.pictures.files import figure_bytes, picture_path
 
 Paper = Literal["a4", "letter", "a3", "a2", "a1", "a0"]
@@ -75,3 +83,124 @@ def board(
     say(f"{len(printed.points)} points on {width:.0f} x {height:.0f} mm")
     remark(f"print at 100 %, measure the bar, write its scale into {described}")
     wrote(output, described)
+
+
+@dataclass(frozen=True)
+class DetectOptions:
+    """To what corners belong."""
+
+    rows: Path | None = option(
+        None,
+        "Measurements to whose rows photos belong: by their column 'image', or in the order in "
+        "which they were taken.",
+        metavar="CSV",
+    )
+    camera: str = option("", "Name of the camera, if the setup has several.")
+    force: bool = option(False, FORCE)
+
+
+@command
+def detect(
+    files: Annotated[
+        list[Path], typer.Argument(metavar="BOARD.yaml PHOTO...", help="Boards, then photos.")
+    ],
+    output: Annotated[Path, output_option("CORNERS.csv", "Table; CORNERS.png is drawn beside it.")],
+    options: DetectOptions,
+) -> None:
+    """Find the points of boards in photos.
+
+    CORNERS.csv has each point with its pixels and their standard deviation, which a setup names as
+    its corners; CORNERS.png shows all photos with them. Corners that are blurred, small or doubtful
+    are left out and listed. Pixels are those of the sensor: a turn noted in a photo is not made.
+    """
+    boards = [read_board(file) for file in files if file.suffix in (".yaml", ".yml")]
+    paths = [file for file in files if file.suffix not in (".yaml", ".yml")]
+    if not (boards and paths):
+        raise MeasurementError("name a board's file (.yaml, by 'pincal board') and photos of it")
+    photos: list[PhotoPoints] = []
+    with counting("looking at photos", len(paths)) as step:
+        for photo in points_in(boards, paths):
+            photos.append(photo)
+            step(len(photos))
+    checked(photos)
+    row_of = {} if options.rows is None else _rows(options.rows, photos)
+    if not any(photo.points for photo in photos):
+        reason, number = Counter(photo.reason for photo in photos).most_common(1)[0]
+        raise MeasurementError(f"no photo shows the board: {reason} ({number} of {len(photos)})")
+    table = _table(photos, row_of, options.camera)
+    drawn = output.with_suffix(".png")
+    outputs: list[tuple[Path, tuple[str, ...]]] = [(output, ()), (drawn, ())]
+    with writing_together(outputs, force=options.force) as (corners, sheet):
+        write_table(corners, table)
+        sheet.write_bytes(figure_bytes(contact_sheet(photos), "png"))
+    say(*_left_out(photos))
+    used = sum(bool(photo.points) for photo in photos)
+    sigma = np.median(np.array(table["sigma [px]"]))
+    stdout.print(
+        f"{counted(len(table['point']), 'corner')} in {used} of "
+        f"{counted(len(photos), 'photo')}, standard deviation {sigma:.3f} px (median)"
+    )
+    wrote(output, drawn)
+
+
+def _table(
+    photos: Sequence[PhotoPoints], row_of: Mapping[str, int], camera: str
+) -> dict[str, list[str] | list[float]]:
+    """Return the columns of a table of corners."""
+    shown = [(photo, name) for photo in photos for name in photo.points]
+    table: dict[str, list[str] | list[float]] = {"image": [photo.name for photo, _ in shown]}
+    if row_of:
+        table["row"] = [str(row_of[photo.name]) for photo, _ in shown]
+    if camera:
+        table["camera"] = [camera] * len(shown)
+    table["point"] = [name for _, name in shown]
+    values = np.array([photo.points[name] for photo, name in shown]).round(4).T.tolist()
+    return table | dict(zip(("u [px]", "v [px]", "sigma [px]"), values, strict=True))
+
+
+def _rows(path: Path, photos: Sequence[PhotoPoints]) -> dict[str, int]:
+    """Return the row of measurements, from 1, of each photo, by name or by time.
+
+    Photos that no row names are left out.
+    """
+    table = read_table(path)
+    if "image" not in table:
+        return _rows_by_time(path, len(table.lines), photos)
+    images = [name.strip() for name in table.text["image"]]
+    for photo in photos:
+        if images.count(photo.name) != 1:
+            photo.reason = f"in {images.count(photo.name) or 'no'} rows of {path.name}"
+            photo.points = {}
+    names = {photo.name for photo in photos}
+    if missing := [name for name in images if name and name not in names]:
+        remark(f"rows without their photo: {listed(missing)}")
+    return {name: row for row, name in enumerate(images, 1)}
+
+
+def _rows_by_time(path: Path, rows: int, photos: Sequence[PhotoPoints]) -> dict[str, int]:
+    """Return the row of each photo, in the order in which they were taken."""
+    if len(photos) != rows:
+        raise MeasurementError(
+            f"{counted(len(photos), 'photo')} and {counted(rows, 'row')} of {path}: some are "
+            "missing, and all behind them would be shifted; name the photo of each row in a "
+            "column 'image'"
+        )
+    times = {photo.taken for photo in photos}
+    by_time = None not in times and len(times) == rows
+    order = np.argsort(np.array([photo.taken for photo in photos], "datetime64[us]"))
+    remark(f"photos belong to rows in the order of {'their times' if by_time else 'their names'}")
+    numbered = (photos[i] for i in order) if by_time else photos
+    return {photo.name: row for row, photo in enumerate(numbered, 1)}
+
+
+def _left_out(photos: Sequence[PhotoPoints]) -> list[str]:
+    """Return what was left out of which photo, and why."""
+    lines = []
+    for photo in photos:
+        if photo.reason:
+            lines.append(f"{photo.name}: not used: {photo.reason}")
+            continue
+        reasons = Counter(reason for *_, reason in photo.omitted.values())
+        texts = (f"{number} {reason}" for reason, number in reasons.items())
+        lines += [f"{photo.name}: left out: {', '.join(texts)}"] * bool(reasons)
+    return lines

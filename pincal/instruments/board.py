@@ -156,12 +156,12 @@ class Board:
                     "a lower first marker, or a larger dictionary, such as 5X5_1000"
                 )
             cells = words.markerSize + 2
-            bit, (left, top) = self.marker / cells, corners[0]
+            bit, (x_left, top) = self.marker / cells, corners[0]
             dark = cv2.aruco.generateImageMarker(words, number, cells, borderBits=1) == 0
             for r, row in enumerate(dark):
                 turns = np.flatnonzero(np.diff(np.concatenate(([0], row, [0])).astype(int)))
                 for start, end in turns.reshape(-1, 2):
-                    place = (left + start * bit, top - (r + 1) * bit)
+                    place = (x_left + start * bit, top - (r + 1) * bit)
                     rectangles.append((*place, (end - start) * bit, bit))
         return np.array(rectangles)
 

@@ -1,6 +1,8 @@
-"""A board on paper: in true size, as vectors, with a bar to check the print by a calliper."""
+"""Boards on paper, in true size with a bar to check them; and photos with what was seen in them."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -9,7 +11,9 @@ from matplotlib.path import Path as Outline
 
 from pincal.errors import MeasurementError
 from pincal.instruments.board import CHEQUERED, Board
+from pincal.instruments.detect import PhotoPoints
 from pincal.show.pictures.files import drawing
+from pincal.show.style import LEGS, OUTLIER
 
 PAPERS = {
     "a4": (0.210, 0.297),
@@ -45,13 +49,13 @@ def board_figure(board: Board, paper: str = "") -> Figure:
             f"the board needs {width:.0f} x {height:.0f} mm, and {paper} is smaller; take smaller "
             "or fewer squares, or another paper"
         )
-    left, bottom = (page[0] - board.size[0]) / 2, (page[1] + _FOOT - _MARGIN - board.size[1]) / 2
+    x_left, bottom = (page[0] - board.size[0]) / 2, (page[1] + _FOOT - _MARGIN - board.size[1]) / 2
     length = 0.01 * np.floor(min(0.1, 0.5 * page[0]) / 0.01)
-    bar = (_MARGIN + 0.002 - left, -0.010, length, 0.002)
+    bar = (_MARGIN + 0.002 - x_left, -0.010, length, 0.002)
     x, y, width, height = np.vstack((board.black, bar)).T
     corners = [(x, y), (x + width, y), (x + width, y + height), (x, y + height), (x, y)]
     vertices = np.array(corners).transpose(2, 0, 1).reshape(-1, 2)
-    vertices += (left, bottom)
+    vertices += (x_left, bottom)
     codes = [Outline.MOVETO, *[Outline.LINETO] * 3, Outline.CLOSEPOLY] * len(x)
     marker = f", markers {1e3 * board.marker:g} mm of {board.dictionary}, from {board.first}"
     side = f"{'squares' if board.kind in CHEQUERED else 'cells'} of {1e3 * board.square:g} mm"
@@ -68,4 +72,29 @@ def board_figure(board: Board, paper: str = "") -> Figure:
         for number, text in enumerate(texts):
             place = (_MARGIN + 0.005 + length, bottom - 0.0082 - 0.003 * number)
             axes.text(*place, text, fontsize=6.0)
+    return figure
+
+
+_ACROSS, _WIDTH = 4, 3.2  # photos side by side, and the width of each [in]
+
+
+def contact_sheet(photos: Sequence[PhotoPoints]) -> Figure:
+    """Return small pictures of photos, in which points that were used and left out are drawn."""
+    count = min(_ACROSS, len(photos))
+    heights = [photo.size[1] / photo.size[0] for photo in photos]
+    rows = -(-len(photos) // count)
+    with drawing():
+        figure = Figure((count * _WIDTH, rows * (_WIDTH * max(heights) + 0.35)), layout="tight")
+        grid = figure.subplots(rows, count, squeeze=False).ravel()
+        for axes in grid:
+            axes.axis("off")
+        for axes, photo in zip(grid, photos, strict=False):
+            width, height = photo.size
+            axes.imshow(photo.small, cmap="gray", extent=(-0.5, width - 0.5, height - 0.5, -0.5))
+            for points, colour in ((photo.omitted, OUTLIER), (photo.points, LEGS[0])):
+                places = np.array([(u, v) for u, v, _ in points.values()]).reshape(-1, 2)
+                axes.plot(*places.T, "+", color=colour, markersize=4, markeredgewidth=0.8)
+            title = f"{photo.name}: {len(photo.points)}"
+            title += f", {len(photo.omitted)} left out" * bool(photo.omitted)
+            axes.set_title(f"{title}\n{photo.reason[:60]}", fontsize=6, loc="left")
     return figure
