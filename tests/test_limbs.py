@@ -9,12 +9,12 @@ import neighbours
 import numpy as np
 import pytest
 from command_line import done
+from machines import agile_eye, four_bar, four_bar_pose, six_rods, tricept
 from numpy.typing import NDArray
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import Rotation
 
 import pincal
-from pincal import End, Joint, Leg, Mechanism, Placement, Platform, Sensor
-from pincal.model.placement import Coordinate, placement_of
+from pincal import End, Joint, Mechanism, Placement, Platform
 
 Array = NDArray[np.float64]
 X, Y, Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
@@ -35,103 +35,12 @@ def recovered(mechanism: Mechanism, readings: Array, scale: float = 1e-3) -> flo
     return max(abs(p.identified - errors[p.id]) for p in result.parameters)
 
 
-def four_bar_pose(readings: Array, a: float, b: float, c: float, d: float) -> Array:
-    """Return crank end and coupler angle of a four-bar, shape (N, 3), by the cosine law."""
-    crank = a * np.exp(1j * readings)
-    across = d - crank
-    angle = (b**2 + np.abs(across) ** 2 - c**2) / (2 * b * np.abs(across))
-    return np.stack((crank.real, crank.imag, np.angle(across) + np.arccos(angle)), axis=1)
-
-
-def four_bar() -> Mechanism:
-    """Return a four-bar whose platform is its coupler; the follower has no drive."""
-    a, b, c, d = 0.3, 0.8, 0.6, 0.9
-    home = four_bar_pose(np.array([0.7]), a, b, c, d)[0]
-    knee = home[0] + 1j * home[1] + b * np.exp(1j * home[2])
-    values = {"l": a, "gamma": 0.0}
-    crank = Leg(
-        "crank",
-        (
-            Joint("drive", "revolute", home=0.7),
-            Joint("crank_tip", "fixed", Placement.of(values, x="l")),
-        ),
-        (Sensor("drive", offset="gamma"),),
-        tuple(values.items()),
-        Joint("crank_point", "fixed"),
-    )
-    values = {"dx": d, "dy": 0.0, "c": c, "b": b}
-    follower = Leg(
-        "follower",
-        (
-            Joint(
-                "foot",
-                "revolute",
-                Placement.of(values, x="dx", y="dy"),
-                home=float(np.angle(knee - d)),
-            ),
-            Joint("follower_tip", "fixed", Placement.of(values, x="c")),
-        ),
-        (),
-        tuple(values.items()),
-        Joint("follower_point", "fixed", Placement.of(values, x="b")),
-    )
-    return Mechanism("four_bar", Platform("planar", tuple(home)), (crank, follower))
-
-
 def test_a_follower_without_a_drive_is_a_leg() -> None:
     """A four-bar's coupler is where the cosine law puts it, and every length comes back."""
     mechanism, readings = four_bar(), np.linspace(-3.0, 3.0, 25)
     found = pincal.forward(mechanism, readings[:, None])
     np.testing.assert_allclose(found.poses, four_bar_pose(readings, 0.3, 0.8, 0.6, 0.9), atol=1e-9)
     assert recovered(mechanism, readings[:, None]) < 1e-8
-
-
-def strut(number: int, *, spins: bool) -> Leg:
-    """Return a UPS leg of a Tricept, whose slide may spin about itself."""
-    angle = 2 * np.pi * number / 3
-    foot = 0.5 * np.array([np.cos(angle), np.sin(angle), 0.0])
-    point = 0.4 * foot + np.array([0.0, 0.03 * (number + 1), 0.0])
-    rod = point + np.array(Z) - foot
-    length = float(np.linalg.norm(rod))
-    second = float(np.arcsin(rod[0] / length))
-    values = dict(zip(("ax", "ay", "az", "bx", "by", "bz"), (*foot, *point), strict=True))
-    values["gamma"] = 0.0
-    first = float(np.arctan2(-rod[1], rod[2]))
-    spin = Joint("spin", "revolute", axis=Z, lower=-np.inf, upper=np.inf)
-    return Leg(
-        f"leg_{number + 1}",
-        (
-            Joint("u1", "revolute", Placement.of(values, x="ax", y="ay", z="az"), X, home=first),
-            Joint("u2", "revolute", axis=Y, home=second),
-            Joint("slide", "prismatic", axis=Z, lower=0.3, upper=2.0, home=length),
-            *([spin] * spins),
-            Joint("tip", "fixed"),
-        ),
-        (Sensor("slide", offset="gamma"),),
-        tuple(values.items()),
-        Joint(f"point_{number + 1}", "fixed", Placement.of(values, x="bx", y="by", z="bz")),
-    )
-
-
-def tricept(*, spins: bool = True) -> Mechanism:
-    """Return three struts and a centre leg UP without a drive, whose axes miss each other."""
-    values = {"cz": 0.0, "off": 0.02}
-    centre = Leg(
-        "centre",
-        (
-            Joint("c1", "revolute", Placement.of(values, z="cz"), X),
-            Joint("c2", "revolute", Placement.of(values, x="off"), Y),
-            Joint("c3", "prismatic", axis=Z, lower=0.3, upper=2.0, home=1.0),
-            Joint("c4", "fixed", Placement(xyz=(-0.02, 0.0, 0.0))),
-        ),
-        (),
-        tuple(values.items()),
-        Joint("end", "fixed"),
-        "frame",
-    )
-    struts = (strut(number, spins=spins) for number in range(3))
-    home = (0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-    return Mechanism("tricept", Platform("spatial", home), (*struts, centre))
 
 
 @pytest.mark.slow
@@ -161,7 +70,7 @@ def test_a_spin_about_a_strut_is_idle(tmp_path: Path) -> None:
     Corrected, and loaded again, it is held still: a tip that misses the axis does not free it.
     """
     spinning, plain = tricept(), tricept(spins=False)
-    assert [leg.idle for leg in spinning.legs] == [[3], [3], [3], []]
+    assert [len(leg.moving) for leg in spinning.legs] == [3, 3, 3, 3]
     plan = pincal.sample_configurations(plain, 10)
     poses = pincal.forward(spinning, plan.readings).poses
     np.testing.assert_allclose(poses, plan.poses, atol=1e-12)
@@ -172,65 +81,7 @@ def test_a_spin_about_a_strut_is_idle(tmp_path: Path) -> None:
     corrected = replace(spinning, legs=(leg.with_parameters({"off": 1e-3}), *spinning.legs[1:]))
     corrected.save(tmp_path / "corrected")
     assert pincal.load_mechanism(tmp_path / "corrected").legs == corrected.legs
-    assert corrected.legs[0].idle == [3]
-
-
-def six_rods() -> Mechanism:
-    """Return a delta of three arms and six rods that may spin, at a platform of six freedoms."""
-    foot, point, arm, rod, half, height = 0.2, 0.05, 0.15, 0.4, 0.04, -0.38
-    reach, way = foot - point, np.hypot(foot - point, height)
-    bend = np.arccos((way**2 + arm**2 - rod**2) / (2 * arm * way))
-    drive = -float(np.arctan2(height, -reach) + bend)
-    along = point - foot - arm * np.cos(drive), height + arm * np.sin(drive)
-    legs = []
-    for number in range(3):
-        turn = 2 * np.pi * number / 3
-        values = {"R": foot, "turn": turn, "a": arm, "L1": rod, "L2": rod, "gamma": 0.0}
-        values |= {f"z{i}": 0.0 for i in (1, 2)}
-        joints = [
-            Joint(
-                "drive",
-                "revolute",
-                Placement.of(values, polar=("R", "turn"), rz="turn"),
-                Y,
-                home=drive,
-            )
-        ]
-        points = []
-        for i, side in ((1, half), (2, -half)):
-            joints += [
-                Joint(
-                    f"u{i}",
-                    "revolute",
-                    Placement.of(values, x="a", y=side),
-                    Y,
-                    home=float(np.arctan2(-along[1], along[0])) - drive,
-                    parent=None if i == 1 else "drive",
-                ),
-                Joint(f"v{i}", "revolute", axis=Z),
-                Joint(f"spin{i}", "revolute", axis=X),
-                Joint(f"end{i}", "fixed", Placement.of(values, x=f"L{i}")),
-            ]
-            place = Placement.of(
-                values,
-                x=point * np.cos(turn) - side * np.sin(turn),
-                y=point * np.sin(turn) + side * np.cos(turn),
-                z=f"z{i}",
-            )
-            points.append(Joint(f"p{number}_{i}", "fixed", place))
-        legs.append(
-            Leg(
-                f"leg_{number + 1}",
-                tuple(joints),
-                (Sensor("drive", offset="gamma"),),
-                tuple(values.items()),
-                points[1],
-                ends=(End("end1", points[0]),),
-            )
-        )
-    return Mechanism(
-        "six_rods", Platform("spatial", (0.0, 0.0, height, 0.0, 0.0, 0.0)), tuple(legs)
-    )
+    assert corrected.legs[0].joints[3].kind == "fixed"
 
 
 def test_a_pair_of_rods_is_a_leg_with_two_ends(tmp_path: Path) -> None:
@@ -328,31 +179,6 @@ def test_a_loop_within_a_leg(name: str, tmp_path: Path) -> None:
     mechanism.save(tmp_path / "driven")
     assert pincal.load_mechanism(tmp_path / "driven").legs == mechanism.legs
     assert recovered(mechanism, solved.readings[near], 1e-4) < 1e-8
-
-
-def agile_eye() -> Mechanism:
-    """Return three legs of three axes that meet in a point, at right angles; it only turns."""
-    legs, values = [], {"a_rx": 0.0, "a_ry": 0.0, "alpha": np.pi / 2, "beta": np.pi / 2}
-    values |= {"gamma": 0.0}
-    for number in range(3):
-        u, w, v = np.roll(np.eye(3), number, axis=1)
-        base = Rotation.from_matrix(np.column_stack((v, -w, u)))  # its z is the drive's axis
-        tip = base * Rotation.from_euler("xzx", (np.pi / 2, np.pi / 2, np.pi / 2))
-        tilts = Coordinate("rx", ("a_rx",)), Coordinate("ry", ("a_ry",))
-        base_turn, tip_turn = (
-            placement_of(RigidTransform.from_rotation(R).as_matrix()) for R in (base, tip.inv())
-        )
-        joints = (
-            Joint("base", "fixed", base_turn),
-            Joint("drive", "revolute", Placement(tilts), lower=-1.2, upper=1.2),
-            Joint("elbow", "revolute", Placement.of(values, rx="alpha"), home=np.pi / 2),
-            Joint("wrist", "revolute", Placement.of(values, rx="beta")),
-            Joint("tip", "fixed", tip_turn),
-        )
-        sensors, point = (Sensor("drive", offset="gamma"),), Joint(f"hand_{number}", "fixed")
-        name = f"leg_{number + 1}"
-        legs.append(Leg(name, joints, sensors, tuple(values.items()), point, "frame"))
-    return Mechanism("eye", Platform("wrist", (0.0,) * 3, ("rx", "ry", "rz")), tuple(legs))
 
 
 def test_a_platform_that_only_turns() -> None:

@@ -167,7 +167,7 @@ def _joint_fault(
 def _leg(entry: Entry, folder: Path, points: Mapping[str, Joint]) -> Leg:
     """Return a leg, of its keys and its URDF."""
     needed = ("name", "urdf", "tip", "platform_point", "home", "sensors", "parameters")
-    keys = entry.keys((*needed, "placements"), ("closes", "terms", "ends", "held", "ratios"))
+    keys = entry.keys((*needed, "placements"), ("closes", "terms", "ends", "ratios"))
     name = keys["name"].name()
     point, placements = points[keys["platform_point"].choice(*points)], keys["placements"].pairs()
     home = {joint: part.number() for joint, part in keys["home"].pairs().items()}
@@ -206,12 +206,7 @@ def _leg(entry: Entry, folder: Path, points: Mapping[str, Joint]) -> Leg:
             for term in _terms(part, f"{name}, parameter {parameter!r}")
         ),
         ends=tuple(end.moved(placed) for end in ends),
-        held=_held(keys.get("held")),
     )
-
-
-def _held(entry: Entry | None) -> tuple[str, ...] | None:
-    return None if entry is None else tuple(map(Entry.text, entry.items()))
 
 
 def _ends(entry: Entry | None, points: Mapping[str, Joint]) -> tuple[End, ...]:
@@ -278,7 +273,6 @@ def _described_leg(leg: Leg) -> dict[str, Any]:
         **({} if leg.closes == "point" else {"closes": leg.closes}),
         **({"ends": [_described_end(end, leg) for end in leg.ends]} if leg.ends else {}),
         "home": leg.homes,
-        **_filled({"held": leg.held}),
         "sensors": [
             _filled(vars(sensor) | {"terms": _described_terms(sensor.terms, leg.name)})
             for sensor in leg.sensors
@@ -313,7 +307,7 @@ def _described_end(end: End, leg: Leg) -> dict[str, Any]:
 
 
 def _filled(keys: Mapping[str, Any]) -> dict[str, Any]:
-    return {key: value for key, value in keys.items() if value not in (None, "", {}, ())}
+    return {key: value for key, value in keys.items() if value not in (None, "", {})}
 
 
 def _described_terms(terms: Iterable[Term], place: str) -> dict[str, Any]:

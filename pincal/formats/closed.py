@@ -34,7 +34,6 @@ from pincal.model.leg import Joint, Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.placement import placement_of
 from pincal.model.platform import Platform
-from pincal.model.sensor import Sensor
 from pincal.types import Array
 
 _WRITTEN = (r"xyz|pos|fromto", r"rpy|axis|quat|euler|axisangle|xyaxes|zaxis")
@@ -106,7 +105,8 @@ def closed_mechanism(
         kind, bare = _legs(tree, limbs, platform, normal)
         if normal is not None and abs(normal[2]) < 1.0 - EXACT:
             remarks.append("planar, but not across z: the base frame was turned to have z across")
-        bare, free = [_without_idle(leg, remarks) for leg in bare], Platform.at_origin(kind)
+        remarks += _held(tree, bare)
+        free = Platform.at_origin(kind)
         axes = _PLANAR if kind in ("point", "planar") else _SPATIAL
         closed, placed = _closed(tree, bare, free)
         remarks += _outside_limits(closed)
@@ -155,7 +155,7 @@ def _legs(
 ) -> tuple[str, list[Leg]]:
     """Return the kind of platform and the legs, in frames whose z is across the plane if planar.
 
-    They have sensors, and no parameters.
+    They have no parameters.
     """
     driven, turn = set(tree.active), np.eye(3)
     if platform is None:
@@ -172,7 +172,7 @@ def _legs(
     legs = [_in_frames(leg, normal, turn, tree.slack) for leg in legs]
     named = zip(_leg_names(legs), legs, strict=True)
     points = Counter(point.name for leg in legs for point in leg.points)
-    return kind, [_with_sensors(tree, name, leg, points) for name, leg in named]
+    return kind, [_named(name, leg, points) for name, leg in named]
 
 
 def _guiding(tree: Tree, limbs: list[Limb], kind: str) -> tuple[list[Limb], str]:
@@ -255,8 +255,8 @@ def _upright(joint: Joint, C: Array, C_child: Array) -> Joint:
     return joint
 
 
-def _with_sensors(tree: Tree, name: str, leg: Leg, shared: Counter[str]) -> Leg:
-    """Return a named leg with its sensors, whose platform points have names of their own."""
+def _named(name: str, leg: Leg, shared: Counter[str]) -> Leg:
+    """Return a named leg, whose platform points have names of their own."""
 
     def renamed(point: Joint, place: int = 1) -> Joint:
         if shared[point.name] > 1 or point.name == "point":
@@ -264,28 +264,26 @@ def _with_sensors(tree: Tree, name: str, leg: Leg, shared: Counter[str]) -> Leg:
         return point
 
     joints = [replace(joint, mass=0.0, centre=Joint.centre) for joint in leg.joints]  # turned
-    driven = [joint.name for joint in joints if joint.name in tree.active]
     ends = (end.moved(partial(renamed, place=i)) for i, end in enumerate(leg.ends, 2))
     return replace(
         leg,
         name=name,
         joints=tuple(joints),
-        sensors=tuple(map(Sensor, driven)),
         point=renamed(leg.point),
         ends=tuple(ends),
-        held=None,
     )
 
 
-def _without_idle(leg: Leg, remarks: list[str]) -> Leg:
-    """Return a leg without parameters whose idle joints are fixed at home; remarks say so."""
-    joints = list(leg.joints)
-    for idle in (leg.moving[place] for place in leg.idle):
-        remarks.append(f"{leg.name}: {idle.name!r} moves no end of it: held")
-        held = idle.placement.origin() @ idle.motion(np.array([idle.home]))[0]
-        fixed = Joint(idle.name, "fixed", placement_of(held), parent=idle.parent)
-        joints[leg.index(idle.name)] = fixed
-    return replace(leg, joints=tuple(joints), held=())
+def _held(tree: Tree, legs: Sequence[Leg]) -> list[str]:
+    """Return a sentence for each joint that a leg holds, as it moves no end."""
+    moving = {edge.joint.name for edge in tree.edges if edge.joint.kind != "fixed"}
+    moving |= {f"{edge.joint.name}_{axis}" for edge in tree.loops for axis in "xyz"}
+    return [
+        f"{leg.name}: {joint.name!r} moves no end of it: held"
+        for leg in legs
+        for joint in leg.joints
+        if joint.kind == "fixed" and joint.name in moving.difference(e.tip for e in leg.every_end)
+    ]
 
 
 def _leg_names(legs: Sequence[Leg]) -> list[str]:

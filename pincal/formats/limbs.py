@@ -21,6 +21,7 @@ from pincal.formats.arm import joints_along, with_tip
 from pincal.model.checks import EXACT, listed
 from pincal.model.leg import Closing, End, Joint, Leg
 from pincal.model.placement import Placement, placement_of
+from pincal.model.sensor import Sensor
 from pincal.types import Array
 
 _IN_EACH_LEG = ([0, 3], [0, 4], [1, 3], [1, 4])  # drives among five joints of a loop
@@ -221,7 +222,7 @@ class _Graph:
 
 
 def leg_of(tree: Tree, limb: Limb, platform: str, driven: set[str], normal: Array | None) -> Leg:
-    """Return the leg, without parameters and sensors, that a limb is.
+    """Return the leg, without parameters, that a limb is.
 
     In a plane if there is a normal, in the root's frame.
     """
@@ -238,8 +239,13 @@ def leg_of(tree: Tree, limb: Limb, platform: str, driven: set[str], normal: Arra
         way = [*way, Joint("tip", "fixed")]
     _hang(joints, way)
     met = point or Joint("point", "fixed")
+    sensors = _sensors(tree, joints)
     closes: Closing = "point" if point else "frame"
-    return Leg("limb", tuple(joints), (), (), met, closes, ends=tuple(ends), held=())
+    return Leg("limb", tuple(joints), sensors, (), met, closes, ends=tuple(ends))
+
+
+def _sensors(tree: Tree, joints: Iterable[Joint]) -> tuple[Sensor, ...]:
+    return tuple(Sensor(joint.name) for joint in joints if joint.name in tree.active)
 
 
 def _hang(joints: list[Joint], way: Iterable[Joint]) -> str:
@@ -394,7 +400,8 @@ def point_platform(
         last = max(i for i, joint in enumerate(joints) if joint.kind != "fixed")
         centre = np.array(joints[last].placement.xyz)
         to_point = _up_to(joints[:last], joints[last], centre)
-        legs.append(Leg("limb", with_tip(to_point), (), (), Joint("point", "fixed"), held=()))
+        point, sensors = Joint("point", "fixed"), _sensors(tree, to_point)
+        legs.append(Leg("limb", with_tip(to_point), sensors, (), point))
     return legs
 
 

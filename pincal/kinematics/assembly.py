@@ -153,7 +153,6 @@ def _closed_at_random(closure: LegClosure) -> tuple[Array, Array]:
     lengths = [leg.size if unit == "m" else 1.0 for unit in platform.units]
     scale = np.concatenate((lengths, leg.scales))
     moves = shares * scale
-    moves[:, platform.dof + np.array(leg.idle, dtype=int)] = 0.0
     poses = np.repeat(platform.home_pose.as_matrix(), _CONFIGURATIONS, axis=0)
     joints = np.tile(leg.home, (_CONFIGURATIONS, 1))
     for _ in range(_STEPS // 5):
@@ -161,7 +160,6 @@ def _closed_at_random(closure: LegClosure) -> tuple[Array, Array]:
         joints = joints + moves[:, platform.dof :]
         part = closure.evaluate(joints, poses)
         J = np.concatenate((part.pose, part.by_joints), axis=2) * scale / leg.size
-        J[:, :, platform.dof + np.array(leg.idle, dtype=int)] = 0.0
         inverse = np.linalg.pinv(J, rcond=_DEPENDS)
         moves = -scale * (inverse @ (part.gap / leg.size)[:, :, None])[:, :, 0]
         longest = np.abs(moves / scale).max(axis=1, keepdims=True)

@@ -433,15 +433,10 @@ def each(function: Callable[..., Array], legs: Sequence[LegClosure], *columns: A
 
 
 def joint_range(leg: Leg) -> tuple[Array, Array]:
-    """Return the ends of each moving joint's range, (n_joints,): limits, or a turn about home.
-
-    Joints that are idle stay at home.
-    """
+    """Return the ends of each moving joint's range, (n_joints,): limits, or a turn about home."""
     free = np.array([not joint.limited for joint in leg.moving])
     low, high = np.array([(joint.lower, joint.upper) for joint in leg.moving]).T
-    low, high = np.where(free, leg.home - np.pi, low), np.where(free, leg.home + np.pi, high)
-    low[leg.idle] = high[leg.idle] = leg.home[leg.idle]
-    return low, high
+    return np.where(free, leg.home - np.pi, low), np.where(free, leg.home + np.pi, high)
 
 
 @lru_cache(maxsize=64)

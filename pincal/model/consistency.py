@@ -49,7 +49,7 @@ def identifiers(names: Iterable[str]) -> tuple[str, ...]:
 
 def check_leg(leg: Leg) -> None:
     """Raise MechanismError if joints, sensors, parameters and terms do not go together."""
-    topics = (_joint_faults, _tree_faults, _held_faults, _term_faults, _parameter_faults)
+    topics = (_joint_faults, _tree_faults, _gear_faults, _term_faults, _parameter_faults)
     for fault in chain.from_iterable(faults(leg) for faults in topics):
         raise MechanismError(f"{leg.name}: {fault}")
     for joint in (*leg.joints, *leg.points):
@@ -97,8 +97,8 @@ def _tree_faults(leg: Leg) -> Iterator[str]:
             )
 
 
-def _held_faults(leg: Leg) -> Iterator[str]:
-    """Yield which joints are held, or followed, and cannot be."""
+def _gear_faults(leg: Leg) -> Iterator[str]:
+    """Yield which joints follow others, and cannot."""
     moving = {joint.name for joint in leg.moving}
     for joint in leg.articulated:
         if joint.leader.joint not in moving or not abs(joint.leader.ratio) > 0.0:
@@ -112,9 +112,6 @@ def _held_faults(leg: Leg) -> Iterator[str]:
             yield f"joint {joint.name!r} follows none by the parameter {joint.ratio!r}, {ratio}"
         if joint.ratio in leg.deformed:
             yield f"parameter {joint.ratio!r} is the ratio of gears, and has no terms"
-    free = moving.difference(sensor.joint for sensor in leg.sensors)
-    for name in sorted({*(leg.held or ())} - free):
-        yield f"joint {name!r} cannot be held: it is read, or does not move"
 
 
 def _parameter_faults(leg: Leg) -> Iterator[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any, Literal, NamedTuple
 
@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from pincal.errors import MechanismError
 from pincal.model.checks import counted, listed, must_be, number_of, one_line, triple
 from pincal.model.consistency import check_leg, identifiers
-from pincal.model.placement import Placement
+from pincal.model.placement import Placement, placement_of
 from pincal.model.platform import TWIST
 from pincal.model.sensor import Sensor
 from pincal.model.terms import Term
@@ -94,6 +94,15 @@ class Joint:
         """Return its position, by those of joints that move on their own, of any shape."""
         return self.leader.ratio * moving[self.leader.joint] + self.leader.offset
 
+    def fixed_at(self, position: float) -> Joint:
+        """Return the joint fixed at a position, its parameters where they are."""
+        placement = self.placement
+        if position:
+            origin = placement.origin() @ self.motion(np.array([position]))[0]
+            placement = replace(placement_of(origin), coordinates=placement.coordinates)
+        still = Joint(self.name, "fixed", placement, parent=self.parent)
+        return replace(still, mass=self.mass, centre=self.centre)
+
     def motion(self, positions: Array) -> Array:
         """Return its motion by its positions, shape (N,) to (N, 4, 4)."""
         motion = np.tile(np.eye(4), (len(positions), 1, 1))
@@ -161,7 +170,8 @@ class Leg:
     platform's point (``point``): its origin alone, or, if the leg ``closes`` a frame, its
     orientation too; further ``ends`` meet the platform or the leg itself. A serial arm is a leg
     that closes a frame and whose joints all have sensors. Joint positions of a leg are ordered as
-    its moving joints, base first; readings as its sensors.
+    its moving joints, base first; readings as its sensors. Joints that nobody reads and that move
+    no end, such as a strut's spin, are fixed at home: found by the rank of motions about home.
     """
 
     name: str
@@ -180,14 +190,19 @@ class Leg:
     Share(10.0, 20.0), of="temperature"))``; the amplitude is a parameter too."""
     ends: tuple[End, ...] = ()
     """Further ends of a tree, beside that of the last joint."""
-    held: tuple[str, ...] | None = None
-    """Joints that nobody reads and that move no end, such as a strut's spin: they stay at home. By
-    the rank of motions about home if not given; corrections do not free what the drawing holds."""
 
     def __post_init__(self) -> None:
         check_leg(self)
-        if self.held is None:
-            object.__setattr__(self, "held", tuple(self.moving[i].name for i in self._unmoving()))
+        if idle := self._idle():
+            joints = tuple(
+                joint.fixed_at(joint.position(self.homes))
+                if joint.kind != "fixed" and joint.leader.joint in idle
+                else joint
+                for joint in self.joints
+            )
+            for name in vars(self).keys() - {field.name for field in fields(self)}:
+                del vars(self)[name]  # what was read off the joints that moved
+            object.__setattr__(self, "joints", joints)
 
     def __repr__(self) -> str:
         reads = f"reads {listed(sensor.joint for sensor in self.sensors)}"
@@ -223,23 +238,19 @@ class Leg:
 
     @cached_property
     def passive(self) -> list[int]:
-        """Indices of the passive joints among the moving joints, but for those that are idle."""
-        return [i for i in range(len(self.moving)) if i not in (*self.active, *self.idle)]
+        """Indices of the passive joints among the moving joints."""
+        return [i for i in range(len(self.moving)) if i not in self.active]
 
-    @cached_property
-    def idle(self) -> list[int]:
-        """Indices of the joints that are held among the moving joints."""
-        return [i for i, joint in enumerate(self.moving) if joint.name in (self.held or ())]
-
-    def _unmoving(self) -> list[int]:
-        """Return joints that nobody reads and that move no end, by the rank of motions."""
-        idle: list[int] = []
+    def _idle(self) -> list[str]:
+        """Return the joints that nobody reads and that move no end, by the rank of motions."""
+        idle: list[str] = []
         free = [i for i in range(len(self.moving)) if i not in self.active]
         shares = np.random.default_rng(0).uniform(-1.0, 1.0, (_PLACES, len(self.moving)))
         motions = self._motions(self.home + _ABOUT * shares * self.scales) * self.scales / self.size
         while free and np.linalg.matrix_rank(motions[:, :, free], tol=_IDLE).max() < len(free):
-            idle.append(free.pop(int(np.abs(np.linalg.svd(motions[0, :, free].T)[2][-1]).argmax())))
-        return sorted(idle)
+            still = int(np.abs(np.linalg.svd(motions[0, :, free].T)[2][-1]).argmax())
+            idle.append(self.moving[free.pop(still)].name)
+        return idle
 
     def _motions(self, joints: Array) -> Array:
         """Return how each moving joint moves the ends, shape (N, m, n_joints), [m] and [1].

@@ -161,8 +161,7 @@ class Mechanism:
         kinematics.
         """
         return any(
-            not leg.passive or len(leg.moving) - len(leg.idle) != self.platform.rows(leg)
-            for leg in self.legs
+            not leg.passive or len(leg.moving) != self.platform.rows(leg) for leg in self.legs
         )
 
     @property

@@ -16,7 +16,7 @@ from pincal.errors import WorkspaceError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.kinematics.batches import chunks
 from pincal.kinematics.closed_forms import closed_form
-from pincal.kinematics.closing import ClosedLegs, by_leg, close_legs, in_home_modes
+from pincal.kinematics.closing import ClosedLegs, by_leg, close, close_legs, in_home_modes
 from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.configurations import beyond_limits
 from pincal.kinematics.derivatives import nearest_closure
@@ -91,6 +91,7 @@ class Criteria:
         self._legs = nominal_legs(mechanism)
         forms = [form for leg in self._legs if (form := closed_form(leg))]
         self.reaches = tuple(form.reach(self.least.type1) for form in forms)
+        self._searched = [leg for leg in self._legs if not closed_form(leg)][:-1]
         self._exact = len(forms) == len(self._legs) and all(r.exact for r in self.reaches)
         self.in_closed_form = self._type2 == -np.inf and self._exact
         """Whether the reaches decide alone."""
@@ -105,8 +106,11 @@ class Criteria:
             margin = rods_margin(self.mechanism, matrices[part]) if self._exact else None
             if margin is not None:
                 inside[part] = margin >= self._type2 - ROUNDING
-            else:
-                inside[part] = self._counted(close_legs(self._legs, matrices[part]))
+                continue
+            inside[part] = False
+            for leg in self._searched:  # where one is out of reach, no other is searched
+                part = part[close((leg,), matrices[part]).reached]
+            inside[part] = self._counted(close_legs(self._legs, matrices[part]))
         return inside
 
     def at_readings(self, poses: Array, readings: Array) -> Mask:

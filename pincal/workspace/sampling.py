@@ -22,6 +22,7 @@ from pincal.blas import one_thread
 from pincal.errors import WorkspaceError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.instruments.setup_file import read_setup
+from pincal.kinematics.closed_forms import closed_form
 from pincal.kinematics.closing import close
 from pincal.kinematics.closure import nominal_legs
 from pincal.kinematics.configurations import shifted
@@ -224,9 +225,10 @@ def sample_workspace(
     else:
         low, high, connected = _explore(mechanism, rng, least)
     accepted, total = [np.empty((0, mechanism.platform.dof))], 0
-    for _ in range(_MOST * (1 + count // _BATCH)):
-        drawn = rng.uniform(low, high, (_BATCH, mechanism.platform.dof))
-        for poses in np.split(drawn, _BATCH // _PART):
+    batch = _batch(mechanism)
+    for _ in range(_MOST * (1 + count // batch)):
+        drawn = rng.uniform(low, high, (batch, mechanism.platform.dof))
+        for poses in np.split(drawn, batch // _PART):
             counting = poses[in_workspace(mechanism, poses, least)]
             accepted.append(counting[connected(counting)])
             total += len(accepted[-1])
@@ -273,6 +275,11 @@ def has_grid(mechanism: Mechanism) -> bool:
     return mechanism.platform.dof <= 3 and not mechanism.by_readings
 
 
+def _batch(mechanism: Mechanism) -> int:
+    """Return how many poses are drawn together: fewer where legs are closed by a search."""
+    return _BATCH if all(map(closed_form, nominal_legs(mechanism))) else _PART
+
+
 def _check_count(count: int) -> None:
     if not 1 <= count_of(count, "count", WorkspaceError) <= MOST:
         raise WorkspaceError(
@@ -308,14 +315,14 @@ def _explore(
         wider = widen * (high - low)
         return np.maximum(low - wider, lowest), np.minimum(high + wider, highest)
 
-    accepted = home
-    for batch in range(_MOST):
-        if batch < _FAR or len(accepted) > _HITS:
-            poses = rng.uniform(low, high, (_BATCH, len(low)))
+    accepted, batch = home, _batch(mechanism)
+    for turn in range(_MOST):
+        if turn < _FAR or len(accepted) > _HITS:
+            poses = rng.uniform(low, high, (batch, len(low)))
         else:  # strokes that are small against the machine
-            near = 0.5 ** (batch - _FAR) * size
-            twists = rng.uniform(-near, near, (_BATCH, platform.dof))
-            poses = platform.moved(np.repeat(home, _BATCH, axis=0), twists)
+            near = 0.5 ** (turn - _FAR) * size
+            twists = rng.uniform(-near, near, (batch, platform.dof))
+            poses = platform.moved(np.repeat(home, batch, axis=0), twists)
         accepted = np.concatenate((accepted, poses[counts(poses)]))
         if len(accepted) >= _PILOT:
             break
@@ -324,7 +331,7 @@ def _explore(
     connected = home_component(platform, accepted, counts)
     for _ in range(2):  # tighten to the part around home, and widen where the box cut
         low, high = around(accepted[connected(accepted)], _WIDEN)
-        poses = rng.uniform(low, high, (2 * _BATCH, len(low)))
+        poses = rng.uniform(low, high, (2 * batch, len(low)))
         accepted = np.concatenate((accepted, poses[counts(poses)]))
         connected = home_component(platform, accepted[-2 * _PILOT :], counts)
     return *around(accepted[connected(accepted)], _WIDEN / 4), connected
