@@ -128,34 +128,36 @@ def config_file(folder: Path, text: str = CONFIG, name: str = "printer.cfg") -> 
 
 def test_klipper_configurations_are_read(tmp_path: Path) -> None:
     """Defaults of Klipper, its SAVE_CONFIG block, and the rule that options above it win."""
-    printer, heights, _ = read_klipper(config_file(tmp_path))
+    printer, probing = read_klipper(config_file(tmp_path))
     assert printer.radius == pytest.approx(0.17475)
     np.testing.assert_allclose(np.degrees(printer.angles), [210.0, 330.2, 90.1])
     np.testing.assert_allclose(printer.arms, [0.333, 0.333, 0.3325])
     np.testing.assert_allclose(printer.endstops, [0.29705, 0.2971, 0.29705])
     assert printer.print_radius == pytest.approx(0.14)
-    assert len(heights) == 0
+    assert len(probing) == 0
     assert printer.remarks == ()
 
 
 def test_klipper_heights_are_steps_down_from_the_endstops(tmp_path: Path) -> None:
-    """Stable positions times the way per step, with gears and full steps; distances are said."""
+    """Stable positions times the way per step, with gears and full steps; of distances two rows."""
     saved = CONFIG + (
         "#*#\n#*# [delta_calibrate]\n#*# height0 = 0.1\n#*# height0_pos = 1000.000,2000.0,3000.5\n"
         "#*# manual_height0 = -0.2\n#*# manual_height0_pos = 4000,5000,6000\n"
         "#*# distance0 = 65.1\n#*# distance0_pos1 = 1,2,3\n#*# distance0_pos2 = 4,5,6\n"
     )
-    printer, heights, readings = read_klipper(config_file(tmp_path, saved))
-    np.testing.assert_allclose(heights, [-2e-4, 1e-4])
+    _, probing = read_klipper(config_file(tmp_path, saved))
+    np.testing.assert_allclose(probing.poses[:, 2], [-2e-4, 1e-4, np.nan, np.nan])
     way = np.array([40 / (200 * 16 * 6), 40 / (200 * 32), 40 / (400 * 16)]) * 1e-3
-    np.testing.assert_allclose(readings, [[4000, 5000, 6000] * way, [1000, 2000, 3000.5] * way])
-    assert "1 distance of DELTA_ANALYZE left out" in printer.remarks[0]
+    steps = [[4000, 5000, 6000], [1000, 2000, 3000.5], [1, 2, 3], [4, 5, 6]]
+    np.testing.assert_allclose(probing.readings, steps * way)
+    np.testing.assert_allclose(probing.extra["distance_1"], [np.nan] * 3 + [65.1e-3])
+    assert probing.contacts["distance_1_to"] == ("", "", "", "3")
 
 
 def test_what_klipper_includes_is_named(tmp_path: Path) -> None:
     """Included files are not read, whatever they are called, and that is said."""
     for name in ("/dev/zero", "../outside.cfg", "parts/*.cfg", "."):
-        printer, _, _ = read_klipper(config_file(tmp_path, f"[include {name}]\n" + CONFIG))
+        printer, _ = read_klipper(config_file(tmp_path, f"[include {name}]\n" + CONFIG))
         assert printer.radius == pytest.approx(0.17475)
         assert f"'include {name}' is not read" in printer.remarks[0]
 

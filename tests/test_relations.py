@@ -6,6 +6,7 @@ the data is computed by pincal.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ import pytest
 from command_line import done
 from cramer_rao import Machine
 from differences import assert_derivative
+from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 import pincal
@@ -211,6 +213,89 @@ def test_wrong_pairs_are_named(tmp_path: Path) -> None:
         {"row 9", "distance to row 1"},
     )
     assert 0.9 < calibrated(off, loss="reject").reduced_chi2 < 1.2
+
+
+def test_klippers_measurements_give_klippers_parameters(tmp_path: Path) -> None:
+    """41 probed heights and 12 distances of a printer.cfg: parameters as Klipper's cost has them.
+
+    That is Σ (z − height)² n / (½ N) + Σ (d − distance)² (klippy/extras/delta_calibrate.py),
+    written out by its formulas, positions by three spheres, and minimised by SciPy: to 1e-6 mm.
+    """
+    rng, way = np.random.default_rng(0), 40.0 / 3200.0  # mm a step
+    nominal = np.array([174.75, 210.0, 330.0, 297.05, 297.05, 297.05, 333.0, 333.0, 333.0])
+    true = nominal + rng.normal(size=9) * [0.5, 0.2, 0.2, 0.5, 0.5, 0.5, 0.3, 0.3, 0.3]
+
+    def spheres(p: Array) -> tuple[Array, Array, Array]:
+        angles = np.radians([p[1], p[2], 90.0])
+        towers = p[0] * np.column_stack((np.cos(angles), np.sin(angles)))
+        return towers, p[3:6] + np.sqrt(p[6:] ** 2 - p[0] ** 2), p[6:]
+
+    def steps(p: Array, points: Array) -> Array:
+        towers, tops, arms = spheres(p)
+        level = ((points[:, None, :2] - towers) ** 2).sum(axis=2)
+        return np.round((tops - np.sqrt(arms**2 - level) - points[:, 2:]) / way, 3)
+
+    def positions(p: Array, stable: Array) -> Array:
+        towers, tops, arms = spheres(p)
+        centres = np.concatenate(
+            (np.tile(towers, (len(stable), 1, 1)), (tops - stable * way)[:, :, None]), axis=2
+        )
+        a, b, c = centres.transpose(1, 0, 2)
+        ex = (b - a) / np.linalg.norm(b - a, axis=1)[:, None]
+        i = (ex * (c - a)).sum(axis=1)
+        ey = c - a - i[:, None] * ex
+        ey /= np.linalg.norm(ey, axis=1)[:, None]
+        d, j = np.linalg.norm(b - a, axis=1), (ey * (c - a)).sum(axis=1)
+        x = (arms[0] ** 2 - arms[1] ** 2 + d**2) / (2 * d)
+        y = (arms[0] ** 2 - arms[2] ** 2 + i**2 + j**2 - 2 * i * x) / (2 * j)
+        z = np.cross(ex, ey) * -np.sqrt(arms[0] ** 2 - x**2 - y**2)[:, None]
+        return a + x[:, None] * ex + y[:, None] * ey + z
+
+    turn = np.arange(41) * np.pi * (3 - np.sqrt(5))
+    r = 120 * np.sqrt(np.arange(41) / 40)
+    bed = np.column_stack((r * np.cos(turn), r * np.sin(turn), np.zeros(41)))
+    azimuths = np.radians(np.repeat([210, 270, 330, 30, 90, 150], 2))
+    rays = np.column_stack((np.cos(azimuths), np.sin(azimuths), np.zeros(12)))
+    ends = np.stack((4.5 * rays, np.where(np.arange(12) % 2, 69.5, 60.0)[:, None] * rays))
+    stable, far = steps(true, bed), [steps(true, end) for end in ends]
+    heights = 0.02 * rng.standard_normal(41)
+    apart = np.linalg.norm(ends[1] - ends[0], axis=1) + 0.05 * rng.standard_normal(12)
+    weight = np.sqrt(len(apart) / (0.5 * len(heights)))
+
+    def missed(p: Array) -> Array:
+        first, second = (positions(p, end) for end in far)
+        distances = np.linalg.norm(second - first, axis=1)
+        return np.append(weight * (positions(p, stable)[:, 2] - heights), distances - apart)
+
+    best = least_squares(missed, nominal, x_scale="jac", xtol=1e-15, ftol=1e-15, gtol=1e-15).x
+    lines = ["[printer]", "kinematics: delta", f"delta_radius: {nominal[0]}"]
+    for name in "abc":
+        lines += [f"[stepper_{name}]", "rotation_distance: 40", "microsteps: 16"]
+        lines += ["arm_length: 333.0", "position_endstop: 297.05"]
+    lines += ["#*# [delta_calibrate]"]
+    triple = "{:.3f},{:.3f},{:.3f}".format
+    for n, (height, at) in enumerate(zip(heights.tolist(), stable, strict=True)):
+        lines += [f"#*# height{n} = {height!r}", f"#*# height{n}_pos = {triple(*at)}"]
+    for n, (distance, a, b) in enumerate(zip(apart.tolist(), *far, strict=True)):
+        lines += [f"#*# distance{n} = {distance!r}"]
+        lines += [f"#*# distance{n}_pos1 = {triple(*a)}", f"#*# distance{n}_pos2 = {triple(*b)}"]
+    (tmp_path / "printer.cfg").write_text("\n".join(lines))
+    done("import", tmp_path / "printer.cfg", "-o", tmp_path / "kossel")
+    robot = pincal.load_mechanism(tmp_path / "kossel")
+    data = pincal.Measurements.from_csv(tmp_path / "kossel" / "probing.csv", robot, partial=True)
+    sigma = np.full((len(data), 3), 5e-5 / weight)
+    exact = {"distance_1": np.full(len(data), 5e-5)}
+    known = replace(data, sigma_poses=sigma, sigma_extra=exact)
+    options = {"tied": ["radius"], "fixed": [f"{robot.legs[2].name}.angle"]}
+    result = pincal.calibrate(robot, known, **options)
+    assert result.converged
+    by_leg = [leg.identified for leg in result.legs]  # radius, angle, arm, endstop of each
+    angles = np.degrees([by_leg[0][1], by_leg[1][1]]) % 360.0
+    lengths = 1e3 * np.array(
+        [by_leg[0][0], *(leg[3] for leg in by_leg), *(leg[2] for leg in by_leg)]
+    )
+    np.testing.assert_allclose(lengths, np.delete(best, [1, 2]), rtol=0.0, atol=1e-6)
+    np.testing.assert_allclose(angles, best[1:3], rtol=0.0, atol=1e-6)
 
 
 @pytest.mark.slow

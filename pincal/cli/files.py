@@ -145,16 +145,17 @@ def _import_printer(
     file: Path, output: Path, form: InputFormat, options: ImportOptions
 ) -> Sequence[str]:
     """Write the mechanism of a delta printer to a folder, with the points that it probed."""
-    heights, readings = np.empty(0), np.empty((0, 3))
+    probing = Measurements(poses=np.empty((0, 3)), readings=np.empty((0, 3)))
     if form == "klipper":
-        printer, heights, readings = firmware.read_klipper(file)
+        printer, probing = firmware.read_klipper(file)
     else:
         named = form if options.format and (form == "reprap" or form == "marlin") else None
         printer = firmware.read_reprap(file, named)
     mechanism = printer.mechanism(named_after(output), f"Linear delta of {file.name}.")
     if options.probed is not None:
         solution = pincal.inverse(mechanism, read_poses(options.probed, mechanism).poses)
-        readings, heights = solution.readings, np.zeros(len(solution.readings))
+        poses = np.full((len(solution.readings), 3), (np.nan, np.nan, 0.0))  # z alone is known
+        probing = Measurements(poses=poses, readings=solution.readings)
         if lost := np.flatnonzero(~solution.reached.all(axis=1)).tolist():
             raise MeasurementError(
                 f"{options.probed}: point {lost[0] + 1} is {solution.reason(lost[0])}, so the "
@@ -162,13 +163,13 @@ def _import_printer(
             )
     with writing(output, force=options.force, folder=(*MECHANISM_FILES, PROBING)) as scratch:
         write_mechanism(mechanism, scratch)
-        if len(heights):
-            poses = np.full((len(heights), 3), np.nan)
-            poses[:, 2] = heights  # z alone was measured
-            write_plan(Measurements(poses=poses, readings=readings), scratch / PROBING, mechanism)
+        if len(probing):
+            write_plan(probing, scratch / PROBING, mechanism)
     stdout.print(printer.firmware_lines)
-    if len(heights):
-        remark(f"{len(heights)} probed points in {output / PROBING}")
+    if heights := int(np.isfinite(probing.poses[:, 2]).sum()):
+        remark(f"{heights} probed points in {output / PROBING}")
+    if distances := (len(probing) - heights) // 2:
+        remark(f"{distances} distances of DELTA_ANALYZE, two rows each, in {output / PROBING}")
     return printer.remarks
 
 

@@ -26,7 +26,7 @@ from pincal.types import Array, Index, Mask
 Freedoms = tuple[float, ...]
 Source = Literal["given", "rows", "repeats", "estimated"]
 _ENOUGH = 30  # rows that repeat others; fewer say less about the noise than the residuals do
-_MARKED = 0.01  # of the least noise of a distance between rows: how well these mark a point
+_MARKED = 1e-3  # of the least noise of a distance between rows: how well these mark a point
 _ASSUMED = 1e-4  # of the mechanism's size, and [rad]: where an estimate of the noise begins
 _ASSUMED_PIXEL = 0.5  # the same of pixels
 

@@ -1,9 +1,10 @@
 """Delta kinematics in files of firmwares: Klipper, RepRapFirmware, Marlin. Lengths mm, angles deg.
 
 Klipper's ``printer.cfg`` ends with a block that SAVE_CONFIG appends, in which options count that
-are not above it. There are also heights that DELTA_CALIBRATE probed, with "stable positions": steps
-that each carriage went down from its endstop, which do not depend on the parameters
-(``klippy/extras/delta_calibrate.py``). Times the way per step they are readings.
+are not above it. There are also heights that DELTA_CALIBRATE probed, and distances
+that DELTA_ANALYZE was told, with "stable positions": steps that each carriage went down from its
+endstop, which do not depend on the parameters (``klippy/extras/delta_calibrate.py``). Times the way
+per step they are readings.
 
 ``M665 L333.1:333.0:332.9 R174.7 H297.1 B140 X0.1 Y-0.2 Z0`` and ``M666 X0.1 Y-0.2 Z0.1 A0 B0``:
 rods L, delta radius R, homed height H, print radius B, corrections of the towers' angles (counted
@@ -30,6 +31,8 @@ from pincal.errors import MechanismError, located
 from pincal.files.text import LARGEST_FILE, lines_of, plain_number, read_text
 from pincal.formats.delta_printer import ANGLES, DeltaPrinter
 from pincal.model.checks import LARGEST
+from pincal.model.measurements import Measurements
+from pincal.model.setup import ROW, TO
 from pincal.model.units import UNITS
 from pincal.types import Array
 
@@ -47,11 +50,11 @@ _KNOWN = {
 }
 
 
-def read_klipper(path: str | Path) -> tuple[DeltaPrinter, Array, Array]:
-    """Return the delta of a ``printer.cfg``, heights that it holds, and readings there.
+def read_klipper(path: str | Path) -> tuple[DeltaPrinter, Measurements]:
+    """Return the delta of a ``printer.cfg``, and the heights and distances that it holds.
 
-    Probed and manual heights of the nozzle over the bed have shape (N,), [m]; ways of the carriages
-    down from their endstops, (N, 3), [m].
+    Heights of the nozzle over the bed are z of the poses; readings are ways of the carriages down
+    from their endstops.
     """
     with located(path, MechanismError):
         config = _Options(read_text(Path(path), LARGEST_FILE["printer"], MechanismError, pipe=True))
@@ -68,7 +71,7 @@ def read_klipper(path: str | Path) -> tuple[DeltaPrinter, Array, Array]:
         radius = config.number("printer", "delta_radius")
         printed = config.number("printer", "print_radius", np.nan)
         printer = _printer(radius, angles, arms, endstops, printed)
-        return replace(printer, remarks=tuple(config.remarks())), *config.heights()
+        return replace(printer, remarks=tuple(config.remarks())), config.probing()
 
 
 def read_reprap(path: str | Path, firmware: Firmware | None = None) -> DeltaPrinter:
@@ -211,18 +214,11 @@ class _Options(configparser.RawConfigParser):
 
     def remarks(self) -> list[str]:
         """Return what the file says and is not read, as sentences."""
-        remarks = [
+        return [
             f"{name[:100]!r} is not read: options of the delta that are there do not count"
             for name in self.sections()
             if name.startswith("include ")
         ]
-        probed = self["delta_calibrate"] if self.has_section("delta_calibrate") else ()
-        if count := sum(re.fullmatch(r"distance\d+", option) is not None for option in probed):
-            remarks.append(
-                f"{count} distance{'s' * (count > 1)} of DELTA_ANALYZE left out: say what you know "
-                "of the arms by --priors arm=… or --fixed arm"
-            )
-        return remarks
 
     def text(self, section: str, option: str, default: str | None = None) -> str:
         """Return an option; one without a default must be there."""
@@ -246,24 +242,44 @@ class _Options(configparser.RawConfigParser):
             raise MechanismError(f"[{section}] {option} is {text!r}; expected {expected}")
         return values
 
-    def heights(self) -> tuple[Array, Array]:
-        """Return the heights, shape (N,), [m], and the readings there, shape (N, 3), [m]."""
-        heights: list[float] = []
-        steps, section = [], "delta_calibrate"
-        for kind in ("manual_height", "height"):
-            first = len(heights)
-            while self.has_option(section, name := f"{kind}{len(heights) - first}"):
-                heights.append(_MM * self.number(section, name))
-                steps.append(self.numbers(section, f"{name}_pos", 3))
-        if not heights:
-            return np.empty(0), np.empty((0, 3))
-        readings = np.array(steps) * [_MM * self._way_per_step(name) for name in _STEPPERS]
-        if not np.abs(np.column_stack((heights, readings))).max() <= LARGEST:
+    def probing(self) -> Measurements:
+        """Return what DELTA_CALIBRATE probed and DELTA_ANALYZE measured, rows at which it did.
+
+        Rows of heights, manual ones first; then two rows of each distance.
+        """
+        heights = self._saved("manual_height", "_pos") + self._saved("height", "_pos")
+        distances = self._saved("distance", "_pos1", "_pos2")
+        every = [*heights, *distances]
+        steps = np.reshape([end for _, ends in every for end in ends], (-1, 3))
+        ways = [_MM * self._way_per_step(name) for name in _STEPPERS] if every else 1.0
+        readings, count = steps * ways, len(heights)
+        z = np.full(len(readings), np.nan)
+        z[:count] = [_MM * height for height, _ in heights]
+        apart = np.full(len(readings), np.nan)
+        apart[count + 1 :: 2] = [_MM * distance for distance, _ in distances]
+        sizes = np.abs(np.column_stack((z, apart, readings)))
+        if not (np.isnan(sizes) | (sizes <= LARGEST)).all():
             raise MechanismError(
-                "a height of [delta_calibrate], or its steps times their way, is no number up to "
-                f"{LARGEST:g} m"
+                "a height or distance of [delta_calibrate], or its steps times their way, is no "
+                f"number up to {LARGEST:g} m"
             )
-        return np.array(heights), readings
+        names = tuple(str(1 + row) for row in range(len(readings)))
+        led_to = (str(row) if np.isfinite(apart[row]) else "" for row in range(len(names)))
+        contacts = {ROW: names, f"distance_1{TO}": tuple(led_to)}
+        return Measurements(
+            poses=np.column_stack((np.full((len(z), 2), np.nan), z)),
+            readings=readings,
+            extra={"distance_1": apart} if distances else {},
+            contacts=contacts if distances else {},
+        )
+
+    def _saved(self, kind: str, *ends: str) -> list[tuple[float, list[list[float]]]]:
+        """Return the numbers ``kind0`` … of [delta_calibrate], and the steps at their ends."""
+        section, numbers = "delta_calibrate", list[tuple[float, list[list[float]]]]()
+        while self.has_option(section, name := f"{kind}{len(numbers)}"):
+            steps = [self.numbers(section, f"{name}{end}", 3) for end in ends]
+            numbers.append((self.number(section, name), steps))
+        return numbers
 
     def _way_per_step(self, stepper: str) -> float:
         """Return the way of a carriage for a step, [mm] (``klippy/stepper.py``)."""

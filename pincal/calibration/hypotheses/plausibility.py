@@ -320,7 +320,8 @@ def check_copies(data: Measurements, *, every_pose: bool = False) -> None:
     measured = np.column_stack([data.poses, *data.extra.values()])
     first: dict[tuple[str, bytes], int] = {}
     copies = []
-    for row in range(len(data)):
+    from_others = np.full(len(data), ROW in data.contacts) & np.isnan(measured).all(axis=1)
+    for row in np.flatnonzero(~from_others).tolist():
         served = "" if data.sets is None or every_pose else data.sets[row]
         first_row = first.setdefault((served, data.readings[row].tobytes()), row)
         if first_row == row:
