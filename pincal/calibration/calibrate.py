@@ -33,6 +33,7 @@ from pincal.calibration.terms.choice import Explanation, choose
 from pincal.calibration.terms.kinds import columns_of_terms, every_pair, parse_terms
 from pincal.calibration.validation import held_out
 from pincal.errors import MisfitError, ObservabilityError, PincalError
+from pincal.estimation.components import tie_of
 from pincal.estimation.fit import Outlier
 from pincal.estimation.system import FALSE_ALARM
 from pincal.estimation.unknowns import External
@@ -88,9 +89,8 @@ def explain(
         MeasurementError: measurements that cannot be this mechanism's, or an unknown kind of term.
         ObservabilityError: too few poses, or poses that leave parameters undetermined.
     """
-    chosen = Options.of(options, **single_options)
-    with_terms = replace(chosen, terms=chosen.terms or (AUTO,))
-    return explained(prepared(mechanism, measurements, with_terms))
+    asked = Options.of(options, **single_options)
+    return explained(prepared(mechanism, measurements, asked, terms=asked.terms or (AUTO,)))
 
 
 def prepared(
@@ -136,6 +136,10 @@ def run(
         raise explained_error(calibration, error) from error
     result = assemble(sure_fits)
     findings = (*explain_result(result, fits.external), *findings_of(result, sure_fits))
+    lacks = "model-lacks" in {remark.code for remark in findings} and not asked.lacks
+    estimated = lacks and not fits.calibration.noise.known
+    if estimated and tie_of(fits.fits[0], fits.noise, lacks=True):
+        return run(replace(asked, lacks=True), folds, by)
     terms = sorted(calibration.mechanism.amplitudes - asked.mechanism.amplitudes)
     if AUTO in asked.options.terms and terms:
         findings = (*findings, finding("terms-chosen", parameters=terms))
@@ -143,10 +147,9 @@ def run(
     if result.excess > 1.0 and result.loss == "none":
         findings, outliers = blame_wrong_rows(result, findings)
     result = replace(result, findings=findings, outliers=outliers)
-    if folds is None or not result.converged:
-        return result, fits, []
-    if not folds:
-        return result, fits, ["no rows were held out (--folds 0)"]
+    if not folds or not result.converged:
+        asked_none = folds == 0 and result.converged
+        return result, fits, ["no rows were held out (--folds 0)"] * asked_none
     try:
         return with_validation(result, folds, by, fits), fits, []
     except (PincalError, ArithmeticError) as error:
@@ -218,15 +221,14 @@ def explained(calibration: Calibration) -> Explanation:
 
 def _with_terms(calibration: Calibration) -> Calibration:
     """Return a calibration whose mechanism has the terms that its options ask for."""
-    terms, data = calibration.options.terms, calibration.measurements
+    terms, mechanism = calibration.options.terms, calibration.mechanism
     if not terms:
         return calibration
     plain = replace(calibration, options=replace(calibration.options, terms=()))
-    mechanism = plain.mechanism
     plain = extended(plain, parse_terms([term for term in terms if term != AUTO], mechanism))
     if AUTO not in terms:
         return plain
-    models, chosen, *_ = choose(started(plain), every_pair(mechanism, data))
+    models, chosen, *_ = choose(started(plain), every_pair(mechanism, plain.measurements))
     return extended(plain, models[chosen].added)
 
 

@@ -39,7 +39,8 @@ class Calibration:
     """Noise of these rows as it was found with others or before; as was measured if None."""
     fixed_noise: bool = field(default=False, compare=False, repr=False)
     """Whether noise is taken as it is though its scale was estimated: from more rows than these."""
-
+    lacks: bool = field(default=False, compare=False, repr=False)
+    """Whether residuals said that the model lacks something: see ``tie_of``."""
     tolerances: tuple[FoundTolerance, ...] = field(default=(), compare=False, repr=False)
     """Sizes of tolerances that were found by the measurements."""
 

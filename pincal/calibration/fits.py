@@ -159,7 +159,7 @@ def _with_estimated_noise(fits: Fits) -> Fits:
         if not fits.sound:
             return fits
         estimate = _noise_of(fits, assumed, tie, exact=exact)
-        if tie is None and (tie := tie_of(fits.fits[0], estimate)):
+        if tie is None and (tie := tie_of(fits.fits[0], estimate, lacks=calibration.lacks)):
             estimate = _noise_of(fits, assumed, tie, exact=exact)
         if _agree(fits.noise, estimate):
             break
@@ -348,9 +348,7 @@ def with_found_tolerance(calibration: Calibration) -> Calibration:
             ) from error
         rise = float(chdtri(1, 1.0 - CONFIDENCE))
         last, (sizes, ends) = sizes, likeliest(parts, sizes, (ALIKE * farthest, farthest), rise)
-        estimates.update(
-            zip(sought, zip(sizes.tolist(), *ends.T.tolist(), strict=True), strict=True)
-        )
+        estimates |= zip(sought, zip(sizes.tolist(), *ends.T.tolist(), strict=True), strict=True)
         if np.abs(np.log(sizes / last)).max() <= SETTLED:
             break
     tolerances = [FoundTolerance(unit, *estimates[unit], len(ids)) for unit, ids in units.items()]

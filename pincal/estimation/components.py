@@ -29,7 +29,6 @@ _LARGEST_STEP = 10.0  # factor by which a variance changes at once, at most
 _SMALLEST = 1e-3  # standard deviation over the largest, each over its unit, if it is not exact
 _ROUNDING = 1e-10  # standard deviation over the assumed one, below which residuals are rounding
 
-
 Tie = tuple[int, float]  # positions or orientations, and how much of their noise a sensor has
 
 
@@ -179,12 +178,13 @@ def estimated_noise(
     return Noise(*(float(size * factor) for size, factor in zip(sizes, factors, strict=False)))
 
 
-def tie_of(fit: Fit, noise: Noise) -> Tie | None:
+def tie_of(fit: Fit, noise: Noise, *, lacks: bool = False) -> Tie | None:
     """Return to which noise that of readings is tied if it moves the platform much farther.
 
     What the model lacks looks like noise of the readings, and poses near singularities would
-    then judge the model. It belongs to what was measured of the platform: only repeated rows
-    may show sensors that are so noisy. None if poses are as measured, or nothing of them was.
+    then judge the model. It belongs to what was measured of the platform: only repeated rows may
+    show sensors that are so noisy; none a quarter as noisy where residuals say that the model
+    lacks something. None if poses are as measured, or nothing of them was.
     """
     problem, linear, n_legs = fit.problem, fit.last, fit.problem.leg_block.n_rows
     columns = zip(problem.observation.units, problem.active[fit.good, n_legs:].T, strict=False)
@@ -195,7 +195,8 @@ def tie_of(fit: Fit, noise: Noise) -> Tie | None:
         return None
     moved = np.linalg.pinv(linear.by_pose[:, :n_legs]) @ linear.by_measured  # least squares of legs
     lever = float(np.sqrt(np.median((moved**2).sum(axis=2), axis=0)[moving].mean()))
-    far = lever * noise.reading > _SENSORS_ONLY * (noise.position, noise.orientation)[group]
+    most = (1.0 + _TIED) * _SENSOR if lacks else _SENSORS_ONLY
+    far = lever * noise.reading > most * (noise.position, noise.orientation)[group]
     return (group, _SENSOR / lever) if far else None
 
 

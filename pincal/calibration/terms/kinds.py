@@ -245,8 +245,7 @@ def columns_of_terms(terms: Sequence[str]) -> tuple[str, ...] | None:
     """Return the columns of measurements that terms name; None if all columns may be tried."""
     if AUTO in terms:
         return None
-    names = (_parts(text)[1].name for text in terms)
-    return tuple(name for name in names if name not in _KINDS)
+    return tuple(name for text in terms if (name := _parts(text)[1].name) not in _KINDS)
 
 
 def _parts(text: str) -> tuple[str, Kind]:

@@ -183,7 +183,10 @@ def find_gauge(
         raise ObservabilityError(
             f"what is measured leaves parameters undetermined at any poses: {lacking}"
         )
-    n_still = _n_of_legs(problem.observation.setup, moved) - frames.shape[1]
+    n_lost = moved.shape[1]
+    if problem.observation.setup.pixels:  # camera and markers may move together
+        n_lost = int(np.linalg.matrix_rank(moved, rtol=NEGLIGIBLE))
+    n_still = n_lost - frames.shape[1]
     findings = _freedoms(frames, mechanism, problem.observation.setup)
     if n_still:
         groups = identifiability(gain.reshape(-1, n_legs), unknowns.labels[:n_legs]).groups
@@ -196,11 +199,6 @@ def find_gauge(
     )
     nearest = (directions @ T.T * weights) @ T
     return Gauge(nearest, tuple(findings), moved if findings else None, frames)
-
-
-def _n_of_legs(setup: Setup, lost: Array) -> int:
-    """Return how many lost directions are of legs: camera and markers may move together."""
-    return int(np.linalg.matrix_rank(lost, rtol=NEGLIGIBLE)) if setup.pixels else lost.shape[1]
 
 
 def _undetermined(J: Array, unknowns: Unknowns, n_lost: int, gain: Array) -> str:
