@@ -31,6 +31,7 @@ from .kinematics.configurations import inverse
 from .kinematics.derivatives import identification_jacobian
 from .kinematics.forward import forward
 from .kinematics.singularity import margins
+from .kinematics.tensions import tensions
 from .model.leg import End, Follows, Joint, Leg
 from .model.measurements import Measurements, Noise, Plan
 from .model.mechanism import Mechanism
@@ -39,7 +40,7 @@ from .model.placement import Placement
 from .model.platform import Platform
 from .model.sensor import Sensor
 from .model.setup import Contact, Distance, Image, Instrument, Setup, Systematic, Target, Tracker
-from .model.terms import Harmonic, Load, Power, Share, Term
+from .model.terms import Cables, Harmonic, Load, Power, Share, Term
 from .show.pictures.picture import picture
 from .show.view.view import view
 from .symmetry.carry import generate
@@ -55,6 +56,7 @@ from .workspace.sampling import sample_configurations, sample_contacts, sample_w
 __version__: str
 
 __all__ = [
+    "Cables",
     "CalibrationResult",
     "Camera",
     "Contact",
@@ -131,5 +133,6 @@ __all__ = [
     "select_poses",
     "simulate",
     "symmetry_group",
+    "tensions",
     "view",
 ]

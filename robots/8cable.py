@@ -3,9 +3,11 @@
 The arrangement of suspended cable robots such as CoGiRo (M. Gouttefarde, J.-F. Collard, N. Riehl
 and C. Baradat, Geometry selection of a redundantly actuated cable-suspended parallel robot, IEEE
 Trans. Robotics 31, 2015): two cables from the top of each post, crossed at the platform. Dimensions
-are our own. A cable is a universal joint at its anchor and a line, zeroed at home.
+are our own. A cable is a universal joint at its anchor and a line, zeroed at home. All of them
+hold a weight of 20 kg from above, each by a tension of 1 to 1000 N.
 """
 
+from dataclasses import replace
 from math import pi
 from pathlib import Path
 
@@ -24,6 +26,8 @@ PARAMETERS = {
     "b_z": 0.4,
     "k": 1.0,  # sensor gain
 }
+LOAD = pincal.Load(mass=20.0)
+TENSIONS = pincal.Cables(least=1.0, most=1000.0)
 LABELS = {
     "A_x": "anchor, x",
     "A_y": "anchor, y",
@@ -68,7 +72,8 @@ def mechanism(posts: int = 4) -> Mechanism:
     )
     platform = pincal.Platform("spatial", home=(*HOME, 0.0, 0.0, 0.0))
     what = "Cable robot, two lines from each post to a platform, zeroed at home."
-    return pincal.generate(f"{2 * posts}cable", line, group(posts), platform, what, LABELS)
+    robot = pincal.generate(f"{2 * posts}cable", line, group(posts), platform, what, LABELS)
+    return replace(robot, load=LOAD, cables=TENSIONS)
 
 
 if __name__ == "__main__":

@@ -5,8 +5,8 @@ from __future__ import annotations
 GROUPS = {
     "Mechanisms": "load_mechanism new_mechanism Mechanism Leg End Follows Joint Placement "
     "Parameter Platform generate over_pulley",
-    "Sensors and terms": "Sensor Term Harmonic Power Share Load",
-    "Kinematics": "inverse forward margins identification_jacobian",
+    "Sensors and terms": "Sensor Term Harmonic Power Share Load Cables",
+    "Kinematics": "inverse forward margins tensions identification_jacobian",
     "Workspace": "sample_workspace sample_configurations sample_contacts compute_workspace "
     "Workspace Grid Orientations Margins free_of_collision largest_inscribed Inscribed",
     "Symmetry": "symmetry_group Element cyclic dihedral",

@@ -55,6 +55,12 @@ def check(mech: Mech, options: TableOptions) -> None:
                 f"home is rough, it closes within {gap:.2g} m only and fixes the side of bending"
             )
         stdout.print(f"{leg.name}: {words}")
+    if cables := mechanism.cables:
+        pulls, limits = pincal.tensions(mechanism, [mechanism.platform.home])[0], cables
+        words = f"hold home with {pulls.min():.4g} to {pulls.max():.4g} N at least"
+        if np.isnan(pulls).any():
+            words = f"cannot hold home with {limits.least:g} to {limits.most:g} N, and the load"
+        stdout.print(f"cables: {words}")
     with working("sampling the workspace"):
         plan = pincal.sample_configurations(mechanism, 500)
     for leg, demand in zip(mechanism.legs, leg_demands(mechanism.at_reference, plan), strict=True):

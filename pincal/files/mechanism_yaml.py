@@ -26,7 +26,7 @@ from pincal.model.mechanism import Mechanism
 from pincal.model.placement import Coordinate
 from pincal.model.platform import KINDS, TWIST, Platform
 from pincal.model.sensor import Sensor
-from pincal.model.terms import Harmonic, Load, Power, Share, Term
+from pincal.model.terms import Cables, Harmonic, Load, Power, Share, Term
 
 FORMAT = 1
 YAML = "mechanism.yaml"
@@ -124,7 +124,10 @@ def _drawn(entry: Entry) -> tuple[tuple[str, float], ...]:
 
 def read_mechanism(folder: Path) -> Mechanism:
     """Return what a folder's ``mechanism.yaml`` and the URDFs that it names say together."""
-    needed, known = ("pincal", "name", "platform", "legs"), ("description", "labels", "load")
+    needed, known = (
+        ("pincal", "name", "platform", "legs"),
+        ("description", "labels", "load", "cables"),
+    )
     keys = read_yaml(inside(folder, YAML), MechanismError).keys(needed, known)
     keys["pincal"].choice(FORMAT)
     platform = _platform(keys["platform"])
@@ -137,6 +140,7 @@ def read_mechanism(folder: Path) -> Mechanism:
         keys["description"].text() if "description" in keys else "",
         tuple(_texts(keys.get("labels")).items()),
         keys["load"].built(Load, drawn=_drawn) if "load" in keys else None,
+        keys["cables"].built(Cables) if "cables" in keys else None,
     )
     identified = (folder.parent / "result.json").is_file()  # at the nominal home
     for leg in () if identified else legs:
@@ -254,6 +258,7 @@ def mechanism_yaml(mechanism: Mechanism) -> str:
         "legs": [_described_leg(leg) for leg in mechanism.legs],
         "labels": dict(mechanism.labels),
         "load": weight and _filled(weight),
+        "cables": None if mechanism.cables is None else vars(mechanism.cables),
     }
     header = "# A mechanism of pincal. Lengths in m, angles in rad. See docs/mechanism_files.md\n"
     return header + yaml.dump(_filled(keys), Dumper=_Dumper, sort_keys=False, width=100)

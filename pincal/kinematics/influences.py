@@ -112,6 +112,17 @@ def sides(readings: Array, runs: Sequence[str] | None = None) -> Array:
     return sides_of_rows
 
 
+def weight(mechanism: Mechanism, matrices: Array) -> Array:
+    """Return the weight of platform and payload at poses (N, 4, 4), a wrench at its origin.
+
+    In the platform's freedoms, base axes, shape (N, dof), [N] and [N m].
+    """
+    load = mechanism.load or Load()
+    force, arms = load.mass * np.array(load.gravity), matrices[:, :3, :3] @ np.array(load.centre)
+    wrench = np.concatenate((np.broadcast_to(force, arms.shape), np.cross(arms, force)), axis=1)
+    return np.asarray(wrench[:, list(mechanism.platform.twist_rows)])
+
+
 def gravity_loads(mechanism: Mechanism, readings: Array, matrices: Array) -> dict[str, Array]:
     """Return forces and torques of gravity by name (``Mechanism.load_names``), of shape (N,) each.
 
@@ -121,10 +132,8 @@ def gravity_loads(mechanism: Mechanism, readings: Array, matrices: Array) -> dic
     ``drawing``. Readings, shape (N, n_readings), [rad] or [m], belong to poses (N, 4, 4).
     """
     load, legs = mechanism.load or Load(), nominal_legs(mechanism)
-    gravity, twist_rows = np.array(load.gravity), list(mechanism.platform.twist_rows)
-    force, arms = load.mass * gravity, matrices[:, :3, :3] @ np.array(load.centre)
-    wrench = np.concatenate((np.broadcast_to(force, arms.shape), np.cross(arms, force)), axis=1)
-    carried, closures, links = wrench[:, twist_rows], [], []
+    gravity, closures, links = np.array(load.gravity), [], []
+    carried = weight(mechanism, matrices)
     for index, leg in enumerate(legs):
         closed, joints = nearest_closure((leg,), matrices, mechanism.known(index, readings))
         lost, n = _links(leg, joints, gravity), len(leg.leg.moving)

@@ -191,7 +191,7 @@ def check_mechanism(mechanism: Mechanism) -> None:
         raise MechanismError(f"{title!r} is no name for a mechanism")
     for fault in _name_faults(mechanism):
         raise MechanismError(f"mechanism {title!r}: {fault}")
-    for fault in _leg_faults(mechanism):
+    for fault in chain(_cable_faults(mechanism), _leg_faults(mechanism)):
         raise MechanismError(fault)
 
 
@@ -229,6 +229,13 @@ def _name_faults(mechanism: Mechanism) -> Iterator[str]:
     drawn = dict(mechanism.load.drawn) if mechanism.load else {}
     if unknown := sorted(set(drawn).difference(mechanism.parameters.ids)):
         yield f"the load's drawing has {unknown[0]!r}, which is no parameter"
+
+
+def _cable_faults(mechanism: Mechanism) -> Iterator[str]:
+    """Yield which leg has tensions and is no cable."""
+    for leg in mechanism.legs if mechanism.cables else ():
+        if (leg.reading_units, leg.closes) != (("m",), "point"):
+            yield f"tensions are of cables, and {leg.name} is none; expected a line that is read"
 
 
 def _leg_faults(mechanism: Mechanism) -> Iterator[str]:

@@ -19,7 +19,7 @@ from pincal.model.consistency import check_mechanism
 from pincal.model.leg import Leg
 from pincal.model.parameter import Parameter, Parameters, labels_of
 from pincal.model.platform import Platform
-from pincal.model.terms import LOAD, OF_JOINTS, Load
+from pincal.model.terms import LOAD, OF_JOINTS, Cables, Load
 from pincal.types import Array
 
 
@@ -36,6 +36,8 @@ class Mechanism:
     ``("leg_2.l", "short crank")``. A mapping will do; those of no parameter are not shown."""
     load: Load | None = None
     """What weighs on it, if that is known."""
+    cables: Cables | None = None
+    """Limits of its legs' tensions, if they are cables, which only pull."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "labels", labels_of(self.labels, self.name))

@@ -186,6 +186,29 @@ Triple = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
+class Cables:
+    """Limits between which the tension of every cable stays: cables only pull.
+
+    Example:
+        >>> import pincal
+        >>> pincal.Cables(least=5.0, most=500.0)
+        Cables(least=5.0, most=500.0)
+    """
+
+    least: float = 0.0
+    """[N]."""
+    most: float = np.inf
+    """[N]."""
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.least < self.most:
+            raise MechanismError(
+                f"tensions of cables are between {self.least!r} and {self.most!r}; expected a "
+                "least of 0 or more, and a most above it [N]"
+            )
+
+
+@dataclass(frozen=True)
 class Load:
     """The weight of platform and payload, on which terms may depend (``of="load"``).
 

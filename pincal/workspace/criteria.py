@@ -26,6 +26,7 @@ from pincal.kinematics.singularity import (
     platform_margin,
     rods_margin,
 )
+from pincal.kinematics.tensions import can_hold
 from pincal.model.checks import EXACT, ROUNDING, must_be
 from pincal.model.consistency import home_gap
 from pincal.model.mechanism import Mechanism
@@ -50,6 +51,12 @@ class Margins:
     )
     """Determinant of the legs' unit constraint lines, signed as at home; hexapods are far below
     planar mechanisms. Minus infinity counts poses on both sides of singularities."""
+
+    tension: float | None = option(
+        None,
+        "Least tension at which every cable can be kept [N; default: the mechanism's].",
+        name="margin_tension",
+    )
 
     def __post_init__(self) -> None:
         for name, value in (("type-1", self.type1), ("type-2", self.type2)):
@@ -92,9 +99,17 @@ class Criteria:
         forms = [form for leg in self._legs if (form := closed_form(leg))]
         self.reaches = tuple(form.reach(self.least.type1) for form in forms)
         self._searched = [leg for leg in self._legs if not closed_form(leg)][:-1]
-        self._exact = len(forms) == len(self._legs) and all(r.exact for r in self.reaches)
+        exact = len(forms) == len(self._legs) and all(reach.exact for reach in self.reaches)
+        self._exact = exact and not self._pulls()
         self.in_closed_form = self._type2 == -np.inf and self._exact
         """Whether the reaches decide alone."""
+
+    def _pulls(self) -> bool:
+        """Return whether tensions of cables are asked for."""
+        cables = self.mechanism.cables
+        if self.least.tension is not None and cables is None:
+            raise WorkspaceError(f"{self.mechanism.name!r} has no 'cables' in its mechanism.yaml")
+        return cables is not None and self._type2 > -np.inf
 
     def __call__(self, matrices: Array) -> Mask:
         """Return which poses ``T_base_platform``, shape (N, 4, 4), count."""
@@ -142,6 +157,11 @@ class Criteria:
             if self._type2 > -np.inf:
                 lines = by_leg(closed, lambda legs: legs.closure.constraint_by_pose)
                 inside &= platform_margin(self.mechanism, lines) >= self._type2 - ROUNDING
+            if self._pulls() and inside.any():
+                drives = by_leg(closed, lambda legs: legs.closure.drive)
+                by_length = [(b / d)[inside] for b, d in zip(lines, drives, strict=True)]
+                matrices = closed[0][1].closure.matrices[: len(inside)][inside]
+                inside[inside] = can_hold(self.mechanism, matrices, by_length, self.least.tension)
         return inside
 
 

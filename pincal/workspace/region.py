@@ -22,8 +22,9 @@ from pincal.files.table import write_table
 from pincal.kinematics.singularity import margins
 from pincal.model.checks import ROUNDING, described
 from pincal.model.mechanism import Mechanism
+from pincal.model.terms import Load
 from pincal.symmetry.detect import symmetry_group
-from pincal.symmetry.elements import Element
+from pincal.symmetry.elements import Element, applied
 from pincal.types import Array, Mask
 from pincal.words.numbers import measured
 from pincal.workspace.axes import Orientations
@@ -124,6 +125,8 @@ def usable(group: tuple[Element, ...], grid: Grid, test: PositionTest) -> dict[E
         carrier = None if move is None else grid.carrier(move)
         if carrier is None or not test.orientations.maps(element):
             continue
+        if mechanism.cables and mechanism.load and not _weighs_alike(mechanism.load, element):
+            continue
         if test.least.least_type2(mechanism) > -np.inf:
             with np.errstate(invalid="ignore"):
                 image = margins(mechanism, element.poses(mechanism.platform, home))
@@ -131,6 +134,13 @@ def usable(group: tuple[Element, ...], grid: Grid, test: PositionTest) -> dict[E
                     continue
         elements[element] = carrier
     return elements
+
+
+def _weighs_alike(load: Load, element: Element) -> bool:
+    """Return whether an element leaves a load as it is, which tensions of cables depend on."""
+    down, centre = np.array(load.gravity), np.array([load.centre])
+    moved = element.matrix @ down - down, applied(element.platform, centre) - centre
+    return all(np.abs(shift).max() <= ROUNDING for shift in moved)
 
 
 @dataclass(frozen=True, repr=False, eq=False)

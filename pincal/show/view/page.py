@@ -18,6 +18,7 @@ import numpy as np
 
 from pincal.design.simulate import platform_errors
 from pincal.errors import MechanismError
+from pincal.kinematics.tensions import tensions
 from pincal.show.style import DARK, IDENTIFIED, PAPER
 from pincal.show.view.bodies import GREY, Body
 from pincal.show.view.scene import Layer, Scene, moved
@@ -190,6 +191,10 @@ def _rows(scene: Scene) -> list[dict[str, Any]]:
     groups = [("pose", platform.coordinates, platform.units, POSES, scene.plan.poses)]
     nominal = "readings, as given" if mechanism.by_readings else "readings of the nominal model"
     groups.append((nominal, *read, POSES, scene.body.readings))
+    if mechanism.cables:
+        pulls = tensions(mechanism, scene.plan.poses)
+        head = "least tension of cables [N]; — where they cannot hold it"
+        groups.append((head, mechanism.leg_names, ("1",) * len(mechanism.legs), POSES, pulls))
     if scene.plan.readings is not None and not mechanism.by_readings:
         groups.append(("readings, as measured", *read, POSES, scene.plan.readings))
     if scene.identified:
