@@ -41,6 +41,7 @@ from .model.platform import Platform
 from .model.sensor import Sensor
 from .model.setup import Contact, Distance, Image, Instrument, Setup, Systematic, Target, Tracker
 from .model.terms import Cables, Harmonic, Load, Power, Share, Term
+from .show.deployment import deploy
 from .show.pictures.picture import picture
 from .show.view.view import view
 from .symmetry.carry import generate
@@ -109,6 +110,7 @@ __all__ = [
     "compute_workspace",
     "corrections",
     "cyclic",
+    "deploy",
     "dihedral",
     "disturb",
     "explain",

@@ -40,8 +40,8 @@ class Chain:
         self, leg: Leg, joints: Sequence[Joint], spatial: bool, copies: int | None = None
     ) -> None:
         """Make the chain of some joints of a leg."""
-        elements, rows, geared, tip = _elements(leg, joints)
-        named = _leaders(leg, joints)
+        elements, rows, geared, tip = elementary_joints(leg, joints)
+        named = leaders(leg, joints)
         self.columns = [i for i, joint in enumerate(leg.moving) if joint.name in named]
         """Which of the leg's moving joints move its tip, in order."""
         by_joint, self.by_parameter = np.split(rows, [rows.shape[1] - len(leg.parameters)], axis=1)
@@ -64,7 +64,7 @@ class Chain:
         ]
         """Of joints, then deformations: which moving elementary joint follows which, how much."""
         self.geared = tuple((row - self.standing, i, p, sign) for row, i, p, sign in geared)
-        """Moving elementary joints that follow a joint by a parameter: see ``_elements``."""
+        """Moving elementary joints that follow a joint by a parameter (``elementary_joints``)."""
         self.moving = np.flatnonzero(self.by_parameter.any(axis=0))
         """Parameters that move the tip, in order."""
         shape = (rows.tobytes(), rows.shape, tuple(deformed), self.standing, self.geared)
@@ -140,13 +140,13 @@ def point_chain(leg: Leg, end: int) -> Chain:
     return Chain(leg, () if point is None else (point,), spatial=True, copies=1)
 
 
-def _leaders(leg: Leg, joints: Sequence[Joint]) -> list[str]:
+def leaders(leg: Leg, joints: Sequence[Joint]) -> list[str]:
     """Return the names of the leg's moving joints that some joints are, or follow, in order."""
     led = {joint.leader.joint for joint in joints}
     return [joint.name for joint in leg.moving if joint.name in led]
 
 
-def _elements(
+def elementary_joints(
     leg: Leg, joints: Sequence[Joint]
 ) -> tuple[tuple[Elementary, ...], Array, list[tuple[int, int, int, float]], tuple[float, ...]]:
     """Return n elementary joints, how they follow leg joints, then parameters, (n, k), and the tip.
@@ -154,7 +154,7 @@ def _elements(
     The tip is a constant placement behind the last one; before it stand the joints that follow
     another one by a parameter: which elementary joint, which leg joint, which parameter, sign.
     """
-    columns = _leaders(leg, joints)
+    columns = leaders(leg, joints)
     behind, width = len(columns), len(columns) + len(leg.parameters)
     elements: list[Elementary] = []
     rows: list[Array] = []

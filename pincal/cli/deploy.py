@@ -1,0 +1,31 @@
+"""``pincal deploy``: what a controller needs of a calibrated machine."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+import pincal
+from pincal.cli.app import command, wrote
+from pincal.cli.options import Force, output_option
+
+
+@command
+def deploy(
+    machine: Annotated[
+        str, typer.Argument(metavar="RESULT", help="Folder of a calibration; or a mechanism.")
+    ],
+    output: Annotated[Path, output_option("FOLDER", "Kinematics, data sheet and how to use them.")],
+    force: Force = False,
+) -> None:
+    """Write kinematics for a controller.
+
+    How do I command the robot now? Inverse and forward kinematics as one Python file and one C99
+    header that need nothing else, in the frames that were measured; joint centres and lengths with
+    standard errors; HAL lines for LinuxCNC where the machine is a hexapod. FOLDER/commanding.md
+    says how to use them. For URDF, MJCF and printers see 'pincal export'.
+    """
+    pincal.deploy(machine, output, force=force)
+    wrote(output)

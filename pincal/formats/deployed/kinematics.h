@@ -1,0 +1,571 @@
+/* Readings of poses and poses of readings of one machine, in C99; needs <math.h> only.
+
+   Poses are rigid transforms T_base_platform: three rows of a rotation and a position, 12 numbers,
+   [1] and [m]. Readings are in [rad] or [m], in the order of machine_reading_names. Joints of all
+   legs stand one after the other, MACHINE_JOINTS of them. Influences are what terms depend on, NAN
+   where one is not known; NULL for none.
+
+       double T[12], readings[MACHINE_READINGS], joints[MACHINE_JOINTS];
+       machine_pose(machine_home, T);
+       int leg = machine_inverse(T, NULL, NULL, readings, joints);   0, or which leg is out of reach
+       int lost = machine_forward(readings, NULL, NULL, NULL, T, joints);   0, or why no pose was found
+*/
+#ifndef MACHINE_KINEMATICS_H
+#define MACHINE_KINEMATICS_H
+
+#include <math.h>
+#include <stddef.h>
+
+typedef struct { int source; double rate; } machine_rate;
+typedef struct { int turns; double axis[3]; int n_rates; const machine_rate *rates; double behind[12]; } machine_move;
+typedef struct { double start[12]; int n; const machine_move *moves; } machine_chain;
+typedef struct { double amplitude; int place, kind; double first, second; int exponent; } machine_term;
+typedef struct { double slope, start; int n; const machine_term *terms; } machine_sensor;
+typedef struct { int n; const machine_term *terms; } machine_deformation;
+typedef struct { int n_rows, rows[6], loop; machine_chain tip, frame, point; } machine_end;
+typedef struct { int kind, plane; double centre[3], axes[9], delta, side, length, mode, radius, frame[9]; } machine_form;
+typedef struct {
+    int n_joints, n_active, n_passive, n_bent, n_ends, n_rows, arm;
+    double size, mode;
+    const int *unknown, *turns; /* active joints first */
+    const double *home, *low, *high;
+    const machine_sensor *sensors;
+    const machine_deformation *deformations;
+    const machine_end *ends;
+    machine_form form;
+} machine_leg;
+typedef struct { double mass; machine_chain chain; } machine_body;
+
+/* TABLES */
+
+enum { MACHINE_COLUMNS = MACHINE_MOST + MACHINE_DOF + 1 };
+typedef double machine_row[MACHINE_COLUMNS];
+
+static inline double machine_dot(const double *a, const double *b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+
+static inline void machine_cross(const double *a, const double *b, double *c) {
+    c[0] = a[1] * b[2] - a[2] * b[1]; c[1] = a[2] * b[0] - a[0] * b[2]; c[2] = a[0] * b[1] - a[1] * b[0];
+}
+
+static inline void machine_copy(const double *from, double *to, int n) { for (int i = 0; i < n; i++) to[i] = from[i]; }
+
+/* A B of two rigid transforms; the result may be A or B */
+static inline void machine_compose(const double *A, const double *B, double *AB) {
+    double product[12];
+    for (int i = 0; i < 12; i += 4) {
+        for (int j = 0; j < 4; j++) product[i + j] = A[i] * B[j] + A[i + 1] * B[4 + j] + A[i + 2] * B[8 + j];
+        product[i + 3] += A[i + 3];
+    }
+    machine_copy(product, AB, 12);
+}
+
+static inline void machine_inverted(const double *T, double *inverse) {
+    double R[12];
+    for (int i = 0; i < 3; i++) {
+        for (int j = 0; j < 3; j++) R[4 * i + j] = T[4 * j + i];
+        R[4 * i + 3] = -(T[i] * T[3] + T[4 + i] * T[7] + T[8 + i] * T[11]);
+    }
+    machine_copy(R, inverse, 12);
+}
+
+static inline void machine_turned(const double *axis, double angle, double *T) {
+    double x = axis[0], y = axis[1], z = axis[2], c = cos(angle), s = sin(angle), d = 1.0 - c;
+    double turn[12] = {c + x * x * d, x * y * d - z * s, x * z * d + y * s, 0,
+                       y * x * d + z * s, c + y * y * d, y * z * d - x * s, 0,
+                       z * x * d - y * s, z * y * d + x * s, c + z * z * d, 0};
+    machine_copy(turn, T, 12);
+}
+
+static inline void machine_rotated(const double *T, const double *vector, double *turned) {
+    for (int i = 0; i < 3; i++) turned[i] = machine_dot(T + 4 * i, vector);
+}
+
+/* axis times angle of a turn */
+static inline void machine_rotation_vector(const double *T, double *vector) {
+    double skew[3] = {T[9] - T[6], T[2] - T[8], T[4] - T[1]};
+    double twice = sqrt(machine_dot(skew, skew)), angle = atan2(twice, T[0] + T[5] + T[10] - 1.0);
+    double share = twice > 1e-7 ? angle / twice : 0.5;
+    for (int i = 0; i < 3; i++) vector[i] = share * skew[i];
+    if (twice > 1e-7 || angle < 1.0) return;
+    int i = T[0] > T[5] ? (T[0] > T[10] ? 0 : 2) : (T[5] > T[10] ? 1 : 2); /* half a turn */
+    double size = sqrt(fmax(T[5 * i] + 1.0, 0.0) / 2.0);
+    for (int j = 0; j < 3; j++) vector[j] = angle * (j == i ? size : (T[4 * i + j] + T[4 * j + i]) / (4.0 * size));
+}
+
+static inline double machine_near(double angle, double centre) { return centre + atan2(sin(angle - centre), cos(angle - centre)); }
+
+/* the pose of the platform's coordinates, and back */
+static inline void machine_pose(const double *coordinates, double *T) {
+    static const double unit[12] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0}, y[3] = {0, 1, 0}, z[3] = {0, 0, 1};
+    const double *turns = coordinates + MACHINE_LENGTHS;
+    double turn[12];
+    machine_copy(unit, T, 12);
+    for (int i = 0; i < MACHINE_LENGTHS; i++) T[4 * i + 3] = coordinates[i];
+    if (MACHINE_TURNS == 1) { machine_turned(machine_turn_axis, turns[0], turn); machine_compose(T, turn, T); }
+    if (MACHINE_TURNS == 3) {
+        machine_turned(z, turns[0], turn); machine_compose(T, turn, T);
+        machine_turned(y, turns[1], turn); machine_compose(T, turn, T);
+        machine_turned(z, turns[2] - turns[0], turn); machine_compose(T, turn, T);
+    }
+}
+
+static inline void machine_coordinates(const double *T, double *coordinates) {
+    double *turns = coordinates + MACHINE_LENGTHS;
+    for (int i = 0; i < MACHINE_LENGTHS; i++) coordinates[i] = T[4 * i + 3];
+    if (MACHINE_TURNS == 1) {
+        int i = machine_turn_axis[0] != 0.0 ? 0 : machine_turn_axis[1] != 0.0 ? 1 : 2, j = (i + 1) % 3, k = (i + 2) % 3;
+        turns[0] = machine_turn_axis[i] * atan2(T[4 * k + j], T[4 * j + j]);
+    }
+    if (MACHINE_TURNS == 3) {
+        double flat = hypot(T[2], T[6]);
+        turns[0] = flat > 1e-13 ? atan2(T[6], T[2]) : 0.0;
+        turns[1] = atan2(flat, T[10]);
+        turns[2] = atan2(T[4] - T[1], T[0] + T[5]);
+        if (flat <= 1e-13 && T[10] < 0.0) { turns[0] = atan2(-T[1], -T[0]) / 2.0; turns[2] = 0.0; }
+    }
+}
+
+/* T_base_platform of a pose of the tool in the frame of the measurements, and back */
+static inline void machine_in_base(const double *tool_pose, double *T) {
+    double back[12];
+    machine_inverted(machine_tool, back); machine_compose(tool_pose, back, T);
+    machine_inverted(machine_frame, back); machine_compose(back, T, T);
+}
+
+static inline void machine_in_frame(const double *T, double *tool_pose) {
+    machine_compose(machine_frame, T, tool_pose); machine_compose(tool_pose, machine_tool, tool_pose);
+}
+
+typedef struct { const machine_move *move; double axis[3], point[3]; } machine_joint;
+
+/* where the tip of a chain is, and its joints there */
+static inline void machine_along(const machine_chain *chain, const double *values, double *T, machine_joint *joints) {
+    machine_copy(chain->start, T, 12);
+    for (int i = 0; i < chain->n; i++) {
+        const machine_move *move = chain->moves + i;
+        double position = 0.0, motion[12];
+        for (int j = 0; j < move->n_rates; j++) position += move->rates[j].rate * values[move->rates[j].source];
+        if (joints) {
+            joints[i].move = move;
+            machine_rotated(T, move->axis, joints[i].axis);
+            for (int j = 0; j < 3; j++) joints[i].point[j] = T[4 * j + 3];
+        }
+        if (move->turns) {
+            machine_turned(move->axis, position, motion); machine_compose(T, motion, T);
+        } else {
+            double shift[3];
+            machine_rotated(T, move->axis, shift);
+            for (int j = 0; j < 3; j++) T[4 * j + 3] += position * shift[j];
+        }
+        machine_compose(T, move->behind, T);
+    }
+}
+
+/* velocity at a place, and spin, of a joint's motion */
+static inline void machine_twist(const machine_joint *joint, const double *place, double *twist) {
+    static const double still[3] = {0, 0, 0};
+    double arm[3];
+    for (int i = 0; i < 3; i++) arm[i] = place[i] - joint->point[i];
+    if (joint->move->turns) machine_cross(joint->axis, arm, twist); else machine_copy(joint->axis, twist, 3);
+    machine_copy(joint->move->turns ? joint->axis : still, twist + 3, 3);
+}
+
+/* rows of a leg: derivatives by its unknown joints, then by the pose's twist, and less the gap, [m] */
+static inline double machine_closure(const machine_leg *leg, const double *T, const double *values, int first, machine_row *A) {
+    int n = leg->n_active + leg->n_passive, row = 0;
+    double largest = 0.0;
+    for (int e = 0; e < leg->n_ends; e++) {
+        const machine_end *end = leg->ends + e;
+        machine_joint joints[2][MACHINE_MOVES];
+        double tip[12], met[12], back[12], place[3], gap[3], turn[3], arm[3];
+        double columns[6][MACHINE_MOST] = {{0}};
+        machine_along(&end->tip, values, tip, joints[0]);
+        if (end->loop) machine_along(&end->frame, values, met, joints[1]);
+        else { machine_along(&end->point, values, met, NULL); machine_compose(T, met, met); }
+        for (int i = 0; i < 3; i++) { place[i] = tip[4 * i + 3]; gap[i] = place[i] - met[4 * i + 3]; arm[i] = met[4 * i + 3] - T[4 * i + 3]; }
+        machine_inverted(met, back); machine_compose(tip, back, back); machine_rotation_vector(back, turn);
+        for (int side = 0; side <= end->loop; side++)
+            for (int i = 0; i < (side ? end->frame.n : end->tip.n); i++) {
+                double twist[6];
+                const machine_move *move = joints[side][i].move;
+                machine_twist(&joints[side][i], place, twist);
+                for (int j = 0; j < move->n_rates; j++) {
+                    if (move->rates[j].source >= leg->n_joints) continue;
+                    for (int k = 0; k < 6; k++) columns[k][move->rates[j].source] += (side ? -1.0 : 1.0) * move->rates[j].rate * twist[k];
+                }
+            }
+        for (int r = 0; r < end->n_rows; r++, row++) {
+            int angular = end->rows[r] > 2;
+            double scale = angular ? leg->size : 1.0, axis[3];
+            for (int i = 0; i < 3; i++) axis[i] = end->loop ? met[4 * i + end->rows[r] % 3] : (double)(end->rows[r] % 3 == i);
+            for (int j = first; j < n; j++) {
+                double sum = 0.0;
+                for (int i = 0; i < 3; i++) sum += axis[i] * columns[3 * angular + i][leg->unknown[j]];
+                A[row][j - first] = scale * sum;
+            }
+            for (int j = 0; j < MACHINE_DOF; j++) {
+                double unit[3] = {0, 0, 0}, moved[3];
+                int turns = machine_freedoms[j] > 2;
+                unit[machine_freedoms[j] % 3] = 1.0;
+                if (turns && !angular) machine_cross(unit, arm, moved); else machine_copy(unit, moved, 3);
+                A[row][n - first + j] = end->loop || (angular && !turns) ? 0.0 : -scale * machine_dot(axis, moved);
+            }
+            double miss = scale * machine_dot(axis, angular ? turn : gap);
+            A[row][n - first + MACHINE_DOF] = -miss;
+            largest = fmax(largest, fabs(miss));
+        }
+    }
+    return largest;
+}
+
+/* reflect rows of A so that its first columns are a triangle; the sign of their determinant */
+static inline double machine_triangle(machine_row *A, int rows, int columns, int width) {
+    double sign = 1.0;
+    for (int k = 0; k < columns && k < rows; k++) {
+        double size = 0.0, v[MACHINE_TALL];
+        for (int i = k; i < rows; i++) size += A[i][k] * A[i][k];
+        size = sqrt(size);
+        if (size == 0.0 || k == rows - 1) { sign *= copysign(1.0, A[k][k]); continue; }
+        double pivot = A[k][k], end = -copysign(size, pivot), half = size * (size + fabs(pivot));
+        for (int i = k; i < rows; i++) v[i] = A[i][k];
+        v[k] = pivot - end;
+        sign *= -copysign(1.0, end);
+        for (int j = k; j < width; j++) {
+            double share = 0.0;
+            for (int i = k; i < rows; i++) share += v[i] * A[i][j];
+            for (int i = k; i < rows; i++) A[i][j] -= share / half * v[i];
+        }
+    }
+    return sign;
+}
+
+static inline void machine_back(machine_row *A, int rows, int n, int last, double *x) {
+    for (int i = 0; i < n; i++) x[i] = 0.0;
+    for (int i = (n < rows ? n : rows) - 1; i >= 0; i--) {
+        double rest = A[i][last];
+        for (int j = i + 1; j < n; j++) rest -= A[i][j] * x[j];
+        x[i] = A[i][i] != 0.0 ? rest / A[i][i] : 0.0;
+    }
+}
+
+/* a step of joints that closes a leg best, the shortest if there are more joints than rows */
+static inline void machine_step(const machine_leg *leg, machine_row *A, double *step) {
+    int n = leg->n_active + leg->n_passive, rows = leg->n_rows;
+    double largest = 0.0;
+    for (int i = 0; i < rows; i++) {
+        A[i][n] = A[i][n + MACHINE_DOF];
+        for (int j = 0; j < n; j++) largest = fmax(largest, fabs(A[i][j]));
+    }
+    for (int i = 0; rows < n && i < n; i++)
+        for (int j = 0; j <= n; j++) A[rows + i][j] = i == j ? 1e-6 * largest : 0.0;
+    if (rows < n) rows += n;
+    machine_triangle(A, rows, n, n + 1);
+    machine_back(A, rows, n, n, step);
+}
+
+/* the largest step, [rad] or of the leg's size */
+static inline double machine_length(const machine_leg *leg, int first, const double *step) {
+    double largest = 0.0;
+    for (int j = first; j < leg->n_active + leg->n_passive; j++) {
+        double size = fabs(step[j - first]) / (leg->turns[leg->unknown[j]] ? 1.0 : leg->size);
+        if (!(size <= largest)) largest = size;
+    }
+    return largest;
+}
+
+/* the working mode: the sign of the determinant by all joints */
+static inline double machine_mode(const machine_leg *leg, const double *T, const double *values) {
+    machine_row A[MACHINE_TALL];
+    int n = leg->n_active + leg->n_passive;
+    if (n != leg->n_rows || !leg->n_passive) return 1.0;
+    machine_closure(leg, T, values, 0, A);
+    return machine_triangle(A, n, n, n);
+}
+
+static inline void machine_angles(const machine_form *form, const double *vector, const double *home, double *angles) {
+    double along[3];
+    for (int j = 0; j < 3; j++) along[j] = form->axes[j] * vector[0] + form->axes[3 + j] * vector[1] + form->axes[6 + j] * vector[2];
+    angles[0] = machine_near(atan2(-form->side * along[1], form->side * along[2]), home[0]);
+    if (!form->plane) angles[1] = machine_near(atan2(along[0], form->side * hypot(along[1], along[2])) - form->delta, home[1]);
+}
+
+/* joints of a leg of closed form that take its end to a target; whether it is in reach */
+static inline int machine_formed(const machine_leg *leg, const double *target, double *q) {
+    const machine_form *form = &leg->form;
+    double arm[3], local[3], rod[3], back[3];
+    for (int i = 0; i < 3; i++) arm[i] = target[i] - form->centre[i];
+    if (form->plane) arm[2] = 0.0;
+    if (form->kind == 1) {
+        double distance = sqrt(machine_dot(arm, arm));
+        for (int i = 0; i < 3; i++) back[i] = form->mode * arm[i];
+        machine_angles(form, back, leg->home, q);
+        q[form->plane ? 1 : 2] = form->mode * distance - form->length;
+        return distance > 0.0;
+    }
+    for (int j = 0; j < 3; j++) local[j] = form->frame[j] * arm[0] + form->frame[3 + j] * arm[1] + form->frame[6 + j] * arm[2];
+    int possible;
+    if (form->kind == 2) {
+        double square = form->length * form->length - local[0] * local[0] - local[2] * local[2];
+        possible = square >= 0.0;
+        q[0] = local[1] - form->mode * sqrt(fmax(square, 0.0));
+        rod[0] = local[0]; rod[1] = local[1] - q[0];
+    } else {
+        double far = hypot(local[0], local[1]), r = form->radius, l = form->length, safe = far > 0.0 ? far : 1.0;
+        double cosine = far > 0.0 ? (far * far + local[2] * local[2] + r * r - l * l) / (2.0 * r * far) : 0.0;
+        possible = fabs(cosine) <= 1.0;
+        cosine = fmax(-1.0, fmin(1.0, cosine));
+        double sine = form->mode * sqrt((1.0 - cosine) * (1.0 + cosine));
+        double c = (cosine * local[0] + sine * local[1]) / safe, s = (cosine * local[1] - sine * local[0]) / safe;
+        q[0] = machine_near(atan2(s, c), leg->home[0]);
+        rod[0] = far * cosine - r; rod[1] = far * sine;
+    }
+    rod[2] = local[2];
+    machine_rotated((double[12]){form->frame[0], form->frame[1], form->frame[2], 0, form->frame[3], form->frame[4], form->frame[5], 0,
+                                 form->frame[6], form->frame[7], form->frame[8], 0}, rod, back);
+    machine_angles(form, back, leg->home + 1, q + 1);
+    return possible;
+}
+
+static inline double machine_basis(const machine_term *term, double value, int slope) {
+    if (!isfinite(value)) return 0.0;
+    if (term->kind == 0) return slope ? term->first * cos(term->first * value) : sin(term->first * value);
+    if (term->kind == 1) return slope ? -term->first * sin(term->first * value) : cos(term->first * value);
+    double relative = (value - term->second) / term->first;
+    return slope ? term->exponent / term->first * pow(relative, term->exponent - 1) : pow(relative, term->exponent);
+}
+
+static inline double machine_position(const machine_sensor *sensor, double reading, const double *known) {
+    double position = sensor->slope * reading + sensor->start;
+    for (int i = 0; i < sensor->n; i++) {
+        const machine_term *term = sensor->terms + i;
+        position += term->amplitude * machine_basis(term, term->place < 0 ? reading : known[term->place], 0);
+    }
+    return position;
+}
+
+static inline int machine_reading(const machine_sensor *sensor, double position, const double *known, double *reading) {
+    double step = 0.0;
+    *reading = (position - sensor->start) / sensor->slope;
+    for (int k = 0; sensor->n && k < 50; k++) {
+        double slope = sensor->slope;
+        for (int i = 0; i < sensor->n; i++)
+            if (sensor->terms[i].place < 0) slope += sensor->terms[i].amplitude * machine_basis(sensor->terms + i, *reading, 1);
+        step = (position - machine_position(sensor, *reading, known)) / slope;
+        *reading += step;
+        if (fabs(step) <= 1e-15 * fmax(1.0, fabs(*reading))) break;
+    }
+    return fabs(step) <= 1e-8 * fmax(1.0, fabs(*reading));
+}
+
+static inline void machine_bend(const machine_leg *leg, const double *known, double *bent) {
+    for (int i = 0; i < leg->n_bent; i++) {
+        bent[i] = 0.0;
+        for (int j = 0; j < leg->deformations[i].n; j++) {
+            const machine_term *term = leg->deformations[i].terms + j;
+            bent[i] += term->amplitude * machine_basis(term, known[term->place], 0);
+        }
+    }
+}
+
+/* influences, with gravity's loads on an arm as drawn where they are not known */
+static inline void machine_know(const double *influences, const double *readings, double *known) {
+    for (int i = 0; i <= MACHINE_INFLUENCES; i++) known[i] = influences && i < MACHINE_INFLUENCES ? influences[i] : NAN;
+    if (!MACHINE_BODIES) return;
+    double q[MACHINE_LOAD_WIDTH] = {0}, weights[MACHINE_LOAD_WIDTH] = {0};
+    for (int i = 0; i < MACHINE_READINGS; i++) q[machine_load_active[i]] = machine_position(machine_load_sensors + i, readings[i], known);
+    for (int b = 0; b < MACHINE_BODIES; b++) {
+        machine_joint joints[MACHINE_MOVES];
+        const machine_chain *chain = &machine_bodies[b].chain;
+        double T[12], twist[6];
+        machine_along(chain, q, T, joints);
+        for (int i = 0; i < chain->n; i++) {
+            machine_twist(joints + i, (double[3]){T[3], T[7], T[11]}, twist);
+            double power = machine_bodies[b].mass * machine_dot(machine_gravity, twist);
+            for (int j = 0; j < chain->moves[i].n_rates; j++) weights[chain->moves[i].rates[j].source] += chain->moves[i].rates[j].rate * power;
+        }
+    }
+    for (int i = 0; i < MACHINE_LOADS; i++)
+        if (!isfinite(known[machine_loads[i][0]])) known[machine_loads[i][0]] = weights[machine_loads[i][1]];
+}
+
+/* joints of a leg that follow a straight way from home to a pose */
+static inline void machine_follow(const machine_leg *leg, const double *T, double *values) {
+    double home[12], turn[12], vector[3], step[MACHINE_MOST];
+    machine_row A[MACHINE_TALL];
+    int n = leg->n_active + leg->n_passive;
+    machine_pose(machine_home, home);
+    machine_inverted(home, turn); machine_compose(T, turn, turn); machine_rotation_vector(turn, vector);
+    double size = sqrt(machine_dot(vector, vector));
+    for (int i = 0; i < 3; i++) vector[i] /= size > 0.0 ? size : 1.0;
+    for (int k = 1; k <= 10; k++) {
+        double share = k / 10.0, stage[12];
+        machine_turned(vector, share * size, stage); machine_compose(stage, home, stage);
+        for (int i = 3; i < 12; i += 4) stage[i] = home[i] + share * (T[i] - home[i]);
+        machine_closure(leg, stage, values, 0, A);
+        machine_step(leg, A, step);
+        double limited = fmin(1.0, 0.3 / fmax(machine_length(leg, 0, step), 0.3));
+        for (int j = 0; j < n; j++) values[leg->unknown[j]] += limited * step[j];
+    }
+}
+
+static inline int machine_close(const machine_leg *leg, const double *T, const double *near, double *values) {
+    int n = leg->n_active + leg->n_passive, possible = 1;
+    double step[MACHINE_MOST], point[12];
+    machine_row A[MACHINE_TALL];
+    machine_copy(near ? near : leg->home, values, leg->n_joints);
+    if (!near && leg->form.kind) {
+        machine_along(&leg->ends[0].point, values, point, NULL); machine_compose(T, point, point);
+        possible = machine_formed(leg, (double[3]){point[3], point[7], point[11]}, values) || leg->n_bent;
+    } else if (!near) machine_follow(leg, T, values);
+    for (int k = 0; k < 40; k++) {
+        machine_closure(leg, T, values, 0, A);
+        machine_step(leg, A, step);
+        double length = machine_length(leg, 0, step), share = fmin(1.0, 0.3 / fmax(length, 0.3));
+        for (int j = 0; j < n; j++) values[leg->unknown[j]] += share * step[j];
+        if (!(length > 1e-10)) break;
+    }
+    for (int i = 0; i < leg->n_joints; i++) {
+        double low = leg->low[i] - 1e-9, high = leg->high[i] + 1e-9, full = 2.0 * acos(-1.0);
+        if (!leg->turns[i] || !isfinite(values[i])) continue;
+        values[i] = machine_near(values[i], near ? near[i] : leg->home[i]);
+        if (near || (low <= values[i] && values[i] <= high)) continue;
+        double back = low + (values[i] - low) - full * floor((values[i] - low) / full);
+        if (back <= high) values[i] = back;
+    }
+    return possible && machine_closure(leg, T, values, 0, A) <= 1e-10 * leg->size && machine_mode(leg, T, values) == leg->mode;
+}
+
+static inline int machine_inverse_at(const double *T, const double *known, const double *near, double *readings, double *joints) {
+    int lost = 0, row = 0, start = 0;
+    for (int l = 0; l < MACHINE_LEGS; l++) {
+        const machine_leg *leg = machine_legs + l;
+        double values[MACHINE_MOST] = {0};
+        machine_bend(leg, known, values + leg->n_joints);
+        int reached = machine_close(leg, T, near ? near + start : NULL, values);
+        machine_copy(values, joints + start, leg->n_joints);
+        for (int j = 0; j < leg->n_active; j++, row++)
+            reached &= machine_reading(leg->sensors + j, values[leg->unknown[j]], known, readings + row);
+        if (!reached && !lost) lost = l + 1;
+        start += leg->n_joints;
+    }
+    return lost;
+}
+
+/* readings and joints of a pose, near given joints or in the working modes of home: 0, or a leg that
+   does not reach, counted from 1 */
+static inline int machine_inverse(const double *T, const double *influences, const double *near, double *readings, double *joints) {
+    double known[MACHINE_INFLUENCES + 1], before[MACHINE_READINGS];
+    for (int i = 0; i <= MACHINE_INFLUENCES; i++) known[i] = influences && i < MACHINE_INFLUENCES ? influences[i] : NAN;
+    int lost = machine_inverse_at(T, known, near, readings, joints);
+    for (int k = 0; MACHINE_BODIES && k < 20; k++) {
+        double change = 0.0;
+        machine_copy(readings, before, MACHINE_READINGS);
+        machine_know(influences, readings, known);
+        lost = machine_inverse_at(T, known, near, readings, joints);
+        for (int i = 0; i < MACHINE_READINGS; i++) change = fmax(change, fabs(readings[i] - before[i]));
+        if (change <= 1e-10) break;
+    }
+    return lost;
+}
+
+static inline int machine_forward_at(const double *readings, const double *known, double *T, double *joints) {
+    double values[MACHINE_LEGS][MACHINE_MOST], twist[MACHINE_DOF], moved = 1.0, sign = 0.0, gaps = 0.0;
+    machine_row reduced[MACHINE_LEGS][MACHINE_TALL], rows[MACHINE_REDUCED];
+    int row = 0, start = 0, count = 0;
+    for (int l = 0; l < MACHINE_LEGS; start += machine_legs[l++].n_joints) {
+        const machine_leg *leg = machine_legs + l;
+        double place[12], q[MACHINE_MOST];
+        machine_copy(joints + start, values[l], leg->n_joints);
+        for (int j = 0; j < leg->n_active; j++, row++) values[l][leg->unknown[j]] = machine_position(leg->sensors + j, readings[row], known);
+        machine_bend(leg, known, values[l] + leg->n_joints);
+        machine_along(&leg->ends[0].point, values[l], place, NULL);
+        if (leg->arm) {
+            machine_inverted(place, place); machine_along(&leg->ends[0].tip, values[l], T, NULL); machine_compose(T, place, T);
+        } else if (leg->form.kind) {
+            machine_compose(T, place, place);
+            machine_formed(leg, (double[3]){place[3], place[7], place[11]}, q);
+            for (int j = leg->n_active; j < leg->n_active + leg->n_passive; j++) values[l][leg->unknown[j]] = q[leg->unknown[j]];
+        }
+    }
+    for (int k = 0; k < 40; k++) {
+        sign = 1.0; count = 0;
+        for (int l = 0; l < MACHINE_LEGS; l++) {
+            const machine_leg *leg = machine_legs + l;
+            int p = leg->n_passive;
+            machine_closure(leg, T, values[l], leg->n_active, reduced[l]);
+            sign *= machine_triangle(reduced[l], leg->n_rows, p, p + MACHINE_DOF + 1);
+            for (int i = p; i < leg->n_rows; i++, count++)
+                machine_copy(reduced[l][i] + p, rows[count], MACHINE_DOF + 1);
+        }
+        sign *= machine_triangle(rows, count, MACHINE_DOF, MACHINE_DOF + 1);
+        machine_back(rows, count, MACHINE_DOF, MACHINE_DOF, twist);
+        moved = 0.0;
+        for (int j = 0; j < MACHINE_DOF; j++) {
+            double size = fabs(twist[j]) / (j < MACHINE_LENGTHS ? machine_size : 1.0);
+            if (!(size <= moved)) moved = size;
+        }
+        double share = fmin(1.0, 0.3 / fmax(moved, 0.3)), turn[3] = {0, 0, 0}, motion[12], step[MACHINE_MOST];
+        for (int l = 0; l < MACHINE_LEGS; l++) {
+            const machine_leg *leg = machine_legs + l;
+            int p = leg->n_passive, last = p + MACHINE_DOF;
+            for (int i = 0; i < p && i < leg->n_rows; i++)
+                for (int j = 0; j < MACHINE_DOF; j++) reduced[l][i][last] -= share * reduced[l][i][p + j] * twist[j];
+            machine_back(reduced[l], leg->n_rows, p, last, step);
+            moved = fmax(moved, machine_length(leg, leg->n_active, step));
+            for (int j = 0; j < p; j++) values[l][leg->unknown[leg->n_active + j]] += step[j];
+        }
+        double shift[3] = {0, 0, 0};
+        for (int j = 0; j < MACHINE_DOF; j++) (machine_freedoms[j] < 3 ? shift : turn)[machine_freedoms[j] % 3] = share * twist[j];
+        double size = sqrt(machine_dot(turn, turn)), place[3] = {T[3] + shift[0], T[7] + shift[1], T[11] + shift[2]};
+        for (int i = 0; i < 3; i++) turn[i] /= size > 0.0 ? size : 1.0;
+        machine_turned(turn, size, motion); machine_compose(motion, T, T);
+        for (int i = 0; i < 3; i++) T[4 * i + 3] = place[i];
+        if (!(moved > 1e-10)) break;
+    }
+    if (!(moved <= 1e-10)) return 1;
+    int in_mode = count > MACHINE_DOF || sign == machine_assembly;
+    machine_row A[MACHINE_TALL];
+    start = 0;
+    for (int l = 0; l < MACHINE_LEGS; start += machine_legs[l++].n_joints) {
+        gaps = fmax(gaps, machine_closure(machine_legs + l, T, values[l], 0, A));
+        in_mode &= machine_mode(machine_legs + l, T, values[l]) == machine_legs[l].mode;
+        machine_copy(values[l], joints + start, machine_legs[l].n_joints);
+    }
+    if (gaps > (count > MACHINE_DOF ? 0.1 : 1e-10) * machine_size) return 1;
+    return in_mode ? 0 : 2;
+}
+
+static inline void machine_from_home(double *T, double *joints) {
+    machine_pose(machine_home, T);
+    for (int l = 0; l < MACHINE_LEGS; joints += machine_legs[l++].n_joints) machine_copy(machine_legs[l].home, joints, machine_legs[l].n_joints);
+}
+
+/* the pose of readings, and joints there, near a pose and joints or in the assembly mode of home: 0;
+   1 if no pose closes all legs, 2 if it left the working or assembly mode of home */
+static inline int machine_forward(const double *readings, const double *influences, const double *near_T, const double *near_joints, double *T, double *joints) {
+    double known[MACHINE_INFLUENCES + 1], stage[MACHINE_READINGS], kept[12], kept_joints[MACHINE_JOINTS];
+    machine_know(influences, readings, known);
+    machine_from_home(T, joints);
+    if (near_T && near_joints) { machine_copy(near_T, T, 12); machine_copy(near_joints, joints, MACHINE_JOINTS); }
+    int lost = machine_forward_at(readings, known, T, joints);
+    if (!lost || near_T) return lost;
+    machine_from_home(kept, kept_joints);
+    for (int k = 1; k <= 10; k++) {
+        for (int i = 0; i < MACHINE_READINGS; i++) stage[i] = machine_home_readings[i] + k / 10.0 * (readings[i] - machine_home_readings[i]);
+        machine_copy(kept, T, 12); machine_copy(kept_joints, joints, MACHINE_JOINTS);
+        lost = machine_forward_at(stage, known, T, joints);
+        if (!lost) { machine_copy(T, kept, 12); machine_copy(joints, kept_joints, MACHINE_JOINTS); }
+    }
+    return lost;
+}
+
+/* how many joints are outside their limits */
+static inline int machine_beyond_limits(const double *joints) {
+    int count = 0;
+    for (int l = 0; l < MACHINE_LEGS; joints += machine_legs[l++].n_joints)
+        for (int i = 0; i < machine_legs[l].n_joints; i++)
+            count += joints[i] < machine_legs[l].low[i] - 1e-9 || joints[i] > machine_legs[l].high[i] + 1e-9;
+    return count;
+}
+
+#endif

@@ -1,0 +1,618 @@
+"""Readings of poses and poses of readings of one machine, in plain Python.
+
+Poses are rigid transforms T_base_platform: three rows of a rotation and a position, 12 numbers,
+[1] and [m]; ``pose`` makes one of coordinates. Readings are in [rad] or [m], in the order of
+``MACHINE["readings"]``. Influences are what terms depend on, ``MACHINE["influences"]``, nan where
+one is not known: its terms are at their reference, and loads of an arm are computed.
+
+    >>> T = pose(*MACHINE["home"])
+    >>> readings, joints, reason = inverse(T)
+    >>> T, joints, reason = forward(readings)
+"""
+
+from __future__ import annotations
+
+from math import atan2, copysign, cos, hypot, inf, isfinite, nan, pi, sin, sqrt  # noqa: F401
+from typing import Any, NamedTuple
+
+MACHINE: dict[str, Any] = {}
+
+Row = list[float]
+Matrix = list[Row]
+STEPS = 40  # of Newton's method
+WAY = 10  # steps on the way from home
+LARGEST = 0.3  # step of a joint, [rad] or of the leg's size
+SMALL = 1e-10  # step after which the next error is rounding
+CLOSED = 1e-10  # gap, of a leg's size, of what is closed
+DAMPING = 1e-6  # of the largest column, where joints are more than rows
+
+
+class Solution(NamedTuple):
+    """What inverse or forward kinematics say of a pose or of readings."""
+
+    values: Row
+    """Readings, or the pose; where there is a reason, of no meaning."""
+    joints: Matrix
+    """Positions of each leg's joints, [rad] or [m]: ``near`` of the next call."""
+    reason: str
+    """Why there is no solution; empty if there is one."""
+
+
+def pose(*coordinates: float) -> Row:
+    """Return the pose of the platform's coordinates, in the order of ``MACHINE["coordinates"]``."""
+    lengths, turns = MACHINE["lengths"], MACHINE["turns"]
+    T = [1.0, 0, 0, 0, 0, 1.0, 0, 0, 0, 0, 1.0, 0]
+    for axis in range(lengths):
+        T[4 * axis + 3] = coordinates[axis]
+    if len(turns) == 1:
+        return compose(T, turned(turns[0], coordinates[lengths]))
+    if len(turns) == 3:
+        azimuth, tilt, torsion = coordinates[lengths:]
+        T = compose(T, turned((0.0, 0.0, 1.0), azimuth))
+        T = compose(T, turned((0.0, 1.0, 0.0), tilt))
+        T = compose(T, turned((0.0, 0.0, 1.0), torsion - azimuth))
+    return T
+
+
+def coordinates(T: Row) -> Row:
+    """Return the platform's coordinates of a pose."""
+    lengths, turns = MACHINE["lengths"], MACHINE["turns"]
+    values = [T[4 * axis + 3] for axis in range(lengths)]
+    if len(turns) == 1:
+        axis = [abs(component) for component in turns[0]].index(1.0)
+        j, k = (axis + 1) % 3, (axis + 2) % 3
+        values.append(copysign(1.0, turns[0][axis]) * atan2(T[4 * k + j], T[4 * j + j]))
+    elif len(turns) == 3:
+        flat, steep = hypot(T[2], T[6]), T[10]
+        azimuth = atan2(T[6], T[2]) if flat > 1e-13 else 0.0
+        torsion = atan2(T[4] - T[1], T[0] + T[5])
+        if flat <= 1e-13 and steep < 0.0:
+            azimuth, torsion = atan2(-T[1], -T[0]) / 2.0, 0.0
+        values += [azimuth, atan2(flat, steep), torsion]
+    return values
+
+
+def in_base(T: Row) -> Row:
+    """Return T_base_platform of a pose of the tool in the frame of the measurements."""
+    return compose(compose(inverted(MACHINE["frame"]), T), inverted(MACHINE["tool"]))
+
+
+def in_frame(T: Row) -> Row:
+    """Return the pose of the tool in the frame of the measurements, of T_base_platform."""
+    return compose(compose(MACHINE["frame"], T), MACHINE["tool"])
+
+
+def inverse(T: Row, influences: Row | None = None, near: Matrix | None = None) -> Solution:
+    """Return the readings of a pose, in the working modes of home; of arms near given joints."""
+    known = _known(influences)
+    solution = _inverse(T, known, near)
+    for _ in range(20 * bool(MACHINE["load"])):  # loads follow from readings, and bend little
+        before = solution
+        solution = _inverse(T, _with_loads(known, before.values), near)
+        if all(abs(a - b) <= SMALL for a, b in zip(solution.values, before.values, strict=True)):
+            break
+    return solution
+
+
+def forward(
+    readings: Row, influences: Row | None = None, near: tuple[Row, Matrix] | None = None
+) -> Solution:
+    """Return the pose of readings, in the assembly mode of home; near a pose and its joints.
+
+    Of more readings than freedoms, that of the least gaps.
+    """
+    known = _with_loads(_known(influences), readings)
+    if near is not None:
+        return _forward(readings, known, *near)
+    home = pose(*MACHINE["home"]), [leg["home"] for leg in MACHINE["legs"]]
+    solution = _forward(readings, known, *home)
+    if solution.reason:
+        from_pose, joints = home
+        for step in range(1, WAY + 1):
+            pairs = zip(MACHINE["home_readings"], readings, strict=True)
+            stage = [start + step / WAY * (end - start) for start, end in pairs]
+            solution = _forward(stage, known, from_pose, joints)
+            if not solution.reason:
+                from_pose, joints = solution.values, solution.joints
+    return solution
+
+
+def beyond_limits(joints: Matrix) -> list[str]:
+    """Return the names of joints that are outside their limits."""
+    return [
+        f"{leg['name']} {name}"
+        for leg, positions in zip(MACHINE["legs"], joints, strict=True)
+        for name, q, (low, high) in zip(leg["joints"], positions, leg["limits"], strict=True)
+        if not low - 1e-9 <= q <= high + 1e-9
+    ]
+
+
+def _inverse(T: Row, known: Row, near: Matrix | None) -> Solution:
+    readings: Row = []
+    joints: Matrix = []
+    reason = ""
+    for index, leg in enumerate(MACHINE["legs"]):
+        bent = _deformations(leg, known)
+        q, reached = _close(leg, T, bent, near[index] if near else None)
+        joints.append(q)
+        for row, sensor in enumerate(leg["sensors"]):
+            value, settled = _reading(sensor, q[leg["active"][row]], known)
+            readings.append(value)
+            reached = reached and settled
+        if not reached and not reason:
+            reason = f"out of reach of {leg['name']} in its working mode"
+    return Solution(readings, joints, reason)
+
+
+def _close(leg: dict[str, Any], T: Row, bent: Row, near: Row | None) -> tuple[Row, bool]:
+    """Return joints that close a leg at a pose, and whether they do, in its working mode."""
+    unknown = [*leg["active"], *leg["passive"]]
+    if near is not None:
+        q, possible = list(near), True
+    elif leg["form"]:
+        q, possible = _formed(leg, _point(leg, T, bent))
+        possible = possible or bool(bent)
+    else:
+        q, possible = _followed(leg, T, bent), True
+    for _ in range(STEPS):
+        c, J, _ = _closure(leg, T, q, bent)
+        step = _least_squares([[row[i] for i in unknown] for row in J], [-value for value in c])
+        share = min(1.0, LARGEST / max(_length(leg, unknown, step), LARGEST))
+        for i, change in zip(unknown, step, strict=True):
+            q[i] += share * change
+        if not _length(leg, unknown, step) > SMALL:
+            break
+    _turn_back(leg, q, leg["home"] if near is None else near, near is None)
+    c, J, _ = _closure(leg, T, q, bent)
+    closed = possible and max(map(abs, c)) <= CLOSED * leg["size"]
+    return q, closed and _mode(leg, J) == leg["mode"]
+
+
+def _followed(leg: dict[str, Any], T: Row, bent: Row) -> Row:
+    """Return joints that follow a straight way from home to a pose."""
+    home, unknown, q = pose(*MACHINE["home"]), [*leg["active"], *leg["passive"]], list(leg["home"])
+    turn = rotation_vector(compose(T, inverted(home)))
+    for step in range(1, WAY + 1):
+        share = step / WAY
+        size = sqrt(_dot(turn, turn))
+        axis = [component / (size or 1.0) for component in turn]
+        stage = compose(turned(axis, share * size), home)
+        for i in (3, 7, 11):
+            stage[i] = home[i] + share * (T[i] - home[i])
+        c, J, _ = _closure(leg, stage, q, bent)
+        change = _least_squares([[row[i] for i in unknown] for row in J], [-value for value in c])
+        limited = min(1.0, LARGEST / max(_length(leg, unknown, change), LARGEST))
+        for i, value in zip(unknown, change, strict=True):
+            q[i] += limited * value
+    return q
+
+
+def _forward(readings: Row, known: Row, T: Row, near: Matrix) -> Solution:
+    """Return the pose of readings by Newton's method from a pose and joints."""
+    legs, joints = MACHINE["legs"], [list(q) for q in near]
+    bents: Matrix = []
+    T = _begun(readings, known, T, joints, bents)
+    moved, mode, square = 1.0, 0.0, True
+    for _ in range(STEPS):
+        T, moved, mode, square = _stepped(T, joints, bents)
+        if not moved > SMALL:
+            break
+    gaps, in_mode = 0.0, mode == MACHINE["assembly"] or not square
+    for leg, q, bent in zip(legs, joints, bents, strict=True):
+        c, J, _ = _closure(leg, T, q, bent)
+        gaps = max(gaps, *map(abs, c))
+        in_mode = in_mode and _mode(leg, J) == leg["mode"]
+    if not moved <= SMALL or gaps > (CLOSED if square else 0.1) * MACHINE["size"]:
+        return Solution(T, joints, "no pose found that closes all legs")
+    reason = "" if in_mode else "left the working or assembly mode of home"
+    return Solution(T, joints, reason)
+
+
+def _begun(readings: Row, known: Row, T: Row, joints: Matrix, bents: Matrix) -> Row:
+    """Put readings into joints, in place, passive ones near such that close at a pose, returned."""
+    T, places = list(T), iter(range(len(readings)))
+    for leg, q in zip(MACHINE["legs"], joints, strict=True):
+        for place, sensor in zip(leg["active"], leg["sensors"], strict=False):
+            q[place] = _position(sensor, readings[next(places)], known)
+        bents.append(_deformations(leg, known))
+        if leg["arm"]:
+            T = _platform_of(leg, q, bents[-1])
+        elif leg["form"]:
+            start = _formed(leg, _point(leg, T, bents[-1]))[0]
+            for place in leg["passive"]:
+                q[place] = start[place]
+    return T
+
+
+def _stepped(T: Row, joints: Matrix, bents: Matrix) -> tuple[Row, float, float, bool]:
+    """Return a pose after a step of Newton's method, passive joints, in place, following.
+
+    And the largest step, the sign of the determinant, and whether legs demand as much as there
+    are freedoms. Passive joints are eliminated leg by leg.
+    """
+    legs, sign = MACHINE["legs"], 1.0
+    rows: Matrix = []
+    reduced: list[Matrix] = []
+    for leg, q, bent in zip(legs, joints, bents, strict=True):
+        c, J, X = _closure(leg, T, q, bent)
+        count = len(leg["passive"])
+        parts = zip(J, X, c, strict=True)
+        A = [[*(row[i] for i in leg["passive"]), *by_pose, -gap] for row, by_pose, gap in parts]
+        sign *= _triangularise(A, count)
+        reduced.append(A)
+        rows += [row[count:] for row in A[count:]]
+    dof = len(rows[0]) - 1
+    sign *= _triangularise(rows, dof)
+    twist = _back_substituted(rows, dof)
+    lengths = [abs(value) / MACHINE["size"] for value in twist[: MACHINE["lengths"]]]
+    moved = max(*lengths, *map(abs, twist[MACHINE["lengths"] :]), 0.0)
+    share = min(1.0, LARGEST / max(moved, LARGEST))
+    for leg, q, A in zip(legs, joints, reduced, strict=True):
+        count = len(leg["passive"])
+        for row in A:
+            row[-1] -= share * _dot(row[count:-1], twist)
+        step = _back_substituted(A, count)
+        moved = max(moved, _length(leg, leg["passive"], step))
+        for i, change in zip(leg["passive"], step, strict=True):
+            q[i] += change
+    return displaced(T, [share * value for value in twist]), moved, sign, len(rows) == dof
+
+
+def _closure(leg: dict[str, Any], T: Row, q: Row, bent: Row) -> tuple[Row, Matrix, Matrix]:
+    """Return gaps of a leg's ends, [m], and derivatives by its joints and by the pose's twist."""
+    gaps: Row = []
+    by_joints: Matrix = []
+    by_pose: Matrix = []
+    n, size, twist = len(q), leg["size"], MACHINE["twist"]
+    for end in leg["ends"]:
+        tip, moves = _chain(end["tip"], [*q, *bent])
+        if end["frame"] is None:  # the platform is met, in the axes of the base
+            met = compose(T, _chain(end["point"], [*q, *bent])[0])
+            axes = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+            back: list[Move] = []
+        else:
+            met, back = _chain(end["frame"], [*q, *bent])
+            axes = [[met[i], met[4 + i], met[8 + i]] for i in range(3)]
+        columns = _columns(n, moves, back, [tip[3], tip[7], tip[11]])
+        gap, arm = [tip[i] - met[i] for i in (3, 7, 11)], [met[i] - T[i] for i in (3, 7, 11)]
+        turn = rotation_vector(compose(tip, inverted(met))) if max(end["rows"]) > 2 else gap
+        for row in end["rows"]:
+            axis, angular = axes[row % 3], row > 2
+            scale, first = (size, 3) if angular else (1.0, 0)
+            gaps.append(scale * _dot(axis, turn if angular else gap))
+            by_joints.append([scale * _dot(axis, column[first : first + 3]) for column in columns])
+            sign = -scale if end["frame"] is None else 0.0
+            by_pose.append([sign * _dot(axis, _moved(f, arm)[first : first + 3]) for f in twist])
+    return gaps, by_joints, by_pose
+
+
+def _columns(n: int, moves: list[Move], back: list[Move], place: Row) -> Matrix:
+    """Return velocity and spin of a tip, at a place, against a frame, by each of n joints."""
+    columns = [[0.0] * 6 for _ in range(n)]
+    for sign, motion in (*((1.0, move) for move in moves), *((-1.0, move) for move in back)):
+        speed, spin = _twist(motion, place)
+        for source, rate in motion.rates:
+            if source < n:
+                for i, value in enumerate((*speed, *spin)):
+                    columns[source][i] += sign * rate * value
+    return columns
+
+
+def _moved(freedom: int, arm: Row) -> Row:
+    """Return velocity and spin of a point of the platform by one of its freedoms."""
+    unit = [float(freedom % 3 == i) for i in range(3)]
+    return [*_cross(unit, arm), *unit] if freedom > 2 else [*unit, 0.0, 0.0, 0.0]
+
+
+class Move(NamedTuple):
+    """A joint where it is: what turns or slides, its axis and a point on it, base frame."""
+
+    turns: bool
+    axis: Row
+    point: Row
+    rates: list[tuple[int, float]]
+    """Positions that move it, joints and behind them deformations, and how much."""
+
+
+def _chain(chain: dict[str, Any], values: Row) -> tuple[Row, list[Move]]:
+    """Return where the tip of a chain is, and how its joints move it."""
+    T, moves = chain["start"], []
+    for turns, axis, rates, behind in chain["joints"]:
+        position = sum(rate * values[source] for source, rate in rates)
+        moves.append(Move(turns, rotated(T, axis), [T[3], T[7], T[11]], rates))
+        shift = [position * component for component in axis]
+        motion = (
+            turned(axis, position)
+            if turns
+            else [1, 0, 0, shift[0], 0, 1, 0, shift[1], 0, 0, 1, shift[2]]
+        )
+        T = compose(compose(T, motion), behind)
+    return T, moves
+
+
+def _twist(move: Move, place: Row) -> tuple[Row, Row]:
+    """Return velocity at a place and spin of a joint's motion."""
+    if not move.turns:
+        return move.axis, [0.0, 0.0, 0.0]
+    return _cross(move.axis, [a - b for a, b in zip(place, move.point, strict=True)]), move.axis
+
+
+def _point(leg: dict[str, Any], T: Row, bent: Row) -> Row:
+    """Return where a leg meets the platform, base frame."""
+    met = compose(T, _chain(leg["ends"][0]["point"], [*leg["home"], *bent])[0])
+    return [met[3], met[7], met[11]]
+
+
+def _platform_of(leg: dict[str, Any], q: Row, bent: Row) -> Row:
+    """Return where an arm's joints put the platform."""
+    end = leg["ends"][0]
+    return compose(
+        _chain(end["tip"], [*q, *bent])[0], inverted(_chain(end["point"], [*q, *bent])[0])
+    )
+
+
+def _formed(leg: dict[str, Any], target: Row) -> tuple[Row, bool]:
+    """Return the joints of a leg of closed form, and whether it reaches a target."""
+    form = leg["form"]
+    arm = [a - b for a, b in zip(target, form["centre"], strict=True)]
+    if form["plane"]:
+        arm[2] = 0.0
+    if form["frame"] is None:
+        distance = sqrt(_dot(arm, arm))
+        way = [form["mode"] * component for component in arm]
+        slide = form["mode"] * distance - form["length"]
+        return [*_angles(form, way, leg["home"]), slide], distance > 0.0
+    frame, radius, length = form["frame"], form["radius"], form["length"]
+    radial, way_along, height = (_dot(column, arm) for column in zip(*frame, strict=True))
+    if radius == 0.0:
+        square = length**2 - radial**2 - height**2
+        drive = way_along - form["mode"] * sqrt(max(square, 0.0))
+        rod, possible = [radial, way_along - drive, height], square >= 0.0
+        return [drive, *_angles(form, _times(frame, rod), leg["home"][1:])], possible
+    far = hypot(radial, way_along)
+    cosine = (far**2 + height**2 + radius**2 - length**2) / (2.0 * radius * far) if far else 0.0
+    possible, cosine = abs(cosine) <= 1.0, max(-1.0, min(1.0, cosine))
+    sine = form["mode"] * sqrt((1.0 - cosine) * (1.0 + cosine))
+    c = (cosine * radial + sine * way_along) / (far or 1.0)
+    s = (cosine * way_along - sine * radial) / (far or 1.0)
+    drive = _near(atan2(s, c), leg["home"][0])
+    back = [far * cosine - radius, far * sine, height]
+    return [drive, *_angles(form, _times(frame, back), leg["home"][1:])], possible
+
+
+def _angles(form: dict[str, Any], vector: Row, home: Row) -> Row:
+    """Return the angles of a joint that points along a vector."""
+    e1, e2, e3 = zip(*form["axes"], strict=True)
+    across, height = form["side"] * _dot(vector, e2), form["side"] * _dot(vector, e3)
+    angles = [atan2(-across, height)]
+    if not form["plane"]:
+        angles.append(atan2(_dot(vector, e1), form["side"] * hypot(across, height)) - form["delta"])
+    return [_near(angle, start) for angle, start in zip(angles, home, strict=False)]
+
+
+def _position(sensor: dict[str, Any], reading: float, known: Row) -> float:
+    """Return a joint's position at a reading."""
+    terms = (
+        a * _basis(term, reading if place < 0 else known[place])
+        for a, place, term in sensor["terms"]
+    )
+    return float(sensor["slope"] * reading + sensor["start"] + sum(terms))
+
+
+def _reading(sensor: dict[str, Any], position: float, known: Row) -> tuple[float, bool]:
+    """Return the reading of a joint's position, and whether the search for it settled."""
+    reading = (position - sensor["start"]) / sensor["slope"]
+    step = 0.0
+    for _ in range(50 * bool(sensor["terms"])):
+        slope = sensor["slope"] + sum(
+            a * _slope(term, reading) for a, place, term in sensor["terms"] if place < 0
+        )
+        step = (position - _position(sensor, reading, known)) / (slope or 1e-300)
+        reading += step
+        if abs(step) <= 1e-15 * max(1.0, abs(reading)):
+            break
+    return reading, abs(step) <= 1e-8 * max(1.0, abs(reading))
+
+
+def _deformations(leg: dict[str, Any], known: Row) -> Row:
+    """Return how far a leg's lengths and angles deform."""
+    return [
+        float(sum(a * _basis(term, known[place]) for a, place, term in terms))
+        for terms in leg["deformations"]
+    ]
+
+
+def _basis(term: tuple[Any, ...], value: float) -> float:
+    """Return the value of a term's function; 0 where its influence is not known."""
+    kind, first, second, exponent = term
+    if not isfinite(value):
+        return 0.0
+    if kind == "sine":
+        return sin(first * value)
+    if kind == "cosine":
+        return cos(first * value)
+    return float(((value - second) / first) ** exponent)
+
+
+def _slope(term: tuple[Any, ...], value: float) -> float:
+    """Return the derivative of a term's function."""
+    kind, first, second, exponent = term
+    if kind == "sine":
+        return float(first * cos(first * value))
+    if kind == "cosine":
+        return float(-first * sin(first * value))
+    return float(exponent / first * ((value - second) / first) ** (exponent - 1))
+
+
+def _known(influences: Row | None) -> Row:
+    """Return what is known of influences, nan where nothing is."""
+    return list(influences) if influences is not None else [nan] * len(MACHINE["influences"])
+
+
+def _with_loads(known: Row, readings: Row) -> Row:
+    """Return influences with gravity's loads on an arm, as drawn, where they were not given."""
+    load = MACHINE["load"]
+    if not load:
+        return known
+    pairs = zip(load["sensors"], readings, strict=True)
+    q = [0.0] * load["width"]
+    for place, (sensor, reading) in zip(load["active"], pairs, strict=True):
+        q[place] = _position(sensor, reading, [])
+    weights = [0.0] * load["width"]
+    for mass, chain in load["bodies"]:
+        centre, moves = _chain(chain, q)
+        place = [centre[3], centre[7], centre[11]]
+        for move in moves:
+            power = mass * _dot(load["gravity"], _twist(move, place)[0])
+            for source, rate in move.rates:
+                weights[source] += rate * power
+    completed = list(known)
+    for place, source in load["columns"]:
+        if not isfinite(completed[place]):
+            completed[place] = weights[source]
+    return completed
+
+
+def _turn_back(leg: dict[str, Any], q: Row, centre: Row, within_limits: bool) -> None:
+    """Take full turns off joints, in place: near a centre, and within limits if they can be."""
+    for i, (turns, (low, high)) in enumerate(zip(leg["turns"], leg["limits"], strict=True)):
+        if turns and isfinite(q[i]):
+            q[i] = _near(q[i], centre[i])
+            if within_limits and not low - 1e-9 <= q[i] <= high + 1e-9:
+                back = low - 1e-9 + (q[i] - low + 1e-9) % (2.0 * pi)
+                q[i] = back if back <= high + 1e-9 else q[i]
+
+
+def _near(angle: float, centre: float) -> float:
+    """Return an angle less full turns, within a half of a centre."""
+    return centre + atan2(sin(angle - centre), cos(angle - centre))
+
+
+def _mode(leg: dict[str, Any], J: Matrix) -> float:
+    """Return the sign of the determinant by all joints, where there are as many as rows."""
+    unknown = [*leg["active"], *leg["passive"]]
+    if len(unknown) != len(J) or not leg["passive"]:
+        return 1.0
+    A = [[row[i] for i in unknown] for row in J]
+    return _triangularise(A, len(unknown))
+
+
+def _length(leg: dict[str, Any], places: list[int], step: Row) -> float:
+    """Return the largest step of joints, [rad] or of the leg's size."""
+    pairs = zip(places, step, strict=True)
+    lengths = [abs(value) / (1.0 if leg["turns"][i] else leg["size"]) for i, value in pairs]
+    return max(lengths, default=0.0)
+
+
+def _least_squares(A: Matrix, b: Row) -> Row:
+    """Return x of the least |A x − b|; of the least length if there are fewer rows."""
+    n = len(A[0])
+    rows = [[*row, value] for row, value in zip(A, b, strict=True)]
+    if len(A) < n:
+        largest = max(max(map(abs, row)) for row in A)
+        rows += [[DAMPING * largest * (i == j) for j in range(n)] + [0.0] for i in range(n)]
+    _triangularise(rows, n)
+    return _back_substituted(rows, n)
+
+
+def _triangularise(A: Matrix, columns: int) -> float:
+    """Reflect rows of A, in place, so that its first columns are a triangle.
+
+    Return the sign of the determinant of these columns and of what is left of the axes.
+    """
+    sign = 1.0
+    for k in range(min(columns, len(A))):
+        size = sqrt(sum(row[k] ** 2 for row in A[k:]))
+        if size == 0.0 or k == len(A) - 1:
+            sign *= copysign(1.0, A[k][k])
+            continue
+        pivot = A[k][k]
+        end = -copysign(size, pivot)
+        v = [pivot - end, *(row[k] for row in A[k + 1 :])]
+        half = size * (size + abs(pivot))  # half of |v|²
+        sign *= -copysign(1.0, end)
+        for j in range(k, len(A[0])):
+            share = sum(value * row[j] for value, row in zip(v, A[k:], strict=True)) / half
+            for value, row in zip(v, A[k:], strict=True):
+                row[j] -= share * value
+    return sign
+
+
+def _back_substituted(A: Matrix, n: int) -> Row:
+    """Return x of the triangle R x = b, b being the last column."""
+    x = [0.0] * n
+    for i in reversed(range(min(n, len(A)))):
+        rest = A[i][-1] - sum(A[i][j] * x[j] for j in range(i + 1, n))
+        x[i] = rest / A[i][i] if A[i][i] else 0.0
+    return x
+
+
+def displaced(T: Row, twist: Row) -> Row:
+    """Return a pose moved by a twist in the platform's freedoms, base axes."""
+    shift, turn = [0.0] * 3, [0.0] * 3
+    for row, value in zip(MACHINE["twist"], twist, strict=True):
+        (shift if row < 3 else turn)[row % 3] = value
+    size = sqrt(_dot(turn, turn))
+    moved = compose(turned([value / (size or 1.0) for value in turn], size), T)
+    for i in range(3):
+        moved[4 * i + 3] = T[4 * i + 3] + shift[i]
+    return moved
+
+
+def compose(A: Row, B: Row) -> Row:
+    """Return A B of two rigid transforms."""
+    product = []
+    for i in (0, 4, 8):
+        a, b, c = A[i : i + 3]
+        product += [a * B[j] + b * B[4 + j] + c * B[8 + j] for j in range(4)]
+        product[-1] += A[i + 3]
+    return product
+
+
+def inverted(T: Row) -> Row:
+    """Return the inverse of a rigid transform."""
+    rows = [[T[i], T[4 + i], T[8 + i]] for i in range(3)]
+    place = [T[3], T[7], T[11]]
+    return [value for row in rows for value in (*row, -_dot(row, place))]
+
+
+def turned(axis: Any, angle: float) -> Row:
+    """Return the turn about a unit axis through the origin."""
+    (x, y, z), c, s = axis, cos(angle), sin(angle)
+    d = 1.0 - c
+    first = [c + x * x * d, x * y * d - z * s, x * z * d + y * s, 0.0]
+    second = [y * x * d + z * s, c + y * y * d, y * z * d - x * s, 0.0]
+    return [*first, *second, z * x * d - y * s, z * y * d + x * s, c + z * z * d, 0.0]
+
+
+def rotated(T: Row, vector: Any) -> Row:
+    """Return a vector turned as a rigid transform turns."""
+    return [_dot(T[i : i + 3], vector) for i in (0, 4, 8)]
+
+
+def rotation_vector(T: Row) -> Row:
+    """Return axis times angle of a turn."""
+    skew = [T[9] - T[6], T[2] - T[8], T[4] - T[1]]
+    double = sqrt(_dot(skew, skew))
+    angle = atan2(double, T[0] + T[5] + T[10] - 1.0)
+    if double > 1e-7:
+        return [angle / double * value for value in skew]
+    if angle < 1.0:
+        return [0.5 * value for value in skew]
+    i = max(range(3), key=lambda i: T[5 * i])  # half a turn
+    size = sqrt(max(T[5 * i] + 1.0, 0.0) / 2.0)
+    column = [(T[4 * i + j] + T[4 * j + i]) / (4.0 * size) for j in range(3)]
+    column[i] = size
+    return [angle * value for value in column]
+
+
+def _dot(a: Any, b: Any) -> float:
+    return float(sum(x * y for x, y in zip(a, b, strict=True)))
+
+
+def _times(columns: Matrix, vector: Row) -> Row:
+    return [_dot(row, vector) for row in columns]
+
+
+def _cross(a: Row, b: Row) -> Row:
+    return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]

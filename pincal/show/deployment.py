@@ -1,0 +1,143 @@
+"""What a controller needs of a calibrated machine, as a folder: kinematics, data sheet, how to."""
+
+from __future__ import annotations
+
+import re
+from contextlib import suppress
+from pathlib import Path
+from string import Template
+
+import numpy as np
+
+from pincal import __version__
+from pincal.calibration.result import CalibrationResult
+from pincal.calibration.result_files import RESULT, load_result
+from pincal.errors import MeasurementError, MechanismError
+from pincal.files.mechanism_folders import as_mechanism
+from pincal.files.output import writing
+from pincal.files.table import write_table
+from pincal.formats import deployed
+from pincal.formats.deployed.files import c_header, python_file
+from pincal.formats.deployed.geometry import genhexkins, geometry_sheet
+from pincal.formats.deployed.tables import Deployed
+from pincal.kinematics.configurations import inverse
+from pincal.model.mechanism import Mechanism
+from pincal.model.setup import ORIGIN
+from pincal.types import Array
+
+SHEET, HOW_TO, LINUXCNC = "geometry.csv", "commanding.md", "linuxcnc.hal"
+_NEAR = {
+    False: "Give `near`, joints of the last call, where the machine may bend in several ways.",
+    True: "An arm reaches a pose in several ways: `near`, joints of the last call, say which.",
+}
+
+
+def deploy(
+    machine: CalibrationResult | Mechanism | str | Path, folder: str | Path, *, force: bool = False
+) -> None:
+    """Write what a controller needs of a machine to a folder.
+
+    Kinematics as one Python file and one C99 header that need nothing else, equal to pincal's; a
+    sheet of joint centres and lengths, with standard errors of a result; HAL lines for LinuxCNC
+    where the machine is a hexapod; and ``commanding.md``, which says how to use them.
+
+    Args:
+        machine: A result of ``calibrate`` or its folder, whose frame and measured point are
+            written too; or a mechanism, its name or its folder.
+        folder: Where to write.
+        force: Overwrite what is there.
+
+    Raises:
+        MechanismError: terms that no file can hold.
+        MeasurementError: a result that did not converge.
+        FileError: the folder exists, or cannot be written.
+    """
+    if isinstance(machine, str | Path) and (Path(machine) / RESULT).is_file():
+        machine = load_result(machine)
+    result = machine if isinstance(machine, CalibrationResult) else None
+    if result is not None and not result.converged:
+        raise MeasurementError("the fit did not converge, so there is no machine to deploy")
+    wanted = Deployed(as_mechanism(machine)) if result is None else _deployed(result)
+    covariances = None if result is None else _covariances(result)
+    mechanism = wanted.mechanism
+    prefix = re.sub(r"\W", "_", mechanism.name.lower())
+    prefix = f"machine_{prefix}" if prefix[:1].isdigit() else prefix
+    files = {"kinematics.py": python_file(wanted), f"{prefix}.h": c_header(wanted, prefix)}
+    with suppress(MechanismError):  # another machine than it is for
+        files[LINUXCNC] = genhexkins(mechanism)
+    files[HOW_TO] = _how_to(wanted, prefix, result is not None, LINUXCNC in files)
+    with writing(folder, force=force, folder=(*files, SHEET)) as scratch:
+        for name, text in files.items():
+            (scratch / name).write_text(text, "utf-8")
+        write_table(scratch / SHEET, geometry_sheet(mechanism, covariances))
+
+
+def _deployed(result: CalibrationResult) -> Deployed:
+    """Return a calibrated machine with the frame and the point of the measurements."""
+    frame, tool = np.eye(4), np.eye(4)
+    tool[:3, 3] = result.options.setup.targets[ORIGIN].offset
+    if result.outside is not None:
+        frame = result.outside.frame
+        tool[:3, :3], tool[:3, 3] = result.outside.turn, result.outside.offsets[0]
+    return Deployed(result.identified, frame, tool)
+
+
+def _covariances(result: CalibrationResult) -> dict[str, Array]:
+    """Return the covariance of the parameters of each leg."""
+    ends = np.cumsum([0, *(len(leg.parameters) for leg in result.legs)])
+    of_legs = zip(result.legs, ends[:-1], ends[1:], strict=True)
+    return {leg.name: result.covariance[a:b, a:b] for leg, a, b in of_legs}
+
+
+def _how_to(wanted: Deployed, prefix: str, calibrated: bool, hexapod: bool) -> str:
+    """Return the page that says how to command the machine."""
+    mechanism, platform = wanted.mechanism, wanted.mechanism.platform
+    template = (Path(deployed.__file__).parent / HOW_TO).read_text("utf-8")
+    at_home = inverse(mechanism, np.array([platform.home]), near=_home_joints(mechanism))
+    shown = zip(mechanism.reading_names, at_home.readings[0], strict=True)
+    pairs = zip(mechanism.reading_names, mechanism.reading_units, strict=True)
+    counts = [sensor.counts_per_unit for leg in mechanism.legs for sensor in leg.sensors]
+    units = [
+        f"| {name} | {unit} | {count or '–'} |"
+        for (name, unit), count in zip(pairs, counts, strict=True)
+    ]
+    still = np.allclose(wanted.frame, np.eye(4)) and np.allclose(wanted.tool, np.eye(4))
+    frames = "Poses are T_base_platform, in the frame that the machine was measured in."
+    if not still:
+        frames = (
+            "Poses are T_base_platform. Of a pose of the measured point in the frame of the "
+            "measurements (the tracker's), `in_base(T)` makes one; `in_frame(T)` goes back."
+        )
+    influences = "Nothing: the kinematics follow from readings alone."
+    if mechanism.influences:
+        loads = mechanism.loaded and "; loads of gravity are computed where they are nan"
+        influences = (
+            "Terms depend on "
+            + ", ".join(f"`{name}`" for name in mechanism.influences)
+            + f", in this order the second argument of `inverse` and `forward`; nan where one is "
+            f"not known, so that its terms are at their reference{loads or ''}."
+        )
+    further = "| `linuxcnc.hal` | Joint centres for LinuxCNC's `genhexkins` |\n" * hexapod
+    values = {
+        "name": mechanism.name,
+        "version": __version__,
+        "source": "a calibration" if calibrated else "the mechanism as drawn",
+        "prefix": prefix,
+        "PREFIX_READINGS": f"{prefix.upper()}_READINGS",
+        "PREFIX_JOINTS": f"{prefix.upper()}_JOINTS",
+        "geometry": "Joint centres and lengths" + ", each with its standard error" * calibrated,
+        "further": further,
+        "home": ", ".join(repr(float(value)) for value in platform.home),
+        "coordinates": ", ".join(platform.coordinates),
+        "readings": ", ".join(f"{name} = {value:.9g}" for name, value in shown),
+        "near": _NEAR[any(leg.is_arm for leg in mechanism.legs)],
+        "units": "\n".join(units),
+        "frames": frames,
+        "influences": influences,
+    }
+    return Template(template).substitute(values)
+
+
+def _home_joints(mechanism: Mechanism) -> dict[str, Array]:
+    """Return where all joints are at home, by leg, shape (1, n_joints)."""
+    return {leg.name: leg.home[None] for leg in mechanism.legs}

@@ -1,0 +1,153 @@
+"""What a controller gets: kinematics that need nothing of pincal, equal to pincal's."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from command_line import done
+from deployed import in_c, in_python
+from marks import quick
+from measured import seen_from_elsewhere, workspace
+from neighbours import coupled_five_bar, four_bar
+from test_deformations import machine_of, plan_of
+
+import pincal
+from pincal.formats.deployed.geometry import genhexkins
+from pincal.formats.deployed.tables import Deployed
+from pincal.kinematics.configurations import joints_at
+
+BUNDLED = ["3RRR", "8cable", "delta", "5R", "6UPS", "3RPS", "3PUU", "3PRR", "3RPR", "4cable"]
+
+
+def equal_at(machine: pincal.Mechanism, plan: pincal.Plan, folder: Path) -> None:
+    """Compare both files with pincal at configurations: readings and poses to 1e-9."""
+    near, used = None, {k: v for k, v in plan.influences.items() if k in machine.influences}
+    plan = replace(plan, influences=used)
+    if machine.by_readings:  # readings do not follow from poses: near those planned
+        solved = pincal.forward(machine, plan.readings, influences=plan.influences)
+        poses, readings = solved.poses, plan.readings
+        planned = pincal.Plan(poses, readings=readings, influences=plan.influences)
+        joints = joints_at(machine, planned).joints
+        near = [
+            [(joints[leg][row] + 0.02).tolist() for leg in machine.leg_names]
+            for row in range(len(plan))
+        ]
+    else:
+        poses = plan.poses
+        readings = pincal.inverse(machine, poses, used).readings
+    matrices = machine.platform.matrices(poses)[:, :3].reshape(len(plan), 12)
+    deployed = Deployed(machine)
+    files = [in_python(deployed)]
+    if shutil.which("cc"):
+        files.append(in_c(deployed, folder))
+    for inverse, forward in files:
+        for row, (T, wanted) in enumerate(zip(matrices, readings, strict=True)):
+            columns = [
+                plan.influences.get(name, np.full(len(plan), np.nan))[row]
+                for name in machine.influences
+            ]
+            values, _, reached = inverse(T, columns, near and near[row])
+            assert reached
+            np.testing.assert_allclose(values, wanted, rtol=0.0, atol=1e-9)
+            values, _, reached = forward(wanted, columns)
+            assert reached
+            np.testing.assert_allclose(values, T, rtol=0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", quick(3, [*BUNDLED, "6PUS", "6RUS", "linear_delta"]))
+def test_files_are_pincal_over_the_workspace(name: str, tmp_path: Path) -> None:
+    """A machine off by 1 mm and mrad, all over its workspace: the same readings and poses."""
+    machine = pincal.disturb(pincal.load_mechanism(name), 1e-3, seed=1)
+    equal_at(machine, pincal.sample_configurations(machine, 12, seed=3), tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "of"),
+    quick(1, [("ur5", "load"), ("3RRR", "temperature"), ("6UPS", "temperature")]),
+)
+def test_files_know_what_bends_and_grows(name: str, of: str, tmp_path: Path) -> None:
+    """Lengths and angles that follow temperature or gravity's loads: computed by the files too."""
+    _, machine = machine_of(name, of)
+    equal_at(machine, plan_of(machine, 6), tmp_path)
+
+
+@pytest.mark.parametrize("write", quick(1, [four_bar, coupled_five_bar]))
+def test_files_close_loops_within_legs(write: Callable[[Path], Path], tmp_path: Path) -> None:
+    """A four-bar, and a five-bar with a loop within a leg: readings and poses as pincal's."""
+    done("import", write(tmp_path / "drawn"), "-o", tmp_path / "mech")
+    machine = pincal.load_mechanism(str(tmp_path / "mech"))
+    plan = pincal.sample_configurations(machine, 6, seed=1)
+    equal_at(machine, plan, tmp_path)
+
+
+def test_a_folder_for_the_controller(tmp_path: Path) -> None:
+    """Frames and standard errors are those of the result; nothing is overwritten unasked."""
+    robot = pincal.load_mechanism("5R")
+    truth, poses = pincal.disturb(robot, 1e-3, seed=1), workspace("5R", 30)
+    data = pincal.simulate(
+        robot, truth, pincal.Plan(poses), pincal.Noise(1e-5), seed=1
+    ).measurements
+    data = seen_from_elsewhere(robot, data)
+    setup = pincal.Setup(unknown_frame=True)
+    result = pincal.calibrate(robot, data, noise=pincal.Noise(1e-5), setup=setup)
+    pincal.deploy(result, tmp_path / "controller")
+    sheet = (tmp_path / "controller" / "geometry.csv").read_text().splitlines()
+    rows = [line.split(",") for line in sheet]
+    (length,) = [row for row in rows if row[:2] == ["leg_1", "rod length"]]
+    np.testing.assert_allclose(float(length[3]), result["leg_1.L"].identified, atol=1e-9)
+    np.testing.assert_allclose(float(length[4]), result["leg_1.L"].std, rtol=5e-3)
+    names: dict[str, Any] = {}
+    exec((tmp_path / "controller" / "kinematics.py").read_text(), names)
+    seen = robot.platform.matrices(data.poses)[:, :3].reshape(len(data), 12)
+    readings = np.array([names["inverse"](names["in_base"](T.tolist())).values for T in seen])
+    assert np.sqrt(np.mean((readings - data.readings) ** 2)) < 3e-5
+    again = names["in_frame"](names["in_base"](seen[0].tolist()))
+    np.testing.assert_allclose(again, seen[0], atol=1e-12)
+    result.save(tmp_path / "result")
+    done("deploy", tmp_path / "result", "-o", tmp_path / "again")
+    for file in ("kinematics.py", "5r.h", "geometry.csv", "commanding.md"):
+        name = file.replace("5r", "machine_5r")
+        texts = [(tmp_path / folder / name).read_text() for folder in ("controller", "again")]
+        assert texts[0] == texts[1]
+    with pytest.raises(pincal.FileError):
+        pincal.deploy(result, tmp_path / "controller")
+
+
+def test_terms_that_no_file_can_hold_are_refused(tmp_path: Path) -> None:
+    """A term that is a function of the user's own; the message names what makes up for it."""
+    robot = pincal.load_mechanism("5R")
+    term = pincal.Term("own", np.tanh, lambda value: 1.0 / np.cosh(value) ** 2)
+    leg = robot.legs[0]
+    sensor = replace(leg.sensors[0], terms=(term,))
+    leg = replace(leg, sensors=(sensor,), parameters=(*leg.parameters, ("own", 1e-4)))
+    with pytest.raises(pincal.MechanismError, match="corrections"):
+        pincal.deploy(replace(robot, legs=(leg, robot.legs[1])), tmp_path / "controller")
+    assert not (tmp_path / "controller").exists()
+
+
+def test_joint_centres_are_those_that_genhexkins_asks_for() -> None:
+    """Strut lengths by centres of the HAL lines: what the readings of poses say, to 1e-9 m."""
+    robot = pincal.disturb(pincal.load_mechanism("6UPS"), 1e-3, seed=1)
+    lines = genhexkins(robot).splitlines()
+    pins = dict(line.split()[1:] for line in lines if line.startswith("setp genhexkins."))
+    lengths = [re.match(r"# joint \d \[mm\] = (\S+) \+ (\S+) ×", line) for line in lines]
+    laws = np.array([[float(value) for value in found.groups()] for found in lengths if found])
+    poses = workspace("6UPS", 20)
+    T, readings = robot.platform.matrices(poses), pincal.inverse(robot, poses).readings
+
+    def centre(owner: str, strut: int) -> np.ndarray:
+        return np.array([float(pins[f"genhexkins.{owner}.{strut}.{axis}"]) for axis in "xyz"])
+
+    for strut, (zero, slope) in enumerate(laws):
+        tips = T[:, :3, :3] @ centre("platform", strut) + 1e3 * T[:, :3, 3]
+        length = np.linalg.norm(tips - centre("base", strut), axis=1)
+        np.testing.assert_allclose(length, zero + slope * 1e3 * readings[:, strut], atol=1e-6)
+    with pytest.raises(pincal.MechanismError, match="no hexapod"):
+        genhexkins(pincal.load_mechanism("6RUS"))
