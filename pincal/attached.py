@@ -16,11 +16,11 @@ from typing import Any, TypeVar
 Method = TypeVar("Method", bound=Callable[..., Any])
 
 DONE_BY = {
-    "CalibrationResult.__str__": "pincal.show.answers.result_text",
     "CalibrationResult._repr_html_": "pincal.show.report.result_html",
     "CalibrationResult.plot": "pincal.show.charts.Plots",
     "CalibrationResult.report": "pincal.show.report.report",
     "CalibrationResult.save": "pincal.calibration.result_files.save_result",
+    "CalibrationResult.tables": "pincal.show.tables.calibration_tables",
     "CalibrationResult.validated": "pincal.calibration.calibrate.with_validation",
     "Explanation.__str__": "pincal.show.explanation.explanation_page",
     "Forecast.__str__": "pincal.show.tables.forecast_text",

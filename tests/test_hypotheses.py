@@ -221,8 +221,8 @@ FAULTS: dict[str, tuple[list[str], Fault, list[str]]] = {
         ["6UPS"],
         angles("quaternion", 1, 2, 3, 0),
         [
-            "columns of the orientation are swapped: qw is below qz, qx is below qw, "
-            "qy is below qx, qz is below qy"
+            "columns of the orientation are swapped: qw is in column qz, qx is in column qw, "
+            "qy is in column qx, qz is in column qy"
         ],
     ),
     "scale-of-all": (EVERY, scaled(1, 1, 10), ["the readings are 10 times too large"]),

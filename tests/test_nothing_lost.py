@@ -358,7 +358,7 @@ def test_calibrate_keeps_what_lies_in_the_result(tmp_path: Path) -> None:
     outcome = done("calibrate", "5R", data, *known, "--method", "per-leg", "-o", res, "--force")
     assert data.read_bytes() == before
     assert (res / "notes.txt").read_text() == "years of work"
-    assert "res is replaced; what it was is kept as res.bak" in outcome.err
+    assert "replaced res; the old one is now res.bak" in outcome.err
     # its own input is not replaced
     for mech in (res, res / "mechanism"):
         outcome = run("calibrate", mech, data, *known, "-o", res, "--force")

@@ -98,7 +98,7 @@ def test_what_was_held_is_marked_wherever_it_is_shown(tmp_path: Path) -> None:
     assert parameter.given == "held nearest to nominal"
     assert "±" not in str(parameter)
     assert "held nearest to nominal" in str(parameter)
-    assert "held nearest to nominal: leg_1.l, leg_1.L" in str(result)
+    assert "held nearest to nominal: leg_1.l, leg_1.L" in str(result.tables()[0])
     assert "held nearest to nominal" in result.report().html()
     data = json.loads((result.save(tmp_path / "r") / "result.json").read_text())
     shown = data["legs"][0]["parameters"][1]

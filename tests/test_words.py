@@ -185,8 +185,8 @@ COMMON: dict[str, Any] = {
 #: Values of each code, the finding's rows and parameters, and what must be said of them.
 SAID: dict[str, tuple[dict[str, Any], tuple[int, ...], tuple[str, ...], str]] = {
     "not-converged": ({"message": "no step is left"}, (), (), "did not converge: no step is left"),
-    "not-corrected": ({"excess": 100.0}, (), (), "no accuracy can be promised: residuals are 100 times as large as the noise given, and hardly fell"),
-    "residuals-too-large": ({"excess": 4.0}, (), (), "no accuracy can be promised: residuals are 4 times"),
+    "not-corrected": ({"excess": 100.0}, (), (), "no accuracy can be stated: residuals are 100 times as large as the noise given, and hardly decreased"),
+    "residuals-too-large": ({"excess": 4.0}, (), (), "no accuracy can be stated: residuals are 4 times"),
     "no-noise": ({}, (), (), "residuals are mere rounding errors: real measurements have noise"),
     "noise-estimated": ({"position": 1e-4, "orientation": None, "reading": 0.0, "units": ["rad"], "pixel": None}, (), (), "0.1 mm in position, readings exact"),
     "chi2-too-large": ({"chi2": 4.0, "dof": 30, "source": "given"}, (), (), "reduced χ² is 4 where 1 is expected: the noise is larger than given, or the model is incomplete; the uncertainties assume that noise"),
@@ -201,7 +201,6 @@ SAID: dict[str, tuple[dict[str, Any], tuple[int, ...], tuple[str, ...], str]] = 
     "wrong-rows": ({"total": 72, "chi2": 217.0, "without": 1.02, "sigma": 152.0, "quantity": "measured x", "off": 150.0}, (7,), (), "data row 8 does not fit the others, by 152 σ (measured x off by 150 σ): reduced χ² is 217 with it and 1.02 without; this result includes it"),
     "many-outliers": ({"share": 0.2}, (1, 2), (), "20 % of the rows do not fit the others, worst data row 2"),
     "few-poses": ({"legs": ("leg_1", "leg_2"), "poses": 8, "unknowns": 8}, (), (), "leg_1, leg_2: only 8 poses for 8 parameters"),
-    "beyond-measured": ({"share": 0.4, "position": 1e-4, "orientation": None, "undetermined": 0.25}, (), (), "40 % of the workspace lies outside the measured region: expect 0.1 mm there, if the model holds there as well; 25 % of that is not determined at all. No limit is promised there"),
     "terms-chosen": ({}, (), ("leg_1.sin", "leg_1.cos"), "leg_1.sin, leg_1.cos were added because they fit these measurements"),
     "tolerance-found": ({"unit": "m", "size": 4e-4, "low": 0.0, "high": 1e-3, "count": 12}, (), (), "lengths differ from the drawing by 0.4 mm, standard deviation of 12 (95 %: 0 mm to 1 mm)"),
     "weakly-determined": ({"parameter": "leg_1.l", "half": 0.12, "unit": "m", "held": False}, (), ("leg_1.l", "leg_2.l"), "2 parameters are weakly determined, leg_1.l only to ± 0.12 m"),
@@ -214,7 +213,7 @@ SAID: dict[str, tuple[dict[str, Any], tuple[int, ...], tuple[str, ...], str]] = 
     "frame-misaligned": ({"frame": "base", "remedy": "base", "share": 0.9, "shift": 5e-3, "turn": 1e-3, "p_value": 1e-7}, (), (), "one motion of the base's frame, by 5 mm and 1 mrad"),
     "readings-still": ({"readings": (("leg_1", 0.5, "rad", 0.3),)}, (), (), "leg_1 reads the same in all rows (0.5 rad), but should vary by 0.3 rad over these poses"),
     "whole-turns": ({"leg": "leg_1", "reading": 6.5, "nominal": 0.25}, (2, 4), (), "leg_1: 2 readings are off by whole turns, the first in data row 3: 6.5 rad in place of 0.25 rad"),
-    "other-working-mode": ({"legs": (("leg_1", ("elbow",), 5, 6),)}, (), (), "readings and poses fit with legs that bend the other way than at home in mechanism.yaml: leg_1 (elbow, in 5 of 6 rows)"),
+    "other-working-mode": ({"legs": (("leg_1", ("elbow",), 5, 6),)}, (), (), "readings and poses fit if these legs bend the other way than at home in mechanism.yaml: leg_1 (elbow, in 5 of 6 rows)"),
     "not-this-mechanism": ({"leg": "leg_2", "gap": 0.3}, (), (), "leg_2: the measurements miss the nominal mechanism by 30.0 % of a leg's length (median)"),
     "readings-do-not-follow": ({"leg": "leg_1", "left": 0.01, "stroke": 0.02}, (), (), "leg_1: the readings do not follow the poses (mechanisms near the nominal one miss them by 1 % of the leg's length, of a stroke of 2 %)"),
     "rows-copied": ({"first": (1, 4), "pairs": 3}, (1, 2, 4), (), "data rows 2 and 5 are identical (and 2 more such pairs); repeated measurements would differ by noise"),

@@ -128,7 +128,7 @@ class Options:
     tied: tuple[str, ...] = option((), "One value for all legs.", metavar="NAME")
     priors: Mapping[str, float] = option(
         dict,
-        "A nominal value known to SIGMA [m, rad or 1], or as 0.5mm.",
+        "Nominal value known to ± SIGMA [m, rad or 1], or as 0.5mm.",
         metavar="NAME=SIGMA",
         kind=tuple[str, ...],
     )
@@ -136,7 +136,7 @@ class Options:
     tolerance: Tolerance = option(
         dict,
         "How far machines differ from the drawing: a prior for all parameters, by unit (a third "
-        "number: gains); auto: as far as the measurements say.",
+        "number: gains); auto: estimated.",
         metavar="0.5mm,5mrad",
         kind=str | None,
     )
@@ -145,9 +145,9 @@ class Options:
     term. ``"auto"`` finds these with the parameters, as variance components."""
     terms: tuple[str, ...] = option(
         (),
-        "What sensors lack: harmonics:1,2, period:5mm, polynomial, backlash, gravity, a column as "
-        "temperature; leg_1.l=temperature, growth=temperature: lengths that grow; auto: those that "
-        "pay (see pincal explain).",
+        "Terms to add to sensors: harmonics:1,2, period:5mm, polynomial, backlash, gravity, a "
+        "column such as temperature; to lengths: leg_1.l=temperature, growth=temperature; auto: "
+        "those that help (pincal explain).",
         metavar="[LEG=]KIND",
     )
     rough: bool = option(
@@ -157,8 +157,8 @@ class Options:
     )
     strict: bool = option(
         False,
-        "Refuse what the measurements do not determine, by name, instead of holding it as near to "
-        "nominal as possible.",
+        "Stop if parameters are not determined, and name them, instead of holding them near "
+        "nominal.",
     )
     folds: int = option(
         FOLDS, "Folds of held-out validation and of the choice of terms; 0: no validation.", least=0

@@ -18,7 +18,6 @@ from pincal.design.platform_error import (
     seen_of,
     sizes,
 )
-from pincal.estimation.observability.gauge import unexplained
 from pincal.estimation.observation import Observation
 from pincal.estimation.unknowns import External
 from pincal.kinematics.batches import least_squares
@@ -63,13 +62,11 @@ def unseen(chi2: float, degrees_of_freedom: float) -> float:
 def expected_error(result: CalibrationResult, poses: Plan | Array | None) -> PlatformError:
     """Return what ``CalibrationResult.expected_error`` does.
 
-    The measured region is where no pose is more uncertain than the most uncertain one that was
-    measured: what the model lacks there, the measurements show or parameters have taken up; beyond,
-    it grows with the uncertainty.
+    The measured region is where no pose is more uncertain than the most uncertain measured one:
+    what the model lacks there, measurements show or parameters have taken up.
 
     Where something contradicts the model, errors are larger by what it lacks: at measured poses
-    they are what fits without these miss by. What is not measured, position or orientation, is as
-    many times larger as the other.
+    what fits without these miss by; position or orientation that is not measured as the other.
     """
     poses = measured_plan(result) if poses is None else poses
     error = _by_covariance(result, poses)
@@ -173,14 +170,12 @@ def seen_by(result: CalibrationResult) -> Array | Seen | None:
     turns = platform.freedoms[platform.lengths :]
     rotations = [row - 3 for row in platform.twist_rows if row >= 3 and known.issuperset(turns)]
     units = ("m",) * len(names) + ("rad",) * len(rotations)
-    size, n_targets = result.identified.size, len(names) / platform.space
+    n_targets = len(names) / platform.space
 
-    def seen(poses: Array, twists: Array) -> tuple[Array, tuple[str, ...]]:
+    def seen(poses: Array, twists: Array) -> tuple[Array, Array, tuple[str, ...]]:
         """Return what is seen of twists at poses: see ``Seen``."""
         count, n = len(poses), len(names)
         moved = np.zeros((count, len(units), twists.shape[2]))
-        if not count:
-            return moved, units
         motions = np.zeros((count, len(units), len(outside)))
         matrices, F = platform.matrices(poses), values.frame[:3, :3]
         rows = observation.at(np.zeros(count, dtype=np.intp)).anywhere().only(names)
@@ -195,7 +190,7 @@ def seen_by(result: CalibrationResult) -> Array | Seen | None:
             by_values[:, :, 3:6] = np.eye(3)  # by turns of the frame
             by_values[:, :, outside.turn] = F @ matrices[:, :3, :3]
             motions[:, n:] = by_values[:, rotations][:, :, outside.free]
-        return unexplained(units, moved, motions, size), units
+        return moved, motions, units
 
     return seen
 

@@ -35,6 +35,7 @@ from pincal.words.numbers import rounded
 if TYPE_CHECKING:
     from pincal.show.charts import Plots
     from pincal.show.report import Report
+    from pincal.words.table import Table
 
 
 _PROMISED = 3.0  # times the noise given, up to which residuals may be noise that is larger
@@ -303,8 +304,8 @@ class CalibrationResult:
         """Return the report as a page: ``html()``, ``save(path)``, or shown by a notebook.
 
         Args:
-            **origin: ``command``, ``files``, ``notes`` and ``date``, which the page names;
-                ``units`` in which its numbers are read, such as ``"in,deg"``.
+            **origin: ``command``, ``files`` and ``date``, which the page names; ``units`` of its
+                numbers, ``"in,deg"``; ``workspace``: poses, or their file, over which errors are.
 
         Raises:
             FileError: a file that cannot be read.
@@ -317,8 +318,12 @@ class CalibrationResult:
         """Plots of this result, such as ``plot.residuals()``: each returns matplotlib axes."""
 
     @attached
+    def tables(self) -> list[Table]:
+        """Return all tables: parameters, what is outside the mechanism, residuals, outliers."""
+
+    @attached
     def _repr_html_(self) -> str:
-        """Return parameters and residuals for notebooks."""
+        """Return verdict, errors and tables for notebooks."""
 
     def __repr__(self) -> str:
         ended = "converged" if self.converged else "did not converge"
@@ -327,9 +332,9 @@ class CalibrationResult:
             f"reduced χ² {rounded(self.reduced_chi2, 3)}, {ended})"
         )
 
-    @attached
     def __str__(self) -> str:
-        """Return a page: how it was made, its tables, what it means, warnings."""
+        """Return what ``pincal calibrate`` prints: verdict, errors, warnings, what next."""
+        return str(self.report())
 
     @attached
     def save(

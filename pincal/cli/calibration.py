@@ -6,7 +6,7 @@ import argparse
 import shlex
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -31,7 +31,6 @@ from pincal.model.orientation import SINGLE_ANGLES
 from pincal.model.setup import ORIGIN
 from pincal.show import answers, tables
 from pincal.show.explanation import advice, explanation_lines, remedy_table, tried
-from pincal.show.misses import errors_at
 from pincal.show.report import report
 from pincal.words.numbers import reading_in
 
@@ -98,9 +97,9 @@ class CalibrateOptions:
 
     by: By = option("region", "What is held out together: regions, rows in turn, or runs.")
     workspace: Path | None = option(
-        None, "Poses over which errors are stated, in place of the whole workspace.", metavar="CSV"
+        None, "Poses over which errors are stated [default: the whole workspace].", metavar="CSV"
     )
-    verbose: bool = option(False, "Print all tables, and all that was found.")
+    verbose: bool = option(False, "Print all tables and findings.")
     report: bool = option(True, "Do not draw report.html.")
     force: bool = option(False, FORCE)
 
@@ -117,13 +116,13 @@ def calibrate(
     """Identify the parameters from measurements.
 
     All legs are identified at once; each pose is an unknown that may be measured in full, in part
-    or not at all (empty cells, no columns). Noise that is not given follows from repeated rows, or
-    else from the residuals. RESULT holds report.html, result.json, residuals.csv and the calibrated
-    mechanism; every command takes it as MECH. Exit codes: 1 if the fit does not converge (no
-    mechanism is written), or if χ² or held-out rows contradict it; 3 if only the report failed.
+    or not at all (empty cells, no columns). Noise that is not given is estimated from repeated
+    rows, or else from the residuals. RESULT holds report.html, result.json, residuals.csv and the
+    calibrated mechanism; every command takes it as MECH. Exit codes: 1 if the fit does not converge
+    (no mechanism is written), or if χ² or held-out rows contradict it; 3 if only the report failed.
     """
     if options.poses != "own" and options.method != "per-leg":
-        remark("--poses is for --method per-leg; all legs at once use every pose")
+        remark("--poses applies to --method per-leg only; all legs together use every pose")
     calibration = known.calibration(mech, measurements, options)
     units = known.written_in(calibration.mechanism)
     refuse_existing(output, force=running.force, folder=RESULT_FILES)
@@ -134,19 +133,16 @@ def calibrate(
         try:
             result, _, notes = run(calibration, options.folds, running.by)
         except MisfitError as error:
-            raise MisfitError(f"{error}. To try what may be wrong: {_again('doctor')}") from error
+            raise MisfitError(f"{error}. Run {_again('doctor')}") from error
         result.save(output, force=running.force)
         files = [*mechanism_files(mech), measurements]
         files += filter(None, [known.setup_file, known.pairs])
         errors, undrawn = None, ""
         try:
             progress("sampling the workspace for the platform's errors")
-            page = report(
-                result, command=typed(), files=files, notes=notes, units=known.units or ""
-            )
-            if poses is not None and result.converged:
-                page.errors = errors_at(result, poses, f"poses of {over}")
-            errors = page.errors
+            origin: dict[str, Any] = {"command": typed(), "files": files}
+            page = report(result, **origin, units=known.units or "", workspace=poses)
+            page.notes, errors = notes, page.errors
             page.steps = answers.next_steps(result, errors, _again, shlex.quote(str(output)))
             if running.report:
                 progress("drawing the report")
@@ -156,12 +152,11 @@ def calibrate(
     with reading_in(units.printed):
         line, style = answers.verdict(result, errors)
         stdout.print(line, style=style)
-        if errors is not None:
-            stdout.print(tables.accuracy_table(result, errors))
-            notes = [*answers.remarks(result, errors), *notes]
         warn(*answers.warnings(result))
-        details = [*tables.calibration_tables(result), *answers.supporting_lines(result, errors)]
-        for part in (*details, *notes) if running.verbose else notes:
+        shown = answers.summary(result, errors, notes)
+        if running.verbose:
+            shown += [*result.tables(), *answers.supporting_lines(result)]
+        for part in shown:
             stdout.print(part)
     wrote(output)
     say(f"next: {answers.next_steps(result, errors, _again, shlex.quote(str(output)))[0]}")
@@ -181,12 +176,12 @@ def _fail_if_contradicted(result: CalibrationResult) -> None:
 
 @command
 def explain(mech: Mech, measurements: Measured, options: Options, known: InputOptions) -> None:
-    """Find what geometry does not explain.
+    """Find errors that geometry does not explain.
 
-    Every reading is tried with harmonics of its angle, a period that is searched for, polynomials,
-    backlash, gravity (in space), pulleys of cables, and every other column of numbers; lengths with
-    such columns, each alone and all as one, and links with gravity. Models are compared on poses
-    that their fits have not seen. --terms says which kinds to try.
+    Each reading is tested for harmonics of its angle, an unknown period, polynomials, backlash,
+    gravity (in space), pulleys of cables and every other column of numbers; lengths for such
+    columns, one by one and all together; links for gravity. Models are compared on held-out poses.
+    --terms says which kinds to try.
     """
     if options.folds < 2:
         raise MeasurementError("--folds: expected 2 or more: models are compared on held-out rows")
@@ -234,16 +229,16 @@ def doctor(
     measurements: Measured,
     known: InputOptions,
     output: Annotated[
-        Path | None, output_option("MENDED.csv", "File for the measurements put right.")
+        Path | None, output_option("CORRECTED.csv", "File for the corrected measurements.")
     ] = None,
     force: Force = False,
 ) -> None:
     """Find out why measurements do not fit.
 
-    Units, signs, orders, zeros, frames, shifted logs and bad rows are corrected one at a time, the
-    likeliest first, and each is tried by a full calibration until one converges and nothing
-    contradicts it, held-out rows included. Further columns of numbers are copied to MENDED.csv. The
-    exit code is 1 if nothing works, or several corrections work equally well.
+    Units, signs, column order, zeros, frames, shifted logs and bad rows are corrected one at a
+    time, the likeliest first, each tested by a full calibration, until one converges and nothing
+    contradicts it, held-out rows included. Other numeric columns are copied to CORRECTED.csv. The
+    exit code is 1 if nothing works, or if several corrections work equally well.
     """
     mechanism, setup = load_mechanism(mech), known.read_setup()
     if output is not None:
@@ -266,8 +261,8 @@ def doctor(
     short = [(count, least) for _, count, _, least in tries[0].calibration.short_legs()]
     if cures:
         stdout.print(
-            f"{len(cures)} of these work equally well, and the measurements cannot decide: look at "
-            "the machine, and correct the source"
+            f"{len(cures)} of these work equally well, and the measurements cannot decide: "
+            "inspect the machine, and correct the cause"
         )
     elif short:
         lacking, advised = (max(n * least - count for count, least in short) for n in (1, 2))
@@ -285,11 +280,11 @@ def doctor(
 def _say_cure(
     cure: Remedy, known: InputOptions, measurements: Path, output: Path | None, *, force: bool
 ) -> None:
-    lines, mended = list[str](), None
+    lines, corrected = list[str](), None
     if cure.mends:
-        mended = (measurements, output or Path("MENDED.csv"))
+        corrected = (measurements, output or Path("CORRECTED.csv"))
         if output is None:
-            lines.append(f"{typed()} -o MENDED.csv")
+            lines.append(f"{typed()} -o CORRECTED.csv")
         else:
             data, setup = cure.calibration.measurements, cure.calibration.options.setup
             way = data.written or "tilt-torsion"
@@ -297,15 +292,15 @@ def _say_cure(
             write_table(output, columns, force=force)
             wrote(output)
     elif output:
-        remark(f"options are enough: {output} is not written, take {measurements}")
-    say("this works:", *(f"  {line}" for line in [*lines, _cured(cure, known, mended)]))
+        remark(f"options suffice: {output} is not written, use {measurements}")
+    say("this works:", *(f"  {line}" for line in [*lines, _cured(cure, known, corrected)]))
 
 
-def _cured(remedy: Remedy, known: InputOptions, mended: tuple[Path, Path] | None = None) -> str:
+def _cured(remedy: Remedy, known: InputOptions, corrected: tuple[Path, Path] | None = None) -> str:
     options, as_typed = remedy.calibration.options, known.read_setup()
     words = ["--unknown-frame"] * (options.setup.unknown_frame and not known.unknown_frame)
     unknown_target = options.setup.targets[ORIGIN].unknown
     words += ["--unknown-target"] * (unknown_target and not as_typed.targets[ORIGIN].unknown)
     words += ["--rough"] * options.rough
     words += ["--loss", str(options.loss)] if options.loss != "none" else []
-    return _again("calibrate", *words, measured=mended)
+    return _again("calibrate", *words, measured=corrected)

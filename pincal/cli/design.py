@@ -37,7 +37,7 @@ from pincal.kinematics.configurations import check_reached
 from pincal.model.checks import listed
 from pincal.model.option import Option, option
 from pincal.show import explanation, tables
-from pincal.words.numbers import reading_in
+from pincal.words.numbers import amount, reading_in
 from pincal.words.table import Table
 
 _CONFIGURATIONS = 3000  # candidates, where all parameters are looked at together
@@ -102,19 +102,19 @@ def select(
 ) -> None:
     """Choose the poses to measure.
 
-    The efficiency printed compares them with a bound that no choice can exceed. Without a
-    protocol named, symmetric where the mechanism allows it, else independent.
+    The efficiency printed is relative to a bound that no choice can exceed. Without --protocol:
+    symmetric if the mechanism allows it, otherwise independent.
 
     If only part of the pose is measured (--measure), or in a tracker's own frame, COUNT poses are
     chosen for all parameters together by what 'pincal calibrate' will draw from them; so are the
-    configurations of serial arms, with the readings to drive to. With --goal platform they make
-    the calibrated platform most accurate over the workspace, whatever single parameters are.
+    configurations of serial arms, with the readings to drive to. With --goal platform they make the
+    calibrated platform most accurate over the workspace, even if single parameters are less
+    certain.
 
-    The sets take turns in the plan, in a random order, so that what drifts while you measure is
-    no leg's error. --verify adds poses of the set 'verify', which 'pincal calibrate' predicts.
-    --reference N measures the pose in the middle again every N rows; in the column 'pose' its rows
-    have one name, 'reference'. --distances N measures N others from each pose instead of positions:
-    columns 'distance_1_to' … name their rows.
+    The plan mixes the sets at random, so that drift while you measure is not taken for an error of
+    one leg. --verify adds poses reserved for verification (set 'verify'). --reference N repeats the
+    middle pose every N rows, named 'reference' in the column 'pose'. --distances N measures N
+    distances to other poses from each pose, instead of positions (columns 'distance_1_to' …).
     """
     mechanism = pincal.load_mechanism(mech)
     if mechanism.influences:
@@ -225,9 +225,9 @@ def identifiability(
 ) -> None:
     """Predict what measurements will determine.
 
-    Prints the rank, what cannot be determined, the standard error of each parameter as 'pincal
-    calibrate' will give it (the Cramér-Rao bound: no unbiased calibration is better), and
-    the platform error over the workspace; with --accuracy how many poses that takes.
+    Prints the rank, what cannot be determined, the standard error of each parameter that 'pincal
+    calibrate' will attain (the Cramér-Rao bound), and the platform error over the workspace; with
+    --accuracy also how many poses that takes.
 
     Positions are of the platform's origin in the robot's base frame, unless --unknown-frame,
     --unknown-target or --setup say otherwise.
@@ -254,7 +254,10 @@ def identifiability(
         stdout.print(tables.standard_errors(expected))
         stdout.print(*explanation.forecast_lines(expected, error), sep="\n")
         if accuracy is not None:
-            stdout.print(explanation.poses_line(accuracy, expected.poses_for(accuracy, workspace)))
+            needed = expected.poses_for(accuracy, workspace)
+            count = f"{needed:,.0f}" if np.isfinite(needed) else "no number of"
+            noisy = ", too many to measure: reduce the noise" * (1e5 < needed < np.inf)
+            stdout.print(f"for {amount(accuracy, 'm', 6)}: {count} poses like these{noisy}")
 
 
 @dataclass(frozen=True)
@@ -288,9 +291,9 @@ def simulate(
 ) -> None:
     """Simulate measurements of a disturbed machine.
 
-    The nominal mechanism commands the poses, the true one moves. With more legs than freedoms
-    it is taken to the poses themselves.
-    Poses that the true mechanism cannot reach are left out and named.
+    The nominal mechanism commands the poses, the true one moves. A machine with more legs than
+    degrees of freedom is placed at the poses themselves. Poses that the true mechanism cannot reach
+    are left out and named.
     """
     mechanism = pincal.load_mechanism(mech)
     units = options.written_in(mechanism)

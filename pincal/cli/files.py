@@ -74,7 +74,7 @@ class ImportOptions:
     """What the file does not say itself."""
 
     format: InputFormat | None = option(
-        None, "Whose file it is, if its ending (.urdf, .xml, .cfg, .g) is other."
+        None, "Format of FILE, if its ending (.urdf, .xml, .cfg, .g) does not tell."
     )
     loops: Path | None = option(
         None,
@@ -87,11 +87,9 @@ class ImportOptions:
         "Link whose frame is the platform's; the one where the legs meet, if not given.",
         metavar="LINK",
     )
-    tip: str | None = option(
-        None, "Of a serial arm: the link whose frame is measured.", metavar="LINK"
-    )
+    tip: str | None = option(None, "Link of a serial arm whose frame is measured.", metavar="LINK")
     base: str | None = option(
-        None, "Link at the foot of an arm or of all legs, if not the root.", metavar="LINK"
+        None, "Base link of the arm or of all legs, if not the root.", metavar="LINK"
     )
     probed: Path | None = option(
         None,
@@ -111,14 +109,14 @@ def import_(
 ) -> None:
     """Read URDF, MJCF, printer.cfg, config.g.
 
-    A URDF whose loops a YAML file closes (the convention of example-parallel-robots), or MJCF
-    with connect and weld and actuators, becomes a mechanism folder: legs, platform and drives are
-    found, and each joint's place on its link gets parameters. With --tip a serial arm.
+    Converts a URDF whose loops a YAML file closes (as in example-parallel-robots), or MJCF with
+    connect, weld and actuators, into a mechanism folder: finds legs, platform and drives, and gives
+    each joint's place on its link parameters. With --tip: a serial arm.
 
-    A delta's printer.cfg of Klipper, or M665 and M666 of RepRapFirmware or Marlin, become a
-    mechanism folder. Heights that DELTA_CALIBRATE saved, or points given by --probed, are written
-    into it as probing.csv: readings are the ways of the carriages down from their endstops.
-    Calibrate with 'pincal calibrate OUT OUT/probing.csv'.
+    Converts a delta's printer.cfg of Klipper, or M665 and M666 of RepRapFirmware or Marlin, too.
+    Heights saved by DELTA_CALIBRATE, or points given by --probed, are written to probing.csv;
+    readings are the travels of the carriages down from their endstops. Calibrate with 'pincal
+    calibrate OUT OUT/probing.csv'.
     """
     if file.is_dir():
         known = sorted(path for path in file.iterdir() if path.suffix.lower() in INPUTS)
@@ -231,13 +229,13 @@ class ExportOptions(TableOptions):
 
     original: Path | None = option(
         None,
-        "Your own URDF: its joints get the calibrated origins, all else stays.",
+        "Your URDF: only the origins of its joints change.",
         metavar="URDF",
     )
     poses: Path | None = option(
         None,
-        "Where a table corrects, with the columns that terms depend on. A grid over the workspace "
-        "if not given.",
+        "Poses of the table of corrections, with the columns that terms depend on [default: a "
+        "grid over the workspace].",
         metavar="POSES.csv",
     )
     force: bool = option(False, FORCE)
@@ -258,15 +256,16 @@ def export(
 ) -> None:
     """Write URDF, MJCF, printer configurations, or corrections.
 
-    With --original FILE is a copy of that URDF in which only the origins of calibrated joints are
-    other. Without it MJCF (.xml) holds the kinematics of any mechanism, URDF (.urdf) of an arm.
+    With --original, FILE is a copy of that URDF in which only the origins of calibrated joints
+    differ. Without it, MJCF (.xml) holds the kinematics of any mechanism, URDF (.urdf) those of an
+    arm.
 
-    Of a delta printer FILE gets a section of Klipper's printer.cfg (.cfg), or M665 and M666 of
-    RepRapFirmware (.g). What a file has no place for is said. MECH may be a result of 'pincal
-    calibrate', whose legs as URDFs are in its own folder 'mechanism'.
+    For a delta printer, FILE gets a section of Klipper's printer.cfg (.cfg), or M665 and M666 of
+    RepRapFirmware (.g). What the format cannot hold is reported. MECH may be a result of 'pincal
+    calibrate'; URDFs of its legs are in its folder 'mechanism'.
 
-    Terms of sensors, lengths and angles have no place in these. A table of corrections over poses
-    (.csv) makes up for them: what to add to readings, or which pose to command instead.
+    These formats cannot hold terms of sensors, lengths and angles. A table of corrections over
+    poses (.csv) can: what to add to readings, or which pose to command instead.
     """
     form = OUTPUTS.get(output.suffix.lower())
     if form is None:

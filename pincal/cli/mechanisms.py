@@ -42,7 +42,7 @@ def mechanisms() -> None:
 def check(mech: Mech, options: TableOptions) -> None:
     """Check a mechanism.
 
-    Whether loops close at home and parameters are observable, and its symmetry.
+    Prints whether loops close at home, whether parameters are observable, and the symmetry.
     """
     mechanism = pincal.load_mechanism(mech)
     with reading_in(options.written_in(mechanism).printed):
@@ -109,7 +109,7 @@ def inverse(
     """Write the sensor readings of poses.
 
     Rows of poses that are out of reach stay empty, with the reason in the column 'reason'; the exit
-    code is then 1. Of poses outside the limits of joints readings are written, with a warning.
+    code is then 1. Readings of poses outside joint limits are written with a warning.
     """
     mechanism = pincal.load_mechanism(mech)
     units = options.written_in(mechanism)
@@ -147,10 +147,9 @@ def forward(
 ) -> None:
     """Write the poses of sensor readings.
 
-    Poses are those in the assembly mode of home. Readings of more legs than freedoms
-    give the pose of least gaps, and how far they contradict each other is said.
-    Rows of readings that have no pose stay empty, with the reason in the column 'reason'; the exit
-    code is then 1.
+    Poses are those in the assembly mode of home. Readings of more legs than degrees of freedom give
+    the least-squares pose and a note of how far they contradict each other. Rows of readings
+    without a pose stay empty, with the reason in the column 'reason'; the exit code is then 1.
     """
     mechanism = pincal.load_mechanism(mech)
     units = options.written_in(mechanism)
@@ -211,9 +210,9 @@ def study(
 ) -> None:
     """Recompute a paper's figures and tables.
 
-    And what it lacks. 5R: divide and conquer; 3RRR: symmetrical observability; 6UPS: symmetrical
-    workspace and, after its paper, the calibration. errors: errors that are no geometry,
-    simulated and, where PINCAL_DATA has them, of real arms. FOLDER gets study.md, tables as
+    Also shows what the paper lacks. 5R: divide and conquer; 3RRR: symmetrical observability; 6UPS:
+    symmetrical workspace and, after its paper, the calibration. errors: non-geometric errors,
+    simulated and, if PINCAL_DATA holds their data, of real arms. FOLDER gets study.md, tables as
     CSV, figures as SVG and PNG. The same seed gives the same text and tables; times are in figures
     only.
     """

@@ -70,9 +70,9 @@ def new(
 ) -> None:
     """Create a mechanism from its dimensions.
 
-    Writes a mechanism folder, and into it a picture with dimensions (picture.svg), poses to
-    measure (plan.csv; six more to check the calibration), and a sheet to fill in (sheet.csv).
-    Dimensions that are not given are in proportion to those that are; all of them are printed.
+    Writes a mechanism folder, and into it a picture with dimensions (picture.svg), poses to measure
+    (plan.csv; six more to check the calibration), and a sheet to fill in (sheet.csv). Dimensions
+    that are not given are scaled from those that are; all are printed.
 
     Then measure, fill in the sheet, and type 'pincal calibrate MECH MECH/sheet.csv -o RESULT'.
     """

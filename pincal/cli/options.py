@@ -142,7 +142,10 @@ class SetupOptions(TableOptions):
     """What the measured numbers mean, and in which units they are."""
 
     setup_file: Path | None = option(
-        None, "Frame, targets, distances, contacts measured.", name="setup", metavar="YAML"
+        None,
+        "Measurement setup: frame, targets, distances, contacts.",
+        name="setup",
+        metavar="YAML",
     )
     unknown_frame: bool = option(False, option_of(Setup, "unknown_frame"))
     unknown_target: bool = option(False, option_of(Target, "unknown"))

@@ -38,7 +38,7 @@ Shown = Annotated[
 ]
 Magnify = Annotated[
     float | None,
-    typer.Option(help="Factor on errors of a RESULT [default: all poses assemble]."),
+    typer.Option(help="Magnification of errors [default: all poses assemble]."),
 ]
 
 
@@ -111,7 +111,7 @@ class PageOptions:
 
     html: Path | None = option(None, "Write one file that opens anywhere, offline.", metavar="FILE")
     meshes: Path | None = option(
-        None, "Your URDF: an arm's links as its meshes show them.", metavar="URDF"
+        None, "URDF whose meshes are drawn as the arm's links.", metavar="URDF"
     )
     open: bool = option(True, "Print the address without opening a browser.")
     force: bool = option(False, FORCE)
@@ -121,11 +121,11 @@ class PageOptions:
 def view(mech: Mech, options: PageOptions, shown: Shown = None, magnify: Magnify = None) -> None:
     """Show a mechanism in the browser.
 
-    The slider and the arrow keys go from pose to pose, the space bar plays. Without POSES.csv:
-    home and some of the workspace. With RESULT the poses of its rows, and the calibrated machine,
-    where it goes when the nominal model drives it, its errors magnified; arrows go from measured to
-    predicted points (RESULT alone is shown so, too). The page is served to this machine alone,
-    until Ctrl-C.
+    The slider and the arrow keys step through the poses, the space bar plays. Without POSES.csv
+    these are home and samples of the workspace. With RESULT (alone, too) they are the measured
+    ones, and the calibrated machine is shown where it goes when the nominal model drives it, errors
+    magnified; arrows lead from measured to predicted points. The page is served to this machine
+    alone, until Ctrl-C.
     """
     if options.html is not None and options.html.suffix.lower() not in (".html", ".htm"):
         raise FileError(f"{options.html} would be a page; give it the ending .html")
@@ -168,9 +168,9 @@ def picture(
 ) -> None:
     """Draw a mechanism into a file, as 'pincal view' shows it.
 
-    At home, or with POSES.csv at its first pose, all of them as faint lines in the colours of
-    their sets. With RESULT the calibrated machine is drawn too, its errors magnified. The same
-    picture gives the same bytes.
+    It is drawn at home, or at the first pose of POSES.csv, with all its poses as faint lines in the
+    colours of their sets. With RESULT the calibrated machine is drawn too, its errors magnified.
+    The same picture gives the same bytes.
     """
     arguments, _ = _read(mech, shown, magnify)
     refuse_existing(picture_path(output), force=force)
@@ -207,14 +207,13 @@ def plot(
 ) -> None:
     """Draw a figure of a calibration.
 
-    170 mm wide, letters of 7 to 9 points. residuals: by row; images: over those of cameras;
-    parameters: what their changes move the platform by; error_map: expected error over x and y;
-    bed: z over a printer's bed.
+    It is 170 mm wide, with letters of 7 to 9 points. residuals: by row; images: residuals in camera
+    images; error_map: expected error over x and y; bed: z over a printer's bed.
     """
     calibrated = pincal.load_result(result)
     refuse_existing(picture_path(output), force=force)
     width = PAGE_WIDTH / 25.4
-    height = max(0.62 * width, 3.6 if kind == "parameters" else 2.4)
+    height = max(0.62 * width, 2.4)
     with working("drawing"):
         with drawing():
             axes = Figure(figsize=(width, height), layout="compressed").subplots()

@@ -44,11 +44,11 @@ class WorkspaceOptions:
     )
     count: int = option(30_000, "Number of poses.", least=1)
     seed: int = option(0, SEED)
-    margins: bool = option(True, "Only reach and joint limits count.")
-    symmetry: bool = option(True, "Compute all, not a fundamental domain.")
-    connected: bool = option(
-        False, "Keep what hangs together, by position, with the part nearest to home."
+    margins: bool = option(
+        True, "Ignore margins from singularities: only reach and joint limits count."
     )
+    symmetry: bool = option(True, "Compute every position instead of a fundamental domain.")
+    connected: bool = option(False, "Keep only the connected part nearest to home.")
     inscribed: bool = option(False, "Find the largest circle or ball inside.")
     picture: Path | None = option(None, "Draw the workspace.", metavar="FILE.svg|png|pdf")
     force: bool = option(False, FORCE)
@@ -57,7 +57,7 @@ class WorkspaceOptions:
 @command
 def workspace(
     mech: Mech,
-    output: Annotated[Path, output_option("OUTPUT.csv", "Poses or positions that count.")],
+    output: Annotated[Path, output_option("OUTPUT.csv", "Poses or positions in the workspace.")],
     options: WorkspaceOptions,
     margins: Margins,
 ) -> None:
@@ -67,10 +67,10 @@ def workspace(
     that every leg reaches in its working mode, within joint limits and margins from
     singularities, and that are connected to home.
 
-    reachable, constant-orientation, total-orientation, dexterous: positions reached in
-    any orientation, in the one given, in every one given, in every one there is, one by one.
+    reachable, constant-orientation, total-orientation, dexterous: positions reached in any
+    orientation, in the given one, in all given ones, and in all orientations, respectively.
 
-    Not given, axes hold what the legs reach, drawn close around what counts.
+    Axes that are not given span what the legs reach.
     """
     if options.kind not in ("poses", *KINDS):
         raise WorkspaceError(f"--kind {options.kind}: unknown; expected poses, {', '.join(KINDS)}")

@@ -23,10 +23,10 @@ from pincal.types import Array, Mask
 from pincal.words.numbers import amount
 from pincal.words.wording import UNCOVERED
 
-Seen = Callable[[Array, Array], tuple[Array, tuple[str, ...]]]
-"""Returns what was measured of twists of the platform, (N, dof, k), at poses, (N, dof), frames that
-are unknown apart, (N, r, k), and the unit of each of the r; positions of several targets over the
-square root of how many they are."""
+Seen = Callable[[Array, Array], tuple[Array, Array, tuple[str, ...]]]
+"""Returns what was measured of twists of the platform, (N, dof, k), at poses, (N, dof): (N, r, k),
+how unknown frames move it, (N, r, m), and the unit of each of the r; positions of several targets
+over the square root of how many they are."""
 CONFIDENCE = 0.95
 DRAWS = 10_000
 _ROUNDING = 1e-6  # by which what is moved at one pose may differ
@@ -61,15 +61,14 @@ class PlatformError:
     degrees_of_freedom: float | None = None
     """Of the noise, where its scale was estimated; None where it is known."""
     unseen: float = 1.0
-    """Factor of the limit for what residuals cannot show: errors of the model, up to the largest
-    scale that χ² leaves possible at 95 %."""
+    """Factor of the limit for errors that residuals cannot show, by χ² at 95 %."""
     hidden: tuple[float, float] = (0.0, 0.0)
     """Root mean squares of the machine's errors up to that scale, beside noise, [m] and [rad]."""
     promised: bool = True
     """Whether a limit is promised: not where something contradicts the model or its noise."""
     outside: Array = field(default_factory=lambda: np.zeros(0))
-    """How many times as uncertain as any measured pose each is, shape (N,): above 1 outside the
-    measured region, NaN out of reach; empty where no poses were measured."""
+    """How many times as uncertain as any measured pose each is, (N,): above 1 outside the measured
+    region, NaN out of reach; empty where no poses were measured."""
     uncovered: tuple[str, ...] = ()
     """What no limit covers: of ``"weight"``, ``"scale"``, ``"time"`` (``pincal.words.wording``)."""
 
@@ -109,8 +108,7 @@ class PlatformError:
 
         With errors δ of covariance C, the mean square δᵀ M δ is a sum of squares of normal
         numbers, weighted by the eigenvalues of MC: drawn, with the scale of the noise if that was
-        estimated, and larger by what residuals cannot show. Infinite where nothing is promised, or
-        if a pose lies outside the measured region: nothing shows what the model lacks there.
+        estimated. Infinite where nothing is promised, or a pose lies outside the measured region.
         """
         if not self.promised or (self.outside > 1.0).any():
             return np.inf, np.inf
@@ -132,10 +130,9 @@ class PlatformError:
         lines = [f"platform error over {self.poses} poses, root mean square"]
         lines.append(f"  expected          {self._shown(self.position, self.orientation)}")
         if not self.promised:
-            lines.append("  no limit is promised: something contradicts the model or its noise")
+            lines.append("  no limit: something contradicts the model or its noise")
         elif outside := int((self.outside > 1.0).sum()):
-            lie = counted(outside, "pose lies", "poses lie")
-            lines.append(f"  no limit is promised: {lie} outside the measured region")
+            lines.append(f"  no limit: outside the measured region at {counted(outside, 'pose')}")
         else:
             lines.append(f"  95 %: below       {self._shown(*self.limit)}")
             lines += [f"  left out          {UNCOVERED[code]}" for code in self.uncovered]
@@ -164,8 +161,7 @@ def platform_error(
         covariance: Of the parameters of all legs, shape (n, n).
         planned: N poses over which to take the mean, coordinates of shape (N, dof), or a plan.
         lost: Directions of parameters that are not identified, columns of shape (n, n_lost): what
-            they move at all is not determined. Of ``Unidentified`` ones, which were held: what they
-            may move by more than its median standard error.
+            they move at all is not determined; of held ones, by more than median standard errors.
         frames: Motions of frames that are not measured (see ``frames_moved``), shape (k, n_moved):
             what they explain is left out. Or what is seen of the platform, in place of all of it.
         degrees_of_freedom: Of the noise, where its scale was estimated.
@@ -226,20 +222,21 @@ def _motions_of_held(
 
 
 def seen_of(
-    mechanism: Mechanism, poses: Array, twists: Array, frames: Array | Seen | None
+    mechanism: Mechanism, poses: Array, twists: Array, frames: Array | Seen | None, lever: float = 0
 ) -> tuple[Array, tuple[str, ...]]:
     """Return what is seen of twists of the platform, (N, dof, k), and its units.
 
-    That is what motions of frames do not explain, or what is seen: see ``platform_error``. Poses
-    are coordinates, shape (N, dof).
+    Motions of frames explain the rest, see ``platform_error``; poses are coordinates, (N, dof),
+    angles count as lengths at a lever, the mechanism's size if 0.
     """
-    platform = mechanism.platform
+    platform, units = mechanism.platform, mechanism.platform.units
+    if frames is None:
+        return twists, units
     if callable(frames):
-        return frames(poses, twists)
-    if frames is None or not frames.shape[1] or not len(poses):
-        return twists, platform.units
-    motions = frame_motions(platform, platform.matrices(poses)) @ frames
-    return unexplained(platform.units, twists, motions, mechanism.size), platform.units
+        twists, motions, units = frames(poses, twists)
+    else:
+        motions = frame_motions(platform, platform.matrices(poses)) @ frames
+    return unexplained(units, twists, motions, lever or mechanism.size), units
 
 
 def _moving(gain: Array, lost: Array, least: Array | float = 0.0) -> Mask:

@@ -174,7 +174,7 @@ def _move_all(moves: Sequence[tuple[Path, Path]]) -> None:
             if os.path.lexists(target):
                 backup = _set_aside(target)
                 undo.callback(_move, backup, target)
-                _log.info("%s is replaced; what it was is kept as %s", target.name, backup.name)
+                _log.info("replaced %s; the old one is now %s", target.name, backup.name)
         for made, target in reversed(moves):
             _move(made, target)
             undo.callback(_move, target, made)

@@ -18,8 +18,8 @@ from pincal.estimation.observability.identifiable import WeakPair
 from pincal.formats.delta_printer import delta_printer
 from pincal.model.checks import counted
 from pincal.model.mechanism import Mechanism
-from pincal.show.misses import WorkspaceErrors, workspace_errors
-from pincal.show.tables import ERRORS, accuracy_table, calibration_tables
+from pincal.show.misses import WorkspaceErrors, noise_of_misses, readings_exact
+from pincal.show.tables import ERRORS, accuracy_table, unseen
 from pincal.words.findings import WORDINGS, sentence
 from pincal.words.numbers import amount, capital, listed, number, percent, rounded
 from pincal.words.table import Table
@@ -37,10 +37,14 @@ _MARKS = {"bad": ("✗", "bold red"), "care": ("⚠", "bold yellow"), "good": ("
 _UNDETERMINED = "Parameters that had to be held move the platform at every pose"
 _FOLLOWED = "Rows, noise or model are wrong, and distort the parameters"
 _NO_BETTER = "The identified parameters fit no better than the nominal ones"
-_HELD = "Only frames were identified"
-_ONLY_FRAMES = "All parameters of the machine were fixed"
-_LITTLE = "The correction is little larger than its uncertainty: measure more, or better"
+_HELD, _UNKNOWN = "Only frames were identified", "Not determined"
+_LITTLE = (
+    "The correction is little larger than its uncertainty: measure more poses, or more precisely"
+)
 _NO_RESULT = "The fit did not converge: there is no calibrated mechanism."
+_NOT_YET = "Not yet reliable"
+_BEGUN = "nominal errors are with the zeros of motors as found"
+_FITTED = "best-fit frames: frames that are not known, placed where the machine is off least"
 
 
 class Answer(NamedTuple):
@@ -61,18 +65,19 @@ def answers(
 ) -> list[Answer]:
     """Return whether it is better, by how much, whether to rely on it, and what next.
 
-    Errors are the platform's over the workspace, None if the fit did not converge; notes say what
-    was not done, and why; steps are the commands that come next.
+    Errors are None if the fit did not converge; notes say what was not done, and why.
     """
     verdict = _NEXT.get(steps[0].split()[1], "Use it")
     following = Answer("What next?", verdict, "", [*map(command_block, steps)])
     if errors is None:
         return [Answer("Is it better?", "There is no result", "bad", [_NO_RESULT]), following]
-    better, tone, reason, by = _improvement(result, errors)
-    limits = [f"{capital(line)}." for line in _limit_lines(result, errors)]
+    better, tone, reason = _improvement(result, errors)
+    lines = [*_unseen_lines(result), *_limit_lines(result, errors)]
+    lines += [_FITTED] * (result.moves_frames and errors.determined)
+    lines = [f"{capital(line)}." for line in lines]
     return [
         Answer("Is it better?", better, tone, [f"{reason}."]),
-        Answer("By how much?", by, "", [accuracy_table(result, errors), *limits]),
+        Answer("By how much?", _by(result, errors), "", [accuracy_table(result, errors), *lines]),
         _reliable(result, notes),
         following,
     ]
@@ -89,43 +94,58 @@ def verdict(result: CalibrationResult, errors: WorkspaceErrors | None) -> tuple[
     return f"{mark} {result.nominal.name}: {' · '.join(words)}", style
 
 
-def _improvement(result: CalibrationResult, errors: WorkspaceErrors) -> tuple[str, str, str, str]:
+def _improvement(result: CalibrationResult, errors: WorkspaceErrors) -> tuple[str, str, str]:
     if not result.explained:
-        by = _held_out(result) or "No accuracy can be promised"
         excess = f"{result.excess:.3g} times as large as the noise given"
         if not result.corrects:
-            return "No", "bad", f"Residuals are {excess}. {_NO_BETTER}", by
-        return "Not shown", "bad", f"Residuals fell, but are still {excess}. {_FOLLOWED}", by
+            return "No", "bad", f"Residuals are {excess}. {_NO_BETTER}"
+        return "Not shown", "bad", f"Residuals fell, but are still {excess}. {_FOLLOWED}"
     if not errors.determined:
         why = _UNDETERMINED if errors.share else "No pose lies in the measured region"
-        return "Not determined", "bad", why, "Not determined"
+        return _UNKNOWN, "bad", why
     if not errors.moved:
-        return _HELD, "good", _ONLY_FRAMES, _HELD
+        return _HELD, "good", "All parameters of the machine were fixed"
     sizes = np.array([errors.mean_before(), errors.mean_after(), errors.inside.limit])
-    kind, unit = (0, "m") if result.nominal.platform.lengths else (1, "rad")
-    by = f"{number(sizes[0, kind], unit)} → "
-    expected = amount(sizes[1, kind], unit)
-    below = f"{expected} (95 %: ≤ {number(sizes[2, kind], unit)})"
-    by += below if result.promises else _held_out(result) or f"{expected} or more"
-    before, after, _ = sizes[:, sizes[:2].any(axis=0)]  # of what moves and was measured
+    before, after, limit = sizes[:, sizes[:2].any(axis=0)]  # of what moves and was measured
     ratios = before / after
     if min(ratios) >= 2.0:
-        likely, least = (rounded(size) for size in sizes[0, kind] / sizes[1:, kind])
+        likely, least = (rounded(ratio[0]) for ratio in (ratios, before / limit))
         reason = f"The error falls by a factor of {likely} (at least {least}, with 95 % confidence)"
         if result.promises and result.degrees_of_freedom:
-            return "Yes", "good", reason, by
-        return "Probably", "care", "The error falls, but no limit can be promised", by
+            return "Yes", "good", reason
+        return _NOT_YET, "bad", "The error falls, but no limit can be stated"
     if max(ratios) > 1.0:
-        return "Hardly", "bad", _LITTLE, by
-    return "No sign of it", "bad", "The correction is smaller than its own uncertainty", by
+        return "Hardly", "bad", "The correction is hardly larger than its uncertainty"
+    return "No sign of it", "bad", "The correction is smaller than its own uncertainty"
 
 
-def _held_out(result: CalibrationResult) -> str:
-    validation = result.validation
-    if validation is None or validation.fit > MISSES or not validation.targets:
-        return ""
-    (unit, (_, missed)), *_ = validation.missed.items()
-    return f"{amount(missed, unit)} at held-out rows"
+def _by(result: CalibrationResult, errors: WorkspaceErrors) -> str:
+    """Return from what the error falls to what: at unseen poses where no limit is stated."""
+    missed = [f"{amount(size, unit)} at unseen poses" for unit, size in unseen(result).items()]
+    if not result.explained:
+        return missed[0] if missed else "No accuracy can be stated"
+    if not errors.determined or not errors.moved:
+        return _HELD if errors.determined else _UNKNOWN
+    kind, unit = (0, "m") if result.nominal.platform.lengths else (1, "rad")
+    before, after = number(errors.mean_before()[kind], unit), errors.mean_after()[kind]
+    below = f"{amount(after, unit)} (95 %: ≤ {number(errors.inside.limit[kind], unit)})"
+    unsure = missed[0] if missed else f"{amount(after, unit)} or more"
+    return f"{before} → {below if result.promises else unsure}"
+
+
+def _unseen_lines(result: CalibrationResult) -> list[str]:
+    """Return how far held-out poses are missed, and how far they would be by noise alone."""
+    if not (missed := unseen(result)) or result.validation is None:
+        return []
+    unit, size = next(iter(missed.items()))
+    noise, columns = noise_of_misses(result)[unit], result.options.setup.positions
+    axes = [name for names in columns(result.nominal.platform).values() for name in names]
+    measured = [group.name for group in result.observed if group.name in axes]
+    along = f" in {named(measured)}" if unit == "m" and 0 < len(measured) < len(axes) else ""
+    poses = counted(max(target.poses for target in result.validation.targets), "unseen pose")
+    source = "instrument" if readings_exact(result) else "instrument and reading"
+    alone = f" ({source} noise: {number(noise, unit)})" if noise else ""
+    return [f"{poses}: {amount(size, unit)}{along}{alone}"]
 
 
 def _reliable(result: CalibrationResult, notes: Sequence[str]) -> Answer:
@@ -134,9 +154,9 @@ def _reliable(result: CalibrationResult, notes: Sequence[str]) -> Answer:
         lines.append(f"not fitting the others: {_rows(result.outliers)}")
     shown, tone = "No problems found", "good"
     if result.validation is None:
-        shown, tone = "Not tested on held-out rows", "care"
+        shown, tone = "Not tested on unseen poses", "care"
     if count := len(warnings(result)):
-        trust, tone = ("With care", "care") if result.promises else ("Not yet reliable", "bad")
+        trust, tone = ("With care", "care") if result.promises else (_NOT_YET, "bad")
         shown = f"{trust}: {counted(count, 'warning')}"
     lines = [f"{capital(line)}." for line in lines]
     return Answer("Can I rely on it?", shown, tone, [[*lines, *notes]])
@@ -203,16 +223,21 @@ def unpromised(result: CalibrationResult) -> str:
 def _limit_lines(result: CalibrationResult, errors: WorkspaceErrors) -> list[str]:
     """Return why no limit is promised, or where and against what none is, in a line."""
     if not result.promises:
-        return [f"no limit is promised: {unpromised(result)}"] if result.contradictions else []
+        return [f"no limit is stated: {unpromised(result)}"] if result.contradictions else []
     parts = [UNCOVERED[code] for code in errors.inside.uncovered]
-    if errors.beyond is not None:
-        parts.insert(0, f"outside the measured region ({percent(1.0 - errors.share)})")
+    if "%" in errors.where:
+        parts.insert(0, f"unmeasured regions ({percent(1.0 - errors.share)})")
     return [f"not covered: {', '.join(parts)}"] if parts else []
 
 
-def remarks(result: CalibrationResult, errors: WorkspaceErrors) -> list[str]:
-    """Return what a terminal shows below the platform's errors."""
-    return [*rejected_lines(result), *_limit_lines(result, errors), *_found_lines(result)]
+def summary(
+    result: CalibrationResult, errors: WorkspaceErrors | None, notes: Sequence[str] = ()
+) -> list[str | Table]:
+    """Return what follows the verdict, in a terminal and in Python."""
+    if errors is None:
+        return [*notes]
+    lines = [*rejected_lines(result), *_limit_lines(result, errors), *_found_lines(result)]
+    return [*_unseen_lines(result), accuracy_table(result, errors), *lines, *notes]
 
 
 def _found_lines(result: CalibrationResult) -> list[str]:
@@ -260,12 +285,12 @@ def _rows(outliers: Sequence[Outlier]) -> str:
     return f"data row{'s' * (len(rows) > 1)} {named(rows)}"
 
 
-def supporting_lines(result: CalibrationResult, errors: WorkspaceErrors | None) -> list[str]:
+def supporting_lines(result: CalibrationResult) -> list[str]:
     """Return what a calibration means, beside its tables and remarks."""
     lines = [f"{method_line(result)}; {result.message}", _noise_line(result)]
     if not result.converged:
         return lines
-    lines += region_lines(result, errors) if errors is not None else []
+    lines += [_BEGUN] * (result.begun is not result.nominal)
     lines += [*check_lines(result), *weak_lines(result.weak, result.nominal)]
     lines += [f"fixed by choice, {gauge_line(result)}"] if result.gauge else []
     return lines
@@ -293,10 +318,7 @@ def method_line(result: CalibrationResult) -> str:
 def _noise_line(result: CalibrationResult) -> str:
     dof, free, source = result.degrees_of_freedom, result.chi2_freedoms, result.noise_source
     if not dof:
-        return (
-            "as many unknowns as measured values: residuals vanish whatever the machine, and prove "
-            "nothing; measure more poses"
-        )
+        return "as many unknowns as measured values, so residuals vanish: measure more poses"
     parts = [f"noise {noise_line(result)}"] if source in ("estimated", "repeats") else []
     if source != "estimated":
         parts.append(f"reduced χ² {rounded(result.reduced_chi2, 3)}, {dof} degrees of freedom")
@@ -321,15 +343,6 @@ def noise_line(result: CalibrationResult) -> str:
         noise.pixel if "px" in measured else None,
     )
     return f"{NOISE_SOURCES[result.noise_source]}: σ {sizes}"
-
-
-def region_lines(result: CalibrationResult, errors: WorkspaceErrors) -> list[str]:
-    """Return what is to be expected outside the measured region, and what is compared."""
-    if not result.explained:
-        return []
-    begun = "nominal errors are with the zeros of motors as found"
-    lines = [begun] if result.begun is not result.nominal else []
-    return [*lines, *([sentence(errors.beyond)] if errors.beyond is not None else [])]
 
 
 def check_lines(result: CalibrationResult) -> list[str]:
@@ -383,14 +396,3 @@ def weak_lines(pairs: Sequence[WeakPair], mechanism: Mechanism) -> list[str]:
         )
     omitted = len(groups) - len(lines)
     return [*lines, f"and {counted(omitted, 'more such pair')}"] if omitted else lines
-
-
-def result_text(result: CalibrationResult) -> str:
-    """Return a calibration as a page of text: the verdict, accuracy, tables, what to know."""
-    errors = workspace_errors(result) if result.converged else None
-    parts, lines = [verdict(result, errors)[0]], supporting_lines(result, errors)
-    if errors is not None:
-        parts += map(str, (accuracy_table(result, errors), *calibration_tables(result)))
-        lines = [*remarks(result, errors), *lines]
-    parts.append("\n".join(lines))
-    return "\n\n".join([*parts, *(f"warning: {warning}" for warning in warnings(result))])

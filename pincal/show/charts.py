@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch, Rectangle
+from matplotlib.patches import Rectangle
 from matplotlib.transforms import Affine2D
 
 from pincal.calibration.result import CalibrationResult
@@ -20,15 +20,14 @@ from pincal.calibration.result_parts import LegResult
 from pincal.errors import MeasurementError, WorkspaceError
 from pincal.model.measurements import Plan
 from pincal.model.setup import Image, image_of
-from pincal.show.misses import apart, effects, level_poses, noisy_residuals
+from pincal.show.misses import apart, level_poses, noisy_residuals
 from pincal.show.pictures.picture import shortened
-from pincal.show.style import EVERY, GROUND, IDENTIFIED, INK, NOMINAL, OUTLIER, leg_colour
+from pincal.show.style import EVERY, GROUND, INK, OUTLIER, leg_colour
 from pincal.show.view.scene import rounded_down
 from pincal.types import Array
 from pincal.words.numbers import SMALL, STORED, amount, per_si
 from pincal.words.wording import clean
 
-_MOST_BARS, _LEGEND = 30, 0.13  # their number; height of their legend, of all of them
 _NORMAL = 1.96  # standard deviations within which 95 of 100 normal numbers lie
 _NAMED = 6  # outliers that are named
 _GAP = 0.08  # between images, of the widest
@@ -127,35 +126,6 @@ class Plots:
         _name_undrawn(ax, self.result)
         return ax
 
-    def parameters(self, ax: Axes | None = None) -> Axes:
-        """Draw by how much the change of each parameter moves the platform, and its ± (95 %).
-
-        Root mean square over the workspace. Grey: the measurements do not
-        distinguish the nominal value from the identified one.
-        """
-        ax = ax or _axes(6.4, 4.6)
-        moved, unit = effects(self.result)
-        scale = per_si(unit)
-        sizes = [(scale * change, scale * half, id_) for id_, (change, half) in moved.items()]
-        if not sizes:
-            raise MeasurementError("no parameter's change is determined")
-        bars = sorted(sizes)[-_MOST_BARS:]
-        changes, halves = np.array([bar[:2] for bar in bars]).T
-        places = np.arange(len(bars))
-        colours = np.where(changes > halves, IDENTIFIED, NOMINAL).tolist()
-        ax.barh(places, changes, color=colours, height=0.7)
-        ends = np.minimum(halves, changes), halves
-        ax.errorbar(changes, places, xerr=ends, fmt="none", ecolor=EVERY, elinewidth=0.8, capsize=2)
-        ax.set_yticks(places, [shortened(name) for *_, name in bars], fontsize=7)
-        ax.set_xlabel(f"moves the platform by [{SMALL[unit]}]")
-        changed = Patch(color=IDENTIFIED, label="changed by more than its ±")
-        ax.legend(handles=[changed, Patch(color=NOMINAL, label="by less")], loc="lower right")
-        ax.set_xlim(left=0.0)
-        ax.set_ylim(-0.7 - _LEGEND * (len(bars) + 1.0), len(bars) - 0.4)
-        if len(sizes) > len(bars):
-            ax.set_title(f"the {len(bars)} largest of {len(sizes)}", fontsize=8)
-        return ax
-
     def error_map(self, ax: Axes | None = None) -> Axes:
         """Draw the error of the platform's position to expect after the calibration.
 
@@ -170,7 +140,7 @@ class Plots:
         ax = ax or _axes(5.0, 4.2)
         if not self.result.explained:
             raise MeasurementError(
-                "no map: no accuracy can be promised, since residuals are far larger than the noise"
+                "no map: residuals are far larger than the noise, so no accuracy can be stated"
             )
         x, y, height, poses, inside = level_poses(self.result)
         errors = np.full(inside.shape, np.nan)

@@ -23,10 +23,12 @@ from pincal.words.numbers import POSES, SMALL, amount, chance, listed, measured
 from pincal.words.table import Table
 from pincal.words.wording import CAUSES, NAMED, filled, groups_in_words
 
-_KEEP = "identified parameters predict held-out rows no better; measure more poses, or better"
+_KEEP = (
+    "identified parameters predict held-out rows no better; measure more poses, or more precisely"
+)
 _VERDICTS = {
     "as drawn": f"keep the nominal machine: {_KEEP}",
-    "rigid alignment": "rigid alignment only: keep the nominal machine, and find where it stands; "
+    "rigid alignment": "rigid alignment only: keep the nominal machine, and locate its base; "
     + _KEEP,
     "not compared": "models cannot be compared: the rows without one fold do not determine the "
     "geometry; measure more poses",
@@ -80,7 +82,7 @@ def explanation_lines(explanation: Explanation) -> list[str]:
     lines.append(_VERDICTS[explanation.verdict].format(**sizes))
     if visible and explanation.verdict == "geometry" and not result.promises:
         lines.append(
-            "but no limit is promised while residuals follow a pattern; --terms "
+            "but no limit is stated while residuals follow a pattern; --terms "
             f"{term_text(*visible[0].pair)} models it"
         )
     return lines
@@ -155,7 +157,7 @@ def tried(remedy: Remedy) -> str:
     if options.setup.targets[ORIGIN].unknown:
         parts.append("the target is elsewhere on the platform")
     parts += ["rows that do not fit are left out"] if options.loss == "reject" else []
-    parts += ["the machine is known roughly"] if options.rough else []
+    parts += ["its dimensions are known only roughly"] if options.rough else []
     return " and ".join(parts) or "as measured"
 
 
@@ -201,7 +203,7 @@ def forecast_lines(forecast: Forecast, error: PlatformError) -> list[str]:
     if count:
         group_name = f" ({groups_in_words(rank.groups)})" if len(rank.groups) == 1 else ""
         lines[0] += f": {counted(count, 'freedom')} of frames or redundant parameters{group_name} "
-        lines[0] += "cannot be determined; errors of the platform are with frames aligned"
+        lines[0] += "cannot be determined; errors of the platform are after a best fit of frames"
     else:
         lines[0] += f", condition {rank.condition:.3g}"
     if forecast.lost.shape[1]:
@@ -215,10 +217,3 @@ def forecast_lines(forecast: Forecast, error: PlatformError) -> list[str]:
     if error.position < np.inf:
         parts[-1] += ", which no calibration can improve"
     return [*lines, f"platform over the workspace: {', '.join(parts)}"]
-
-
-def poses_line(accuracy: float, needed: float) -> str:
-    """Return how many poses an accuracy [m] takes."""
-    poses = f"{needed:,.0f} poses like these" if np.isfinite(needed) else "no number of poses"
-    noisy = ", too many to measure: reduce the noise instead" * (1e5 < needed < np.inf)
-    return f"for {amount(accuracy, 'm', 6)}: {poses}{noisy}"

@@ -10,17 +10,17 @@ from functools import cached_property
 
 import numpy as np
 
-from pincal.calibration.promise import measured_plan, seen_by
+from pincal.calibration.promise import by_target, measured_plan, seen_by
 from pincal.calibration.result import CalibrationResult
 from pincal.calibration.result_parts import ResidualGroup
 from pincal.design.platform_error import PlatformError, root_mean_squares, seen_of, sizes
 from pincal.design.simulate import platform_errors
 from pincal.errors import WorkspaceError
-from pincal.finding import Finding
+from pincal.estimation.problem import Problem
+from pincal.estimation.unknowns import External, State
 from pincal.kinematics.configurations import as_plan, legs_at
 from pincal.model.measurements import Plan
 from pincal.types import Array, Mask
-from pincal.words.findings import finding
 from pincal.words.numbers import percent
 from pincal.workspace.criteria import in_workspace
 from pincal.workspace.sampling import sample_configurations
@@ -28,6 +28,7 @@ from pincal.workspace.sampling import sample_configurations
 _SAMPLES, _FEW_SAMPLES = 1000, 300  # of the workspace
 _ACROSS = {2: 45, 3: 25}  # cells of a map by the dimension of space
 _MEASURED = "measured poses"
+_BEST_FIT = 1e-6, 1e6  # radii at which frames are aligned for positions, for orientations, [m]
 _MENTIONED = 0.01  # share of the workspace outside the measured region, below which it is not said
 
 
@@ -54,8 +55,8 @@ class WorkspaceErrors:
     poses: Array
     """Coordinates, shape (N, dof)."""
     before: Array
-    """Of the nominal model, zeros of motors as they were found, position [m] and orientation [rad],
-    shape (N, 2)."""
+    """Of the nominal model, zeros of motors as they were found, frames that are not known as they
+    fit it best, position [m] and orientation [rad], shape (N, 2)."""
     expected: PlatformError
     """Of the identified one, at the same poses."""
     inside: PlatformError
@@ -70,10 +71,10 @@ class WorkspaceErrors:
 
     @property
     def where(self) -> str:
-        """Over which poses means are taken, for sentences."""
+        """Over which poses, those in the measured region, means are taken, for sentences."""
         if self.share > 1.0 - _MENTIONED:
             return f"over the {self.region}"
-        return f"over the measured region, {percent(self.share)} of the {self.region}"
+        return f"over {percent(self.share)} of the {self.region}"
 
     def mean_before(self) -> tuple[float, float]:
         """Return root mean squares of the nominal model's errors, [m] and [rad]."""
@@ -93,28 +94,14 @@ class WorkspaceErrors:
         """Whether parameters that were identified move the platform at all."""
         return any((*self.mean_before(), *self.mean_after()))
 
-    @property
-    def beyond(self) -> Finding | None:
-        """What is to be expected outside the measured region; None if little lies there."""
-        outside = np.isinf(self.expected.outside) | (self.expected.outside > 1.0)
-        if outside.mean() < _MENTIONED or self.region == _MEASURED:
-            return None
-        sizes = self.expected.sizes[outside]
-        position, orientation = root_mean_squares(sizes)
-        return finding(
-            "beyond-measured",
-            share=1.0 - self.share,
-            position=position,
-            orientation=orientation if "rad" in self.expected.units else None,
-            undetermined=float(np.isinf(sizes).any(axis=1).mean()),
-        )
 
-
-def workspace_errors(result: CalibrationResult) -> WorkspaceErrors:
-    """Return the platform's errors at samples of the workspace that reach the measured region.
+def workspace_errors(result: CalibrationResult, poses: Plan | None = None) -> WorkspaceErrors:
+    """Return the platform's errors at poses, or samples of the workspace that were measured about.
 
     At the measured configurations if there are none, or no workspace with the default margins.
     """
+    if poses is not None:
+        return errors_at(result, poses, "poses given")
     try:
         sampled = errors_at(result, sample_configurations(result.nominal, _SAMPLES))
         if sampled.expected.within.any():
@@ -140,20 +127,52 @@ def errors_at(
 def apart(result: CalibrationResult, plan: Plan) -> tuple[Array, tuple[str, ...]]:
     """Return where the identified machine goes less where the nominal one sends it, and units.
 
-    What is seen of it, as in ``expected_error``, shape (N, r), frames apart; NaN out of reach.
+    What is seen of it, as in ``expected_error``, shape (N, r); NaN out of reach. Frames that are
+    not known are aligned as is best for positions, and for orientations.
     """
     twists = platform_errors(result.begun, result.identified, plan)
     known = np.isfinite(twists).all(axis=1)
-    seen, units = seen_of(
-        result.identified, plan.poses[known], twists[known, :, None], seen_by(result)
+    moved, frames = twists[known, :, None], seen_by(result)
+    (positions, units), (turns, _) = (
+        seen_of(result.identified, plan.poses[known], moved, frames, radius) for radius in _BEST_FIT
     )
     differences = np.full((len(twists), len(units)), np.nan)
-    differences[known] = seen[:, :, 0]
+    lengths = np.array([unit == "m" for unit in units])
+    differences[known] = np.where(lengths, positions[:, :, 0], turns[:, :, 0])
     return differences, units
 
 
-def effects(result: CalibrationResult) -> tuple[dict[str, tuple[float, float]], str]:
-    """Return by how much each parameter's change, and half its ±, move the platform; the unit.
+def noise_of_misses(result: CalibrationResult) -> dict[str, float]:
+    """Return by how much targets of unseen rows are missed because of noise alone, [m] and [rad].
+
+    By their unit: root mean squares of the noise of what was measured, and of readings, by which
+    the platform is predicted elsewhere; nothing where no row was held out.
+    """
+    noise, data, validation = result.noise, result.measurements, result.validation
+    if validation is None:
+        return {}
+    calibration = result.calibration if noise is None else result.calibration.with_noise(noise)
+    block = calibration.leg_block(range(len(result.legs)), np.arange(len(data)))
+    row_noise = calibration.observation.row_noise(data, calibration.noise.noise)
+    observation, n = calibration.observation.with_noise(row_noise), block.n_rows
+    parameters = np.concatenate([leg.nominal for leg in result.identified.legs])
+    matrices = result.nominal.platform.matrices(result.poses)
+    state = State(parameters, matrices, external=result.outside or External())
+    linear = Problem(block, observation).evaluate(state)
+    B, S = linear.by_pose, linear.noise_root
+    known = np.isfinite(B).all(axis=(1, 2)) & np.isfinite(validation.sigma)
+    sigmas = np.full(observation.measured.shape, np.nan)
+    predicted = np.linalg.pinv(B[known, :n]) @ S[known, :n]
+    sigmas[known] = np.linalg.norm(S[known, n:] - B[known, n:] @ predicted, axis=2)
+    sizes: dict[str, list[float]] = {}
+    sigmas[~observation.measured] = np.nan
+    for (_, unit), size in by_target(observation, sigmas).items():
+        sizes.setdefault(unit, []).append(float(np.nanmean(size**2)))
+    return {unit: float(np.sqrt(np.mean(squares))) for unit, squares in sizes.items()}
+
+
+def effects(result: CalibrationResult) -> tuple[dict[str, float], str]:
+    """Return by how much each parameter's change moves the platform, and the unit.
 
     Root mean squares of the position, or the orientation where it has none, over the workspace, or
     the measured poses where none was found; of parameters that are determined.
@@ -168,7 +187,7 @@ def effects(result: CalibrationResult) -> tuple[dict[str, tuple[float, float]], 
     per_unit = np.sqrt(np.square(part).sum(axis=1).mean(axis=0))  # of each parameter
     parameters = [p for leg in result.legs for p in leg.parameters]
     return {
-        p.id: (factor * abs(p.change), factor * p.half)
+        p.id: factor * abs(p.change)
         for p, factor in zip(parameters, per_unit.tolist(), strict=True)
         if 0.0 < p.std < np.inf
     }, units[0]

@@ -21,6 +21,7 @@ from markupsafe import Markup
 from pincal import __version__
 from pincal.calibration.result import CalibrationResult
 from pincal.errors import FileError, MeasurementError, WorkspaceError
+from pincal.files.measurements import read_poses
 from pincal.files.output import writing
 from pincal.files.text import LARGEST_FILE, read_bytes
 from pincal.model.measurements import EVERY_LEG, Plan
@@ -35,9 +36,6 @@ from pincal.show.view.scene import MOST_POSES
 from pincal.words.numbers import capital, reading_in
 from pincal.words.table import Table
 from pincal.words.wording import rendered
-
-_MOST_OUTLIERS = 50  # that are listed
-_HEIGHTS = {"residuals": 4.2, "images": 3.4, "parameters": 4.6}  # of charts, [inch]
 
 
 class Page:
@@ -86,11 +84,24 @@ class Report(Page):
     """Files that were read, and their SHA-256."""
     steps: Sequence[str] = ()
     """Commands that come next; of no known file if none are given."""
-    notes: tuple[str, ...] = ()
+    notes: Sequence[str] = ()
     """What was not done, and why."""
     date: str = ""
     units: Units = SI
     """In which numbers are read."""
+
+    @property
+    def lines(self) -> list[str | Table]:
+        """The verdict, the errors and what next, as ``pincal calibrate`` prints them."""
+        result, errors = self.result, self.errors
+        warnings = [f"warning: {text}" for text in answers.warnings(result)]
+        step, *_ = self.steps or answers.next_steps(result, errors)
+        first, _ = answers.verdict(result, errors)
+        return [first, *answers.summary(result, errors), *warnings, f"next: {step}"]
+
+    def __str__(self) -> str:
+        with reading_in(self.units.printed):
+            return "\n".join(map(str, self.lines))
 
     @cached_property
     def _page(self) -> str:
@@ -116,9 +127,9 @@ def report(
     *,
     command: str = "",
     files: Sequence[str | Path] = (),
-    notes: Sequence[str] = (),
     date: str | None = None,
     units: str = "",
+    workspace: Any = None,
 ) -> Report:
     """Return a report of a calibration: ``html()``, ``save(path)``, or shown by a notebook.
 
@@ -126,13 +137,14 @@ def report(
         result: The calibration.
         command: What was typed, to say how to do it again.
         files: Files that were read; the report holds their SHA-256.
-        notes: Sentences beside those on held-out rows.
         date: When it was made; now if not given. Nothing else differs from one time to the next.
         units: In which numbers are read, such as ``"in,deg"``; mm and mrad where not said.
+        workspace: Poses, a plan or its file, over which errors are stated; samples of the whole
+            workspace if not given.
 
     Raises:
         FileError: a file that cannot be read.
-        MeasurementError: a unit that is not understood.
+        MeasurementError: a unit that is not understood; poses of a wrong shape.
     """
     if date is None:
         date = datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %z")
@@ -142,8 +154,9 @@ def report(
         if not path.is_fifo()  # a pipe is read once
     )
     read = Units.of(units, result.nominal.counts, result.nominal.reading_names)
-    errors = workspace_errors(result) if result.converged else None
-    return Report(result, errors, command, hashes, (), tuple(notes), date, read)
+    poses = None if workspace is None else read_poses(workspace, result.nominal)
+    errors = workspace_errors(result, poses) if result.converged else None
+    return Report(result, errors, command, hashes, date=date, units=read)
 
 
 def _sections(report: Report) -> list[tuple[Any, ...]]:
@@ -167,7 +180,6 @@ def _sections(report: Report) -> list[tuple[Any, ...]]:
     )
     if errors is None:
         return [measured, reproduction]
-    could_change = any(p.std > 0.0 for leg in result.legs for p in leg.parameters)
     seen_by_cameras = any(map(image_of, result.options.setup.instruments))
     return [
         measured,
@@ -175,7 +187,6 @@ def _sections(report: Report) -> list[tuple[Any, ...]]:
             "parameters",
             "Parameters",
             tables.parameters_table(result),
-            _chart(result, "parameters") if could_change else None,
             _dimensions(result),
             tables.outside_table(result) if result.external else None,
             [f"{line}." for line in answers.weak_lines(result.weak, result.nominal)],
@@ -186,14 +197,13 @@ def _sections(report: Report) -> list[tuple[Any, ...]]:
             tables.residuals_table(result),
             _chart(result, "residuals"),
             _chart(result, "images") if seen_by_cameras else None,
-            tables.outliers_table(result, _MOST_OUTLIERS) if result.outliers else None,
+            tables.outliers_table(result) if result.outliers else None,
         ),
         (
             "platform",
             "Error of the platform",
             _chart(result, "error_map"),
             _chart(result, "bed") if result.nominal.platform.kind == "translational" else None,
-            [f"{capital(line)}." for line in answers.region_lines(result, errors)],
         ),
         reproduction,
     ]
@@ -201,7 +211,7 @@ def _sections(report: Report) -> list[tuple[Any, ...]]:
 
 def _chart(result: CalibrationResult, name: str) -> str:
     """Return a chart with its docstring as a caption, or why there is none."""
-    draw, height = getattr(result.plot, name), _HEIGHTS.get(name, 4.2)
+    draw, height = getattr(result.plot, name), 3.4 if name == "images" else 4.2  # [inch]
     text, _, _ = str(getdoc(draw)).partition("\n\nRaises:")
     try:
         return page_figure(name, draw, capital(" ".join(text.split()[1:])), height)
@@ -277,8 +287,6 @@ def mechanism_html(mechanism: Mechanism) -> str:
 
 
 def result_html(result: CalibrationResult) -> str:
-    """Return a calibration: what to know first, what supports it, its tables."""
-    shown = tables.calibration_tables(result) if result.converged else []
-    title = f"{result.nominal.name}: calibration, {result.message}"
-    parts = [answers.supporting_lines(result, None), *shown]
-    return rendered("notebook.html", title=title, warnings=answers.warnings(result), parts=parts)
+    """Return a calibration: the verdict, errors, what next, and its tables."""
+    parts = [*result.report().lines, *(result.tables() if result.converged else ())]
+    return rendered("notebook.html", title="", warnings=[], parts=parts)

@@ -171,6 +171,7 @@ def workspace_table(workspace: Workspace, inscribed: Inscribed | None = None) ->
 
 # Calibrations
 
+_MOST_OUTLIERS = 50  # that are listed
 _SEEN = 1e-6  # of the largest effect, below which a parameter has none
 ERRORS = {"m": "position", "rad": "orientation"}
 _CHOSEN = ". Values and ± depend on what was fixed by choice; errors of the platform do not"
@@ -185,31 +186,24 @@ def calibration_tables(result: CalibrationResult) -> list[Table]:
 
 
 def accuracy_table(result: CalibrationResult, errors: WorkspaceErrors) -> Table:
-    """Return the platform's errors: of the nominal and the calibrated machine, and held out.
+    """Return the platform's errors: nominal, calibrated, and as measured at poses held out.
 
-    Held-out rows miss by what they miss, of which noise is a part; they stand for the calibrated
-    machine where nothing can be promised of it.
+    The last, of which noise is a part, stand for the calibrated ones where no limit is stated.
     """
-    units, region = list(dict.fromkeys(errors.expected.units)), ""
-    rows: dict[str, dict[str, str]] = {}
+    missed, region, rows = unseen(result), "", dict[str, dict[str, str]]()
     if result.explained and errors.determined and errors.moved:
-        rows = {"nominal": {}, "calibrated": {}}
+        scale = " and scale" * any(free.code == "gauge-scale" for free in result.gauge)
+        region = f" {errors.where}{f', best-fit frames{scale}' * result.moves_frames}"
         sizes = zip(errors.mean_before(), errors.mean_after(), errors.inside.limit, strict=True)
         for unit, (before, after, limit) in zip(("m", "rad"), sizes, strict=True):
             below = f"{number(after, unit)} (≤ {number(limit, unit)})"
-            rows["nominal"][unit] = number(before, unit)
-            rows["calibrated"][unit] = below if result.promises else f"≥ {number(after, unit)}"
-        scale = " and scale" * any(free.code == "gauge-scale" for free in result.gauge)
-        region = f" {errors.where}{f', frames{scale} aligned' * result.moves_frames}"
-    validation = result.validation
-    if validation and validation.fit <= MISSES and validation.targets:
-        if not result.promises:
-            rows.pop("calibrated", None)
-        rows["held out"] = {
-            unit: f"{number(missed, unit)}{_noise_of(result, unit)}"
-            for unit, (_, missed) in validation.missed.items()
-        }
-        units = list(dict.fromkeys([*units, *rows["held out"]]))
+            rows.setdefault("nominal", {})[unit] = number(before, unit)
+            if result.promises or not missed:
+                shown = below if result.promises else f"≥ {number(after, unit)}"
+                rows.setdefault("calibrated", {})[unit] = shown
+    if missed:
+        rows["unseen"] = {unit: number(size, unit) for unit, size in missed.items()}
+    units = dict.fromkeys([*errors.expected.units, *missed])
     return Table(
         f"RMS error{region}",
         ["", *(f"{ERRORS[unit]} [{SMALL[unit]}]" for unit in units)],
@@ -217,26 +211,20 @@ def accuracy_table(result: CalibrationResult, errors: WorkspaceErrors) -> Table:
     )
 
 
-def _noise_of(result: CalibrationResult, unit: str) -> str:
-    """Return the share of noise in how far targets are missed, and of which coordinates, if few."""
-    platform, sigmas = result.nominal.platform, {g.name: g.rms_noise for g in result.observed}
-    columns = list(result.options.setup.positions(platform).values())
-    if unit == "rad":
-        columns = [[*platform.freedoms[platform.lengths :]]]
-    measured = [name for names in columns for name in names if name in sigmas]
-    size = float(np.sqrt(sum(sigmas[name] ** 2 for name in measured) / len(columns)))
-    part = f" in {named(measured)}" if 0 < len(measured) < len(columns[0]) else ""
-    return f"{part} (noise {number(size, unit)})" if size else ""
+def unseen(result: CalibrationResult) -> dict[str, float]:
+    """Return by how much held-out targets are missed, by unit; nothing if a fit misses its own."""
+    if result.validation is None or result.validation.fit > MISSES:
+        return {}
+    return {unit: held_out for unit, (_, held_out) in result.validation.missed.items()}
 
 
 def parameters_table(result: CalibrationResult) -> Table:
     """Return identified parameters with 95 % intervals, those that move the platform most first."""
     moved, unit = effects(result)
-    least = _SEEN * max(map(max, moved.values()), default=0.0)
-    ids = [id_ for id_ in moved if max(moved[id_]) > least]
-    ids.sort(key=lambda id_: -moved[id_][0])
+    least = _SEEN * max(moved.values(), default=0.0)
+    ids = sorted((id_ for id_ in moved if moved[id_] > least), key=lambda id_: -moved[id_])
     rows = [
-        (p.id, *_values(p), quantity(p.change, p.unit, p.half, VALUES, "+"), moved[p.id][0])
+        (p.id, *_values(p), quantity(p.change, p.unit, p.half, VALUES, "+"), moved[p.id])
         for p in map(result.parameters.__getitem__, ids)
     ]
     heads = ["parameter", *_HEADS, "change", f"moves [{unit}]:.3g"]
@@ -296,9 +284,9 @@ def _sizes(group: ResidualGroup) -> tuple[Value, ...]:
     return group.name, rows, *(shown if rows else (None, None, None)), SMALL[unit]
 
 
-def outliers_table(result: CalibrationResult, most: int = 20) -> Table:
+def outliers_table(result: CalibrationResult) -> Table:
     """Return the worst of the rows that do not fit."""
-    omitted = len(result.outliers) - most
+    omitted = len(result.outliers) - _MOST_OUTLIERS
     return Table(
         f"Rows that do not fit, the worst first (robust loss: {result.loss})",
         ["data row", "residual [σ]:.1f", "weight:.2f", "what"],
@@ -309,7 +297,7 @@ def outliers_table(result: CalibrationResult, most: int = 20) -> Table:
                 Cell(0.0, "rejected") if outlier.weight == 0.0 else outlier.weight,
                 f"{outlier.quantity} off by {outlier.off:.1f} σ",
             )
-            for outlier in result.outliers[:most]
+            for outlier in result.outliers[:_MOST_OUTLIERS]
         ],
         f"and {omitted} more in result.json" * (omitted > 0),
     )

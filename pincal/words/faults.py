@@ -23,10 +23,10 @@ FAULTS: dict[str, Wording] = {
     "whole-turns": _error(
         "{leg}: {rows|length|counted('reading is', 'readings are')} off by whole turns, the first "
         "in data row {row}: {reading|g(6)} rad in place of {nominal|g(6)} rad",
-        "Take the turns out, or correct the nominal offset",
+        "Remove the whole turns, or correct the nominal offset",
     ),
     "other-working-mode": _error(
-        "readings and poses fit with legs that bend the other way than at home in mechanism.yaml: "
+        "readings and poses fit if these legs bend the other way than at home in mechanism.yaml: "
         "{% for leg, passive, bent, total in legs %}{', ' if not loop.first}{leg} "
         "({passive|join(' and ')}, in {bent} of {total} rows){% endfor %}",
         "Correct 'home' there, or measure in its working mode",
@@ -106,7 +106,7 @@ HYPOTHESES: dict[str, Wording] = {
     "angles-exchanged": _hypothesis(
         "{% if order|length == 2 %}{order[0][0]} and {order[1][0]} are swapped{% else %}columns "
         "of the orientation are swapped: {% for name, column in order %}"
-        "{', ' if not loop.first}{name} is below {column}{% endfor %}{% endif %}",
+        "{', ' if not loop.first}{name} is in column {column}{% endfor %}{% endif %}",
         _ORDER,
     ),
     "orientation-inverted": _hypothesis(

@@ -9,7 +9,7 @@ from pincal.finding import Finding
 from pincal.words.faults import FAULTS, HYPOTHESES, explanation
 from pincal.words.wording import Wording, filled
 
-_EXCESS = "no accuracy can be promised: residuals are {excess|g} times as large as the noise given"
+_EXCESS = "no accuracy can be stated: residuals are {excess|g} times as large as the noise given"
 _FIRST = "See the other warnings first"
 _GIVE_NOISE = "Give the noise (--noise-position, --noise-orientation, --noise-reading)"
 _SOURCE = "{'repeated rows show' if source == 'repeats' else 'given'}"
@@ -23,7 +23,7 @@ FINDINGS: dict[str, Wording] = {
         "robust loss (--loss reject)",
         "error",
     ),
-    "not-corrected": Wording(_EXCESS + ", and hardly fell", _FIRST, "error"),
+    "not-corrected": Wording(_EXCESS + ", and hardly decreased", _FIRST, "error"),
     "residuals-too-large": Wording(_EXCESS, _FIRST, "error"),
     "no-noise": Wording(
         "residuals are mere rounding errors: real measurements have noise",
@@ -56,15 +56,6 @@ FINDINGS: dict[str, Wording] = {
         "change is {curvature|g(2)} of the linear part",
         "Measure more poses, or with less noise",
         title="intervals of a nonlinear problem",
-    ),
-    "beyond-measured": Wording(
-        "{share|percent} of the workspace lies outside the measured region"
-        "{% if undetermined < 1 %}: expect {size_in_words(position, orientation)} there, if the "
-        "model holds there as well{% endif %}"
-        "{% if undetermined %}; {undetermined|percent} of that is not determined at all{% endif %}"
-        ". No limit is promised there",
-        "Measure there too (pincal select), or keep to the measured region",
-        "info",
     ),
     "terms-chosen": Wording(
         "{parameters|join(', ')} were added because they fit these measurements",

@@ -135,9 +135,9 @@ CAUSES = {
     "harmonics": "an eccentric gear, encoder or screw",
     "period": "the pitch of a screw, or an eccentric gear with this ratio",
     "polynomial": "the pitch of a screw or belt, layers of cable on a drum, or a wrong table",
-    "pulley": "the cable runs over a pulley that the model has not",
-    "backlash": "play, or friction that winds up the drive, by the side of approach",
-    "gravity": "something yields under weight (1 kg if unknown): gear, bearing or link",
+    "pulley": "the cable runs over a pulley that the model lacks",
+    "backlash": "play, or friction that winds up the drive, by direction of approach",
+    "gravity": "a gear, bearing or link that bends under weight (1 kg if unknown)",
 }
 #: Words for codes in values of findings.
 _NAMES = {
@@ -148,7 +148,7 @@ _NAMES = {
         ),
         "pose": ("the pose", "legs or a base that bend, or errors of the tracker over its volume"),
         "order": ("the order of the rows", "drift of temperature or of a reference"),
-        "approach": ("the side of approach", "backlash or friction"),
+        "approach": ("the direction of approach", "backlash or friction"),
     },
     "UNDER": {
         "mm": "in mm under a metre header (1000 times too large)",

@@ -107,10 +107,13 @@ def answer(scene: Scene, row: int, shift: Array) -> str:
         moved_scene = moved(scene, row, shift)
     except MechanismError as error:
         return json.dumps({"problem": str(error)})
-    bodies = _bodies(moved_scene).values()
+    bodies, by = _bodies(moved_scene).values(), shift
+    if scene.mechanism.by_readings:
+        by = moved_scene.body.readings[0] - scene.body.readings[row]
     return json.dumps(
         {
             "problem": "",
+            "by": by.tolist(),
             "matrices": [_columns(drawn) for drawn in bodies],
             "problems": [drawn.problems[0] for drawn in bodies],
             "values": [row["values"][0] for row in _rows(moved_scene)],

@@ -16,6 +16,7 @@ from scipy.spatial.transform import RigidTransform
 from pincal.calibration.result import CalibrationResult
 from pincal.errors import MeasurementError, MechanismError
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
+from pincal.kinematics.configurations import command, shifted
 from pincal.kinematics.forward import forward
 from pincal.model.measurements import EVERY_LEG, Plan
 from pincal.model.mechanism import Mechanism
@@ -217,7 +218,8 @@ def moved(shown: Scene, row: int, shift: Array) -> Scene:
     """Return the scene at a single pose, moved off the pose of a row, counted from 0.
 
     By a twist of the platform in its freedoms, base axes at its origin; where readings do not
-    follow from poses, by changes of the readings; [m] and [rad].
+    follow from poses, by changes of the readings, then, if there are three more numbers, by a shift
+    of the platform, turned as it was; [m] and [rad].
 
     Raises:
         MechanismError: not finite, or of a wrong shape; readings that no pose has.
@@ -225,13 +227,18 @@ def moved(shown: Scene, row: int, shift: Array) -> Scene:
     mechanism, platform = shown.mechanism, shown.mechanism.platform
     pose, readings = shown.plan.poses[[row]], shown.body.readings[[row]]
     width = readings.shape[1] if mechanism.by_readings else platform.dof
-    if shift.shape != (width,) or not np.isfinite(shift).all():
+    carried = mechanism.by_readings and shift.shape == (width + 3,)
+    if (shift.shape != (width,) and not carried) or not np.isfinite(shift).all():
         raise MechanismError(f"moved by an array of shape {shift.shape}; expected ({width},)")
     if mechanism.by_readings:
-        solution = forward(mechanism, readings + shift, pose)
-        if not solution.converged.all():
-            raise MechanismError(solution.reasons[0])
-        plan = Plan(solution.poses, readings=readings + shift)
+        plan = Plan(pose, readings=readings + shift[:width])
+        if carried:
+            plan = shifted(mechanism, plan, lambda _: shift[None, width:])
+        poses, read, (reason,) = command(mechanism, plan)
+        missed = np.abs(poses - plan.poses)[:, : carried * platform.lengths]
+        if reason or missed.max(initial=0.0) > 1e-6 * mechanism.size:
+            raise MechanismError(reason or "out of reach")
+        plan = Plan(poses, readings=read)
     else:
         matrices = platform.displaced(platform.matrices(pose), shift[None])
         measured = None if shown.plan.readings is None else np.full_like(readings, np.nan)
