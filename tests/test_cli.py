@@ -722,6 +722,13 @@ def test_check_tells_a_home_that_does_not_close(work: Path) -> None:
     assert "leg_1: home is rough, it closes within 0.25 m only" in " ".join(outcome.out.split())
 
 
+def test_identifiability_of_more_readings_than_freedoms() -> None:
+    """They cannot all be exact, so some noise is taken, and said."""
+    outcome = done("identifiability", "4cable")
+    assert "rank 16 of 16" in outcome.out
+    assert "cannot all be exact: --noise-reading 0.235mm is taken" in outcome.err
+
+
 def test_identifiability_of_a_plan_out_of_reach(work: Path) -> None:
     """A plan of which no pose is in reach is named as such, not blamed on what is measured."""
     table(POSES, "5,0,0")()

@@ -372,6 +372,24 @@ def test_mjcf_without_a_direction_is_refused(axis: str, quaternion: str, tmp_pat
         read_mjcf(file)
 
 
+def test_a_site_named_as_a_body_is_another_link(tmp_path: Path) -> None:
+    """MuJoCo's own forward kinematics place both; which of them was read is said."""
+    (tmp_path / "cup.xml").write_text(
+        """<mujoco><worldbody><body name="arm" pos="0.1 0 0.3"><joint name="a" axis="0 1 0"/>
+        <geom size="0.01"/><body name="cup" pos="0.2 0 0"><joint name="b" axis="0 0 1"/>
+        <geom size="0.01"/><site name="cup" pos="0 0.05 0.1"/></body></body></worldbody></mujoco>"""
+    )
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "cup.xml"))
+    data = mujoco.MjData(model)
+    data.qpos[:] = (0.3, -0.4)
+    mujoco.mj_kinematics(model, data)
+    for tip, place in (("cup", data.body("cup").xpos), ("cup_site", data.site("cup").xpos)):
+        outcome = done("import", tmp_path / "cup.xml", "--tip", tip, "-o", tmp_path / tip)
+        assert "'cup' is a body here; the site of that name is 'cup_site'" in outcome.err
+        pose = pincal.forward(load_mechanism(tmp_path / tip), data.qpos[None]).poses[0]
+        np.testing.assert_allclose(pose[:3], place, atol=1e-12)
+
+
 def test_an_arm_that_floats_stands_on_the_base_that_is_named(tmp_path: Path) -> None:
     """A floating joint at the root is refused with the --base that leaves it out, which works."""
     file = tmp_path / "arm.urdf"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -26,6 +26,7 @@ from pincal.cli.options import (
 from pincal.design.orbits import selection_group
 from pincal.design.order import in_turns, with_distances, with_reference, with_verification
 from pincal.design.select import Goal, Protocol
+from pincal.estimation.noise import assumed_noise
 from pincal.files.columns import columns_of
 from pincal.files.measurements import read_poses
 from pincal.files.mechanism_folders import MECHANISM_FILES, write_mechanism
@@ -126,7 +127,7 @@ def select(
     units = options.written_in(mechanism)
     refuse_existing(output, force=options.force)
     with working("choosing poses") as progress:
-        plan, candidates, table = _choose(mechanism, options, noise, progress)
+        plan, candidates, table = _choose(mechanism, options, _noisy(noise, mechanism), progress)
     if options.verify:
         plan = with_verification(mechanism, plan, candidates, options.verify, options.seed)
         remark(f"{options.verify} more poses, in the set 'verify', are kept for verification")
@@ -139,6 +140,16 @@ def select(
     write_table(output, columns_of(mechanism, plan), units=units, force=options.force)
     stdout.print(table)
     wrote(output)
+
+
+def _noisy(noise: Noise, mechanism: Mechanism) -> Noise:
+    """Return noise with which more readings than freedoms can agree: exact ones cannot."""
+    if noise.reading or not mechanism.redundant:
+        return noise
+    reading = assumed_noise(mechanism, exact=False).reading
+    size = amount(reading, mechanism.reading_units[0]).replace(" ", "")
+    remark(f"more readings than freedoms cannot all be exact: --noise-reading {size} is taken")
+    return replace(noise, reading=reading)
 
 
 def _choose(
@@ -248,7 +259,7 @@ def identifiability(
                 poses = poses.rows(np.arange(len(poses)) < _FORECAST)
             else:
                 poses = pincal.sample_configurations(mechanism, _FORECAST, options.seed + 1)
-    expected = pincal.forecast(mechanism, poses, noise, measured, setup)
+    expected = pincal.forecast(mechanism, poses, _noisy(noise, mechanism), measured, setup)
     error = expected.platform_error(workspace)
     with reading_in(units.printed):
         stdout.print(tables.standard_errors(expected))

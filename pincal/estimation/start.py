@@ -329,9 +329,9 @@ def _kabsch(nominal: Array, measured: Array, weights: Array, platform: Platform)
     if not len(nominal):
         raise MeasurementError(
             "the frame of the measurements is unknown and cannot be aligned: in no row with a "
-            "measured position do the readings say where the nominal machine is. It needs as many "
-            "readings as the platform has freedoms; check their units, order and signs. Points "
-            "that are touched at unknown places have no frame: leave it out"
+            "measured position (a platform that only turns has none) do the readings say where the "
+            "nominal machine is. It needs as many readings as freedoms; check their units, order "
+            "and signs. Points that are touched at unknown places have no frame: leave it out"
         )
     least = platform.space
     for points in (nominal, measured):

@@ -54,16 +54,18 @@ def read_mjcf(path: Path) -> Tree:
     of_joints = [f"{links[body]}_joint_{i}" for i, body in enumerate(model.jnt_bodyid)]
     joints = _names(model, mujoco.mjtObj.mjOBJ_JOINT, of_joints)
     edges = [edge for body in range(1, model.nbody) for edge in _edges(model, body, links, joints)]
+    carriers, remarks = {edge.child: edge.joint.name for edge in edges}, dict[str, str]()
     for i, body in enumerate(model.site_bodyid):  # a named site is a link fixed to its body
-        site = model.site(i).name
-        if site and site not in links:
-            placement = placement_of(_pose(model.site_pos[i], model.site_quat[i]))
-            edges.append(Edge(Joint(site, "fixed", placement), links[body], site))
+        name, placement = model.site(i).name, _pose(model.site_pos[i], model.site_quat[i])
+        site = name + "_site" * (name in links)
+        if name and site not in links:
+            edges.append(Edge(Joint(site, "fixed", placement_of(placement)), links[body], site))
+        if name in carriers and not (links[body] == name and np.allclose(placement, np.eye(4))):
+            remarks[carriers[name]] = f"{name!r} is a body here; the site of that name is {site!r}"
     of_joint = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
     driven = model.actuator_trnid[np.isin(model.actuator_trntype, of_joint), 0]
     follows, refused = _coupled(model, joints, path)
-    joint_of = {edge: replace(edge.joint, follows=follows.get(edge.joint.name)) for edge in edges}
-    edges = [replace(edge, joint=joint) for edge, joint in joint_of.items()]
+    edges = [replace(e, joint=replace(e.joint, follows=follows.get(e.joint.name))) for e in edges]
     tree = Tree(
         name=title or path.stem,
         source=str(path),
@@ -73,6 +75,7 @@ def read_mjcf(path: Path) -> Tree:
         active=tuple(dict.fromkeys(joints[i] for i in driven)),
         homed=model.nkey > 0,
         refused=refused,
+        remarks=remarks,
     )
     return with_ranges(tree)
 
