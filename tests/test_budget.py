@@ -20,8 +20,8 @@ LINES = {
     "cli": 2_456,
     "design": 1_867,
     "estimation": 4_963,
-    "files": 3_064,
-    "formats": 3_473,
+    "files": 3_072,
+    "formats": 3_615,
     "instruments": 1_478,
     "kinematics": 3_644,
     "model": 3_580,
@@ -32,7 +32,7 @@ LINES = {
 }
 """Most lines of each room; a room that is not listed may have none."""
 MOST = {
-    "files": 180,
+    "files": 181,
     "page lines": 780,
     "largest folder": 15,
     "vague names": 0.0115,

@@ -304,6 +304,77 @@ def test_imported_loops(write, gaps, reach: float, tmp_path: Path) -> None:  # t
     np.testing.assert_allclose(shifts, shifts[:1] + 0.0 * shifts, atol=1e-9)
 
 
+CLOSINGS = {
+    "constraint": '<constraint name="c" type="{kind}"><parent link="coupler"/><child link="l3"/>'
+    '<parent_origin xyz="{0}"/><child_origin xyz="{1}" rpy="1.5707963267948966 0 0"/>'
+    '<parent_axis xyz="0 0 1"/><child_axis xyz="0 1 0"/></constraint>',
+    "loop_joint": '<loop_joint name="c" type="{kind}"><link1 link="coupler" xyz="{0}"/>'
+    '<link2 link="l3" xyz="{1}"/><axis xyz="0 0 1"/></loop_joint>',
+    "drake_ball": '<drake:ball_constraint><drake:ball_constraint_body_A name="coupler"/>'
+    '<drake:ball_constraint_p_AP value="{0}"/><drake:ball_constraint_body_B name="l3"/>'
+    '<drake:ball_constraint_p_BQ value="{1}"/></drake:ball_constraint>',
+    "drake_bushing": '<frame name="f" link="coupler" xyz="{0}"/><frame name="g" link="l3" '
+    'xyz="{1}"/><drake:linear_bushing_rpy><drake:bushing_frameA name="f"/><drake:bushing_frameC '
+    'name="g"/><drake:bushing_torque_stiffness value="9 9 0"/><drake:bushing_force_stiffness '
+    'value="9 9 0"/></drake:linear_bushing_rpy>',
+}
+"""What closes the four-bar of neighbours in a URDF, by ends on the coupler and on the follower."""
+
+
+MORE_CLOSINGS = [("constraint", "spherical"), ("loop_joint", "revolute")]
+MORE_CLOSINGS += [("drake_ball", ""), ("drake_bushing", "")]
+
+
+@pytest.mark.parametrize(
+    ("form", "kind"),
+    [
+        ("constraint", "revolute"),
+        ("loop_joint", "spherical"),
+        *(pytest.param(*case, marks=pytest.mark.slow) for case in MORE_CLOSINGS),
+    ],
+)
+def test_a_urdf_may_close_its_loops_itself(form: str, kind: str, tmp_path: Path) -> None:
+    """A four-bar goes by the cosine law however its URDF closes it; <transmission> drives it."""
+    crank, knee = 0.3 * np.exp(0.7j), 0.4 + 0.65j
+    ends = (neighbours.vector(w.real, w.imag, 0.0) for w in (knee - crank, knee - 0.9))
+    drive = '<transmission name="t"><joint name="crank"/></transmission>'
+    text = neighbours.four_bar(tmp_path).read_text()
+    text = text.replace("<robot", '<robot xmlns:drake="http://drake.mit.edu"')
+    closing = CLOSINGS[form].format(*ends, kind=kind)
+    (tmp_path / "closed.urdf").write_text(text.replace("</robot>", f"{drive}{closing}</robot>"))
+    (tmp_path / "robot.yaml").unlink()
+    done("import", tmp_path / "closed.urdf", "-o", tmp_path / "four_bar")
+    readings = np.linspace(-0.5, 0.5, 9)[:, None]
+    found = pincal.forward(tmp_path / "four_bar", readings)
+    np.testing.assert_allclose(four_bar_gaps(readings, found.poses), 0.0, atol=1e-9)
+
+
+def test_a_universal_joint_may_close_a_loop(tmp_path: Path) -> None:
+    """An ankle whose foot hangs on a rod, and on the shin by a <constraint>, turns as drawn."""
+    file = neighbours.ankle(tmp_path)
+    hanging = [neighbours.joint("sole", "tip0", "foot0", kind="continuous")]
+    text, yaml = file.read_text(), (tmp_path / "robot.yaml").read_text()
+    for name in ("pitch", "roll"):
+        start = text.index(f'<joint name="{name}"')
+        text = text[:start] + text[text.index("</joint>", start) + len("</joint>") :]
+    heel = np.array(neighbours.ANKLE[0][2])
+    hanging.append(neighbours.joint("held", "foot0", "foot", neighbours.vector(*-heel), "fixed"))
+    closing = (
+        '<constraint name="cross" type="universal"><parent link="shin"/><child link="foot"/>'
+        '<parent_origin xyz="0 0 -0.35"/><parent_axis xyz="0 2 0"/><child_axis xyz="1 0 0"/>'
+        "</constraint>"
+    )
+    text = text.replace('<link name="cross"/>', '<link name="foot0"/>')
+    file.write_text(text.replace("</robot>", f"{''.join(hanging)}{closing}</robot>"))
+    yaml = yaml.replace("[[rod_end0, heel0], ", "[").replace("[3d, 3d]", "[3d]")
+    yaml = yaml.replace("[ball0", "[sole, ball0").replace("[SPHERICAL", "[SPHERICAL, SPHERICAL")
+    (tmp_path / "robot.yaml").write_text(yaml)
+    done("import", file, "-o", tmp_path / "mechanism")
+    readings = np.random.default_rng(5).uniform(-0.25, 0.25, (10, 2))
+    poses = pincal.forward(tmp_path / "mechanism", readings).poses
+    np.testing.assert_allclose(ankle_gaps(readings, poses), 0.0, atol=1e-9)
+
+
 def test_gears_go_to_mujoco_and_come_back(tmp_path: Path) -> None:
     """MuJoCo closes loops and gears of an exported five-bar at home; imported, it moves alike."""
     mujoco = pytest.importorskip("mujoco")

@@ -315,7 +315,7 @@ def test_elements_of_a_joint_are_read_harmless_or_refused(
         ('version="1.1"', "", "version"),
         ("quat_xyzw=", 'rpy="0 0 0" quat_xyzw=', "without rpy"),
         ("1 0 0 1", "0 0 0 0", "not all zero"),
-        ("</robot>", "<loop_joint/></robot>", "may place links"),
+        ("</robot>", "<my_joint/></robot>", "may place links"),
         ("</robot>", "<include/></robot>", "may place links"),
         ("</robot>", "<sdf/></robot>", "<sdf> is not read"),
         ("</robot>", "<drake:proximity/></robot>", "<drake:proximity> is not read"),

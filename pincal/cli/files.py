@@ -79,7 +79,7 @@ class ImportOptions:
     loops: Path | None = option(
         None,
         "What closes the loops of a URDF (closed_loop, type, name_mot); FILE with the ending "
-        ".yaml, or robot.yaml beside it, if not given.",
+        ".yaml, or robot.yaml beside it, or the URDF itself, if not given.",
         metavar="YAML",
     )
     platform: str | None = option(
@@ -196,7 +196,7 @@ def _closed(
 ) -> tuple[Tree, Mechanism, Sequence[str]]:
     """Return tree and mechanism of a file with loops, and remarks; say how loops are closed."""
     yaml = None if form == "mjcf" else options.loops or users_urdf.loops_beside(file)
-    tree = mjcf.read_mjcf(file) if yaml is None else users_urdf.read_loops(file, yaml)
+    tree = mjcf.read_mjcf(file) if form == "mjcf" else users_urdf.read_loops(file, yaml)
     tree = replace(tree, slack=closed.slack_of(file.read_text("utf-8")))
     mechanism, remarks = closed.closed_mechanism(tree, options.platform, options.base)
     if yaml is not None:

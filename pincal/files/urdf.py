@@ -24,7 +24,9 @@ from pincal.model.placement import Placement, placement_of
 Triple = tuple[float, float, float]
 XACRO = "python -m pip install xacro; xacro FILE.urdf.xacro > FILE.urdf"
 #: Elements of a <robot> that place nothing, or are read.
-_KNOWN = ("link", "joint", "material", "transmission", "gazebo", "sensor", "ros2_control")
+_KNOWN = ("link", "joint", "material", "transmission", "gazebo", "sensor", "ros2_control", "frame")
+CLOSING = ("constraint", "loop_joint", "drake:ball_constraint", "drake:linear_bushing_rpy")
+"""Elements of a <robot> that close loops."""
 #: Elements of a joint, and their attributes that are read; others are refused.
 _PLACING = {
     "joint": {"name", "type", "dont_collapse"},
@@ -35,7 +37,7 @@ _PLACING = {
 }
 #: Elements of a joint whose attributes place nothing, but for limits, which are read.
 _PLACING_NOTHING = {"limit", "mimic", "dynamics", "safety_controller", "calibration"}
-_KINDS: dict[str, JointKind] = {
+KINDS: dict[str, JointKind] = {
     "revolute": "revolute",
     "continuous": "revolute",
     "prismatic": "prismatic",
@@ -86,9 +88,9 @@ def _unknown_elements(robot: etree._Element, path: Path) -> dict[str, str]:
     """Return what to say of elements of a <robot> that are not URDF's."""
     remarks: dict[str, str] = {}
     for element in robot:
-        if not isinstance(element.tag, str) or element.tag in _KNOWN:
+        tag = tag_of(element)
+        if not tag or tag in (*_KNOWN, *CLOSING):
             continue
-        tag = ":".join(filter(None, (element.prefix, element.tag.rpartition("}")[2])))
         named = f"{path}, line {element.sourceline}: <{tag}>"
         if tag.startswith("xacro:"):
             raise MechanismError(f"{named} is a macro, which xacro expands: {XACRO}")
@@ -96,6 +98,12 @@ def _unknown_elements(robot: etree._Element, path: Path) -> dict[str, str]:
             raise MechanismError(f"{named} may place links, and is not URDF; write URDF without it")
         remarks[tag] = f"{named} is not read"
     return remarks
+
+
+def tag_of(element: etree._Element) -> str:
+    """Return an element's tag with its prefix; empty of a comment."""
+    names = element.prefix, str(element.tag).rpartition("}")[2]
+    return ":".join(filter(None, names)) if isinstance(element.tag, str) else ""
 
 
 def _edges(joint: Joint, parent: str, child: str) -> tuple[Edge, ...]:
@@ -185,7 +193,7 @@ def _weighed(joint: Joint, link: etree._Element | None, path: Path) -> Joint:
     if mass < 0.0:
         name = link.get("name")
         raise MechanismError(f"{place}: link {name!r} has the mass {mass:g}; expected 0 or more")
-    centre = _triple(link.find("inertial/origin"), "xyz", place, (0.0, 0.0, 0.0))
+    centre = triple_of(link.find("inertial/origin"), "xyz", place, (0.0, 0.0, 0.0))
     return replace(joint, mass=mass, centre=centre if mass else (0.0, 0.0, 0.0))
 
 
@@ -195,23 +203,23 @@ def _joint(element: etree._Element, place: str, kind: str | None) -> Joint:
     if not name:
         raise MechanismError(f"{place}: a joint without a name")
     _check_parts(element, f"{place}: joint {name!r}")
-    if kind not in _KINDS:
+    if kind not in KINDS:
         raise MechanismError(
-            f"{place}: joint {name!r} is of type {kind!r}; a leg may have {', '.join(_KINDS)}"
+            f"{place}: joint {name!r} is of type {kind!r}; a leg may have {', '.join(KINDS)}"
         )
     placement = Placement(
-        xyz=_triple(element.find("origin"), "xyz", place, (0.0, 0.0, 0.0)),
+        xyz=triple_of(element.find("origin"), "xyz", place, (0.0, 0.0, 0.0)),
         rpy=_turn(element, place),
     )
     if kind == "fixed":
         return Joint(name, "fixed", placement)
-    axis = np.array(_triple(element.find("axis"), "xyz", place, (1.0, 0.0, 0.0)))
+    axis = np.array(triple_of(element.find("axis"), "xyz", place, (1.0, 0.0, 0.0)))
     norm = float(np.linalg.norm(axis))
     if norm < 1e-9:
         raise MechanismError(f"{place}: joint {name!r} has an axis of length zero")
     x, y, z = (axis if abs(norm - 1.0) <= 1e-12 else axis / norm).tolist()
     lower, upper = (-np.inf, np.inf) if kind == "continuous" else _limits(element, name, place)
-    joint = Joint(name, _KINDS[kind], placement, (x, y, z), lower, upper)
+    joint = Joint(name, KINDS[kind], placement, (x, y, z), lower, upper)
     if (mimic := element.find("mimic")) is None:
         return joint
     ratio, offset = (
@@ -247,7 +255,7 @@ def _turn(element: etree._Element, place: str) -> Triple:
     origin = element.find("origin")
     text = None if origin is None else origin.get("quat_xyzw")
     if origin is None or text is None:
-        return _triple(origin, "rpy", place, (0.0, 0.0, 0.0))
+        return triple_of(origin, "rpy", place, (0.0, 0.0, 0.0))
     version = element.getroottree().getroot().get("version", "1.0")
     if origin.get("rpy") is not None or version in ("1", "1.0"):
         raise MechanismError(
@@ -280,7 +288,8 @@ def _limits(element: etree._Element, name: str, place: str) -> tuple[float, floa
     return lower, upper
 
 
-def _triple(element: etree._Element | None, key: str, place: str, default: Triple) -> Triple:
+def triple_of(element: etree._Element | None, key: str, place: str, default: Triple) -> Triple:
+    """Return three numbers of an element's attribute, or others if there are none."""
     text = None if element is None else element.get(key)
     if text is None:
         return default

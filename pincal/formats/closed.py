@@ -192,7 +192,8 @@ def _guiding(tree: Tree, limbs: list[Limb], kind: str) -> tuple[list[Limb], str]
     if not {bond.joint.name for limb in legs for bond in limb.bonds} & set(tree.active):
         raise MechanismError(
             "no driven joint between base and platform: name one under name_mot (YAML) or give it "
-            "an actuator (MJCF). Or is another link the base or the platform (--base, --platform)?"
+            "a <transmission> (URDF) or an actuator (MJCF). Or is another link the base or the "
+            "platform (--base, --platform)?"
         )
     return legs, kind
 

@@ -29,6 +29,7 @@ from pincal.files.text import read_xml
 from pincal.files.tree import Edge, Tree, at_home
 from pincal.files.urdf import read_urdf
 from pincal.files.yaml import Entry, read_yaml
+from pincal.formats.closings import read_closed
 from pincal.model.checks import ROUNDING, listed
 from pincal.model.leg import Closing, Joint, Leg
 from pincal.model.mechanism import Mechanism
@@ -42,20 +43,24 @@ _TURNED = {"SPHERICAL": "xyz", "FIXED": "", "UJOINT_XY": "xy", "UJOINT_YZ": "yz"
 _LOOP_KEYS = ("closed_loop", "type", "joint_name", "joint_type", "platform", "home")
 
 
-def loops_beside(file: Path) -> Path:
-    """Return the YAML file that belongs to a URDF."""
+def loops_beside(file: Path) -> Path | None:
+    """Return the YAML file that belongs to a URDF; None if this closes its loops itself."""
     places = (file.with_suffix(".yaml"), file.parent / "robot.yaml")
     for place in places:
         if place.is_file():
             return place
+    if read_closed(file).loops:
+        return None
     raise FileError(
         f"no {' or '.join(dict.fromkeys(place.name for place in places))} beside {file} says what "
         "closes its loops; name one with --loops, or import a serial arm with --tip LINK"
     )
 
 
-def read_loops(urdf: Path, loops: Path) -> Tree:
-    """Return the tree of a URDF with the loops of a YAML file."""
+def read_loops(urdf: Path, loops: Path | None) -> Tree:
+    """Return the tree of a URDF with its loops, and those of a YAML file."""
+    if loops is None:
+        return read_closed(urdf)
     keys = read_yaml(loops, MechanismError).keys(("name_mot",), _LOOP_KEYS, others=True)
     lists = {key: keys[key].items() if key in keys else [] for key in (*_LOOP_KEYS[:4], "name_mot")}
     for first, second in (("joint_name", "joint_type"), ("closed_loop", "type")):
@@ -67,7 +72,7 @@ def read_loops(urdf: Path, loops: Path) -> Tree:
             )
     axes = [_TURNED[entry.choice(*_TURNED)] for entry in lists["joint_type"]]
     replaced = [entry.text() for entry in lists["joint_name"]]
-    tree = read_urdf(urdf, dict(zip(replaced, axes, strict=True)))
+    tree = read_closed(urdf, dict(zip(replaced, axes, strict=True)))
     homed = keys["home"].pairs() if "home" in keys else {}
     home = {joint: entry.number() for joint, entry in homed.items()}
     drawn = [str(element.get("name")) for element in read_xml(urdf, "robot").findall("joint")]
@@ -80,7 +85,7 @@ def read_loops(urdf: Path, loops: Path) -> Tree:
     return replace(
         tree,
         edges=at_home(tree.edges, home),
-        loops=tuple(_closings(tree, lists["closed_loop"], lists["type"], loops)),
+        loops=(*tree.loops, *_closings(tree, lists["closed_loop"], lists["type"], loops)),
         active=_motors(lists["name_mot"], tree.edges, urdf),
         platform=keys["platform"].text() if "platform" in keys else None,
         homed=bool(home),
