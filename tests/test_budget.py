@@ -28,7 +28,7 @@ LINES = {
     "show": 3_965,
     "symmetry": 1_374,
     "words": 863,
-    "workspace": 1_574,
+    "workspace": 1_594,
 }
 """Most lines of each room; a room that is not listed may have none."""
 MOST = {

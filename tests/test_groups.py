@@ -142,6 +142,20 @@ def test_rounded_parameters_lose_no_cells(name: str, cells: int) -> None:
         assert found.measure == pytest.approx(0.681, abs=5e-4)
 
 
+@pytest.mark.parametrize("digits", [10, 5])
+def test_regions_of_rounded_parameters_keep_their_symmetry(digits: int) -> None:
+    """A delta's six elements are used, and no cell is other than without them."""
+    grid = pincal.Grid.of("radius=0.02:0.6:0.04", "bearing [deg]=-180:174:6", "z=-1.1:-0.6:0.1")
+    delta = rounded("delta", digits)
+    used, plain = (
+        pincal.compute_workspace(delta, "constant-orientation", grid, symmetry=wanted)
+        for wanted in (True, False)
+    )
+    np.testing.assert_array_equal(used.inside, plain.inside)
+    assert len(used.elements) == 6
+    assert used.computed < 0.4 * grid.size
+
+
 @pytest.mark.slow
 def test_rounded_hexapod_and_disturbed_deltas_have_groups() -> None:
     """Groups of order 1, 2, 3 or 6, never 4 or 5."""

@@ -135,17 +135,17 @@ class Element:
         """Return where poses go, coordinates of shape (N, dof)."""
         return platform.from_matrices(self.matrices(platform.matrices(poses)))
 
-    def positions(self, rotations: Array) -> Array | None:
+    def positions(self, rotations: Array, slack: float = 0.0) -> Array | None:
         """Return what it does to the platform's positions in all of some orientations, (N, 3, 3).
 
         r → Q r + t − R' s, where s is the shift of the platform's isometry: None unless R' s is one
-        and the same, such as if the platform's frame is on its axis.
+        and the same but for slack, [m], such as if the platform's frame is on its axis.
         """
         Q, shift = self.matrix, self.platform[:3, 3]
         if not shift.any():
             return self.base
         shifts = Q @ rotations @ (self.platform[:3, :3].T @ shift)
-        if np.abs(shifts - shifts[0]).max() > SAME * np.linalg.norm(shift):
+        if np.abs(shifts - shifts[0]).max() > SAME * np.linalg.norm(shift) + slack:
             return None
         return isometry(Q, self.base[:3, 3] - shifts[0])
 

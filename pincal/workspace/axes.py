@@ -216,12 +216,14 @@ class Orientations:
         grid = np.stack(np.meshgrid(*lists, indexing="ij"), axis=-1).reshape(-1, 3)
         return cls.from_rotations(rotation_of(way, grid))
 
-    def maps(self, element: Element) -> bool:
-        """Return whether an element carries the set onto itself: R → Q R Pᵀ."""
+    def maps(self, element: Element, slack: float = 0.0) -> bool:
+        """Return whether an element carries the set onto itself, but for slack: R → Q R Pᵀ."""
         side = -1.0 if element.reflection else 1.0
         before, after = (Rotation.from_matrix(side * Q) for Q in element.turns)
         images = (before * self.rotations * after.inv()).as_quat(canonical=True)
-        return bool(np.isfinite(self._tree.query(images, distance_upper_bound=SAME)[0]).all())
+        return bool(
+            np.isfinite(self._tree.query(images, distance_upper_bound=SAME + slack)[0]).all()
+        )
 
     @cached_property
     def _tree(self) -> KDTree:

@@ -137,27 +137,31 @@ class Grid:
                 result *= axis.values[i] + beyond**2 / (2 * axis.step or 1.0)
         return result
 
-    def carrier(self, move: Array) -> Carrier | None:
-        """Return what an isometry, (4, 4), does to numbers, or None if the grid does not map."""
+    def carrier(self, move: Array, slack: float = 0.0) -> Carrier | None:
+        """Return what an isometry, (4, 4), does to numbers, or None if the grid does not map.
+
+        But for slack, less than half a step: [m] along axes, [rad] between them.
+        """
         Q, t = move[:3, :3], move[:3, 3]
         if self.polar:  # radii stay, bearings turn or are mirrored
             across = (Q[:2, 2], Q[2, :2], t[:2] / max(1.0, float(self.axes[0].values[-1])))
-            if max(np.abs(part).max() for part in across) > SAME:
+            if max(np.abs(part).max() for part in across) > SAME + slack:
                 return None
             t = np.array([0.0, np.arctan2(Q[1, 0], Q[0, 0]), t[2]])
             Q = np.diag([1.0, np.linalg.det(Q[:2, :2]), Q[2, 2]])
         signs = Q.round()
-        if np.abs(Q - signs).max() > SAME:  # of x, y, z only quarter turns and such
+        if np.abs(Q - signs).max() > SAME + slack:  # of x, y, z only quarter turns and such
             return None
         axes, shape = (*self.axes, Axis("z", np.zeros(1)))[:3], (*self.shape, 1)[:3]
         sources, maps = np.abs(signs).argmax(axis=1).tolist(), list[Indices]()
         for place, (axis, source) in enumerate(zip(axes, sources, strict=True)):
             values, images = axis.values, signs[place, source] * axes[source].values + t[place]
             if axis.name == "bearing":
-                images = values[0] + (images - values[0] + SAME) % (2 * np.pi) - SAME
+                past = SAME + slack
+                images = values[0] + (images - values[0] + past) % (2 * np.pi) - past
             steps = np.rint((images - values[0]) / (axis.step or 1.0))
             maps.append(steps.clip(0, len(values) - 1).astype(np.int64))
-            within = 4 * SAME * max(1.0, float(np.ptp(values)))
+            within = (4 * SAME + slack) * max(1.0, float(np.ptp(values)))
             if len(images) != len(values) or np.abs(values[maps[-1]] - images).max() > within:
                 return None
 

@@ -43,6 +43,7 @@ from pincal.workspace.grid import (
 
 KINDS = ("reachable", "constant-orientation", "total-orientation", "dexterous")
 _CHUNK = 1 << 22  # poses handed out at a time, where legs have a closed form
+_NEARLY, _CELL = 1e-4, 0.1  # [m] or [rad], of a step: by which a symmetry may fail to hold
 _FIRST = 16  # orientations after which closed loops ask who is decided, then 8 times as many
 
 
@@ -111,7 +112,9 @@ class PositionTest:
         return decided != self.every
 
 
-def usable(group: tuple[Element, ...], grid: Grid, test: PositionTest) -> dict[Element, Carrier]:
+def usable(
+    group: tuple[Element, ...], grid: Grid, test: PositionTest, slack: float = 0.0
+) -> dict[Element, Carrier]:
     """Return the elements of a group that map what is asked onto itself, positions that count too.
 
     With what each does to the numbers of positions. An element that permutes legs oddly turns the
@@ -121,9 +124,9 @@ def usable(group: tuple[Element, ...], grid: Grid, test: PositionTest) -> dict[E
     mechanism, turns = test.mechanism, test.orientations.rotations.as_matrix()
     home, elements = np.array([mechanism.platform.home]), {}
     for element in group:
-        move = element.positions(turns)
-        carrier = None if move is None else grid.carrier(move)
-        if carrier is None or not test.orientations.maps(element):
+        move = element.positions(turns, slack)
+        carrier = None if move is None else grid.carrier(move, slack)
+        if carrier is None or not test.orientations.maps(element, slack):
             continue
         if mechanism.cables and mechanism.load and not _weighs_alike(mechanism.load, element):
             continue
@@ -287,19 +290,30 @@ def compute_workspace(
     least = as_margins(least)
     group = symmetry_group(mechanism, ROUNDING, readings=False).elements
     test = PositionTest(mechanism, orientations, kind != "reachable", least)
-    elements = usable(group if computing.symmetry else group[:1], grid, test)
+    elements, exact = usable(group if computing.symmetry else group[:1], grid, test), True
+    slack = min([_NEARLY, *(_CELL * axis.step for axis in grid.axes if axis.step)])
+    if computing.symmetry:
+        near = symmetry_group(mechanism, slack / mechanism.size, readings=False).elements
+        nearly = usable(near, grid, test, slack)
+        if len(nearly) > len(elements):
+            group, elements, exact = near, nearly, False
     unused = tuple(e for e in group if e not in elements)
     size = max(1, min(BLOCK, (_CHUNK if test.in_closed_form else BLOCK) // len(orientations)))
-    inside, computed = np.zeros(grid.size, dtype=bool), 0
+    inside, asked, computed = *np.zeros((2, grid.size), dtype=bool), 0
     for begin, end in blocks(grid.size, size):
         index = np.arange(begin, end)
         first = lowest(elements.values(), index)  # of each orbit: done with before, or now
         domain = index[first == index]
-        inside[domain] = test(grid.at(domain))
+        inside[domain], asked[domain] = test(grid.at(domain)), True
         inside[begin:end] = inside[first]
         computed += len(domain)
         if computing.progress:
             computing.progress(end)
+    while not exact:  # a symmetry that nearly holds is asked again along the border, which may move
+        border = np.unique(edges(grid, inside))
+        border = border[~asked[border]]
+        inside[border], asked[border] = test(grid.at(border)), True
+        computed, exact = computed + len(border), not len(border)
     if computing.connected and inside.any():
         inside = part_around(grid, inside, mechanism.platform.home_pose.translation[0])
     inside.setflags(write=False)
