@@ -6,8 +6,10 @@ the data is computed by pincal.
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
+from zipfile import ZipFile
 
 import numpy as np
 import pytest
@@ -328,3 +330,38 @@ def test_distances_from_plan_to_report(tmp_path: Path) -> None:
         assert not result.contradictions
     assert "works" in done("doctor", bar, measured, *noise).out
     assert "geometry" in done("explain", bar, measured, *noise).out
+
+
+@pytest.mark.parametrize("ending", ["csv", "xlsx"])
+def test_sheets_are_read_back_half_filled(ending: str, tmp_path: Path) -> None:
+    """A sheet says what to drive to, with cells for what is measured; blank rows are skipped.
+
+    Poses and readings that are written into it are the measurements, in its units.
+    """
+    robot, sheet = pincal.load_mechanism("5R"), tmp_path / f"sheet.{ending}"
+    plan = tmp_path / "plan.csv"
+    done("select", "5R", "--count", 6, "--sheet", sheet, "--units", "cm,deg", "-o", plan)
+    chosen = pincal.Plan.from_csv(plan, robot)
+    filled = 0.01 + np.arange(4.0 * 5).reshape(5, 4)
+    if ending == "csv":
+        head, *lines = sheet.read_text().splitlines()
+        columns, rows = head.split(","), [line.split(",") for line in lines]
+        for row, values in zip(rows, filled.tolist(), strict=False):
+            row[-4:] = map(repr, values)
+        sheet.write_text("\n".join([head, *map(",".join, rows)]))
+    else:
+        with ZipFile(sheet) as archive:
+            parts = {name: archive.read(name).decode() for name in archive.namelist()}
+        columns = re.findall(r"<t>([^<]*)</t>", parts["xl/sheet.xml"])[: -1 * len(chosen)]
+        for value in filled.ravel().tolist():
+            cell = f"<c><v>{value!r}</v></c>"
+            parts["xl/sheet.xml"] = parts["xl/sheet.xml"].replace('<c s="2"/>', cell, 1)
+        with ZipFile(sheet, "w") as archive:
+            for name, text in parts.items():
+                archive.writestr(name, text)
+    assert columns[-4:] == ["x [cm]", "y [cm]", "leg_1 [deg]", "leg_2 [deg]"]
+    assert columns[2:6] == [f"planned_{name}" for name in columns[-4:]]
+    data = pincal.Measurements.from_csv(sheet, robot)
+    np.testing.assert_allclose(data.poses, 1e-2 * filled[:, :2])
+    np.testing.assert_allclose(data.readings, np.radians(filled[:, 2:]))
+    assert data.sets == chosen.sets[:5]

@@ -27,10 +27,10 @@ from pincal.design.orbits import selection_group
 from pincal.design.order import in_turns, with_distances, with_reference, with_verification
 from pincal.design.select import Goal, Protocol
 from pincal.estimation.noise import assumed_noise
-from pincal.files.columns import columns_of
+from pincal.files.columns import columns_of, write_sheet
 from pincal.files.measurements import read_poses
 from pincal.files.mechanism_folders import MECHANISM_FILES, write_mechanism
-from pincal.files.output import refuse_existing, refuse_existing_of, writing_together
+from pincal.files.output import refuse_existing_of, writing_together
 from pincal.files.table import write_table
 from pincal.instruments.setup_file import read_setup
 from pincal.kinematics.collision import arm_free_of_collision
@@ -81,6 +81,11 @@ class SelectOptions(PlanOptions):
     reference: int | None = option(
         None, "Repeat one pose every so many rows, which shows drift.", least=1
     )
+    sheet: Path | None = option(
+        None,
+        "Also a sheet to fill in, .xlsx or .csv: what to drive to, cells for what to measure.",
+        metavar="SHEET.xlsx",
+    )
     force: bool = option(False, FORCE)
 
     def read_setup(self) -> Setup:
@@ -124,8 +129,9 @@ def select(
             "rows in which they differ"
         )
         mechanism = mechanism.at_reference
-    units = options.written_in(mechanism)
-    refuse_existing(output, force=options.force)
+    units, sheet = options.written_in(mechanism), options.sheet
+    outputs = [path for path in (output, sheet) if path is not None]
+    refuse_existing_of([(path, ()) for path in outputs], force=options.force)
     with working("choosing poses") as progress:
         plan, candidates, table = _choose(mechanism, options, _noisy(noise, mechanism), progress)
     if options.verify:
@@ -137,9 +143,21 @@ def select(
         plan = with_reference(mechanism, plan, options.reference)
         remark(f"one pose is measured {len(plan) - count} times more, as the pose 'reference'")
     plan = with_distances(plan, options.distances)
-    write_table(output, columns_of(mechanism, plan), units=units, force=options.force)
+    with writing_together([(path, ()) for path in outputs], force=options.force) as scratch:
+        write_table(scratch[0], columns_of(mechanism, plan), units=units)
+        if sheet is not None:
+            _write_sheet(scratch[1], mechanism, plan, options)
     stdout.print(table)
-    wrote(output)
+    wrote(*outputs)
+
+
+def _write_sheet(path: Path, mechanism: Mechanism, plan: Plan, options: SelectOptions) -> None:
+    """Write the sheet of a plan, with cells for what options say is measured."""
+    setup = options.read_setup()
+    if plan.readings is None:
+        plan = replace(plan, readings=pincal.inverse(mechanism, plan.poses).readings)
+    measured = () if options.distances else options.measured(mechanism, setup)
+    write_sheet(path, mechanism, plan, measured, setup, options.written_in(mechanism))
 
 
 def _noisy(noise: Noise, mechanism: Mechanism) -> Noise:

@@ -23,7 +23,7 @@ from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import SINGLE_ANGLES, WAYS
 from pincal.model.orientation import columns_of as angles_of
 from pincal.model.setup import Setup
-from pincal.model.units import COUNTS, UNITS, Units
+from pincal.model.units import COUNTS, SI, UNITS, Units
 from pincal.types import Array
 from pincal.words.wording import NAMED
 
@@ -261,14 +261,54 @@ def _measured_columns(mechanism: Mechanism, data: Measurements, setup: Setup | N
     return columns if data.runs is None else columns | {"run": data.runs}
 
 
-def write_sheet(path: str | Path, mechanism: Mechanism, plan: Plan) -> None:
-    """Write a measuring sheet in mm and degrees: what is planned, and empty columns to fill in."""
+def write_sheet(
+    path: str | Path,
+    mechanism: Mechanism,
+    plan: Plan,
+    measured: Collection[str] | None = None,
+    setup: Setup | None = None,
+    units: Units = SI,
+) -> None:
+    """Write a measuring sheet, CSV or .xlsx: what to drive to, and empty cells to fill in.
+
+    Args:
+        path: The file.
+        mechanism: The mechanism.
+        plan: Poses, with the readings that they have.
+        measured: What is measured: freedoms of the platform, columns of the setup; the pose if not
+            given.
+        setup: Says which further columns there are.
+        units: Of all columns; mm and degrees where nothing else is said.
+
+    Raises:
+        MeasurementError: a plan without readings.
+    """
     if plan.readings is None:
         raise MeasurementError(f"a sheet for {mechanism.name!r} needs the readings of its plan")
     planned: dict[str, Any] = {**_pose_columns(mechanism, plan, "zyx")}
-    planned |= reading_columns(mechanism, plan.readings)
-    planned = dict(Units({"m": "mm", "rad": "deg"}, last=1e-7).written(planned))
+    read = reading_columns(mechanism, plan.readings)
+    setup = (setup or Setup()).of_rows(plan.contacts)
+    names = mechanism.platform.freedoms if measured is None else (*measured, *setup.between)
+    heads = [*_measured_heads(mechanism, tuple(planned), names, setup), *read]
+    written = replace(units, names={"m": "mm", "rad": "deg", **units.names}, last=1e-7).written
     columns: dict[str, Any] = {"row": tuple(str(1 + row) for row in range(len(plan)))}
     columns |= {} if plan.sets is None else {"set": plan.sets}
-    columns |= {f"planned_{head}": values for head, values in planned.items()}
-    write_table(path, columns | dict.fromkeys(planned, ("",) * len(plan)))
+    columns |= {f"planned_{head}": values for head, values in written(planned | read).items()}
+    columns |= plan.contacts
+    columns |= {} if plan.places is None else {"pose": plan.places}
+    blank = written(dict.fromkeys(heads, np.zeros(len(plan))))
+    write_table(path, columns | dict.fromkeys(blank, ("",) * len(plan)))
+
+
+def _measured_heads(
+    mechanism: Mechanism, poses: Sequence[str], names: Collection[str], setup: Setup
+) -> list[str]:
+    """Return the headers of what is measured, by those of poses, and names; not of contacts."""
+    platform = mechanism.platform
+    lengths = poses[: platform.lengths]
+    heads = [head for head in lengths if head.partition(" ")[0] in names]
+    if not set(names).isdisjoint(platform.freedoms[platform.lengths :]):
+        heads += poses[platform.lengths :]
+    touched = {axis for axes in setup.contact_axes(platform).values() for axis in axes}
+    further = setup.columns(mechanism).items()
+    return heads + [f"{n} [{unit}]" for n, unit in further if n in names and n not in touched]

@@ -18,6 +18,7 @@ from functools import reduce
 from itertools import chain
 from pathlib import Path
 from typing import Any
+from xml.sax.saxutils import escape
 
 import numpy as np
 from lxml import etree
@@ -142,16 +143,91 @@ def write_table(
     units: Units = SI,
     force: bool = False,
 ) -> None:
-    """Write columns (header with SI unit, ``x [m]``, to values) to a CSV file: see ``writing``."""
-    with (
-        writing(path, force=force) as scratch,
-        scratch.open("w", newline="", encoding="utf-8") as file,
-    ):
-        writer = csv.writer(file, lineterminator="\n")
-        columns = units.written(columns)
-        writer.writerow(columns)
+    """Write columns (header with SI unit, ``x [m]``, to values) to a CSV or .xlsx file.
+
+    See ``writing``.
+    """
+    columns = units.written(columns)
+    with writing(path, force=force) as scratch:
         cells = (map(_cell_text, values) for values in columns.values())
-        writer.writerows(zip(*cells, strict=True))
+        rows = [list(columns), *map(list, zip(*cells, strict=True))]
+        if Path(path).suffix.lower() == ".xlsx":
+            _write_book(scratch, rows)
+            return
+        with scratch.open("w", newline="", encoding="utf-8") as file:
+            csv.writer(file, lineterminator="\n").writerows(rows)
+
+
+_PARTS = {
+    "[Content_Types].xml": (
+        '<Types xmlns="http://schemas.openxmlformats.org/package/2006/content-types">'
+        '<Default Extension="rels" '
+        'ContentType="application/vnd.openxmlformats-package.relationships+xml"/>'
+        '<Override PartName="/xl/workbook.xml" ContentType="{kind}.sheet.main+xml"/>'
+        '<Override PartName="/xl/styles.xml" ContentType="{kind}.styles+xml"/>'
+        '<Override PartName="/xl/sheet.xml" ContentType="{kind}.worksheet+xml"/></Types>'
+    ),
+    "_rels/.rels": (
+        '<Relationships xmlns="{rels}"><Relationship Id="book" Type="{office}/officeDocument" '
+        'Target="xl/workbook.xml"/></Relationships>'
+    ),
+    "xl/_rels/workbook.xml.rels": (
+        '<Relationships xmlns="{rels}">'
+        '<Relationship Id="sheet" Type="{office}/worksheet" Target="sheet.xml"/>'
+        '<Relationship Id="styles" Type="{office}/styles" Target="styles.xml"/></Relationships>'
+    ),
+    "xl/workbook.xml": (
+        '<workbook xmlns="{main}" xmlns:r="{office}"><sheets>'
+        '<sheet name="measure" sheetId="1" r:id="sheet"/></sheets></workbook>'
+    ),
+    "xl/styles.xml": (
+        '<styleSheet xmlns="{main}"><fonts count="2"><font><sz val="11"/><name val="Calibri"/>'
+        '</font><font><b/><sz val="11"/><name val="Calibri"/></font></fonts><fills count="3">'
+        '<fill><patternFill patternType="none"/></fill><fill><patternFill patternType="gray125"/>'
+        '</fill><fill><patternFill patternType="solid"><fgColor rgb="FFFFF2CC"/></patternFill>'
+        '</fill></fills><borders count="1"><border/></borders><cellStyleXfs count="1"><xf/>'
+        '</cellStyleXfs><cellXfs count="3"><xf/><xf fontId="1" applyFont="1"/>'
+        '<xf fillId="2" applyFill="1"/></cellXfs><cellStyles count="1">'
+        '<cellStyle name="Normal" xfId="0" builtinId="0"/></cellStyles></styleSheet>'
+    ),
+}
+"""Parts of an .xlsx file but for its sheet (ECMA-376): cells plain, bold, and to be filled in."""
+_NAMESPACES = {
+    "main": "http://schemas.openxmlformats.org/spreadsheetml/2006/main",
+    "office": "http://schemas.openxmlformats.org/officeDocument/2006/relationships",
+    "rels": "http://schemas.openxmlformats.org/package/2006/relationships",
+    "kind": "application/vnd.openxmlformats-officedocument.spreadsheetml",
+}
+
+
+def _write_book(path: Path, rows: Sequence[Sequence[str]]) -> None:
+    """Write rows of text to an .xlsx file, the first bold and in view, empty cells coloured."""
+    widths = "".join(
+        f'<col min="{column}" max="{column}" width="{max(8, len(head) + 2)}" customWidth="1"/>'
+        for column, head in enumerate(rows[0], start=1)
+    )
+    lines = "".join(
+        f'<row r="{number}">{"".join(_book_cell(text, number == 1) for text in cells)}</row>'
+        for number, cells in enumerate(rows, start=1)
+    )
+    sheet = (
+        f'<worksheet xmlns="{_NAMESPACES["main"]}"><sheetViews><sheetView workbookViewId="0">'
+        '<pane ySplit="1" topLeftCell="A2" state="frozen"/></sheetView></sheetViews>'
+        f"<cols>{widths}</cols><sheetData>{lines}</sheetData></worksheet>"
+    )
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, text in _PARTS.items():
+            archive.writestr(name, text.format(**_NAMESPACES))
+        archive.writestr("xl/sheet.xml", sheet)
+
+
+def _book_cell(text: str, heads: bool) -> str:
+    """Return a cell of an .xlsx sheet: a number, text, or to be filled in; bold if it heads."""
+    if not text:
+        return '<c s="2"/>'
+    if not heads and np.isfinite(plain_number(text)):
+        return f"<c><v>{text}</v></c>"
+    return f'<c s="{int(heads)}" t="inlineStr"><is><t>{escape(text)}</t></is></c>'
 
 
 def _cell_text(value: object) -> str:
