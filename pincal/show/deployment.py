@@ -60,7 +60,7 @@ def deploy(
     wanted = Deployed(as_mechanism(machine)) if result is None else _deployed(result)
     covariances = None if result is None else _covariances(result)
     mechanism = wanted.mechanism
-    prefix = re.sub(r"\W", "_", mechanism.name.lower())
+    prefix = re.sub(r"[^a-z0-9]", "_", mechanism.name.lower())
     prefix = f"machine_{prefix}" if prefix[:1].isdigit() else prefix
     files = {"kinematics.py": python_file(wanted), f"{prefix}.h": c_header(wanted, prefix)}
     with suppress(MechanismError):  # another machine than it is for
