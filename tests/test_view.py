@@ -22,13 +22,15 @@ from urllib.request import urlopen
 
 import numpy as np
 import pytest
+from arms import loaded
 from command_line import contents, done, run
 from neighbours import skeleton
 
 import pincal
 from pincal.design.simulate import platform_errors
 from pincal.show.view.bodies import Body, body
-from pincal.show.view.scene import scene
+from pincal.show.view.page import answer
+from pincal.show.view.scene import moved, scene
 
 MECHANISMS = ["5R", "3RRR", "6UPS", "4cable"]
 EVIL = "<script>alert('Ω \"é\"')</script>"
@@ -450,3 +452,23 @@ def test_a_page_has_the_ending_of_one(tmp_path: Path) -> None:
     assert outcome.code == 2
     assert "page.txt would be a page; give it the ending .html" in outcome.trouble
     assert contents(tmp_path) == {}
+
+
+def test_an_arm_is_carried_by_its_tool() -> None:
+    """A UR5 goes along with the pointer, turned as it was; the page is told by which readings.
+
+    Where it cannot, it says so, and stays.
+    """
+    arm, turned, along = loaded("ur5"), np.full(6, 0.1), np.array([0.05, -0.03, 0.1])
+    readings = np.array([[0.3, -1.0, 1.2, -0.5, 0.7, 0.2]])
+    plan = pincal.Plan(pincal.forward(arm, readings).poses, readings=readings)
+    shown = scene(arm, plan)
+    begin = moved(shown, 0, turned).body.platform[0]
+    end = moved(shown, 0, np.concatenate((turned, along))).body.platform[0]
+    np.testing.assert_allclose(end[:3, 3] - begin[:3, 3], along, atol=1e-9)
+    np.testing.assert_allclose(end[:3, :3], begin[:3, :3], atol=1e-9)
+    by = np.array(json.loads(answer(shown, 0, np.concatenate((turned, along))))["by"])
+    driven = pincal.forward(arm, readings + by).poses
+    np.testing.assert_allclose(driven[0, :3], end[:3, 3], atol=1e-9)
+    far = json.loads(answer(shown, 0, np.concatenate((turned, [9.0, 0.0, 0.0]))))
+    assert far["problem"]

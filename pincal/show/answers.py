@@ -18,7 +18,7 @@ from pincal.estimation.observability.identifiable import WeakPair
 from pincal.formats.delta_printer import delta_printer
 from pincal.model.checks import counted
 from pincal.model.mechanism import Mechanism
-from pincal.show.misses import WorkspaceErrors, noise_of_misses, readings_exact
+from pincal.show.misses import WorkspaceErrors, noise_of_misses
 from pincal.show.tables import ERRORS, accuracy_table, unseen
 from pincal.words.findings import WORDINGS, sentence
 from pincal.words.numbers import amount, capital, listed, number, percent, rounded
@@ -143,8 +143,8 @@ def _unseen_lines(result: CalibrationResult) -> list[str]:
     measured = [group.name for group in result.observed if group.name in axes]
     along = f" in {named(measured)}" if unit == "m" and 0 < len(measured) < len(axes) else ""
     poses = counted(max(target.poses for target in result.validation.targets), "unseen pose")
-    source = "instrument" if readings_exact(result) else "instrument and reading"
-    alone = f" ({source} noise: {number(noise, unit)})" if noise else ""
+    source = "instrument" + " and reading" * (result.noise is None or result.noise.reading > 0.0)
+    alone = f" ({source} noise alone: {number(noise, unit)})" if noise else ""
     return [f"{poses}: {amount(size, unit)}{along}{alone}"]
 
 
@@ -226,7 +226,7 @@ def _limit_lines(result: CalibrationResult, errors: WorkspaceErrors) -> list[str
         return [f"no limit is stated: {unpromised(result)}"] if result.contradictions else []
     parts = [UNCOVERED[code] for code in errors.inside.uncovered]
     if "%" in errors.where:
-        parts.insert(0, f"unmeasured regions ({percent(1.0 - errors.share)})")
+        parts.insert(0, f"unmeasured {percent(1.0 - errors.share)}")
     return [f"not covered: {', '.join(parts)}"] if parts else []
 
 
