@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from command_line import done
 from test_words import values_of
 from typer.main import get_command
 
@@ -33,6 +34,18 @@ FREE = ("MIT", "BSD", "Apache", "PSF", "MPL", "ISC", "Zlib", "BSL", "Qhull", "HP
 def dependencies() -> dict[str, Any]:
     """Names of the script that makes the tables of dependencies."""
     return runpy.run_path(str(ROOT / "docs" / "dependencies.py"))
+
+
+@pytest.mark.fuzz
+@pytest.mark.parametrize("name", ["5R", "3RRR", "6UPS"])
+def test_studies_on_the_pages_are_as_they_come_now(name: str, tmp_path: Path) -> None:
+    """Text and tables of the pages are those that the command writes, to the byte; minutes each."""
+    done("study", name, "-o", tmp_path / name)
+    page = ROOT / "docs/studies" / name
+    files = [Path("study.md"), *(path.relative_to(page) for path in page.glob("tables/*"))]
+    assert len(list((tmp_path / name / "tables").iterdir())) == len(files) - 1
+    stale = [f for f in files if (tmp_path / name / f).read_bytes() != (page / f).read_bytes()]
+    assert not stale
 
 
 def test_errors_page_has_each_error() -> None:
