@@ -236,10 +236,6 @@ BAD: dict[str, tuple[bytes, list[str]]] = {
     "cell-comma-decimal-bare": (table("1,5,2,3,4,5,6"), ["line 2", "7 cells", "6"]),
     "cell-underscore": (table("1_0,2,3,4,5,6"), ["line 2", "'1_0'", "'x'"]),
     "row-short": (table(ROW, "1,2,3"), ["line 3", "3 cells", "6"]),
-    "title-above": (b"Measured on Monday\n" + table(ROW), ["line 1", "remove the lines above"]),
-    "comment-above": (b"# tracker, day 2\n" + table(ROW), ["line 1", "remove the lines above"]),
-    "separator-above": (b"sep=,\n" + table(ROW), ["column 2 has no header in line 1", "above"]),
-    "title-of-excel": (b"Title,,,,,\n" + table(ROW), ["column 2 has no header in line 1", "above"]),
     "column-unnamed": (table(ROW + ",", header=HEADER + ","), ["column 7 has no header"]),
     "row-long": (table("1,2,3,4,5,6,"), ["line 2", "7 cells", "6", "commas at the end"]),
     "quote-open": (table('"1,2,3,4,5,6'), ["CSV", "line 2"]),
@@ -308,12 +304,56 @@ def test_tables_as_people_and_programs_write_them(
 
 
 def test_points_and_commas_are_not_mixed(tmp_path: Path) -> None:
-    """1.000,5 and 1,5 beside 2.5 may mean other things elsewhere: the cell is named."""
-    for row in ("1.000,5;2;3;4;5;6", "1,5;2.5;3;4;5;6"):
-        path = tmp_path / "mixed.csv"
-        path.write_text(HEADER.replace(",", ";") + f"\n{row}\n")
-        with pytest.raises(MeasurementError, match="one decimal point"):
-            pincal.Measurements.from_csv(path, THREE)
+    """1,5 beside 2.5 may mean other things elsewhere: the cell is named."""
+    path = tmp_path / "mixed.csv"
+    path.write_text(HEADER.replace(",", ";") + "\n1,5;2.5;3;4;5;6\n")
+    with pytest.raises(MeasurementError, match="one decimal point"):
+        pincal.Measurements.from_csv(path, THREE)
+
+
+@pytest.mark.parametrize(
+    ("separator", "cells"),
+    [
+        (",", ['"1,234.5"', "-0.25", '"12,000"']),
+        (";", ["1.234,5", "-0,25", "12.000"]),
+        (";", ["1 234,5", "-0,25", "12\u00a0000"]),
+        (";", ["1'234.5", "-0.25", "12’000"]),
+    ],
+)
+def test_thousands_are_separated_in_any_way(
+    separator: str, cells: list[str], tmp_path: Path
+) -> None:
+    """1234.5, -0.25 and 12000 as people and programs write them, under titles of their own."""
+    path = tmp_path / "thousands.csv"
+    head, row = HEADER.replace(",", separator), separator.join([*cells, "4", "5", "6"])
+    for titles in (
+        "",
+        "Measured on Monday\n",
+        f"# tracker{separator} day 2\n\nline 2\n",
+        "sep=,\n",
+    ):
+        path.write_text(f"{titles}{head.replace('[rad]', '[deg]').replace('[m]', '[mm]')}\n{row}\n")
+        data = pincal.Measurements.from_csv(path, THREE)
+        np.testing.assert_allclose(data.poses[0, :2], [1.2345, -0.25e-3])
+        np.testing.assert_allclose(np.degrees(data.poses[0, 2]), 12000.0)
+
+
+def test_columns_of_other_programs_are_mapped(tmp_path: Path) -> None:
+    """A header and its name here, with or without a unit, in Python and in a setup's file."""
+    path, file = tmp_path / "log.csv", tmp_path / "setup.yaml"
+    header = HEADER.replace("leg_1 [rad]", "Actuator 1").replace("x [m]", "Pos X [mm]")
+    path.write_bytes(b"Log 7\n" + table(ROW, header=header))
+    file.write_text(
+        "pincal_setup: 1\ncolumns: {Actuator 1: 'leg_1 [deg]', Pos X: x}\n", encoding="utf-8"
+    )
+    headers = {"Actuator 1": "leg_1 [deg]", "Pos X": "x"}
+    for setup in (pincal.Setup(headers=headers), pincal.Setup.from_yaml(file)):
+        data = pincal.Measurements.from_csv(path, THREE, setup)
+        np.testing.assert_allclose(data.poses, [[1e-3, 2.0, 3.0]])
+        np.testing.assert_allclose(data.readings, [[np.radians(4.0), 5.0, 6.0]])
+    for wrong, message in (({"Actuator 9": "leg_1"}, "'Actuator 9'"), ({"y": "x"}, "'x'")):
+        with pytest.raises(MeasurementError, match=message):
+            pincal.Measurements.from_csv(path, THREE, pincal.Setup(headers={**headers, **wrong}))
 
 
 def test_two_columns_for_one_are_refused(tmp_path: Path) -> None:
@@ -441,12 +481,9 @@ def test_spreadsheets_give_what_their_csv_files_give(commas: bool, tmp_path: Pat
 
 
 def test_messages_on_spreadsheets_name_the_row_of_the_sheet(tmp_path: Path) -> None:
-    """A title above the headers, a cell that is no number: as Excel counts rows."""
-    sheet(tmp_path / "m.xlsx", [["Messung vom 3. Mai"], *CELLS])
-    with pytest.raises(MeasurementError, match=r"no header in row 1, .*remove rows above"):
-        pincal.Measurements.from_csv(tmp_path / "m.xlsx", THREE)
-    sheet(tmp_path / "m.xlsx", [*CELLS, ["n/a", *CELLS[1][1:]]])
-    with pytest.raises(MeasurementError, match=r"m.xlsx, row 4: 'n/a'"):
+    """A cell that is no number below a title, which is skipped: as Excel counts rows."""
+    sheet(tmp_path / "m.xlsx", [["Messung vom 3. Mai"], *CELLS, ["n/a", *CELLS[1][1:]]])
+    with pytest.raises(MeasurementError, match=r"m.xlsx, row 5: 'n/a'"):
         pincal.Measurements.from_csv(tmp_path / "m.xlsx", THREE)
 
 

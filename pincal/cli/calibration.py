@@ -49,6 +49,19 @@ class InputOptions(SetupOptions):
         metavar="PAIRS.csv",
     )
 
+    columns: tuple[str, ...] = option(
+        (),
+        "A column of another program and what it is here: 'Actuator 1=leg_1', '…=leg_1 [mm]'.",
+        metavar="HEADER=NAME",
+    )
+
+    def read_setup(self) -> Setup:
+        """Return the setup, with the columns that were typed."""
+        setup = super().read_setup()
+        pairs = [text.rpartition("=") for text in self.columns]
+        headers = {header.strip(): name.strip() for header, _, name in pairs}
+        return replace(setup, headers={**setup.headers, **headers})
+
     def table(self, path: Path) -> Path | TextTable:
         """Return a file of measurements, or its table with the distances of pairs."""
         return path if self.pairs is None else with_pairs(path, self.pairs)

@@ -24,7 +24,7 @@ from pincal.files.columns import (
 from pincal.files.corners import read_corners
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.files.pairs import related_columns, with_pairs
-from pincal.files.table import TextTable, is_dataframe, read_table
+from pincal.files.table import TextTable, is_dataframe, read_table, renamed
 from pincal.files.text import plain_number
 from pincal.model.checks import array_of, must_be
 from pincal.model.measurements import EVERY_LEG, VERIFY, Measurements, Noise, Plan
@@ -113,7 +113,7 @@ def read_measurements(
         expected = "Measurements, a CSV file or a DataFrame"
         must_be(source, (str, Path), "measurements", MeasurementError, expected)
     table = read_table(source) if pairs is None else with_pairs(source, pairs)
-    source, related = related_columns(table)
+    source, related = related_columns(renamed(table, setup.headers))
     setup = setup.of_rows({name: source.text[name] for name, unit in related.items() if not unit})
     further = setup.columns(mechanism)
     level = {"z": "m"} if platform.space == 2 and "z" not in further else {}

@@ -15,7 +15,7 @@ import zipfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import reduce
-from itertools import chain
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import escape
@@ -38,6 +38,13 @@ _BOOK_LINKS = "_rels/workbook.xml.rels"
 _SEPARATORS = {";": "semicolons", "\t": "tabs"}
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?", re.ASCII)
 _DECIMAL_POINT = re.compile(r"[-+]?\d*\.\d*(?:[eE][-+]?\d+)?", re.ASCII)
+_MOST_TITLES = 30  # rows above the headers
+_THOUSANDS = {
+    ",": re.compile(r"[-+]?\d{1,3}(,\d{3})+\.\d+", re.ASCII),
+    r"\.": re.compile(r"[-+]?\d{1,3}(\.\d{3})+,\d+", re.ASCII),
+    "['’ \u00a0\u202f]": re.compile(r"[-+]?\d{1,3}(['’ \u00a0\u202f]\d{3})+([.,]\d+)?", re.ASCII),
+}
+"""Separators of thousands, and numbers that have them for sure."""
 #: Files of other kinds, and what to make of them.
 _OTHER_KINDS = {".xls": ".xlsx", ".ods": ".xlsx", ".parquet": "CSV"}
 
@@ -257,7 +264,8 @@ def read_table(source: Any) -> TextTable:
             f"{path}: {suffix} files are not read; save the table as {_OTHER_KINDS[suffix]}"
         )
     text = read_text(path, LARGEST_FILE["table"], MeasurementError, pipe=True, otherwise="cp1252")
-    head = next((line for line in text.splitlines() if line.strip()), "")
+    begun = [line for line in text.splitlines() if line.strip()][:_MOST_TITLES]
+    head = next((line for line in begun if "[" in line), next(iter(begun), ""))
     separator = next((sign for sign in (",", *_SEPARATORS) if sign in head), ",")
     reader = csv.reader(io.StringIO(text, newline=""), strict=True, delimiter=separator)
     try:
@@ -272,11 +280,13 @@ def _of_rows(
 ) -> TextTable:
     """Return a table of numbered rows; cells separated by commas (None) have no decimal commas."""
     filled = ((n, row) for n, row in lines if any(cell.strip() for cell in row))
-    top, header = next(filled, (0, []))
-    if not header:
+    above = list(islice(filled, _MOST_TITLES))
+    if not above:
         raise MeasurementError(f"{path}: empty; expected a header line and rows")
+    titles = _titles([row for _, row in above])
+    top, header = above[titles]
     units, numbers, rows = _header(path, header, top, counted), [], []
-    for number, row in filled:
+    for number, row in chain(above[titles + 1 :], filled):
         if len(row) != len(header):
             raise MeasurementError(f"{path}{_uneven(row, number, header, top)}")
         rows.append(row)
@@ -284,6 +294,8 @@ def _of_rows(
     if not rows:
         raise MeasurementError(f"{path}: a header but no rows")
     notes = [separated] if separated else []
+    notes += [f"{titles} {counted}s above the headers skipped"] if titles else []
+    notes += ["thousands separators"] if _without_thousands(rows) else []
     notes += ["decimal commas"] if separated is not None and _with_points(rows) else []
     if notes:
         _log.info("%s: %s", path, ", ".join(notes))
@@ -364,6 +376,49 @@ def _sheet_cells(
             yield column, value.strip()
 
 
+def _titles(rows: Sequence[Sequence[str]]) -> int:
+    """Return how many rows stand above the headers: titles, which have no units, or one cell."""
+    headed = (n for n, row in enumerate(rows) if any(map(_HEADER.search, row)))
+    several = (n for n, row in enumerate(rows) if sum(bool(cell.strip()) for cell in row) > 1)
+    return next(headed, next(several, 0))
+
+
+def _without_thousands(rows: list[list[str]]) -> bool:
+    """Write 1234.5 for 1,234.5, 1234,5 for 1.234,5 and so on; return whether it was so."""
+    cells = [cell.strip() for row in rows for cell in row]
+    signs = [sign for sign, sure in _THOUSANDS.items() if any(map(sure.fullmatch, cells))]
+    for sign in signs:
+        grouped = re.compile(rf"[-+]?\d{{1,3}}({sign}\d{{3}})+([.,]\d+)?", re.ASCII)
+        for row in rows:
+            for place, cell in enumerate(row):
+                if grouped.fullmatch(cell.strip()):
+                    row[place] = re.sub(sign, "", cell)
+    return bool(signs)
+
+
+def renamed(table: TextTable, headers: Mapping[str, str]) -> TextTable:
+    """Return a table with columns of other programs under their names here, ``leg_1 [mm]``.
+
+    Without a unit they have that of their own header.
+
+    Raises:
+        MeasurementError: a column that the table does not have, or two of one name.
+    """
+    names = {name: (name, unit) for name, unit in table.units.items()}
+    for column, header in headers.items():
+        if column not in names:
+            raise MeasurementError(
+                f"{table.path}: no column {column!r}, which is to be {header!r}. The file has "
+                f"{', '.join(table.units)}"
+            )
+        name, _, unit = (part.strip() for part in header.partition("["))
+        names[column] = name, unit.removesuffix("]") or table.units[column]
+    if len(units := dict(names.values())) < len(names):
+        raise MeasurementError(f"{table.path}: two columns are called alike by {dict(headers)}")
+    text = {names[column][0]: cells for column, cells in table.text.items()}
+    return replace(table, units=units, text=text)
+
+
 def _with_points(rows: list[list[str]]) -> bool:
     """Write decimal points for decimal commas if no cell has points; return whether it was so."""
     cells = [cell.strip() for row in rows for cell in row]
@@ -378,7 +433,7 @@ def _with_points(rows: list[list[str]]) -> bool:
 
 def _uneven(row: list[str], line: int, header: list[str], top: int) -> str:
     """Return what is wrong with a row that is not as long as the header."""
-    if any(_HEADER.search(cell) for cell in row) or (len(header) == 1 and len(row) > 2):
+    if any(_HEADER.search(cell) for cell in row):
         return (
             f", line {top} is taken for the header ({', '.join(header)[:60]!r}), but line {line} "
             f"has {len(row)} cells; remove the lines above the header, or comments and titles"

@@ -29,6 +29,7 @@ def read_setup(source: Setup | str | Path) -> Setup:
         "distances": lambda part: {name: _distance(p) for name, p in part.pairs().items()},
         "contacts": lambda part: {name: _contact(p) for name, p in part.pairs().items()},
         "mark": Entry.name,
+        "columns": lambda part: {name: p.text() for name, p in part.pairs().items()},
         "tracker": lambda part: part.built(Tracker),
         "systematic": lambda part: part.built(Systematic),
         "corners": lambda part: str(path.parent / part.text()),
@@ -39,6 +40,7 @@ def read_setup(source: Setup | str | Path) -> Setup:
     with located(path, MeasurementError):
         values = read_yaml(path, MeasurementError).values(readers, ("pincal_setup",))
         unknown = values.pop("frame", "base") == "unknown"
+        values["headers"] = values.pop("columns", {})
         del values["pincal_setup"]
         boards, lenses = values.pop("boards", {}), values.pop("lenses", {})
         cameras = values.pop("cameras", {}).items()

@@ -317,6 +317,8 @@ class Setup:
     """By column: each row has the name of the point that is touched, or nothing."""
     mark: str = ORIGIN
     """Target that marks where rows stood, such as a pen, of distances between them."""
+    headers: Mapping[str, str] = field(default_factory=dict)
+    """Columns of other programs by their headers, as ``leg_1``, or ``leg_1 [mm]``."""
     instruments: tuple[Instrument, ...] = ()
     """Instruments of one's own, each with its columns and unknowns."""
     corners: str | None = None
