@@ -17,7 +17,7 @@ LINES = {
     "": 210,
     "architectures": 638,
     "calibration": 5_834,
-    "cli": 2_487,
+    "cli": 2_492,
     "design": 1_867,
     "estimation": 4_963,
     "files": 3_243,
@@ -26,7 +26,7 @@ LINES = {
     "kinematics": 3_644,
     "model": 3_582,
     "show": 3_965,
-    "symmetry": 1_374,
+    "symmetry": 1_393,
     "words": 863,
     "workspace": 1_594,
 }

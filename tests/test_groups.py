@@ -167,6 +167,24 @@ def test_rounded_hexapod_and_disturbed_deltas_have_groups() -> None:
         assert is_group(group)
 
 
+@pytest.mark.parametrize("digits", quick(1, [6, 5]))
+def test_parameters_written_with_few_digits_have_their_group(digits: int) -> None:
+    """Of so many digits each: D6, and poses of one leg serve all; a length off by 1e-3 is told."""
+    mechanism = pincal.load_mechanism("6UPS")
+    written = mechanism.with_parameters(
+        {
+            leg.name: {n: float(f"{v:.{digits}g}") for n, v in leg.nominal_by_name.items()}
+            for leg in mechanism.legs
+        }
+    )
+    assert pincal.symmetry_group(written).name == "D6"
+    poses = pincal.sample_workspace(written, 60, seed=0)
+    for protocol in ("symmetric", "orbits"):
+        assert len(pincal.select_poses(written, poses, 12, protocol, starts=1).plan)
+    off = written.with_parameters({"leg_2": {"OA": written.legs[1].nominal_by_name["OA"] + 1e-3}})
+    assert pincal.symmetry_group(off).name == "C1"
+
+
 def box_poses() -> np.ndarray:
     """Return poses near the middle of the box."""
     return np.random.default_rng(0).uniform(-1.0, 1.0, (60, 6)) * [1, 1, 0.5, 3, 0.1, 0.1] + [

@@ -83,8 +83,13 @@ def check(mech: Mech, options: TableOptions) -> None:
 def symmetry(
     mech: Mech,
     tolerance: Annotated[
-        float, typer.Option(min=0, help="Largest deviation, relative to its size or [rad].")
-    ] = 1e-6,
+        float | None,
+        typer.Option(
+            min=0,
+            help="Largest deviation, relative to its size or [rad]; default: 1e-6, or what the "
+            "digits leave that parameters were written with.",
+        ),
+    ] = None,
 ) -> None:
     """Find the symmetry group of a mechanism.
 

@@ -69,7 +69,7 @@ def _originals(platform: Platform, poses: Poses, readings: Array | None = None) 
     return originals
 
 
-_MAPPED = 1e-5  # part of rows that a change of parameters may leave: a group found within 1e-6
+_MAPPED = 10.0  # part of rows that a change of parameters may leave, times the group's tolerance
 
 
 @lru_cache(maxsize=64)
@@ -119,17 +119,17 @@ def carried_legs(
             by_reading.append(demand.jacobian.reshape(-1, n))
             whitened.append(leg_rows(demand, mechanism, noise).reshape(-1, n))
         for place, (name, element) in enumerate(zip(legs, carriers, strict=True)):
-            if not maps(by_reading[0], by_reading[place]):
+            if not maps(by_reading[0], by_reading[place], group.tolerance):
                 raise SymmetryError(
                     f"{element} carries {legs[0]} onto {name}, but not the parameters of one to "
                     "those of the other: their columns span other spaces. Give both the same set "
                     "of parameters, or choose poses for each leg alone (--protocol independent)"
                 )
-            carried[name] = legs[0], element, maps(whitened[0], whitened[place])
+            carried[name] = legs[0], element, maps(whitened[0], whitened[place], group.tolerance)
     return {name: carried[name] for name in mechanism.leg_names}
 
 
-def maps(first: Array, second: Array) -> bool:
+def maps(first: Array, second: Array, tolerance: float = 1e-6) -> bool:
     """Return whether rows, shape (N, n), are others times one constant matrix."""
     if first.shape != second.shape:
         return False
@@ -137,7 +137,7 @@ def maps(first: Array, second: Array) -> bool:
     scale[scale == 0.0] = 1.0
     M = np.linalg.lstsq(first / scale, second, rcond=1e-12)[0]
     misfit = np.linalg.norm(second - (first / scale) @ M, axis=0)
-    return bool((misfit <= _MAPPED * np.linalg.norm(second, axis=0)).all())
+    return bool((misfit <= _MAPPED * tolerance * np.linalg.norm(second, axis=0)).all())
 
 
 def smallest(group: SymmetryGroup) -> tuple[Element, ...]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from decimal import Decimal
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -177,20 +178,38 @@ class SymmetryGroup:
         return "\n".join((f"{self.name}: {', '.join(map(str, self.elements))}", *broken))
 
 
+_WITHIN, _WRITTEN, _ROUNDED = 1e-6, range(5, 9), 4.0  # tolerance; digits; times their rounding
+
+
+def written_within(mechanism: Mechanism) -> float:
+    """Return the tolerance that parameters leave which were written with 5 to 8 digits.
+
+    Relative to lengths of a metre, [rad] of angles: of four roundings, or 1e-6 if that is more. Of
+    fewer digits numbers are meant as they are.
+    """
+    values = [Decimal(repr(v)).normalize() for leg in mechanism.legs for v in leg.nominal.tolist()]
+    digits = max((len(v.as_tuple().digits) for v in values if v), default=0)
+    if digits not in _WRITTEN:
+        return _WITHIN
+    largest = max(v.adjusted() for v in values if v)
+    return max(_WITHIN, _ROUNDED * 0.5 * 10.0 ** (largest + 1 - digits))
+
+
 def symmetry_group(
-    mechanism: GivenMechanism, tolerance: float = 1e-6, *, readings: bool = True
+    mechanism: GivenMechanism, tolerance: float | None = None, *, readings: bool = True
 ) -> SymmetryGroup:
     """Return the symmetry group of a mechanism's nominal geometry, limits, modes and sensors.
 
     Args:
         mechanism: The mechanism.
         tolerance: Largest deviation, relative to the mechanism's size for lengths, [rad] for
-            angles.
+            angles; 1e-6 if not given, or what the digits leave that parameters were written with.
         readings: Whether readings follow too; if not, gains, offsets and zeros of sensors are not
             compared.
     """
-    tolerance = number_of(tolerance, "tolerance", SymmetryError)
-    return _group(as_mechanism(mechanism), tolerance, readings)
+    mechanism = as_mechanism(mechanism)
+    tolerance = written_within(mechanism) if tolerance is None else tolerance
+    return _group(mechanism, number_of(tolerance, "tolerance", SymmetryError), readings)
 
 
 @lru_cache(maxsize=64)
