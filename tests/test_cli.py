@@ -729,6 +729,14 @@ def test_identifiability_of_more_readings_than_freedoms() -> None:
     assert "cannot all be exact: --noise-reading 0.235mm is taken" in outcome.err
 
 
+def test_a_plan_without_a_coordinate_is_not_told_of_options_of_calibrate(work: Path) -> None:
+    """The column that is missing is named, and what takes poses measured in part."""
+    table("x [m],y [m]", "0,0")()
+    trouble = run("inverse", "3RRR", "t.csv", "-o", "o.csv").trouble
+    assert "no column 'phi'" in trouble
+    assert "per-leg" not in trouble
+
+
 def test_identifiability_of_a_plan_out_of_reach(work: Path) -> None:
     """A plan of which no pose is in reach is named as such, not blamed on what is measured."""
     table(POSES, "5,0,0")()

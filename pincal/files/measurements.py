@@ -205,8 +205,8 @@ def _poses(table: TextTable, mechanism: Mechanism, *, partial: bool) -> Array:
     if not partial and missing and len(missing) < len(units):
         raise MeasurementError(
             f"{table.path}: no column {missing[0]!r}; expected '{missing[0]} "
-            f"[{units[missing[0]]}]'; poses that were measured in part calibrate all legs together "
-            f"only (without --method per-leg). The file has {', '.join(table.units)}"
+            f"[{units[missing[0]]}]'; what was measured in part is for 'pincal calibrate', by all "
+            f"legs at once. The file has {', '.join(table.units)}"
         )
     poses = table.array(units, blank=partial, optional=partial)
     if way in (None, "tilt-torsion"):
