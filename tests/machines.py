@@ -5,10 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+import pincal
 from pincal import End, Follows, Joint, Leg, Mechanism, Placement, Platform, Sensor
+from pincal.files.urdf_writing import leg_links, leg_urdf
+from pincal.kinematics.configurations import joints_at
 from pincal.model.placement import Coordinate, placement_of
 
 Array = NDArray[np.float64]
@@ -408,3 +412,60 @@ MACHINES = {
     for make in (six_rods, tricept, ankle, four_bar, agile_eye, quattro, hexapod, upu, hybrid)
 }
 """Machines by their names."""
+
+
+def configurations(mechanism: Mechanism, count: int) -> pincal.Plan:
+    """Return poses and readings about home, by forward kinematics."""
+    home = np.concatenate([leg.home[leg.active] for leg in mechanism.legs])
+    turning = np.array([unit == "rad" for unit in mechanism.reading_units])
+    reach = np.where(turning, 0.25, 0.1 * mechanism.size)
+    shares = np.random.default_rng(3).uniform(-1.0, 1.0, (2 * count, len(home)))
+    for nearer in 0.5 ** np.arange(6):
+        readings = home + nearer * reach * shares
+        found = pincal.forward(mechanism, readings)
+        rows = np.flatnonzero(found.converged)[:count]
+        if len(rows) == count:
+            return pincal.Plan(found.poses[rows], readings=readings[rows])
+    raise ValueError(f"{mechanism.name} closes nowhere about home")
+
+
+def pinocchio_gap(mechanism: Mechanism, plan: pincal.Plan) -> float:
+    """Return how far ends are apart that Pinocchio places by URDFs of the legs, [m] and [rad]."""
+    matrices, gap = mechanism.platform.matrices(plan.poses), 0.0
+    joints = joints_at(mechanism, plan).joints
+    for leg in mechanism.legs:
+        model = pin.buildModelFromXML(leg_urdf(leg), mimic=True)
+        data, links = model.createData(), leg_links(leg)
+        for row, T_platform in enumerate(matrices):
+            q = pin.neutral(model)
+            for joint, value in zip(leg.moving, joints[leg.name][row], strict=True):
+                moved = model.joints[model.getJointId(joint.name)]
+                turn = (np.cos(value), np.sin(value))
+                q[moved.idx_q : moved.idx_q + moved.nq] = value if moved.nq == 1 else turn
+            pin.framesForwardKinematics(model, data, q)
+            for end in leg.every_end:
+                tip = data.oMf[model.getFrameId(links[leg.index(end.tip) + 1])].homogeneous
+                if isinstance(end.meets, str):
+                    met = data.oMf[model.getFrameId(links[leg.index(end.meets) + 1])].homogeneous
+                else:
+                    met = T_platform @ end.meets.placement.origin()
+                apart = np.linalg.inv(met) @ tip
+                turn = Rotation.from_matrix(apart[:3, :3]).as_rotvec()
+                rows = list(mechanism.platform.closing(end))
+                gap = max(gap, float(np.abs(np.concatenate((apart[:3, 3], turn))[rows]).max()))
+    return gap
+
+
+def standardised(mechanism: Mechanism, plan: pincal.Plan, sets: int) -> Array:
+    """Return squares of errors in all directions over their variances, shape (sets, n_params)."""
+    noise, squares = pincal.Noise(position=1e-5, orientation=1e-5, reading=1e-6), []
+    for seed in range(sets):
+        truth = pincal.disturb(mechanism, 1e-4, seed=seed)
+        data = pincal.simulate(mechanism, truth, plan, noise, seed=seed).measurements
+        result = pincal.calibrate(mechanism, data, noise=noise, folds=0)
+        true = {parameter.id: parameter.nominal for parameter in truth.parameters}
+        free = np.diag(result.parameter_covariance) > 0.0
+        errors = np.array([p.identified - true[p.id] for p in result.parameters])
+        values, axes = np.linalg.eigh(result.parameter_covariance[np.ix_(free, free)])
+        squares.append((axes.T @ errors[free]) ** 2 / values)
+    return np.array(squares)

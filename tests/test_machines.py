@@ -1,0 +1,47 @@
+"""Machines with closed loops: Pinocchio closes them, noise is propagated, commands work."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import done
+from machines import MACHINES, configurations, pinocchio_gap, standardised
+
+import pincal
+
+QUICK = ("hybrid", "ankle")
+
+
+@pytest.mark.parametrize(
+    "name",
+    [n if n in QUICK else pytest.param(n, marks=pytest.mark.slow) for n in MACHINES],
+)
+def test_pinocchio_closes_every_loop(name: str) -> None:
+    """At poses of readings all ends meet that Pinocchio places by URDFs of the legs, to 1e-9."""
+    mechanism = MACHINES[name]()
+    assert pinocchio_gap(mechanism, configurations(mechanism, 10)) < 1e-9
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["four_bar"])
+def test_errors_are_as_large_as_their_standard_errors(name: str) -> None:
+    """Errors of 20 sets, whitened by the covariance, are of unit variance: χ² within 4 σ."""
+    mechanism = MACHINES[name]()
+    squares = standardised(mechanism, configurations(mechanism, 24), 20)
+    assert abs(squares.mean() - 1.0) < 4.0 * np.sqrt(2.0 / squares.size)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["four_bar", "tricept"])
+def test_each_command_takes_machines_with_closed_loops(name: str, tmp_path: Path) -> None:
+    """Poses are chosen, simulated, calibrated, reported and viewed by one command each."""
+    MACHINES[name]().save(tmp_path / name)
+    plan, measured, result = (tmp_path / part for part in ("plan.csv", "measured.csv", "result"))
+    done("select", tmp_path / name, "-o", plan, "--count", 12, "--starts", 1)
+    done("simulate", tmp_path / name, plan, "-o", measured, "--noise-reading", "10um")
+    done("calibrate", tmp_path / name, measured, "-o", result)
+    assert (result / "report.html").stat().st_size > 10_000
+    done("view", tmp_path / name, result, "--html", tmp_path / "view.html")
+    assert pincal.load_mechanism(result).legs
