@@ -202,6 +202,9 @@ def test_a_platform_that_only_turns() -> None:
     turn = [u for u in found.external if u.unit == "rad"]
     assert all(abs(u.identified) < 5.0 * u.std < 1e-4 for u in turn)
     pincal.view(mechanism, poses[:2]).with_result(found)  # all axes meet in one point
+    candidates = pincal.Plan(poses, readings=readings)
+    chosen = pincal.select_configurations(mechanism, candidates, 12, goal="platform", noise=noise)
+    assert len(chosen.plan) == 12
     with pytest.raises(pincal.MeasurementError, match="only turns has none"):
         pincal.calibrate(mechanism, data, unknown_frame=True, **held)
 

@@ -100,7 +100,7 @@ def select_configurations(
         gain, units = seen_of(mechanism, legs.poses, legs.gain, frames)
         gain = gain[np.isfinite(gain).all(axis=(1, 2))]
         points = [leg.targets(np.eye(4)[None])[:, :3] for leg in nominal_legs(mechanism)]
-        radius = np.sqrt((np.concatenate(points) ** 2).sum(axis=1).mean())
+        radius = np.sqrt((np.concatenate(points) ** 2).sum(axis=1).mean()) or mechanism.size
         size = np.where([unit == "m" for unit in units], 1.0, radius)
         moved = (gain * size[:, None]).reshape(-1, n) / lengths[:n] @ axes[:rank, :n].T
         values, directions = np.linalg.eigh(moved.T @ moved)
