@@ -19,7 +19,7 @@ LINES = {
     "calibration": 5_834,
     "cli": 2_492,
     "design": 1_867,
-    "estimation": 4_963,
+    "estimation": 4_968,
     "files": 3_243,
     "formats": 3_615,
     "instruments": 1_480,

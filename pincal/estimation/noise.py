@@ -26,7 +26,7 @@ from pincal.types import Array, Index, Mask
 Freedoms = tuple[float, ...]
 Source = Literal["given", "rows", "repeats", "estimated"]
 _ENOUGH = 30  # rows that repeat others; fewer say less about the noise than the residuals do
-_MARKED = 1e-3  # of the least noise of a distance between rows: how well these mark a point
+_MARKED = 0.03  # of the least noise of a distance between rows: that of the point it is from
 _ASSUMED = 1e-4  # of the mechanism's size, and [rad]: where an estimate of the noise begins
 _ASSUMED_PIXEL = 0.5  # the same of pixels
 
@@ -336,12 +336,18 @@ def _sigmas_by_name(
 def _of_marks(
     data: Measurements, noise: Noise, setup: Setup, platform: Platform
 ) -> dict[str, Array]:
-    """Return how well rows mark a point: as distances between them have all the noise, exactly."""
-    none = np.full(1, noise.position)
-    sigmas = [data.sigma_extra.get(name, none) for name in setup.between]
-    least = float(np.nanmin(np.concatenate([*sigmas, [np.inf]])))
+    """Return the noise of distances between rows, (N,) each, a small share of it at the points.
+
+    Which rows mark: exact points beside exact readings would leave rows without noise.
+    """
+    usual = np.full(len(data), noise.position)
+    sigmas = {name: data.sigma_extra.get(name, usual) for name in setup.between}
+    marked = _MARKED * float(np.nanmin(np.concatenate([*sigmas.values(), [np.inf]])))
+    distances = {
+        name: np.sqrt(np.maximum(sigma**2 - marked**2, 0.0)) for name, sigma in sigmas.items()
+    }
     axes = setup.contact_axes(platform).get(ROW, [])
-    return dict.fromkeys(axes, np.full(len(data), _MARKED * least))
+    return dict.fromkeys(axes, np.full(len(data), marked)) | distances
 
 
 def target_positions(platform: Platform, data: Measurements, target: str) -> Array:
