@@ -563,7 +563,7 @@ def test_calibrate_writes_the_report(work: Path) -> None:
     steps = [block.text_content() for block in page.get_element_by_id("answers").iter("pre")]
     assert steps[:2] == [
         "pincal view 'a result'",
-        "pincal inverse 'a result' POSES.csv -o READINGS.csv",
+        "pincal deploy 'a result' -o CONTROLLER",
     ]
     assert outcome.out.splitlines()[-1] == f"next: {steps[0]}"
     typed = page.get_element_by_id("reproduction").find(".//pre").text_content()

@@ -191,15 +191,14 @@ def next_steps(
 
 
 def _uses(result: CalibrationResult, folder: str) -> list[str]:
-    target = "-o CALIBRATED.xml"
-    if result.nominal.by_readings and len(result.legs) == 1:
-        target = "--original ROBOT.urdf -o CALIBRATED.urdf"
+    view, inverse = f"pincal view {folder}", f"pincal inverse {folder} POSES.csv -o READINGS.csv"
+    deploy = f"pincal deploy {folder} -o CONTROLLER"
     with suppress(MechanismError):
         delta_printer(result.identified)
-        target = "-o printer.cfg"
-    export, view = f"pincal export {folder} {target}", f"pincal view {folder}"
-    inverse = f"pincal inverse {folder} POSES.csv -o READINGS.csv"
-    return [view, inverse, export] if target.endswith("xml") else [export, view, inverse]
+        return [f"pincal export {folder} -o printer.cfg", view, inverse]
+    if result.nominal.by_readings and len(result.legs) == 1:
+        return [f"pincal export {folder} --original ROBOT.urdf -o CALIBRATED.urdf", view, deploy]
+    return [view, deploy, inverse]
 
 
 def command_block(step: str) -> Markup:
