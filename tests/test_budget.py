@@ -22,7 +22,7 @@ LINES = {
     "estimation": 4_968,
     "files": 3_243,
     "formats": 3_615,
-    "instruments": 1_480,
+    "instruments": 1_481,
     "kinematics": 3_644,
     "model": 3_582,
     "show": 3_965,

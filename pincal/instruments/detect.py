@@ -49,6 +49,7 @@ _SIDE = 480  # of a small picture [px]
 #: Beyond which a corner is doubtful: misfit of its grey values over its contrast, contrast over the
 #: range of grey values, standard deviation [px], blur over half the window.
 _MISFIT, _CONTRAST, _SIGMA, _BLUR = 0.12, 0.04, 0.3, 0.5
+_MODEL = 0.003  # [px] what is missed without noise: pixels are squares, lenses bend edges
 _MUCH = 2.0  # times the usual blur, from which a photo is left out
 _SHARP = 1.5  # [px] blur that leaves no photo out
 
@@ -369,7 +370,7 @@ class _Corners:
         freedoms = np.maximum(w.sum(axis=1) - 7, 1.0)
         variance = cost / freedoms * _alike(r.reshape(n, self.side, self.side))
         inverse = np.linalg.pinv(normal, rcond=1e-12, hermitian=True)
-        sigma = np.sqrt(variance * (inverse[:, 0, 0] + inverse[:, 1, 1]) / 2)
+        sigma = np.sqrt(variance * (inverse[:, 0, 0] + inverse[:, 1, 1]) / 2 + _MODEL**2)
         moved, blur = np.hypot(x[:, 0], x[:, 1]), np.exp(x[:, 4])
         contrast = np.abs(x[:, 6])
         misfit = np.sqrt(cost / freedoms) / np.maximum(contrast, 1e-9)
