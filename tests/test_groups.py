@@ -358,3 +358,26 @@ def test_groups_do_not_depend_on_how_frames_are_drawn(name: str) -> None:
     group = pincal.symmetry_group(replace(mechanism, legs=tuple(redrawings)))
     assert (group.name, group.permutations) == (own.name, own.permutations)
     assert group.equivariance(workspace(name, 40)) < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("name", "seed"),
+    quick(1, [("delta", 0), ("6RUS", 1), ("box", 2), ("6PUS", 3), ("3RPS", 4), ("4cable", 5)])
+    + [
+        pytest.param(name, seed, marks=pytest.mark.fuzz)
+        for name in ("delta", "3PUU", "linear_delta", "6RUS", "6UPS", "6PUS", "3RPS", "4cable")
+        for seed in range(10, 72)
+    ],
+)
+def test_random_drawings_have_the_group(name: str, seed: int) -> None:
+    """Random frames of base, platform and every joint, axes and constant turns: the same group."""
+    plain = cable_box() if name == "box" else pincal.load_mechanism(name)
+    rng = np.random.default_rng(seed)
+    redrawings = tuple(redrawn(leg, rng) for leg in plain.legs)
+    drawn = replace(plain, legs=redrawings, load=None, cables=None)
+    group = pincal.symmetry_group(moved(drawn, *random_motion(drawn.platform, rng)))
+    expected = pincal.symmetry_group(plain)
+    assert (group.name, sorted(group.permutations)) == (
+        expected.name,
+        sorted(expected.permutations),
+    )
