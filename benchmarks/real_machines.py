@@ -47,11 +47,20 @@ def arm(folder: str, urdf: str, tip: str, table: str, setup: str | None) -> Set:
     return machine, data, how
 
 
+def positions(name: str) -> Set:
+    """Return a set of poses as one of positions alone."""
+    machine, data, how = SETS[name]()
+    poses = data.poses.copy()
+    poses[:, 3:] = np.nan
+    return machine, replace(data, poses=poses), how
+
+
 SETS: dict[str, Callable[[], Set]] = {
     "motoman_left": lambda: (motoman.mechanism("left"), motoman.measurements("left"), FRAME),
     "motoman_right": lambda: (motoman.mechanism("right"), motoman.measurements("right"), FRAME),
     "irb120_60": lambda: arm("irb120_60", "irb.urdf", "tool0", "ice60.csv", "ice.yaml"),
     "iiwa7": lambda: arm("iiwa7", "iiwa.urdf", "flange", "iiwaL.csv", None),
+    "iiwa7_positions": lambda: positions("iiwa7"),
     "tiago": lambda: arm("tiago", "", "tiago", "tiago.csv", "tiago.yaml"),
 }
 
@@ -107,7 +116,7 @@ def main() -> None:
     heads = "least squares | default | with gravity | converged | promised over seen | longest"
     print(f"| set | {heads} |\n|---|---|---|---|---|---|---|")
     for name in given.only:
-        if (motoman.DATA / name).is_dir():
+        if (motoman.DATA / name.removesuffix("_positions")).is_dir():
             print(line(name, given.splits), flush=True)
 
 

@@ -18,11 +18,16 @@ import pincal
 
 FRAME = pincal.Setup(unknown_frame=True)
 TARGET = pincal.Setup(unknown_frame=True, targets={"platform": pincal.Target(unknown=True)})
+TIP = pincal.Setup(
+    targets={"tip": pincal.Target((0.05, 0.0, 0.05))},
+    contacts={"socket": pincal.Contact(dict.fromkeys("ABC"), "tip")},
+)
 WAYS: dict[str, dict[str, Any]] = {
     "plain": {},
     "noise estimated": {"noise": None},
     "frame": {"setup": FRAME},
     "frame and target": {"setup": TARGET},
+    "contacts": {"setup": TIP},
     "per leg": {"method": "per-leg"},
     "rejecting": {"loss": "reject"},
     "tolerance": {"tolerance": {"m": 1e-3, "rad": 1e-3}},
@@ -58,8 +63,11 @@ def measured(name: str, setup: pincal.Setup) -> tuple[pincal.Mechanism, pincal.M
     else:
         machine = heavy(pincal.load_mechanism(name))
         plan = pincal.sample_configurations(machine, 60, 0)
+    if setup.contacts:
+        plan = pincal.sample_contacts(machine, setup, 600)[0]
+        plan = plan.rows(np.arange(len(plan)) < 60)
     truth = pincal.disturb(machine, 1e-3, 1)
-    data = pincal.simulate(machine, truth, plan, NOISE, 0).measurements
+    data = pincal.simulate(machine, truth, plan, NOISE, 0, setup).measurements
     data = replace(data, influences={"temperature": np.linspace(15.0, 25.0, len(data))})
     return machine, seen_from_elsewhere(machine, data) if setup.unknown_frame else data
 
