@@ -25,7 +25,7 @@ LINES = {
     "instruments": 1_481,
     "kinematics": 3_644,
     "model": 3_582,
-    "show": 3_965,
+    "show": 3_967,
     "symmetry": 1_393,
     "words": 863,
     "workspace": 1_594,

@@ -323,7 +323,8 @@ def test_distances_from_plan_to_report(tmp_path: Path) -> None:
     half.write_text("\n".join(map(",".join, cells)))
     for table in (measured, half):
         out = done("calibrate", bar, table, *noise, "-o", tmp_path / "result", "--force").out
-        assert "frames aligned" in out
+        assert "best-fit frames" in out
+        assert "touched" not in out
         result = pincal.load_result(tmp_path / "result")
         assert [part.name for part in result.observed] == ["distance"]
         assert result.validation is not None

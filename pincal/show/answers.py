@@ -260,7 +260,9 @@ def touched_line(result: CalibrationResult) -> list[str]:
     rows: dict[str, int] = {}
     for point in result.options.setup.touched:
         blocks = [b for b in result.observed if b.name.rpartition("_")[0] == point]
-        rows[point] = max((len(block.rows) for block in blocks), default=0)
+        if not blocks:  # where a row stood, from which others are measured
+            continue
+        rows[point] = max(len(block.rows) for block in blocks)
         missed[point] = float(np.sqrt(sum(block.rms_after**2 for block in blocks)))
     if not rows:
         return []
