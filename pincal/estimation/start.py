@@ -111,19 +111,23 @@ def _outside_started(problem: Problem, state: State) -> State:
     if not theirs.any():
         return state
 
-    lengths_of_rows = _arms(problem, seen.units, by_pose)
+    arms, usual = _arms(problem, seen.units, by_pose), _CLOSES * problem.size
+    roughly = np.flatnonzero(theirs & np.isfinite(outside.priors))
+    by_prior = usual / outside.priors[roughly, None] * by_free[roughly]
+    nominal = outside.coordinates(outside.start)[roughly]
 
     def missed(values: Array) -> Array:
         moved = outside.moved(external, by_free @ values)
-        return (lengths_of_rows * seen.residuals(matrices, moved)[0]).ravel()
+        far = (outside.coordinates(moved)[roughly] - nominal) / outside.priors[roughly]
+        return np.append(arms * seen.residuals(matrices, moved)[0], usual * far)
 
     def slopes(values: Array) -> Array:
-        moved = outside.moved(external, by_free @ values)
-        rows = seen.residuals(matrices, moved)[2][:, :, theirs]
-        return (lengths_of_rows[:, None] * rows).reshape(-1, by_free.shape[1])
+        rows = seen.residuals(matrices, outside.moved(external, by_free @ values))[2]
+        J = (arms[:, None] * rows[:, :, theirs]).reshape(-1, by_free.shape[1])
+        return np.concatenate((J, by_prior))
 
     values = np.zeros(by_free.shape[1])
-    how = {"x_scale": "jac", "f_scale": _CLOSES * problem.size}
+    how = {"x_scale": "jac", "f_scale": usual}
     for loss in ("linear", "soft_l1") if contacts or seen.setup.pixels else ("linear",):
         values = least_squares(missed, values, slopes, loss=loss, **how).x
     return replace(state, external=outside.moved(external, by_free @ values))
