@@ -274,6 +274,35 @@ def test_command_calibrates_by_a_camera(folder: Path) -> None:
     assert "main.fx" in str(result)
 
 
+def test_what_a_camera_cannot_see_is_not_planned() -> None:
+    """Simulated pixels are those of true poses, NaN where not seen; forecasts leave these out.
+
+    A wider lens sees all points; nobody can tell of a camera at an unknown place.
+    """
+    home, rng = pincal.load_mechanism("6UPS").platform.home, np.random.default_rng(0)
+    true, plan = _camera(), pincal.Plan(home + 0.05 * rng.uniform(-1.0, 1.0, (12, 6)))
+    near = replace(true, lens=replace(true.lens, centre=(-40.0, 590.0)))  # a part is off the image
+    setup, noise = pincal.Setup(instruments=(near,)), pincal.Noise(pixel=1e-9)
+    data = pincal.simulate("6UPS", "6UPS", plan, noise, setup=setup).measurements
+    pixels = _pixels(
+        near, pincal.load_mechanism("6UPS").platform.transforms(plan.poses).as_matrix()
+    )
+    inside = {name: pixels[f"{name[:-1]}u"] > -0.5 for name in pixels}
+    assert 0.0 < np.mean([*inside.values()]) < 1.0
+    for name, values in data.extra.items():
+        wanted = np.where(inside[name], pixels[name], np.nan)
+        np.testing.assert_allclose(values, wanted, atol=1e-6)
+    assert np.isnan(data.poses).all()
+    errors = []
+    for camera in (near, true):
+        seen = pincal.Setup(instruments=(camera,))
+        forecast = pincal.forecast("6UPS", plan, pincal.Noise(pixel=0.1), [*camera.columns], seen)
+        errors.append(forecast.platform_error(plan).position)
+    assert errors[0] > errors[1]
+    with pytest.raises(pincal.MeasurementError, match="say that roughly"):
+        pincal.forecast("6UPS", plan, setup=pincal.Setup(instruments=(_unknown(true),)))
+
+
 def test_rows_turned_are_rows_whitened() -> None:
     """Of rows with noise of their own, turned or not: the same squares, products, and steps."""
     rng = np.random.default_rng(0)

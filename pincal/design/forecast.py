@@ -101,6 +101,7 @@ def information_rows(
     data = Measurements(poses=coordinates, readings=readings, extra=columns, contacts=legs.contacts)
     observation = Observation(mechanism, data, setup)
     start = observation.at_touch(matrices, observation.external.start)
+    observation = observation.visible(matrices, start)
     chosen = [observation.names.index(name) for name in names]
     value, *slopes = observation.residuals(matrices, start)
     by_pose, by_external = (rows[:, chosen] for rows in slopes)

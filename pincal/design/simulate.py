@@ -89,7 +89,8 @@ def simulate(
     """Return what a measurement of the true mechanism at planned poses would give.
 
     With contacts, the true mechanism is led until its targets touch, and no pose is measured, nor
-    is it with distances between rows. Instruments are where their nominal values say.
+    is it with distances between rows, or cameras. Instruments are where their nominal values say;
+    points that a camera does not see from there are NaN.
 
     Args:
         mechanism: The nominal mechanism, which commands the poses.
@@ -126,7 +127,7 @@ def simulate(
     # One draw for each planned pose, so that a lost pose does not shift the others' noise.
     pose_noise = noise.of_poses(mechanism) * rng.standard_normal((count, platform.dof))
     reading_noise = noise.reading * rng.standard_normal((count, len(mechanism.reading_names)))
-    shown = np.nan if setup.contacts else platform.moved(measured.poses, pose_noise[rows])
+    shown = np.nan if setup.frameless else platform.moved(measured.poses, pose_noise[rows])
     extra, units = _observed(truth, measured, setup), setup.columns(mechanism)
     for name in extra:
         sigma = noise.of_unit(units[name])
@@ -154,6 +155,7 @@ def _observed(truth: Mechanism, plan: Plan, setup: Setup) -> dict[str, Array]:
     data = Measurements(poses=plan.poses, readings=readings, extra=zeros, contacts=plan.contacts)
     observation, matrices = Observation(truth, data, setup), truth.platform.matrices(plan.poses)
     external = observation.at_touch(matrices, observation.external.start)
+    observation = observation.visible(matrices, external)
     values = observation.residuals(matrices, external)[0]
     values = np.where(observation.measured, values, np.nan).T
     return {name: values[observation.names.index(name)] for name in columns}

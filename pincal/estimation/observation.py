@@ -207,6 +207,21 @@ class Observation:
             orientations=np.where(oriented, self.orientations, np.eye(3)),
         )
 
+    def visible(self, matrices: Array, external: External) -> Observation:
+        """Return the observation with nothing measured that cameras do not see at poses.
+
+        Poses are ``T_base_platform``, shape (N, 4, 4).
+        """
+        measured, poses, end = self.measured.copy(), external.frame @ matrices, len(self.names)
+        begin = end - self.conditions.shape[1]
+        pairs = zip(self.setup.instruments, self.external.of_instruments, strict=True)
+        for instrument, places in pairs:
+            end = begin + len(instrument.columns)
+            if visible := getattr(instrument, "visible", None):
+                measured[:, begin:end] &= visible(poses, external.instruments[places])
+            begin = end
+        return self._with(measured=measured)
+
     def at(self, rows: Index) -> Observation:
         """Return the observation at some rows."""
         arrays = ("measured", "orientations", "_values", "_angles", "_follow_turn", "conditions")

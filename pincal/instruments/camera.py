@@ -273,7 +273,15 @@ class Camera:
         """Return which columns it could measure at poses, shape (N, r).
 
         Of points in its image, in focus, that are seen from the side on which they are printed.
+
+        Raises:
+            MeasurementError: nobody said where it is.
         """
+        if self.rotation is None or self.at is None:
+            raise MeasurementError(
+                f"what camera {self.name!r} would see depends on where it is; say that roughly: "
+                "'at', and 'towards' or 'rotation'"
+            )
         place, lens, on_holder, *_ = self._parts(values)
         T, _, moved = self._carried(poses, values)
         R, ray = _matrix(place)[:3, :3], moved - place[:3]
