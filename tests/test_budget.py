@@ -22,7 +22,7 @@ LINES = {
     "estimation": 4_987,
     "files": 3_243,
     "formats": 3_615,
-    "instruments": 1_489,
+    "instruments": 1_495,
     "kinematics": 3_644,
     "model": 3_582,
     "show": 3_967,

@@ -63,7 +63,7 @@ class Markers:
         error, label = MeasurementError, f"markers {self.name!r}"
         points = dict(must_be(self.points, Mapping, f"points of {label}", error))
         if not points:
-            raise error(f"{label} have no points; name those that a camera sees")
+            raise MeasurementError(f"{label} have no points; name those that a camera sees")
         for name, point in points.items():
             if point is not None:
                 where = f"point {name!r} of {label}"
@@ -74,7 +74,9 @@ class Markers:
             object.__setattr__(self, name, tuple(values.tolist()))
         for name in ("tolerance", "scale"):
             if not 0.0 <= number_of(getattr(self, name), f"{name} of {label}", error) < np.inf:
-                raise error(f"the {name} of {label} is {getattr(self, name)}; expected 0 or more")
+                raise MeasurementError(
+                    f"the {name} of {label} is {getattr(self, name)}; expected 0 or more"
+                )
 
     @cached_property
     def priors(self) -> dict[str, float]:
@@ -174,7 +176,7 @@ class Camera:
         if self.towards is not None and self.rotation is None and self.at is not None:
             object.__setattr__(self, "rotation", _looking(self.at, self.towards))
         if self.known and (self.at is None or self.rotation is None):
-            raise error(
+            raise MeasurementError(
                 f"camera {self.name!r}: its place is known, and not said; give 'at', and 'towards' "
                 "or 'rotation'"
             )

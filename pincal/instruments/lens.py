@@ -65,18 +65,22 @@ class Lens:
         error = MeasurementError
         size = tuple(count_of(side, "size of an image [px]", error, 1) for side in self.size)
         if len(size) != 2:
-            raise error(f"size of an image is {self.size!r}; expected width and height in px")
+            raise MeasurementError(
+                f"size of an image is {self.size!r}; expected width and height in px"
+            )
         focal = _USUAL_FOCAL * max(size) if self.focal is None else self.focal
         pair = (focal, focal) if np.ndim(focal) == 0 else focal
         f = array_of(pair, (2,), "focal length [px]", error)
         if not (f > 0.0).all():
-            raise error(f"the focal length of lens {self.name!r} is {self.focal}; it is above 0")
+            raise MeasurementError(
+                f"the focal length of lens {self.name!r} is {self.focal}; it is above 0"
+            )
         middle = [(side - 1) / 2 for side in size] if self.centre is None else self.centre
         known = self.distortion is not None or not self.unknown
         usual = () if known else (0.0,) * (4 if self.fisheye else 5)
         d = usual if self.distortion is None else self.distortion
         if len(d) not in _COUNTS[must_be(self.fisheye, bool, "fisheye of a lens", error)]:
-            raise error(
+            raise MeasurementError(
                 f"lens {self.name!r} has {len(d)} coefficients of distortion; expected "
                 f"{' or '.join(map(str, _COUNTS[self.fisheye]))}, in OpenCV's order "
                 f"{', '.join(FISHEYE if self.fisheye else PLANE)}"
@@ -94,7 +98,7 @@ class Lens:
             sigmas = dict.fromkeys(self.names, np.inf) if sigmas else {}
         for name, sigma in must_be(sigmas, Mapping, "unknown of a lens", error).items():
             if name not in self.names or not sigma > 0.0:
-                raise error(
+                raise MeasurementError(
                     f"unknown of lens {self.name!r}: {name}: {sigma}; expected standard deviations "
                     f"above 0 of some of {', '.join(self.names)}"
                 )
