@@ -155,10 +155,9 @@ def check_printer(
 
 
 def read_printer_cfg(path: Path) -> None:
-    printer, heights, readings = read_klipper(path)
-    assert np.isfinite(heights).all()
-    assert np.isfinite(readings).all()
-    assert readings.shape == (len(heights), 3)
+    printer, probed = read_klipper(path)
+    assert np.isfinite(probed.readings).all()
+    assert probed.readings.shape == (len(probed), 3)
     check_printer(printer, path, write_klipper, lambda p: read_klipper(p)[0])
 
 

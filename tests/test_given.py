@@ -109,5 +109,5 @@ def test_tables_of_poses_measured_in_part_are_read_as_the_command_reads_them(tmp
     ]
     left = 30 * 2 - 1 - 23  # how the platform frame is turned is a choice
     assert results[0].degrees_of_freedom == results[1].degrees_of_freedom == left
-    with pytest.raises(pincal.MeasurementError, match="all legs together only"):
+    with pytest.raises(pincal.MeasurementError, match="all legs at once"):
         pincal.calibrate(three, frame, noise=noise, method="per-leg")

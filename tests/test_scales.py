@@ -70,7 +70,7 @@ def test_what_is_assumed_counts_where_residuals_say_little() -> None:
     noise = NOISES["readings too"]
     one = fit_at(noise)
     moments = Moments.of([one], noise.reading)
-    sizes, units = pincal.Noise(1.0, 2.0, 3.0), pincal.Noise(1.0, 1.0, 1.0)
+    sizes, units = pincal.Noise(1.0, 2.0, 3.0, pixel=0.0), pincal.Noise(1.0, 1.0, 1.0)
     before = assumed_information(sizes, units, moments.scale, exact=True)
     little = replace(moments, F=1e-9 * moments.F, q=1e-9 * moments.q).variances(before)
     assert little[0] == pytest.approx(4.0 * little[1], rel=1e-6)
@@ -88,7 +88,7 @@ def test_no_variance_is_below_zero() -> None:
     noise = NOISES["readings too"]
     one = fit_at(noise)
     moments = Moments.of([one], noise.reading)
-    units = pincal.Noise(1.0, 1.0, 1.0)
+    units = pincal.Noise(1.0, 1.0, 1.0, pixel=0.0)
     before = assumed_information(units, units, moments.scale, exact=True)
     for negative in range(3):
         own = np.where(np.arange(3) == negative, -1.0, 1.0)

@@ -14,7 +14,7 @@ GROUPS = {
     "Measurements": "Measurements Noise Setup Target Distance Contact Tracker Systematic "
     "Camera Lens Markers Instrument Image",
     "Calibration": "calibrate Options Loss CalibrationResult load_result explain "
-    "Explanation corrections Corrections",
+    "Explanation corrections Corrections deploy",
     "Simulation": "disturb simulate accuracy",
     "Pictures": "picture view",
     "Errors": "PincalError MechanismError MeasurementError ObservabilityError SymmetryError "

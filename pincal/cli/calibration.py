@@ -101,7 +101,8 @@ class InputOptions(SetupOptions):
                 "with the other "
                 "noise options, or none of them (the scale is then estimated)"
             )
-        return Noise(*(sigma or 0.0 for sigma in sigmas.values()))
+        position, orientation, reading, pixel = (sigma or 0.0 for sigma in sigmas.values())
+        return Noise(position, orientation, reading, pixel or Noise.pixel)  # nobody sees by 0 px
 
 
 @dataclass(frozen=True)

@@ -49,7 +49,7 @@ _SIDE = 480  # of a small picture [px]
 #: Beyond which a corner is doubtful: misfit of its grey values over its contrast, contrast over the
 #: range of grey values, standard deviation [px], blur over half the window.
 _MISFIT, _CONTRAST, _SIGMA, _BLUR = 0.12, 0.04, 0.3, 0.5
-_MODEL = 0.003  # [px] what is missed without noise: pixels are squares, lenses bend edges
+_MODEL = 0.002  # [px] what is missed without noise: pixels are squares, lenses bend edges
 _MUCH = 2.0  # times the usual blur, from which a photo is left out
 _SHARP = 1.5  # [px] blur that leaves no photo out
 

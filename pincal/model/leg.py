@@ -247,6 +247,8 @@ class Leg:
         free = [i for i in range(len(self.moving)) if i not in self.active]
         shares = np.random.default_rng(0).uniform(-1.0, 1.0, (_PLACES, len(self.moving)))
         motions = self._motions(self.home + _ABOUT * shares * self.scales) * self.scales / self.size
+        if not np.isfinite(motions).all():  # no home
+            return idle
         while free and np.linalg.matrix_rank(motions[:, :, free], tol=_IDLE).max() < len(free):
             still = int(np.abs(np.linalg.svd(motions[0, :, free].T)[2][-1]).argmax())
             idle.append(self.moving[free.pop(still)].name)

@@ -51,6 +51,13 @@ def deploy(
         MechanismError: terms that no file can hold.
         MeasurementError: a result that did not converge.
         FileError: the folder exists, or cannot be written.
+
+    Example:
+        >>> import pincal, pathlib, tempfile
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     pincal.deploy("5R", folder + "/controller")
+        ...     sorted(path.name for path in pathlib.Path(folder, "controller").iterdir())
+        ['commanding.md', 'geometry.csv', 'kinematics.py', 'machine_5r.h']
     """
     if isinstance(machine, str | Path) and (Path(machine) / RESULT).is_file():
         machine = load_result(machine)

@@ -158,6 +158,14 @@ def sample_contacts(
 
     Raises:
         WorkspaceError: a setup without contacts, or a point that is out of reach.
+
+    Example:
+        >>> import pincal
+        >>> sockets = pincal.Contact({"A": (0.02, 0.0, 1.8), "B": None})
+        >>> setup = pincal.Setup(contacts={"socket": sockets})
+        >>> plan, planned = pincal.sample_contacts("6UPS", setup, 40)
+        >>> sorted(set(plan.contacts["socket"])), planned.contacts["socket"].points["B"] is None
+        (['A', 'B'], False)
     """
     mechanism, setup = as_mechanism(mechanism), read_setup(setup)
     platform, planned = mechanism.platform, sample_configurations(mechanism, count, seed)
