@@ -414,7 +414,7 @@ def test_sockets_from_plan_to_report(tmp_path: Path) -> None:
     chosen = [line.rpartition(",")[2] for line in (tmp_path / "chosen.csv").read_text().split()]
     assert {*chosen[-35:]} == {*SOCKETS}
     report = done("calibrate", tmp_path / "arm", measured, "--setup", file, *noise, "-o", result)
-    assert "frames and scale aligned" in " ".join(report.out.split())
+    assert "best-fit frames and scale" in " ".join(report.out.split())
     assert "touched: 3 points in 42 rows" in report.out
     loaded_result = pincal.load_result(result)
     drawn = calibrated(scene(robot, pincal.Plan(loaded_result.poses)), loaded_result).layers

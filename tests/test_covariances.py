@@ -326,7 +326,7 @@ def test_a_tracker_s_covariances_reach_the_bound() -> None:
 
 @pytest.mark.slow
 def test_limits_are_kept_when_each_instrument_has_its_own_scale() -> None:
-    """Of 20,000 platforms 95 % stay below the limit; where nothing is said of the scale, few.
+    """Of 20,000 platforms 95 % stay below the limit; where nothing is said of the scale, fewer.
 
     They are drawn by the efficient estimate's maps of noise and scale, which the fits follow.
     Limits go with χ², which is independent of the estimate: means over six sets of each case.
@@ -360,7 +360,7 @@ def test_limits_are_kept_when_each_instrument_has_its_own_scale() -> None:
             limit = result.expected_error(poses[inside]).limit[0]
             shares.append((np.sqrt((missed**2).sum(axis=2).mean(axis=1)) <= limit).mean())
     assert 0.94 <= np.mean(kept[3e-4]) < 0.985
-    assert np.mean(kept[0.0]) < 0.6
+    assert np.mean(kept[0.0]) < 0.75
 
 
 def test_a_tracker_says_nothing_of_other_noise() -> None:
