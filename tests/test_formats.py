@@ -375,7 +375,7 @@ def test_a_printer_is_calibrated_from_its_configuration(tmp_path: Path) -> None:
     assert "radius and arm of 3 legs are weakly determined together" in flat
     said = done("export", result, "-o", new)
     assert "the printer's origin is at" in said.err
-    ways = 1e3 * read_klipper(path)[2]
+    ways = 1e3 * read_klipper(path)[1].readings
     before = nozzle(as_klipper(write_klipper(delta_printer(pincal.load_mechanism(printer)))), ways)
     after = nozzle(as_klipper(new.read_text()), ways)
     assert np.abs(before[:, 2]).max() > 0.3
