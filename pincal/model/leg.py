@@ -190,10 +190,12 @@ class Leg:
     Share(10.0, 20.0), of="temperature"))``; the amplitude is a parameter too."""
     ends: tuple[End, ...] = ()
     """Further ends of a tree, beside that of the last joint."""
+    settled: bool = field(default=False, compare=False, repr=False)
+    """Whether joints that move no end were looked for: corrections of parameters free none."""
 
     def __post_init__(self) -> None:
         check_leg(self)
-        if idle := self._idle():
+        if not self.settled and (idle := self._idle()):
             joints = tuple(
                 joint.fixed_at(joint.position(self.homes))
                 if joint.kind != "fixed" and joint.leader.joint in idle
@@ -527,6 +529,7 @@ class Leg:
             point=moved(self.point),
             ends=tuple(end.moved(moved) for end in self.ends),
             parameters=tuple(new.items()),
+            settled=True,
         )
 
     def with_limits(self, limits: Mapping[str, tuple[float, float]]) -> Leg:
