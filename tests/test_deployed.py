@@ -120,6 +120,20 @@ def test_a_folder_for_the_controller(tmp_path: Path) -> None:
         pincal.deploy(result, tmp_path / "controller")
 
 
+def test_what_is_not_determined_has_no_standard_error(tmp_path: Path) -> None:
+    """Three poses of a five-bar: rods have no ±, and the page says that no limit is stated."""
+    robot = pincal.load_mechanism("5R")
+    plan, truth = pincal.Plan(workspace("5R", 3)), pincal.disturb(robot, 1e-3, seed=1)
+    data = pincal.simulate(robot, truth, plan, pincal.Noise(1e-5), seed=1).measurements
+    result = pincal.calibrate(robot, data, noise=pincal.Noise(1e-5))
+    assert np.isinf(result["leg_1.L"].std)
+    pincal.deploy(result, tmp_path / "controller")
+    sheet = (tmp_path / "controller/geometry.csv").read_text().splitlines()
+    (length,) = [line for line in sheet if line.startswith("leg_1,rod length,")]
+    assert length.split(",")[4] == ""
+    assert "states no limit" in (tmp_path / "controller/commanding.md").read_text()
+
+
 def test_terms_that_no_file_can_hold_are_refused(tmp_path: Path) -> None:
     """A term that is a function of the user's own; the message names what makes up for it."""
     robot = pincal.load_mechanism("5R")

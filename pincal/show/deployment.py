@@ -65,18 +65,22 @@ def deploy(
     if result is not None and not result.converged:
         raise MeasurementError("the fit did not converge, so there is no machine to deploy")
     wanted = Deployed(as_mechanism(machine)) if result is None else _deployed(result)
-    covariances = None if result is None else _covariances(result)
+    uncertain = None if result is None else _uncertain(result)
     mechanism = wanted.mechanism
     prefix = re.sub(r"[^a-z0-9]", "_", mechanism.name.lower())
     prefix = f"machine_{prefix}" if prefix[:1].isdigit() else prefix
     files = {"kinematics.py": python_file(wanted), f"{prefix}.h": c_header(wanted, prefix)}
     with suppress(MechanismError):  # another machine than it is for
         files[LINUXCNC] = genhexkins(mechanism)
-    files[HOW_TO] = _how_to(wanted, prefix, result is not None, LINUXCNC in files)
+    source = "the mechanism as drawn"
+    if result is not None:
+        unsure = ", which states no limit of its error: see its report" * (not result.promises)
+        source = f"a calibration{unsure}"
+    files[HOW_TO] = _how_to(wanted, prefix, source, LINUXCNC in files)
     with writing(folder, force=force, folder=(*files, SHEET)) as scratch:
         for name, text in files.items():
             (scratch / name).write_text(text, "utf-8")
-        write_table(scratch / SHEET, geometry_sheet(mechanism, covariances))
+        write_table(scratch / SHEET, geometry_sheet(mechanism, uncertain))
 
 
 def _deployed(result: CalibrationResult) -> Deployed:
@@ -89,18 +93,24 @@ def _deployed(result: CalibrationResult) -> Deployed:
     return Deployed(result.identified, frame, tool)
 
 
-def _covariances(result: CalibrationResult) -> dict[str, Array]:
-    """Return the covariance of the parameters of each leg."""
+def _uncertain(result: CalibrationResult) -> dict[str, tuple[Array, Array]]:
+    """Return covariance of the parameters of each leg, and directions that are not determined."""
     ends = np.cumsum([0, *(len(leg.parameters) for leg in result.legs)])
-    of_legs = zip(result.legs, ends[:-1], ends[1:], strict=True)
-    return {leg.name: result.covariance[a:b, a:b] for leg, a, b in of_legs}
+    held = result.undetermined_directions
+    held = np.zeros((ends[-1], 0)) if held is None else held
+    of_legs = zip(result.legs, map(slice, ends[:-1], ends[1:]), strict=True)
+    return {leg.name: (result.covariance[part, part], held[part]) for leg, part in of_legs}
 
 
-def _how_to(wanted: Deployed, prefix: str, calibrated: bool, hexapod: bool) -> str:
+def _how_to(wanted: Deployed, prefix: str, source: str, hexapod: bool) -> str:
     """Return the page that says how to command the machine."""
     mechanism, platform = wanted.mechanism, wanted.mechanism.platform
     template = (Path(deployed.__file__).parent / HOW_TO).read_text("utf-8")
-    at_home = inverse(mechanism, np.array([platform.home]), near=_home_joints(mechanism))
+    at_home = inverse(
+        mechanism,
+        np.array([platform.home]),
+        near={leg.name: leg.home[None] for leg in mechanism.legs},
+    )
     shown = zip(mechanism.reading_names, at_home.readings[0], strict=True)
     pairs = zip(mechanism.reading_names, mechanism.reading_units, strict=True)
     counts = [sensor.counts_per_unit for leg in mechanism.legs for sensor in leg.sensors]
@@ -128,11 +138,11 @@ def _how_to(wanted: Deployed, prefix: str, calibrated: bool, hexapod: bool) -> s
     values = {
         "name": mechanism.name,
         "version": __version__,
-        "source": "a calibration" if calibrated else "the mechanism as drawn",
+        "source": source,
         "prefix": prefix,
         "PREFIX_READINGS": f"{prefix.upper()}_READINGS",
         "PREFIX_JOINTS": f"{prefix.upper()}_JOINTS",
-        "geometry": "Joint centres and lengths" + ", each with its standard error" * calibrated,
+        "geometry": "Joint centres and lengths, with standard errors where a calibration knows them",
         "further": further,
         "home": ", ".join(repr(float(value)) for value in platform.home),
         "coordinates": ", ".join(platform.coordinates),
@@ -143,8 +153,3 @@ def _how_to(wanted: Deployed, prefix: str, calibrated: bool, hexapod: bool) -> s
         "influences": influences,
     }
     return Template(template).substitute(values)
-
-
-def _home_joints(mechanism: Mechanism) -> dict[str, Array]:
-    """Return where all joints are at home, by leg, shape (1, n_joints)."""
-    return {leg.name: leg.home[None] for leg in mechanism.legs}

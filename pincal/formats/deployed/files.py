@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from importlib.util import find_spec, module_from_spec
 from pathlib import Path
 from pprint import pformat
 from typing import Any
@@ -15,7 +14,6 @@ from pincal.formats.deployed.tables import Deployed, Table
 
 _HERE = Path(__file__).parent
 _PLACE = "MACHINE: dict[str, Any] = {}\n"
-_LEFT = "left"  # of a reason: closed, and in another mode
 _NO_LOAD: Table = {
     "bodies": [],
     "columns": [],
@@ -34,7 +32,7 @@ def python_file(deployed: Deployed) -> str:
         MechanismError: terms that no file can hold.
     """
     source = (_HERE / "kinematics.py").read_text("utf-8")
-    literal = re.sub(r"\binf\b", 'float("inf")', pformat(_tables(deployed), width=96, compact=True))
+    literal = re.sub(r"\binf\b", 'float("inf")', pformat(deployed.tables, width=96, compact=True))
     title = (
         f'"""Kinematics of {_plain(deployed.mechanism.name)}, written by pincal {__version__}.\n\n'
     )
@@ -53,19 +51,8 @@ def c_header(deployed: Deployed, prefix: str) -> str:
     """
     source = (_HERE / "kinematics.h").read_text("utf-8")
     title = f"/* {_title(deployed)}\n\n   "
-    text = source.replace("/* ", title, 1).replace("/* TABLES */", _c_tables(_tables(deployed)))
+    text = source.replace("/* ", title, 1).replace("/* TABLES */", _c_tables(deployed.tables))
     return text.replace("machine_", f"{prefix}_").replace("MACHINE_", f"{prefix.upper()}_")
-
-
-def _tables(deployed: Deployed) -> Table:
-    """Return the tables of a machine, with the assembly mode of home."""
-    spec: Any = find_spec(f"{__package__}.kinematics")
-    kinematics: Any = module_from_spec(spec)  # a copy, with tables of its own
-    spec.loader.exec_module(kinematics)
-    tables = kinematics.MACHINE = deployed.tables()
-    if kinematics.forward(tables["home_readings"]).reason.startswith(_LEFT):
-        tables["assembly"] = -1.0
-    return tables
 
 
 def _title(deployed: Deployed) -> str:

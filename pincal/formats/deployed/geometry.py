@@ -20,6 +20,7 @@ from pincal.model.platform import Platform
 from pincal.types import Array
 
 _STEP = 1e-6  # of parameters, for differences [m] or [rad]
+_MOVED = 1e-6  # by a direction of length 1: it is not determined
 Columns = dict[str, list[str] | Array]
 
 
@@ -58,17 +59,21 @@ def _geometry(leg: Leg, platform: Platform, parameters: Array) -> dict[str, tupl
     return carriage | rod | gained
 
 
-def geometry_sheet(mechanism: Mechanism, covariances: Mapping[str, Array] | None = None) -> Columns:
+def geometry_sheet(
+    mechanism: Mechanism, uncertain: Mapping[str, tuple[Array, Array]] | None = None
+) -> Columns:
     """Return joint centres, directions and lengths of all legs, with standard errors.
 
     Base joints are in the base frame, platform joints in the platform frame.
 
     Args:
         mechanism: The machine, at its nominal parameters.
-        covariances: Of the parameters of each leg, by its name, shape (n_params, n_params).
+        uncertain: By leg, covariance of its parameters, shape (n_params, n_params), and directions
+            of them that nothing determines, (n_params, n_lost).
 
     Returns:
         Columns leg, what, axis, value, ± and unit; of a leg without a closed form, its parameters.
+        NaN is the ± of what is not known or not determined.
     """
     rows: list[tuple[str, str, str, float, float, str]] = []
     for leg in mechanism.legs:
@@ -78,7 +83,7 @@ def geometry_sheet(mechanism: Mechanism, covariances: Mapping[str, Array] | None
             described = {n: (leg.units[n], nominal[[i]]) for i, n in enumerate(leg.parameter_names)}
         flat = np.concatenate([values for _, values in described.values()])
         std = np.full(len(flat), np.nan)
-        if covariances is not None:
+        if uncertain is not None:
             by_parameter = np.zeros((len(flat), len(nominal)))
             for place, step in enumerate(_STEP * np.eye(len(nominal))):
                 ends = []
@@ -87,8 +92,10 @@ def geometry_sheet(mechanism: Mechanism, covariances: Mapping[str, Array] | None
                     parts = [v for _, v in sheet.values()] if sheet else [moved]
                     ends.append(np.concatenate(parts))
                 by_parameter[:, place] = (ends[0] - ends[1]) / (2.0 * _STEP)
-            variance = np.einsum("ij,jk,ik->i", by_parameter, covariances[leg.name], by_parameter)
-            std = np.sqrt(np.maximum(variance, 0.0))
+            covariance, lost = uncertain[leg.name]
+            variance = np.einsum("ij,jk,ik->i", by_parameter, covariance, by_parameter)
+            determined = ~(np.abs(by_parameter @ lost) > _MOVED).any(axis=1)
+            std = np.where(determined, np.sqrt(np.maximum(variance, 0.0)), np.nan)
         errors = iter(std)
         for what, (unit, values) in described.items():
             axes = "xyz" if len(values) == 3 else ("",)

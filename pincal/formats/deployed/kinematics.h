@@ -114,7 +114,7 @@ static inline void machine_coordinates(const double *T, double *coordinates) {
     for (int i = 0; i < MACHINE_LENGTHS; i++) coordinates[i] = T[4 * i + 3];
     if (MACHINE_TURNS == 1) {
         int i = machine_turn_axis[0] != 0.0 ? 0 : machine_turn_axis[1] != 0.0 ? 1 : 2, j = (i + 1) % 3, k = (i + 2) % 3;
-        turns[0] = machine_turn_axis[i] * atan2(T[4 * k + j], T[4 * j + j]);
+        turns[0] = atan2(T[4 * k + j], T[4 * j + j]);
     }
     if (MACHINE_TURNS == 3) {
         double flat = hypot(T[2], T[6]);

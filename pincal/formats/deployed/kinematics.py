@@ -59,9 +59,9 @@ def coordinates(T: Row) -> Row:
     lengths, turns = MACHINE["lengths"], MACHINE["turns"]
     values = [T[4 * axis + 3] for axis in range(lengths)]
     if len(turns) == 1:
-        axis = [abs(component) for component in turns[0]].index(1.0)
+        axis = turns[0].index(1.0)
         j, k = (axis + 1) % 3, (axis + 2) % 3
-        values.append(copysign(1.0, turns[0][axis]) * atan2(T[4 * k + j], T[4 * j + j]))
+        values.append(atan2(T[4 * k + j], T[4 * j + j]))
     elif len(turns) == 3:
         flat, steep = hypot(T[2], T[6]), T[10]
         azimuth = atan2(T[6], T[2]) if flat > 1e-13 else 0.0

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
+from importlib.util import find_spec, module_from_spec
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from pincal.errors import MechanismError
 from pincal.kinematics.chain import elementary_joints, leaders
@@ -28,6 +29,7 @@ from pincal.types import Array
 
 Table = dict[str, Any]
 _AXES = dict(zip("xyz", np.eye(3), strict=True))
+_LEFT = "left"  # of a reason: closed, and in another mode
 
 
 @dataclass(frozen=True)
@@ -40,12 +42,23 @@ class Deployed:
     tool: Array = field(default_factory=lambda: np.eye(4))
     """T_platform_tool, of the point that was measured, shape (4, 4)."""
 
+    @cached_property
     def tables(self) -> Table:
-        """Return the tables that ``kinematics.py`` and ``kinematics.h`` work with.
+        """The tables that ``kinematics.py`` and ``kinematics.h`` work with.
 
         Raises:
             MechanismError: terms that no table can hold.
         """
+        spec: Any = find_spec(f"{__package__}.kinematics")
+        kinematics: Any = module_from_spec(spec)  # a copy, with tables of its own
+        spec.loader.exec_module(kinematics)
+        tables = kinematics.MACHINE = self._drawn()
+        if kinematics.forward(tables["home_readings"]).reason.startswith(_LEFT):
+            tables["assembly"] = -1.0
+        return tables
+
+    def _drawn(self) -> Table:
+        """Return the tables, the assembly mode of home still to be seen."""
         machine, platform = self.mechanism, self.mechanism.platform
         turns = [np.eye(3)[row - 3].tolist() for row in platform.twist_rows if row >= 3]
         return {
@@ -126,7 +139,7 @@ def _chain(leg: Leg, joints: Sequence[Joint], sources: dict[str, int]) -> Table:
     for elementary, row, constant in zip(elements, rows, constants, strict=True):
         if elementary.placement:
             pending = pending @ np.reshape(elementary.placement, (4, 4))
-        turns, axis = _axis(elementary)
+        joint = _joint(elementary)
         pairs = zip(places, row, strict=True)
         rates = [(place, float(rate)) for place, rate in pairs if place is not None and rate]
         if rates:
@@ -134,9 +147,9 @@ def _chain(leg: Leg, joints: Sequence[Joint], sources: dict[str, int]) -> Table:
                 moves[-1][3] = _rows(pending)
             else:
                 start = pending
-            moves.append([turns, axis.tolist(), rates, None])
+            moves.append([joint.turns, list(joint.axis), rates, None])
             pending = np.eye(4)
-        pending = pending @ _motion(turns, axis, constant)
+        pending = pending @ joint.motion(np.array([constant]))[0]
     pending = pending @ (np.reshape(tip, (4, 4)) if tip else np.eye(4))
     if moves:
         moves[-1][3] = _rows(pending)
@@ -145,20 +158,12 @@ def _chain(leg: Leg, joints: Sequence[Joint], sources: dict[str, int]) -> Table:
     return {"start": _rows(start), "joints": [tuple(move) for move in moves]}
 
 
-def _axis(elementary: Elementary) -> tuple[bool, Array]:
-    """Return whether an elementary joint turns, and its axis."""
+def _joint(elementary: Elementary) -> Joint:
+    """Return an elementary joint as one of a leg's."""
     letter = elementary.axis.removeprefix("r")
-    vector = _AXES[letter] if letter in _AXES else np.array(elementary.vector)
-    return elementary.axis.startswith("r"), vector
-
-
-def _motion(turns: bool, axis: Array, position: float) -> Array:
-    T = np.eye(4)
-    if turns:
-        T[:3, :3] = Rotation.from_rotvec(position * axis).as_matrix()
-    else:
-        T[:3, 3] = position * axis
-    return T
+    axis = _AXES[letter].tolist() if letter in _AXES else elementary.vector
+    turns = elementary.axis.startswith("r")
+    return Joint("", "revolute" if turns else "prismatic", axis=tuple(axis))
 
 
 def _rows(matrix: Array) -> list[float]:
