@@ -13,6 +13,7 @@ step: a tenth of that, and the rounding of f over h.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,3 +63,21 @@ def assert_derivative(
     largest = np.abs(reference).max()
     assert tolerance <= within * largest, f"differences are sure to {tolerance:.1e} only"
     np.testing.assert_allclose(derivative, reference, rtol=0.0, atol=tolerance)
+
+
+def assert_observed(observation: Any, platform: Any, matrices: Array, values: Any) -> None:
+    """Assert the derivatives of an observation's residuals, by poses and by what is outside.
+
+    At poses of a platform, shape (N, 4, 4), and values of the external unknowns.
+    """
+    outside = observation.external
+    _, by_pose, by_outside = observation.residuals(matrices, values)
+    assert_derivative(
+        by_outside, lambda step: observation.residuals(matrices, outside.moved(values, step))[0]
+    )
+    assert_derivative(
+        by_pose,
+        lambda twist: observation.residuals(
+            platform.displaced(matrices, np.tile(twist, (len(matrices), 1))), values
+        )[0],
+    )

@@ -326,7 +326,7 @@ def test_a_tracker_s_covariances_reach_the_bound() -> None:
 
 @pytest.mark.slow
 def test_limits_are_kept_when_each_instrument_has_its_own_scale() -> None:
-    """Of 20,000 platforms 95 % stay below the limit; where nothing is said of the scale, fewer.
+    """Of 20,000 platforms 95 % stay below the limit; where nothing is said of the scale, few.
 
     They are drawn by the efficient estimate's maps of noise and scale, which the fits follow.
     Limits go with χ², which is independent of the estimate: means over six sets of each case.
@@ -341,13 +341,13 @@ def test_limits_are_kept_when_each_instrument_has_its_own_scale() -> None:
     root = np.column_stack(
         ((noise.reading * maps[0]).reshape(n, -1), (sigma * maps[1]).reshape(n, -1))
     )
-    shift = np.einsum("pnd,nd->p", maps[1][:, :, :2], 3e-4 * poses[:, :2])
+    shift = np.einsum("pnd,nd->p", maps[1][:, :, :2], 5e-4 * poses[:, :2])
     rng = np.random.default_rng(0)
     errors = rng.standard_normal((20_000, n)) @ np.linalg.cholesky(root @ root.T).T
     errors += rng.standard_normal((20_000, 1)) * shift
-    kept: dict[float, list[float]] = {0.0: [], 3e-4: []}
+    kept: dict[float, list[float]] = {0.0: [], 5e-4: []}
     for seed in range(6):
-        by = 3e-4 * np.random.default_rng([seed, 1]).standard_normal()
+        by = 5e-4 * np.random.default_rng([seed, 1]).standard_normal()
         data = scaled(cramer_rao.drawn(one, noise, seed), by)
         for scale, shares in kept.items():
             setup = pincal.Setup(systematic=pincal.Systematic(scale=scale))
@@ -359,8 +359,8 @@ def test_limits_are_kept_when_each_instrument_has_its_own_scale() -> None:
             missed = np.einsum("nmp,sp->snm", gain[inside, :2], errors)
             limit = result.expected_error(poses[inside]).limit[0]
             shares.append((np.sqrt((missed**2).sum(axis=2).mean(axis=1)) <= limit).mean())
-    assert 0.94 <= np.mean(kept[3e-4]) < 0.985
-    assert np.mean(kept[0.0]) < 0.75
+    assert 0.94 <= np.mean(kept[5e-4]) < 0.985
+    assert np.mean(kept[0.0]) < 0.6
 
 
 def test_a_tracker_says_nothing_of_other_noise() -> None:

@@ -158,6 +158,8 @@ def read_printer_cfg(path: Path) -> None:
     printer, probed = read_klipper(path)
     assert np.isfinite(probed.readings).all()
     assert probed.readings.shape == (len(probed), 3)
+    heights, related = probed.poses[:, 2], "distance_1" in probed.extra
+    assert np.isfinite(heights).all() or (related and not np.isinf(heights).any())
     check_printer(printer, path, write_klipper, lambda p: read_klipper(p)[0])
 
 
