@@ -14,14 +14,14 @@ sys.path.insert(0, str(ROOT))
 from tools.counts import Counts, count, count_revision, main  # noqa: E402
 
 LINES = {
-    "": 210,
+    "": 207,
     "architectures": 638,
     "calibration": 5_834,
     "cli": 2_493,
     "design": 1_870,
     "estimation": 4_987,
     "files": 3_243,
-    "formats": 3_615,
+    "formats": 3_614,
     "instruments": 1_495,
     "kinematics": 3_644,
     "model": 3_587,

@@ -142,7 +142,7 @@ def _how_to(wanted: Deployed, prefix: str, source: str, hexapod: bool) -> str:
         "prefix": prefix,
         "PREFIX_READINGS": f"{prefix.upper()}_READINGS",
         "PREFIX_JOINTS": f"{prefix.upper()}_JOINTS",
-        "geometry": "Joint centres and lengths, with standard errors where a calibration knows them",
+        "geometry": "Joint centres and lengths, with standard errors as far as known",
         "further": further,
         "home": ", ".join(repr(float(value)) for value in platform.home),
         "coordinates": ", ".join(platform.coordinates),
