@@ -32,14 +32,16 @@ from .kinematics.derivatives import identification_jacobian
 from .kinematics.forward import forward
 from .kinematics.singularity import margins
 from .kinematics.tensions import tensions
-from .model.leg import End, Follows, Joint, Leg
+from .model.instrument import Image, Instrument, Tracker
+from .model.joint import End, Follows, Joint
+from .model.leg import Leg
 from .model.measurements import Measurements, Noise, Plan
 from .model.mechanism import Mechanism
 from .model.parameter import Parameter
 from .model.placement import Placement
 from .model.platform import Platform
 from .model.sensor import Sensor
-from .model.setup import Contact, Distance, Image, Instrument, Setup, Systematic, Target, Tracker
+from .model.setup import Contact, Distance, Setup, Systematic, Target
 from .model.terms import Cables, Harmonic, Load, Power, Share, Term
 from .show.deployment import deploy
 from .show.pictures.picture import picture

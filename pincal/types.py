@@ -1,4 +1,4 @@
-"""Types of arrays, by what they hold; shapes are said where they are used."""
+"""Types of arrays, by what they hold, and of points; shapes are said where they are used."""
 
 from __future__ import annotations
 
@@ -13,3 +13,5 @@ Mask: TypeAlias = NDArray[np.bool_]
 """Which elements count."""
 Index: TypeAlias = NDArray[np.intp]
 """Places of elements."""
+Point: TypeAlias = tuple[float, float, float]
+"""x, y, z."""

@@ -14,27 +14,27 @@ sys.path.insert(0, str(ROOT))
 from tools.counts import Counts, count, count_revision, main  # noqa: E402
 
 LINES = {
-    "": 207,
-    "architectures": 638,
+    "": 209,
+    "architectures": 640,
     "calibration": 5_834,
     "cli": 2_493,
     "design": 1_870,
-    "estimation": 4_987,
-    "files": 3_243,
-    "formats": 3_614,
+    "estimation": 4_989,
+    "files": 3_259,
+    "formats": 3_620,
     "instruments": 1_495,
-    "kinematics": 3_644,
-    "model": 3_587,
+    "kinematics": 3_645,
+    "model": 3_630,
     "show": 3_978,
-    "symmetry": 1_393,
+    "symmetry": 1_394,
     "words": 863,
     "workspace": 1_602,
 }
 """Most lines of each room; a room that is not listed may have none."""
 MOST = {
-    "files": 181,
+    "files": 184,
     "page lines": 780,
-    "largest folder": 15,
+    "largest folder": 17,
     "vague names": 0.0115,
     "class names twice": 0,
     "dataclasses": 150,

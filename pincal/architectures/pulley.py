@@ -16,7 +16,8 @@ import numpy as np
 
 from pincal.errors import MechanismError
 from pincal.model.checks import EXACT
-from pincal.model.leg import Follows, Joint, Leg
+from pincal.model.joint import Follows, Joint
+from pincal.model.leg import Leg
 from pincal.model.placement import Placement
 from pincal.types import Array
 

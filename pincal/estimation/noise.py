@@ -16,11 +16,12 @@ import numpy as np
 
 from pincal.errors import MeasurementError
 from pincal.model.checks import ROUNDING
+from pincal.model.instrument import POLAR, Tracker
 from pincal.model.measurements import SMALLEST_SIGMA, Measurements, Noise
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import SINGLE_ANGLES
 from pincal.model.platform import Platform
-from pincal.model.setup import ORIGIN, POLAR, ROW, Setup, Tracker
+from pincal.model.setup import ORIGIN, ROW, Setup
 from pincal.types import Array, Index, Mask
 
 Freedoms = tuple[float, ...]

@@ -25,11 +25,12 @@ from pincal.estimation.unknowns import BlockRows, External, ExternalUnknowns, St
 from pincal.kinematics.batches import inverse_left_jacobian, point_velocity, turn_between
 from pincal.kinematics.configurations import shifted
 from pincal.model.checks import wrapped
+from pincal.model.instrument import evaluated
 from pincal.model.measurements import Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import SINGLE_ANGLES
 from pincal.model.platform import Platform
-from pincal.model.setup import ORIGIN, ROW, TO, Setup, evaluated
+from pincal.model.setup import ORIGIN, ROW, TO, Setup
 from pincal.types import Array, Index, Mask
 
 Predicted = tuple[Array, Array, Array]

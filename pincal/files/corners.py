@@ -10,7 +10,8 @@ import numpy as np
 from pincal.errors import MeasurementError
 from pincal.files.table import TextTable, read_table
 from pincal.model.checks import listed
-from pincal.model.setup import Setup, image_of
+from pincal.model.instrument import image_of
+from pincal.model.setup import Setup
 from pincal.types import Array
 
 _log = logging.getLogger(__name__)

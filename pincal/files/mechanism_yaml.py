@@ -21,7 +21,8 @@ from pincal.files.urdf_writing import leg_links
 from pincal.files.yaml import Entry, read_yaml
 from pincal.model.checks import LARGEST
 from pincal.model.consistency import check_home
-from pincal.model.leg import Closing, End, Joint, Leg
+from pincal.model.joint import Closing, End, Joint
+from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.placement import Coordinate
 from pincal.model.platform import KINDS, TWIST, Platform

@@ -13,7 +13,7 @@ import numpy as np
 
 from pincal.errors import MechanismError
 from pincal.model.checks import listed
-from pincal.model.leg import Closing, Follows, Joint
+from pincal.model.joint import Closing, Follows, Joint
 from pincal.model.placement import Placement
 from pincal.types import Array
 

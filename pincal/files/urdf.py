@@ -18,7 +18,7 @@ from pincal.errors import MechanismError
 from pincal.files.text import plain_number, read_xml, why_no_number
 from pincal.files.tree import Edge, Tree, hung, root_of, turns, with_ranges
 from pincal.model.checks import LARGEST
-from pincal.model.leg import End, Follows, Joint, JointKind
+from pincal.model.joint import End, Follows, Joint, JointKind
 from pincal.model.placement import Placement, placement_of
 
 Triple = tuple[float, float, float]

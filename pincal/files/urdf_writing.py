@@ -7,7 +7,8 @@ from collections.abc import Iterable
 import numpy as np
 from lxml import etree
 
-from pincal.model.leg import Joint, Leg
+from pincal.model.joint import Joint
+from pincal.model.leg import Leg
 from pincal.model.placement import Placement
 
 Triple = tuple[float, float, float]

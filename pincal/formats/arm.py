@@ -21,7 +21,8 @@ from pincal.files.urdf import read_urdf
 from pincal.kinematics.closure import LegClosure
 from pincal.model.checks import must_be
 from pincal.model.consistency import identifiers
-from pincal.model.leg import Joint, Leg
+from pincal.model.joint import Joint
+from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.placement import Coordinate, Placement, placement_of
 from pincal.model.platform import Platform

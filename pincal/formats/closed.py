@@ -30,7 +30,8 @@ from pincal.formats.limbs import (
 from pincal.kinematics.assembly import assembled, independent, opening
 from pincal.model.checks import ALIKE, EXACT, ROUNDING, listed
 from pincal.model.consistency import ROUGH, identifiers
-from pincal.model.leg import Joint, Leg
+from pincal.model.joint import Joint
+from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.placement import placement_of
 from pincal.model.platform import Platform

@@ -19,7 +19,8 @@ from pincal.errors import MechanismError
 from pincal.files.tree import Edge, Step, Tree, route
 from pincal.formats.arm import joints_along, with_tip
 from pincal.model.checks import EXACT, listed
-from pincal.model.leg import Closing, End, Joint, Leg
+from pincal.model.joint import Closing, End, Joint
+from pincal.model.leg import Leg
 from pincal.model.placement import Placement, placement_of
 from pincal.model.sensor import Sensor
 from pincal.types import Array

@@ -27,7 +27,8 @@ from pincal.files.tree import Edge, Tree, at_home, turns, with_ranges
 from pincal.files.urdf_writing import numbers_text, xml_text
 from pincal.kinematics.assembly import assembled
 from pincal.model.checks import LARGEST
-from pincal.model.leg import Closing, End, Follows, Joint, JointKind, Leg
+from pincal.model.joint import Closing, End, Follows, Joint, JointKind
+from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import turns_in_series
 from pincal.model.placement import Placement, placement_of

@@ -20,10 +20,10 @@ from scipy.spatial.transform import Rotation
 from pincal.errors import MeasurementError
 from pincal.instruments.lens import Lens
 from pincal.instruments.placing import placed_by_rays
-from pincal.model.checks import array_of, must_be, number_of
+from pincal.model.checks import array_of, check_sizes, must_be, named_points, set_point
+from pincal.model.instrument import Image, Residuals
 from pincal.model.parameter import Parameter
-from pincal.model.setup import Image, Point, Residuals
-from pincal.types import Array, Mask
+from pincal.types import Array, Mask, Point
 
 _PLACE = (("x", "m"), ("y", "m"), ("z", "m"), ("rx", "rad"), ("ry", "rad"), ("rz", "rad"))
 _AXES = "xyz"
@@ -61,22 +61,10 @@ class Markers:
 
     def __post_init__(self) -> None:
         error, label = MeasurementError, f"markers {self.name!r}"
-        points = dict(must_be(self.points, Mapping, f"points of {label}", error))
-        if not points:
-            raise MeasurementError(f"{label} have no points; name those that a camera sees")
-        for name, point in points.items():
-            if point is not None:
-                where = f"point {name!r} of {label}"
-                points[name] = tuple(array_of(point, (3,), where, error).tolist())
-        object.__setattr__(self, "points", {str(name): point for name, point in points.items()})
+        object.__setattr__(self, "points", named_points(self.points, label, error))
         for name in ("at", "rotation", *["normal"] * (self.normal is not None)):
-            values = array_of(getattr(self, name), (3,), f"{name} of {label}", error)
-            object.__setattr__(self, name, tuple(values.tolist()))
-        for name in ("tolerance", "scale"):
-            if not 0.0 <= number_of(getattr(self, name), f"{name} of {label}", error) < np.inf:
-                raise MeasurementError(
-                    f"the {name} of {label} is {getattr(self, name)}; expected 0 or more"
-                )
+            set_point(self, name, f"{name} of {label}", error)
+        check_sizes(self, ("tolerance", "scale"), f"{label}'s", error)
 
     @cached_property
     def priors(self) -> dict[str, float]:

@@ -12,7 +12,8 @@ from pincal.instruments.board import read_board
 from pincal.instruments.camera import Camera, Markers
 from pincal.instruments.lens import Lens
 from pincal.model.checks import must_be
-from pincal.model.setup import Contact, Distance, Setup, Systematic, Target, Tracker
+from pincal.model.instrument import Tracker
+from pincal.model.setup import Contact, Distance, Setup, Systematic, Target
 
 T = TypeVar("T", Lens, Markers)
 

@@ -20,7 +20,8 @@ from functools import lru_cache
 import numpy as np
 
 from pincal.kinematics.forest import Elementary, Forest, Motion
-from pincal.model.leg import Joint, Leg
+from pincal.model.joint import Joint
+from pincal.model.leg import Leg
 from pincal.model.placement import Placement
 from pincal.types import Array, Index
 

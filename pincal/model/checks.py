@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from pincal.errors import PincalError
-from pincal.types import Array
+from pincal.types import Array, Point
 
 LARGEST = 1e12
 """Size of a mechanism's numbers, [m] or [rad]: larger ones are slips, their squares overflow."""
@@ -173,3 +173,32 @@ def wrapped(angles: Array) -> Array:
     turn = 2 * np.pi
     with np.errstate(invalid="ignore"):
         return np.asarray(angles - turn * np.floor((angles + np.pi) / turn))  # no slow remainder
+
+
+def check_sizes(
+    owner: object, names: Iterable[str], label: str, error_type: type[PincalError]
+) -> None:
+    """Make fields of an object numbers; raise an error of the given type for any below 0."""
+    for name in names:
+        value = number_of(getattr(owner, name), f"the {label} {name}", error_type)
+        object.__setattr__(owner, name, value)
+        if not 0.0 <= value < np.inf:
+            raise error_type(f"the {label} {name} is {value:g}; expected 0 or more")
+
+
+def set_point(owner: object, name: str, label: str, error_type: type[PincalError]) -> None:
+    """Make a field of an object three numbers; or raise an error of the given type."""
+    point = array_of(getattr(owner, name), (3,), label, error_type)
+    object.__setattr__(owner, name, tuple(point.tolist()))
+
+
+def named_points(values: Any, label: str, error_type: type[PincalError]) -> dict[str, Point | None]:
+    """Return points by name, None for unknown ones; or raise an error of the given type."""
+    points = dict(must_be(values, Mapping, f"points of {label}", error_type))
+    if not points:
+        raise error_type(f"{label}: no points; name those that it has")
+    for name, point in points.items():
+        where = f"point {must_be(name, str, 'the name of a point', error_type)!r} of {label}"
+        if point is not None:
+            points[name] = tuple(array_of(point, (3,), where, error_type).tolist())
+    return points

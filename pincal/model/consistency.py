@@ -18,7 +18,8 @@ from pincal.model.platform import TWIST
 from pincal.model.terms import APPROACH, Term
 
 if TYPE_CHECKING:
-    from pincal.model.leg import Joint, Leg
+    from pincal.model.joint import Joint
+    from pincal.model.leg import Leg
     from pincal.model.mechanism import Mechanism
     from pincal.model.platform import Platform
 

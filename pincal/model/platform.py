@@ -25,7 +25,8 @@ from pincal.model.orientation import WAYS, columns_of, tilted
 from pincal.types import Array
 
 if TYPE_CHECKING:
-    from pincal.model.leg import End, Leg
+    from pincal.model.joint import End
+    from pincal.model.leg import Leg
 
 
 TWIST = ("x", "y", "z", "rx", "ry", "rz")

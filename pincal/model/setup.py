@@ -10,176 +10,22 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import hypot
 from pathlib import Path
-from typing import Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 
 from pincal.attached import attached
 from pincal.errors import MeasurementError
-from pincal.model.checks import array_of, count_of, listed, must_be, number_of, one_line
+from pincal.model.checks import check_sizes, listed, must_be, named_points, one_line, set_point
 from pincal.model.consistency import RESERVED
+from pincal.model.instrument import Instrument, Tracker, fault_of
 from pincal.model.mechanism import Mechanism
 from pincal.model.option import option
 from pincal.model.parameter import Parameter
 from pincal.model.platform import Platform
-from pincal.types import Array
+from pincal.types import Array, Point
 
-Residuals: TypeAlias = tuple[Array, Array, Array]
-
-
-@runtime_checkable
-class Instrument(Protocol):
-    """Anything that reads the platform's pose, in its own columns and with its own unknowns.
-
-    One that says where it stands is drawn there by a view of the result: by a method
-    ``stand(values)`` that returns T_frame_instrument, shape (4, 4), at values of its parameters;
-    None if the platform holds it. Further, if it has them: ``priors``, standard deviations of
-    nominal values by id; ``shared``, owners of parameters that other instruments have, too;
-    ``begin(poses, measured, known)``, values from which a search begins, at poses of the nominal
-    machine and values by id that others share; ``visible(poses, values)``, which columns it could
-    measure at poses, shape (N, r), for plans and simulations.
-
-    Example:
-        >>> import numpy as np, pincal
-        >>> class Height:
-        ...     name, columns = "table", {"gauge": "m"}
-        ...     parameters = (pincal.Parameter("table", "z", "m", 0.0),)
-        ...
-        ...     def evaluate(self, poses, values, measured):
-        ...         by_twist = np.tile([0.0, 0, 1, 0, 0, 0], (len(poses), 1, 1))
-        ...         by_own = -np.ones((len(poses), 1, 1))
-        ...         height = poses[:, 2, 3:]
-        ...         return height - values[0] - measured, by_twist, by_own
-        >>> isinstance(Height(), pincal.Instrument)
-        True
-    """
-
-    @property
-    def name(self) -> str:
-        """Its name, which owns its parameters: ``gauge_1``."""
-
-    @property
-    def columns(self) -> Mapping[str, str]:
-        """Its columns in the measurements, and their units: m, rad or px."""
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Its unknowns; the search starts at their nominal values."""
-
-    def evaluate(self, poses: Array, values: Array, measured: Array) -> Residuals:
-        """Return its residuals, their derivatives by the pose, and those by its own parameters.
-
-        Residuals are predicted less measured, in the columns' units, angles within ±π, shape
-        (N, r). The pose is the twist of the platform at its origin, linear first, in the axes of
-        the frame of the measurements: shape (N, r, 6). Parameters: shape (N, r, p).
-
-        Args:
-            poses: T_frame_platform, in the frame of the measurements, shape (N, 4, 4).
-            values: Of its parameters, shape (p,).
-            measured: What it read, shape (N, r); NaN where it did not.
-        """
-
-
-def evaluated(instrument: Instrument, poses: Array, values: Array, measured: Array) -> Residuals:
-    """Return what an instrument evaluates, its shapes checked: see ``Instrument.evaluate``."""
-    arrays = instrument.evaluate(poses, values, measured)
-    rows = (len(poses), len(instrument.columns))
-    shapes = (rows, (*rows, 6), (*rows, len(instrument.parameters)))
-    shown = tuple(map(np.shape, arrays)) if isinstance(arrays, tuple) else type(arrays).__name__
-    if shown != shapes:
-        raise MeasurementError(
-            f"evaluate of instrument {instrument.name!r} gave {shown}; expected residuals, and "
-            "their derivatives by the platform's twist and by its parameters, of the shapes "
-            f"{', '.join(map(str, shapes))}"
-        )
-    return arrays
-
-
-@dataclass(frozen=True)
-class Image:
-    """What columns of an instrument are in the picture that it takes, for plots of residuals.
-
-    An instrument that has one as its ``image`` is a camera to ``result.plot.images()``.
-
-    Example:
-        >>> import pincal
-        >>> image = pincal.Image((1600, 1200), {"tip": ("tip_u", "tip_v")}, scale=1500.0)
-        >>> image.at([0.1], [-0.2]).tolist()
-        [[950.0, 300.0]]
-    """
-
-    size: tuple[int, int]
-    """Width and height, [px]."""
-    points: Mapping[str, tuple[str, str]]
-    """Columns that point right and down, by the names of the points seen."""
-    scale: float
-    """Pixels per unit of the columns: of tangents of angles the focal length, [px]."""
-    centre: tuple[float, float] | None = None
-    """Where both columns are zero, from the upper left corner, [px]; the middle if not given."""
-
-    def __post_init__(self) -> None:
-        size = must_be(self.size, (tuple, list), "size of an image", MeasurementError)
-        pixels = [count_of(side, "size of an image [px]", MeasurementError, 1) for side in size]
-        if len(pixels) != 2:
-            raise MeasurementError(f"size of an image is {size!r}; expected width and height in px")
-        if not number_of(self.scale, "scale of an image", MeasurementError) > 0.0:
-            raise MeasurementError(f"scale of an image is {self.scale:g}; expected more than 0")
-        for name, columns in must_be(
-            self.points, Mapping, "points of an image", MeasurementError
-        ).items():
-            if isinstance(columns, str) or len(columns) != 2:
-                raise MeasurementError(
-                    f"point {name!r} of an image has the columns {columns!r}; expected two: one "
-                    "that points right, one that points down"
-                )
-
-    def at(self, right: Array, down: Array) -> Array:
-        """Return places in the image, shape (N, 2), [px], of values of columns, shape (N,)."""
-        middle = np.array(self.size) / 2 if self.centre is None else np.array(self.centre)
-        return np.asarray(middle + self.scale * np.column_stack((right, down)))
-
-
-def image_of(instrument: Instrument) -> Image | None:
-    """Return what the columns of an instrument are in its pictures, if it is a camera."""
-    return getattr(instrument, "image", None)
-
-
-POLAR = ("range", "azimuth", "elevation")
-"""What a tracker measures."""
 STEEL = 11.5e-6
 """Thermal expansion of steel, [1/K]."""
-
-
-@dataclass(frozen=True)
-class Tracker:
-    """An instrument that measures positions by a range and two angles."""
-
-    at: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Where its axes meet, in the frame of the measurements, [m]; azimuth is about z."""
-    range: float = 0.0
-    """Standard deviation of the range, [m]."""
-    azimuth: float = 0.0
-    """Of the azimuth, [rad]."""
-    elevation: float = 0.0
-    """Of the elevation, [rad]."""
-
-    def __post_init__(self) -> None:
-        _set_point(self, "at", "place of the tracker")
-        _check_sizes(self, POLAR, "noise of the tracker's")
-
-    def by_polar(self, points: Array) -> Array:
-        """Return how points move by range [1], azimuth and elevation [m/rad], shape (N, 3, 3).
-
-        Points are positions in the frame of the measurements, shape (N, 3), [m].
-        """
-        x, y, z = ray = (points - self.at).T
-        azimuth, level = np.arctan2(y, x), np.hypot(x, y)
-        c, s = np.cos(azimuth), np.sin(azimuth)
-        length = np.hypot(level, z)
-        along = ray / np.where(length > 0.0, length, 1.0)
-        turned = np.column_stack((-y, x, 0 * z))
-        raised = np.column_stack((-z * c, -z * s, level))
-        return np.stack((along.T, turned, raised), axis=2)
 
 
 @dataclass(frozen=True)
@@ -205,7 +51,7 @@ class Systematic:
     """Of the offset of each target that is taken as known, along each axis, [m]."""
 
     def __post_init__(self) -> None:
-        _check_sizes(self, tuple(vars(self)), "systematic uncertainty, its")
+        check_sizes(self, tuple(vars(self)), "systematic uncertainty, its", MeasurementError)
 
     @property
     def relative(self) -> float:
@@ -213,22 +59,8 @@ class Systematic:
         return hypot(self.scale, self.temperature * self.expansion)
 
 
-def _check_sizes(owner: object, names: Iterable[str], label: str) -> None:
-    for name in names:
-        value = number_of(getattr(owner, name), f"the {label} {name}", MeasurementError)
-        object.__setattr__(owner, name, value)
-        if not 0.0 <= value < np.inf:
-            raise MeasurementError(f"the {label} {name} is {value:g}; expected 0 or more")
-
-
-Point = tuple[float, float, float]
 _FAR = 3.0  # times the longest leg: no target is that far from its platform
 ORIGIN = "platform"  # the target whose position is x, y, z
-
-
-def _set_point(owner: object, name: str, label: str) -> None:
-    point = array_of(getattr(owner, name), (3,), label, MeasurementError)
-    object.__setattr__(owner, name, tuple(point.tolist()))
 
 
 @dataclass(frozen=True)
@@ -244,7 +76,7 @@ class Target:
     against the platform's."""
 
     def __post_init__(self) -> None:
-        _set_point(self, "offset", "offset of a target")
+        set_point(self, "offset", "offset of a target", MeasurementError)
         must_be(self.unknown, bool, "unknown of a target", MeasurementError)
 
 
@@ -267,7 +99,7 @@ class Distance:
 
     def __post_init__(self) -> None:
         if self.point is not None:
-            _set_point(self, "point", "point of a distance")
+            set_point(self, "point", "point of a distance", MeasurementError)
         must_be(self.target, str, "target of a distance", MeasurementError)
 
 
@@ -292,16 +124,15 @@ class Contact:
     """By how much the target misses a point, along each axis, [m]; as positions if not given."""
 
     def __post_init__(self) -> None:
-        points = dict(must_be(self.points, Mapping, "points of a contact", MeasurementError))
-        if not points:
-            raise MeasurementError("a contact has no points; name those that its target touches")
-        for name, point in points.items():
-            label = f"point {must_be(name, str, 'the name of a point', MeasurementError)!r}"
-            if point is not None:
-                points[name] = tuple(array_of(point, (3,), label, MeasurementError).tolist())
+        points = named_points(self.points, "a contact", MeasurementError)
         object.__setattr__(self, "points", points)
         must_be(self.target, str, "target of a contact", MeasurementError)
-        _check_sizes(self, ("tolerance",) + ("noise",) * (self.noise is not None), "contact's")
+        check_sizes(
+            self,
+            ("tolerance",) + ("noise",) * (self.noise is not None),
+            "contact's",
+            MeasurementError,
+        )
 
 
 @dataclass(frozen=True)
@@ -358,7 +189,7 @@ class Setup:
         names |= {*self.contacts, *self.touched}
         for instrument in self.instruments:
             must_be(instrument, Instrument, "an instrument", MeasurementError)
-            if fault := _fault(instrument, names):
+            if fault := fault_of(instrument, names):
                 raise MeasurementError(fault)
             names.add(instrument.name)
 
@@ -537,30 +368,3 @@ class Setup:
                 "measurements; choose another name"
             )
         return {name: unit for group in groups for name, unit in group.items()}
-
-
-def _fault(instrument: Instrument, names: set[str]) -> str:
-    """Return what is wrong with an instrument beside others with names; empty if nothing is."""
-    name = instrument.name
-    if name in names or not name.isidentifier():
-        return (
-            f"an instrument is named {name!r}; expected a word that no target and no other "
-            "instrument has"
-        )
-    for column, unit in instrument.columns.items():
-        if unit not in ("m", "rad", "px"):
-            return f"column {column!r} of instrument {name!r} is in {unit!r}; expected m, rad or px"
-    image = image_of(instrument)
-    pairs = image.points.values() if image else ()
-    if unknown := sorted({c for pair in pairs for c in pair} - set(instrument.columns)):
-        return (
-            f"the image of instrument {name!r} has a column {unknown[0]!r}; expected its own: "
-            f"{listed(instrument.columns)}"
-        )
-    for parameter in instrument.parameters:
-        if parameter.owner not in (name, *getattr(instrument, "shared", ())):
-            return (
-                f"parameter {parameter.id!r} is of instrument {name!r}; expected "
-                f"'{name}.{parameter.name}'"
-            )
-    return ""

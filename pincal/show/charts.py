@@ -18,8 +18,8 @@ from matplotlib.transforms import Affine2D
 from pincal.calibration.result import CalibrationResult
 from pincal.calibration.result_parts import LegResult
 from pincal.errors import MeasurementError, WorkspaceError
+from pincal.model.instrument import Image, image_of
 from pincal.model.measurements import Plan
-from pincal.model.setup import Image, image_of
 from pincal.show.misses import apart, level_poses, noisy_residuals
 from pincal.show.pictures.picture import shortened
 from pincal.show.style import EVERY, GROUND, INK, OUTLIER, leg_colour

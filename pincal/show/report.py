@@ -24,9 +24,9 @@ from pincal.errors import FileError, MeasurementError, WorkspaceError
 from pincal.files.measurements import read_poses
 from pincal.files.output import writing
 from pincal.files.text import LARGEST_FILE, read_bytes
+from pincal.model.instrument import image_of
 from pincal.model.measurements import EVERY_LEG, Plan
 from pincal.model.mechanism import Mechanism
-from pincal.model.setup import image_of
 from pincal.model.units import SI, Units
 from pincal.show import answers, tables
 from pincal.show.misses import WorkspaceErrors, workspace_errors

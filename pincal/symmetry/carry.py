@@ -19,7 +19,8 @@ from pincal.errors import MechanismError, SymmetryError
 from pincal.kinematics.closing import close
 from pincal.kinematics.closure import LegClosure
 from pincal.model.checks import ROUNDING
-from pincal.model.leg import Joint, Leg
+from pincal.model.joint import Joint
+from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.placement import Coordinate, Placement, Value
 from pincal.model.platform import Platform

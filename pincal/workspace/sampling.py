@@ -32,8 +32,8 @@ from pincal.model.checks import count_of, generator_of
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Platform
-from pincal.model.setup import Point, Setup
-from pincal.types import Array, Mask
+from pincal.model.setup import Setup
+from pincal.types import Array, Mask, Point
 from pincal.workspace.axes import MOST
 from pincal.workspace.criteria import Margins, as_margins, criteria_of, in_workspace
 from pincal.workspace.grid import reach_box

@@ -21,7 +21,8 @@ from pincal.kinematics.closing import home_mode, sensor_law
 from pincal.kinematics.closure import LegClosure, nominal_legs
 from pincal.kinematics.forest import Elementary
 from pincal.kinematics.forward import reading_range
-from pincal.model.leg import Joint, Leg
+from pincal.model.joint import Joint
+from pincal.model.leg import Leg
 from pincal.model.mechanism import Mechanism
 from pincal.model.sensor import PlacedTerm, SensorLaw
 from pincal.model.terms import LOAD, Harmonic, Load, Power

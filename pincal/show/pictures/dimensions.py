@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from pincal.kinematics.closing import sensor_law
 from pincal.kinematics.closure import LegClosure
 from pincal.model.checks import EXACT
-from pincal.model.leg import Joint
+from pincal.model.joint import Joint
 from pincal.model.sensor import Sensor
 from pincal.types import Array
 from pincal.words.wording import clean
