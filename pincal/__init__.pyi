@@ -32,7 +32,7 @@ from .kinematics.derivatives import identification_jacobian
 from .kinematics.forward import forward
 from .kinematics.singularity import margins
 from .kinematics.tensions import tensions
-from .model.instrument import Image, Instrument, Tracker
+from .model.instrument import Instrument, Tracker
 from .model.joint import End, Follows, Joint
 from .model.leg import Leg
 from .model.measurements import Measurements, Noise, Plan
@@ -72,7 +72,6 @@ __all__ = [
     "Follows",
     "Grid",
     "Harmonic",
-    "Image",
     "Inscribed",
     "Instrument",
     "Joint",

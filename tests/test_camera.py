@@ -160,6 +160,23 @@ def test_derivatives_of_a_camera(make, kind: str) -> None:  # type: ignore[no-un
     )
 
 
+@pytest.mark.parametrize("kind", LENSES)
+def test_a_pixel_in_metres(kind: str) -> None:
+    """Points that move so far across the line of sight move one pixel, on the mean of areas."""
+    camera = _camera(kind)
+    T = pincal.load_mechanism("6UPS").platform.home_pose.as_matrix().reshape(1, 4, 4)
+    metres = camera.metres_per_pixel(T, np.empty(0))[0]
+    T_camera_board = np.linalg.inv(_motion(camera.at, camera.rotation)) @ T[0]
+    T_camera_board = T_camera_board @ _motion(camera.markers.at, camera.markers.rotation)
+    for index, point in enumerate(BOARD.values()):
+        X = (T_camera_board @ [*point, 1.0])[:3]
+        across = np.linalg.svd(X[None])[2][1:]
+        ends = [np.array([_pixel(camera.lens, X + s * 1e-5 * a) for s in (-1, 1)]) for a in across]
+        moved = np.array([(after - before) / 2e-5 for before, after in ends])
+        area = abs(np.linalg.det(moved))
+        np.testing.assert_allclose(metres[2 * index : 2 * index + 2], area**-0.5, rtol=1e-7)
+
+
 @pytest.mark.parametrize("make", [pytest.param(_camera, marks=pytest.mark.slow), _in_hand])
 def test_known_camera_finds_the_machine(make) -> None:  # type: ignore[no-untyped-def]
     """Without noise every parameter is the truth's to 1e-9, lens, camera and board being known."""

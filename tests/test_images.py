@@ -32,10 +32,10 @@ def test_arrows_lead_from_what_was_seen_to_what_is_predicted(made: dict[str, Any
     result, data = made["result"], made["data"]
     axes = result.plot.images()
     front, side = (one for one in axes.collections if isinstance(one, Quiver))
-    seen = np.concatenate([800 + 1500 * data.extra[f"front_{m}_u"] for m in "abc"])
+    seen = np.concatenate([data.extra[f"front_{m}_u"] for m in "abc"])
     np.testing.assert_allclose(front.XY[:, 0], seen)
     own = {one.name: one.residuals for one in result.observed}
-    off = np.concatenate([1500 * own[f"front_{m}_u"] for m in "abc"])
+    off = np.concatenate([own[f"front_{m}_u"] for m in "abc"])
     factor = front.U / off
     np.testing.assert_allclose(factor, factor[0])
     worst = int(np.hypot(side.U, side.V).argmax())
@@ -46,15 +46,31 @@ def test_arrows_lead_from_what_was_seen_to_what_is_predicted(made: dict[str, Any
     assert any("px of residual" in text.get_text() for text in axes.texts)
 
 
+def test_points_are_listed_in_pixels_and_at_their_distance(made: dict[str, Any]) -> None:
+    """Root mean squares and medians of what each is off, the worst first; all of a camera above."""
+    result = made["result"]
+    (table,) = (t for t in result.tables() if t.title.startswith("Points as cameras saw"))
+    rows = {(row[0], row[1]): [cell.value for cell in row[3:]] for row in table.rows}
+    assert [*rows][:4:3] == [("front", "all"), ("front", "c")]
+    assert [*rows][5] == ("side", "b")  # of which one was mistaken
+    off = {g.name: g.residuals for g in result.observed}
+    sizes = np.hypot(off["side_b_u"], off["side_b_v"])
+    pixels = [np.sqrt((sizes**2).mean()), np.median(sizes)]
+    np.testing.assert_allclose(rows["side", "b"][:2], pixels)
+    away = 2.52 / 1506  # metres of a pixel, about
+    np.testing.assert_allclose(rows["side", "b"][2:], np.multiply(pixels, away), rtol=0.25)
+    lanes = [text.get_text() for text in result.plot.residuals().get_yticklabels()]
+    assert lanes[-2:] == ["front", "side"]
+
+
 @pytest.mark.slow
 def test_marks_that_a_camera_did_not_see_have_no_arrow(made: dict[str, Any]) -> None:
     """Rows in which either column is missing are left out; the other camera keeps all."""
-    data = made["data"]
+    data, result = made["data"], made["result"]
     column = data.extra["front_a_v"].copy()
     column[:20] = np.nan
     other = replace(data, extra=dict(data.extra) | {"front_a_v": column})
-    setup = pincal.Setup(instruments=(made["front"], made["side"]))
-    axes = pincal.calibrate("6UPS", other, setup=setup).plot.images()
+    axes = pincal.calibrate("6UPS", other, result.options).plot.images()
     front, side = (one for one in axes.collections if isinstance(one, Quiver))
     assert len(front.XY) == 130
     assert len(side.XY) == 150
@@ -68,23 +84,8 @@ def test_the_report_shows_them(made: dict[str, Any]) -> None:
     assert "front: 150 points" in b64decode(figure).decode()
 
 
-def test_images_that_are_none_are_refused(made: dict[str, Any]) -> None:
-    """Sizes, scales and columns that are no image's; a result that no camera measured."""
-    for wrong in (
-        {"size": (0, 5)},
-        {"size": (5,)},
-        {"scale": 0.0},
-        {"points": {"a": ("u",)}},
-        {"points": {"a": "uv"}},
-    ):
-        with pytest.raises(pincal.MeasurementError, match="image"):
-            pincal.Image(**({"size": (9, 9), "points": {"a": ("u", "v")}, "scale": 1.0} | wrong))
-    camera = made["front"]
-    own = dict(vars(camera)) | {"image": pincal.Image((9, 9), {"a": ("u", "v")}, 1.0)}
-    other = type(camera).__new__(type(camera))
-    vars(other).update(own)
-    with pytest.raises(pincal.MeasurementError, match="the image of instrument 'front'"):
-        pincal.Setup(instruments=(other,))
+def test_without_a_camera_there_are_no_images() -> None:
+    """A result that no camera measured says so."""
     mechanism, _, data = machine("3RRR")
     result = pincal.calibrate(mechanism, data, noise=pincal.Noise(1e-4, 1e-4))
     with pytest.raises(pincal.MeasurementError, match="no camera measured"):

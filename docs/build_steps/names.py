@@ -12,7 +12,7 @@ GROUPS = {
     "Symmetry": "symmetry_group Element cyclic dihedral",
     "Poses to measure": "select_poses Selection select_configurations Plan forecast indices",
     "Measurements": "Measurements Noise Setup Target Distance Contact Tracker Systematic "
-    "Camera Lens Markers Instrument Image",
+    "Camera Lens Markers Instrument",
     "Calibration": "calibrate Options Loss CalibrationResult load_result explain "
     "Explanation corrections Corrections deploy",
     "Simulation": "disturb simulate accuracy",

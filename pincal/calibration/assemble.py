@@ -159,7 +159,8 @@ def _misses(fits: Fits) -> tuple[float, float]:
     noises = by_target(observation, np.where(measured, noise, np.nan))
     squares: dict[str, list[Array]] = {"m": [], "rad": []}
     for target, sizes in by_target(observation, np.where(measured, missed, np.nan)).items():
-        squares[target[1]].append(sizes**2 - noises[target] ** 2)
+        if target[1] in squares:
+            squares[target[1]].append(sizes**2 - noises[target] ** 2)
     position, orientation = (
         float(np.sqrt(np.maximum(np.nanmean(parts), 0.0))) if parts else np.nan
         for parts in squares.values()

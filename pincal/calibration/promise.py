@@ -221,24 +221,44 @@ def misses_of(calibration: Calibration, parameters: Array, external: External) -
     solution = forward(machine, data.readings[rows], guess, influences)
     rows, poses = rows[solution.converged], solution.poses[solution.converged]
     observed = observation.at(rows)
-    residuals = observed.residuals(machine.platform.matrices(poses), external)[0]
-    errors = np.full(observation.measured.shape, np.nan)
+    matrices = machine.platform.matrices(poses)
+    errors, metres = np.full((2, *observation.measured.shape), np.nan)
+    residuals = observed.residuals(matrices, external)[0]
     errors[rows] = np.where(observed.measured, residuals, np.nan)
-    return by_target(observation, errors)
+    metres[rows] = observed.metres_per_pixel(matrices, external)
+    return by_target(observation, errors, metres)
 
 
-def by_target(observation: Observation, errors: Array) -> Misses:
-    """Return sizes of errors of measured quantities, (N, r), by target; NaN where none is known."""
+def by_target(observation: Observation, errors: Array, metres: Array | float = np.nan) -> Misses:
+    """Return sizes of errors of measured quantities, (N, r), by target; NaN where none is known.
+
+    Of cameras root mean squares over the points that they see, in px, and in m across the line of
+    sight, by metres per pixel, (N, r).
+    """
+    setup, sizes_by_target = observation.setup, dict[tuple[str, str], Array]()
+    cameras = {device.name for device in setup.instruments if setup.pixels & {*device.columns}}
+    for (target, unit), columns in _columns(observation).items():
+        seen = target in cameras
+        part = (errors * metres if seen and unit == "m" else errors)[:, columns]
+        known, points = np.isfinite(part), 1.0
+        if seen:
+            points = np.maximum(known.sum(axis=1) / 2, 1.0)
+        if known.any():
+            size = np.sqrt(np.nansum(part**2, axis=1) / points)
+            sizes_by_target[target, unit] = np.where(known.any(axis=1), size, np.nan)
+    return sizes_by_target
+
+
+def _columns(observation: Observation) -> dict[tuple[str, str], list[int]]:
+    """Return the columns among measured quantities of each target and unit, of cameras for both."""
     platform, names, setup = observation.platform, list(observation.names), observation.setup
     named = {(target, "m"): axes for target, axes in setup.positions(platform).items()}
     touched = setup.contact_axes(platform).items()
     named |= {(contact, "m"): axes for contact, axes in touched if contact != ROW}
     turns = zip(platform.freedoms, platform.units, strict=True)
     named[ORIGIN, "rad"] = [name for name, unit in turns if unit == "rad"]
-    sizes_by_target: Misses = {}
-    for target, of_target in named.items():
-        part = errors[:, [names.index(name) for name in of_target if name in names]]
-        known = np.isfinite(part).any(axis=1)
-        if known.any():
-            sizes_by_target[target] = np.where(known, np.sqrt(np.nansum(part**2, axis=1)), np.nan)
-    return sizes_by_target
+    for device in setup.instruments:
+        pixels = [name for name, unit in device.columns.items() if unit == "px"]
+        named |= {(device.name, "m"): pixels, (device.name, "px"): pixels}
+    every = ((key, [names.index(n) for n in part if n in names]) for key, part in named.items())
+    return {key: columns for key, columns in every if columns}

@@ -25,7 +25,7 @@ from pincal.estimation.unknowns import BlockRows, External, ExternalUnknowns, St
 from pincal.kinematics.batches import inverse_left_jacobian, point_velocity, turn_between
 from pincal.kinematics.configurations import shifted
 from pincal.model.checks import wrapped
-from pincal.model.instrument import evaluated
+from pincal.model.instrument import Instrument, evaluated
 from pincal.model.measurements import Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import SINGLE_ANGLES
@@ -213,15 +213,28 @@ class Observation:
 
         Poses are ``T_base_platform``, shape (N, 4, 4).
         """
-        measured, poses, end = self.measured.copy(), external.frame @ matrices, len(self.names)
-        begin = end - self.conditions.shape[1]
+        measured, poses = self.measured.copy(), external.frame @ matrices
+        for instrument, columns, places in self._devices():
+            if visible := getattr(instrument, "visible", None):
+                measured[:, columns] &= visible(poses, external.instruments[places])
+        return self._with(measured=measured)
+
+    def metres_per_pixel(self, matrices: Array, external: External) -> Array:
+        """Return what a pixel is at poses where what is seen is, (N, r), [m/px]; NaN of others."""
+        metres, poses = np.full(self.measured.shape, np.nan), external.frame @ matrices
+        for instrument, columns, places in self._devices():
+            if of_pixels := getattr(instrument, "metres_per_pixel", None):
+                metres[:, columns] = of_pixels(poses, external.instruments[places])
+        return metres
+
+    def _devices(self) -> Iterator[tuple[Instrument, slice, Index]]:
+        """Yield instruments, their columns among quantities, and the places of their unknowns."""
+        begin = len(self.names) - self.conditions.shape[1]
         pairs = zip(self.setup.instruments, self.external.of_instruments, strict=True)
         for instrument, places in pairs:
-            end = begin + len(instrument.columns)
-            if visible := getattr(instrument, "visible", None):
-                measured[:, begin:end] &= visible(poses, external.instruments[places])
-            begin = end
-        return self._with(measured=measured)
+            columns = slice(begin, begin + len(instrument.columns))
+            yield instrument, columns, places
+            begin = columns.stop
 
     def at(self, rows: Index) -> Observation:
         """Return the observation at some rows."""
@@ -406,16 +419,14 @@ class Observation:
         return row, np.where(follows, along + missed * by_turn, slope), along
 
     def _instruments(self, seen: Array, external: External) -> list[Predicted]:
-        rows, columns = [], self.conditions
-        for instrument, places in zip(
-            self.setup.instruments, self.external.of_instruments, strict=True
-        ):
-            k, values = len(instrument.columns), external.instruments[places]
-            value, by_pose, by_own = evaluated(instrument, seen, values, columns[:, :k])
+        rows, first = [], len(self.names) - self.conditions.shape[1]
+        for instrument, columns, places in self._devices():
+            read = self.conditions[:, columns.start - first : columns.stop - first]
+            values = external.instruments[places]
+            value, by_pose, by_own = evaluated(instrument, seen, values, read)
             by_external = np.zeros((*value.shape, self.external.own.stop))
             by_external[:, :, self.external.own.start + places] = by_own
             rows.append((value, by_pose, by_external))
-            columns = columns[:, k:]
         return rows
 
 

@@ -10,7 +10,6 @@ import numpy as np
 from pincal.errors import MeasurementError
 from pincal.files.table import TextTable, read_table
 from pincal.model.checks import listed
-from pincal.model.instrument import image_of
 from pincal.model.setup import Setup
 from pincal.types import Array
 
@@ -37,8 +36,7 @@ def read_corners(setup: Setup, table: TextTable, lines: Sequence[int]) -> tuple[
     pairs = {
         (device.name, point): pair
         for device in setup.instruments
-        if (image := image_of(device))
-        for point, pair in image.points.items()
+        for point, pair in getattr(device, "marks", {}).items()
     }
     names = _cameras_and_points(corners, pairs)
     rows = [place.get(table.lines[row], -1) for row in _rows(corners, table)]

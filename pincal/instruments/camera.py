@@ -21,7 +21,7 @@ from pincal.errors import MeasurementError
 from pincal.instruments.lens import Lens
 from pincal.instruments.placing import placed_by_rays
 from pincal.model.checks import array_of, check_sizes, must_be, named_points, set_point
-from pincal.model.instrument import Image, Residuals
+from pincal.model.instrument import Residuals
 from pincal.model.parameter import Parameter
 from pincal.types import Array, Mask, Point
 
@@ -174,8 +174,8 @@ class Camera:
         placed = [Parameter(self.name, n, unit, float(v)) for (n, unit), v in numbers]
         unknown = (*placed * (not self.known), *self.lens.parameters, *self.markers.parameters)
         object.__setattr__(self, "parameters", unknown)
-        columns = [f"{self.name}_{point}_{axis}" for point in self.markers.points for axis in "uv"]
-        object.__setattr__(self, "columns", dict.fromkeys(columns, "px"))
+        columns = dict.fromkeys((column for pair in self.marks.values() for column in pair), "px")
+        object.__setattr__(self, "columns", columns)
 
     @property
     def shared(self) -> tuple[str, ...]:
@@ -190,10 +190,9 @@ class Camera:
         return {id_: sigma for id_, sigma in every if np.isfinite(sigma)}
 
     @property
-    def image(self) -> Image:
-        """What its columns are in its image."""
-        pairs = {p: (f"{self.name}_{p}_u", f"{self.name}_{p}_v") for p in self.markers.points}
-        return Image(self.lens.size, pairs, 1.0, (0.0, 0.0))
+    def marks(self) -> dict[str, tuple[str, str]]:
+        """Columns of right and down by the name of the point."""
+        return {p: (f"{self.name}_{p}_u", f"{self.name}_{p}_v") for p in self.markers.points}
 
     @cached_property
     def _numbers(self) -> tuple[Array, Array]:
@@ -258,6 +257,14 @@ class Camera:
         rows = (N, 2 * M)
         by_parameters = by_every[..., places].reshape(*rows, len(places))
         return pixels.reshape(rows) - measured, by_twist.reshape(*rows, 6), by_parameters
+
+    def metres_per_pixel(self, poses: Array, values: Array) -> Array:
+        """Return what a pixel is across the line of sight, where points are, (N, r), [m/px]."""
+        place, lens, *_ = self._parts(values)
+        ray = self._carried(poses, values)[2] - place[:3]
+        by_seen = self.lens.project(ray @ _matrix(place)[:3, :3], lens)[1]
+        areas = np.linalg.det(by_seen @ by_seen.swapaxes(2, 3))  # squared, [px⁴/m⁴]
+        return np.repeat(areas**-0.25, 2, axis=1)
 
     def visible(self, poses: Array, values: Array) -> Mask:
         """Return which columns it could measure at poses, shape (N, r).

@@ -9,7 +9,7 @@ from typing import Protocol, TypeAlias, runtime_checkable
 import numpy as np
 
 from pincal.errors import MeasurementError
-from pincal.model.checks import check_sizes, count_of, listed, must_be, number_of, set_point
+from pincal.model.checks import check_sizes, set_point
 from pincal.model.parameter import Parameter
 from pincal.types import Array
 
@@ -26,7 +26,9 @@ class Instrument(Protocol):
     nominal values by id; ``shared``, owners of parameters that other instruments have, too;
     ``begin(poses, measured, known)``, values from which a search begins, at poses of the nominal
     machine and values by id that others share; ``visible(poses, values)``, which columns it could
-    measure at poses, shape (N, r), for plans and simulations.
+    measure at poses, shape (N, r), for plans and simulations; ``metres_per_pixel(poses, values)``,
+    what one of its pixels is at what it sees, shape (N, r), [m/px]; ``marks``, columns of right and
+    down by the names of points, which tables of corners fill.
 
     Example:
         >>> import numpy as np, pincal
@@ -84,55 +86,6 @@ def evaluated(instrument: Instrument, poses: Array, values: Array, measured: Arr
     return arrays
 
 
-@dataclass(frozen=True)
-class Image:
-    """What columns of an instrument are in the picture that it takes, for plots of residuals.
-
-    An instrument that has one as its ``image`` is a camera to ``result.plot.images()``.
-
-    Example:
-        >>> import pincal
-        >>> image = pincal.Image((1600, 1200), {"tip": ("tip_u", "tip_v")}, scale=1500.0)
-        >>> image.at([0.1], [-0.2]).tolist()
-        [[950.0, 300.0]]
-    """
-
-    size: tuple[int, int]
-    """Width and height, [px]."""
-    points: Mapping[str, tuple[str, str]]
-    """Columns that point right and down, by the names of the points seen."""
-    scale: float
-    """Pixels per unit of the columns: of tangents of angles the focal length, [px]."""
-    centre: tuple[float, float] | None = None
-    """Where both columns are zero, from the upper left corner, [px]; the middle if not given."""
-
-    def __post_init__(self) -> None:
-        size = must_be(self.size, (tuple, list), "size of an image", MeasurementError)
-        pixels = [count_of(side, "size of an image [px]", MeasurementError, 1) for side in size]
-        if len(pixels) != 2:
-            raise MeasurementError(f"size of an image is {size!r}; expected width and height in px")
-        if not number_of(self.scale, "scale of an image", MeasurementError) > 0.0:
-            raise MeasurementError(f"scale of an image is {self.scale:g}; expected more than 0")
-        for name, columns in must_be(
-            self.points, Mapping, "points of an image", MeasurementError
-        ).items():
-            if isinstance(columns, str) or len(columns) != 2:
-                raise MeasurementError(
-                    f"point {name!r} of an image has the columns {columns!r}; expected two: one "
-                    "that points right, one that points down"
-                )
-
-    def at(self, right: Array, down: Array) -> Array:
-        """Return places in the image, shape (N, 2), [px], of values of columns, shape (N,)."""
-        middle = np.array(self.size) / 2 if self.centre is None else np.array(self.centre)
-        return np.asarray(middle + self.scale * np.column_stack((right, down)))
-
-
-def image_of(instrument: Instrument) -> Image | None:
-    """Return what the columns of an instrument are in its pictures, if it is a camera."""
-    return getattr(instrument, "image", None)
-
-
 def fault_of(instrument: Instrument, names: set[str]) -> str:
     """Return what is wrong with an instrument beside others with names; empty if nothing is."""
     name = instrument.name
@@ -144,13 +97,6 @@ def fault_of(instrument: Instrument, names: set[str]) -> str:
     for column, unit in instrument.columns.items():
         if unit not in ("m", "rad", "px"):
             return f"column {column!r} of instrument {name!r} is in {unit!r}; expected m, rad or px"
-    image = image_of(instrument)
-    pairs = image.points.values() if image else ()
-    if unknown := sorted({c for pair in pairs for c in pair} - set(instrument.columns)):
-        return (
-            f"the image of instrument {name!r} has a column {unknown[0]!r}; expected its own: "
-            f"{listed(instrument.columns)}"
-        )
     for parameter in instrument.parameters:
         if parameter.owner not in (name, *getattr(instrument, "shared", ())):
             return (

@@ -142,6 +142,7 @@ def _unseen_lines(result: CalibrationResult) -> list[str]:
     axes = [name for names in columns(result.nominal.platform).values() for name in names]
     measured = [group.name for group in result.observed if group.name in axes]
     along = f" in {named(measured)}" if unit == "m" and 0 < len(measured) < len(axes) else ""
+    along = along or " across lines of sight" * (not measured and "px" in missed)
     poses = counted(max(target.poses for target in result.validation.targets), "unseen pose")
     source = "instrument" + " and reading" * (result.noise is None or result.noise.reading > 0.0)
     alone = f" ({source} noise alone: {number(noise, unit)})" if noise else ""

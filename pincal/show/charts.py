@@ -18,9 +18,8 @@ from matplotlib.transforms import Affine2D
 from pincal.calibration.result import CalibrationResult
 from pincal.calibration.result_parts import LegResult
 from pincal.errors import MeasurementError, WorkspaceError
-from pincal.model.instrument import Image, image_of
 from pincal.model.measurements import Plan
-from pincal.show.misses import apart, level_poses, noisy_residuals
+from pincal.show.misses import apart, camera_misses, level_poses, noisy_residuals
 from pincal.show.pictures.picture import shortened
 from pincal.show.style import EVERY, GROUND, INK, OUTLIER, leg_colour
 from pincal.show.view.scene import rounded_down
@@ -83,29 +82,28 @@ class Plots:
         than its model.
 
         Raises:
-            MeasurementError: no instrument that measured has a ``pincal.Image`` as its ``image``.
+            MeasurementError: no camera measured.
         """
         ax = ax or _axes(6.4, 3.6)
-        if not (cameras := _seen_by_cameras(self.result)):
+        if not (cameras := camera_misses(self.result)):
             raise MeasurementError(
-                f"{self.result.nominal.name}: no camera measured it: no instrument of the setup "
-                "has an image; expected one with a pincal.Image as its 'image'"
+                f"{self.result.nominal.name}: no camera measured it: no instrument of the setup is "
+                "a pincal.Camera"
             )
-        widest, highest = np.max([image.size for _, image, _ in cameras], axis=0)
+        widest, highest = np.max([misses.camera.lens.size for misses in cameras], axis=0)
         gap, low = _GAP * widest, highest + _GAP * widest
-        lengths = np.concatenate([np.hypot(*points[2:4]) for *_, points in cameras])
+        lengths = np.concatenate([np.linalg.norm(misses.missed, axis=1) for misses in cameras])
         magnified = rounded_down(_ARROW * widest / max(float(np.quantile(lengths, _LARGE)), 1e-12))
-        for index, (name, image, points) in enumerate(cameras):
-            x = index * (widest + gap)
-            ax.add_patch(Rectangle((x, 0.0), *image.size, fill=False, ec="0.6", lw=0.8))
-            u, v, *misses, standardised = points
-            rms = float(np.sqrt((np.square(misses)).sum(axis=0).mean()))
-            title = f"{clean(name)}: {len(u)} points, {rms:.2g} px"
+        for index, (camera, _, seen, missed, standardised, metres) in enumerate(cameras):
+            x, off = index * (widest + gap), np.linalg.norm(missed, axis=1)
+            ax.add_patch(Rectangle((x, 0.0), *camera.lens.size, fill=False, ec="0.6", lw=0.8))
+            rms, far = (float(np.sqrt((sizes**2).mean())) for sizes in (off, off * metres))
+            title = f"{clean(camera.name)}: {len(off)} points, {rms:.2g} px, {amount(far, 'm', 2)}"
             ax.text(x, -0.2 * gap, title, size=8, va="bottom")
             arrows = ax.quiver(
-                x + u,
-                v,
-                *(magnified * np.array(misses)),
+                x + seen[:, 0],
+                seen[:, 1],
+                *(magnified * missed.T),
                 np.nan_to_num(standardised),
                 cmap="cividis_r",
                 clim=(0.0, 4.0),
@@ -188,32 +186,6 @@ def _draw_map(axes: Axes, x: Array, y: Array, values: Array, name: str, **colour
     extend = "neither" if "vmin" in colours else "max"
     axes.figure.colorbar(image, ax=axes, label=f"{name} [{SMALL['m']}]", extend=extend)
     axes.set(xlabel=f"x [{STORED['m']}]", ylabel=f"y [{STORED['m']}]")
-
-
-def _seen_by_cameras(result: CalibrationResult) -> list[tuple[str, Image, Array]]:
-    """Return each camera's name, image, and points of which both columns were measured, (5, N).
-
-    Rows are u and v as seen, from the upper left corner, and predicted less seen, [px]; the larger
-    of the two standardised, NaN where nothing checks either.
-    """
-    by_name = {group.name: group for group in result.observed}
-    every_camera = list[tuple[str, Image, Array]]()
-    for camera in result.options.setup.instruments:
-        if (image := image_of(camera)) is None:
-            continue
-        parts = []
-        for pair in image.points.values():
-            if not set(pair) <= set(by_name):
-                continue
-            right, down = (by_name[column] for column in pair)
-            rows, i, j = np.intersect1d(right.rows, down.rows, return_indices=True)
-            columns = (np.asarray(result.measurements.extra[column])[rows] for column in pair)
-            misses = image.scale * np.stack((right.residuals[i], down.residuals[j]))
-            sizes = np.fmax(np.abs(right.standardised[i]), np.abs(down.standardised[j]))
-            parts.append(np.vstack((image.at(*columns).T, misses, sizes)))
-        if parts:
-            every_camera.append((camera.name, image, np.concatenate(parts, axis=1)))
-    return every_camera
 
 
 def _name_undrawn(axes: Axes, result: CalibrationResult) -> None:

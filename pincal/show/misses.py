@@ -7,8 +7,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pincal.calibration.promise import by_target, measured_plan, seen_by
 from pincal.calibration.result import CalibrationResult
@@ -18,6 +20,7 @@ from pincal.design.simulate import platform_errors
 from pincal.errors import WorkspaceError
 from pincal.estimation.problem import Problem
 from pincal.estimation.unknowns import External, State
+from pincal.instruments.camera import Camera
 from pincal.kinematics.configurations import as_plan, legs_at
 from pincal.model.measurements import Plan
 from pincal.types import Array, Mask
@@ -32,15 +35,73 @@ _BEST_FIT = 1e-6, 1e6  # radii at which frames are aligned for positions, for or
 _MENTIONED = 0.01  # share of the workspace outside the measured region, below which it is not said
 
 
+class CameraMisses(NamedTuple):
+    """What a camera saw in all photos, and how far from there it is predicted, n points."""
+
+    camera: Camera
+    points: NDArray[np.str_]
+    """Names of points, shape (n,)."""
+    seen: Array
+    """Right and down, shape (n, 2), [px]."""
+    missed: Array
+    """Predicted less seen, shape (n, 2), [px]."""
+    standardised: Array
+    """The larger of both over its standard deviation, shape (n,); NaN where nothing checks it."""
+    metres: Array
+    """What a pixel is there across the line of sight, shape (n,), [m/px]."""
+
+
+def camera_misses(result: CalibrationResult) -> list[CameraMisses]:
+    """Return what cameras saw otherwise than predicted, of points seen in both coordinates."""
+    by_name = {group.name: group for group in result.observed}
+    observation = result.calibration.observation
+    matrices, every = result.nominal.platform.matrices(result.poses), list[CameraMisses]()
+    metres = observation.metres_per_pixel(matrices, result.outside or External())
+    for camera in (d for d in result.options.setup.instruments if isinstance(d, Camera)):
+        parts = list[tuple[Array, ...]]()
+        for point, pair in camera.marks.items():
+            if not by_name.keys() >= {*pair}:
+                continue
+            groups = [by_name[column] for column in pair]
+            rows, *places = np.intersect1d(groups[0].rows, groups[1].rows, return_indices=True)
+            seen = [result.measurements.extra[column][rows] for column in pair]
+            missed, sizes = (
+                np.stack([getattr(g, name)[i] for g, i in zip(groups, places, strict=True)], axis=1)
+                for name in ("residuals", "standardised")
+            )
+            of_point = metres[rows, observation.names.index(pair[0])]
+            names, largest = np.full(len(rows), point), np.fmax(*np.abs(sizes.T))
+            parts.append((names, np.stack(seen, axis=1), missed, largest, of_point))
+        if parts:
+            every.append(CameraMisses(camera, *map(np.concatenate, zip(*parts, strict=True))))
+    return every
+
+
+def observed_groups(result: CalibrationResult) -> list[ResidualGroup]:
+    """Return residuals of what was measured of the platform, all that a camera saw as one."""
+    cameras = [device for device in result.options.setup.instruments if isinstance(device, Camera)]
+    owners = {column: camera.name for camera in cameras for column in camera.columns}
+    groups = dict[str, ResidualGroup]()
+    for group in result.observed:
+        name = owners.get(group.name, group.name)
+        if name in groups:
+            former, arrays = vars(groups[name]), vars(group)
+            kept = [key for key, value in former.items() if isinstance(value, np.ndarray)]
+            joined: dict[str, Any] = {k: np.append(former[k], arrays[k]) for k in kept}
+            group = replace(groups[name], **joined)
+        groups[name] = replace(group, name=name)
+    return [*groups.values()]
+
+
 def noisy_residuals(result: CalibrationResult) -> list[ResidualGroup]:
     """Return residuals that carry noise: of legs, of the platform if legs cannot miss, or both.
 
     Both where readings have noise: they share with the platform what is missed.
     """
     if readings_exact(result):
-        return list(result.observed)
-    shared = any(leg.quantity == "reading" for leg in result.legs)
-    return [*result.legs, *(result.observed if shared else ())]
+        return observed_groups(result)
+    shared = any(leg.quantity == "reading" for leg in result.legs) or result.options.setup.pixels
+    return [*result.legs, *(observed_groups(result) if shared else ())]
 
 
 def readings_exact(result: CalibrationResult) -> bool:
@@ -166,7 +227,8 @@ def noise_of_misses(result: CalibrationResult) -> dict[str, float]:
     sigmas[known] = np.linalg.norm(S[known, n:] - B[known, n:] @ predicted, axis=2)
     sizes: dict[str, list[float]] = {}
     sigmas[~observation.measured] = np.nan
-    for (_, unit), size in by_target(observation, sigmas).items():
+    metres = observation.metres_per_pixel(matrices, state.external)
+    for (_, unit), size in by_target(observation, sigmas, metres).items():
         sizes.setdefault(unit, []).append(float(np.nanmean(size**2)))
     return {unit: float(np.sqrt(np.mean(squares))) for unit, squares in sizes.items()}
 

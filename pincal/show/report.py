@@ -24,7 +24,6 @@ from pincal.errors import FileError, MeasurementError, WorkspaceError
 from pincal.files.measurements import read_poses
 from pincal.files.output import writing
 from pincal.files.text import LARGEST_FILE, read_bytes
-from pincal.model.instrument import image_of
 from pincal.model.measurements import EVERY_LEG, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.units import SI, Units
@@ -180,7 +179,7 @@ def _sections(report: Report) -> list[tuple[Any, ...]]:
     )
     if errors is None:
         return [measured, reproduction]
-    seen_by_cameras = any(map(image_of, result.options.setup.instruments))
+    cameras = tables.cameras_table(result)
     return [
         measured,
         (
@@ -196,7 +195,8 @@ def _sections(report: Report) -> list[tuple[Any, ...]]:
             "Residuals before and after",
             tables.residuals_table(result),
             _chart(result, "residuals"),
-            _chart(result, "images") if seen_by_cameras else None,
+            _chart(result, "images") if cameras else None,
+            cameras,
             tables.outliers_table(result) if result.outliers else None,
         ),
         (

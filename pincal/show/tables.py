@@ -13,7 +13,13 @@ from pincal.design.forecast import Forecast
 from pincal.design.select import Selection
 from pincal.model.checks import counted
 from pincal.model.mechanism import Mechanism
-from pincal.show.misses import WorkspaceErrors, effects, readings_exact
+from pincal.show.misses import (
+    WorkspaceErrors,
+    camera_misses,
+    effects,
+    observed_groups,
+    readings_exact,
+)
 from pincal.symmetry.detect import SymmetryGroup, no_symmetries
 from pincal.words.numbers import SMALL, STORED, VALUES, chance, number, shown_in, uncertainty
 from pincal.words.table import Cell, Table, Value, quantity
@@ -173,7 +179,7 @@ def workspace_table(workspace: Workspace, inscribed: Inscribed | None = None) ->
 
 _MOST_OUTLIERS = 50  # that are listed
 _SEEN = 1e-6  # of the largest effect, below which a parameter has none
-ERRORS = {"m": "position", "rad": "orientation"}
+ERRORS = {"m": "position", "rad": "orientation", "px": "image"}
 _CHOSEN = ". Values and ± depend on what was fixed by choice; errors of the platform do not"
 _HEADS = ("nominal", "identified", "± 95 %", "unit")
 
@@ -182,7 +188,8 @@ def calibration_tables(result: CalibrationResult) -> list[Table]:
     """Return all tables of a calibration that a terminal shows."""
     outside = [outside_table(result)] if result.external else []
     outliers = [outliers_table(result)] if result.outliers and result.loss != "none" else []
-    return [parameters_table(result), *outside, residuals_table(result), *outliers]
+    cameras = [table] if (table := cameras_table(result)) else []
+    return [parameters_table(result), *outside, residuals_table(result), *cameras, *outliers]
 
 
 def accuracy_table(result: CalibrationResult, errors: WorkspaceErrors) -> Table:
@@ -269,7 +276,7 @@ def residuals_table(result: CalibrationResult) -> Table:
         (*_sizes(leg), Cell(leg.rank, f"{leg.rank} of {len(leg.parameters)}"), leg.condition)
         for leg in legs
     ]
-    rows += [(*_sizes(group), *(None for _ in ranks)) for group in result.observed]
+    rows += [(*_sizes(group), *(None for _ in ranks)) for group in observed_groups(result)]
     caption = "σ: of the noise alone; condition: of the identification Jacobian, white and scaled"
     if exact:
         caption = "Readings are exact: legs close by construction, and residuals are the platform's"
@@ -282,6 +289,34 @@ def _sizes(group: ResidualGroup) -> tuple[Value, ...]:
     shown = (Cell(size, f"{shown_in(size, unit):.4f}") for size in sizes)
     rows = len(np.unique(group.rows))
     return group.name, rows, *(shown if rows else (None, None, None)), SMALL[unit]
+
+
+def cameras_table(result: CalibrationResult) -> Table | None:
+    """Return how far points are seen from where they are predicted, those missed most first."""
+    rows = list[list[Value]]()
+    for camera, points, _, missed, _, metres in camera_misses(result):
+        off = np.linalg.norm(missed, axis=1)
+        each = {name: off[points == name] for name in dict.fromkeys(points.tolist())}
+        worst = sorted(each, key=lambda name: -np.square(each[name]).mean())[:NAMED]
+        for name in ("all", *worst):
+            of_point = points == name if name in each else np.full(len(points), fill_value=True)
+            pixels, lengths = off[of_point], (off * metres)[of_point]
+            sizes = [
+                Cell(size, number(size, unit))
+                for part, unit in ((pixels, "px"), (lengths, "m"))
+                for size in (float(np.sqrt((part**2).mean())), float(np.median(part)))
+            ]
+            rows.append([camera.name, name, len(pixels), *sizes])
+    heads = [f"{kind} [{SMALL[unit]}]" for unit in ("px", "m") for kind in ("RMS", "median")]
+    if not rows:
+        return None
+    return Table(
+        "Points as cameras saw them, from where they are predicted",
+        ["camera", "point", "seen", *heads],
+        rows,
+        f"lengths: across the line of sight, at the point's distance; of each camera its {NAMED} "
+        "points that are missed most",
+    )
 
 
 def outliers_table(result: CalibrationResult) -> Table:
