@@ -107,10 +107,10 @@ def test_a_machine_that_does_not_reproduce_its_fit_is_not_saved(tmp_path: Path) 
     machine, data = measured("5R", pincal.Setup())
     result = pincal.calibrate(machine, data, noise=NOISE)
     lengths = result.legs[0].identified + np.eye(len(result.legs[0].parameters))[0] * 1e-6
-    off = result.identified.with_parameters({"leg_1": lengths})
+    vars(result)["identified"] = result.identified.with_parameters({"leg_1": lengths})
     with pytest.raises(
         pincal.PincalError, match="fault of pincal, not of the measurements"
     ) as said:
-        replace(result, identified=off).save(tmp_path / "result")
+        result.save(tmp_path / "result")
     assert len(str(said.value)) < 300
     assert not (tmp_path / "result").exists()

@@ -71,7 +71,6 @@ def assemble(fits: Fits) -> CalibrationResult:
     poses = mechanism.platform.from_matrices(fits.fits[0].last.state.matrices)
     return CalibrationResult(
         calibration=calibration,
-        identified=calibration.identified(parameters),
         legs=legs,
         observed=observed,
         external=external,

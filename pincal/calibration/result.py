@@ -64,8 +64,6 @@ class CalibrationResult:
 
     calibration: Calibration
     """What was calibrated, from what, and how."""
-    identified: Mechanism
-    """The calibrated mechanism."""
     legs: tuple[LegResult, ...]
     external: tuple[IdentifiedParameter, ...]
     """Where the base is in the frame of the measurements (``tracker.x`` …, a rotation vector),
@@ -126,6 +124,11 @@ class CalibrationResult:
     def nominal(self) -> Mechanism:
         """The nominal mechanism."""
         return self.calibration.mechanism
+
+    @cached_property
+    def identified(self) -> Mechanism:
+        """The calibrated mechanism."""
+        return self.calibration.identified(np.concatenate([leg.identified for leg in self.legs]))
 
     @property
     def begun(self) -> Mechanism:

@@ -366,12 +366,11 @@ def load_result(folder: str | Path) -> CalibrationResult:
     converter.register_structure_hook(Mechanism, lambda *_: nominal)
     try:
         with warnings.catch_warnings(action="error"):
+            contents["data"].pop("identified", None)  # of results that were saved with it
             result = converter.structure(contents["data"], CalibrationResult)
             parameters = [(p.id, p.unit) for leg in result.legs for p in leg.parameters]
             if parameters != [(p.id, p.unit) for p in nominal.parameters]:
                 raise ValueError("parameters of another mechanism than the nominal one")
-            values = np.concatenate([leg.identified for leg in result.legs])
-            result = replace(result, identified=result.calibration.identified(values))
             as_json(result)
             str(result)  # all that is said of it can be said
     except Exception as error:  # what was saved raises nothing

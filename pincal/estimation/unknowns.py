@@ -162,6 +162,8 @@ class ExternalUnknowns:
 
     def moved(self, values: External, step: Array) -> External:
         """Return values after a step, shape (n,): twists of the frame about its own origin."""
+        if not len(self):
+            return values
         change, frame = np.zeros(self.own.stop), values.frame.copy()
         change[self.free] = step
         frame[:3, 3] += change[:3]
@@ -176,6 +178,8 @@ class ExternalUnknowns:
 
     def coordinates(self, values: External) -> Array:
         """Return the unknowns as numbers, shape (n,), [m] and, rotation vectors, [rad]."""
+        if not len(self):
+            return np.zeros(0)
         turns = Rotation.from_matrix([values.frame[:3, :3], values.turn]).as_rotvec()
         parts = [values.frame[:3, 3], turns[0], values.offsets.ravel(), turns[1]]
         return np.concatenate([*parts, values.points.ravel(), values.instruments])[self.free]
