@@ -344,7 +344,7 @@ def test_a_leg_that_deforms_is_not_carried() -> None:
     """What grows in one direction may grow in another one where the leg is carried to."""
     leg = deforming(pincal.load_mechanism("5R"), ("A_x",), "temperature").legs[0]
     with pytest.raises(SymmetryError, match=r"A_x have terms, of which the rotation .* may make"):
-        carry(leg, cyclic(3)[1], "leg_1", leg.point.name)
+        carry(leg, cyclic(3)[1])
 
 
 def test_a_load_turns_over_with_its_joint() -> None:

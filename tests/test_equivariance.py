@@ -217,7 +217,7 @@ def mirrored(case: Case, rng: Generator) -> Changed:
     mirror = Element.of(plane_of, plane_of)
 
     def image(one: Mechanism) -> Mechanism:
-        legs = tuple(carry(leg, mirror, leg.name, leg.point.name) for leg in one.legs)
+        legs = tuple(carry(leg, mirror) for leg in one.legs)
         home = mirror.poses(one.platform, np.array([one.platform.home]))[0]
         platform = replace(one.platform, home=tuple(home.tolist()))
         return replace(one, legs=legs, platform=platform)

@@ -60,7 +60,7 @@ def changed(name: str, how: str, seed: int) -> pincal.Mechanism:
         mechanism = pincal.disturb(mechanism, 10.0 ** rng.uniform(-13, -2), seed=seed)
     if how in ("mirrored", "all"):
         turn = Element.mirror(rng.uniform(-3.0, 3.0))
-        legs = tuple(carry(leg, turn, leg.name, leg.point.name) for leg in mechanism.legs)
+        legs = tuple(carry(leg, turn) for leg in mechanism.legs)
         home = turn.poses(mechanism.platform, np.array([mechanism.platform.home]))[0]
         platform = pincal.Platform(mechanism.platform.kind, tuple(home.tolist()))
         mechanism = replace(mechanism, legs=legs, platform=platform)

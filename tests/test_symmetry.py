@@ -157,8 +157,8 @@ def test_canonical_form_of_a_leg_is_the_same_leg(mechanism: pincal.Mechanism) ->
     The leg carried by an element and back again is the leg itself.
     """
     for leg, element in product(mechanism.legs, dihedral(4)):
-        away = carry(leg, element, leg.name, leg.point.name)
-        back = carry(away, element.inverse(), leg.name, leg.point.name)
+        away = carry(leg, element)
+        back = carry(away, element.inverse())
         home = canonical(leg)
         np.testing.assert_allclose(back.nominal, home.nominal, atol=1e-12)
         np.testing.assert_allclose(back.home, home.home, atol=1e-12)
@@ -172,7 +172,7 @@ def test_carried_leg_reads_the_same_at_carried_poses(mechanism: pincal.Mechanism
         -0.1, 0.1, (20, platform.dof)
     )
     for leg, element in product(mechanism.legs, dihedral(5)):
-        carried = carry(leg, element, leg.name, leg.point.name)
+        carried = carry(leg, element)
         one = replace(mechanism, legs=(leg,))
         other = replace(mechanism, legs=(carried,))
         before = pincal.inverse(one, poses).readings
@@ -313,3 +313,22 @@ def test_a_narrow_terminal_loses_no_letter() -> None:
     Console(file=out, width=80).print(symmetry_table(group, 0.0))
     words = set(out.getvalue().split())
     assert {"270°", "135°", *group.mechanism.leg_names} <= words
+
+
+def test_a_leg_that_branches_is_carried_branch_by_branch() -> None:
+    """Six rods have the delta's group, D6, whose mirrors swap a leg's rods; readings follow.
+
+    One longer rod leaves the identity; two rods of one leg alike longer, the mirror through it.
+    """
+    mechanism = pincal.load_mechanism("six_rod_delta")
+    group = pincal.symmetry_group(mechanism)
+    assert group.name == pincal.symmetry_group(pincal.load_mechanism("delta")).name == "D6"
+    assert group.permutations[1] == (1, 2, 0)
+    poses = pincal.sample_configurations(mechanism, 40, seed=1).poses
+    assert group.equivariance(poses) < 1e-9
+    leg = mechanism.legs[0].nominal_by_name
+    longer = {name: leg[name] + 1e-3 for name in ("L_1", "L_2")}
+    one = pincal.symmetry_group(mechanism.with_parameters({"leg_1": {"L_1": longer["L_1"]}}))
+    assert [str(element) for element in one.elements] == ["identity"]
+    both = pincal.symmetry_group(mechanism.with_parameters({"leg_1": longer}))
+    assert [str(element) for element in both.elements] == ["identity", "mirror at azimuth 0°"]

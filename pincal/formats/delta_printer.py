@@ -9,7 +9,7 @@ to a nozzle that does not turn has this form, with the origin at the centre of t
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import asin, hypot, pi, sqrt
 
 import numpy as np
@@ -90,7 +90,7 @@ class DeltaPrinter:
         for i, leg_name in enumerate(legs):
             angle, arm, endstop = wrapped(self.angles[i]), self.arms[i], self.endstops[i]
             turn = Element(angle - first.nominal_by_name["angle"])
-            leg = carry(first, turn, leg_name, first.point.name).with_parameters(
+            leg = replace(carry(first, turn), name=leg_name).with_parameters(
                 {"radius": self.radius, "angle": angle, "arm": arm, "endstop": endstop}
             )
             reach = self.radius + (self.print_radius or _PRINTED * self.radius)

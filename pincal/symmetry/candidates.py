@@ -24,8 +24,9 @@ class Points:
     def __init__(self, mechanism: Mechanism, base: Array) -> None:
         """Take base points in the base frame, shape (n_legs, 3), [m]."""
         self.mechanism, self.base = mechanism, base
-        self.platform = np.array([leg.point.placement.xyz for leg in mechanism.legs])
-        """Platform points in the platform frame, shape (n_legs, 3), [m]."""
+        points = ([p.placement.xyz for p in leg.points] for leg in mechanism.legs)
+        self.platform = np.array([np.mean(of_leg, axis=0) for of_leg in points])
+        """The middle of each leg's platform points, platform frame, shape (n_legs, 3), [m]."""
         self.home = mechanism.platform.home_pose.as_matrix()[0]
         self.at_home = self.platform @ self.home[:3, :3].T + self.home[:3, 3]
         """Platform points in the base frame at home, shape (n_legs, 3), [m]."""
@@ -102,12 +103,7 @@ class Points:
 
     @cached_property
     def candidates(self) -> list[Element]:
-        """Elements that carry every leg's points near those of some leg, each once.
-
-        Of legs that are trees, which are not compared, the identity alone.
-        """
-        if any(leg.ends for leg in self.mechanism.legs):
-            return [IDENTITY]
+        """Elements that carry every leg's points near those of some leg, each once."""
         legs, elements = self._references(), [IDENTITY]
         for images in self._images(legs, []):
             for sign in (1.0, -1.0):

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -137,11 +138,11 @@ def _set(value: Value, target: float, new: dict[str, float]) -> Value:
     return target
 
 
-def carry(leg: Leg, element: Element, name: str, point: str) -> Leg:
-    """Return a leg carried by an element, in canonical form, under new names.
+def carry(leg: Leg, element: Element) -> Leg:
+    """Return a leg carried by an element, in canonical form.
 
-    What is on the base follows the base's isometry, the platform point the platform's; inside the
-    leg a reflection mirrors geometry.
+    What is on the base follows the base's isometry, platform points the platform's; inside the leg
+    a reflection mirrors geometry.
 
     Raises:
         SymmetryError: a placement whose coordinates cannot express the carried leg, or parameters
@@ -154,15 +155,17 @@ def carry(leg: Leg, element: Element, name: str, point: str) -> Leg:
         )
     old, new = leg.nominal_by_name, dict(leg.parameters)
     local = LOCAL_MIRROR if element.reflection else np.eye(3)
-    joints = []
-    for index, joint in enumerate((*leg.joints, leg.point)):
+    on_base = {joint.name for joint, i in zip(leg.joints, leg.carriers, strict=True) if i < 0}
+
+    def carried(joint: Joint, closes: object = None) -> Joint:
+        """Return a joint of the leg, carried, or a platform point, where it closes something."""
         context = f"{leg.name}, joint {joint.name!r}"
         p = joint.placement
         constant = p.rest(old, context).copy()
-        if index == 0 or joint is leg.point:
-            isometry = element.platform if joint is leg.point else element.base
+        if closes or joint.name in on_base:
+            isometry = element.platform if closes else element.base
             moved, residual = _on_body(p, isometry, constant, old, new, f"{context}: the {element}")
-            if joint is leg.point and leg.closes == "point":  # its frame has no meaning
+            if closes == "point":  # its frame has no meaning
                 residual[:3, :3] = constant[:3, :3]
         else:
             coordinates = p.coordinates
@@ -179,16 +182,13 @@ def carry(leg: Leg, element: Element, name: str, point: str) -> Leg:
         axis = local @ np.array(joint.axis)
         if joint.kind == "revolute":
             axis = np.linalg.det(local) * axis
-        joints.append(replace(joint, placement=moved.at(new, residual), axis=_triple(axis)))
-    return canonical(
-        replace(
-            leg,
-            name=name,
-            joints=tuple(joints[:-1]),
-            point=replace(joints[-1], name=point),
-            parameters=tuple(new.items()),
-        )
-    )
+        return replace(joint, placement=moved.at(new, residual), axis=_triple(axis))
+
+    joints = tuple(carried(joint) for joint in leg.joints)
+    point = carried(leg.point, leg.closes)
+    ends = tuple(end.moved(partial(carried, closes=end.closes)) for end in leg.ends)
+    parameters = tuple(new.items())
+    return canonical(replace(leg, joints=joints, point=point, ends=ends, parameters=parameters))
 
 
 def canonical(leg: Leg) -> Leg:
@@ -289,7 +289,7 @@ def generate(
 ) -> Mechanism:
     """Return the mechanism whose legs are one carried by the elements, the identity first.
 
-    Legs are named ``leg_1``, ``leg_2``, …; a platform point whose name ends in ``_1`` is numbered
+    Legs are named ``leg_1``, ``leg_2``, …; platform points whose names end in ``_1`` are numbered
     alike. The leg's home may be rough: all legs are closed at the platform's home pose, on the side
     (working mode) that the rough home is on.
 
@@ -306,12 +306,18 @@ def generate(
         SymmetryError: a placement whose coordinates cannot express a carried leg.
     """
     closed = at_home(leg, platform)
+
+    def numbered(number: int, joint: Joint) -> Joint:
+        """Return a platform point with the number of its leg."""
+        name = joint.name
+        return replace(joint, name=f"{name[:-2]}_{number}") if name.endswith("_1") else joint
+
     legs = []
     for number, element in enumerate(elements, start=1):
-        point = closed.point.name
-        if point.endswith("_1"):
-            point = f"{point[:-2]}_{number}"
-        legs.append(at_home(carry(closed, element, f"leg_{number}", point), platform))
+        made, rename = carry(closed, element), partial(numbered, number)
+        ends = tuple(end.moved(rename) for end in made.ends)
+        made = replace(made, name=f"leg_{number}", point=rename(made.point), ends=ends)
+        legs.append(at_home(made, platform))
     return Mechanism(name, platform, tuple(legs), description, tuple((labels or {}).items()))
 
 

@@ -287,7 +287,7 @@ def _first_break(fits: LegImages, element: Element, tolerance: float) -> Break |
 def _named(fits: LegImages, leg: Leg, element: Element, image: Leg) -> Iterator[Difference]:
     """Yield in which parameters and constants a carried leg differs, as far as drawings say it."""
     try:
-        carried, drawn = carry(leg, element, leg.name, leg.point.name), canonical(image)
+        carried, drawn = carry(leg, element), canonical(image)
     except SymmetryError:  # its coordinates cannot say it
         return
     if carried.parameter_names != drawn.parameter_names or carried.active != drawn.active:

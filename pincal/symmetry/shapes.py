@@ -8,18 +8,21 @@ at the carried pose; if its joints may go as far from there; and if its sensors 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
+from scipy.spatial import distance_matrix
 
 from pincal.kinematics.batches import lengths
 from pincal.kinematics.closed_forms import closed_form
 from pincal.kinematics.closing import close, sensor_law
 from pincal.kinematics.closure import LegClosure, nominal_legs
 from pincal.model.checks import ROUNDING
+from pincal.model.leg import Joint
 from pincal.model.mechanism import Mechanism
 from pincal.model.terms import LOAD
 from pincal.symmetry.candidates import NEARLY, Points
@@ -50,23 +53,34 @@ class Difference:
 
 
 class StandingLeg:
-    """A leg closed at a pose, in the base frame."""
+    """A leg closed at a pose, in the base frame: joints are all that move, geared ones too."""
 
     def __init__(self, closure: LegClosure, matrix: Array, *, near_home: bool) -> None:
         """Close a leg at a pose, shape (4, 4); near the home pose as it stands there."""
         self.closure, leg = closure, closure.leg
         closed = close((closure,), matrix[None], near=leg.home[None] if near_home else None)
         self.reached = near_home or bool(closed.reached[0])
-        joints = closed.joints if closed.reached[0] else leg.home[None]
-        self.joints: Array = joints[0]
-        motion = closure.evaluate(joints, matrix[None]).motion
-        linear, angular = np.split(motion.twists(slice(len(leg.moving)))[:, :, 0].T, 2, axis=1)
-        self.tip = np.zeros(3)
-        self.tip[: len(motion.tips)] = motion.tips[:, 0]
-        turns = np.array([[joint.turns] for joint in leg.moving])
-        self.directions = np.where(turns, angular, linear)
+        moved = closed.joints if closed.reached[0] else leg.home[None]
+        self.joints: Sequence[Joint] = leg.articulated
+        names = [joint.name for joint in self.joints]
+        by_name = dict(zip((joint.name for joint in leg.moving), moved[0], strict=True))
+        self.positions = np.array([joint.position(by_name) for joint in self.joints])
+        """Of the joints, shape (n_joints,), [rad] or [m]."""
+        self.active = [names.index(sensor.joint) for sensor in leg.sensors]
+        links, space = leg.link_placements(moved)[0], closure.platform.space
+        frames = links[[leg.index(name) for name in names]]
+        axes = np.array([joint.axis for joint in self.joints])
+        self.directions = np.einsum("jkl,jl->jk", frames[:, :3, :3], axes)
         """Unit vectors of the joints' axes, shape (n_joints, 3)."""
-        self.points = self.tip + np.cross(angular, linear)
+        ends = [leg.index(end.tip) for end in leg.every_end if end.point]
+        self.tips: Array = links[ends, :3, 3] * (np.arange(3) < space)
+        """Where the leg meets the platform, shape (n_ends, 3), [m]."""
+        self.tip: Array = self.tips.mean(axis=0)
+        """The middle of these, shape (3,), [m]."""
+        turns = np.array([[joint.turns] for joint in self.joints])
+        along = ((self.tip - frames[:, :3, 3]) * self.directions).sum(axis=1, keepdims=True)
+        nearest = (frames[:, :3, 3] + along * self.directions) * (np.arange(3) < space)
+        self.points = np.where(turns, nearest, self.tip)
         """On each joint's axis the point nearest to the tip, shape (n_joints, 3), [m]; before a
         pointing joint to its centre, and of that the centre. A slide's axis is at the tip."""
         if self.pointing:
@@ -99,8 +113,26 @@ class StandingLeg:
     @property
     def base(self) -> Array:
         """Where the leg begins: on its first revolute axis, or its tip, shape (3,), [m]."""
-        turning = [i for i, joint in enumerate(self.closure.leg.moving) if joint.turns]
+        turning = [i for i, joint in enumerate(self.joints) if joint.turns]
         return self.points[turning[0]] if turning else self.tip
+
+    def like(self, first: StandingLeg, element: Element) -> StandingLeg:
+        """Return the leg with joints and ends in the order of a first one's, carried by an element.
+
+        A tree has no order of its own: each joint is that whose axis is nearest, of its kind.
+        """
+        size, Q = self.closure.leg.size, element.matrix
+        apart = np.abs((first.directions @ Q.T) @ self.directions.T)
+        far = distance_matrix(applied(element.base, first.points), self.points) / size
+        unlike = [[a.kind != b.kind for b in self.joints] for a in first.joints]
+        order = linear_sum_assignment(far + (1.0 - apart) + 1e6 * np.array(unlike))[1]
+        ends = distance_matrix(applied(element.base, first.tips), self.tips)
+        alike = copy(self)
+        alike.joints = [self.joints[index] for index in order]
+        alike.positions, alike.directions = self.positions[order], self.directions[order]
+        alike.points, alike.tips = self.points[order], self.tips[linear_sum_assignment(ends)[1]]
+        alike.active = [order.tolist().index(index) for index in self.active]
+        return alike
 
 
 def differences(first: StandingLeg, element: Element, second: StandingLeg) -> Iterator[Difference]:
@@ -109,28 +141,31 @@ def differences(first: StandingLeg, element: Element, second: StandingLeg) -> It
     The second one is at the pose to which that of the first is carried.
     """
     leg, image = first.closure.leg, second.closure.leg
+    space, Q = first.closure.platform.space, element.matrix
+    ends = [sorted(str(end.closes) for end in shape.every_end) for shape in (leg, image)]
+    if leg.ends and ends[0] == ends[1] and len(first.joints) == len(second.joints):
+        second = second.like(first, element)
     equal = {
-        "sequence of joints": [j.kind for j in leg.moving] == [j.kind for j in image.moving],
-        "active joint": leg.active == image.active,
-        "gears": [j.leader.joint == j.name for j in leg.articulated]
-        == [j.leader.joint == j.name for j in image.articulated],
-        "end": leg.closes == image.closes,
+        "sequence of joints": [j.kind for j in first.joints] == [j.kind for j in second.joints],
+        "active joint": first.active == second.active,
+        "gears": _leaders(first.joints) == _leaders(second.joints),
+        "end": ends[0] == ends[1],
         "reach of the pose that home is carried to": second.reached,
     }
     if unlike := [quantity for quantity, agrees in equal.items() if not agrees]:
         yield Difference(unlike[0], None)
         return
-    space, Q = first.closure.platform.space, element.matrix
-    ratios = [[abs(j.leader.ratio) for j in shape.articulated] for shape in (leg, image)]
+    ratios = [[abs(j.leader.ratio) for j in shape.joints] for shape in (first, second)]
     yield Difference("ratios of gears", float(np.ptp(ratios, axis=0).max(initial=0.0)), "m")
-    names = [*(joint.name for joint in image.moving), image.point.name]
-    shifts = applied(element.base, np.vstack((first.points, first.tip)))
-    shifts = shifts - np.vstack((second.points, second.tip))
-    for name, shift in zip(names, lengths(shifts[:, :space]).tolist(), strict=True):
+    names = [joint.name for joint in second.joints]
+    shifts = applied(element.base, np.vstack((first.points, first.tips)))
+    shifts = shifts - np.vstack((second.points, second.tips))
+    points = [end.point.name for end in image.every_end if end.point]
+    for name, shift in zip((*names, *points), lengths(shifts[:, :space]).tolist(), strict=True):
         yield Difference(f"position of joint {name!r}", shift, "m")
     pointing = first.pointing if first.pointing == second.pointing else []
-    axes = [index for index in range(len(leg.moving)) if index not in pointing]
-    axial = [[np.linalg.det(Q) if joint.turns else 1.0] for joint in leg.moving]
+    axes = [index for index in range(len(names)) if index not in pointing]
+    axial = [[np.linalg.det(Q) if joint.turns else 1.0] for joint in first.joints]
     directions = axial * first.directions @ Q.T
     signs = np.where((directions * second.directions).sum(axis=1) >= 0.0, 1.0, -1.0)
     chords = lengths(signs[:, None] * directions - second.directions)
@@ -141,9 +176,15 @@ def differences(first: StandingLeg, element: Element, second: StandingLeg) -> It
         bars = _bars_apart(first, Q, second)
         yield Difference(f"orientation of joint {names[pointing[0]]!r}", bars, "rad")
     for index in axes:
-        if leg.moving[index].limited or image.moving[index].limited:
+        if first.joints[index].limited or second.joints[index].limited:
             yield _limits_apart(first, second, index, signs[index])
-    yield from _readings_apart(first, second, signs[leg.active])
+    yield from _readings_apart(first, second, signs[first.active])
+
+
+def _leaders(joints: Sequence[Joint]) -> list[int]:
+    """Return the place of the joint that each one follows, which may be itself."""
+    names = [joint.name for joint in joints]
+    return [names.index(joint.leader.joint) for joint in joints]
 
 
 def _bars_apart(first: StandingLeg, Q: Array, second: StandingLeg) -> float | None:
@@ -160,8 +201,8 @@ def _limits_apart(first: StandingLeg, second: StandingLeg, index: int, sign: flo
     """Return in what the limits of a joint differ, seen from where the legs stand."""
     ends = []
     for shape in (first, second):
-        joint = shape.closure.leg.moving[index]
-        ends.append(np.array((joint.lower, joint.upper)) - shape.joints[index])
+        joint = shape.joints[index]
+        ends.append(np.array((joint.lower, joint.upper)) - shape.positions[index])
     carried = ends[0] if sign > 0.0 else -ends[0][::-1]
     with np.errstate(invalid="ignore"):
         shifts = np.where(carried == ends[1], 0.0, np.abs(carried - ends[1]))
@@ -181,7 +222,7 @@ def _readings_apart(first: StandingLeg, second: StandingLeg, signs: Array) -> It
     if len(leg.influences) != len(image.influences):
         yield Difference("terms of the sensor", None, of_sensor=True)
         return
-    home = sensor_law(first.closure).reading(first.joints[None, leg.active])
+    home = sensor_law(first.closure).reading(first.positions[None, first.active])
     scales = [1.0 if unit == "rad" else leg.size for unit in leg.reading_units]
     readings, moved = home + np.outer(_READINGS, scales), []
     for shape, sides in ((first, signs), (second, np.ones(len(signs)))):
@@ -190,11 +231,9 @@ def _readings_apart(first: StandingLeg, second: StandingLeg, signs: Array) -> It
         influences = [loads.get(name, 1.0) for name in shape.closure.leg.influences]
         known = np.hstack((readings, np.tile(influences, (len(readings), 1))))
         position = sensor_law(shape.closure).position(known)
-        moved.append(sides * (position - shape.joints[leg.active]))
-    for index, unit, shifts in zip(
-        leg.active, leg.reading_units, (moved[0] - moved[1]).T, strict=True
-    ):
-        if leg.moving[index].turns:
+        moved.append(sides * (position - shape.positions[shape.active]))
+    for unit, shifts in zip(leg.reading_units, (moved[0] - moved[1]).T, strict=True):
+        if unit == "rad":
             shifts = np.array([wrapped(float(value)) for value in shifts])
         yield Difference("reading of the sensor", float(np.abs(shifts).max()), unit, of_sensor=True)
 
