@@ -191,11 +191,7 @@ def blame_wrong_rows(
 
 @one_thread()
 def started(calibration: Calibration) -> Calibration:
-    """Return a calibration whose measurements were looked at: its terms, where its search starts.
-
-    Raises:
-        MeasurementError: noise, copies of rows, or faults that bar a calibration.
-    """
+    """Return a calibration whose measurements were looked at: its terms, where a search starts."""
     options = calibration.options
     check_noise(calibration.mechanism, options.noise)
     check_copies(calibration.measurements, every_pose=options.every_pose)

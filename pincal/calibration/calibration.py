@@ -105,11 +105,7 @@ class Calibration:
 
     @property
     def unknowns(self) -> Unknowns:
-        """The unknowns of all legs, and those outside the mechanism if poses are unknown.
-
-        Raises:
-            MeasurementError: a parameter that does not exist, or is held twice.
-        """
+        """The unknowns of all legs, and those outside the mechanism if poses are unknown."""
         external = self.observation.external
         free = unknowns(
             self.mechanism.legs,
@@ -216,11 +212,7 @@ class Calibration:
 
     @cached_property
     def latent_problem(self) -> Problem:
-        """The problem of all legs with unknown poses, without a start.
-
-        Raises:
-            MeasurementError: rows with too little measured; exact readings that contradict.
-        """
+        """The problem of all legs with unknown poses, without a start."""
         every = np.arange(len(self.measurements))
         noise = self.observation.row_noise(self.measurements, self.noise.noise)
         leg_block = self.leg_block(range(len(self.mechanism.legs)), every, self.used)
@@ -229,11 +221,7 @@ class Calibration:
         return problem
 
     def started(self, problem: Problem) -> Problem:
-        """Return the problem with poses and frames from which a search may start.
-
-        Raises:
-            MeasurementError: frames that cannot be aligned; readings that contradict poses.
-        """
+        """Return the problem with poses and frames from which a search may start."""
         self.options.report("finding poses and frames to start from")
         nominal = self.unknowns.start[: problem.leg_block.n_parameters]
         first = align_start(self.mechanism, problem, self.measurements, nominal)
@@ -326,9 +314,6 @@ def located(calibration: Calibration) -> Measurements:
     """Return measurements with complete poses in the base frame, by the machine as drawn.
 
     Those that were measured in full there, or as a search starts from them.
-
-    Raises:
-        MeasurementError: frames that cannot be aligned, or too little measured in a row.
     """
     drawing, data = calibration.mechanism.drawing, calibration.measurements
     options = Options(noise=calibration.options.noise, setup=calibration.options.setup)

@@ -139,10 +139,6 @@ def fitted(calibration: Calibration, near: Fits | None = None, rows: Mask | None
         calibration: What is to be identified.
         near: Fits of all legs at once near which the optimum is, from which the search begins.
         rows: Which of their rows these are, shape (N,), if they are of more rows, or fewer terms.
-
-    Raises:
-        ObservabilityError: too few poses, or poses that leave parameters undetermined.
-        MeasurementError: measurements that do not suit the method.
     """
     latent = calibration.options.latent
     fits = _all_legs(calibration, near, rows) if latent else _measured(calibration)

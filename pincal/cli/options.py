@@ -151,12 +151,7 @@ class SetupOptions(TableOptions):
     unknown_target: bool = option(False, option_of(Target, "unknown"))
 
     def read_setup(self) -> Setup:
-        """Return the setup of the file, and of the options beside it.
-
-        Raises:
-            FileError: the file is missing or cannot be read.
-            MeasurementError: it says something else than it should.
-        """
+        """Return the setup of the file, and of the options beside it."""
         setup = Setup() if self.setup_file is None else read_setup(self.setup_file)
         return setup.anywhere(frame=self.unknown_frame, target=self.unknown_target)
 

@@ -48,9 +48,6 @@ def leg_rows(demand: Demand, mechanism: Mechanism, noise: Noise) -> Array:
     """Return the whitened rows of a leg alone by its parameters, poses as measured, (N, k, n).
 
     NaN where out of reach.
-
-    Raises:
-        MeasurementError: a residual has no noise.
     """
     by_pose, by_reading = demand.pose * noise.of_poses(mechanism), demand.reading * noise.reading
     root = np.concatenate((by_pose, by_reading), axis=2)

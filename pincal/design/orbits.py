@@ -77,9 +77,6 @@ def selection_group(mechanism: Mechanism) -> SymmetryGroup:
     """Return the elements by which poses can be mapped: sensors do not matter to them.
 
     Those that take home across a type-2 singularity are left out: it cannot be driven there.
-
-    Raises:
-        SymmetryError: the elements carry no leg onto another one.
     """
     group = symmetry_group(mechanism, readings=False)
     platform = mechanism.platform

@@ -165,9 +165,6 @@ def platform_error(
         frames: Motions of frames that are not measured (see ``frames_moved``), shape (k, n_moved):
             what they explain is left out. Or what is seen of the platform, in place of all of it.
         degrees_of_freedom: Of the noise, where its scale was estimated.
-
-    Raises:
-        MechanismError: poses of a wrong shape, or not finite.
     """
     legs = legs_at(mechanism, planned)
     held = np.isfinite(legs.gain).all(axis=(1, 2))  # not at a type-2 singularity

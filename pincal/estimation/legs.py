@@ -120,11 +120,7 @@ class LegBlock:
         )
 
     def evaluate(self, state: State) -> BlockRows:
-        """Return the residuals of the legs where they close best; zero in rows that serve none.
-
-        Raises:
-            MechanismError: a homed sensor, and a home pose out of reach.
-        """
+        """Return the residuals of the legs where they close best; zero in rows that serve none."""
         pairs = zip(self.legs, self.columns, strict=True)
         closures = [LegClosure(leg, self.platform, state.parameters[c]) for leg, c in pairs]
         placed, serves = [state.matrices] * len(closures), self.active[:, :, None]

@@ -284,9 +284,6 @@ def row_noise(
     """Return the noise of quantities: each row's own, a tracker's, else that of the unit.
 
     Names are freedoms of the platform, columns of the setup, and single angles.
-
-    Raises:
-        MeasurementError: covariances that no errors have; a tracker and points measured in part.
     """
     sigmas = _sigmas_by_name(names, data, setup, platform) | _of_marks(data, noise, setup, platform)
     none = np.full(len(data), np.nan)

@@ -107,9 +107,6 @@ class Linear:
         """What frees the rows of the poses and whitens them.
 
         Rows that nothing was measured of have noise of their own, so that they say nothing.
-
-        Raises:
-            MeasurementError: conditions without noise.
         """
         problem, n_rows = self.problem, self.problem.leg_block.n_rows
         dof, width = self.by_pose.shape[2] * problem.latent, self.by_measured.shape[2]
@@ -254,12 +251,9 @@ class Problem:
     def evaluate(self, state: State) -> Linear:
         """Return the conditions at a state: rows of the blocks below each elsewhere.
 
-            ┌ e ┐   ┌ legs ┐    A = ┌ leg 1             ┐    B = ┌ legs ┐
-            └   ┘   └ seen ┘        │        leg 2      │        └ seen ┘
-                                    └             frame ┘
-
-        Raises:
-            MeasurementError: a residual that does not exist.
+        ┌ e ┐   ┌ legs ┐    A = ┌ leg 1             ┐    B = ┌ legs ┐
+        └   ┘   └ seen ┘        │        leg 2      │        └ seen ┘
+                                └             frame ┘
         """
         legs = self.leg_block.evaluate(state)
         state = replace(state, joints=legs.joints)

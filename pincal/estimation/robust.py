@@ -31,11 +31,6 @@ def robust_fit(
     """Return the fit of a problem, of least squares or under a loss, with rows that did not fit.
 
     The search begins at nominal parameters, or near the optimum under the same loss.
-
-    Raises:
-        ObservabilityError: parameters are not determined, weakly, or by the noise only; a search
-            that ran away.
-        MeasurementError: residuals that do not exist, or have no noise.
     """
     if loss is None:
         optimum = fit(system, begin, near=near)

@@ -182,9 +182,6 @@ def adjusted(linear: Linear) -> Linear:
 
     Corrections follow from the conditions at the readings that they correct: found again until
     they stay.
-
-    Raises:
-        MeasurementError: a residual that does not exist there.
     """
     problem, block = linear.problem, linear.problem.leg_block
     noise = np.zeros_like(block.sigma)

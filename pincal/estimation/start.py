@@ -52,9 +52,6 @@ def align_start(
     """Return poses and external unknowns from which the search may start.
 
     Parameters are the nominal ones of all legs, shape (n_params,).
-
-    Raises:
-        MeasurementError: frames that cannot be aligned.
     """
     observation, platform = problem.observation, problem.platform
     external, outside = observation.external.start, observation.external
@@ -262,9 +259,6 @@ def aligned(
 
     Returns:
         Also which rows agree with the others on them, shape (N,).
-
-    Raises:
-        MeasurementError: frames that cannot be aligned.
     """
     observation, platform = problem.observation, problem.platform
     targets = observation.setup.targets

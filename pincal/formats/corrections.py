@@ -45,7 +45,6 @@ class Corrections:
     """Why a row has no correction or command; empty strings where it has both."""
 
     def __repr__(self) -> str:
-        """Return the corrections in a line."""
         return f"Corrections: {self.reasons.count('')} of {len(self.reasons)} poses"
 
 

@@ -267,11 +267,7 @@ def _relative_gap(legs: Sequence[LegClosure], closure: Closure) -> Array:
 
 @lru_cache(maxsize=64)
 def sensor_law(leg: LegClosure) -> SensorLaw:
-    """Return what a leg's sensors read at the leg's parameter values, made once.
-
-    Raises:
-        MechanismError: a homed sensor, and a home pose out of the leg's reach.
-    """
+    """Return what a leg's sensors read at the leg's parameter values, made once."""
     sensors = leg.leg.sensors
     if any(sensor.homed for sensor in sensors):
         zeros, slopes = _at_home(leg)

@@ -52,7 +52,6 @@ class InverseSolution:
         return f"out of reach of {', '.join(missing)} in its working mode" if missing else ""
 
     def __repr__(self) -> str:
-        """Return the solution in a line."""
         count, legs = self.reached.shape
         reached_rows = int(np.count_nonzero(self.reached.all(axis=1)))
         return f"InverseSolution: {reached_rows} of {count} poses reached by all {legs} legs"
@@ -208,9 +207,6 @@ def joints_at(mechanism: Mechanism, planned: Plan | Array) -> InverseSolution:
 
     Where readings say, a leg counts as reached if it closes within a hundredth of its size, as
     one that was measured does.
-
-    Raises:
-        MechanismError: poses of a wrong shape, or not finite.
     """
     plan = as_plan(mechanism, planned)
     if plan.readings is None:
@@ -227,11 +223,7 @@ def joints_at(mechanism: Mechanism, planned: Plan | Array) -> InverseSolution:
 
 
 def legs_at(mechanism: Mechanism, planned: Plan | Array) -> Legs:
-    """Return what all legs demand at planned configurations, those that they reach.
-
-    Raises:
-        MechanismError: poses or readings of a wrong shape, or not finite.
-    """
+    """Return what all legs demand at planned configurations, those that they reach."""
     plan, count = as_plan(mechanism, planned), len(planned)
     known = np.arange(count)
     if plan.readings is not None:  # that lead there
@@ -280,9 +272,6 @@ def command(mechanism: Mechanism, planned: Plan | Array) -> tuple[Array, Array, 
 
     Readings of a plan are commanded, and the poses are those of the mechanism then. Shapes (N, dof)
     and (N, n_readings); NaN where there is a reason, which is else empty.
-
-    Raises:
-        MechanismError: poses or readings of a wrong shape, or not finite.
     """
     plan = as_plan(mechanism, planned)
     if plan.readings is not None:

@@ -117,7 +117,6 @@ class ForwardSolution:
     """Why a row has no pose; empty strings where it has one."""
 
     def __repr__(self) -> str:
-        """Return the solution in a line."""
         return f"ForwardSolution: {np.count_nonzero(self.converged)} of {len(self.poses)} poses"
 
     def __str__(self) -> str:

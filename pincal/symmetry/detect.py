@@ -168,7 +168,6 @@ class SymmetryGroup:
         return worst
 
     def __repr__(self) -> str:
-        """Return the group in a line."""
         count = len(self.elements)
         return f"SymmetryGroup: {self.name} of {self.mechanism.name}, {count} element(s)"
 

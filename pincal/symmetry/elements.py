@@ -150,7 +150,6 @@ class Element:
         return isometry(Q, self.base[:3, 3] - shifts[0])
 
     def __str__(self) -> str:
-        """Return the element's name."""
         Q = self.matrix
         if self.is_identity:
             return "identity"

@@ -58,7 +58,6 @@ class Axis:
         object.__setattr__(self, "values", values)
 
     def __repr__(self) -> str:
-        """Return the axis in a line."""
         first, last, unit = self.values[0], self.values[-1], DIMENSIONS[self.name]
         return f"Axis: {self.name} from {first:.6g} to {last:.6g} {unit}, {len(self.values)} values"
 
@@ -148,7 +147,6 @@ class Orientations:
     """Unit quaternions, scalar last and not negative, shape (O, 4)."""
 
     def __repr__(self) -> str:
-        """Return the set in a line."""
         largest = np.degrees(self.rotations.magnitude().max(initial=0.0))
         return f"Orientations: {len(self)}, turned by {largest:.4g}° at most"
 

@@ -187,11 +187,7 @@ def refuse_readings(mechanism: Mechanism) -> None:
 
 
 def in_workspace(mechanism: GivenMechanism, poses: Poses, least: Margins | None = None) -> Mask:
-    """Return which poses count, shape (N,).
-
-    Raises:
-        MechanismError: poses of a wrong shape, or not finite.
-    """
+    """Return which poses count, shape (N,)."""
     mechanism = as_mechanism(mechanism)
     placed = mechanism.platform.matrices(poses)
     criteria = criteria_of(mechanism, as_margins(least))

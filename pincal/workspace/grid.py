@@ -81,7 +81,6 @@ class Grid:
             raise WorkspaceError(f"a grid of {self.size:.3g} positions; at most {_MOST:.0e}")
 
     def __repr__(self) -> str:
-        """Return the grid in a line."""
         axes = ", ".join(repr(axis).removeprefix("Axis: ") for axis in self.axes)
         return f"Grid: {self.size:,} positions; {axes}"
 
@@ -237,9 +236,6 @@ def default_grid(mechanism: GivenMechanism, fixed: Iterable[str | Axis] = ()) ->
     """Return a grid of positions within reach; polar if the mechanism has rotations.
 
     Axes that are given stay; ``x`` or ``y`` make the grid square.
-
-    Raises:
-        WorkspaceError: axes that are wrong, or that the platform does not have.
     """
     mechanism = as_mechanism(mechanism)
     axes, n = [Axis.parse(axis) for axis in fixed], mechanism.platform.lengths

@@ -49,7 +49,6 @@ class Inscribed:
     """Whether it touches the edge of the grid: the workspace may hold a larger one."""
 
     def __repr__(self) -> str:
-        """Return the circle or ball in a line."""
         position = ", ".join(f"{value:.6g}" for value in self.centre)
         edge = "; it touches the edge of the grid" if self.at_edge else ""
         return f"Inscribed: radius {self.radius:.6g} m, centre ({position}) m{edge}"

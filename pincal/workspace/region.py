@@ -233,7 +233,6 @@ class Workspace:
         return f"{measured(self.measure, self.uncertainty)} {self.unit}"
 
     def __repr__(self) -> str:
-        """Return the workspace in a line."""
         return (
             f"{self.kind} workspace of {self.test.mechanism.name}: {self.size}, "
             f"{self.count:,} of {self.asked.size:,} positions"

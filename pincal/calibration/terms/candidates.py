@@ -56,10 +56,6 @@ def with_terms(
         mechanism: The mechanism.
         measurements: Say over what range terms are scaled.
         kinds: Places, single or several as one, and what is added to each (see ``kinds``).
-
-    Raises:
-        MeasurementError: an unknown place, a kind that it cannot have, or a column that was not
-            measured.
     """
     parts = {pair: _single_pairs(pair, mechanism) for pair in kinds}
     pairs = list(dict.fromkeys(chain.from_iterable(parts.values())))

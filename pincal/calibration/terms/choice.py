@@ -152,9 +152,6 @@ def choose(
         calibration: Of the mechanism, its measurements looked at (see ``started``).
         pairs: Readings, lengths and angles, and kinds of term that they may lack.
         fits: Its fits of all rows, if they are known.
-
-    Raises:
-        PincalError: the geometry itself cannot be identified by all rows; fewer poses than folds.
     """
     data = with_columns(calibration, [kind for _, kind in pairs])
     choosing_rows = np.flatnonzero(~data.verifying)

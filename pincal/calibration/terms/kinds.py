@@ -188,10 +188,6 @@ def parse_terms(terms: Sequence[str], mechanism: Mechanism) -> list[Pair]:
     """Return places and kinds that texts name: ``backlash`` of all, ``leg_1=backlash`` of one.
 
     Several places that one text names are there one by one, and together.
-
-    Raises:
-        MeasurementError: a text that is not understood, an unknown place, or a kind that it
-            cannot have.
     """
     pairs = []
     for text in terms:

@@ -26,11 +26,7 @@ _KINDS = {"sine": 0, "cosine": 1, "power": 2}
 
 
 def python_file(deployed: Deployed) -> str:
-    """Return the kinematics of a machine as the text of a Python file.
-
-    Raises:
-        MechanismError: terms that no file can hold.
-    """
+    """Return the kinematics of a machine as the text of a Python file."""
     source = (_HERE / "kinematics.py").read_text("utf-8")
     literal = re.sub(r"\binf\b", 'float("inf")', pformat(deployed.tables, width=96, compact=True))
     title = (
@@ -45,9 +41,6 @@ def c_header(deployed: Deployed, prefix: str) -> str:
     Args:
         deployed: The machine.
         prefix: What names of functions begin with, such as ``hexapod``.
-
-    Raises:
-        MechanismError: terms that no file can hold.
     """
     source = (_HERE / "kinematics.h").read_text("utf-8")
     title = f"/* {_title(deployed)}\n\n   "

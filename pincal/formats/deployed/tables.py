@@ -45,11 +45,7 @@ class Deployed:
 
     @cached_property
     def tables(self) -> Table:
-        """The tables that ``kinematics.py`` and ``kinematics.h`` work with.
-
-        Raises:
-            MechanismError: terms that no table can hold.
-        """
+        """The tables that ``kinematics.py`` and ``kinematics.h`` work with."""
         spec: Any = find_spec(f"{__package__}.kinematics")
         kinematics: Any = module_from_spec(spec)  # a copy, with tables of its own
         spec.loader.exec_module(kinematics)
