@@ -15,8 +15,6 @@ print(workspace)
 print(f"{workspace.computed} of {grid.size} positions computed, the others follow by symmetry:")
 print(", ".join(str(element) for element in workspace.elements))
 
-ball = pincal.largest_inscribed(workspace)
-print(f"largest ball inside: radius {ball.radius:.3f} m at z = {ball.centre[2]:.3f} m")
 workspace.save("workspace_of_a_hexapod.csv", force=True)
 
 figure = Figure(figsize=(7, 6), layout="constrained")
@@ -24,7 +22,5 @@ axes = figure.add_subplot(projection="3d")
 x, y, z = workspace.positions.T
 half = y >= 0.0  # cut open
 axes.scatter(x[half], y[half], z[half], c=z[half], s=3, alpha=0.3)
-axes.plot(*ball.centre, "r*", ms=14, label="centre of the largest ball")
 axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]", aspect="equal")
-axes.legend()
 figure.savefig("workspace_of_a_hexapod.png", dpi=80)

@@ -52,7 +52,6 @@ from .symmetry.elements import Element, cyclic, dihedral
 from .workspace.axes import Orientations
 from .workspace.criteria import Margins
 from .workspace.grid import Grid
-from .workspace.inscribed import Inscribed, largest_inscribed
 from .workspace.region import Workspace, compute_workspace
 from .workspace.sampling import sample_configurations, sample_contacts, sample_workspace
 
@@ -72,7 +71,6 @@ __all__ = [
     "Follows",
     "Grid",
     "Harmonic",
-    "Inscribed",
     "Instrument",
     "Joint",
     "Leg",
@@ -122,7 +120,6 @@ __all__ = [
     "identification_jacobian",
     "indices",
     "inverse",
-    "largest_inscribed",
     "load_mechanism",
     "load_result",
     "margins",

@@ -12,6 +12,7 @@ import pincal
 
 from . import drawing
 from .five_bar_errors import INSIDE, NOISE, Outcome, costs, maps, parameters
+from .inscribed import Circle, largest_circle
 from .study import Cell, Study, by_rows
 from .trials import Protocol, Way, choose, compared, medians, trial_seeds
 
@@ -71,12 +72,12 @@ def run(study: Study) -> None:
     _against(study, circle, outcomes, draws, _printed(nominal, truth, plans["36 common"].poses))
 
 
-def _inscribed(study: Study) -> pincal.Inscribed:
+def _inscribed(study: Study) -> Circle:
     """Find the maximal inscribed workspace (Fig. 2)."""
     step = 0.04 if study.quick else 0.01
     grid = pincal.Grid.of(f"x=-1.4:1.4:{step}", f"y=0:2:{step}")
     found = pincal.compute_workspace(study.mechanism, "reachable", grid, None, FREE, connected=True)
-    circle = pincal.largest_inscribed(found)
+    circle = largest_circle(found)
     study.heading("Maximal inscribed workspace (Fig. 2)")
     study.say(
         f"""Elbows outward, on home's side of both types of singularity and within the shoulder
@@ -99,16 +100,14 @@ def _inscribed(study: Study) -> pincal.Inscribed:
     return circle
 
 
-def _rim(circle: pincal.Inscribed) -> Array:
+def _rim(circle: Circle) -> Array:
     """Return x and y of points on a circle, shape (2, N), [m]."""
     turn = np.linspace(0, 2 * np.pi, 200)
     rim: Array = circle.centre[:2, None] + circle.radius * np.stack((np.cos(turn), np.sin(turn)))
     return rim
 
 
-def _postures(
-    study: Study, circle: pincal.Inscribed
-) -> tuple[dict[str, pincal.Plan], dict[str, float]]:
+def _postures(study: Study, circle: Circle) -> tuple[dict[str, pincal.Plan], dict[str, float]]:
     """Choose postures (Fig. 4), and return plans and the time each took, [s]."""
     mechanism = study.mechanism
     count = 4_000 if study.quick else 20_000
@@ -224,7 +223,7 @@ def _printed(
 
 def _against(
     study: Study,
-    circle: pincal.Inscribed,
+    circle: Circle,
     outcomes: list[Outcome],
     draws: int,
     printed: list[tuple[str, str, str, str]],

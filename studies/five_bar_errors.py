@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 import pincal
 
 from . import drawing
+from .inscribed import Circle
 from .study import Cell, Study
 from .trials import Way, position_errors, root_mean_square, values
 
@@ -130,9 +131,7 @@ def parameters(study: Study, truth: pincal.Mechanism, outcomes: list[Outcome]) -
     )
 
 
-def maps(
-    study: Study, truth: pincal.Mechanism, circle: pincal.Inscribed, outcomes: list[Outcome]
-) -> None:
+def maps(study: Study, truth: pincal.Mechanism, circle: Circle, outcomes: list[Outcome]) -> None:
     """Map the position error over the circle (Fig. 6)."""
     side = np.linspace(-circle.radius, circle.radius, 25 if study.quick else 61)
     x, y = np.meshgrid(side, side)

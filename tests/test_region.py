@@ -19,6 +19,7 @@ from pincal.types import Array, Mask
 from pincal.workspace.axes import Axis
 from pincal.workspace.criteria import Criteria, in_workspace
 from pincal.workspace.grid import default_grid
+from studies.inscribed import largest_circle
 
 NONE = pincal.Margins.none()
 BUNDLED = ["5R", "3RRR", "6UPS"]
@@ -254,36 +255,25 @@ def test_largest_circle_of_the_five_bar() -> None:
     mechanism = pincal.load_mechanism("5R")
     grid = pincal.Grid.of("x=-1.5:1.5:0.03", "y=-0.8:2:0.03")
     found = pincal.compute_workspace(mechanism, "reachable", grid, None, pincal.Margins(0.0, 0.0))
-    circle = pincal.largest_inscribed(found)
+    circle = largest_circle(found)
     assert circle.radius == pytest.approx(0.647, abs=0.003)
     assert circle.centre[1] == pytest.approx(1.095, abs=0.005)
     assert abs(circle.centre[0]) < 1e-3
-    assert not circle.at_edge
     ring = np.linspace(0, 2 * np.pi, 720)[:, None]
     ring = np.concatenate((np.cos(ring), np.sin(ring), np.zeros_like(ring)), axis=1)
     assert found.test(circle.centre + (circle.radius - 1e-4) * ring).all()
     assert not found.test(circle.centre + (circle.radius + 1e-3) * ring).all()
 
 
-def test_largest_ball_of_the_hexapod(hexapod: pincal.Mechanism) -> None:
-    """Upright, half the stroke: 0.5 m around where every leg has its middle length."""
-    grid = pincal.Grid.of("radius=0.05:1:0.1", "bearing [deg]=0:360:10", "z=1.3:2.8:0.1")
-    found = pincal.compute_workspace(hexapod, "constant-orientation", grid, None, NONE)
-    ball = pincal.largest_inscribed(found)
-    leg = hexapod.legs[0]
-    across = np.subtract(leg.joints[0].placement.xyz, leg.point.placement.xyz)[:2]
-    height = np.sqrt(2.1**2 - across @ across)
-    np.testing.assert_allclose(ball.centre, [0, 0, height], atol=5e-3)
-    assert ball.radius == pytest.approx(0.5, abs=1e-3)
-
-
-def test_circle_at_the_edge_of_the_grid_says_so() -> None:
-    """A grid that ends inside the workspace bounds the circle, half a step beyond it."""
-    mechanism = pincal.load_mechanism("5R")
-    grid = pincal.Grid.of("x=-0.2:0.2:0.05", "y=0.9:1.3:0.05")
-    circle = pincal.largest_inscribed(pincal.compute_workspace(mechanism, "reachable", grid))
-    assert circle.at_edge
-    assert circle.radius == pytest.approx(0.225, abs=1e-3)
+@pytest.mark.slow
+def test_largest_circle_in_a_ring() -> None:
+    """Many equally good centres: half the width of the ring, to a millimetre."""
+    leg = mirrored().legs[0].with_parameters({"A_x": 0.0, "l": 0.5, "L": 1.2})
+    elements = (pincal.Element(0.0), pincal.Element.mirror(np.pi / 2))
+    mechanism = pincal.generate("coaxial", leg, elements, pincal.Platform("point", (0.0, 1.1)))
+    grid = pincal.Grid.of("x=-2:2:0.1", "y=-2:2:0.1")
+    found = pincal.compute_workspace(mechanism, "reachable", grid, None, NONE)
+    assert largest_circle(found).radius == pytest.approx(0.5, abs=1e-3)
 
 
 def test_grids_measure_areas_alike() -> None:
@@ -494,28 +484,6 @@ def test_a_singular_home_says_so() -> None:
         pincal.compute_workspace(below, "reachable", pincal.Grid.of("x=0,1", "y=0,1"))
 
 
-@pytest.mark.slow
-def test_largest_circle_in_a_ring() -> None:
-    """Many equally good centres: half the width of the ring, within the bound."""
-    leg = mirrored().legs[0].with_parameters({"A_x": 0.0, "l": 0.5, "L": 1.2})
-    elements = (pincal.Element(0.0), pincal.Element.mirror(np.pi / 2))
-    mechanism = pincal.generate("coaxial", leg, elements, pincal.Platform("point", (0.0, 1.1)))
-    for axes in (("x=-2:2:0.1", "y=-2:2:0.1"), ("radius=0.05:2:0.1", "bearing [deg]=0:360:6")):
-        found = pincal.compute_workspace(mechanism, "reachable", pincal.Grid.of(*axes), None, NONE)
-        circle = pincal.largest_inscribed(found)
-        assert circle.radius == pytest.approx(0.5, abs=1e-3)
-        assert circle.radius <= circle.bound <= 1.002 * circle.radius
-
-
-def test_largest_circle_in_a_vertical_slice(hexapod: pincal.Mechanism) -> None:
-    """Between the spheres of least and most length: no more than half the stroke."""
-    grid = pincal.Grid.of("x=0", "y=-1:1:0.1", "z=1:2.8:0.1")
-    found = pincal.compute_workspace(hexapod, "constant-orientation", grid, None, NONE)
-    circle = pincal.largest_inscribed(found)
-    assert 0.45 < circle.radius < 0.56
-    assert circle.centre[0] == 0.0
-
-
 @pytest.mark.parametrize(
     ("axes", "message"),
     [
@@ -568,17 +536,6 @@ def test_a_workspace_is_saved_and_shown(tmp_path: Path) -> None:
     poses = np.column_stack((found.positions[:, :2], np.full(found.count, 0.3)))
     assert in_workspace(mechanism, poses).all()
     assert in_workspace(mechanism, poses + np.array([0, 0, 1.5])).sum() == 0
-
-
-def test_inscribed_circles_need_a_grid() -> None:
-    """A line and an empty workspace have none."""
-    mechanism = pincal.load_mechanism("3RRR")
-    line = pincal.compute_workspace(mechanism, "reachable", pincal.Grid.of("x=0:1:0.1", "y=0"))
-    with pytest.raises(pincal.WorkspaceError, match="needs a grid"):
-        pincal.largest_inscribed(line)
-    far = pincal.compute_workspace(mechanism, "reachable", pincal.Grid.of("x=5,6", "y=5,6"))
-    with pytest.raises(pincal.WorkspaceError, match="empty"):
-        pincal.largest_inscribed(far)
 
 
 @pytest.mark.parametrize("any_mechanism", some_slow(BUNDLED, "6UPS"), indirect=True)

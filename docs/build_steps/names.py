@@ -8,7 +8,7 @@ GROUPS = {
     "Sensors and terms": "Sensor Term Harmonic Power Share Load Cables",
     "Kinematics": "inverse forward margins tensions identification_jacobian",
     "Workspace": "sample_workspace sample_configurations sample_contacts compute_workspace "
-    "Workspace Grid Orientations Margins free_of_collision largest_inscribed Inscribed",
+    "Workspace Grid Orientations Margins free_of_collision",
     "Symmetry": "symmetry_group Element cyclic dihedral",
     "Poses to measure": "select_poses Selection select_configurations Plan forecast indices",
     "Measurements": "Measurements Noise Setup Target Distance Contact Tracker Systematic "

@@ -11,7 +11,7 @@ import typer
 
 import pincal
 from pincal import Grid, Margins, Mechanism, Orientations, Workspace, WorkspaceError
-from pincal.cli.app import command, counting, remark, stdout, working, wrote
+from pincal.cli.app import command, counting, remark, stdout, wrote
 from pincal.cli.options import FORCE, SEED, Mech, output_option, refuse_options
 from pincal.files.columns import columns_of
 from pincal.files.output import refuse_existing_of, writing_together
@@ -27,7 +27,7 @@ from pincal.workspace.grid import POSITION_AXES, closer_grid, default_grid
 from pincal.workspace.region import KINDS
 
 #: Options that samples of poses do not have; of regions that is the number of poses.
-_OF_REGIONS = ("axis", "symmetry", "connected", "inscribed", "picture")
+_OF_REGIONS = ("axis", "symmetry", "connected", "picture")
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,6 @@ class WorkspaceOptions:
     )
     symmetry: bool = option(True, "Compute every position instead of a fundamental domain.")
     connected: bool = option(False, "Keep only the connected part nearest to home.")
-    inscribed: bool = option(False, "Find the largest circle or ball inside.")
     picture: Path | None = option(None, "Draw the workspace.", metavar="FILE.svg|png|pdf")
     force: bool = option(False, FORCE)
 
@@ -122,14 +121,10 @@ def _region(
     closer = closer_grid(region.asked, region.inside, [axis.name for axis in places])
     if closer is not None:
         region = compute(closer, "closer around what counts")
-    circle = None
-    if options.inscribed and region.count:
-        with working("looking for the largest circle or ball inside"):
-            circle = pincal.largest_inscribed(region)
     files = [(path, ()) for path in outputs]
     with writing_together(files, force=options.force) as (table, *pictures):
         region.save(table)
         for picture in pictures:
-            save_figure(workspace_figure(region, circle), picture)
-    stdout.print(workspace_table(region, circle))
+            save_figure(workspace_figure(region), picture)
+    stdout.print(workspace_table(region))
     wrote(*outputs)

@@ -24,7 +24,6 @@ from pincal.symmetry.detect import SymmetryGroup, no_symmetries
 from pincal.words.numbers import SMALL, STORED, VALUES, chance, number, shown_in, uncertainty
 from pincal.words.table import Cell, Table, Value, quantity
 from pincal.words.wording import NAMED, named
-from pincal.workspace.inscribed import Inscribed
 from pincal.workspace.region import Workspace
 
 # Mechanisms and their symmetry
@@ -137,7 +136,7 @@ def forecast_text(forecast: Forecast) -> str:
 # Workspaces
 
 
-def workspace_table(workspace: Workspace, inscribed: Inscribed | None = None) -> Table:
+def workspace_table(workspace: Workspace) -> Table:
     """Return what a workspace is: how large, in how many orientations, by which symmetry."""
     positions, test = workspace.asked, workspace.test
     name = {1: "length", 2: "area", 3: "volume"}[positions.dimension or 1]
@@ -161,16 +160,6 @@ def workspace_table(workspace: Workspace, inscribed: Inscribed | None = None) ->
     ]
     if workspace.cut:
         facts.append(("", "cut off by the edge of the grid: widen the axes to see the whole"))
-    if not workspace.count:
-        facts.append(("largest inscribed", "none: no position counts"))
-    if inscribed:
-        middle = inscribed.centre[: len(positions.axes)].round(6) + 0.0
-        centre = ", ".join(f"{value:.4f}" for value in middle)
-        text = f"radius {inscribed.radius:.4f} m around ({centre}) m"
-        if inscribed.bound > 1.001 * inscribed.radius:
-            text += f"; none is larger than {inscribed.bound:.4f} m"
-        text += "; it touches the edge of the grid" * inscribed.at_edge
-        facts.append((f"largest {'ball' if positions.dimension == 3 else 'circle'}", text))
     title = f"{test.mechanism.name}: {workspace.kind} workspace"
     return Table(title, ["what", "is"], facts, heads=False)
 

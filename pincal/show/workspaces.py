@@ -8,22 +8,18 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle, Patch
-from matplotlib.patheffects import withStroke
+from matplotlib.patches import Patch
 
-from pincal.show.style import CARRIED, DOMAIN, EVERY, MARKERS, RASTER_FROM
+from pincal.show.style import CARRIED, DOMAIN, MARKERS, RASTER_FROM
 from pincal.types import Array
 from pincal.workspace.grid import lowest
-from pincal.workspace.inscribed import Inscribed
 from pincal.workspace.region import Workspace
 
-#: What is dark is seen on dark ground too.
-_HALO = [withStroke(linewidth=4, foreground="white")]
 _LEAST_SHARE = 0.2  # of a picture: less of it than this shows nothing
 _MOST_LEVELS = 9  # slices of a workspace in space
 
 
-def workspace_figure(workspace: Workspace, inscribed: Inscribed | None = None) -> Figure:
+def workspace_figure(workspace: Workspace) -> Figure:
     """Return a figure of a workspace seen from above, in slices of equal z in space."""
     levels = _levels(workspace)
     columns = min(3, len(levels))
@@ -34,7 +30,7 @@ def workspace_figure(workspace: Workspace, inscribed: Inscribed | None = None) -
         axes.set_axis_off()
     bases = _bases(workspace)
     for axes, level in zip(panels, levels, strict=False):
-        _draw_workspace(axes, workspace, level, inscribed)
+        _draw_workspace(axes, workspace, level)
         for (leg, (x, y)), marker in zip(bases.items(), cycle(MARKERS), strict=False):
             axes.plot(x, y, marker, color="0.25", ms=6)
             if level is None:
@@ -44,8 +40,6 @@ def workspace_figure(workspace: Workspace, inscribed: Inscribed | None = None) -
     if len(workspace.elements) > 1:
         handles[0].set_label("computed: fundamental domain")
         handles.append(Patch(color=CARRIED, label="follows by symmetry"))
-    if inscribed:
-        handles.append(Patch(fill=False, edgecolor=EVERY, label="largest inscribed"))
     figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False, fontsize=8)
     size = workspace.size
     if not workspace.count:
@@ -68,9 +62,7 @@ def _bases(workspace: Workspace) -> dict[str, Array]:
     return bases if np.ptp(counts, axis=0).max() > _LEAST_SHARE * extent else {}
 
 
-def _draw_workspace(
-    axes: Axes, workspace: Workspace, level: float | None, inscribed: Inscribed | None
-) -> None:
+def _draw_workspace(axes: Axes, workspace: Workspace, level: float | None) -> None:
     """Draw positions that count, at one height in space; the fundamental domain is darker."""
     grid, index = workspace.asked, np.flatnonzero(workspace.inside)
     carried = np.full(grid.size, np.nan)
@@ -84,13 +76,6 @@ def _draw_workspace(
     raster = len(index) > RASTER_FROM  # a vector picture stays small
     x, y, _ = np.moveaxis(grid.cartesian(corners), -1, 0)
     axes.pcolormesh(x, y, cells, cmap=colours, vmin=0.0, vmax=1.0, rasterized=raster)
-    if inscribed:
-        x, y, z = map(float, inscribed.centre)
-        height = 0.0 if level is None else z - level
-        if abs(height) < inscribed.radius:
-            radius = float(np.sqrt(inscribed.radius**2 - height**2))
-            axes.add_patch(Circle((x, y), radius, fill=False, ec=EVERY, lw=2, path_effects=_HALO))
-            axes.plot(x, y, "+", color=EVERY, path_effects=_HALO)
     axes.set_title("" if level is None else f"z = {level:.4g} m", fontsize=9)
     axes.margins(0.12)
     axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
