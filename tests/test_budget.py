@@ -16,7 +16,7 @@ from tools.counts import Counts, count, count_revision, main  # noqa: E402
 LINES = {
     "": 209,
     "architectures": 640,
-    "calibration": 5_856,
+    "calibration": 5_879,
     "cli": 2_493,
     "design": 1_870,
     "estimation": 5_005,
@@ -27,7 +27,7 @@ LINES = {
     "model": 3_576,
     "show": 4_048,
     "symmetry": 1_435,
-    "words": 863,
+    "words": 869,
     "workspace": 1_602,
 }
 """Most lines of each room; a room that is not listed may have none."""

@@ -218,6 +218,37 @@ def test_camera_and_board_anywhere(make, points, free) -> None:  # type: ignore[
     assert np.abs(missed).max() < 1e-6
 
 
+@pytest.mark.slow
+def test_a_false_corner_is_left_out_alone() -> None:
+    """One corner of each photo is 2 to 40 px off: those alone go, and the fit is that without them.
+
+    No photo is lost: the machine goes where it does without false corners, to two digits of what
+    these moved it by.
+    """
+    _, data = _measured(_camera(), noise=0.1, count=24)
+    rng, extra, wrong = np.random.default_rng(0), {n: v.copy() for n, v in data.extra.items()}, []
+    for row in range(24):
+        point, angle = rng.choice(list(BOARD)), rng.uniform(0.0, 2 * np.pi)
+        wrong.append(f"front {point}")
+        for axis, off in (("u", np.cos(angle)), ("v", np.sin(angle))):
+            extra[f"front_{point}_{axis}"][row] += rng.uniform(2.0, 40.0) * off
+    options = {"noise": pincal.Noise(0.0, 0.0, 1e-5, pixel=0.1)}
+    options["setup"] = pincal.Setup(instruments=(_camera(),))
+    spoiled = replace(data, extra=extra)
+    result = pincal.calibrate("6UPS", spoiled, loss="reject", **options)
+    (left_out,) = (f for f in result.findings if f.code == "points-left-out")
+    assert (left_out.rows, left_out.values["names"]) == (tuple(range(24)), tuple(wrong))
+    assert not result.outliers
+    for row, name in enumerate(wrong):
+        for axis in "uv":
+            extra[f"{name.replace(' ', '_')}_{axis}"][row] = np.nan
+    without = pincal.calibrate("6UPS", replace(data, extra=extra), **options)
+    for parameter in result.parameters:
+        same = without[parameter.id]
+        assert parameter.identified == pytest.approx(same.identified, abs=1e-3 * same.std)
+        assert parameter.std == pytest.approx(same.std, rel=1e-3)
+
+
 SETUP = """\
 pincal_setup: 1
 corners: corners.csv

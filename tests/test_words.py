@@ -199,6 +199,7 @@ SAID: dict[str, tuple[dict[str, Any], tuple[int, ...], tuple[str, ...], str]] = 
     "step": ({"quantity": "reading of leg_2", "size": 1e-3, "unit": "rad", "p_value": 1e-5}, (29,), (), "reading of leg_2 is off by 1 mrad from data row 30 on (p = 1e-05)"),
     "outliers": ({"total": 60, "sigma": 7.0, "quantity": "x", "off": 6.5, "lacking": False}, (4,), (), "1 of 60 rows does not fit the others: data row 5, by 7.0 σ (x off by 6.5 σ)"),
     "wrong-rows": ({"total": 72, "chi2": 217.0, "without": 1.02, "sigma": 152.0, "quantity": "measured x", "off": 150.0}, (7,), (), "data row 8 does not fit the others, by 152 σ (measured x off by 150 σ): reduced χ² is 217 with it and 1.02 without; this result includes it"),
+    "points-left-out": ({"names": ("front a", "side b")}, (3, 8), (), "left out: 2 points in photos: front a of data row 4 and side b of data row 9"),
     "many-outliers": ({"share": 0.2}, (1, 2), (), "20 % of the rows do not fit the others, worst data row 2"),
     "few-poses": ({"legs": ("leg_1", "leg_2"), "poses": 8, "unknowns": 8}, (), (), "leg_1, leg_2: only 8 poses for 8 parameters"),
     "terms-chosen": ({}, (), ("leg_1.sin", "leg_1.cos"), "leg_1.sin, leg_1.cos were added because they fit these measurements"),

@@ -15,8 +15,14 @@ from scipy.special import ndtri
 from pincal.blas import one_thread
 from pincal.calibration.assemble import assemble, with_unsure_tolerances
 from pincal.calibration.calibration import Calibration, with_followed_influences
-from pincal.calibration.findings import MANY_ROWS, findings_of, misaligned, values_of
-from pincal.calibration.fits import Fits, fitted, with_found_tolerance
+from pincal.calibration.findings import (
+    MANY_ROWS,
+    findings_of,
+    misaligned,
+    points_left_out,
+    values_of,
+)
+from pincal.calibration.fits import Fits, fitted, with_found_tolerance, without_false_points
 from pincal.calibration.hypotheses.faults import zeros_found, zeros_measured
 from pincal.calibration.hypotheses.plausibility import (
     check_contacts,
@@ -136,6 +142,7 @@ def run(
         raise explained_error(calibration, error) from error
     result = assemble(sure_fits)
     findings = (*explain_result(result, fits.external), *findings_of(result, sure_fits))
+    findings = (*findings, *points_left_out(asked.measurements, calibration.measurements))
     lacks = "model-lacks" in {remark.code for remark in findings} and not asked.lacks
     estimated = lacks and not fits.calibration.noise.known
     if estimated and tie_of(fits.fits[0], fits.noise, lacks=True):
@@ -198,6 +205,8 @@ def started(calibration: Calibration) -> Calibration:
     check_contacts(calibration.measurements, calibration.observation.setup)
     check_distances(calibration)
     calibration = _with_terms(calibration)
+    if options.loss != "none" and options.setup.pixels:
+        calibration = without_false_points(calibration)
     if options.setup.plain:
         calibration = replace(calibration, start=_start(calibration))
     return with_found_tolerance(calibration)

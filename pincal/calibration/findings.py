@@ -59,6 +59,14 @@ def findings_of(result: CalibrationResult, fits: Fits) -> tuple[Finding, ...]:
     return (*first, *noise, *lacks, *far, *curved, *rows, *_few(result))
 
 
+def points_left_out(measured: Measurements, used: Measurements) -> tuple[Finding, ...]:
+    """Return which quantities of which rows a fit does without, two of each point in a photo."""
+    gone = {n: np.isfinite(v) & ~np.isfinite(used.extra[n]) for n, v in measured.extra.items()}
+    places = sorted((int(row), name) for name in gone for row in np.flatnonzero(gone[name]))[::2]
+    names = tuple(name.removesuffix("_u").replace("_", " ", 1) for _, name in places)
+    return (finding("points-left-out", [row for row, _ in places], names=names),) * bool(places)
+
+
 def rounding(fits: Fits) -> bool:
     """Return whether residuals are rounding errors, in which nothing can be read."""
     limit = 10.0 * ROUNDING * max(1.0, fits.calibration.mechanism.size)

@@ -32,6 +32,7 @@ _NEXT = {
     "explain": "Find out what the model lacks",
 }
 _MOST_PAIRS = 3  # weak pairs that are named
+_NOTED = {"tolerance-found", "points-left-out"}  # among what supports the answers
 _WRONG_ROWS = {"wrong-rows", "wrong-held-out", "outliers"}
 _MARKS = {"bad": ("✗", "bold red"), "care": ("⚠", "bold yellow"), "good": ("✓", "bold green")}
 _UNDETERMINED = "Parameters that had to be held move the platform at every pose"
@@ -242,7 +243,7 @@ def summary(
 
 def _found_lines(result: CalibrationResult) -> list[str]:
     """Return tolerances that were found, and which coordinates no row measures, in lines."""
-    lines = [sentence(finding) for finding in result.findings if finding.code == "tolerance-found"]
+    lines = [sentence(finding) for finding in result.findings if finding.code in _NOTED]
     lines += touched_line(result)
     data, platform, setup = result.measurements, result.nominal.platform, result.options.setup
     missing = [bool(np.isnan(values).all()) for values in data.poses.T]

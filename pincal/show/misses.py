@@ -86,8 +86,8 @@ def observed_groups(result: CalibrationResult) -> list[ResidualGroup]:
         name = owners.get(group.name, group.name)
         if name in groups:
             former, arrays = vars(groups[name]), vars(group)
-            kept = [key for key, value in former.items() if isinstance(value, np.ndarray)]
-            joined: dict[str, Any] = {k: np.append(former[k], arrays[k]) for k in kept}
+            keys = [key for key, value in former.items() if isinstance(value, np.ndarray)]
+            joined: dict[str, Any] = {k: np.append(former[k], arrays[k]) for k in keys}
             group = replace(groups[name], **joined)
         groups[name] = replace(group, name=name)
     return [*groups.values()]

@@ -284,18 +284,18 @@ def cameras_table(result: CalibrationResult) -> Table | None:
     """Return how far points are seen from where they are predicted, those missed most first."""
     rows = list[list[Value]]()
     for camera, points, _, missed, _, metres in camera_misses(result):
-        off = np.linalg.norm(missed, axis=1)
-        each = {name: off[points == name] for name in dict.fromkeys(points.tolist())}
+        sizes = np.linalg.norm(missed, axis=1)
+        each = {name: sizes[points == name] for name in dict.fromkeys(points.tolist())}
         worst = sorted(each, key=lambda name: -np.square(each[name]).mean())[:NAMED]
         for name in ("all", *worst):
             of_point = points == name if name in each else np.full(len(points), fill_value=True)
-            pixels, lengths = off[of_point], (off * metres)[of_point]
-            sizes = [
+            pixels, lengths = sizes[of_point], (sizes * metres)[of_point]
+            cells = [
                 Cell(size, number(size, unit))
                 for part, unit in ((pixels, "px"), (lengths, "m"))
                 for size in (float(np.sqrt((part**2).mean())), float(np.median(part)))
             ]
-            rows.append([camera.name, name, len(pixels), *sizes])
+            rows.append([camera.name, name, len(pixels), *cells])
     heads = [f"{kind} [{SMALL[unit]}]" for unit in ("px", "m") for kind in ("RMS", "median")]
     if not rows:
         return None

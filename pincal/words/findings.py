@@ -104,6 +104,12 @@ FINDINGS: dict[str, Wording] = {
         "Correct or remove {them}, or leave {them} out (--loss reject)",
         title="a few rows spoil the fit",
     ),
+    "points-left-out": Wording(
+        "left out: {rows|length|counted('point')} in photos: {% for name in names[:6] %}"
+        "{loop|joint}{name} of data row {rows[loop.index0]}{% endfor %}"
+        "{% if rows|length > 6 %}, and {rows|length - 6} more{% endif %}",
+        severity="info",
+    ),
     "many-outliers": Wording(
         "{(100 * share)|f(0)} % of the rows do not fit the others, worst data row {row}",
         "Correct the noise or the model before leaving rows out (--loss reject)",
