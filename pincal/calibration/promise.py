@@ -87,6 +87,16 @@ def expected_error(result: CalibrationResult, poses: Plan | Array | None) -> Pla
     return replace(error, std=std, promised=False)
 
 
+def errors_inside(result: CalibrationResult, plan: Plan) -> tuple[PlatformError, PlatformError]:
+    """Return the errors over all poses, and over those that lie in the measured region."""
+    expected = result.expected_error(plan)
+    within = expected.within
+    if within.all():
+        return expected, expected
+    inside = result.expected_error(plan.rows(within))  # frames are those of other poses,
+    return expected, replace(inside, outside=expected.outside[within])  # the region is the same
+
+
 def _hidden(result: CalibrationResult, poses: Plan | Array, scale: float) -> tuple[float, float]:
     """Return errors of the machine that residuals cannot show, root mean squares, [m] and [rad].
 

@@ -133,7 +133,9 @@ def select(
     outputs = [path for path in (output, sheet) if path is not None]
     refuse_existing_of([(path, ()) for path in outputs], force=options.force)
     with working("choosing poses") as progress:
-        plan, candidates, table = _choose(mechanism, options, _noisy(noise, mechanism), progress)
+        plan, candidates, table = _choose(
+            mechanism, options, with_reading_noise(noise, mechanism), progress
+        )
     if options.verify:
         plan = with_verification(mechanism, plan, candidates, options.verify, options.seed)
         remark(f"{options.verify} more poses, in the set 'verify', are kept for verification")
@@ -160,7 +162,7 @@ def _write_sheet(path: Path, mechanism: Mechanism, plan: Plan, options: SelectOp
     write_sheet(path, mechanism, plan, measured, setup, options.written_in(mechanism))
 
 
-def _noisy(noise: Noise, mechanism: Mechanism) -> Noise:
+def with_reading_noise(noise: Noise, mechanism: Mechanism) -> Noise:
     """Return noise with which more readings than freedoms can agree: exact ones cannot."""
     if noise.reading or not mechanism.redundant:
         return noise
@@ -186,7 +188,7 @@ def _choose(
     if options.candidates is None:
         progress("sampling the workspace")
         count = _CONFIGURATIONS if together else _POSES
-        candidates = _sampled(mechanism, setup, count, options.seed)
+        candidates = sampled(mechanism, setup, count, options.seed)
     else:
         candidates = read_poses(options.candidates, mechanism, setup=setup)
     search: dict[str, Any] = {"noise": noise, "seed": options.seed, "starts": options.starts}
@@ -221,7 +223,7 @@ def _choose(
     return choice.plan, candidates, tables.selection_table(choice, mechanism.name)
 
 
-def _sampled(mechanism: Mechanism, setup: Setup, count: int, seed: int) -> Plan:
+def sampled(mechanism: Mechanism, setup: Setup, count: int, seed: int) -> Plan:
     """Return configurations of the workspace, at the points of contacts if the setup has any."""
     if not setup.contacts:
         return pincal.sample_configurations(mechanism, count, seed)
@@ -273,11 +275,13 @@ def identifiability(
         workspace = pincal.sample_configurations(mechanism, 1000, options.seed)
         if plan is None:
             if setup.contacts:  # the same points as 'select' plans
-                poses = _sampled(mechanism, setup, _CONFIGURATIONS, options.seed)
+                poses = sampled(mechanism, setup, _CONFIGURATIONS, options.seed)
                 poses = poses.rows(np.arange(len(poses)) < _FORECAST)
             else:
                 poses = pincal.sample_configurations(mechanism, _FORECAST, options.seed + 1)
-    expected = pincal.forecast(mechanism, poses, _noisy(noise, mechanism), measured, setup)
+    expected = pincal.forecast(
+        mechanism, poses, with_reading_noise(noise, mechanism), measured, setup
+    )
     error = expected.platform_error(workspace)
     with reading_in(units.printed):
         stdout.print(tables.standard_errors(expected))

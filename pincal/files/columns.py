@@ -271,8 +271,21 @@ def write_sheet(
 ) -> None:
     """Write a measuring sheet, CSV or .xlsx: what to drive to, and empty cells to fill in.
 
+    Arguments and errors are those of ``sheet_columns``.
+    """
+    write_table(path, sheet_columns(mechanism, plan, measured, setup, units))
+
+
+def sheet_columns(
+    mechanism: Mechanism,
+    plan: Plan,
+    measured: Collection[str] | None = None,
+    setup: Setup | None = None,
+    units: Units = SI,
+) -> Columns:
+    """Return the columns of a measuring sheet, those that are measured with empty cells.
+
     Args:
-        path: The file.
         mechanism: The mechanism.
         plan: Poses, with the readings that they have.
         measured: What is measured: freedoms of the platform, columns of the setup; the pose if not
@@ -297,7 +310,7 @@ def write_sheet(
     columns |= plan.contacts
     columns |= {} if plan.places is None else {"pose": plan.places}
     blank = written(dict.fromkeys(heads, np.zeros(len(plan))))
-    write_table(path, columns | dict.fromkeys(blank, ("",) * len(plan)))
+    return columns | dict.fromkeys(blank, ("",) * len(plan))
 
 
 def _measured_heads(

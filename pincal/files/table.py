@@ -149,7 +149,7 @@ def write_table(
     """
     columns = units.written(columns)
     with writing(path, force=force) as scratch:
-        cells = (map(_cell_text, values) for values in columns.values())
+        cells = (map(cell_text, values) for values in columns.values())
         rows = [list(columns), *map(list, zip(*cells, strict=True))]
         if Path(path).suffix.lower() == ".xlsx":
             write_book(scratch, rows)
@@ -158,7 +158,7 @@ def write_table(
             csv.writer(file, lineterminator="\n").writerows(rows)
 
 
-def _cell_text(value: object) -> str:
+def cell_text(value: object) -> str:
     """Return a value as it is written in a file; none is an empty cell."""
     if isinstance(value, float):
         return "" if np.isnan(value) else repr(float(value))
@@ -172,7 +172,7 @@ def read_table(source: Any) -> TextTable:
         return source
     if is_dataframe(source):
         columns = (source.iloc[:, index].tolist() for index in range(source.shape[1]))
-        rows = ([_cell_text(value) for value in row] for row in zip(*columns, strict=True))
+        rows = ([cell_text(value) for value in row] for row in zip(*columns, strict=True))
         header = [str(name) for name in source.columns]
         return _of_rows(Path("DataFrame"), enumerate(chain([header], rows)), "row", None)
     kinds = "a CSV file or a DataFrame"

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pincal.calibration.promise import by_target, measured_plan, seen_by
+from pincal.calibration.promise import by_target, errors_inside, measured_plan, seen_by
 from pincal.calibration.result import CalibrationResult
 from pincal.calibration.result_parts import ResidualGroup
 from pincal.design.platform_error import PlatformError, root_mean_squares, seen_of, sizes
@@ -177,10 +177,7 @@ def errors_at(
 ) -> WorkspaceErrors:
     """Return the platform's errors at planned poses, coordinates of shape (N, dof), or a plan."""
     plan = as_plan(result.nominal, planned)
-    inside = expected = result.expected_error(plan)
-    within = expected.within
-    if not within.all():  # frames are those of other poses, the region is the same
-        inside = replace(result.expected_error(plan.rows(within)), outside=expected.outside[within])
+    expected, inside = errors_inside(result, plan)
     moved, units = apart(result, plan)
     return WorkspaceErrors(plan.poses, sizes(units, moved), expected, inside, region)
 

@@ -150,10 +150,14 @@ _MISSED = (
 )
 
 
+def causes(findings: Sequence[Finding]) -> str:
+    """Return hypotheses that explain measurements alike, as parts of a sentence."""
+    return ", or ".join(filled(HYPOTHESES[finding.code].says, finding) for finding in findings)
+
+
 def explanation(findings: Sequence[Finding]) -> str:
     """Return one sentence for hypotheses that explain measurements alike, and their remedies."""
-    causes = [filled(HYPOTHESES[finding.code].says, finding) for finding in findings]
     codes = [finding.code for finding in findings]
     codes += ["unknown-frame" for finding in findings if finding.values["unknown_frame"]]
     remedies = "; or: ".join(dict.fromkeys(HYPOTHESES[code].remedy for code in codes))
-    return f"{', or '.join(causes)}{filled(_MISSED, findings[0])}. {remedies}"
+    return f"{causes(findings)}{filled(_MISSED, findings[0])}. {remedies}"

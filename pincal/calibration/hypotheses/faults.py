@@ -72,6 +72,21 @@ def faults(case: Case) -> Iterator[Hypothesis]:
         yield Hypothesis("rows-shifted", _read(partial(_shifted, shift=shift)), {"shift": shift})
 
 
+def faults_of_a_row(case: Case) -> Iterator[Hypothesis]:
+    """Yield what may be wrong in one row alone: a sign, a unit, legs or columns swapped."""
+    mechanism, singly = case.mechanism, len(case.mechanism.legs) > 1
+    concerning_readings = [Hypothesis("sign-of-readings", _readings_times(-1.0), by_leg=True)]
+    concerning_readings += [hypothesis for hypothesis in _units(case) if hypothesis.faults == 1]
+    for hypothesis in concerning_readings:
+        yield hypothesis
+        for leg in range(len(mechanism.legs)) if hypothesis.by_leg and singly else ():
+            yield of_legs(hypothesis, mechanism, [leg])
+    yield from _columns_of_a_leg(mechanism)
+    if len(mechanism.leg_names) == len(mechanism.reading_names):
+        for i, j in combinations(range(len(mechanism.legs)), 2):
+            yield _legs_exchanged(mechanism, _swapped(len(mechanism.legs), i, j))
+
+
 def _units(case: Case) -> Iterator[Hypothesis]:
     """Yield what units may be wrong, in one kind of columns or in several together."""
     mechanism = case.mechanism
@@ -260,9 +275,14 @@ def _exchanged(case: Case) -> Iterator[Hypothesis]:
     if case.alone:
         orders = [_best_order(case, turned)]
     for order in dict.fromkeys(map(tuple, orders)):
-        moved = tuple((names[i], names[j]) for i, j in enumerate(order) if i != j)
-        if moved:
-            yield Hypothesis("legs-exchanged", _ordered(order), {"order": moved})
+        if order != tuple(range(n)):
+            yield _legs_exchanged(case.mechanism, order)
+
+
+def _legs_exchanged(mechanism: Mechanism, order: Sequence[int]) -> Hypothesis:
+    names = mechanism.leg_names
+    exchanged = tuple((names[i], names[j]) for i, j in enumerate(order) if i != j)
+    return Hypothesis("legs-exchanged", _ordered(order), {"order": exchanged})
 
 
 def _best_order(case: Case, turned: Sequence[list[int]]) -> list[int]:

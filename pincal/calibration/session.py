@@ -1,0 +1,427 @@
+"""A session beside the robot: which pose next, whether its row can be right, when it is enough.
+
+All that is known is in a folder: the plan, and the rows that were measured. After each row they are
+calibrated anew, with drawings as priors, so that something is known from the first row on:
+
+    check    χ² = rᵀ (s² (1 + J C Jᵀ))⁻¹ r    a row r against its prediction by a fit without it,
+    enough   the limit that ``pincal.calibrate`` promises of these rows, priors apart,
+
+and what is next is ``pincal.design.next_pose``'s.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.special import chdtrc
+
+from pincal.blas import one_thread
+from pincal.calibration.assemble import assemble
+from pincal.calibration.calibrate import calibrate, prepared
+from pincal.calibration.calibration import Calibration
+from pincal.calibration.fits import Fits, fitted
+from pincal.calibration.hypotheses.faults import faults_of_a_row
+from pincal.calibration.hypotheses.judging import AS_MEASURED, Case, Hypothesis
+from pincal.calibration.options import Options, Tolerance
+from pincal.calibration.promise import errors_inside
+from pincal.calibration.result import CalibrationResult
+from pincal.design.next_pose import Candidates
+from pincal.design.platform_error import PlatformError
+from pincal.design.select import Goal
+from pincal.errors import MeasurementError, PincalError
+from pincal.estimation.observability.indices import plausible_changes
+from pincal.estimation.problem import Linear
+from pincal.estimation.robust import as_one
+from pincal.estimation.solver import solve_poses
+from pincal.estimation.start import placed
+from pincal.estimation.unknowns import State
+from pincal.files.columns import sheet_columns
+from pincal.files.journal import Journal
+from pincal.files.table import cell_text
+from pincal.files.text import plain_number
+from pincal.finding import Finding
+from pincal.kinematics.configurations import inverse
+from pincal.kinematics.forward import forward
+from pincal.model.checks import LARGEST
+from pincal.model.measurements import Noise, Plan
+from pincal.model.mechanism import Mechanism
+from pincal.model.option import option
+from pincal.model.setup import Setup
+from pincal.model.units import SI, Units
+from pincal.types import Array
+from pincal.words.findings import finding
+
+PLANNED = "planned_"
+"""What heads columns of the sheet that say what to drive to."""
+FALSE_ALARM = 1e-3
+"""Probability that a sound row is called off."""
+ENOUGH = 0.95
+"""Share of the workspace that the measured region, of which errors are stated, should hold."""
+_LARGEST = 3.0  # standard deviations that the largest changes of machines are
+_CAUSES = 3  # that are named, at most
+
+
+@dataclass(frozen=True)
+class SessionOptions:
+    """What a session measures, and to what end."""
+
+    accuracy: float | None = option(
+        None, "Root mean square position error that is enough [m], or as 0.05mm.", unit="m"
+    )
+    goal: Goal = option("parameters", "Next poses for the parameters, or for the platform.")
+    in_order: bool = option(False, "Keep the order of the plan.")
+    tolerance: Tolerance = option(
+        dict,
+        "How far the machine may be from its drawing, which checks the first rows better "
+        "[default: 2 % of a leg, 17 mrad].",
+        metavar="0.5mm,5mrad",
+        kind=str | None,
+    )
+    noise: Noise = field(default_factory=Noise)
+    setup: Setup = field(default_factory=Setup)
+    measured: tuple[str, ...] | None = None
+    """Freedoms of the platform and columns of the setup that are measured; all if not given."""
+    units: Units = SI
+    """Of the columns; mm and degrees where nothing else is said."""
+
+
+@dataclass(frozen=True)
+class Checked:
+    """A row as it was judged when it came."""
+
+    row: int
+    """Counted from 0."""
+    sigma: float | None
+    """Its residual in standard deviations of prediction and noise, that of one normal number as
+    unlikely; infinite where no pose belongs to it, None where nothing can be predicted yet."""
+    off: bool = False
+    """Whether it is farther off than sound rows are."""
+    quantity: str = ""
+    """Which of its numbers is farthest off."""
+    causes: tuple[Finding, ...] = ()
+    """What would explain it: units, signs, swapped columns."""
+
+
+class Session:
+    """Rows that are measured one by one, on disk before anything is made of them.
+
+    ``checked`` is the verdict on the last row, ``result`` the calibration of all rows but a last
+    one that is off; None while it cannot be made, for the reason ``why``. ``error`` is that of the
+    platform over the ``share`` of the workspace that lies in the measured region. It is ``enough``
+    where that promises what was wanted, and the next pose would not widen that region.
+    """
+
+    def __init__(
+        self, folder: Path, mechanism: Mechanism, plan: Plan, options: SessionOptions
+    ) -> None:
+        """Open a session, new or as it was left, of poses to choose from.
+
+        Raises:
+            FileError: the folder is open elsewhere, or cannot be written.
+            MeasurementError: options that do not suit, a plan out of reach, or rows that are not of
+                this mechanism.
+        """
+        setup = options.setup.of_rows(plan.contacts)
+        if plan.readings is None:
+            plan = replace(plan, readings=inverse(mechanism, plan.poses).readings)
+        tolerance: Any = Options(tolerance=options.tolerance).tolerance
+        changes = plausible_changes(mechanism, mechanism.legs) / _LARGEST
+        priors = {
+            parameter.id: tolerance.get(parameter.unit, float(change))
+            for parameter, change in zip(mechanism.parameters, changes, strict=True)
+        }
+        self.mechanism, self.plan, self.options, self.priors = mechanism, plan, options, priors
+        self._options = Options(noise=options.noise, setup=setup, priors=priors)
+        columns = sheet_columns(mechanism, plan, options.measured, setup, options.units)
+        influences = [name for name in mechanism.influences if name not in mechanism.followed]
+        columns |= {name: ("",) * len(plan) for name in influences}
+        self.sheet = {head: [cell_text(cell) for cell in cells] for head, cells in columns.items()}
+        self.columns = [
+            head
+            for head in self.sheet
+            if not head.startswith(("row", "set", "pose", PLANNED, *plan.contacts))
+        ]
+        read = set(mechanism.reading_names)
+        self.observed = [head for head in self.columns if head.partition(" [")[0] not in read]
+        self.candidates = Candidates(
+            mechanism, plan, options.noise, options.measured, setup, priors
+        )
+        course = self.candidates.course(options.goal)
+        if options.in_order:
+            course = np.flatnonzero(self.candidates.offered)[: len(course)].tolist()
+        self.forecast = self.limits(course)
+        self.journal = Journal(folder, list(self.sheet))
+        self._restart()
+
+    def _restart(self) -> None:
+        """Make of the rows on disk what is known."""
+        self.result: CalibrationResult | None = None
+        self.error: PlatformError | None = None
+        self.share, self.why, self.enough = 0.0, "", False
+        self.checked: Checked | None = None
+        self.doubtful: tuple[int, float] | None = None
+        self._fits: Fits | None = None
+        if count := len(self.journal.rows):
+            calibration = self._read()
+            if count > 1:
+                self._fit(calibration.rows(np.arange(count - 1)), None)
+            self._judge(calibration)
+
+    @property
+    def measured(self) -> list[int]:
+        """Rows of the plan that were measured, in this order; what is off counts."""
+        place = self.journal.columns.index("row")
+        return [int(row[place]) - 1 for row in self.journal.rows]
+
+    def next_pose(self) -> tuple[int, float]:
+        """Return the row of the plan to measure next, and by what share errors then fall.
+
+        After what is enough those reserved for verification come, then the others.
+        """
+        fresh = np.setdiff1d(np.arange(len(self.plan)), self.measured)
+        reserved = fresh[self.plan.verifying[fresh]]
+        if self.enough and len(reserved):
+            return int(reserved[0]), 0.0
+        ordered = fresh[self.candidates.offered[fresh]]
+        if self.options.in_order and len(ordered):
+            return int(ordered[0]), 0.0
+        return self.candidates.best(self.measured, self.options.goal)
+
+    def limits(self, rows: Sequence[int]) -> list[float]:
+        """Return the limit of the platform's error to expect after each of some rows, [m]."""
+        return [self.candidates.limit(rows[: count + 1]) for count in range(len(rows))]
+
+    @property
+    def missing(self) -> int:
+        """About how many poses it takes to what is wanted, as forecast; 0 if it is enough."""
+        if self.options.accuracy is None or self.enough:
+            return 0
+        expected = self.candidates.limit(self.measured)
+        limit = np.inf if self.error is None else self.error.limit[0]
+        goal = self.options.accuracy * (expected / limit if np.isfinite(limit) else 1.0)
+        limits, count = np.array(self.forecast), len(self.forecast)
+        before, after = (
+            float(np.argmax(limits <= level)) if (limits <= level).any() else beyond
+            for level in (expected, goal)
+            for beyond in [count * (limits[-1] / level) ** 2]
+        )
+        return max(1, round(after - before))
+
+    def add(self, entry: Mapping[str, str], row: int | None = None) -> Checked:
+        """Record what was measured at a row of the plan, the next one if not given; check it.
+
+        Args:
+            entry: Cells by column, headers or names; of readings that are left out those that were
+                commanded are taken. Units are those of the headers.
+            row: Row of the plan, counted from 0.
+
+        Raises:
+            MeasurementError: a cell that is no number, or nothing measured; nothing is recorded.
+            FileError: the row cannot be written; nothing is recorded.
+        """
+        row = self.next_pose()[0] if row is None else row
+        if not 0 <= row < len(self.plan):
+            raise MeasurementError(f"there is no row {row + 1}; the plan has 1 to {len(self.plan)}")
+        self.journal.append(self._cells(entry, row))
+        try:
+            return self._judge(self._read())
+        except MeasurementError:
+            self.journal.undo()
+            raise
+
+    def skip(self, row: int) -> None:
+        """Offer a row of the plan no more, until the session is opened again."""
+        self.candidates.offered[row] = False
+
+    def _cells(self, entry: Mapping[str, str], row: int) -> dict[str, str]:
+        """Return the cells of a row of the plan with what was entered.
+
+        Raises:
+            MeasurementError: see ``add``.
+        """
+        cells = {head: column[row] for head, column in self.sheet.items()}
+        heads = {name: head for head in self.columns for name in (head, head.partition(" [")[0])}
+        for name, cell in entry.items():
+            if name not in heads:
+                raise MeasurementError(
+                    f"no column {name!r} is measured; expected {', '.join(self.columns)}"
+                )
+            if cell.strip() and not abs(plain_number(cell)) <= LARGEST:
+                raise MeasurementError(f"{heads[name]}: {cell!r} is no number; enter the row again")
+            cells[heads[name]] = cell.strip()
+        if self.observed and not any(cells[head] for head in self.observed):
+            raise MeasurementError(f"nothing was measured; enter {', '.join(self.observed)}")
+        for head in self.columns:
+            if head not in self.observed:
+                cells[head] = cells[head] or cells[f"{PLANNED}{head}"]
+        return cells
+
+    def keep(self) -> None:
+        """Take the last row as it is, though it is off."""
+        self._judge(self._read(), keep=True)
+
+    def undo(self) -> None:
+        """Take the last row back.
+
+        Raises:
+            MeasurementError: there is none.
+            FileError: it cannot be written.
+        """
+        self.journal.undo()
+        self._restart()
+
+    def _read(self) -> Calibration:
+        return prepared(self.mechanism, self.journal.path, self._options)
+
+    def _judge(self, calibration: Calibration, *, keep: bool = False) -> Checked:
+        """Return the verdict on the last row; calibrate, if it is not off."""
+        self.checked, pose = self._check(calibration)
+        if keep:
+            self.checked = replace(self.checked, off=False)
+        if not self.checked.off:
+            self._fit(calibration, pose)
+        return self.checked
+
+    @one_thread()
+    def _fit(self, calibration: Calibration, pose: State | None) -> None:
+        """Calibrate; the search begins at the last fit and the pose that the new row has then."""
+        near, rows = None, np.ones(len(calibration.used), dtype=bool)
+        if self._fits is not None and pose is not None:
+            near = _with_row(self._fits, pose)
+        self._fits = self.result = self.error = self.doubtful = None
+        try:
+            fits = fitted(calibration, near, None if near is None else rows)
+            self.result, self.why = assemble(fits), ""
+            expected, self.error = errors_inside(self.result, self.candidates.workspace)
+            self.share = len(self.error.std) / max(expected.poses, 1)
+            self._fits, self.doubtful = fits, _doubtful(fits)
+        except (PincalError, np.linalg.LinAlgError) as error:
+            self.why = str(error)
+        self.enough = self._within(self.error) and self._covers() and self._promised(calibration)
+
+    def _within(self, error: PlatformError | None) -> bool:
+        accuracy = self.options.accuracy
+        return error is not None and accuracy is not None and error.limit[0] <= accuracy
+
+    def _covers(self) -> bool:
+        """Return whether the measured region holds the workspace, or the pose that is next."""
+        pose = self.plan.rows(np.array([self.candidates.best(self.measured)[0]]))
+        return self.share >= ENOUGH or (
+            self.result is not None and not self.result.expected_error(pose).outside[0] > 1.0
+        )
+
+    def _promised(self, calibration: Calibration) -> bool:
+        """Return whether ``pincal.calibrate`` promises as much of these rows, without priors."""
+        options = replace(self._options, priors={})
+        try:
+            result = calibrate(self.mechanism, calibration.measurements, options)
+        except (PincalError, np.linalg.LinAlgError):
+            return False
+        return self._within(errors_inside(result, self.candidates.workspace)[1])
+
+    @one_thread()
+    def _check(self, calibration: Calibration) -> tuple[Checked, State | None]:
+        """Return the verdict on the last row by what is known without it, and its pose."""
+        row = len(calibration.measurements) - 1
+        if self._fits is None and len(calibration.observation.external):
+            return Checked(row, None), None
+        (square, *_), last = self._squares(calibration, [AS_MEASURED])
+        equations, quantities = max(int(last.equations[0]), 1), tuple(last.problem.quantities)
+        noise = np.abs(np.nan_to_num(last.noise[0, : len(quantities)]))
+        quantity = last.problem.observation.named(quantities[noise.argmax()], 0)
+        sigma = as_one(float(square), equations)
+        if chdtrc(equations, square) >= FALSE_ALARM:
+            return Checked(row, sigma, False, quantity), last.state
+        case = Case(calibration, np.array([row]))
+        tried = list(faults_of_a_row(case))
+        chances = chdtrc(equations, self._squares(calibration, tried)[0])
+        names = self.mechanism.leg_names
+        causes = tuple(
+            finding(
+                tried[place].code,
+                **tried[place].values,
+                legs=tuple(names[leg] for leg in tried[place].legs),
+                unknown_frame=False,
+            )
+            for place in np.argsort(-chances)[:_CAUSES]
+            if chances[place] >= FALSE_ALARM
+        )
+        return Checked(row, sigma, True, quantity, causes), last.state
+
+    def _squares(
+        self, calibration: Calibration, hypotheses: Sequence[Hypothesis]
+    ) -> tuple[Array, Linear]:
+        """Return χ² of the last row if hypotheses are true, infinite where no pose belongs to it.
+
+        And its conditions.
+        """
+        last = calibration.measurements.rows(np.array([len(calibration.measurements) - 1]))
+        righted = [hypothesis.right(last) for hypothesis in hypotheses]
+        data = replace(
+            last.rows(np.zeros(len(righted), dtype=np.intp)),
+            poses=np.concatenate([trial.poses for trial in righted]),
+            readings=np.concatenate([trial.readings for trial in righted]),
+        )
+        trial = replace(calibration, measurements=data, known_noise=None)
+        parameters, external = self.mechanism.parameters.values, trial.observation.external.start
+        rows, excess = np.diag(1.0 / self.candidates.spread), 1.0
+        if self._fits is not None and self.result is not None:
+            fit, excess = self._fits.fits[0], self.result.excess
+            parameters, external = fit.parameters, self._fits.external
+            known_rows = fit.last.jacobian[fit.good].reshape(-1, rows.shape[1])
+            rows = np.concatenate((rows, known_rows / excess))
+        with np.errstate(all="ignore"):
+            problem = trial.latent_problem
+            state = placed(problem, data, parameters, external)
+            linear, _ = solve_poses(problem.evaluate(_at_readings(trial, state)))
+            r, J = linear.residuals, linear.jacobian
+            R = np.asarray(np.linalg.qr(rows, mode="r"))
+            W = np.linalg.solve(R.T, J.mT)
+            S = excess**2 * np.eye(r.shape[1]) + W.mT @ W
+            known = np.isfinite(S).all(axis=(1, 2)) & np.isfinite(r).all(axis=1)
+            squares = np.full(len(r), np.inf)
+            squares[known] = (r * np.linalg.solve(S[known], r[known, :, None])[:, :, 0]).sum(axis=1)
+        return squares, linear
+
+
+def _with_row(fits: Fits, row: State) -> Fits:
+    """Return fits as near which others with one more row at its end are."""
+    (fit,), state = fits.fits, fits.fits[0].last.state
+    matrices = np.concatenate((state.matrices, row.matrices))
+    extended = State(state.parameters, matrices, external=state.external)
+    return replace(fits, fits=[replace(fit, last=replace(fit.last, state=extended))])
+
+
+def _at_readings(calibration: Calibration, state: State) -> State:
+    """Return a state whose poses are those of the readings where they were measured in part."""
+    machine, readings = calibration.identified(state.parameters), calibration.measurements.readings
+    partly = ~np.isfinite(calibration.measurements.poses).all(axis=1)
+    known = np.flatnonzero(partly & np.isfinite(readings).all(axis=1))
+    if not len(known):
+        return state
+    influences = None if calibration.influences is None else calibration.influences[known]
+    solution = forward(machine, readings[known], influences=influences)
+    matrices, reached = state.matrices.copy(), solution.converged
+    matrices[known[reached]] = machine.platform.matrices(solution.poses[reached])
+    return replace(state, matrices=matrices)
+
+
+def _doubtful(fits: Fits) -> tuple[int, float] | None:
+    """Return the row that is farthest off what all others predict, and by how many σ; or None.
+
+    χ² = rᵀ (1 − Q Qᵀ)⁻¹ r of residuals r and orthonormal columns Q is that of a fit without it.
+    """
+    fit = fits.fits[0]
+    rows, r, Q = np.flatnonzero(fit.good), fit.last.residuals[fit.good], fit.Q
+    remainder = np.eye(r.shape[1]) - Q @ Q.mT
+    squares = np.einsum("ni,ni->n", r, np.linalg.solve(remainder, r[:, :, None])[:, :, 0])
+    equations = fit.last.equations[rows]
+    chances = np.where(equations > 0, chdtrc(np.maximum(equations, 1), squares), 1.0)
+    worst = int(chances.argmin())
+    if chances[worst] * len(rows) >= FALSE_ALARM:
+        return None
+    return int(rows[worst]), as_one(float(squares[worst]), int(equations[worst]))

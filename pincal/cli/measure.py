@@ -1,0 +1,263 @@
+"""``pincal measure``: a session beside the robot, in a terminal or on a page."""
+
+from __future__ import annotations
+
+import json
+import re
+import socket
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, TextIO
+
+import typer
+
+import pincal
+from pincal import FileError, MeasurementError, Mechanism, Noise, Setup
+from pincal.calibration.session import Session, SessionOptions
+from pincal.cli.app import command, say, stdout, warn, working
+from pincal.cli.design import sampled, with_reading_noise
+from pincal.cli.options import Mech, PlanOptions
+from pincal.files.columns import columns_of
+from pincal.files.measurements import read_poses
+from pincal.files.table import write_table
+from pincal.model.option import option
+from pincal.show.measuring import parameters, progress, set_points, verdict_on_row
+from pincal.words.numbers import percent
+
+_CANDIDATES = 500  # poses, where no plan is given
+_PATIENCE = 5.0  # seconds in which an instrument must take the call
+_WAIT = 0.2  # seconds between two looks at a file that grows
+_HELP = (
+    "enter what was measured, in the columns' order; readings that are left out are those "
+    "commanded. u: undo the last row; s: skip this pose; r N: measure row N; p: parameters; q: "
+    "quit (the same command goes on)"
+)
+Ask = Callable[[dict[str, float]], str]
+"""Returns the line that a source gives at set points."""
+
+
+@dataclass(frozen=True)
+class SourceOptions:
+    """Where poses and measurements come from, and where they are shown."""
+
+    plan: Path | None = option(
+        None,
+        "Poses to choose from, of 'pincal select'; else 500 are sampled from the workspace.",
+        metavar="PLAN.csv",
+    )
+    terminal: bool = option(False, "Stay in the terminal.")
+    follow: Path | None = option(None, "Take each line that a file grows by.", metavar="FILE")
+    tcp: str | None = option(
+        None, "Send set points as a line of JSON, take the line that answers.", metavar="HOST:PORT"
+    )
+    pattern: str | None = option(
+        None,
+        "What was measured is in the groups of this expression, by name or in order.",
+        metavar="REGEX",
+    )
+
+
+@command
+def measure(
+    mech: Mech,
+    session: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder of the session.")],
+    source: SourceOptions,
+    session_options: SessionOptions,
+    options: PlanOptions,
+    noise: Noise,
+) -> None:
+    """Measure with the robot beside you.
+
+    Says which pose to drive to, takes what was measured there, checks it at once, and says what
+    error to expect and how many more poses it takes to --accuracy. FOLDER holds the plan and
+    rows.csv, which 'pincal calibrate' reads; every row is on disk before it is shown. Stopped at
+    any moment, the session goes on by the same command.
+    """
+    mechanism, setup = pincal.load_mechanism(mech), options.read_setup()
+    with working("looking at the poses"):
+        opened = Session(
+            session,
+            mechanism,
+            _plan(session / "plan.csv", mechanism, setup, source.plan, options.seed),
+            replace(
+                session_options,
+                noise=with_reading_noise(noise, mechanism),
+                setup=setup,
+                measured=options.measured(mechanism, setup),
+                units=options.written_in(mechanism),
+            ),
+        )
+    try:
+        with _source(source) as ask:
+            _in_terminal(opened, ask, source.pattern)
+    except (KeyboardInterrupt, EOFError):
+        pass
+    finally:
+        opened.journal.close()
+    say(f"{len(opened.journal.rows)} rows in {opened.journal.path}")
+
+
+def _plan(
+    path: Path, mechanism: Mechanism, setup: Setup, source: Path | None, seed: int
+) -> pincal.Plan:
+    """Return the plan of a session's folder, written there if it is new.
+
+    Raises:
+        FileError: it cannot be written.
+    """
+    if not path.is_file():
+        if source is None:
+            plan = sampled(mechanism, setup, _CANDIDATES, seed)
+        else:
+            plan = read_poses(source, mechanism, setup=setup)
+        try:
+            path.parent.mkdir(exist_ok=True)
+        except OSError as error:
+            raise FileError(f"cannot make {path.parent}: {error.strerror or error}") from error
+        write_table(path, columns_of(mechanism, plan))
+    return read_poses(path, mechanism, setup=setup)
+
+
+def parsed(line: str, session: Session, pattern: str | None = None) -> dict[str, str]:
+    """Return the cells of a line: JSON, groups of a pattern, or numbers in order.
+
+    Raises:
+        MeasurementError: a line that is none of these, or has another number of numbers.
+    """
+    line = line.strip()
+    if pattern is not None:
+        match = re.search(pattern, line)
+        if match is None:
+            raise MeasurementError(f"the line {line!r} does not match --pattern {pattern}")
+        if named := match.groupdict():
+            return {name: cell or "" for name, cell in named.items()}
+        cells = [cell or "" for cell in match.groups()]
+    elif line.startswith("{"):
+        try:
+            return {name: str(value) for name, value in json.loads(line).items()}
+        except ValueError as error:
+            raise MeasurementError(f"{line!r} is no JSON: {error}") from error
+    else:
+        parts = re.split(r"\s*[;\s]\s*", line)  # a comma may then be a decimal one
+        cells = line.split(",")
+        if len(parts) > 1:
+            cells = [part.strip(",").replace(",", ".") for part in parts]
+    for columns in (session.observed, session.columns):
+        if len(cells) == len(columns):
+            return dict(zip(columns, cells, strict=True))
+    raise MeasurementError(
+        f"{len(cells)} numbers; expected {', '.join(session.observed)}, or all of "
+        f"{', '.join(session.columns)}"
+    )
+
+
+@contextmanager
+def _source(options: SourceOptions) -> Iterator[Ask | None]:
+    """Yield what asks for measurements, None if they are typed."""
+    if options.follow is not None and options.tcp is not None:
+        raise typer.BadParameter("--follow and --tcp both give measurements; leave one of them")
+    host, _, port = (options.tcp or "").rpartition(":")
+    if options.tcp is not None and not (host and port.isdecimal()):
+        raise typer.BadParameter(f"--tcp {options.tcp}: expected HOST:PORT")
+    try:
+        if options.follow is not None:
+            with options.follow.open(encoding="utf-8", errors="replace") as file:
+                file.seek(0, 2)
+                yield lambda _: _grown(file)
+        elif options.tcp is not None:
+            with socket.create_connection((host, int(port)), _PATIENCE) as line:
+                line.settimeout(None)
+                with line.makefile("rw", encoding="utf-8", newline="\n") as stream:
+                    yield lambda points: _answer(stream, points)
+        else:
+            yield None
+    except OSError as error:
+        raise FileError(f"{options.follow or options.tcp}: {error.strerror or error}") from error
+
+
+def _grown(file: TextIO) -> str:
+    """Return the next line of a file, once it is whole."""
+    line = ""
+    while not line.endswith("\n") or not line.strip():
+        line = line.lstrip("\n") + file.readline()
+        if not line.endswith("\n"):
+            time.sleep(_WAIT)
+    return line
+
+
+def _answer(stream: TextIO, points: dict[str, float]) -> str:
+    """Return the line by which a machine or an instrument answers set points."""
+    stream.write(json.dumps(points) + "\n")
+    stream.flush()
+    line = "\n"
+    while line.isspace():
+        line = stream.readline()
+    if not line:
+        raise FileError("the other end hung up; start it again, then this command")
+    return line
+
+
+def _in_terminal(session: Session, ask: Ask | None, pattern: str | None) -> None:
+    """Measure one pose after another, until the user leaves, or a source has given enough."""
+    if ask is None:
+        say(_HELP)
+    repeated, chosen = False, None
+    while not (ask and session.enough):
+        row, gain = session.next_pose()
+        row = row if chosen is None else chosen
+        questioned = session.checked is not None and session.checked.off
+        if questioned and ask and not sys.stdin.isatty():  # what comes twice is no slip
+            line, repeated = "k" if repeated else "u", not repeated
+        elif questioned:
+            line = input("u: undo it, k: keep it > ")
+        else:
+            points = _shown(session, row, gain)
+            line = ask(points) if ask else input("> ")
+        try:
+            chosen = _obeyed(session, line, row, pattern)
+        except MeasurementError as error:
+            if ask:
+                raise
+            warn(str(error))
+
+
+def _shown(session: Session, row: int, gain: float) -> dict[str, float]:
+    """Say what to drive to, and return it."""
+    falls, points = f"; errors fall by {percent(gain)}" * (gain > 0.0), set_points(session, row)
+    say(f"\nrow {row + 1} of {len(session.plan)}{falls}. Drive to")
+    say("  " + ", ".join(f"{head} {value:.7g}" for head, value in points.items()))
+    say(f"  then {', '.join(session.observed or session.columns)}:")
+    return points
+
+
+def _obeyed(session: Session, line: str, row: int, pattern: str | None) -> int | None:
+    """Do what a line says at a row of the plan; return the row that it chooses, if it does.
+
+    Raises:
+        EOFError: it says to leave.
+        MeasurementError: it is no measurement.
+    """
+    match line.split():
+        case []:
+            return row
+        case ["q"]:
+            raise EOFError
+        case ["u"]:
+            session.undo()
+        case ["k"]:
+            session.keep()
+        case ["s"]:
+            session.skip(row)
+        case ["p"]:
+            stdout.print(parameters(session) or "nothing is known yet")
+            return row
+        case ["r", number] if number.isdecimal() and 0 < int(number) <= len(session.plan):
+            return int(number) - 1
+        case _:
+            say(verdict_on_row(session.add(parsed(line, session, pattern), row)))
+    say(*progress(session))
+    return None

@@ -1,0 +1,214 @@
+"""Sessions beside the robot: which pose next, which row is wrong, when it is enough."""
+
+from __future__ import annotations
+
+import errno
+import io
+import json
+import os
+import sys
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from bench import NOISE, Bench
+from command_line import done, run
+
+import pincal
+from pincal.calibration.promise import errors_inside
+from pincal.calibration.session import Session, SessionOptions
+from pincal.files.columns import columns_of
+from pincal.show.measuring import verdict_on_row
+
+ACCURACY = 5e-5
+
+
+@cache
+def bench() -> Bench:
+    """Return a 3-RRR with 40 poses that it reaches."""
+    mechanism = pincal.load_mechanism("3RRR")
+    return Bench(mechanism, pincal.sample_configurations(mechanism, 40, 3))
+
+
+def session(folder: Path, rows: int = 0, **options: Any) -> Session:
+    """Return a session with some rows measured."""
+    options = {"noise": NOISE, "accuracy": ACCURACY, **options}
+    opened = Session(folder, bench().mechanism, bench().plan, SessionOptions(**options))
+    for _ in range(rows):
+        row, _ = opened.next_pose()
+        opened.add(bench().entry(opened.columns, row))
+    return opened
+
+
+@pytest.fixture(scope="module")
+def begun(tmp_path_factory: pytest.TempPathFactory) -> Session:
+    """Return a session of 16 rows, which determine all parameters; tests undo what they add."""
+    return session(tmp_path_factory.mktemp("begun") / "s", 16, accuracy=None)
+
+
+def test_enough_is_what_calibrate_promises_and_the_machine_keeps(tmp_path: Path) -> None:
+    """At "enough" ``pincal.calibrate`` promises it of rows.csv alone, and the truth is within."""
+    measured = session(tmp_path / "s", 8)
+    while not measured.enough and len(measured.measured) < 40:
+        measured.add(bench().entry(measured.columns, measured.next_pose()[0]))
+    assert 8 < len(measured.measured) < 30
+    result = pincal.calibrate(bench().mechanism, measured.journal.path, noise=NOISE)
+    error = errors_inside(result, measured.candidates.workspace)[1]
+    assert error.limit[0] <= ACCURACY
+    true = pincal.accuracy(result.identified, bench().truth, measured.candidates.workspace)
+    assert true.position <= ACCURACY < 10.0 * true.position
+
+
+def test_next_pose_has_the_largest_determinant(begun: Session) -> None:
+    """No other row of the plan leaves a larger determinant of the information (brute force)."""
+    design, measured = begun.candidates, begun.measured
+    best, falls = design.best(measured)
+    fresh = [row for row in range(len(begun.plan)) if row not in measured]
+    values = [np.linalg.slogdet(design.information([*measured, row]))[1] for row in fresh]
+    before = np.linalg.slogdet(design.information(measured))[1]
+    assert best == fresh[int(np.argmax(values))]
+    n = design.rows.shape[2]
+    assert falls == pytest.approx(1.0 - np.exp((before - max(values)) / (2 * n)), rel=1e-9)
+
+
+def test_forecast_is_that_of_a_forecast(begun: Session) -> None:
+    """With priors that say nothing the limit is that of ``pincal.forecast`` for the same poses."""
+    rows = list(range(30))
+    plan = pincal.Plan(begun.plan.poses[rows])
+    expected = pincal.forecast(begun.mechanism, plan, NOISE).platform_error(
+        begun.candidates.workspace
+    )
+    limit = begun.candidates.limit(rows)
+    assert limit == pytest.approx(expected.limit[0], rel=0.02)
+
+
+def _in_radians(cells: dict[str, str]) -> None:
+    cells["leg_2 [deg]"] = repr(float(np.radians(float(cells["leg_2 [deg]"]))))
+
+
+def _other_sign(cells: dict[str, str]) -> None:
+    cells["leg_3 [deg]"] = repr(-float(cells["leg_3 [deg]"]))
+
+
+def _swapped(cells: dict[str, str]) -> None:
+    legs = "leg_1 [deg]", "leg_2 [deg]"
+    cells[legs[0]], cells[legs[1]] = cells[legs[1]], cells[legs[0]]
+
+
+def _in_metres(cells: dict[str, str]) -> None:
+    for head in ("x [mm]", "y [mm]"):
+        cells[head] = repr(float(cells[head]) / 1e3)
+
+
+@pytest.mark.parametrize(
+    ("mistake", "words"),
+    [
+        (_in_radians, "the readings of leg_2 are in radians"),
+        (_other_sign, "the readings of leg_3 have the opposite sign"),
+        (_swapped, "legs are swapped: column leg_2 fits leg_1 and column leg_1 fits leg_2"),
+        (_in_metres, "the positions are in metres"),
+    ],
+)
+def test_mistake_is_named_on_entry(begun: Session, mistake: Any, words: str) -> None:
+    """A unit, a sign, an order that is wrong is named; undone, the file is as it was."""
+    before, limit = begun.journal.path.read_bytes(), begun.error
+    row, _ = begun.next_pose()
+    cells = bench().entry(begun.columns, row)
+    mistake(cells)
+    checked = begun.add(cells)
+    assert checked.off
+    assert words in verdict_on_row(checked)
+    assert begun.error is limit  # nothing is made of it yet
+    typed = begun.journal.path.read_bytes()[len(before) :]
+    begun.undo()
+    assert begun.journal.path.read_bytes() == before
+    assert begun.journal.path.with_name("undone.csv").read_bytes().endswith(typed)
+    assert not begun.add(bench().entry(begun.columns, row)).off
+    begun.undo()
+
+
+def test_slip_of_ten_sigma_is_off_and_can_be_kept(begun: Session) -> None:
+    """0.2 mm of noise of 20 µm is off in each coordinate; kept, it takes part and is doubted."""
+    row, _ = begun.next_pose()
+    for head in ("x [mm]", "y [mm]"):
+        cells = bench().entry(begun.columns, row)
+        cells[head] = repr(float(cells[head]) + 0.2)
+        checked = begun.add(cells)
+        assert checked.off
+        assert 3.5 < (checked.sigma or 0.0) < 12.0
+        begun.keep()
+        assert begun.doubtful is not None
+        assert begun.doubtful[0] == checked.row
+        begun.undo()
+    assert begun.doubtful is None
+
+
+def test_session_goes_on_as_it_was_left(tmp_path: Path) -> None:
+    """Killed in the middle of a line, nothing is lost: state and next pose are as without it."""
+    left = session(tmp_path / "s", 10)
+    error, following, text = left.error, left.next_pose(), left.journal.path.read_bytes()
+    with pytest.raises(pincal.FileError, match=rf"open in another process \({os.getpid()}\)"):
+        session(tmp_path / "s")
+    left.journal.close()
+    with left.journal.path.open("ab") as file:
+        file.write(b"7,-516.42,-327")
+    again = session(tmp_path / "s")
+    assert again.journal.path.read_bytes() == text
+    assert again.next_pose() == following
+    assert again.measured == left.measured
+    assert again.error is not None
+    assert error is not None
+    assert again.error.position == pytest.approx(error.position, rel=1e-6)
+
+
+def test_full_disk_loses_nothing(begun: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A row that the disk does not take whole is not recorded, and that is said."""
+    before, row = begun.journal.path.read_bytes(), begun.next_pose()[0]
+    write = os.pwrite
+
+    def nine_bytes(file: int, data: bytes, place: int) -> int:
+        if place > len(before):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return write(file, data[:9], place)
+
+    with monkeypatch.context() as full:
+        full.setattr(os, "pwrite", nine_bytes)
+        with pytest.raises(pincal.FileError, match="not recorded; free some space"):
+            begun.add(bench().entry(begun.columns, row))
+    assert begun.journal.path.read_bytes() == before
+    assert not begun.add(bench().entry(begun.columns, row)).off
+    begun.undo()
+
+
+def test_terminal_takes_rows_and_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rows are typed, pasted, as JSON; what is no row is said; the session goes on by its name."""
+    monkeypatch.chdir(tmp_path)
+    machine = bench()
+    pincal.files.table.write_table(Path("plan.csv"), columns_of("3RRR", machine.plan))
+    columns = ["x [mm]", "y [mm]", "phi [deg]", "leg_1 [deg]", "leg_2 [deg]", "leg_3 [deg]"]
+    typed = [
+        f"r 3\n{machine.line(columns, 2)}",
+        "r 5\n" + machine.line(columns[:3], 4).replace(" ", "\t"),
+        f"r 6\n{json.dumps({head[:-5].strip(): 1.0 for head in columns[:2]})}\n1 2",
+        "u\nq\n",
+    ]
+    monkeypatch.setattr(sys, "stdin", io.StringIO("\n".join(typed)))
+    command = ("measure", "3RRR", "--session", "s", "--terminal")
+    noise = ("--noise-position", "20um", "--noise-orientation", "0.02mrad", "--accuracy", "0.1mm")
+    outcome = done(*command, "--plan", "plan.csv", *noise)
+    assert "row 1 is recorded: " in outcome.out
+    assert "3 rows in" not in outcome.out
+    assert "expected x [mm], y [mm], phi [deg], or all of x [mm], " in outcome.err
+    assert "2 rows in s/rows.csv" in outcome.out
+    rows = pincal.Measurements.from_csv("s/rows.csv", "3RRR")
+    exact = machine.measurements.rows(np.array([2, 4]))
+    np.testing.assert_allclose(rows.poses, exact.poses, atol=1e-12)
+    commanded = pincal.inverse("3RRR", machine.plan.poses[4:5]).readings
+    np.testing.assert_allclose(rows.readings[1:], commanded, atol=2e-7)
+    refused = run(*command, "--units", "m,rad")
+    assert refused.code == 2
+    assert "rows.csv has other columns than these options give" in refused.err
+    monkeypatch.setattr(sys, "stdin", io.StringIO("q\n"))
+    assert "2 rows in s/rows.csv" in done(*command).out
