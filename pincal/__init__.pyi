@@ -40,8 +40,9 @@ from .model.mechanism import Mechanism
 from .model.parameter import Parameter
 from .model.placement import Placement
 from .model.platform import Platform
+from .model.relations import Contact, Distance
 from .model.sensor import Sensor
-from .model.setup import Contact, Distance, Setup, Systematic, Target
+from .model.setup import Setup, Systematic, Target
 from .model.terms import Cables, Harmonic, Load, Power, Share, Term
 from .show.deployment import deploy
 from .show.pictures.picture import picture

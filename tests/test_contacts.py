@@ -182,7 +182,7 @@ def test_derivatives_of_contacts_are_central_differences() -> None:
     assert_observed(observation, robot.platform, matrices, values)
     seen = values.frame @ matrices
     tips = seen[:, :3, 3] + seen[:, :3, :3] @ values.offsets[1]
-    places = values.points[[SOCKETS.index(name) for name in data.contacts["socket"]]]
+    places = values.features[[SOCKETS.index(name) for name in data.contacts["socket"]], :3]
     columns = [observation.names.index(f"socket_{axis}") for axis in "xyz"]
     missed = observation.residuals(matrices, values)[0][:, columns]
     np.testing.assert_allclose(missed, tips - places, atol=1e-14)

@@ -14,10 +14,9 @@ from zipfile import ZipFile
 import numpy as np
 import pytest
 from command_line import done
-from cramer_rao import Machine
 from differences import assert_observed
+from known_machines import machine, shape_error
 from scipy.optimize import least_squares
-from scipy.spatial.transform import Rotation
 
 import pincal
 from pincal.estimation.observation import Observation
@@ -26,33 +25,7 @@ Array = np.ndarray
 MARKS, NOISE = 20, 5e-5
 
 
-def _five_bar(seed: int) -> tuple[pincal.Mechanism, Array, Array, Array]:
-    """Return nominal five-bar, true parameters, points that it goes to, and readings there."""
-    robot, rng = pincal.load_mechanism("5R"), np.random.default_rng(seed)
-    true = robot.parameters.values + 1e-3 * rng.standard_normal(len(robot.parameters))
-    points = pincal.sample_workspace(robot, 60, seed=seed)
-    machine = Machine(robot, true, points, Rotation.identity(len(points)))
-    readings = machine.readings(true, np.zeros((len(points), 2)))
-    ok = np.isfinite(readings).all(axis=1)
-    return robot, true, points[ok], readings[ok]
-
-
-def _delta(seed: int) -> tuple[pincal.Mechanism, Array, Array, Array]:
-    """Return nominal delta, true parameters, points and ways of the carriages from their ends."""
-    robot, rng = pincal.load_mechanism("linear_delta"), np.random.default_rng(seed)
-    true = robot.parameters.values + 1e-3 * rng.standard_normal(len(robot.parameters))
-    points, readings = pincal.sample_workspace(robot, 60, seed=seed), []
-    for index, leg in enumerate(robot.legs):
-        n = len(leg.parameter_names)
-        p = dict(zip(leg.parameter_names, true[n * index : n * (index + 1)], strict=True))
-        tower = p["radius"] * np.array([np.cos(p["angle"]), np.sin(p["angle"])])
-        level = ((points[:, :2] - tower) ** 2).sum(axis=1)
-        top = p["endstop"] + np.sqrt(p["arm"] ** 2 - p["radius"] ** 2)
-        readings.append(top - points[:, 2] - np.sqrt(p["arm"] ** 2 - level))
-    return robot, true, points, np.stack(readings, axis=1)
-
-
-KINDS = {"5R": _five_bar, "linear_delta": _delta}
+KINDS = ("5R", "linear_delta")
 
 
 def _pairs(points: Array, noise: float, seed: int) -> list[tuple[int, int, float]]:
@@ -79,23 +52,10 @@ def _measured(
     folder: Path, kind: str, noise: float, seed: int
 ) -> tuple[pincal.Mechanism, Array, pincal.Measurements, Array, Array]:
     """Return nominal machine, true parameters, measurements, and readings and points elsewhere."""
-    robot, true, points, readings = KINDS[kind](seed)
+    robot, true, points, readings = machine(kind, seed)
     files = _written(folder, robot, readings[:MARKS], _pairs(points[:MARKS], noise, seed))
     data = pincal.Measurements.from_csv(files[0], robot, pairs=files[1], partial=True)
     return robot, true, data, readings[MARKS:], points[MARKS:]
-
-
-def _error(machine: pincal.Mechanism, readings: Array, points: Array) -> float:
-    """Return the RMS error of where readings take a machine, frames aligned (W. Kabsch 1976)."""
-    solution = pincal.forward(machine, readings)
-    ok = solution.converged
-    reached, wanted = solution.poses[ok], points[ok]
-    reached, wanted = reached - reached.mean(axis=0), wanted - wanted.mean(axis=0)
-    U, _, Vt = np.linalg.svd(wanted.T @ reached)
-    sign = np.ones(len(U))
-    sign[-1] = np.linalg.det(U @ Vt)
-    missed = wanted - reached @ ((U * sign) @ Vt).T
-    return float(np.sqrt((missed**2).sum(axis=1).mean()))
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -109,8 +69,8 @@ def test_machine_is_found_by_distances_alone(kind: str, tmp_path: Path) -> None:
     assert result.converged
     assert result.reduced_chi2 < 1e-12
     assert [free.code for free in result.gauge] == ["gauge-base-frame"]
-    assert _error(robot, readings, points) > 1e-4
-    assert _error(result.identified, readings, points) < 1e-9
+    assert shape_error(robot, readings, points) > 1e-4
+    assert shape_error(result.identified, readings, points) < 1e-9
 
 
 @pytest.mark.slow
@@ -123,7 +83,7 @@ def test_errors_are_as_forecast(kind: str, tmp_path: Path) -> None:
         robot, _, data, readings, points = _measured(tmp_path, kind, NOISE, seed)
         result = pincal.calibrate(robot, data, noise=noise)
         assert result.converged
-        squares.append(_error(result.identified, readings, points) ** 2)
+        squares.append(shape_error(result.identified, readings, points) ** 2)
         poses = pincal.forward(robot, data.readings).poses
         plan = pincal.Plan(poses, contacts=data.contacts)
         forecast = pincal.forecast(robot, plan, noise, (*data.extra, "row"))
@@ -137,7 +97,7 @@ def test_errors_are_as_forecast(kind: str, tmp_path: Path) -> None:
 
 def test_derivatives_are_central_differences(tmp_path: Path) -> None:
     """Distances and heights of steps by the pose and by all that is outside, to 1e-7."""
-    robot, _, points, readings = KINDS["linear_delta"](0)
+    robot, _, points, readings = machine("linear_delta", 0)
     rows, table = _written(tmp_path, robot, readings[:6], _pairs(points[:6], 0.0, 0))
     lines = table.read_text().splitlines()
     steps = ["row a,row b,distance [mm],dz [mm],dx [mm]", *(f"{x},1.0,2.0" for x in lines[1:])]
@@ -155,7 +115,7 @@ def test_derivatives_are_central_differences(tmp_path: Path) -> None:
 
 def test_heights_of_steps_are_those_of_the_second_row(tmp_path: Path) -> None:
     """Columns dz, dx, dy and distances say the same of exact points: nothing is left of a fit."""
-    robot, _, points, readings = KINDS["linear_delta"](3)
+    robot, _, points, readings = machine("linear_delta", 3)
     rows, table = tmp_path / "rows.csv", tmp_path / "pairs.csv"
     _written(tmp_path, robot, readings[:MARKS], [])
     lines = ["row a,row b,dx [mm],dy [mm],dz [mm]"]
@@ -175,7 +135,7 @@ def test_wrong_pairs_are_named(tmp_path: Path) -> None:
 
     One that is 3 mm off is named by both of its rows, and left out by a robust loss.
     """
-    robot, _, points, readings = KINDS["linear_delta"](2)
+    robot, _, points, readings = machine("linear_delta", 2)
     pairs = _pairs(points[:MARKS], NOISE, 2)
     a, b, apart = pairs[7]
 

@@ -29,11 +29,13 @@ from pincal.estimation.fit import Fit, Outlier
 from pincal.estimation.observability.indices import identifiability
 from pincal.estimation.observability.residuals import leg_residuals, redundancy
 from pincal.estimation.problem import Problem
+from pincal.estimation.relations import touches
 from pincal.estimation.unknowns import State
 from pincal.kinematics.batches import over_rows
 from pincal.model.measurements import Noise
 from pincal.model.parameter import Parameter, means
-from pincal.model.setup import ROW, Systematic
+from pincal.model.relations import ROW
+from pincal.model.setup import Systematic
 from pincal.types import Array, Mask
 
 _UNMOVED = 0.1  # of a standard error: what is held and moves a value by less leaves its interval
@@ -364,7 +366,7 @@ def _of_platform(fit: Fit, shares: Array) -> list[ResidualGroup]:
     groups, columns_of = list[ResidualGroup](), enumerate(observation.names)
     measured = {name: (i, observation.measured[:, i]) for i, name in columns_of}
     between = observation.setup.between
-    for point, columns, rows in observation.touches():  # point by point, in place of all together
+    for point, columns, rows in touches(observation):  # point by point, in place of all together
         for column, axis in zip(columns.tolist(), "xyz", strict=False):
             measured.pop(observation.names[column], None)
             if not point.startswith(f"{ROW}_"):  # what is where a row stood

@@ -202,7 +202,7 @@ def started(calibration: Calibration) -> Calibration:
     options = calibration.options
     check_noise(calibration.mechanism, options.noise)
     check_copies(calibration.measurements, every_pose=options.every_pose)
-    check_contacts(calibration.measurements, calibration.observation.setup)
+    check_contacts(calibration.observation, calibration.measurements)
     check_distances(calibration)
     calibration = _with_terms(calibration)
     if options.loss != "none" and options.setup.pixels:

@@ -20,7 +20,7 @@ from pincal.kinematics.configurations import legs_at
 from pincal.model.checks import ROUNDING
 from pincal.model.measurements import Measurements, Plan
 from pincal.model.mechanism import Mechanism
-from pincal.model.setup import ORIGIN
+from pincal.model.relations import ORIGIN
 from pincal.types import Array, Index
 from pincal.words.findings import finding
 

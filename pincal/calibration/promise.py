@@ -24,7 +24,7 @@ from pincal.kinematics.batches import least_squares
 from pincal.kinematics.configurations import legs_at
 from pincal.kinematics.forward import forward
 from pincal.model.measurements import Plan
-from pincal.model.setup import ORIGIN, ROW
+from pincal.model.relations import ORIGIN, ROW
 from pincal.model.terms import Load
 from pincal.types import Array
 

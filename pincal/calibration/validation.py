@@ -34,7 +34,7 @@ from pincal.estimation.start import placed, poses_at_rest
 from pincal.estimation.system import UNLIKELY, suspected
 from pincal.kinematics.batches import CHUNK
 from pincal.kinematics.forward import forward
-from pincal.model.setup import ROW, TO
+from pincal.model.relations import ROW, TO
 from pincal.types import Array, Index, Mask
 from pincal.words.findings import finding
 

@@ -28,7 +28,7 @@ from pincal.files.pairs import with_pairs
 from pincal.files.table import TextTable, write_table
 from pincal.model.option import option, option_of
 from pincal.model.orientation import SINGLE_ANGLES
-from pincal.model.setup import ORIGIN
+from pincal.model.relations import ORIGIN
 from pincal.show import answers, tables
 from pincal.show.explanation import advice, explanation_lines, remedy_table, tried
 from pincal.show.report import report

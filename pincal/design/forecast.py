@@ -30,6 +30,8 @@ from pincal.estimation.observability.indices import (
     scaled_axes,
 )
 from pincal.estimation.observation import Observation
+from pincal.estimation.relations import at_touch
+from pincal.estimation.relations import touching as led_to_touch
 from pincal.estimation.rows import white_rows
 from pincal.files.measurements import as_noise
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
@@ -40,7 +42,8 @@ from pincal.kinematics.derivatives import Demand
 from pincal.model.checks import described
 from pincal.model.measurements import Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism
-from pincal.model.setup import ROW, Setup
+from pincal.model.relations import ROW
+from pincal.model.setup import Setup
 from pincal.types import Array
 
 
@@ -55,14 +58,15 @@ def leg_rows(demand: Demand, mechanism: Mechanism, noise: Noise) -> Array:
 
 
 def touching(mechanism: Mechanism, plan: Plan, setup: Setup, errors: Array | float = 0.0) -> Plan:
-    """Return a plan whose contacts touch, but for errors (N, 3): see ``Observation.touching``."""
-    contacts = {name: contact for name, contact in setup.contacts.items() if name != ROW}
+    """Return a plan whose contacts touch, but for errors (N, 3): see ``relations.touching``."""
+    touched = {name: contact for name, contact in setup.contacts.items() if name != ROW}
+    contacts = {name: replace(contact, gauge=False) for name, contact in touched.items()}
     if not contacts:
         return plan
     readings = np.zeros((len(plan), len(mechanism.reading_names)))
     data = Measurements(poses=plan.poses, readings=readings, contacts=plan.contacts)
     observation = Observation(mechanism, data, Setup(targets=setup.targets, contacts=contacts))
-    return observation.touching(mechanism, plan, observation.external.start, errors)
+    return led_to_touch(observation, mechanism, plan, observation.external.start, errors)
 
 
 def information_rows(
@@ -97,7 +101,7 @@ def information_rows(
     readings = np.zeros((count, legs.reading.shape[2]))
     data = Measurements(poses=coordinates, readings=readings, extra=columns, contacts=legs.contacts)
     observation = Observation(mechanism, data, setup)
-    start = observation.at_touch(matrices, observation.external.start)
+    start = at_touch(observation, matrices, observation.external.start)
     observation = observation.visible(matrices, start)
     chosen = [observation.names.index(name) for name in names]
     value, *slopes = observation.residuals(matrices, start)

@@ -11,7 +11,7 @@ from pincal.kinematics.configurations import as_plan, joints_at
 from pincal.model.checks import count_of
 from pincal.model.measurements import EVERY_LEG, VERIFY, Plan
 from pincal.model.mechanism import Mechanism
-from pincal.model.setup import ROW, TO
+from pincal.model.relations import ROW, TO
 
 
 def with_distances(plan: Plan, count: int) -> Plan:

@@ -18,6 +18,7 @@ from pincal.design.forecast import touching
 from pincal.design.platform_error import root_mean_squares, sizes
 from pincal.errors import MeasurementError
 from pincal.estimation.observation import Observation
+from pincal.estimation.relations import at_touch
 from pincal.files.measurements import as_noise, read_poses
 from pincal.files.mechanism_folders import GivenMechanism, as_mechanism
 from pincal.instruments.setup_file import read_setup
@@ -28,7 +29,7 @@ from pincal.model.checks import generator_of, number_of
 from pincal.model.measurements import Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Poses
-from pincal.model.setup import ROW, Setup
+from pincal.model.setup import Setup
 from pincal.types import Array, Index
 from pincal.words.numbers import amount
 
@@ -88,9 +89,10 @@ def simulate(
 ) -> Simulation:
     """Return what a measurement of the true mechanism at planned poses would give.
 
-    With contacts, the true mechanism is led until its targets touch, and no pose is measured, nor
-    is it with distances between rows, or cameras. Instruments are where their nominal values say;
-    points that a camera does not see from there are NaN.
+    With contacts, the true mechanism is led until its targets touch; gauges read by how much they
+    miss where it goes. No pose is measured then, nor is it with distances between rows, or cameras.
+    Instruments are where their nominal values say; points that a camera does not see from there
+    are NaN.
 
     Args:
         mechanism: The nominal mechanism, which commands the poses.
@@ -108,10 +110,11 @@ def simulate(
     setup, noise = read_setup(setup or Setup()), as_noise(noise)
     plan, rng = read_poses(plan, mechanism, setup=setup), generator_of(seed, MeasurementError)
     count, platform, setup = len(plan.poses), mechanism.platform, setup.of_rows(plan.contacts)
-    if not {ROW}.issuperset(setup.contacts):
-        missed = [c.noise for c in setup.contacts.values() if c.noise is not None]
-        errors = max(missed, default=noise.position) * rng.standard_normal((count, 3))
-        plan, mechanism = touching(truth, as_plan(truth, plan), setup, errors), truth
+    led = setup.led
+    if led.contacts:
+        sigma = max(led.noises(platform).values(), default=noise.position)
+        errors = sigma * rng.standard_normal((count, 3))
+        plan, mechanism = touching(truth, as_plan(truth, plan), led, errors), truth
     if mechanism.redundant:
         poses, solution = plan.poses, inverse(truth, plan.poses, planned_influences(truth, plan))
         readings = solution.readings
@@ -129,8 +132,9 @@ def simulate(
     reading_noise = noise.reading * rng.standard_normal((count, len(mechanism.reading_names)))
     shown = np.nan if setup.frameless else platform.moved(measured.poses, pose_noise[rows])
     extra, units = _observed(truth, measured, setup), setup.columns(mechanism)
+    sigmas = setup.noises(platform)
     for name in extra:
-        sigma = noise.of_unit(units[name])
+        sigma = sigmas.get(name, noise.of_unit(units[name]))
         extra[name] = extra[name] + (sigma * rng.standard_normal(count))[rows]
     measurements = Measurements(
         poses=np.broadcast_to(shown, measured.poses.shape),
@@ -147,14 +151,17 @@ def simulate(
 
 def _observed(truth: Mechanism, plan: Plan, setup: Setup) -> dict[str, Array]:
     """Return distances, and what instruments read, at true poses, (N,) each."""
-    columns = [*setup.distances, *(name for device in setup.instruments for name in device.columns)]
+    columns = [
+        *setup.read_lengths,
+        *(name for device in setup.instruments for name in device.columns),
+    ]
     if not columns or not len(plan):
         return {}
     readings = np.zeros((len(plan), len(truth.reading_names)))
     zeros = dict.fromkeys(columns, np.zeros(len(plan)))
     data = Measurements(poses=plan.poses, readings=readings, extra=zeros, contacts=plan.contacts)
     observation, matrices = Observation(truth, data, setup), truth.platform.matrices(plan.poses)
-    external = observation.at_touch(matrices, observation.external.start)
+    external = at_touch(observation, matrices, observation.external.start)
     observation = observation.visible(matrices, external)
     values = observation.residuals(matrices, external)[0]
     values = np.where(observation.measured, values, np.nan).T

@@ -21,7 +21,8 @@ from pincal.model.measurements import SMALLEST_SIGMA, Measurements, Noise
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import SINGLE_ANGLES
 from pincal.model.platform import Platform
-from pincal.model.setup import ORIGIN, ROW, Setup
+from pincal.model.relations import ORIGIN, ROW
+from pincal.model.setup import Setup
 from pincal.types import Array, Index, Mask
 
 Freedoms = tuple[float, ...]
@@ -318,9 +319,9 @@ def _sigmas_by_name(
 ) -> dict[str, Array]:
     """Return each row's standard deviations by quantity, (N,); single angles' by those of turns."""
     sigmas = dict(data.sigma_extra)
-    for contact, axes in setup.contact_axes(platform).items():
-        if (size := setup.contacts[contact].noise) is not None:
-            sigmas |= dict.fromkeys(axes, np.full(len(data), size))
+    for name, size in setup.noises(platform).items():
+        sigma = sigmas.get(name, np.full(len(data), np.nan))
+        sigmas[name] = np.where(np.isfinite(sigma), sigma, size)
     if data.sigma_poses is None:
         return sigmas
     by_freedom = dict(zip(platform.freedoms, data.sigma_poses.T, strict=True))

@@ -1,10 +1,9 @@
 """What is measured of the platform, predicted from its pose, with derivatives.
 
 Positions of targets u = T_frame_base (r + R t), single coordinates of them, orientations,
-single angles, distances |u − P|, by how much u misses a point that it touches, which may be an
-unknown, and what further instruments read. Rows are predicted less
-measured. Each follows the twist of the platform in the frame of the measurements, of which the
-twist in base axes and that of the frame itself are parts.
+single angles, by how much u misses what it meets (``relations``), and what further instruments
+read. Rows are predicted less measured. Each follows the twist of the platform in the frame of the
+measurements, of which the twist in base axes and that of the frame itself are parts.
 
 A single angle without a standard deviation of its own is part of an orientation, whose noise is
 a small turn ω. Near a pole the angle follows it by J = ∂angle/∂ω, 1/h long. Its row is h times
@@ -15,27 +14,24 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from copy import copy
-from dataclasses import replace
 
 import numpy as np
 
 from pincal.errors import MeasurementError
 from pincal.estimation.noise import RowNoise, row_noise
+from pincal.estimation.relations import Predicted, meetings, met
 from pincal.estimation.unknowns import BlockRows, External, ExternalUnknowns, State
 from pincal.kinematics.batches import inverse_left_jacobian, point_velocity, turn_between
-from pincal.kinematics.configurations import shifted
 from pincal.model.checks import wrapped
 from pincal.model.instrument import Instrument, evaluated
-from pincal.model.measurements import Measurements, Noise, Plan
+from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import SINGLE_ANGLES
 from pincal.model.platform import Platform
-from pincal.model.setup import ORIGIN, ROW, TO, Setup
+from pincal.model.relations import ORIGIN
+from pincal.model.setup import Setup
 from pincal.types import Array, Index, Mask
 
-Predicted = tuple[Array, Array, Array]
-"""Rows, shape (N, k), derivatives by the platform's twist in the frame of the measurements, (N, k,
-6), and by external values but for that frame, (N, k, n)."""
 _TWIST = (0, 1, 2, 3, 4, 5)
 _CROSS = np.cross(np.eye(3)[:, None], np.eye(3)).transpose(0, 2, 1)  # matrices of e_a ×
 
@@ -94,10 +90,9 @@ class Observation:
         none, lengths = np.full(len(data), np.nan), platform.lengths
         scalars = dict(zip(platform.coordinates[:lengths], data.poses.T, strict=False))
         scalars |= {name: data.extra.get(name, none) for name in setup.columns(mechanism)}
-        missed, self._touched = _contacts(platform, data, setup)
-        related, self._led = _led(data, setup)
-        scalars |= related
-        scalars |= missed
+        lengths_read, self.meets = meetings(platform, data, setup)
+        """Place of the feature that each row meets, -1 for none, shape (N, n_relations)."""
+        scalars |= lengths_read
         units = {name: u for own in setup.instruments for name, u in own.columns.items()}
         conditions = [scalars.pop(name) for name in units]
         self.orientations = _orientations(platform, data)
@@ -134,42 +129,6 @@ class Observation:
         """Rows that were measured, shape (N, r)."""
         return self.measured
 
-    def touches(self) -> Iterator[tuple[str, Index, Mask]]:
-        """Yield each point that is touched, the columns of what misses it, and rows that touch."""
-        axes = self.setup.contact_axes(self.platform)
-        for place, (name, (contact, _, _)) in enumerate(self.setup.touched.items()):
-            columns = np.flatnonzero(np.isin(self.names, axes[contact]))
-            yield name, columns, np.asarray((self._touched == place).any(axis=1))
-
-    def touching(
-        self, mechanism: Mechanism, plan: Plan, external: External, errors: Array | float = 0.0
-    ) -> Plan:
-        """Return the plan of these rows, platforms shifted until contacts touch but for errors.
-
-        Unknown points are where they are touched on the mean; errors are of shape (N, 3), [m].
-        """
-
-        def shifts(matrices: Array) -> Array:
-            value, missed = self.residuals(matrices, external)[0], np.zeros((len(matrices), 3))
-            for name, columns, rows in self.touches():
-                _, point, contact = self.setup.touched[name]
-                of_point = value[np.ix_(rows, columns)]
-                if contact.points[point] is None and rows.any():
-                    of_point = of_point - of_point.mean(axis=0)
-                missed[rows, : len(columns)] = of_point
-            return np.asarray((errors - missed) @ external.frame[:3, :3])
-
-        return shifted(mechanism, plan, shifts)
-
-    def at_touch(self, matrices: Array, external: External) -> External:
-        """Return the values with unknown points where poses (N, 4, 4) touch them on the mean."""
-        missed, points = self.residuals(matrices, external)[0], external.points.copy()
-        for place, (name, columns, rows) in enumerate(self.touches()):
-            _, point, contact = self.setup.touched[name]
-            if contact.points[point] is None and rows.any():
-                points[place, : len(columns)] += missed[np.ix_(rows, columns)].mean(axis=0)
-        return replace(external, points=points)
-
     @property
     def sigma(self) -> Array:
         """Standard deviations of the quantities, shape (N, r), [m] or [rad]."""
@@ -185,7 +144,7 @@ class Observation:
         name = quantity.removeprefix("measured ")
         if name not in self.setup.between:
             return quantity
-        row_point = [*self.setup.touched][self._led[row, self.setup.between.index(name)]]
+        row_point = [*self.setup.touched][self.meets[row, [*self.setup.distances].index(name)]]
         return f"{name.partition('_')[0]} to {row_point.replace('_', ' ', 1)}"
 
     def only(self, names: Sequence[str]) -> Observation:
@@ -201,8 +160,8 @@ class Observation:
         oriented = _oriented(self.orientations)[:, None, None]
         somewhere: Mask = np.asarray(self.measured.any(axis=0))
         somewhere[np.isin(self.names, self.setup.between)] = False
-        for _, columns, _ in self.touches():
-            somewhere[columns] = False
+        for columns in self.setup.contact_axes(self.platform).values():
+            somewhere[np.isin(self.names, columns)] = False
         return self._with(
             measured=self.measured | somewhere,
             orientations=np.where(oriented, self.orientations, np.eye(3)),
@@ -239,7 +198,7 @@ class Observation:
     def at(self, rows: Index) -> Observation:
         """Return the observation at some rows."""
         arrays = ("measured", "orientations", "_values", "_angles", "_follow_turn", "conditions")
-        parts = {name: getattr(self, name)[rows] for name in (*arrays, "_touched", "_led")}
+        parts = {name: getattr(self, name)[rows] for name in (*arrays, "meets")}
         return self._with(noise=self.noise.rows(rows), **parts)
 
     def with_noise(self, noise: RowNoise) -> Observation:
@@ -345,48 +304,26 @@ class Observation:
             np.where(measured, by_external[:, :, columns], 0.0),
         )
 
-    def _points(self, seen: Array, external: External) -> list[Predicted]:
-        """Return rows of coordinates of targets and of distances, platforms seen in the frame."""
+    def targets(self, seen: Array, external: External) -> dict[str, Predicted]:
+        """Return places of targets, (N, 3), of platforms seen in the frame, (N, 4, 4)."""
         R, points = seen[:, :3, :3], dict[str, Predicted]()
         for index, target in enumerate(self.setup.targets):
             arm = R @ external.offsets[index]
             by_external = np.zeros((len(R), 3, self.external.own.stop))
             by_external[:, :, self.external.offsets][:, :, 3 * index : 3 * index + 3] = R
             points[target] = (seen[:, :3, 3] + arm, point_velocity(arm, _TWIST), by_external)
-        rows = []
+        return points
+
+    def _points(self, seen: Array, external: External) -> list[Predicted]:
+        """Return rows of coordinates of targets, and of what they meet."""
+        points, rows = self.targets(seen, external), []
         for target, (u, D, E) in points.items():  # of the platform itself what it moves along
             axes = self.platform.lengths if target == ORIGIN else self.platform.space
             rows.append((u[:, :axes], D[:, :axes], E[:, :axes]))
-        led_to = iter(self._led.T)
-        for distance in self.setup.distances.values():
-            point, by_twist, by_external = points[distance.target]
-            if distance.point is None:
-                places = next(led_to)
-                by_external = by_external - self._by_point(places)
-                ray = point - external.points[places]
-            else:
-                ray = point - np.array(distance.point)
-            length = np.linalg.norm(ray, axis=1)[:, None]
-            with np.errstate(invalid="ignore", divide="ignore"):
-                unit = (ray / length)[:, None]
-            if distance.along is not None:
-                unit = np.broadcast_to(np.eye(3)[distance.along], unit.shape)
-                length = ray[:, distance.along, None]
-            rows.append((length, unit @ by_twist, unit @ by_external))
-        axes = self.platform.space
-        for contact, places in zip(self.setup.contacts.values(), self._touched.T, strict=True):
-            u, D, E = points[contact.target]
-            by_external, missed = E - self._by_point(places), u - external.points[places]
-            rows.append((missed[:, :axes], D[:, :axes], by_external[:, :axes]))
+        relations = self.setup.relations(self.platform.space)
+        for relation, places in zip(relations, self.meets.T, strict=True):
+            rows.append(met(relation, places, points[relation.target], external, self.external))
         return rows
-
-    def _by_point(self, places: Index) -> Array:
-        """Return how points at some places, (N,), follow the external values, shape (N, 3, n)."""
-        by_external = np.zeros((len(places), 3, self.external.own.stop))
-        first = self.external.points.start + 3 * np.maximum(places, 0)
-        for axis in range(3):
-            by_external[np.arange(len(places)), axis, first + axis] = 1.0
-        return by_external
 
     def _turned(self, R: Array, external: External) -> Predicted:
         """Return rows of single angles and of orientations, less what was measured."""
@@ -441,44 +378,6 @@ def _angles(single: dict[str, Array], data: Measurements, independent: Mask) -> 
         parts[:, place] &= ~np.isfinite(data.sigma_extra.get(name, np.nan))
     parts &= parts.sum(axis=1, keepdims=True) <= 3
     return np.where(np.isfinite(angles), angles, 0.0), parts
-
-
-def _contacts(
-    platform: Platform, data: Measurements, setup: Setup
-) -> tuple[dict[str, Array], Index]:
-    """Return zero for what misses a point that is touched, NaN where none is, (N,) each.
-
-    And the places of these points among those of all contacts, (N, n_contacts); -1 for none.
-    """
-    every, missed = [*setup.touched], dict[str, Array]()
-    touched = np.full((len(data), len(setup.contacts)), -1)
-    for places, (column, contact) in zip(touched.T, setup.contacts.items(), strict=True):
-        names = data.contacts[column]
-        if column == ROW:  # of which only those that others are measured from are points
-            names = tuple(name if name in contact.points else "" for name in names)
-        if strange := {*names} - {"", *contact.points}:
-            raise MeasurementError(
-                f"{data.place(names.index(min(strange)))}: {column} {min(strange)!r} is no point "
-                f"of the setup, which has {', '.join(contact.points)}; add it there as 'unknown', "
-                "or correct the name"
-            )
-        places[:] = [every.index(f"{column}_{name}") if name else -1 for name in names]
-        zeros = np.where(places >= 0, 0.0, np.nan)
-        missed |= dict.fromkeys(setup.contact_axes(platform)[column], zeros)
-    return missed, touched
-
-
-def _led(data: Measurements, setup: Setup) -> tuple[dict[str, Array], Index]:
-    """Return what is measured from other rows, (N,) each, and the places of these rows' points.
-
-    Shape (N, n_between), among those of all contacts; -1 for none.
-    """
-    place = {name: index for index, name in enumerate(setup.touched)}
-    columns = [data.contacts[f"{name}{TO}"] for name in setup.between]
-    led = [[place.get(f"{ROW}_{name}", -1) for name in names] for names in columns]
-    places = np.reshape(led, (len(led), len(data))).astype(np.intp)
-    pairs = zip(setup.between, places, strict=True)
-    return {n: np.where(led_to >= 0, data.extra[n], np.nan) for n, led_to in pairs}, places.T
 
 
 def _oriented(orientations: Array) -> Mask:

@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 from pincal.errors import MeasurementError
 from pincal.estimation.noise import target_positions
 from pincal.estimation.problem import Linear, Problem
+from pincal.estimation.relations import at_touch, touches
 from pincal.estimation.unknowns import External, State
 from pincal.kinematics.batches import lengths
 from pincal.kinematics.closing import home_mode, mode_sign
@@ -30,7 +31,7 @@ from pincal.kinematics.singularity import platform_margin
 from pincal.model.measurements import Measurements
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Platform
-from pincal.model.setup import ORIGIN
+from pincal.model.relations import ORIGIN
 from pincal.types import Array, Mask
 from pincal.words.numbers import amount
 
@@ -100,7 +101,8 @@ def _outside_started(problem: Problem, state: State) -> State:
         return state
     at_rest, seen = poses_at_rest(without.evaluate(state)), observation.only(columns)
     matrices = at_rest.state.matrices
-    external = seen.at_touch(matrices, outside.begun(external, matrices, observation.conditions))
+    external = outside.begun(external, matrices, observation.conditions)
+    external = at_touch(seen, matrices, external)
     by_others = others.residuals(matrices, external)[2]
     _, by_pose, by_these = seen.residuals(matrices, external)
     theirs = by_these.any(axis=(0, 1)) & ~by_others.any(axis=(0, 1)) & (outside.free >= 6)
@@ -263,9 +265,9 @@ def aligned(
     observation, platform = problem.observation, problem.platform
     targets = observation.setup.targets
     measured = np.stack([target_positions(platform, data, name) for name in targets])
-    for name, _, rows in observation.touches():  # a known point is a position
+    for name, _, rows in touches(observation):  # a known point is a position
         _, point, contact = observation.setup.touched[name]
-        if contact.points[point] is not None:
+        if contact.points[point] is not None and contact.shape == "point":
             measured[list(targets).index(contact.target), rows] = contact.points[point]
     known = agreeing = reached & np.isfinite(measured).all(axis=2)
     if known.any():  # those that miss the alignment of least absolute values by no gross multiple

@@ -2,8 +2,8 @@
 
 Unknown are the parameters of legs, poses, and what is outside a mechanism: the base frame in the
 frame of the measurements, T_frame_base; offsets of targets in the platform frame; where an unknown
-target carries an orientation, how that is turned against the platform's; points that contacts
-touch; and the parameters of instruments. Fixed parameters, parameters tied to one value, and gauge
+target carries an orientation, how that is turned against the platform's; what targets
+meet; and the parameters of instruments. Fixed parameters, parameters tied to one value, and gauge
 freedoms are one thing: φ = φ₀ + T z with fewer z than φ. Priors are rows beside those of the
 measurements.
 """
@@ -24,7 +24,8 @@ from pincal.model.checks import ROUNDING
 from pincal.model.leg import Leg
 from pincal.model.parameter import means
 from pincal.model.platform import Platform
-from pincal.model.setup import ORIGIN, Setup
+from pincal.model.relations import COORDINATES, ORIGIN
+from pincal.model.setup import Setup
 from pincal.types import Array, Index
 
 _PIXELS = 1e3  # order of focal lengths, [px]
@@ -40,8 +41,9 @@ class External:
     """Positions of the targets in the platform frame, shape (n_targets, 3), [m]."""
     turn: Array = field(default_factory=lambda: np.eye(3))
     """R_platform_target of the measured orientation, shape (3, 3)."""
-    points: Array = field(default_factory=lambda: np.zeros((0, 3)))
-    """Points that contacts touch, in the frame of the measurements, shape (n_points, 3), [m]."""
+    features: Array = field(default_factory=lambda: np.zeros((0, 6)))
+    """Coordinates of what targets meet, each along axes of its own, shape (n_features, 6), [m] and
+    [rad]: see ``pincal.model.relations``."""
     instruments: Array = field(default_factory=lambda: np.zeros(0))
     """Parameters of the instruments, in their order, shape (n_own,)."""
 
@@ -86,8 +88,8 @@ class ExternalUnknowns:
     """Which of the external values are unknown, in which order, and how steps move them.
 
     All of them stand in one vector, six of the frame, three of each target and of the orientation's
-    turn, and each point of contacts, then those of instruments. The unknown ones are some of its
-    entries.
+    turn, six of each feature that is met, then those of instruments. The unknown ones are some of
+    its entries.
     """
 
     def __init__(self, platform: Platform, setup: Setup, oriented: bool) -> None:
@@ -101,32 +103,37 @@ class ExternalUnknowns:
         free = [in_space & setup.unknown_frame, turns & setup.unknown_frame]
         free += [in_space & target.unknown for target in targets.values()]
         free += [turns & self.turned]
-        points, sigmas = setup.touched_places
-        free += [in_space & (sigma > 0.0) for sigma in sigmas]
+        features, sigmas, self.axes = setup.feature_places(platform.space)
+        """Nominal axes of features, columns, shape (n_features, 3, 3)."""
+        free += [sigmas.ravel() > 0.0]
         free += [np.ones(len(devices), dtype=bool)]
         self.free = np.flatnonzero(np.concatenate(free))
         """Places of the unknowns."""
         self.offsets = slice(6, 6 + 3 * len(targets))
         self.turn = slice(self.offsets.stop, self.offsets.stop + 3)
-        self.points = slice(self.turn.stop, self.turn.stop + points.size)
-        self.own = slice(self.points.stop, self.points.stop + len(devices))
-        """Places of offsets of targets, the turn, points, and parameters of instruments."""
+        self.features = slice(self.turn.stop, self.turn.stop + features.size)
+        self.own = slice(self.features.stop, self.features.stop + len(devices))
+        """Places of offsets of targets, the turn, features, and parameters of instruments."""
+        self.sigmas = sigmas
+        """Standard deviations of the features' coordinates, 0 if known, (n_features, 6)."""
         priors = np.full(self.own.stop, np.inf)
-        priors[self.points] = np.repeat(sigmas, 3)
+        priors[self.features] = sigmas.ravel()
         priors[self.own] = [sigma for _, sigma in devices.values()]
         self.priors = priors[self.free]
         """Standard deviations with which the unknowns are known beforehand, infinite if not."""
         stems = [("tracker.", "m"), ("tracker.r", "rad")]
         stems += [(f"{owner(name)}.", "m") for name in targets] + [("target.r", "rad")]
-        stems += [(f"{name}.", "m") for name in setup.touched]
         every = [(f"{stem}{axis}", unit) for stem, unit in stems for axis in "xyz"]
+        every += [
+            (f"{name}.{c}", unit) for name in setup.features for c, unit in COORDINATES.items()
+        ]
         every += [(parameter.id, parameter.unit) for parameter, _ in devices.values()]
         self.names = tuple(every[place][0] for place in self.free)
         """Ids of the unknowns."""
         self.units = tuple(every[place][1] for place in self.free)
         offsets = np.array([target.offset for target in targets.values()], dtype=float)
         nominal = np.array([parameter.nominal for parameter, _ in devices.values()], dtype=float)
-        self.start = External(np.eye(4), offsets, np.eye(3), points, nominal)
+        self.start = External(np.eye(4), offsets, np.eye(3), features, nominal)
         """The values of the setup; the base frame is that of the measurements."""
 
     def __len__(self) -> int:
@@ -172,7 +179,7 @@ class ExternalUnknowns:
             frame,
             values.offsets + change[self.offsets].reshape(-1, 3),
             Rotation.from_rotvec(change[self.turn]).as_matrix() @ values.turn,
-            values.points + change[self.points].reshape(-1, 3),
+            values.features + change[self.features].reshape(-1, 6),
             values.instruments + change[self.own],
         )
 
@@ -182,7 +189,7 @@ class ExternalUnknowns:
             return np.zeros(0)
         turns = Rotation.from_matrix([values.frame[:3, :3], values.turn]).as_rotvec()
         parts = [values.frame[:3, 3], turns[0], values.offsets.ravel(), turns[1]]
-        return np.concatenate([*parts, values.points.ravel(), values.instruments])[self.free]
+        return np.concatenate([*parts, values.features.ravel(), values.instruments])[self.free]
 
     def coordinates_by_step(self, values: External) -> Array:
         """Return the derivative of the coordinates by steps, shape (n, n): see ``moved``."""

@@ -322,6 +322,6 @@ def _measured_heads(
     heads = [head for head in lengths if head.partition(" ")[0] in names]
     if not set(names).isdisjoint(platform.freedoms[platform.lengths :]):
         heads += poses[platform.lengths :]
-    touched = {axis for axes in setup.contact_axes(platform).values() for axis in axes}
-    further = setup.columns(mechanism).items()
+    axes = {axis for axes in setup.contact_axes(platform).values() for axis in axes}
+    touched, further = axes - {*setup.read_lengths}, setup.columns(mechanism).items()
     return heads + [f"{n} [{unit}]" for n, unit in further if n in names and n not in touched]

@@ -30,7 +30,8 @@ from pincal.model.checks import array_of, must_be
 from pincal.model.measurements import EVERY_LEG, VERIFY, Measurements, Noise, Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.orientation import SINGLE_ANGLES, WAYS, columns_of, rotation_of
-from pincal.model.setup import ROW, TO, Setup
+from pincal.model.relations import ROW, TO
+from pincal.model.setup import Setup
 from pincal.types import Array
 from pincal.words.numbers import amount
 
@@ -121,7 +122,6 @@ def read_measurements(
     known = known_columns(mechanism, further | level | dict.fromkeys(named, ""))
     table = table_of(source, mechanism, known, influences)
     columns = (*platform.coordinates, *_TURNS, *further, *mechanism.reading_names)
-    columns += tuple(name for name in setup.contacts if name != ROW)
     whole_table, table = table, table.where_measured(columns)
     pixels, sigma_pixels = read_corners(setup, whole_table, table.lines)
     _check_columns(table, mechanism, setup, further)

@@ -20,7 +20,7 @@ import numpy as np
 
 from pincal.errors import MeasurementError
 from pincal.files.table import TextTable, read_table
-from pincal.model.setup import ROW, TO
+from pincal.model.relations import ROW, TO
 from pincal.types import Array
 
 _KINDS = ("distance", "dx", "dy", "dz")

@@ -32,7 +32,7 @@ from pincal.files.text import LARGEST_FILE, lines_of, plain_number, read_text
 from pincal.formats.delta_printer import ANGLES, DeltaPrinter
 from pincal.model.checks import LARGEST
 from pincal.model.measurements import Measurements
-from pincal.model.setup import ROW, TO
+from pincal.model.relations import ROW, TO
 from pincal.model.units import UNITS
 from pincal.types import Array
 

@@ -13,7 +13,8 @@ from pincal.instruments.camera import Camera, Markers
 from pincal.instruments.lens import Lens
 from pincal.model.checks import must_be
 from pincal.model.instrument import Tracker
-from pincal.model.setup import Contact, Distance, Setup, Systematic, Target
+from pincal.model.relations import Contact, Distance
+from pincal.model.setup import Setup, Systematic, Target
 
 T = TypeVar("T", Lens, Markers)
 
@@ -124,5 +125,6 @@ def _named(entry: Entry, known: Mapping[str, T], kind: str) -> T:
 
 
 def _distance(entry: Entry) -> Distance:
-    values = entry.values({"from": Entry.vector, "target": Entry.name}, ("from",))
+    readers: Readers = {"from": Entry.vector, "target": Entry.name, "noise": Entry.number}
+    values = entry.values(readers, ("from",))
     return Distance(values.pop("from"), **values)

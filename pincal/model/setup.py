@@ -15,13 +15,14 @@ import numpy as np
 
 from pincal.attached import attached
 from pincal.errors import MeasurementError
-from pincal.model.checks import check_sizes, listed, must_be, named_points, one_line, set_point
+from pincal.model.checks import check_sizes, listed, must_be, one_line, set_point
 from pincal.model.consistency import RESERVED
 from pincal.model.instrument import Instrument, Tracker, fault_of
 from pincal.model.mechanism import Mechanism
 from pincal.model.option import option
 from pincal.model.parameter import Parameter
 from pincal.model.platform import Platform
+from pincal.model.relations import ORIGIN, ROW, TO, Contact, Distance, Relation
 from pincal.types import Array, Point
 
 STEEL = 11.5e-6
@@ -60,7 +61,6 @@ class Systematic:
 
 
 _FAR = 3.0  # times the longest leg: no target is that far from its platform
-ORIGIN = "platform"  # the target whose position is x, y, z
 
 
 @dataclass(frozen=True)
@@ -78,61 +78,6 @@ class Target:
     def __post_init__(self) -> None:
         set_point(self, "offset", "offset of a target", MeasurementError)
         must_be(self.unknown, bool, "unknown of a target", MeasurementError)
-
-
-ROW = "row"
-"""The contact of points at which rows stood, by their names: what others are measured from."""
-TO = "_to"
-"""Ends the column that says from which row another column is measured."""
-
-
-@dataclass(frozen=True)
-class Distance:
-    """A measured distance from a known point to a target, or from where the target stood."""
-
-    point: Point | None
-    """In the frame of the measurements, [m]; None: where it stood in the row that a column names
-    (see ``Setup.of_rows``)."""
-    target: str = ORIGIN
-    along: int | None = None
-    """Axis of that frame along which it is measured, 0 to 2; None: all the way."""
-
-    def __post_init__(self) -> None:
-        if self.point is not None:
-            set_point(self, "point", "point of a distance", MeasurementError)
-        must_be(self.target, str, "target of a distance", MeasurementError)
-
-
-@dataclass(frozen=True)
-class Contact:
-    """A target that is brought again and again to points that stand still: sockets, balls.
-
-    Which of them it touches in a row stands in the column of the contact's name.
-
-    >>> import pincal
-    >>> sockets = pincal.Contact({"A": None, "B": (0.3, 0.1, 0.05)}, noise=2e-5)
-    >>> pincal.Setup(contacts={"socket": sockets}).contacts["socket"].points["B"]
-    (0.3, 0.1, 0.05)
-    """
-
-    points: Mapping[str, Point | None]
-    """Where they are in the frame of the measurements, [m], by name; None: to be identified."""
-    target: str = ORIGIN
-    tolerance: float = 0.0
-    """Standard deviation of each coordinate of the points whose place is known, [m]."""
-    noise: float | None = None
-    """By how much the target misses a point, along each axis, [m]; as positions if not given."""
-
-    def __post_init__(self) -> None:
-        points = named_points(self.points, "a contact", MeasurementError)
-        object.__setattr__(self, "points", points)
-        must_be(self.target, str, "target of a contact", MeasurementError)
-        check_sizes(
-            self,
-            ("tolerance",) + ("noise",) * (self.noise is not None),
-            "contact's",
-            MeasurementError,
-        )
 
 
 @dataclass(frozen=True)
@@ -248,6 +193,12 @@ class Setup:
         return replace(self, distances={**self.distances, **between}, contacts=contacts)
 
     @property
+    def led(self) -> Setup:
+        """The setup of the contacts alone to which a machine is led: those without a gauge."""
+        contacts = {n: c for n, c in self.contacts.items() if n != ROW and not c.gauge}
+        return replace(self, distances={}, contacts=contacts)
+
+    @property
     def between(self) -> list[str]:
         """Columns that are measured from another row."""
         return [name for name, distance in self.distances.items() if distance.point is None]
@@ -290,6 +241,7 @@ class Setup:
         apart = self.pixels if self.corners else set()
         named = dict.fromkeys(self.distances, "a distance that the setup names")
         named |= dict.fromkeys(self.contacts, "which says what is touched in each row")
+        named |= dict.fromkeys(self.read_lengths[len(self.distances) :], "which a gauge reads")
         return named | {
             column: f"which instrument {instrument.name!r} reads"
             for instrument in self.instruments
@@ -299,7 +251,7 @@ class Setup:
 
     @property
     def touched(self) -> dict[str, tuple[str, str, Contact]]:
-        """Column, name and contact of each point that is touched, as ``socket_A`` of ``A``."""
+        """Column, name and contact of each feature that is met, as ``socket_A`` of ``A``."""
         return {
             f"{column}_{name}": (column, name, contact)
             for column, contact in self.contacts.items()
@@ -307,21 +259,48 @@ class Setup:
         }
 
     @property
-    def touched_places(self) -> tuple[Array, Array]:
-        """Places of the points touched, (n, 3), [m], zero if unknown, and how well known, (n,)."""
-        points = [(contact, contact.points[name]) for _, name, contact in self.touched.values()]
-        sigmas = [np.inf if place is None else contact.tolerance for contact, place in points]
-        places = np.reshape([place or (0.0, 0.0, 0.0) for _, place in points], (-1, 3))
-        return places, np.array(sigmas)
+    def features(self) -> dict[str, tuple[str, str, Contact]]:
+        """All features by id, those that are touched and known points of distances."""
+        known = {column: d.point for column, d in self.distances.items() if d.point}
+        points = {c: (c, c, Contact({c: point})) for c, point in known.items()}
+        return {**self.touched, **points}
+
+    def feature_places(self, space: int) -> tuple[Array, Array, Array]:
+        """Return coordinates of features, their standard deviations, 0 if known, and axes.
+
+        Shapes (n, 6), (n, 6) and (n, 3, 3): see ``Contact.place``.
+        """
+        parts = [c.place(name, space) for _, name, c in self.features.values()]
+        values, sigmas = np.reshape(parts, (-1, 2, 6)).transpose(1, 0, 2)
+        axes = [contact.axes for _, _, contact in self.features.values()]
+        return values, sigmas, np.reshape(axes, (-1, 3, 3))
+
+    def relations(self, space: int) -> list[Relation]:
+        """Return what targets meet, distances first; in space or, 2, in the plane."""
+        relations = [distance.relation(column) for column, distance in self.distances.items()]
+        return relations + [c.relation(column, space) for column, c in self.contacts.items()]
+
+    @property
+    def read_lengths(self) -> list[str]:
+        """Columns of lengths that distances and gauges read."""
+        return [name for relation in self.relations(3) for name in relation.read]
 
     def quantities(self, platform: Platform, names: Iterable[str]) -> tuple[str, ...]:
         """Return names of quantities, in place of a contact's those that it stands for."""
         axes = self.contact_axes(platform)
-        return tuple(name for part in names for name in axes.get(part, [part]))
+        return tuple(dict.fromkeys(name for part in names for name in axes.get(part, [part])))
 
     def contact_axes(self, platform: Platform) -> dict[str, list[str]]:
         """Return the quantities of each contact: by how much what is touched is missed."""
-        return {name: [f"{name}_{a}" for a in "xyz"[: platform.space]] for name in self.contacts}
+        relations = self.relations(platform.space)[len(self.distances) :]
+        return {relation.owner: list(relation.quantities) for relation in relations}
+
+    def noises(self, platform: Platform) -> dict[str, float]:
+        """Return standard deviations that the setup says, by quantity, [m]."""
+        axes = {name: [name] for name in self.distances} | self.contact_axes(platform)
+        parts: dict[str, Distance | Contact] = {**self.distances, **self.contacts}
+        known = {name: part.noise for name, part in parts.items() if part.noise is not None}
+        return {quantity: noise for name, noise in known.items() for quantity in axes[name]}
 
     def positions(self, platform: Platform) -> dict[str, list[str]]:
         """Return the columns of each target's position."""

@@ -257,7 +257,7 @@ def _found_lines(result: CalibrationResult) -> list[str]:
 
 
 def touched_line(result: CalibrationResult) -> list[str]:
-    """Return how many points targets touch in how many rows, and which they miss most."""
+    """Return how many features targets meet in how many rows, and which they miss most."""
     missed: dict[str, float] = {}
     rows: dict[str, int] = {}
     for point in result.options.setup.touched:
@@ -270,7 +270,9 @@ def touched_line(result: CalibrationResult) -> list[str]:
         return []
     worst = max(missed, key=lambda point: missed[point])
     shown = f"{worst} by {amount(missed[worst], 'm')} RMS"
-    return [f"touched: {len(rows)} points in {sum(rows.values())} rows, missed most: {shown}"]
+    shapes = {result.options.setup.touched[point][2].shape for point in rows}
+    kinds = counted(len(rows), shapes.pop() if len(shapes) == 1 else "feature")
+    return [f"touched: {kinds} in {sum(rows.values())} rows, missed most: {shown}"]
 
 
 def rejected_lines(result: CalibrationResult) -> list[str]:

@@ -22,7 +22,7 @@ from pincal.formats.deployed.geometry import genhexkins, geometry_sheet
 from pincal.formats.deployed.tables import Deployed
 from pincal.kinematics.configurations import inverse
 from pincal.model.mechanism import Mechanism
-from pincal.model.setup import ORIGIN
+from pincal.model.relations import ORIGIN
 from pincal.types import Array
 
 SHEET, HOW_TO, LINUXCNC = "geometry.csv", "commanding.md", "linuxcnc.hal"

@@ -15,7 +15,7 @@ from pincal.design.platform_error import PlatformError
 from pincal.estimation.observability.courses import Slip
 from pincal.model.checks import counted
 from pincal.model.mechanism import Mechanism
-from pincal.model.setup import ORIGIN
+from pincal.model.relations import ORIGIN
 from pincal.show.answers import rejected_lines, unpromised, weak_lines
 from pincal.show.tables import models_table, screen_table
 from pincal.words.faults import HYPOTHESES

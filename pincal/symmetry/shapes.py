@@ -22,7 +22,7 @@ from pincal.kinematics.closed_forms import closed_form
 from pincal.kinematics.closing import close, sensor_law
 from pincal.kinematics.closure import LegClosure, nominal_legs
 from pincal.model.checks import ROUNDING
-from pincal.model.leg import Joint
+from pincal.model.joint import Joint
 from pincal.model.mechanism import Mechanism
 from pincal.model.terms import LOAD
 from pincal.symmetry.candidates import NEARLY, Points

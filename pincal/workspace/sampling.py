@@ -32,6 +32,7 @@ from pincal.model.checks import count_of, generator_of
 from pincal.model.measurements import Plan
 from pincal.model.mechanism import Mechanism
 from pincal.model.platform import Platform
+from pincal.model.relations import missed
 from pincal.model.setup import Setup
 from pincal.types import Array, Mask, Point
 from pincal.workspace.axes import MOST
@@ -144,11 +145,11 @@ def sample_configurations(
 def sample_contacts(
     mechanism: GivenMechanism, setup: Setup, count: int, seed: int | np.random.Generator = 0
 ) -> tuple[Plan, Setup]:
-    """Return configurations whose targets sit in the points of contacts, and where these are.
+    """Return configurations whose targets meet the features of contacts, and where these are.
 
-    Each of ``count`` configurations is led to the point next to its target, turned as it is; those
-    that count there are returned. A point at no known place is planned amid the targets' positions,
-    far from the others.
+    Each of ``count`` configurations is led to the feature next to its target, turned as it is;
+    those that count there are returned. One at no known place is planned amid the targets'
+    positions, far from the others; if its radius is unknown, a quarter of their extent large.
 
     Args:
         mechanism: The mechanism.
@@ -174,10 +175,17 @@ def sample_contacts(
     matrices, contacts, names, gaps = platform.matrices(planned.poses), {}, [], []
     for column, contact in setup.contacts.items():
         tips = matrices[:, :3, 3] + matrices[:, :3, :3] @ setup.targets[contact.target].offset
-        places = _amid(contact.points, tips)
-        contacts[column] = replace(contact, points=places)
+        places, radius = _amid(contact.points, tips), contact.radius
+        if contact.shape in ("circle", "sphere") and radius is None:
+            radius = 0.25 * float(np.ptp(tips, axis=0).max())
+        contacts[column] = contact = replace(contact, points=places, radius=radius)
         names += [(column, name) for name in places]
-        gaps += [place - tips for place in map(np.array, places.values())]
+        relation = contact.relation(column, platform.space)
+        for name in places:
+            feature = np.tile(contact.place(name, platform.space)[0], (count, 1))
+            axes = np.broadcast_to(contact.axes, (count, 3, 3))
+            missed_by, slopes, _ = missed(relation, tips, feature, axes)
+            gaps.append(-np.einsum("nkd,nk->nd", slopes, missed_by))
     moves = np.array(gaps)
     nearest = np.argmin(np.linalg.norm(moves, axis=2), axis=0)
     touched = {c: tuple(names[k][1] * (names[k][0] == c) for k in nearest) for c in contacts}

@@ -32,7 +32,8 @@ from pincal.kinematics.forward import forward
 from pincal.kinematics.singularity import margins
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
-from pincal.model.setup import ORIGIN, Setup, Target
+from pincal.model.relations import ORIGIN
+from pincal.model.setup import Setup, Target
 from pincal.types import Array, Index, Mask
 
 QUESTIONED = 0.02  # misfit over the stroke that was measured, from which legs are questioned

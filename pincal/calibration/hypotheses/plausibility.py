@@ -32,6 +32,8 @@ from pincal.calibration.hypotheses.judging import (
 )
 from pincal.errors import MeasurementError
 from pincal.estimation.observability.indices import DIFFER
+from pincal.estimation.observation import Observation
+from pincal.estimation.relations import at_touch, touches
 from pincal.estimation.unknowns import External
 from pincal.finding import Finding
 from pincal.kinematics.closing import sensor_law
@@ -40,7 +42,7 @@ from pincal.kinematics.forward import forward
 from pincal.model.checks import ROUNDING
 from pincal.model.measurements import Measurements, Noise
 from pincal.model.mechanism import Mechanism
-from pincal.model.setup import ROW, TO, Setup
+from pincal.model.relations import ROW, TO
 from pincal.words.findings import finding, sentence
 from pincal.words.numbers import amount
 
@@ -337,17 +339,17 @@ def check_copies(data: Measurements, *, every_pose: bool = False) -> None:
         raise MeasurementError(sentence(copied))
 
 
-def check_contacts(data: Measurements, setup: Setup) -> None:
-    """Raise if a point at an unknown place is touched in no row, or in one alone."""
-    for column, point, contact in setup.touched.values():
-        if column == ROW:
-            continue
-        count = data.contacts[column].count(point)
-        if count < 2 and contact.points[point] is None:
-            row = data.place(data.contacts[column].index(point)) if count else "no row"
+def check_contacts(observation: Observation, data: Measurements) -> None:
+    """Raise if what is met has as many unknowns as the rows that meet it have equations."""
+    for place, (name, columns, rows) in enumerate(touches(observation)):
+        column, point, _ = observation.setup.touched[name]
+        unknown, count = int(np.isinf(observation.external.sigmas[place]).sum()), int(rows.sum())
+        if column != ROW and unknown and count * len(columns) <= unknown:
+            row = f"{data.place(int(np.argmax(rows)))} alone touches" if count else "no row touches"
             raise MeasurementError(
-                f"{row}{' alone' * count} touches {column} {point!r}, whose place is unknown, "
-                "which says nothing of the machine. Touch it in several poses, or leave it out"
+                f"{row if count < 2 else f'{count} rows touch'} {column} {point!r}, whose place is "
+                f"unknown, which says nothing of the machine. Touch it in at least "
+                f"{unknown // len(columns) + 1} poses, or leave it out"
             )
 
 
@@ -357,32 +359,37 @@ _ABOUT = 0.1  # relative, within which it is that
 
 
 def check_distances(calibration: Calibration) -> None:
-    """Raise if distances between rows are the nominal mechanism's but for a unit.
+    """Raise if what is measured between rows is the nominal mechanism's but for a unit or a sign.
 
     Raises:
         MeasurementError: the first of them.
     """
     observation, data = calibration.observation, calibration.measurements
-    between = [name for name in observation.setup.between if name.startswith("distance")]
-    if not between or not np.isfinite(data.readings).all():
+    least = QUESTIONED * calibration.mechanism.size
+    if not observation.setup.between or not np.isfinite(data.readings).all():
         return
     solution = forward(calibration.mechanism, data.readings)
     matrices = calibration.mechanism.platform.matrices(solution.poses)
-    missed = observation.residuals(
-        matrices, observation.at_touch(matrices, observation.external.start)
-    )[0]
-    for column in between:
-        measured, place = data.extra[column], observation.names.index(column)
+    nearest = at_touch(observation, matrices, observation.external.start)
+    missed = observation.residuals(matrices, nearest)[0]
+    for column in observation.setup.between:
+        kind, place = column.partition("_")[0], observation.names.index(column)
+        measured = data.extra[column]
         nominal = missed[:, place] + measured
-        for factor, unit in _MISTAKEN.items():
-            wrong = np.abs(nominal - factor * measured) < _ABOUT * factor * measured
-            if (wrong := wrong & observation.measured[:, place]).any():
+        clear = observation.measured[:, place] & (np.abs(nominal) > least)
+        for factor in _MISTAKEN if kind == "distance" else (-1.0,):
+            expected = factor * measured
+            wrong = clear & (np.abs(nominal - expected) < _ABOUT * np.abs(expected))
+            if wrong.any():
                 row = int(np.argmax(wrong))
-                rows = " and ".join(data.contacts[name][row] for name in (f"{column}{TO}", ROW))
+                a, b = (data.contacts[name][row] for name in (f"{column}{TO}", ROW))
+                lengths = [amount(float(values[row]), "m") for values in (measured, nominal)]
+                question = f"{factor:.3g} times as much; is it in {_MISTAKEN.get(factor)}?"
+                if kind != "distance":
+                    question = f"the opposite: are its rows swapped? It is that of {b} less {a}'s."
                 raise MeasurementError(
-                    f"rows {rows} are {amount(float(measured[row]), 'm')} apart, by the nominal "
-                    f"machine {amount(float(nominal[row]), 'm')}, {factor:.3g} times as much; is "
-                    f"it in {unit}? Correct it, or the unit in the header"
+                    f"the {kind} of rows {a} and {b} is {lengths[0]}, by the nominal machine "
+                    f"{lengths[1]}, {question} Correct it, or the unit in the header"
                 )
 
 

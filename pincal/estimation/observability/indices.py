@@ -13,6 +13,7 @@ import numpy as np
 from scipy.linalg import qr
 
 from pincal.estimation.problem import Problem
+from pincal.estimation.relations import at_touch, touching
 from pincal.estimation.rows import white_rows
 from pincal.estimation.unknowns import Unknowns
 from pincal.kinematics.batches import block_diagonal
@@ -165,12 +166,12 @@ def jacobian_near(
     observation = problem.observation.anywhere() if generic else problem.observation
     every = chosen[np.arange(len(plan)) % len(chosen)]
     if contacts:  # frames and scale do not show where they touch exactly
-        plan = observation.at(every).touching(started, plan, start.external)
+        plan = touching(observation.at(every), started, plan, start.external)
     legs = legs_at(started, plan)
     rows = every[legs.reached]
     matrices, observation = mechanism.platform.matrices(legs.poses), observation.at(rows)
-    touching = observation.at_touch(matrices, start.external)
-    _, seen_pose, by_external = observation.residuals(matrices, touching)
+    nearest = at_touch(observation, matrices, start.external)
+    _, seen_pose, by_external = observation.residuals(matrices, nearest)
     per = np.array([1.0 / size if unit == "m" else 1.0 for unit in observation.units])[:, None]
     # ┌ A          0        ┐  legs            ┌ B ┐
     # └ 0  by external      ┘  what is seen    └ B ┘

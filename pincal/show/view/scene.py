@@ -20,7 +20,7 @@ from pincal.kinematics.configurations import command, shifted
 from pincal.kinematics.forward import forward
 from pincal.model.measurements import EVERY_LEG, Plan
 from pincal.model.mechanism import Mechanism
-from pincal.model.setup import ORIGIN
+from pincal.model.relations import ORIGIN
 from pincal.show.style import DIMENSION, EVERY, GROUND, IDENTIFIED, OUTLIER, leg_colour
 from pincal.show.view.bodies import Body, body
 from pincal.types import Array, Index, Mask
@@ -332,13 +332,15 @@ def misses_of(result: CalibrationResult) -> tuple[Array, Array, Mask]:
 def touched_points(result: CalibrationResult) -> list[tuple[str, Array, Index, Array]]:
     """Return name, place, rows and misses of each point that targets touch, base frame, [m]."""
     setup, outside = result.options.setup, result.outside
-    frame, places = (
-        (np.eye(4), setup.touched_places[0]) if outside is None else (outside.frame, outside.points)
-    )
-    blocks = {block.name: block for block in result.observed}
+    outside = outside or result.calibration.observation.external.start
+    frame, blocks = outside.frame, {block.name: block for block in result.observed}
     points = []
-    for name, place in zip(setup.touched, places, strict=True):
+    for (name, (_, _, contact)), place in zip(
+        setup.touched.items(), outside.features[:, :3], strict=False
+    ):
         axes = [f"{name}_{axis}" for axis in "xyz"[: result.nominal.platform.space]]
+        if contact.shape != "point" or axes[0] not in blocks:
+            continue
         missed = np.zeros((len(blocks[axes[0]].rows), 3))
         missed[:, : len(axes)] = np.column_stack([blocks[axis].residuals for axis in axes])
         turn, origin = frame[:3, :3], frame[:3, 3]
