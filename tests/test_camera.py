@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 import pincal
 from pincal.estimation.rows import turned_rows, white_rows
 from pincal.formats.arm import arm
+from pincal.instruments.placing import by_hand_eye
 
 Array = np.ndarray
 BOARD = {f"p{i}{j}": (0.03 * i, 0.03 * j, 0.0) for i in range(3) for j in range(3)}
@@ -216,6 +217,38 @@ def test_camera_and_board_anywhere(make, points, free) -> None:  # type: ignore[
     values = np.array([result[p.id].identified for p in camera.parameters])
     missed = camera.evaluate(matrices, values, np.column_stack([*unseen.extra.values()]))[0]
     assert np.abs(missed).max() < 1e-6
+
+
+@pytest.mark.parametrize("make", [_camera, _in_hand])
+def test_hand_eye_calibration_finds_what_a_machine_as_drawn_shows(make) -> None:  # type: ignore[no-untyped-def]
+    """Without noise unseen photos are predicted to 1e-3 px, as OpenCV finds boards in them.
+
+    A machine that is not as drawn is missed by what no camera and board elsewhere explain.
+    """
+    cv2 = pytest.importorskip("cv2")
+    camera, nominal = make(), pincal.load_mechanism("6UPS")
+    truth, data = _measured(camera, count=16)
+    seen, missed = np.column_stack([*data.extra.values()]), []
+    for machine in (truth, nominal):
+        poses = pincal.forward(machine, data.readings).poses
+        matrices = machine.platform.transforms(poses).as_matrix()
+        pixels, lengths = camera.by_hand_eye(matrices, seen)
+        away = camera.metres_per_pixel(matrices, np.empty(0))
+        np.testing.assert_allclose(lengths / pixels, away, rtol=0.1)
+        missed.append(np.abs(pixels).max())
+    assert missed[0] < 1e-3
+    assert missed[1] > 0.05
+    rng = np.random.default_rng(0)
+    T, seen = (
+        np.array([_motion(rng.normal(size=3), rng.normal(size=3)) for _ in range(9)])
+        for _ in range(2)
+    )
+    if hasattr(cv2, "calibrateRobotWorldHandEye"):  # OpenCV 5.0 has it not in Python
+        parts = [part for M in (seen, T) for part in (M[:, :3, :3], M[:, :3, 3])]
+        board, at_board, eye, at_eye = cv2.calibrateRobotWorldHandEye(*parts)
+        ends = [np.linalg.inv(end) for end in by_hand_eye(T, seen)]
+        np.testing.assert_allclose(ends[0][:3], np.column_stack((eye, at_eye)), atol=1e-9)
+        np.testing.assert_allclose(ends[1][:3], np.column_stack((board, at_board)), atol=1e-9)
 
 
 @pytest.mark.slow

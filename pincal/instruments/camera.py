@@ -11,7 +11,7 @@ and its lens makes pixels of that. Camera, lens and markers may each be known, o
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from pincal.errors import MeasurementError
 from pincal.instruments.lens import Lens
-from pincal.instruments.placing import placed_by_rays
+from pincal.instruments.placing import board_in_camera, by_hand_eye, placed_by_rays
 from pincal.model.checks import array_of, check_sizes, must_be, named_points, set_point
 from pincal.model.instrument import Residuals
 from pincal.model.parameter import Parameter
@@ -27,6 +27,7 @@ from pincal.types import Array, Mask, Point
 
 _PLACE = (("x", "m"), ("y", "m"), ("z", "m"), ("rx", "rad"), ("ry", "rad"), ("rz", "rad"))
 _AXES = "xyz"
+_FEWEST = 3  # photos from which hand–eye calibration finds anything
 _STEEPEST = np.cos(np.radians(75.0))  # angle from the normal at which markers are still read
 
 
@@ -289,6 +290,44 @@ class Camera:
             cosines = -(ray * normals[:, None]).sum(axis=2) / np.linalg.norm(ray, axis=2)
             visible &= cosines > _STEEPEST
         return np.repeat(visible, 2, axis=1)
+
+    def by_hand_eye(self, poses: Array, measured: Array) -> tuple[Array, Array] | None:
+        """Return pixels by which hand–eye calibration misses photos that it has not seen, and m.
+
+        Every second photo is predicted by the others; shapes (N, r), [px] and, across the line of
+        sight, [m]. None of too few photos of known points.
+
+        Args:
+            poses: T_frame_platform of the machine as it is drawn, shape (N, 4, 4).
+            measured: Pixels, shape (N, r), NaN where not seen.
+
+        Raises:
+            ModuleNotFoundError: OpenCV is not installed.
+        """
+        listed = [point is not None for point in self.markers.points.values()]
+        points = np.array([point for point in self.markers.points.values() if point is not None])
+        rays = self.lens.rays(measured.reshape(len(poses), -1, 2))[:, listed]
+        boards = [board_in_camera(points, of_photo) for of_photo in rays]
+        seen = {row: board for row, board in enumerate(boards) if board is not None}
+        T, rows = (
+            self._carried(poses, np.array([p.nominal for p in self.parameters]))[0],
+            np.array([*seen]),
+        )
+        missed = np.full((2, *measured.shape), np.nan)
+        for half, unseen in ((rows[::2], rows[1::2]), (rows[1::2], rows[::2])):
+            if len(half) < _FEWEST:
+                return None
+            ends = by_hand_eye(T[half], np.stack([seen[i] for i in half.tolist()]))
+            (at, turn), (on, turned) = (
+                (tuple(end[:3, 3]), tuple(Rotation.from_matrix(end[:3, :3]).as_rotvec()))
+                for end in ends
+            )
+            markers = replace(self.markers, at=on, rotation=turned, known=True)
+            placed = replace(self, at=at, rotation=turn, known=True, markers=markers)
+            values = np.array([parameter.nominal for parameter in placed.parameters])
+            missed[0, unseen] = placed.evaluate(poses[unseen], values, measured[unseen])[0]
+            missed[1, unseen] = missed[0, unseen] * placed.metres_per_pixel(poses[unseen], values)
+        return missed[0], missed[1]
 
     def begin(self, poses: Array, measured: Array, known: Mapping[str, float]) -> Array:
         """Return values of its parameters from which a search may begin, shape (p,).

@@ -5,15 +5,25 @@ holds the camera and T_i are inverse poses), and e = R d rays turned into the ca
 axes, R_i p_m + t_i − t is along e. For a rotation R of the camera that is linear in all else, its
 place t and the points: the rotation alone is sought, from the 24 of a cube (variable projection).
 No point needs to be known, and no pose of a board in a photograph is needed.
+
+What hand–eye calibration says of it stands beside: that takes the machine as it is drawn.
 """
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
+import lazy_loader
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from pincal.types import Array
+
+if TYPE_CHECKING:
+    import cv2
+else:
+    cv2 = lazy_loader.load("cv2")
 
 _POINTS, _POSES = 8, 40  # with which a rotation is sought
 _BEST = 3  # rotations of a cube from which the search goes on
@@ -131,6 +141,45 @@ class _Rays:
         right = (R.transpose(0, 1, 3, 2) @ A @ at).sum(axis=0)
         points = np.linalg.pinv(normal, rcond=1e-9, hermitian=True) @ right
         return np.where(self.seen.sum(axis=0)[:, None] > 1, points[..., 0], np.nan)
+
+
+def board_in_camera(points: Array, rays: Array) -> Array | None:
+    """Return T_camera_board, (4, 4), of points, (M, 3), by unit rays to them; None of too few."""
+    ahead = np.isfinite(rays[:, 2]) & (rays[:, 2] > 0.0)
+    if ahead.sum() < 4:
+        return None
+    plane = rays[ahead, :2] / rays[ahead, 2:]
+    solved, turn, shift = cv2.solvePnP(points[ahead], plane, np.eye(3), None)
+    if not solved:
+        return None
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = Rotation.from_rotvec(turn[:, 0]).as_matrix(), shift[:, 0]
+    return pose
+
+
+def by_hand_eye(T: Array, seen: Array) -> tuple[Array, Array]:
+    """Return T_holder_camera and T_carrier_board, (4, 4), by a machine that is as it is drawn.
+
+    Of T T_carrier_board = T_holder_camera seen, rotations first: vec R_camera is the sum of
+    (R_seen ⊗ R) vec R_board (M. Shah 2013, as OpenCV's ``calibrateRobotWorldHandEye`` has it).
+
+    Args:
+        T: Poses of what carries the board, in the frame of what holds the camera, (N, 4, 4).
+        seen: T_camera_board, shape (N, 4, 4).
+    """
+    R, S = T[:, :3, :3], seen[:, :3, :3]
+    K = sum(np.kron(S_i, R_i) for S_i, R_i in zip(S, R, strict=True))
+    U, _, Vt = np.linalg.svd(K)
+    ends = np.tile(np.eye(4), (2, 1, 1))
+    for end, vector in zip(ends, (U[:, 0], Vt[0]), strict=True):
+        M = vector.reshape(3, 3)  # transposed: of the inverse
+        left, _, right = np.linalg.svd(M * np.sign(np.linalg.det(M)))
+        end[:3, :3] = left @ right
+    A = np.concatenate((np.broadcast_to(-np.eye(3), S.shape), S), axis=2).reshape(-1, 6)
+    b = (T[:, :3, 3] @ ends[0, :3, :3].T - seen[:, :3, 3]).ravel()
+    ends[:, :3, 3] = np.linalg.lstsq(A, b, rcond=None)[0].reshape(2, 3)
+    camera, board = np.linalg.inv(ends)
+    return camera, board
 
 
 def _after(step: Array, turn: Array) -> Array:

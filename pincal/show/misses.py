@@ -5,6 +5,7 @@ All in SI units, as charts, tables and answers show them.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -21,7 +22,9 @@ from pincal.errors import WorkspaceError
 from pincal.estimation.problem import Problem
 from pincal.estimation.unknowns import External, State
 from pincal.instruments.camera import Camera
+from pincal.instruments.lens import Lens
 from pincal.kinematics.configurations import as_plan, legs_at
+from pincal.kinematics.forward import forward
 from pincal.model.measurements import Plan
 from pincal.types import Array, Mask
 from pincal.words.numbers import percent
@@ -75,6 +78,31 @@ def camera_misses(result: CalibrationResult) -> list[CameraMisses]:
         if parts:
             every.append(CameraMisses(camera, *map(np.concatenate, zip(*parts, strict=True))))
     return every
+
+
+def hand_eye_misses(result: CalibrationResult) -> dict[str, float]:
+    """Return by how much hand–eye calibration misses photos that it has not seen, [px] and [m].
+
+    Root mean squares over points, by unit, of the machine as drawn and the lenses as calibrated;
+    nothing without OpenCV, or where cameras see no board of known points.
+    """
+    data, missed = result.measurements, list[tuple[Array, Array]]()
+    poses = forward(result.nominal, data.readings, influences=result.calibration.influences).poses
+    matrices = result.nominal.platform.matrices(poses)
+    for camera in (d for d in result.options.setup.instruments if isinstance(d, Camera)):
+        values = dict(zip(camera.lens.names, camera.lens.values.tolist(), strict=True))
+        values |= {p.name: p.identified for p in result.external if p.owner == camera.lens.name}
+        fx, fy, cx, cy, *distortion = values.values()
+        lens = Lens(camera.lens.size, (fx, fy), (cx, cy), tuple(distortion), camera.lens.fisheye)
+        pixels = np.column_stack([data.extra[column] for column in camera.columns])
+        with suppress(ModuleNotFoundError):
+            if misses := replace(camera, lens=lens).by_hand_eye(matrices, pixels):
+                missed.append(misses)
+    if not missed:
+        return {}
+    sizes = np.concatenate([np.reshape(pair, (2, -1, 2)) for pair in missed], axis=1)
+    pixels, lengths = np.sqrt(np.nanmean((sizes**2).sum(axis=2), axis=1)).tolist()
+    return {"m": lengths, "px": pixels}
 
 
 def observed_groups(result: CalibrationResult) -> list[ResidualGroup]:

@@ -17,6 +17,7 @@ from pincal.show.misses import (
     WorkspaceErrors,
     camera_misses,
     effects,
+    hand_eye_misses,
     observed_groups,
     readings_exact,
 )
@@ -199,6 +200,8 @@ def accuracy_table(result: CalibrationResult, errors: WorkspaceErrors) -> Table:
                 rows.setdefault("calibrated", {})[unit] = shown
     if missed:
         rows["unseen"] = {unit: number(size, unit) for unit, size in missed.items()}
+        if by_hand_eye := hand_eye_misses(result):
+            rows["unseen by hand–eye"] = {u: number(size, u) for u, size in by_hand_eye.items()}
     units = dict.fromkeys([*errors.expected.units, *missed])
     return Table(
         f"RMS error{region}",
