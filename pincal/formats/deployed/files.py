@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from pprint import pformat
+from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -22,6 +24,7 @@ _NO_LOAD: Table = {
     "gravity": [0.0] * 3,
     "width": 1,
 }
+_NOWHERE: Table = {"start": np.eye(4)[:3].ravel(), "joints": []}
 _KINDS = {"sine": 0, "cosine": 1, "power": 2}
 
 
@@ -57,95 +60,73 @@ def _plain(text: str) -> str:
     return re.sub(r"[^\w .+-]", "_", text)
 
 
-def _number(value: float) -> str:
-    if np.isinf(value):
-        return "INFINITY" if value > 0 else "-INFINITY"
-    return repr(float(value))
+def _c(value: Any) -> str:
+    """Return a value in C, tuples and arrays in braces; a text stands for itself."""
+    if isinstance(value, str):
+        return value
+    if isinstance(value, (int, np.integer)):
+        return str(int(value))
+    if isinstance(value, float):
+        return re.sub(r"\binf\b", "INFINITY", repr(float(value)))
+    return f"{{{', '.join(map(_c, value))}}}"
 
 
-def _array(values: Any, type_: str = "double") -> str:
-    """Return a compound literal of numbers, NULL of none."""
-    shown = map(
-        _number if type_ == "double" else str, map(int if type_ == "int" else float, values)
-    )
-    return f"(const {type_}[]){{{', '.join(shown)}}}" if len(values) else "NULL"
+def _several(type_: str, items: Sequence[Any]) -> str:
+    """Return where the first of these items is, NULL of none."""
+    return f"(const {type_}[]){_c(items)}" if len(items) else "NULL"
 
 
-def _numbers(values: Any) -> str:
-    return f"{{{', '.join(map(_number, values))}}}"
-
-
-def _several(type_: str, items: list[str]) -> str:
-    return f"(const machine_{type_}[]){{{', '.join(items)}}}" if items else "NULL"
-
-
-def _c_chain(chain: Table) -> str:
-    moves = []
-    for turns, axis, rates, behind in chain["joints"]:
-        pairs = _several("rate", [f"{{{source}, {_number(rate)}}}" for source, rate in rates])
-        moves.append(
-            f"{{{int(turns)}, {_numbers(axis)}, {len(rates)}, {pairs}, {_numbers(behind)}}}"
-        )
-    return f"{{{_numbers(chain['start'])}, {len(moves)}, {_several('move', moves)}}}"
-
-
-def _c_terms(terms: Any) -> str:
-    items = [
-        f"{{{_number(a)}, {place}, {_KINDS[kind]}, {_number(x)}, {_number(y)}, {exponent}}}"
-        for a, place, (kind, x, y, exponent) in terms
+def _c_chain(chain: Table) -> tuple[Any, ...]:
+    moves = [
+        (turns, axis, len(rates), _several("machine_rate", rates), behind)
+        for turns, axis, rates, behind in chain["joints"]
     ]
-    return f"{len(items)}, {_several('term', items)}"
+    return chain["start"], len(moves), _several("machine_move", moves)
+
+
+def _c_terms(terms: Any) -> tuple[int, str]:
+    items = [(a, place, _KINDS[kind], *rest) for a, place, (kind, *rest) in terms]
+    return len(items), _several("machine_term", items)
 
 
 def _c_sensors(sensors: Any) -> str:
-    items = [
-        f"{{{_number(s['slope'])}, {_number(s['start'])}, {_c_terms(s['terms'])}}}" for s in sensors
-    ]
-    return _several("sensor", items)
+    items = [(s["slope"], s["start"], *_c_terms(s["terms"])) for s in sensors]
+    return _several("machine_sensor", items)
 
 
-def _c_form(form: Table | None) -> str:
+def _c_form(form: Table | None) -> tuple[Any, ...]:
     if form is None:
-        return "{0}"
+        return (0,)
     kind = 1 if form["frame"] is None else 3 if form["radius"] else 2
-    frame = np.ravel(form["frame"] if form["frame"] else np.zeros(9))
-    axes = np.ravel(form["axes"])
     scalars = (form["delta"], form["side"], form["length"], form["mode"], form["radius"])
-    return (
-        f"{{{kind}, {int(form['plane'])}, {_numbers(form['centre'])}, {_numbers(axes)}, "
-        f"{', '.join(map(_number, scalars))}, {_numbers(frame)}}}"
-    )
+    axes, frame = np.ravel(form["axes"]), np.ravel(form["frame"] or np.zeros(9))
+    return kind, form["plane"], form["centre"], axes, *scalars, frame
+
+
+def _c_end(end: Table) -> tuple[Any, ...]:
+    rows, chains = end["rows"], (end["tip"], end["frame"] or _NOWHERE, end["point"])
+    padded = [*rows, *[0] * (6 - len(rows))]
+    return len(rows), padded, end["frame"] is not None, *map(_c_chain, chains)
 
 
 def _c_leg(leg: Table) -> str:
-    ends, nothing = [], _c_chain({"start": np.eye(4)[:3].ravel(), "joints": []})
-    for end in leg["ends"]:
-        rows = [*end["rows"], *[0] * (6 - len(end["rows"]))]
-        loop = end["frame"] is not None
-        frame = _c_chain(end["frame"]) if loop else nothing
-        ends.append(
-            f"{{{len(end['rows'])}, {{{', '.join(map(str, rows))}}}, {int(loop)},\n      "
-            f"{_c_chain(end['tip'])},\n      {frame},\n      {_c_chain(end['point'])}}}"
-        )
-    low, high = zip(*leg["limits"], strict=True)
-    deformations = _several(
-        "deformation", [f"{{{_c_terms(terms)}}}" for terms in leg["deformations"]]
-    )
-    counts = (
-        len(leg["joints"]),
-        len(leg["active"]),
-        len(leg["passive"]),
-        len(leg["deformations"]),
-        len(ends),
+    unknown, deformations = [*leg["active"], *leg["passive"]], leg["deformations"]
+    positions = (leg["home"], *zip(*leg["limits"], strict=True))
+    counted = (leg["joints"], leg["active"], leg["passive"], deformations, leg["ends"])
+    fields = (
+        *map(len, counted),
         sum(len(end["rows"]) for end in leg["ends"]),
-        int(leg["arm"]),
+        leg["arm"],
+        leg["size"],
+        leg["mode"],
+        *(_several("int", values) for values in (unknown, leg["turns"])),
+        *(_several("double", values) for values in positions),
+        _c_sensors(leg["sensors"]),
+        _several("machine_deformation", list(map(_c_terms, deformations))),
+        _several("machine_end", list(map(_c_end, leg["ends"]))),
+        _c_form(leg["form"]),
     )
-    return (
-        f"  {{{', '.join(map(str, counts))}, {_number(leg['size'])}, {_number(leg['mode'])},\n    "
-        f"{_array([*leg['active'], *leg['passive']], 'int')}, {_array(leg['turns'], 'int')}, "
-        f"{_array(leg['home'])}, {_array(low)}, {_array(high)},\n    {_c_sensors(leg['sensors'])}, "
-        f"{deformations},\n    {_several('end', ends)},\n    {_c_form(leg['form'])}}}"
-    )
+    return "\n" + fill(_c(fields), 100, break_long_words=False, break_on_hyphens=False)
 
 
 def _c_sizes(tables: Table, load: Table) -> dict[str, int]:
@@ -179,34 +160,24 @@ def _c_tables(tables: Table) -> str:
     """Return sizes and tables of a machine in C."""
     load = tables["load"] or _NO_LOAD
     sizes = _c_sizes(tables, load)
-    lines = [f"#define MACHINE_{name} {size}" for name, size in sizes.items()]
-    lines += [
-        "static const char *const machine_reading_names[] = {"
-        + ", ".join(f'"{_plain(name)}"' for name in tables["readings"])
-        + "};"
-    ]
-    vectors = {
-        "home": tables["home"],
-        "home_readings": tables["home_readings"],
-        "frame": tables["frame"],
-        "tool": tables["tool"],
-        "turn_axis": [*tables["turns"], [0.0] * 3][0],
-        "gravity": load["gravity"],
+    bodies = [(mass, _c_chain(chain)) for mass, chain in load["bodies"]]
+    values = {
+        "char *const machine_reading_names[]": [f'"{_plain(n)}"' for n in tables["readings"]],
+        "double machine_home[]": tables["home"],
+        "double machine_home_readings[]": tables["home_readings"],
+        "double machine_frame[]": tables["frame"],
+        "double machine_tool[]": tables["tool"],
+        "double machine_turn_axis[]": [*tables["turns"], [0.0] * 3][0],
+        "double machine_gravity[]": load["gravity"],
+        "double machine_size": tables["size"],
+        "double machine_assembly": tables["assembly"],
+        "int machine_freedoms[]": tables["twist"],
+        "machine_body machine_bodies[]": bodies or [(0.0, _c_chain(_NOWHERE))],
+        "int machine_load_active[]": load["active"],
+        "machine_sensor *const machine_load_sensors": _c_sensors(load["sensors"]),
+        "int machine_loads[][2]": load["columns"] or [(0, 0)],
+        "machine_leg machine_legs[]": list(map(_c_leg, tables["legs"])),
     }
-    lines += [f"static const double machine_{k}[] = {_numbers(v)};" for k, v in vectors.items()]
-    for name in ("size", "assembly"):
-        lines.append(f"static const double machine_{name} = {_number(tables[name])};")
-    lines.append(
-        f"static const int machine_freedoms[] = {{{', '.join(map(str, tables['twist']))}}};"
-    )
-    bodies = [f"{{{_number(mass)}, {_c_chain(chain)}}}" for mass, chain in load["bodies"]]
-    empty = "{0.0, {{0}, 0, NULL}}"
-    lines.append(f"static const machine_body machine_bodies[] = {{{', '.join(bodies) or empty}}};")
-    active = ", ".join(map(str, load["active"]))
-    lines.append(f"static const int machine_load_active[] = {{{active}}};")
-    sensors = _c_sensors(load["sensors"])
-    lines.append(f"static const machine_sensor *const machine_load_sensors = {sensors};")
-    loads = ", ".join(f"{{{place}, {source}}}" for place, source in load["columns"] or [(0, 0)])
-    lines.append(f"static const int machine_loads[][2] = {{{loads}}};")
-    shown = ",\n".join(map(_c_leg, tables["legs"]))
-    return "\n".join([*lines, f"static const machine_leg machine_legs[] = {{\n{shown}\n}};"])
+    lines = [f"#define MACHINE_{name} {size}" for name, size in sizes.items()]
+    lines += [f"static const {name} = {_c(value)};" for name, value in values.items()]
+    return "\n".join(lines)
